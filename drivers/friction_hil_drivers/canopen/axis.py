@@ -1,0 +1,166 @@
+"""One drive in the cyclic phase: its frames decoded into feedback, its commands encoded. No bus, no clock."""
+
+import struct
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
+
+from friction_hil.drive import Command, DriveState, Feedback, Mode, Request
+from friction_hil.errors import DriveError
+from friction_hil_drivers.canopen import objects, profile
+from friction_hil_drivers.canopen.configure import ConfiguredDrive
+from friction_hil_drivers.canopen.mapping import Pdo
+from friction_hil_drivers.canopen.units import Unwrapper
+
+if TYPE_CHECKING:
+    import can
+
+_HEARTBEATS_TO_LOSS = 3
+_EMERGENCY = struct.Struct("<HB")
+_NMT_NAMES = {state.value: state.name.lower().replace("_", "-") for state in objects.NmtState}
+
+
+class CanopenAxis:
+    """Decodes and encodes the frames of one drive.
+
+    Parameters
+    ----------
+    drive : ConfiguredDrive
+        What the configuration found and mapped.
+    node : int
+        Its node number.
+    heartbeat_s : float
+        Period of the drive's heartbeat, s; three missing ones are a loss.
+    """
+
+    def __init__(self, drive: ConfiguredDrive, node: int, heartbeat_s: float) -> None:
+        self.facts = drive.facts
+        self.node = node
+        self._units = drive.units
+        self._mode = drive.mode
+        self._tpdos = drive.tpdos
+        self._rpdo = drive.rpdo
+        self._heartbeat_loss_ns = round(_HEARTBEATS_TO_LOSS * heartbeat_s * 1e9)
+        self._unwrapper = Unwrapper()
+        self._frame: can.Message | None = None
+        self._controlword = profile.DISABLE_VOLTAGE
+
+        self._all = (1 << len(drive.tpdos)) - 1
+        self._arrived = 0
+        self._received = [bytearray() for _ in drive.tpdos]
+        self._state = DriveState.UNKNOWN
+        self._position = self._velocity = self._torque = 0.0
+        self._error_code = 0
+        self._message = ""
+        self._has_heartbeat = False
+        self._heard_ns = 0
+        self._now_ns = 0
+
+    @property
+    def pdos(self) -> tuple[Pdo, ...]:
+        """All PDOs of a cycle."""
+        return self._tpdos if self._rpdo is None else (*self._tpdos, self._rpdo)
+
+    def handlers(self) -> Mapping[int, Callable[[bytearray], None]]:
+        """What to do with the data of a frame, by its identifier."""
+
+        def store(number: int, size: int) -> Callable[[bytearray], None]:
+            def handle(data: bytearray) -> None:
+                if len(data) >= size:
+                    self._received[number] = data
+                    self._arrived |= 1 << number
+
+            return handle
+
+        table = {pdo.cob_id: store(number, pdo.layout.size) for number, pdo in enumerate(self._tpdos)}
+        table[objects.EMERGENCY_BASE + self.node] = self._on_emergency
+        table[objects.HEARTBEAT_BASE + self.node] = self._on_heartbeat
+        return table
+
+    def begin(self, now_ns: int) -> None:
+        """Start watching; the first heartbeat may take its time."""
+        self._heard_ns = self._now_ns = now_ns
+
+    def expect(self, now_ns: int) -> None:
+        """Forget what arrived before this cycle's SYNC."""
+        self._arrived = 0
+        self._now_ns = now_ns
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether every TPDO of this cycle is here."""
+        return self._arrived == self._all
+
+    def fill(self, feedback: Feedback, now_ns: int) -> None:
+        """Decode what arrived; without all of it the values stay those of the last complete cycle."""
+        is_fresh = self._arrived == self._all
+        if is_fresh:
+            statusword, counts, torque = self._tpdos[0].layout.unpack_from(self._received[0])
+            velocity, mode = self._tpdos[1].layout.unpack_from(self._received[1])
+            units = self._units
+            self._state = profile.drive_state(statusword)
+            self._position = self._unwrapper.total(counts) / units.counts_per_unit
+            self._velocity = velocity / units.velocity_per_unit
+            self._torque = units.torque(torque)
+            if self._state is DriveState.OPERATION_ENABLED and self._rpdo is not None and mode != self._mode:
+                self._message = f"the drive is in mode {mode} and not in {self._mode.name} ({self._mode.value})"
+        if self._has_heartbeat and now_ns - self._heard_ns > self._heartbeat_loss_ns:
+            self._message = f"no heartbeat from node {self.node} for {(now_ns - self._heard_ns) / 1e6:.0f} ms"
+        feedback.position = self._position
+        feedback.velocity = self._velocity
+        feedback.torque = self._torque
+        feedback.state = self._state
+        feedback.is_fresh = is_fresh
+        feedback.error_code = self._error_code
+        feedback.message = self._message
+
+    def command_frame(self, command: Command) -> "can.Message":
+        """Encode a command into this drive's RPDO; the frame is overwritten by the next call.
+
+        Raises
+        ------
+        ValueError
+            A value is not finite.
+        """
+        rpdo, units = self._rpdo, self._units
+        if rpdo is None:
+            raise DriveError(f"{self.facts.name}: a drive that is only listened to gets no command")
+        word = self._controlword = self._next_controlword(command.request)
+        torque = units.torque_per_mille(command.torque)
+        if self._frame is None:
+            import can
+
+            self._frame = can.Message(
+                arbitration_id=rpdo.cob_id, data=bytearray(rpdo.layout.size), is_extended_id=False
+            )
+        data = self._frame.data
+        if self._mode is Mode.CSP:
+            rpdo.layout.pack_into(data, 0, word, units.position_counts(command.position), torque)
+        elif self._mode is Mode.CSV:
+            rpdo.layout.pack_into(data, 0, word, units.velocity_increments(command.velocity), torque)
+        else:
+            rpdo.layout.pack_into(data, 0, word, torque)
+        return self._frame
+
+    def _next_controlword(self, request: Request) -> int:
+        if request is not Request.RESET_FAULT:
+            return profile.next_controlword(self._state, request)
+        # the drive looks for a rising edge
+        if self._state is DriveState.FAULT and not self._controlword & profile.FAULT_RESET:
+            return profile.FAULT_RESET
+        return profile.DISABLE_VOLTAGE
+
+    def _on_emergency(self, data: bytearray) -> None:
+        if len(data) >= _EMERGENCY.size:  # some drives send shorter ones
+            self._error_code = _EMERGENCY.unpack_from(data)[0]
+
+    def _on_heartbeat(self, data: bytearray) -> None:
+        if not data:
+            return
+        state = data[0] & 0x7F
+        if state == objects.NmtState.BOOT_UP:
+            self._message = f"node {self.node} restarted (boot-up message)"
+        elif state != objects.NmtState.OPERATIONAL and self._has_heartbeat:
+            self._message = f"node {self.node} left Operational: it is {_NMT_NAMES.get(state, state)}"
+        elif state == objects.NmtState.OPERATIONAL:
+            self._has_heartbeat = True
+            self._heard_ns = self._now_ns

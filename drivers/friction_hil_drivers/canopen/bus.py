@@ -1,0 +1,100 @@
+"""Opening and reading the CAN bus, for the drives and for their simulated counterparts."""
+
+import socket
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from friction_hil.errors import BusError
+
+if TYPE_CHECKING:
+    import can
+
+    from friction_hil.config import BusConfig
+
+_WITHOUT_BITRATE = ("udp_multicast", "virtual", "socketcan")
+
+
+def bus_name(config: "BusConfig") -> str:
+    """Name of a bus for people: ``udp_multicast 239.74.163.2:43113``."""
+    port = "" if config.port is None else f":{config.port}"
+    return f"{config.interface} {config.channel}{port}"
+
+
+def open_bus(config: "BusConfig") -> "can.BusABC":
+    """Open the bus that the configuration names.
+
+    Note what a caller has to expect of python-can: udp_multicast delivers a node's own frames to itself, and
+    every interface delivers frames that are addressed to nobody here.
+
+    Raises
+    ------
+    BusError
+        It does not open; the message says what to do about it.
+    """
+    import can
+
+    arguments: dict[str, Any] = dict(config.model_extra or {})
+    if config.port is not None:
+        arguments["port"] = config.port
+    if config.hop_limit is not None:
+        arguments["hop_limit"] = config.hop_limit
+    if config.bitrate is not None and config.interface not in _WITHOUT_BITRATE:
+        arguments["bitrate"] = config.bitrate
+    if config.interface == "udp_multicast":
+        arguments["fd"] = False
+    try:
+        if config.interface == "udp_multicast":
+            _require_route(str(config.channel), config.port or 0)
+        elif config.interface == "socketcan":
+            _require_interface(str(config.channel))
+        # ignore_config: a ~/.canrc must not change what the configuration file says
+        return can.Bus(interface=config.interface, channel=config.channel, ignore_config=True, **arguments)
+    except (can.CanError, OSError, ValueError, TypeError, ImportError) as error:
+        reason = str(error) or type(error).__name__
+        raise BusError(f"the bus {bus_name(config)} does not open: {reason}{_advice(config)}") from error
+
+
+def receive(bus: "can.BusABC", timeout: float) -> "can.Message | None":
+    """Next frame, or None after ``timeout`` seconds. Datagrams of others that are no CAN frame are ignored.
+
+    Raises
+    ------
+    BusError
+        The bus is gone.
+    """
+    import can
+
+    try:
+        return bus.recv(timeout)
+    except can.CanOperationError as error:
+        if isinstance(error.__cause__, OSError) or bus.fileno() < 0:
+            raise BusError(f"the bus {bus.channel_info} cannot be read any more: {error}") from error
+        return None
+
+
+def _require_route(group: str, port: int) -> None:
+    """Fail early where multicast frames would have nowhere to go; python-can notices only when sending."""
+    family, _, _, _, address = socket.getaddrinfo(group, port or 1, type=socket.SOCK_DGRAM)[0]
+    with socket.socket(family, socket.SOCK_DGRAM) as probe:
+        probe.connect(address)
+
+
+def _require_interface(name: str) -> None:
+    """Fail early where a CAN interface is down; the kernel lets it be opened and then delivers nothing."""
+    flags = Path("/sys/class/net") / name / "flags"
+    if flags.exists() and not int(flags.read_text(), 16) & 1:
+        raise OSError(f"the interface {name} is down")
+
+
+def _advice(config: "BusConfig") -> str:
+    name = config.channel
+    if config.interface == "udp_multicast":
+        return ". Where only the loopback interface is up, give multicast a route: ip route add 239.0.0.0/8 dev lo"
+    if config.interface == "socketcan":
+        if str(name).startswith("vcan"):
+            return f". Make it with: ip link add dev {name} type vcan && ip link set {name} up"
+        return (
+            f". Bring it up with: ip link set {name} up type can bitrate {config.bitrate or 1000000}"
+            " (ip link show type can lists the CAN interfaces there are)"
+        )
+    return ""

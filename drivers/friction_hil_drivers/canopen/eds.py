@@ -1,0 +1,45 @@
+"""Reading EDS and DCF files, sloppy ones included."""
+
+import configparser
+import io
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from friction_hil.errors import UsageError
+
+if TYPE_CHECKING:
+    from canopen import ObjectDictionary
+
+FOLDER = Path(__file__).parents[1] / "eds"
+SIMULATED_SERVO = FOLDER / "friction_hil_servo.eds"
+
+# Many vendors number their comments wrongly, over which canopen stops; nobody needs them.
+_COMMENTS = re.compile(r"^\[Comments\][^\[]*", re.MULTILINE | re.IGNORECASE)
+
+
+def load_eds(path: Path, node: int) -> "ObjectDictionary":
+    """Read an EDS or DCF file for the node ``node``.
+
+    Raises
+    ------
+    UsageError
+        The file cannot be read or is no EDS.
+    """
+    import canopen
+
+    if path.suffix.lower() not in (".eds", ".dcf"):
+        raise UsageError(f"{path} is no EDS: its name should end in .eds or .dcf")
+    try:
+        text = path.read_text(encoding="utf-8", errors="replace")
+    except OSError as error:
+        raise UsageError(f"the EDS {path} cannot be read: {error.strerror or error}") from error
+    source = io.StringIO(_COMMENTS.sub("", text))
+    source.name = path.name
+    try:
+        dictionary = canopen.import_od(source, node)
+    except (configparser.Error, ValueError, KeyError, TypeError) as error:
+        raise UsageError(f"{path} is no valid EDS: {error}") from error
+    if len(dictionary) == 0:
+        raise UsageError(f"{path} is no EDS: it has no object")
+    return dictionary

@@ -1,0 +1,200 @@
+"""Objects of CiA 301 and CiA 402 that this driver and its simulated drive live on, and their identifiers.
+
+The one place where an index, a name or a type stands. Types are those of the standard; a real drive may
+differ (60B2h is INTEGER32 in some), so the width of what is mapped is checked against the drive's EDS.
+"""
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+
+class DataType(IntEnum):
+    """Data types by their index in the object dictionary (CiA 301)."""
+
+    BOOLEAN = 0x01
+    INTEGER8 = 0x02
+    INTEGER16 = 0x03
+    INTEGER32 = 0x04
+    UNSIGNED8 = 0x05
+    UNSIGNED16 = 0x06
+    UNSIGNED32 = 0x07
+    VISIBLE_STRING = 0x09
+
+    @property
+    def bits(self) -> int:
+        """Width on the wire; 0 for a string."""
+        return _BITS[self]
+
+    @property
+    def code(self) -> str:
+        """Format character of `struct`, to be used with ``<`` (CANopen is little-endian)."""
+        return _CODES[self]
+
+    @property
+    def bounds(self) -> tuple[int, int]:
+        """Smallest and largest value of an integer type."""
+        if self in (DataType.INTEGER8, DataType.INTEGER16, DataType.INTEGER32):
+            return -(1 << (self.bits - 1)), (1 << (self.bits - 1)) - 1
+        return 0, (1 << self.bits) - 1
+
+
+_BITS = {
+    DataType.BOOLEAN: 8,
+    DataType.INTEGER8: 8,
+    DataType.INTEGER16: 16,
+    DataType.INTEGER32: 32,
+    DataType.UNSIGNED8: 8,
+    DataType.UNSIGNED16: 16,
+    DataType.UNSIGNED32: 32,
+    DataType.VISIBLE_STRING: 0,
+}
+_CODES = {
+    DataType.BOOLEAN: "?",
+    DataType.INTEGER8: "b",
+    DataType.INTEGER16: "h",
+    DataType.INTEGER32: "i",
+    DataType.UNSIGNED8: "B",
+    DataType.UNSIGNED16: "H",
+    DataType.UNSIGNED32: "I",
+    DataType.VISIBLE_STRING: "s",
+}
+
+_I8, _I16, _I32 = DataType.INTEGER8, DataType.INTEGER16, DataType.INTEGER32
+_U8, _U16, _U32 = DataType.UNSIGNED8, DataType.UNSIGNED16, DataType.UNSIGNED32
+_TEXT = DataType.VISIBLE_STRING
+
+
+@dataclass(frozen=True, slots=True)
+class Object:
+    """One variable of an object dictionary. Prints as ``60B2h torque offset``."""
+
+    index: int
+    name: str
+    type: DataType
+    subindex: int = 0
+
+    @property
+    def address(self) -> tuple[int, int]:
+        """Index and sub-index, as the key of `TABLE`."""
+        return self.index, self.subindex
+
+    @property
+    def mapping(self) -> int:
+        """Entry of a PDO mapping object: index, sub-index and width in bits."""
+        return self.index << 16 | self.subindex << 8 | self.type.bits
+
+    def __str__(self) -> str:
+        where = f"{self.index:04X}h" if self.subindex == 0 else f"{self.index:04X}h:{self.subindex:02X}"
+        return f"{where} {self.name}"
+
+
+# Communication profile, CiA 301
+DEVICE_TYPE = Object(0x1000, "device type", _U32)
+ERROR_REGISTER = Object(0x1001, "error register", _U8)
+ERROR_HISTORY_COUNT = Object(0x1003, "number of errors", _U8)
+SYNC_COB_ID = Object(0x1005, "COB-ID SYNC", _U32)
+COMMUNICATION_CYCLE_PERIOD = Object(0x1006, "communication cycle period", _U32)  # us
+DEVICE_NAME = Object(0x1008, "device name", _TEXT)
+HARDWARE_VERSION = Object(0x1009, "hardware version", _TEXT)
+SOFTWARE_VERSION = Object(0x100A, "software version", _TEXT)
+EMERGENCY_COB_ID = Object(0x1014, "COB-ID emergency", _U32)
+CONSUMER_HEARTBEAT_COUNT = Object(0x1016, "number of consumer heartbeat times", _U8)
+CONSUMER_HEARTBEAT = Object(0x1016, "consumer heartbeat time", _U32, 1)  # node << 16 | ms
+PRODUCER_HEARTBEAT = Object(0x1017, "producer heartbeat time", _U16)  # ms
+VENDOR_ID = Object(0x1018, "vendor ID", _U32, 1)
+PRODUCT_CODE = Object(0x1018, "product code", _U32, 2)
+REVISION_NUMBER = Object(0x1018, "revision number", _U32, 3)
+SERIAL_NUMBER = Object(0x1018, "serial number", _U32, 4)
+COMMUNICATION_ERROR_BEHAVIOUR = Object(0x1029, "communication error behaviour", _U8, 1)
+
+# Drive profile, CiA 402
+ABORT_CONNECTION_OPTION = Object(0x6007, "abort connection option code", _I16)
+ERROR_CODE = Object(0x603F, "error code", _U16)
+CONTROLWORD = Object(0x6040, "controlword", _U16)
+STATUSWORD = Object(0x6041, "statusword", _U16)
+QUICK_STOP_OPTION = Object(0x605A, "quick stop option code", _I16)
+SHUTDOWN_OPTION = Object(0x605B, "shutdown option code", _I16)
+DISABLE_OPERATION_OPTION = Object(0x605C, "disable operation option code", _I16)
+FAULT_REACTION_OPTION = Object(0x605E, "fault reaction option code", _I16)
+MODE = Object(0x6060, "modes of operation", _I8)
+MODE_DISPLAY = Object(0x6061, "modes of operation display", _I8)
+POSITION_DEMAND = Object(0x6062, "position demand value", _I32)
+POSITION_ACTUAL = Object(0x6064, "position actual value", _I32)
+FOLLOWING_ERROR_WINDOW = Object(0x6065, "following error window", _U32)
+FOLLOWING_ERROR_TIMEOUT = Object(0x6066, "following error time out", _U16)  # ms
+VELOCITY_DEMAND = Object(0x606B, "velocity demand value", _I32)
+VELOCITY_ACTUAL = Object(0x606C, "velocity actual value", _I32)
+TARGET_TORQUE = Object(0x6071, "target torque", _I16)  # per mille of rated torque, as all torques
+MAX_TORQUE = Object(0x6072, "max torque", _U16)
+MAX_CURRENT = Object(0x6073, "max current", _U16)  # per mille of rated current
+TORQUE_DEMAND = Object(0x6074, "torque demand", _I16)
+RATED_CURRENT = Object(0x6075, "motor rated current", _U32)  # mA
+RATED_TORQUE = Object(0x6076, "motor rated torque", _U32)  # mN m (mN on a linear axis)
+TORQUE_ACTUAL = Object(0x6077, "torque actual value", _I16)
+TARGET_POSITION = Object(0x607A, "target position", _I32)
+MIN_POSITION_LIMIT = Object(0x607D, "min position limit", _I32, 1)
+MAX_POSITION_LIMIT = Object(0x607D, "max position limit", _I32, 2)
+MAX_PROFILE_VELOCITY = Object(0x607F, "max profile velocity", _U32)
+MAX_MOTOR_SPEED = Object(0x6080, "max motor speed", _U32)  # 1/min
+PROFILE_DECELERATION = Object(0x6084, "profile deceleration", _U32)
+QUICK_STOP_DECELERATION = Object(0x6085, "quick stop deceleration", _U32)
+ENCODER_INCREMENTS = Object(0x608F, "encoder increments", _U32, 1)
+MOTOR_REVOLUTIONS = Object(0x608F, "motor revolutions", _U32, 2)
+GEAR_MOTOR_REVOLUTIONS = Object(0x6091, "gear motor revolutions", _U32, 1)
+GEAR_SHAFT_REVOLUTIONS = Object(0x6091, "gear shaft revolutions", _U32, 2)
+VELOCITY_UNIT = Object(0x60A9, "SI unit velocity", _U32)
+POSITION_OFFSET = Object(0x60B0, "position offset", _I32)
+VELOCITY_OFFSET = Object(0x60B1, "velocity offset", _I32)
+TORQUE_OFFSET = Object(0x60B2, "torque offset", _I16)
+INTERPOLATION_PERIOD = Object(0x60C2, "interpolation time period value", _U8, 1)
+INTERPOLATION_EXPONENT = Object(0x60C2, "interpolation time index", _I8, 2)
+FOLLOWING_ERROR = Object(0x60F4, "following error actual value", _I32)
+TARGET_VELOCITY = Object(0x60FF, "target velocity", _I32)
+SUPPORTED_MODES = Object(0x6502, "supported drive modes", _U32)
+
+TABLE: dict[tuple[int, int], Object] = {
+    entry.address: entry for entry in list(globals().values()) if isinstance(entry, Object)
+}
+
+# PDO parameters: four records of each kind, counted from these indices
+PDO_COUNT = 4
+RPDO_PARAMETER = 0x1400
+RPDO_MAPPING = 0x1600
+TPDO_PARAMETER = 0x1800
+TPDO_MAPPING = 0x1A00
+PDO_COB_ID, PDO_TRANSMISSION_TYPE, PDO_INHIBIT_TIME, PDO_EVENT_TIMER = 1, 2, 3, 5  # sub-indices
+PDO_INVALID = 1 << 31  # bit of a COB-ID entry: this PDO (or EMCY) does not exist
+
+# Identifiers of the pre-defined connection set; the node's number is added to the bases
+NMT_ID = 0x000
+SYNC_ID = 0x080
+EMERGENCY_BASE = 0x080
+TPDO_BASES = (0x180, 0x280, 0x380, 0x480)
+RPDO_BASES = (0x200, 0x300, 0x400, 0x500)
+SDO_RESPONSE_BASE = 0x580
+SDO_REQUEST_BASE = 0x600
+HEARTBEAT_BASE = 0x700
+
+
+class NmtCommand(IntEnum):
+    """Command specifier, first byte of an NMT message."""
+
+    START = 0x01
+    STOP = 0x02
+    ENTER_PRE_OPERATIONAL = 0x80
+    RESET_NODE = 0x81
+    RESET_COMMUNICATION = 0x82
+
+
+class NmtState(IntEnum):
+    """Byte of a heartbeat."""
+
+    BOOT_UP = 0x00
+    STOPPED = 0x04
+    OPERATIONAL = 0x05
+    PRE_OPERATIONAL = 0x7F
+
+
+# Velocity units by object 60A9h: prefix, numerator, denominator, reserved (CiA 402-2, CiA 303-2)
+COUNTS_PER_SECOND = 0x00B50300
+REVOLUTIONS_PER_MINUTE = 0x00B44700

@@ -1,0 +1,72 @@
+"""The keys of an axis that are the CANopen driver's own."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
+
+if TYPE_CHECKING:
+    from friction_hil.config import AxisConfig, BusConfig
+
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+
+
+class Identity(BaseModel):
+    """What object 1018h must say."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    vendor_id: int | None = Field(None, ge=0, le=0xFFFFFFFF, description="1018h:01")
+    product_code: int | None = Field(None, ge=0, le=0xFFFFFFFF, description="1018h:02")
+
+
+class CanopenOptions(BaseModel):
+    """Options of an axis with ``driver: canopen``."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    node: int = Field(ge=1, le=127, description="CANopen node number of the drive")
+    identity: Identity = Field(default=Identity(), description="refuse a drive that is not this one")
+    eds: Path | None = Field(None, description="EDS or DCF of the drive; widths of mapped objects are checked")
+    counts_per_unit: Positive | None = Field(
+        None,
+        description="encoder counts per rad of the motor (per m on a linear axis); from 608Fh when not given",
+    )
+    rated_torque: Positive | None = Field(
+        None, description="torque at 1000 per mille, N m (N on a linear axis); from 6076h when not given"
+    )
+    is_inverted: bool = Field(False, description="turn the sign of position, velocity and torque")
+    setpoint_delay_cycles: float | None = Field(
+        None,
+        ge=0.0,
+        le=10.0,
+        description="periods from sending a set-point to the drive's demand reaching it; 2.5 (csp) or 2 (csv) "
+        "when not given: one for the exchange, the rest for the drive's interpolation",
+    )
+    heartbeat_s: float = Field(
+        0.1, ge=0.01, le=10.0, description="period of heartbeats, both ways; three missing ones are a loss"
+    )
+    master_node: int = Field(126, ge=1, le=127, description="node number under which the daemon sends its heartbeat")
+    is_watchdog_required: bool = Field(
+        True, description="refuse a drive that cannot watch the daemon (neither 1016h nor an RPDO timer)"
+    )
+
+    @classmethod
+    def check(cls, axes: "Mapping[str, AxisConfig]", bus: "BusConfig | None") -> Iterator[tuple[str, str, str]]:
+        """Mistakes that concern several axes, or an axis and the bus: (axis, field, message)."""
+        owners: dict[int, str] = {}
+        for name, axis in axes.items():
+            options = axis.options
+            assert isinstance(options, CanopenOptions)
+            if bus is None:
+                yield name, "driver", "the canopen driver needs a bus: section (interface, channel)"
+            if options.node in owners:
+                yield name, "node", f"node {options.node} is axis {owners[options.node]!r} already"
+            if options.node == options.master_node:
+                yield name, "node", f"node {options.node} is master_node, the daemon's own number"
+            if axis.model.axis == "linear":
+                for field in ("counts_per_unit", "rated_torque"):
+                    if getattr(options, field) is None:
+                        yield name, field, "must be given for a linear axis: drives report neither per metre"
+            owners.setdefault(options.node, name)

@@ -1,0 +1,147 @@
+"""CiA 402 as both sides know it: controlword, statusword, modes and error codes. Pure, no bus."""
+
+from friction_hil.drive import DriveState, Mode, Request
+
+# Commands of the controlword (6040h)
+DISABLE_VOLTAGE = 0x0000
+QUICK_STOP = 0x0002
+SHUTDOWN = 0x0006
+SWITCH_ON = 0x0007  # from Operation Enabled the same bits mean "disable operation"
+ENABLE_OPERATION = 0x000F
+FAULT_RESET = 0x0080  # acts on the rising edge of this bit alone
+
+# Bits of the statusword (6041h)
+VOLTAGE_ENABLED = 0x0010
+WARNING = 0x0080
+REMOTE = 0x0200
+TARGET_REACHED = 0x0400
+INTERNAL_LIMIT = 0x0800
+FOLLOWS_COMMAND = 0x1000  # csp, csv, cst: the drive follows the command value
+FOLLOWING_ERROR = 0x2000  # csp
+
+STATE_BITS: dict[DriveState, int] = {
+    DriveState.NOT_READY: 0x00,
+    DriveState.SWITCH_ON_DISABLED: 0x40,
+    DriveState.READY_TO_SWITCH_ON: 0x21,
+    DriveState.SWITCHED_ON: 0x23,
+    DriveState.OPERATION_ENABLED: 0x27,
+    DriveState.QUICK_STOP_ACTIVE: 0x07,
+    DriveState.FAULT_REACTION_ACTIVE: 0x0F,
+    DriveState.FAULT: 0x08,
+}
+_QUICK_STOP_BIT_COUNTS = frozenset(
+    {
+        DriveState.READY_TO_SWITCH_ON,
+        DriveState.SWITCHED_ON,
+        DriveState.OPERATION_ENABLED,
+        DriveState.QUICK_STOP_ACTIVE,
+    }
+)
+
+
+def _decode(bits: int) -> DriveState:
+    for state, pattern in STATE_BITS.items():
+        mask = 0x6F if state in _QUICK_STOP_BIT_COUNTS else 0x4F
+        if bits & mask == pattern:
+            return state
+    return DriveState.UNKNOWN
+
+
+_STATES = tuple(_decode(bits) for bits in range(0x70))
+
+
+def drive_state(statusword: int) -> DriveState:
+    """State that a statusword reports; `DriveState.UNKNOWN` for bits that the profile does not define."""
+    return _STATES[statusword & 0x6F]
+
+
+_TO_DISABLE = {
+    DriveState.OPERATION_ENABLED: SWITCH_ON,
+    DriveState.SWITCHED_ON: SHUTDOWN,
+}
+_TO_ENABLE = {
+    DriveState.SWITCH_ON_DISABLED: SHUTDOWN,
+    DriveState.READY_TO_SWITCH_ON: SWITCH_ON,
+    DriveState.SWITCHED_ON: ENABLE_OPERATION,
+    DriveState.OPERATION_ENABLED: ENABLE_OPERATION,
+}
+_TO_QUICK_STOP = {
+    DriveState.READY_TO_SWITCH_ON: QUICK_STOP,
+    DriveState.SWITCHED_ON: QUICK_STOP,
+    DriveState.OPERATION_ENABLED: QUICK_STOP,
+    DriveState.QUICK_STOP_ACTIVE: QUICK_STOP,
+}
+_STEPS = {Request.DISABLE: _TO_DISABLE, Request.ENABLE: _TO_ENABLE, Request.QUICK_STOP: _TO_QUICK_STOP}
+
+
+def next_controlword(state: DriveState, request: Request) -> int:
+    """Controlword that takes a drive in ``state`` one transition towards ``request``.
+
+    A fault is never reset from here, whatever is requested: leaving it is the user's explicit decision
+    (`FAULT_RESET`, once, after a controlword without that bit). A drive in Quick Stop Active is enabled by
+    way of Switch On Disabled, because few drives support the direct transition 16.
+
+    Raises
+    ------
+    ValueError
+        ``request`` is `Request.LISTEN`: then no controlword is written at all.
+    """
+    if request is Request.LISTEN:
+        raise ValueError("a listening driver writes no controlword")
+    return _STEPS[request].get(state, DISABLE_VOLTAGE)
+
+
+def supported_modes(bits: int) -> tuple[Mode, ...]:
+    """Cyclic synchronous modes among the bits of object 6502h: mode n has bit n - 1."""
+    return tuple(mode for mode in Mode if bits >> (mode - 1) & 1)
+
+
+# Error codes of 603Fh and of EMCY messages that a servo axis meets (CiA 301, CiA 402)
+ERROR_TEXTS: dict[int, str] = {
+    0x2310: "continuous over-current",
+    0x2320: "short circuit or earth leakage",
+    0x3110: "mains over-voltage",
+    0x3120: "mains under-voltage",
+    0x3210: "DC link over-voltage",
+    0x3220: "DC link under-voltage",
+    0x4210: "device too hot",
+    0x4310: "drive too hot",
+    0x5441: "contactor or safety input open",
+    0x6320: "parameter error",
+    0x7121: "motor blocked",
+    0x7300: "sensor error",
+    0x7305: "incremental encoder 1 error",
+    0x7500: "communication error inside the drive",
+    0x8100: "communication error",
+    0x8110: "CAN overrun: frames were lost",
+    0x8120: "CAN in error passive mode",
+    0x8130: "heartbeat or life guard lost",
+    0x8140: "recovered from bus-off",
+    0x8141: "recovered from bus-off",
+    0x8150: "CAN identifier collision",
+    0x8210: "RPDO not processed: too short",
+    0x8220: "RPDO longer than mapped",
+    0x8250: "RPDO time-out",
+    0x8400: "velocity speed controller",
+    0x8500: "position controller",
+    0x8611: "following error",
+    0x8700: "SYNC lost",
+}
+_ERROR_CLASSES = {
+    0x1000: "generic error",
+    0x2000: "current",
+    0x3000: "voltage",
+    0x4000: "temperature",
+    0x5000: "device hardware",
+    0x6000: "device software",
+    0x7000: "additional modules",
+    0x8000: "monitoring",
+    0x9000: "external error",
+    0xF000: "additional functions",
+}
+
+
+def error_text(code: int) -> str:
+    """Say what an error code means: ``8611h following error``; unknown ones by their class."""
+    text = ERROR_TEXTS.get(code) or _ERROR_CLASSES.get(code & 0xF000, "the manufacturer's own")
+    return f"{code:04X}h {text}"

@@ -1,0 +1,242 @@
+"""Object dictionary of a simulated node: what SDO and PDO may do to each entry, and which code answers."""
+
+import struct
+from collections.abc import Callable, Iterable, Iterator
+from enum import IntEnum
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from friction_hil.errors import UsageError
+from friction_hil_drivers.canopen.eds import SIMULATED_SERVO, load_eds
+from friction_hil_drivers.canopen.objects import DataType, Object
+
+if TYPE_CHECKING:
+    from canopen.objectdictionary import ODVariable
+
+Value = int | bytes
+_FIRST_OBJECT = 0x1000
+
+
+class Abort(IntEnum):
+    """SDO abort codes (CiA 301)."""
+
+    TOGGLE = 0x05030000
+    COMMAND = 0x05040001
+    OUT_OF_MEMORY = 0x05040005
+    UNSUPPORTED_ACCESS = 0x06010000
+    WRITE_ONLY = 0x06010001
+    READ_ONLY = 0x06010002
+    NO_OBJECT = 0x06020000
+    NOT_MAPPABLE = 0x06040041
+    PDO_TOO_LONG = 0x06040042
+    INCOMPATIBLE = 0x06040043
+    LENGTH = 0x06070010
+    NO_SUBINDEX = 0x06090011
+    VALUE = 0x06090030
+    TOO_HIGH = 0x06090031
+    TOO_LOW = 0x06090032
+    NO_DATA = 0x08000024
+
+
+class SdoAbort(Exception):
+    """A transfer is refused, for the reason that ``code`` gives."""
+
+    def __init__(self, code: Abort) -> None:
+        super().__init__(f"{code:08X}h {code.name}")
+        self.code = code
+
+
+class Entry:
+    """One variable: an integer, or the bytes of a string or domain.
+
+    ``on_read`` supplies the value of an entry that mirrors something live. ``on_write`` is called with the new
+    value before it is stored, and may refuse it with `SdoAbort`.
+    """
+
+    __slots__ = (
+        "access",
+        "default",
+        "index",
+        "is_mappable",
+        "maximum",
+        "minimum",
+        "name",
+        "on_read",
+        "on_write",
+        "subindex",
+        "type",
+        "value",
+    )
+
+    def __init__(
+        self, index: int, subindex: int, name: str, kind: int, access: str = "rw", *, is_mappable: bool = False
+    ) -> None:
+        self.index, self.subindex, self.name = index, subindex, name
+        self.type = DataType(kind) if kind in DataType else DataType.VISIBLE_STRING
+        self.access = access
+        self.is_mappable = is_mappable
+        self.minimum, self.maximum = self.type.bounds if self.type.bits else (0, 0)
+        self.default: Value = 0 if self.type.bits else b""
+        self.value: Value = self.default
+        self.on_read: Callable[[], Value] | None = None
+        self.on_write: Callable[[int], None] | None = None
+
+    @property
+    def is_readable(self) -> bool:
+        """Whether SDO may upload it, and a TPDO carry it."""
+        return "r" in self.access or self.access == "const"
+
+    @property
+    def is_writable(self) -> bool:
+        """Whether SDO may download it, and an RPDO carry it."""
+        return "w" in self.access
+
+    @property
+    def number(self) -> int:
+        """Stored value of an integer entry."""
+        assert isinstance(self.value, int)
+        return self.value
+
+    def read(self) -> Value:
+        """Current value."""
+        return self.value if self.on_read is None else self.on_read()
+
+    def write(self, value: int) -> None:
+        """Take a new integer value, or raise `SdoAbort`."""
+        if value > self.maximum:
+            raise SdoAbort(Abort.TOO_HIGH)
+        if value < self.minimum:
+            raise SdoAbort(Abort.TOO_LOW)
+        if self.on_write is not None:
+            self.on_write(value)
+        self.value = value
+
+    def upload(self) -> bytes:
+        """Current value as it goes on the wire."""
+        if not self.is_readable:
+            raise SdoAbort(Abort.WRITE_ONLY)
+        value = self.read()
+        data = value if isinstance(value, bytes) else struct.pack(f"<{self.type.code}", value)
+        if not data:
+            raise SdoAbort(Abort.NO_DATA)
+        return data
+
+    def download(self, data: bytes) -> None:
+        """Take a value from the wire."""
+        if not self.is_writable:
+            raise SdoAbort(Abort.READ_ONLY)
+        if not self.type.bits:
+            self.value = bytes(data)
+        elif len(data) * 8 != self.type.bits:
+            raise SdoAbort(Abort.LENGTH)
+        else:
+            self.write(struct.unpack(f"<{self.type.code}", data)[0])
+
+
+class Dictionary:
+    """Entries by index and sub-index.
+
+    Parameters
+    ----------
+    entries : iterable of Entry
+        All that the device works with.
+    hidden : iterable of (index, sub-index)
+        Those that SDO and PDO do not find: this specimen lacks them, and works with their defaults.
+    """
+
+    def __init__(self, entries: Iterable[Entry], hidden: Iterable[tuple[int, int]] = ()) -> None:
+        self._entries = {(entry.index, entry.subindex): entry for entry in entries}
+        self._visible = {address: self._entries[address] for address in self._entries.keys() - set(hidden)}
+        self._indices = {index for index, _ in self._visible}
+
+    @classmethod
+    def from_eds(cls, path: Path, node: int, missing: Iterable[int] = ()) -> "Dictionary":
+        """Build the dictionary that an EDS describes, at its defaults.
+
+        Parameters
+        ----------
+        path : Path
+            What the device shows. What it lacks but works with is taken from the EDS of this package.
+        node : int
+            For the entries that depend on the node's number.
+        missing : iterable of int
+            Indices that the device lacks although the EDS has them.
+
+        Raises
+        ------
+        UsageError
+            The file is no EDS, or a default does not fit its type.
+        """
+        own = {(entry.index, entry.subindex): entry for entry in _entries(SIMULATED_SERVO, node)}
+        shown = own if path == SIMULATED_SERVO else {(e.index, e.subindex): e for e in _entries(path, node)}
+        lacking = frozenset(missing)
+        hidden = {address for address in own | shown if address not in shown or address[0] in lacking}
+        return cls((own | shown).values(), hidden)
+
+    def find(self, index: int, subindex: int) -> Entry:
+        """Entry as SDO and PDO see it; raises `SdoAbort` where there is none."""
+        entry = self._visible.get((index, subindex))
+        if entry is None:
+            raise SdoAbort(Abort.NO_SUBINDEX if index in self._indices else Abort.NO_OBJECT)
+        return entry
+
+    def of(self, known: Object) -> Entry:
+        """Entry that the device itself uses, visible or not."""
+        return self._entries[known.address]
+
+    def at(self, index: int, subindex: int) -> Entry:
+        """Entry that the device itself uses, visible or not."""
+        return self._entries[index, subindex]
+
+    def set_default(self, known: Object, value: int) -> None:
+        """Give an entry this specimen's own default, limited to what its type can hold."""
+        entry = self.of(known)
+        low, high = entry.type.bounds
+        entry.default = entry.value = min(max(value, low), high)
+
+    def reset(self, first: int, last: int) -> None:
+        """Return the entries of the indices ``first`` to ``last`` to their defaults, without any hook."""
+        for entry in self._entries.values():
+            if first <= entry.index <= last:
+                entry.value = entry.default
+
+
+def _entries(path: Path, node: int) -> Iterator[Entry]:
+    from canopen.objectdictionary import ODVariable
+
+    for item in load_eds(path, node).values():
+        if item.index < _FIRST_OBJECT:
+            continue  # data types, listed for dummy mapping
+        variables = [item] if isinstance(item, ODVariable) else [item[subindex] for subindex in item]
+        yield from (_entry(variable, path) for variable in variables)
+
+
+def _entry(variable: "ODVariable", path: Path) -> Entry:
+    kind = variable.data_type or DataType.VISIBLE_STRING
+    entry = Entry(
+        variable.index,
+        variable.subindex,
+        variable.name,
+        kind,
+        variable.access_type,
+        is_mappable=variable.pdo_mappable,
+    )
+    value = variable.default if variable.value is None else variable.value
+    if not entry.type.bits:
+        text = b"" if value is None else value
+        entry.default = entry.value = text.encode() if isinstance(text, str) else bytes(text)
+        return entry
+    if variable.min is not None:
+        entry.minimum = max(entry.minimum, variable.min)
+    if variable.max is not None:
+        entry.maximum = min(entry.maximum, variable.max)
+    number = 0 if value is None else int(value)
+    low, high = entry.type.bounds
+    if entry.type.bits and low < 0 and number > high:
+        number -= 1 << entry.type.bits  # hexadecimal defaults of signed entries
+    if not low <= number <= high:
+        raise UsageError(
+            f"{path}: the default {number} of {entry.index:04X}h:{entry.subindex:02X} does not fit its type"
+        )
+    entry.default = entry.value = number
+    return entry

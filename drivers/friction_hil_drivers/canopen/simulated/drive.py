@@ -1,0 +1,268 @@
+"""CiA 402 device of a simulated node: device control, modes of operation, supervision."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from friction_hil.drive import DriveState, Mode
+from friction_hil.errors import DriveError
+from friction_hil.servo.servo import Servo
+from friction_hil_drivers.canopen import objects, profile
+from friction_hil_drivers.canopen.simulated.dictionary import Abort, Dictionary, SdoAbort
+from friction_hil_drivers.canopen.simulated.emergency import Emergencies
+from friction_hil_drivers.canopen.simulated.power import requested_state
+from friction_hil_drivers.canopen.simulated.setpoints import NO_MODE, Setpoints
+from friction_hil_drivers.canopen.simulated.units import Units
+from friction_hil_drivers.canopen.simulated.values import connect_live_values, set_defaults
+
+FOLLOWING_ERROR = 0x8611
+_UNSUPERVISED = 0xFFFFFFFF  # following error window that switches the supervision off
+_MS, _S = 1_000_000, 1_000_000_000  # ns
+
+# Option codes
+_ABORT_FAULT, _ABORT_DISABLE, _ABORT_QUICK_STOP = 1, 2, 3  # 6007h; 0: no reaction
+_COAST, _PROFILE_RAMP, _QUICK_STOP_RAMP = 0, 1, 2  # 605Ah to 605Eh
+_PROFILE_RAMP_AND_STAY, _QUICK_STOP_RAMP_AND_STAY = 5, 6  # 605Ah
+
+
+@dataclass(frozen=True, slots=True)
+class _Stop:
+    """A ramp to standstill under way, and the state that follows it (None: stay, holding the position)."""
+
+    then: DriveState | None
+    give_up_ns: int
+
+
+class Drive:
+    """Power stage, loops and motor behind their objects.
+
+    ``update`` is to be called after every frame and regularly between frames: it obeys the controlword, ends
+    ramps, activates new set-points and supervises the following error.
+    """
+
+    def __init__(
+        self, servo: Servo, dictionary: Dictionary, emergencies: Emergencies, modes: Iterable[Mode]
+    ) -> None:
+        self.servo = servo
+        self._emergencies = emergencies
+        self._units = Units(servo)
+        self._modes = frozenset(modes)
+        set_defaults(dictionary, servo, self._units, self._modes)
+        connect_live_values(dictionary, servo, self._units)
+
+        self._controlword_wanted = dictionary.of(objects.CONTROLWORD)
+        self._mode_wanted = dictionary.of(objects.MODE)
+        self._mode_wanted.on_write = self._check_mode
+        self._abort_option = dictionary.of(objects.ABORT_CONNECTION_OPTION)
+        self._quick_stop_option = dictionary.of(objects.QUICK_STOP_OPTION)
+        self._quick_stop_option.on_write = self._check_quick_stop_option
+        self._shutdown_option = dictionary.of(objects.SHUTDOWN_OPTION)
+        self._disable_option = dictionary.of(objects.DISABLE_OPERATION_OPTION)
+        self._fault_option = dictionary.of(objects.FAULT_REACTION_OPTION)
+        self._profile_deceleration = dictionary.of(objects.PROFILE_DECELERATION)
+        self._quick_stop_deceleration = dictionary.of(objects.QUICK_STOP_DECELERATION)
+        self._window = dictionary.of(objects.FOLLOWING_ERROR_WINDOW)
+        self._timeout = dictionary.of(objects.FOLLOWING_ERROR_TIMEOUT)
+        dictionary.of(objects.STATUSWORD).on_read = lambda: self.statusword
+        dictionary.of(objects.MODE_DISPLAY).on_read = lambda: self._mode
+
+        self._faults: set[int] = set()
+        self._setpoints = Setpoints(servo, self._units, dictionary)
+        self.reset()
+
+    def reset(self) -> None:
+        """Start from the dictionary's values, as after power-on; the mechanics goes on moving."""
+        self._setpoints.load()
+        self._faults.clear()
+        self._controlword = 0
+        self._mode = NO_MODE
+        self._has_following_error = False
+        self._stop_was_commanded = False
+        self._enter(DriveState.SWITCH_ON_DISABLED)
+
+    @property
+    def statusword(self) -> int:
+        """Value of 6041h."""
+        bits = profile.STATE_BITS[self.state] | profile.VOLTAGE_ENABLED | profile.REMOTE
+        if self._has_following_error:
+            bits |= profile.FOLLOWING_ERROR
+        if self._emergencies.are_present and not self._faults:
+            bits |= profile.WARNING
+        if self._stop is not None:
+            if self._is_standing():
+                bits |= profile.TARGET_REACHED
+        elif self.state is DriveState.OPERATION_ENABLED and self._mode != NO_MODE:
+            bits |= profile.FOLLOWS_COMMAND
+            if self._setpoints.are_limited or self.servo.is_torque_limited:
+                bits |= profile.INTERNAL_LIMIT
+        return bits
+
+    def advance(self, steps: int) -> None:
+        """Let time pass.
+
+        Raises
+        ------
+        DriveError
+            The simulated servo left all bounds; its loops are unstable.
+        """
+        self.servo.advance(steps)
+        if not math.isfinite(self.servo.true_position):
+            raise DriveError(
+                "the simulated servo diverged: its loops are unstable; lower position_gain or velocity_gain "
+                "under simulation.loops"
+            )
+
+    def update(self, now_ns: int) -> None:
+        """Obey, activate, supervise."""
+        self._obey(now_ns)
+        if self._stop is not None:
+            self._continue_stop(self._stop, now_ns)
+        if self._mode != self._mode_wanted.value:
+            self._mode = self._mode_wanted.number
+            self._setpoints.forget()
+        if self.state is not DriveState.OPERATION_ENABLED or self._stop is not None:
+            return
+        if self._mode == Mode.CSP and self._setpoints.jumps_beyond(self._window.number):
+            self._fail_to_follow(now_ns)
+            return
+        if self._setpoints.are_new:
+            self._setpoints.activate(self._mode)
+        if self._mode == Mode.CSP:
+            self._supervise(now_ns)
+
+    def connection_lost(self, code: int, now_ns: int) -> None:
+        """Report that the master's sign of life is missing and, while powered, do what 6007h says."""
+        if not self.state.is_powered:
+            self._emergencies.report(code)
+            return
+        reaction = self._abort_option.number
+        if reaction == _ABORT_FAULT:
+            self.fault(code, now_ns)
+            return
+        self._emergencies.report(code)
+        if reaction == _ABORT_DISABLE:
+            self._enter(DriveState.SWITCH_ON_DISABLED)
+        elif reaction == _ABORT_QUICK_STOP and self.state is DriveState.OPERATION_ENABLED:
+            self._quick_stop(now_ns)
+
+    def connection_restored(self, *codes: int) -> None:
+        """Take back what `connection_lost` reported, unless it is a fault: that stays until it is reset."""
+        self._emergencies.clear(*(code for code in codes if code not in self._faults))
+
+    def fault(self, code: int, now_ns: int) -> None:
+        """Enter the fault state by way of the fault reaction (605Eh)."""
+        self._faults.add(code)
+        self._emergencies.report(code)
+        if self.state in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE):
+            return
+        reaction = self._fault_option.number
+        if reaction == _COAST or not self.state.is_powered:
+            self._enter(DriveState.FAULT)
+            return
+        self.state = DriveState.FAULT_REACTION_ACTIVE
+        self._ramp_down(DriveState.FAULT, now_ns, is_quick=reaction == _QUICK_STOP_RAMP)
+
+    # Device control
+
+    def _obey(self, now_ns: int) -> None:
+        word, before = self._controlword_wanted.number, self._controlword
+        self._controlword = word
+        if self.state is DriveState.FAULT:
+            if word & ~before & profile.FAULT_RESET:
+                self._reset_fault()
+            return
+        wanted = requested_state(self.state, word)
+        if self.state is DriveState.QUICK_STOP_ACTIVE:
+            self._stop_was_commanded |= not word & 0x04
+            if wanted is DriveState.OPERATION_ENABLED and not self._may_resume():
+                return
+        if wanted is not self.state:
+            self._change(wanted, now_ns)
+        elif self.state is DriveState.OPERATION_ENABLED and self._stop is not None:
+            self._enter(wanted)  # the command that had started a ramp was revoked
+
+    def _reset_fault(self) -> None:
+        self._emergencies.clear(*self._faults)
+        self._faults.clear()
+        self._has_following_error = False
+        self._enter(DriveState.SWITCH_ON_DISABLED)
+
+    def _may_resume(self) -> bool:
+        """Whether transition 16 is open: the master itself asked for the stop, and 605Ah lets it stay."""
+        may_stay = (_PROFILE_RAMP_AND_STAY, _QUICK_STOP_RAMP_AND_STAY)
+        return self._stop_was_commanded and self._quick_stop_option.number in may_stay
+
+    def _change(self, wanted: DriveState, now_ns: int) -> None:
+        """Make a transition that the controlword asks for, with the ramp that its option code wants."""
+        option = None
+        if self.state is DriveState.OPERATION_ENABLED:
+            if wanted is DriveState.QUICK_STOP_ACTIVE:
+                self._quick_stop(now_ns)
+                return
+            if wanted is DriveState.SWITCHED_ON:
+                option = self._disable_option
+            elif wanted is DriveState.READY_TO_SWITCH_ON:
+                option = self._shutdown_option
+        if option is None or option.number == _COAST:
+            self._enter(wanted)
+        elif self._stop is None or self._stop.then is not wanted:
+            self._ramp_down(wanted, now_ns, is_quick=False)
+
+    def _quick_stop(self, now_ns: int) -> None:
+        option = self._quick_stop_option.number
+        if option == _COAST:
+            self._enter(DriveState.SWITCH_ON_DISABLED)
+            return
+        self.state = DriveState.QUICK_STOP_ACTIVE
+        self._stop_was_commanded = False
+        then = DriveState.SWITCH_ON_DISABLED if option in (_PROFILE_RAMP, _QUICK_STOP_RAMP) else None
+        self._ramp_down(then, now_ns, is_quick=option in (_QUICK_STOP_RAMP, _QUICK_STOP_RAMP_AND_STAY))
+
+    def _ramp_down(self, then: DriveState | None, now_ns: int, *, is_quick: bool) -> None:
+        deceleration = self._quick_stop_deceleration if is_quick else self._profile_deceleration
+        rate = deceleration.number / self._units.counts
+        self.servo.quick_stop(rate)
+        # a blocked or driven axis must not stay powered for ever: twice the ramp's time is patience enough
+        patience_s = min(0.5 + 2.0 * abs(self.servo.velocity_demand) / rate, 60.0)
+        self._stop = _Stop(then, now_ns + round(patience_s * _S))
+
+    def _continue_stop(self, stop: _Stop, now_ns: int) -> None:
+        if stop.then is not None and (self._is_standing() or now_ns >= stop.give_up_ns):
+            self._enter(stop.then)
+
+    def _is_standing(self) -> bool:
+        return self.servo.velocity_demand == 0.0 and self.servo.is_at_rest
+
+    def _enter(self, state: DriveState) -> None:
+        """Be in a state, without any ramp; without power unless it is Operation Enabled."""
+        self.state = state
+        self._stop: _Stop | None = None
+        self._exceeded_since_ns: int | None = None
+        self._setpoints.forget()
+        if not state.is_powered:
+            self.servo.command(NO_MODE, 0.0, 0.0, 0.0)
+
+    # Supervision and checks
+
+    def _supervise(self, now_ns: int) -> None:
+        """Fault when the following error stays beyond its window (6065h) for longer than 6066h."""
+        excess = abs(self.servo.following_error) * self._units.counts > self._window.number
+        if not excess or self._window.value == _UNSUPERVISED:
+            self._exceeded_since_ns = None
+            return
+        if self._exceeded_since_ns is None:
+            self._exceeded_since_ns = now_ns
+        if now_ns - self._exceeded_since_ns >= self._timeout.number * _MS:
+            self._fail_to_follow(now_ns)
+
+    def _fail_to_follow(self, now_ns: int) -> None:
+        self._has_following_error = True
+        self.fault(FOLLOWING_ERROR, now_ns)
+
+    def _check_mode(self, value: int) -> None:
+        if value != NO_MODE and value not in self._modes:
+            raise SdoAbort(Abort.VALUE)
+
+    def _check_quick_stop_option(self, value: int) -> None:
+        if value in (3, 4):
+            raise SdoAbort(Abort.VALUE)

@@ -1,0 +1,87 @@
+"""Errors of a simulated node: error register, history, error code and emergency messages (CiA 301)."""
+
+import struct
+from collections.abc import Callable
+
+from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen.simulated.dictionary import Abort, Dictionary, SdoAbort
+
+_FRAME = struct.Struct("<HB5x")
+_HISTORY_LENGTH = 8
+_GENERIC, _COMMUNICATION, _PROFILE = 0x01, 0x10, 0x20  # bits of the error register
+
+
+def _register_bit(code: int) -> int:
+    if 0x8100 <= code <= 0x82FF:
+        return _COMMUNICATION
+    if 0x8300 <= code <= 0x8FFF:
+        return _PROFILE
+    return 0
+
+
+class Emergencies:
+    """Which errors are present, and who is told.
+
+    Parameters
+    ----------
+    dictionary : Dictionary
+        Its entries 1001h, 1003h and 603Fh mirror the errors.
+    send : callable
+        Called with the eight bytes of each emergency message.
+    """
+
+    def __init__(self, dictionary: Dictionary, send: Callable[[bytes], None]) -> None:
+        self._send = send
+        self._present: list[int] = []  # oldest first
+        self._history: list[int] = []  # newest first
+        dictionary.of(objects.ERROR_REGISTER).on_read = lambda: self.register
+        dictionary.of(objects.ERROR_CODE).on_read = lambda: self._present[-1] if self._present else 0
+        count = dictionary.of(objects.ERROR_HISTORY_COUNT)
+        count.on_read = lambda: len(self._history)
+        count.on_write = self._clear_history
+        for place in range(_HISTORY_LENGTH):
+            dictionary.at(count.index, place + 1).on_read = lambda place=place: self._past(place)
+
+    @property
+    def register(self) -> int:
+        """Value of 1001h."""
+        bits = _GENERIC if self._present else 0
+        for code in self._present:
+            bits |= _register_bit(code)
+        return bits
+
+    def report(self, code: int) -> None:
+        """An error occurred. While it stays present it is not reported again."""
+        if code in self._present:
+            return
+        self._present.append(code)
+        self._history.insert(0, code)
+        del self._history[_HISTORY_LENGTH:]
+        self._send(_FRAME.pack(code, self.register))
+
+    def clear(self, *codes: int) -> None:
+        """These errors are gone, those of them that were present."""
+        remaining = [code for code in self._present if code not in codes]
+        if len(remaining) < len(self._present):
+            self._present = remaining
+            self._send(_FRAME.pack(0, self.register))
+
+    def reset(self) -> None:
+        """Forget everything, silently, as when the node starts."""
+        self._present.clear()
+        self._history.clear()
+
+    @property
+    def are_present(self) -> bool:
+        """Whether an error was reported that is not gone."""
+        return bool(self._present)
+
+    def _past(self, place: int) -> int:
+        if place >= len(self._history):
+            raise SdoAbort(Abort.NO_DATA)
+        return self._history[place]
+
+    def _clear_history(self, value: int) -> None:
+        if value != 0:
+            raise SdoAbort(Abort.VALUE)
+        self._history.clear()

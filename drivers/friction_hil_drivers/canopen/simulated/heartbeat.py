@@ -1,0 +1,75 @@
+"""Heartbeats of a simulated node: the one it produces (1017h), and those it watches (1016h)."""
+
+from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen.simulated.dictionary import Abort, Dictionary, Entry, SdoAbort
+
+_MS = 1_000_000  # ns
+
+
+class Producer:
+    """When this node's own heartbeat is due."""
+
+    def __init__(self, dictionary: Dictionary) -> None:
+        self._time = dictionary.of(objects.PRODUCER_HEARTBEAT)
+        self._last_ns = 0
+
+    def is_due(self, now_ns: int) -> bool:
+        """Whether to send one now; from then on the next interval counts."""
+        interval = self._time.number * _MS
+        if not interval or now_ns - self._last_ns < interval:
+            return False
+        # whole intervals since the last one, so that late service does not shift the grid
+        self._last_ns += (now_ns - self._last_ns) // interval * interval
+        return True
+
+    def restart(self, now_ns: int) -> None:
+        """Count from here: the boot-up message stands for the first heartbeat."""
+        self._last_ns = now_ns
+
+
+class Consumer:
+    """Watches other nodes. A node is watched from its first heartbeat on."""
+
+    def __init__(self, dictionary: Dictionary) -> None:
+        index, count = objects.CONSUMER_HEARTBEAT.index, dictionary.of(objects.CONSUMER_HEARTBEAT_COUNT)
+        self._entries = [dictionary.at(index, place) for place in range(1, count.number + 1)]
+        for entry in self._entries:
+            entry.on_write = lambda value, entry=entry: self._write(entry, value)
+        self._deadlines_ns: dict[int, int] = {}  # by node
+
+    def reset(self) -> None:
+        """Wait for first heartbeats again."""
+        self._deadlines_ns.clear()
+
+    @property
+    def nodes(self) -> list[int]:
+        """Nodes to be watched."""
+        return [entry.number >> 16 for entry in self._entries if _interval_ns(entry.number)]
+
+    def heard(self, node: int, now_ns: int) -> None:
+        """A heartbeat of ``node`` arrived."""
+        for entry in self._entries:
+            if entry.number >> 16 == node and (interval := _interval_ns(entry.number)):
+                self._deadlines_ns[node] = now_ns + interval
+
+    def lost(self, now_ns: int) -> list[int]:
+        """Nodes whose heartbeat has failed to come since the last call."""
+        late = [node for node, deadline in self._deadlines_ns.items() if now_ns >= deadline]
+        for node in late:
+            del self._deadlines_ns[node]
+        return late
+
+    def _write(self, entry: Entry, value: int) -> None:
+        node = value >> 16
+        if node > 127:
+            raise SdoAbort(Abort.VALUE)
+        others = (other.number for other in self._entries if other is not entry)
+        if _interval_ns(value) and any(_interval_ns(other) and other >> 16 == node for other in others):
+            raise SdoAbort(Abort.INCOMPATIBLE)
+        self._deadlines_ns.pop(entry.number >> 16, None)
+        self._deadlines_ns.pop(node, None)
+
+
+def _interval_ns(entry: int) -> int:
+    """Consumer time of an entry of 1016h; 0 where the entry is unused."""
+    return (entry & 0xFFFF) * _MS if entry >> 16 else 0

@@ -1,0 +1,274 @@
+"""A simulated CANopen node: NMT, heartbeats, SYNC and PDOs around a CiA 402 device (CiA 301)."""
+
+from collections.abc import Callable
+from functools import partial
+
+from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen.objects import NmtCommand, NmtState
+from friction_hil_drivers.canopen.simulated.dictionary import Abort, Dictionary, SdoAbort
+from friction_hil_drivers.canopen.simulated.drive import Drive
+from friction_hil_drivers.canopen.simulated.emergency import Emergencies
+from friction_hil_drivers.canopen.simulated.heartbeat import Consumer, Producer
+from friction_hil_drivers.canopen.simulated.pdo import Rpdo, Tpdo
+from friction_hil_drivers.canopen.simulated.sdo import SdoServer
+
+COMMUNICATION, HEARTBEAT_LOST, RPDO_TOO_SHORT, RPDO_TIMEOUT, SYNC_LOST = 0x8100, 0x8130, 0x8210, 0x8250, 0x8700
+_CONNECTION_ERRORS = (COMMUNICATION, HEARTBEAT_LOST, RPDO_TIMEOUT, SYNC_LOST)
+_PATIENT_SYNCS = 10  # cycle periods (1006h) without SYNC that count as its loss
+_BEHAVIOUR = {0: NmtState.PRE_OPERATIONAL, 2: NmtState.STOPPED}  # 1029h:01; 1: no change
+_S, _US = 1_000_000_000, 1_000  # ns
+
+
+class Node:
+    """One node on the bus.
+
+    Frames come in through `receive`, time through `advance_to`; frames go out through ``send``. With
+    ``sync_steps`` the node has a time of its own that passes by that many integration steps at each SYNC and
+    stands still in between, so that all it does is a function of the frames it received.
+
+    Parameters
+    ----------
+    number : int
+        Node number, 1 to 127.
+    dictionary : Dictionary
+        Made for that number.
+    make_drive : callable
+        Makes the device from the dictionary and the emergencies.
+    send : callable
+        Called with identifier and data of each frame to be sent.
+    sync_steps : int or None
+        Integration steps a SYNC; None: time comes from `advance_to`.
+    """
+
+    def __init__(
+        self,
+        number: int,
+        dictionary: Dictionary,
+        make_drive: Callable[[Dictionary, Emergencies], Drive],
+        send: Callable[[int, bytes], None],
+        sync_steps: int | None = None,
+    ) -> None:
+        self.number = number
+        self.state = NmtState.BOOT_UP
+        self.now_ns = 0
+        self._steps = 0  # integration steps done
+        self._sync_steps = sync_steps
+        self._send = send
+        self._dictionary = dictionary
+        self._emergencies = Emergencies(dictionary, self._send_emergency)
+        self.drive = make_drive(dictionary, self._emergencies)
+        self._sdo = SdoServer(dictionary, partial(send, objects.SDO_RESPONSE_BASE + number))
+        self._producer = Producer(dictionary)
+        self._consumer = Consumer(dictionary)
+        self._rpdos = [Rpdo(place, dictionary) for place in range(objects.PDO_COUNT)]
+        self._tpdos = [Tpdo(place, dictionary) for place in range(objects.PDO_COUNT)]
+        self._sync_id = dictionary.of(objects.SYNC_COB_ID)
+        self._sync_id.on_write = self._write_sync_id
+        self._sync_period = dictionary.of(objects.COMMUNICATION_CYCLE_PERIOD)
+        self._sync_period.on_write = self._forget_sync
+        self._emergency_id = dictionary.of(objects.EMERGENCY_COB_ID)
+        self._emergency_id.on_write = self._write_emergency_id
+        self._behaviour = dictionary.of(objects.COMMUNICATION_ERROR_BEHAVIOUR)
+        self._sync_deadline_ns: int | None = None
+        self._handlers: dict[int, Callable[[bytes], None]] = {}
+        self._connect()
+
+    def boot(self) -> None:
+        """Say that the node is there, and be pre-operational."""
+        self.state = NmtState.PRE_OPERATIONAL
+        self._send(objects.HEARTBEAT_BASE + self.number, bytes([NmtState.BOOT_UP]))
+        self._producer.restart(self.now_ns)
+
+    def receive(self, can_id: int, data: bytes) -> None:
+        """Take a frame from the bus; those of other identifiers are ignored."""
+        handler = self._handlers.get(can_id)
+        if handler is not None:
+            handler(data)
+            self.poll()
+
+    def advance_to(self, now_ns: int) -> None:
+        """Let time pass until ``now_ns`` after the start, unless time is counted in SYNCs."""
+        if self._sync_steps is None:
+            steps = now_ns * self.drive.servo.steps_per_second // _S - self._steps
+            if steps > 0:
+                self.drive.advance(steps)
+                self._steps += steps
+            self.now_ns = max(self.now_ns, now_ns)
+
+    def poll(self) -> None:
+        """Do what is due at this time: timers, ramps, event-driven PDOs."""
+        now_ns = self.now_ns
+        if self._producer.is_due(now_ns):
+            self._send(objects.HEARTBEAT_BASE + self.number, bytes([self.state]))
+        for _ in self._consumer.lost(now_ns):
+            self._lose_connection(HEARTBEAT_LOST)
+        if self.state is NmtState.OPERATIONAL:
+            self._watch(now_ns)
+        self.drive.update(now_ns)
+        if self.state is NmtState.OPERATIONAL:
+            self._send_events()
+
+    # Frames
+
+    def _on_nmt(self, data: bytes) -> None:
+        if len(data) < 2 or data[1] not in (0, self.number):
+            return
+        match data[0]:
+            case NmtCommand.START:
+                self._change_state(NmtState.OPERATIONAL)
+            case NmtCommand.STOP:
+                self._change_state(NmtState.STOPPED)
+            case NmtCommand.ENTER_PRE_OPERATIONAL:
+                self._change_state(NmtState.PRE_OPERATIONAL)
+            case NmtCommand.RESET_COMMUNICATION:
+                if self.state is NmtState.OPERATIONAL:
+                    self.drive.connection_lost(COMMUNICATION, self.now_ns)
+                self._reset(0x1FFF)
+            case NmtCommand.RESET_NODE:
+                self._reset(0xFFFF)
+
+    def _on_sdo(self, data: bytes) -> None:
+        if self.state is not NmtState.STOPPED:
+            self._sdo.request(data)
+            self._load()
+
+    def _on_heartbeat(self, node: int, _: bytes) -> None:
+        self._consumer.heard(node, self.now_ns)
+        self.drive.connection_restored(HEARTBEAT_LOST)
+
+    def _on_rpdo(self, rpdo: Rpdo, data: bytes) -> None:
+        if self.state is not NmtState.OPERATIONAL:
+            return
+        if len(data) < rpdo.size:
+            rpdo.is_too_short = True
+            self._emergencies.report(RPDO_TOO_SHORT)
+            return
+        if rpdo.is_too_short:
+            rpdo.is_too_short = False
+            if not any(other.is_too_short for other in self._rpdos):
+                self._emergencies.clear(RPDO_TOO_SHORT)
+        if rpdo.event_timer_ns:
+            if rpdo.deadline_ns is None:
+                self.drive.connection_restored(RPDO_TIMEOUT)
+            rpdo.deadline_ns = self.now_ns + rpdo.event_timer_ns
+        if rpdo.is_synchronous:
+            rpdo.pending = bytes(data)
+        else:
+            rpdo.write(data)
+
+    def _on_sync(self, _: bytes) -> None:
+        if self._sync_steps is not None:
+            self.drive.advance(self._sync_steps)
+            self._steps += self._sync_steps
+            self.now_ns = self._steps * _S // self.drive.servo.steps_per_second
+        if self.state is NmtState.OPERATIONAL:
+            self._exchange()
+
+    def _exchange(self) -> None:
+        """Send the synchronous PDOs first, then let the received ones take effect."""
+        frames = [
+            (tpdo.can_id, data)
+            for tpdo in self._tpdos
+            if tpdo.exists and tpdo.is_synchronous and (data := tpdo.at_sync()) is not None
+        ]
+        for can_id, data in frames:
+            self._send(can_id, data)
+        for rpdo in self._rpdos:
+            if rpdo.pending is not None:
+                rpdo.write(rpdo.pending)
+                rpdo.pending = None
+        self.drive.update(self.now_ns)
+        if self._sync_period.value:
+            if self._sync_deadline_ns is None:
+                self.drive.connection_restored(SYNC_LOST)
+            self._sync_deadline_ns = self.now_ns + _PATIENT_SYNCS * self._sync_period.number * _US
+
+    def _send_events(self) -> None:
+        for tpdo in self._tpdos:
+            if tpdo.exists and not tpdo.is_synchronous and (data := tpdo.at_time(self.now_ns)) is not None:
+                self._send(tpdo.can_id, data)
+
+    def _send_emergency(self, data: bytes) -> None:
+        cob_id = self._emergency_id.number
+        if self.state in (NmtState.OPERATIONAL, NmtState.PRE_OPERATIONAL) and not cob_id & objects.PDO_INVALID:
+            self._send(cob_id & 0x7FF, data)
+
+    # States and supervision
+
+    def _change_state(self, state: NmtState) -> None:
+        if state is self.state:
+            return
+        if self.state is NmtState.OPERATIONAL:
+            self.drive.connection_lost(COMMUNICATION, self.now_ns)
+        elif state is NmtState.OPERATIONAL:
+            self.drive.connection_restored(*_CONNECTION_ERRORS)
+        self._set_state(state)
+
+    def _set_state(self, state: NmtState) -> None:
+        self.state = state
+        self._sync_deadline_ns = None
+        for rpdo in self._rpdos:
+            rpdo.stop()
+        for tpdo in self._tpdos:
+            tpdo.start()
+        if state is NmtState.STOPPED:
+            self._sdo.reset()
+
+    def _reset(self, last_index: int) -> None:
+        """Return to the defaults up to ``last_index``: of the communication alone, or of the whole node."""
+        self._dictionary.reset(0x1000, last_index)
+        if last_index > 0x1FFF:
+            self._emergencies.reset()
+            self.drive.reset()
+        self._sdo.reset()
+        self._consumer.reset()
+        for pdo in (*self._rpdos, *self._tpdos):
+            pdo.load()
+        self._set_state(NmtState.PRE_OPERATIONAL)
+        self._connect()
+        self.boot()
+
+    def _watch(self, now_ns: int) -> None:
+        for rpdo in self._rpdos:
+            if rpdo.deadline_ns is not None and now_ns >= rpdo.deadline_ns:
+                rpdo.deadline_ns = None
+                self.drive.connection_lost(RPDO_TIMEOUT, now_ns)
+        if self._sync_deadline_ns is not None and now_ns >= self._sync_deadline_ns:
+            self._sync_deadline_ns = None
+            self.drive.connection_lost(SYNC_LOST, now_ns)
+
+    def _lose_connection(self, code: int) -> None:
+        """React to a lost heartbeat: the drive by 6007h, the node by 1029h."""
+        self.drive.connection_lost(code, self.now_ns)
+        behaviour = _BEHAVIOUR.get(self._behaviour.number)
+        if self.state is NmtState.OPERATIONAL and behaviour is not None:
+            self._set_state(behaviour)
+
+    # Parameters
+
+    def _write_sync_id(self, value: int) -> None:
+        if value & ~0x7FF or value == 0:  # a producer (bit 30) it cannot be
+            raise SdoAbort(Abort.VALUE)
+
+    def _write_emergency_id(self, value: int) -> None:
+        if not value & objects.PDO_INVALID and (value & ~0x7FF or value == 0):
+            raise SdoAbort(Abort.VALUE)
+
+    def _forget_sync(self, _: int) -> None:
+        self._sync_deadline_ns = None
+
+    def _load(self) -> None:
+        """Take over the communication parameters that were written."""
+        for pdo in (*self._rpdos, *self._tpdos):
+            if pdo.is_stale:
+                pdo.load()
+        self._connect()
+
+    def _connect(self) -> None:
+        """Say what is done with each identifier."""
+        self._handlers = {rpdo.can_id: partial(self._on_rpdo, rpdo) for rpdo in self._rpdos if rpdo.exists}
+        for node in self._consumer.nodes:
+            self._handlers[objects.HEARTBEAT_BASE + node] = partial(self._on_heartbeat, node)
+        self._handlers[self._sync_id.number & 0x7FF] = self._on_sync
+        self._handlers[objects.SDO_REQUEST_BASE + self.number] = self._on_sdo
+        self._handlers[objects.NMT_ID] = self._on_nmt

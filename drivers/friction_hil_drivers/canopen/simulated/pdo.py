@@ -1,0 +1,206 @@
+"""Process data objects of a simulated node: parameters, mapping through SDO, packing (CiA 301)."""
+
+import struct
+
+from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen.simulated.dictionary import Abort, Dictionary, Entry, SdoAbort, Value
+
+_LARGEST_SYNCHRONOUS = 240
+_EVENT_DRIVEN = (254, 255)
+_DUMMIES = range(0x0002, 0x0008)  # data types that may stand for "ignore" in an RPDO
+_MS, _INHIBIT_UNIT = 1_000_000, 100_000  # ns
+
+
+def _is_restricted(can_id: int) -> bool:
+    """Whether CiA 301 keeps this identifier for something else."""
+    return (
+        can_id < 0x80
+        or 0x101 <= can_id <= 0x180
+        or 0x581 <= can_id <= 0x5FF
+        or 0x601 <= can_id <= 0x67F
+        or can_id >= 0x701
+        or 0x6E0 <= can_id <= 0x6FF
+    )
+
+
+class Pdo:
+    """What both directions share: one communication record, one mapping record.
+
+    Writes to the records are checked at once and make it stale; they take effect when the node calls `load`.
+    """
+
+    _is_receive: bool
+    _parameter_base: int
+    _mapping_base: int
+
+    def __init__(self, number: int, dictionary: Dictionary) -> None:
+        self._dictionary = dictionary
+        parameter, mapping = self._parameter_base + number, self._mapping_base + number
+        self._cob_id = dictionary.at(parameter, objects.PDO_COB_ID)
+        self._type = dictionary.at(parameter, objects.PDO_TRANSMISSION_TYPE)
+        self._event_timer = dictionary.at(parameter, objects.PDO_EVENT_TIMER)
+        self._count = dictionary.at(mapping, 0)
+        self._mapped = [dictionary.at(mapping, place) for place in range(1, 9)]
+        self._cob_id.on_write = self._write_cob_id
+        self._type.on_write = self._write_type
+        self._event_timer.on_write = self._note
+        self._count.on_write = self._write_count
+        for entry in self._mapped:
+            entry.on_write = self._write_mapping
+        self.load()
+
+    def load(self) -> None:
+        """Take over what the records say now."""
+        self.is_stale = False
+        self.can_id = self._cob_id.number & 0x7FF
+        self.transmission_type = self._type.number
+        self.is_synchronous = self.transmission_type <= _LARGEST_SYNCHRONOUS
+        self.event_timer_ns = self._event_timer.number * _MS
+        try:
+            mapping = [entry.number for entry in self._mapped[: self._count.number]]
+            self._entries = [self._resolve(word) for word in mapping]
+        except SdoAbort:  # the default mapping names an object that this specimen lacks
+            self._entries = []
+        self._struct = struct.Struct("<" + "".join(entry.type.code for entry in self._entries))
+        self.size = self._struct.size
+        self.exists = not self._cob_id.number & objects.PDO_INVALID and bool(self._entries)
+
+    def _note(self, _: int) -> None:
+        self.is_stale = True
+
+    def _require_disabled(self) -> None:
+        if not self._cob_id.number & objects.PDO_INVALID:
+            raise SdoAbort(Abort.UNSUPPORTED_ACCESS)
+
+    def _write_cob_id(self, value: int) -> None:
+        if not value & objects.PDO_INVALID:
+            if self._cob_id.number & 0x1FFFFFFF != value & 0x1FFFFFFF:
+                self._require_disabled()
+            if value & 0x3FFFF800 or _is_restricted(value & 0x7FF):
+                raise SdoAbort(Abort.VALUE)
+        self.is_stale = True
+
+    def _write_type(self, value: int) -> None:
+        if value > _LARGEST_SYNCHRONOUS and value not in _EVENT_DRIVEN:
+            raise SdoAbort(Abort.VALUE)
+        self.is_stale = True
+
+    def _write_count(self, value: int) -> None:
+        self._require_disabled()
+        if value > len(self._mapped):
+            raise SdoAbort(Abort.TOO_HIGH)
+        if sum(self._resolve(entry.number).type.bits for entry in self._mapped[:value]) > 64:
+            raise SdoAbort(Abort.PDO_TOO_LONG)
+        self.is_stale = True
+
+    def _write_mapping(self, value: int) -> None:
+        self._require_disabled()
+        if self._count.value != 0:
+            raise SdoAbort(Abort.UNSUPPORTED_ACCESS)
+        if value != 0:
+            self._resolve(value)
+
+    def _resolve(self, word: int) -> Entry:
+        """Entry that a mapping word names; refused where a PDO of this direction cannot carry it."""
+        index, subindex, bits = word >> 16, word >> 8 & 0xFF, word & 0xFF
+        if self._is_receive and index in _DUMMIES:
+            entry = Entry(index, subindex, "dummy", index)
+        else:
+            try:
+                entry = self._dictionary.find(index, subindex)
+            except SdoAbort as error:
+                raise SdoAbort(Abort.NOT_MAPPABLE) from error
+            may_be_mapped = entry.is_writable if self._is_receive else entry.is_readable
+            if not (entry.is_mappable and may_be_mapped):
+                raise SdoAbort(Abort.NOT_MAPPABLE)
+        if bits != entry.type.bits:
+            raise SdoAbort(Abort.NOT_MAPPABLE)
+        return entry
+
+
+class Rpdo(Pdo):
+    """Received: writes the entries mapped to it."""
+
+    _is_receive = True
+    _parameter_base = objects.RPDO_PARAMETER
+    _mapping_base = objects.RPDO_MAPPING
+
+    def load(self) -> None:
+        super().load()
+        self.stop()
+
+    def stop(self) -> None:
+        """Drop what was received and stop watching the deadline."""
+        self.pending: bytes | None = None  # synchronous: takes effect at the next SYNC
+        self.deadline_ns: int | None = None
+        self.is_too_short = False
+
+    def write(self, data: bytes) -> None:
+        """Write a frame's values. One that its entry refuses is left out: nobody could be told."""
+        for entry, value in zip(self._entries, self._struct.unpack_from(data), strict=True):
+            try:
+                entry.write(value)
+            except SdoAbort:
+                continue
+
+
+class Tpdo(Pdo):
+    """Transmitted: samples the entries mapped to it.
+
+    Event-driven ones are due when their content has changed or their event timer has run off, not before the
+    inhibit time has passed.
+    """
+
+    _is_receive = False
+    _parameter_base = objects.TPDO_PARAMETER
+    _mapping_base = objects.TPDO_MAPPING
+
+    def __init__(self, number: int, dictionary: Dictionary) -> None:
+        self._inhibit = dictionary.at(self._parameter_base + number, objects.PDO_INHIBIT_TIME)
+        self._inhibit.on_write = self._write_inhibit
+        super().__init__(number, dictionary)
+
+    def load(self) -> None:
+        super().load()
+        self._inhibit_ns = self._inhibit.number * _INHIBIT_UNIT
+        self.start()
+
+    def start(self) -> None:
+        """Begin to transmit: counters at zero, nothing sent yet."""
+        self._syncs = 0
+        self._sent: bytes | None = None
+        self._sent_ns = 0
+
+    def sample(self) -> bytes:
+        """Content at this moment."""
+        values: list[Value] = [entry.read() for entry in self._entries]
+        return self._struct.pack(*values)
+
+    def at_sync(self) -> bytes | None:
+        """What to send at this SYNC, if anything."""
+        if self.transmission_type == 0:
+            data = self.sample()
+            if data == self._sent:
+                return None
+            self._sent = data
+            return data
+        self._syncs += 1
+        if self._syncs < self.transmission_type:
+            return None
+        self._syncs = 0
+        return self.sample()
+
+    def at_time(self, now_ns: int) -> bytes | None:
+        """What an event-driven PDO has to send at this moment, if anything."""
+        if self._sent is not None and now_ns - self._sent_ns < self._inhibit_ns:
+            return None
+        data = self.sample()
+        is_due = self.event_timer_ns > 0 and now_ns - self._sent_ns >= self.event_timer_ns
+        if data == self._sent and not is_due:
+            return None
+        self._sent, self._sent_ns = data, now_ns
+        return data
+
+    def _write_inhibit(self, value: int) -> None:
+        self._require_disabled()
+        self.is_stale = True

@@ -1,0 +1,62 @@
+"""Power drive system state machine of CiA 402: which state a controlword asks for. Pure."""
+
+from enum import IntEnum
+
+from friction_hil.drive import DriveState
+
+
+class Command(IntEnum):
+    """Device control commands, decoded from the controlword's bits 0 to 3."""
+
+    DISABLE_VOLTAGE = 0
+    QUICK_STOP = 1
+    SHUTDOWN = 2
+    SWITCH_ON = 3  # in Operation Enabled: disable operation
+    ENABLE_OPERATION = 4
+
+
+def command(controlword: int) -> Command:
+    """Device control command in a controlword."""
+    if not controlword & 0x02:
+        return Command.DISABLE_VOLTAGE
+    if not controlword & 0x04:
+        return Command.QUICK_STOP
+    if not controlword & 0x01:
+        return Command.SHUTDOWN
+    return Command.ENABLE_OPERATION if controlword & 0x08 else Command.SWITCH_ON
+
+
+_DISABLED, _READY = DriveState.SWITCH_ON_DISABLED, DriveState.READY_TO_SWITCH_ON
+_ON, _ENABLED = DriveState.SWITCHED_ON, DriveState.OPERATION_ENABLED
+_STOPPING = DriveState.QUICK_STOP_ACTIVE
+
+TRANSITIONS: dict[tuple[DriveState, Command], DriveState] = {
+    (_DISABLED, Command.SHUTDOWN): _READY,  # 2
+    (_READY, Command.SWITCH_ON): _ON,  # 3
+    (_READY, Command.ENABLE_OPERATION): _ON,  # 3, then 4
+    (_ON, Command.ENABLE_OPERATION): _ENABLED,  # 4
+    (_ENABLED, Command.SWITCH_ON): _ON,  # 5
+    (_ON, Command.SHUTDOWN): _READY,  # 6
+    (_READY, Command.DISABLE_VOLTAGE): _DISABLED,  # 7
+    (_READY, Command.QUICK_STOP): _DISABLED,  # 7
+    (_ENABLED, Command.SHUTDOWN): _READY,  # 8
+    (_ENABLED, Command.DISABLE_VOLTAGE): _DISABLED,  # 9
+    (_ON, Command.DISABLE_VOLTAGE): _DISABLED,  # 10
+    (_ON, Command.QUICK_STOP): _DISABLED,  # 10
+    (_ENABLED, Command.QUICK_STOP): _STOPPING,  # 11
+    (_STOPPING, Command.DISABLE_VOLTAGE): _DISABLED,  # 12
+    (_STOPPING, Command.ENABLE_OPERATION): _ENABLED,  # 16, where the quick stop option allows it
+}
+_UPWARD = ((_DISABLED, _READY), (_READY, _ON), (_ON, _ENABLED), (_STOPPING, _ENABLED))
+
+
+def requested_state(state: DriveState, controlword: int) -> DriveState:
+    """State that a controlword asks for, one transition from ``state``; ``state`` itself for none.
+
+    While the fault reset bit is set no transition leads towards Operation Enabled: resetting a fault must not
+    switch a drive on. The reset itself (transition 15) needs the bit's history and is not decided here.
+    """
+    wanted = TRANSITIONS.get((state, command(controlword)), state)
+    if controlword & 0x80 and (state, wanted) in _UPWARD:
+        return state
+    return wanted

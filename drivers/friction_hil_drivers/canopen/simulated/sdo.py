@@ -1,0 +1,142 @@
+"""SDO server: expedited and segmented transfers in both directions (CiA 301)."""
+
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from friction_hil_drivers.canopen.simulated.dictionary import Abort, Dictionary, Entry, SdoAbort
+
+_HEAD = struct.Struct("<BHB")
+_SIZE = struct.Struct("<I")
+_ABORT = struct.Struct("<BHBI")
+_LARGEST = 4096  # bytes of one object: a confused client must not fill the memory
+
+# Command specifiers of the client, in the upper three bits
+_DOWNLOAD_SEGMENT, _DOWNLOAD, _UPLOAD, _UPLOAD_SEGMENT, _ABORTED = 0, 1, 2, 3, 4
+_SEGMENTS = (_DOWNLOAD_SEGMENT, _UPLOAD_SEGMENT)
+# Responses of the server, and bits of both sides' first byte
+_UPLOAD_RESPONSE, _DOWNLOAD_RESPONSE, _DOWNLOAD_SEGMENT_RESPONSE, _ABORT_RESPONSE = 0x40, 0x60, 0x20, 0x80
+_TOGGLE, _EXPEDITED, _SIZE_INDICATED, _LAST = 0x10, 0x02, 0x01, 0x01
+
+
+@dataclass(slots=True)
+class _Transfer:
+    """A segmented transfer under way."""
+
+    entry: Entry
+    is_upload: bool
+    data: bytearray = field(default_factory=bytearray)
+    size: int | None = None  # announced by the client of a download
+    toggle: int = 0
+
+
+class SdoServer:
+    """Serves one client.
+
+    Parameters
+    ----------
+    dictionary : Dictionary
+        What is served.
+    send : callable
+        Called with the eight bytes of each response.
+    """
+
+    def __init__(self, dictionary: Dictionary, send: Callable[[bytes], None]) -> None:
+        self._dictionary = dictionary
+        self._send = send
+        self._transfer: _Transfer | None = None
+        self._services = {
+            _DOWNLOAD_SEGMENT: self._download_segment,
+            _DOWNLOAD: self._download,
+            _UPLOAD: self._upload,
+            _UPLOAD_SEGMENT: self._upload_segment,
+        }
+
+    def reset(self) -> None:
+        """Forget a transfer under way."""
+        self._transfer = None
+
+    def request(self, data: bytes) -> None:
+        """Answer a request. What has not eight bytes is no SDO and gets no answer."""
+        if len(data) != 8:
+            return
+        command, index, subindex = _HEAD.unpack_from(data)
+        specifier = command >> 5
+        if specifier == _ABORTED:
+            self._transfer = None
+            return
+        if specifier in _SEGMENTS:
+            transfer = self._transfer
+            index, subindex = (transfer.entry.index, transfer.entry.subindex) if transfer else (0, 0)
+        else:
+            self._transfer = None
+        try:
+            if specifier not in self._services:  # block transfer is optional
+                raise SdoAbort(Abort.COMMAND)
+            self._services[specifier](data)
+        except SdoAbort as error:
+            self._transfer = None
+            self._send(_ABORT.pack(_ABORT_RESPONSE, index, subindex, error.code))
+
+    def _upload(self, data: bytes) -> None:
+        _, index, subindex = _HEAD.unpack_from(data)
+        entry = self._dictionary.find(index, subindex)
+        value = entry.upload()
+        if len(value) <= 4:
+            command = _UPLOAD_RESPONSE | (4 - len(value)) << 2 | _EXPEDITED | _SIZE_INDICATED
+            self._send(_HEAD.pack(command, index, subindex) + value.ljust(4, b"\0"))
+        else:
+            self._transfer = _Transfer(entry, is_upload=True, data=bytearray(value))
+            self._send(
+                _HEAD.pack(_UPLOAD_RESPONSE | _SIZE_INDICATED, index, subindex) + _SIZE.pack(len(value))
+            )
+
+    def _upload_segment(self, data: bytes) -> None:
+        transfer = self._expected(data[0], is_upload=True)
+        segment = bytes(transfer.data[:7])
+        del transfer.data[:7]
+        command = transfer.toggle | (7 - len(segment)) << 1 | (0 if transfer.data else _LAST)
+        transfer.toggle ^= _TOGGLE
+        if not transfer.data:
+            self._transfer = None
+        self._send(bytes([command]) + segment.ljust(7, b"\0"))
+
+    def _download(self, data: bytes) -> None:
+        command, index, subindex = _HEAD.unpack_from(data)
+        entry = self._dictionary.find(index, subindex)
+        if not entry.is_writable:
+            raise SdoAbort(Abort.READ_ONLY)
+        if command & _EXPEDITED:
+            size = entry.type.bits // 8 or 4
+            if command & _SIZE_INDICATED:
+                size = 4 - (command >> 2 & 3)
+            entry.download(data[4 : 4 + size])
+        else:
+            announced = _SIZE.unpack_from(data, 4)[0] if command & _SIZE_INDICATED else None
+            if announced is not None and entry.type.bits and announced * 8 != entry.type.bits:
+                raise SdoAbort(Abort.LENGTH)
+            self._transfer = _Transfer(entry, is_upload=False, size=announced)
+        self._send(_HEAD.pack(_DOWNLOAD_RESPONSE, index, subindex) + bytes(4))
+
+    def _download_segment(self, data: bytes) -> None:
+        command = data[0]
+        transfer = self._expected(command, is_upload=False)
+        transfer.data += data[1 : 8 - (command >> 1 & 7)]
+        if len(transfer.data) > _LARGEST:
+            raise SdoAbort(Abort.OUT_OF_MEMORY)
+        if command & _LAST:
+            if transfer.size not in (None, len(transfer.data)):
+                raise SdoAbort(Abort.LENGTH)
+            transfer.entry.download(bytes(transfer.data))
+            self._transfer = None
+        self._send(bytes([_DOWNLOAD_SEGMENT_RESPONSE | transfer.toggle]) + bytes(7))
+        transfer.toggle ^= _TOGGLE
+
+    def _expected(self, command: int, *, is_upload: bool) -> _Transfer:
+        """Transfer that a segment belongs to, or the abort that answers a segment out of place."""
+        transfer = self._transfer
+        if transfer is None or transfer.is_upload is not is_upload:
+            raise SdoAbort(Abort.COMMAND)
+        if command & _TOGGLE != transfer.toggle:
+            raise SdoAbort(Abort.TOGGLE)
+        return transfer

@@ -1,0 +1,41 @@
+"""Units of a simulated drive: encoder counts and per mille of rated torque, against SI. Pure."""
+
+from fractions import Fraction
+
+from friction_hil.servo.servo import Servo
+
+INT16, INT32, UINT16, UINT32 = (-0x8000, 0x7FFF), (-(1 << 31), (1 << 31) - 1), (0, 0xFFFF), (0, 0xFFFFFFFF)
+
+
+def saturated(value: float, bounds: tuple[int, int]) -> int:
+    """Nearest integer within ``bounds``."""
+    return round(min(max(value, bounds[0]), bounds[1]))
+
+
+def wrapped(counts: int) -> int:
+    """Position as an INTEGER32, which is all that the wire carries of it."""
+    return (counts + (1 << 31)) % (1 << 32) - (1 << 31)
+
+
+def unwrapped(position: int, near: int) -> int:
+    """Position without wrap-around that looks like ``position`` on the wire and is closest to ``near``."""
+    return near + wrapped(position - near)
+
+
+class Units:
+    """Conversion of one axis.
+
+    A revolution is one turn of a rotary axis and one metre of a linear one. The rated torque is what object
+    6076h can say of it, whole mN m (mN), so that both sides of the bus scale alike.
+    """
+
+    def __init__(self, servo: Servo) -> None:
+        config = servo.config
+        self.counts = servo.counts_per_unit  # per rad or m
+        self.resolution = Fraction(config.encoder.counts).limit_denominator(1000)  # counts a revolution
+        self.rated_torque = max(1, round(1000.0 * config.motor.rated_torque))  # mN m or mN
+        self.torque = self.rated_torque * 1e-6  # N m or N per per mille
+
+    def speed(self, revolutions_per_minute: int) -> float:
+        """Counts per second of a speed in revolutions per minute."""
+        return revolutions_per_minute * float(self.resolution) / 60.0

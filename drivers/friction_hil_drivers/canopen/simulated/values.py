@@ -1,0 +1,43 @@
+"""Objects of a simulated drive that mirror the servo, and those whose defaults depend on it."""
+
+from collections.abc import Iterable
+
+from friction_hil.drive import Mode
+from friction_hil.servo.servo import Servo
+from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen.simulated.dictionary import Dictionary
+from friction_hil_drivers.canopen.simulated.units import INT16, INT32, Units, saturated, wrapped
+
+
+def connect_live_values(dictionary: Dictionary, servo: Servo, units: Units) -> None:
+    """Let the entries of demands and actual values read the servo."""
+    counts, torque = units.counts, units.torque
+    dictionary.of(objects.POSITION_ACTUAL).on_read = lambda: wrapped(round(servo.position * counts))
+    dictionary.of(objects.POSITION_DEMAND).on_read = lambda: wrapped(round(servo.position_demand * counts))
+    dictionary.of(objects.FOLLOWING_ERROR).on_read = lambda: saturated(servo.following_error * counts, INT32)
+    dictionary.of(objects.VELOCITY_ACTUAL).on_read = lambda: saturated(servo.velocity * counts, INT32)
+    dictionary.of(objects.VELOCITY_DEMAND).on_read = lambda: saturated(servo.velocity_demand * counts, INT32)
+    dictionary.of(objects.TORQUE_ACTUAL).on_read = lambda: saturated(servo.torque / torque, INT16)
+    dictionary.of(objects.TORQUE_DEMAND).on_read = lambda: saturated(servo.torque_demand / torque, INT16)
+
+
+def set_defaults(dictionary: Dictionary, servo: Servo, units: Units, modes: Iterable[Mode]) -> None:
+    """Give the entries that describe this motor their values, as its commissioning would have done.
+
+    The quick stop uses half of the rated torque on the inertia, the profile ramp a quarter; the following
+    error window is a twentieth of a revolution.
+    """
+    motor, inertia = servo.config.motor, servo.config.mechanics.inertia
+    strongest = motor.rated_torque / inertia * units.counts  # counts/s^2
+    defaults = {
+        objects.SUPPORTED_MODES: sum(1 << (mode - 1) for mode in modes),
+        objects.RATED_TORQUE: units.rated_torque,
+        objects.MAX_TORQUE: round(motor.peak_torque / units.torque),
+        objects.ENCODER_INCREMENTS: units.resolution.numerator,
+        objects.MOTOR_REVOLUTIONS: units.resolution.denominator,
+        objects.FOLLOWING_ERROR_WINDOW: round(units.resolution / 20),
+        objects.PROFILE_DECELERATION: max(1, round(0.25 * strongest)),
+        objects.QUICK_STOP_DECELERATION: max(1, round(0.5 * strongest)),
+    }
+    for known, value in defaults.items():
+        dictionary.set_default(known, value)

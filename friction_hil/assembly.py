@@ -1,0 +1,86 @@
+"""From a configuration to the pure objects of an axis, the same for the loop and for replay."""
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from friction_hil.compensator import Compensator, CompensatorSettings
+from friction_hil.drive import AxisFacts
+from friction_hil.jit import Record
+from friction_hil.safety import Limits
+from friction_hil.servo.control import CONTROLLER
+from friction_hil.servo.trajectory import Path, circle_path, sine_path, still_path, triangle_path
+
+if TYPE_CHECKING:
+    from friction_hil.config import AxisConfig, ModelFile
+
+
+def make_compensator(
+    config: "AxisConfig", model: "ModelFile", position_resolution: float, period_s: float
+) -> Compensator:
+    """Compensator of an axis for one of its models, as the loop and replay both build it."""
+    settings = CompensatorSettings(
+        period_s=period_s,
+        position_resolution=position_resolution,
+        torque_limit=config.limits.torque,
+        torque_slew=math.inf if config.limits.torque_slew is None else config.limits.torque_slew,
+        gain=config.compensation.gain,
+        source=config.compensation.source,
+        fade_s=config.compensation.fade_s,
+        uses_drive_velocity=config.compensation.velocity == "drive",
+        smoothing=config.compensation.smoothing,
+    )
+    return Compensator(model.friction_model, settings)
+
+
+def make_shadows(config: "AxisConfig", position_resolution: float, period_s: float) -> dict[str, Compensator]:
+    """Compensators of the shadow models, by name."""
+    return {
+        shadow.name: make_compensator(config, shadow.model, position_resolution, period_s) for shadow in config.shadows
+    }
+
+
+def lead_s(model: "ModelFile", facts: AxisFacts) -> float:
+    """Time from sampling the position to the middle of the period in which the torque acts."""
+    delay = model.mechanics.delay_s
+    return (delay if delay > 0.0 else facts.actuation_delay_s) + model.mechanics.torque_lag_s
+
+
+def make_path(config: "AxisConfig") -> Path:
+    """Path of the configured trajectory."""
+    motion = config.trajectory
+    if motion.kind == "circle":
+        return circle_path(motion.radius, motion.frequency, motion.phase)
+    if motion.kind == "sine":
+        return sine_path(motion.amplitude, motion.frequency, motion.phase)
+    if motion.kind == "triangle":
+        return triangle_path(motion.amplitude, motion.frequency, motion.rounding)
+    return still_path
+
+
+def make_limits(config: "AxisConfig") -> Limits:
+    """Limits of an axis; infinity where the configuration gives none."""
+    limits = config.limits
+    low, high = limits.position or (-math.inf, math.inf)
+    return Limits(
+        torque=limits.torque,
+        velocity=limits.velocity,
+        torque_slew=math.inf if limits.torque_slew is None else limits.torque_slew,
+        following_error=math.inf if limits.following_error is None else limits.following_error,
+        position_low=low,
+        position_high=high,
+    )
+
+
+def make_controller(config: "AxisConfig") -> Record:
+    """The loop's own controller, all zero where the configuration has none."""
+    record = np.zeros(1, CONTROLLER)
+    given = config.controller
+    if given is not None:
+        record[0]["position_gain"] = given.position_gain
+        record[0]["velocity_gain"] = given.velocity_gain
+        record[0]["integral_hz"] = given.integral_hz
+        record[0]["velocity_feedforward"] = 1.0
+        record[0]["inertia"] = config.model.mechanics.inertia
+    return record

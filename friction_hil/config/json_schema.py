@@ -1,0 +1,68 @@
+"""The JSON Schema of a configuration file, with the keys of the installed drivers."""
+
+from typing import Any
+
+from pydantic import BaseModel
+
+from friction_hil.config.schema import Configuration
+from friction_hil.drive import DRIVERS, SIMULATED_DRIVES, driver_names, load_driver
+
+_PATH_OR_MODEL = {
+    "description": "friction model: a model file (a path, seen from this file), or its content",
+    "anyOf": [{"type": "string"}, {"$ref": "#/$defs/ModelFile"}],
+}
+
+
+def json_schema() -> dict[str, Any]:
+    """Describe the configuration file for editors, as JSON Schema 2020-12.
+
+    Checks that span several keys are beyond it; `friction_hil.config.load` has the last word.
+    """
+    schema = Configuration.model_json_schema()
+    definitions = schema["$defs"]
+    common = definitions.pop("AxisConfig")
+    del common["properties"]["options"]
+    common["required"].remove("options")
+    common["properties"]["model"] = _PATH_OR_MODEL
+    shadow = definitions["Shadow"]
+    shadow["properties"]["model"] = _PATH_OR_MODEL
+    common["properties"]["shadows"]["items"] = {"anyOf": [{"type": "string"}, {"$ref": "#/$defs/Shadow"}]}
+    names = driver_names()
+    for name in names:
+        definitions[f"AxisConfig_{name}"] = _axis(name, common, definitions)
+    definitions["AxisConfig"] = {
+        "type": "object",
+        "required": ["driver"],
+        "properties": {"driver": {"description": common["properties"]["driver"]["description"], "enum": names}},
+        "allOf": [
+            {
+                "if": {"properties": {"driver": {"const": name}}, "required": ["driver"]},
+                "then": {"$ref": f"#/$defs/AxisConfig_{name}"},
+            }
+            for name in names
+        ],
+    }
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
+
+
+def _axis(driver: str, common: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:
+    """All keys of an axis with this driver; what its models refer to goes into ``definitions``."""
+    options = _model_schema(load_driver(driver, DRIVERS).Options, driver, definitions)
+    properties = {**common["properties"], **options.get("properties", {})}
+    properties["driver"] = {**properties["driver"], "const": driver}
+    if driver in driver_names(SIMULATED_DRIVES):
+        simulation = _model_schema(load_driver(driver, SIMULATED_DRIVES).Options, f"{driver}_simulation", definitions)
+        properties["simulation"] = {"anyOf": [simulation, {"type": "null"}], "default": None}
+    else:
+        properties["simulation"] = {"type": "null", "description": "this driver has no simulated drive"}
+    required = [*common["required"], *options.get("required", [])]
+    return {**common, "title": f"Axis with driver {driver}", "properties": properties, "required": required}
+
+
+def _model_schema(model: type[BaseModel], prefix: str, definitions: dict[str, Any]) -> dict[str, Any]:
+    """Schema of a driver's model; its definitions get the driver's name before theirs, for they may clash."""
+    template = f"#/$defs/{prefix}_{{model}}"
+    schema = model.model_json_schema(ref_template=template)
+    for name, definition in schema.pop("$defs", {}).items():
+        definitions[f"{prefix}_{name}"] = definition
+    return schema

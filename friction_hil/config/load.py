@@ -1,0 +1,214 @@
+"""Files and plain values to a checked configuration, with all mistakes at once."""
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from friction_hil.config import yaml_text
+from friction_hil.config.messages import mistakes_of, validate
+from friction_hil.config.model_file import ModelFile
+from friction_hil.config.schema import NAME_PATTERN, Configuration, split_options
+from friction_hil.config.yaml_text import Document, Steps
+from friction_hil.errors import ConfigurationError, Problem, UsageError, choices
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def load(path: str | Path) -> Configuration:
+    """Read a configuration file and the model files that it names.
+
+    Raises
+    ------
+    ConfigurationError
+        It cannot be read or has mistakes; ``problems`` has each with its line.
+    """
+    configuration = _configuration(yaml_text.read(path), Path(path).parent)
+    configuration._source_path = Path(path).absolute()
+    return configuration
+
+
+def from_dict(data: Mapping[str, Any], source: str) -> Configuration:
+    """Make a configuration of plain values, e.g. of those that a recording carries.
+
+    Parameters
+    ----------
+    data
+        As `self_contained` returns them, or as a file would have them.
+    source
+        Where they come from, for messages.
+
+    Raises
+    ------
+    ConfigurationError
+        They have mistakes.
+    """
+    return _configuration(Document(source, dict(data)), Path(source).parent)
+
+
+def self_contained(configuration: Configuration) -> dict[str, Any]:
+    """Plain values (JSON's, and infinity) that `from_dict` makes the same configuration of, without any file."""
+    return configuration.model_dump(mode="json")
+
+
+def load_model_file(path: str | Path) -> ModelFile:
+    """Read a model file.
+
+    Raises
+    ------
+    ConfigurationError
+        It cannot be read or has mistakes; ``problems`` has each with its line.
+    """
+    document = yaml_text.read(path)
+    model_file = _validate(ModelFile, document.value, _Origins(document), list(document.problems))
+    model_file._source_path = Path(path).absolute()
+    return model_file
+
+
+def model_from_argument(argument: str) -> ModelFile:
+    """Understand ``--model``: a model file, or ``NAME:coulomb=0.08,viscous=2e-3`` (a rotary axis).
+
+    Raises
+    ------
+    ConfigurationError
+        The model file cannot be read or has mistakes.
+    UsageError
+        The model or a parameter does not exist, or a value does not fit.
+    """
+    from friction_hil import models
+
+    if argument.endswith((".yaml", ".yml")) or Path(argument).is_file():
+        return load_model_file(argument)
+    name, _, rest = argument.partition(":")
+    if name not in models.names():
+        raise UsageError(
+            f"--model {argument}: there is no such file, and no such friction model; {choices(name, models.names())}"
+        )
+    parameters: dict[str, Any] = {}
+    for part in re.split(r",(?=\s*\w+\s*=)", rest) if rest else ():
+        key, equals, text = part.partition("=")
+        if not equals or key.strip() in parameters:
+            wanted = f"{name}:parameter=value,parameter=value" if not equals else "each parameter once"
+            raise UsageError(f"--model {argument}: {part.strip()!r} does not fit; write {wanted}")
+        value = yaml_text.parse(text, f"--model {argument}")
+        if value.problems:
+            raise ConfigurationError(value.problems)
+        parameters[key.strip()] = value.value
+    try:
+        model = models.create(name, **parameters)
+    except UsageError as error:
+        raise UsageError(f"--model {argument}: {error}") from None
+    friction = {"model": name, "parameters": dict(model.parameters)}
+    return ModelFile.model_validate({"axis": "rotary", "friction": friction})
+
+
+class _Origins:
+    """Which file, line and key a place of a configuration comes from, model files included."""
+
+    def __init__(self, main: Document) -> None:
+        self._documents: dict[Steps, Document] = {(): main}
+        self.broken: list[Steps] = []  # places whose file could not be read
+
+    def add(self, steps: Steps, document: Document) -> None:
+        self._documents[steps] = document
+
+    def locate(self, steps: Steps, message: str) -> Problem:
+        start = max((known for known in self._documents if steps[: len(known)] == known), key=len)
+        document, inner = self._documents[start], steps[len(start) :]
+        return Problem(document.path, document.line(inner), field_name(inner), message)
+
+
+def field_name(steps: Steps) -> str:
+    """Write the way to a value, e.g. ``axes.x.shadows[0].name``."""
+    text = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in steps)
+    return text.removeprefix(".")
+
+
+def _configuration(document: Document, directory: Path) -> Configuration:
+    origins = _Origins(document)
+    problems = list(document.problems)
+    files: dict[Steps, Path] = {}
+    value = document.value
+    axes = value.get("axes") if isinstance(value, dict) else None
+    if isinstance(axes, dict):
+        reader = _ModelReader(directory, origins, problems, files)
+        value = {**value, "axes": {name: reader.axis(name, axis) for name, axis in axes.items()}}
+    configuration = _validate(Configuration, value, origins, problems)
+    for steps, path in files.items():
+        axis = configuration.axes[str(steps[1])]
+        model_file = axis.model if steps[2] == "model" else axis.shadows[int(steps[3])].model
+        model_file._source_path = path.absolute()
+    return configuration
+
+
+class _ModelReader:
+    """Puts the content of model files where a configuration names them."""
+
+    def __init__(self, directory: Path, origins: _Origins, problems: list[Problem], files: dict[Steps, Path]) -> None:
+        self._directory = directory
+        self._origins = origins
+        self._problems = problems
+        self._files = files
+
+    def axis(self, name: str, axis: Any) -> Any:
+        """Return the plain values of an axis with its models inlined and the driver's keys apart."""
+        if not isinstance(axis, dict):
+            return axis
+        inlined = dict(axis)
+        if isinstance(axis.get("model"), str):
+            inlined["model"] = self._read(axis["model"], ("axes", name, "model"))
+        if isinstance(axis.get("shadows"), list):
+            inlined["shadows"] = [
+                self._shadow(item, ("axes", name, "shadows", index)) for index, item in enumerate(axis["shadows"])
+            ]
+        return split_options(inlined)
+
+    def _shadow(self, item: Any, steps: Steps) -> Any:
+        if isinstance(item, str):
+            name = Path(item).stem
+            if not re.fullmatch(NAME_PATTERN, name):
+                message = f"{name!r} is no name for a shadow; give it one: {{name: ..., model: {item}}}"
+                self._problems.append(self._origins.locate(steps, message))
+            return {"name": name, "model": self._read(item, (*steps, "model"))}
+        if isinstance(item, dict) and isinstance(item.get("model"), str):
+            return {**item, "model": self._read(item["model"], (*steps, "model"))}
+        return item
+
+    def _read(self, name: str, steps: Steps) -> Any:
+        path = self._directory / name
+        if not path.is_file():
+            siblings = [str(Path(name).parent / item.name) for item in path.parent.glob("*.y*ml")]
+            message = f"there is no model file {path}; {choices(name, siblings)}"
+            self._problems.append(self._origins.locate(steps, message))
+            self._origins.broken.append(steps)
+            return None
+        try:
+            document = yaml_text.read(path)
+        except ConfigurationError as error:
+            self._problems.extend(error.problems)
+            self._origins.broken.append(steps)
+            return None
+        self._problems.extend(document.problems)
+        self._origins.add(steps, document)
+        self._files[steps] = path
+        return document.value
+
+
+def _validate(model: type[Model], value: Any, origins: _Origins, problems: list[Problem]) -> Model:
+    known_lines = {(problem.path, problem.line) for problem in problems}
+    result: Model | None = None
+    try:
+        result = validate(model, value)
+    except ValidationError as error:
+        for steps, message in mistakes_of(error, model, value):
+            if any(steps[: len(broken)] == broken for broken in origins.broken):
+                continue
+            problem = origins.locate(steps, message)
+            if problem.line is None or (problem.path, problem.line) not in known_lines:
+                problems.append(problem)
+    if problems or result is None:
+        unique = dict.fromkeys(problems)
+        raise ConfigurationError(sorted(unique, key=lambda problem: (problem.path, problem.line or 0)))
+    return result

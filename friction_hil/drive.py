@@ -1,0 +1,187 @@
+"""The drive port: what the loop needs from drives, and the registry of drivers that provide it.
+
+A driver is a class registered under the entry-point group ``friction_hil.drivers``. One instance serves all
+axes of its kind on one bus, because a cycle on a bus is shared: one SYNC, every drive's feedback, every
+drive's command. The counterpart that imitates the drives is registered under
+``friction_hil.simulated_drives`` by the same name.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import IntEnum
+from importlib.metadata import entry_points
+from typing import TYPE_CHECKING, Any, Protocol
+
+from friction_hil.errors import UsageError, choices
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
+
+    from friction_hil.config import AxisConfig, Configuration
+
+
+class Mode(IntEnum):
+    """Cyclic synchronous modes of operation, numbered as in CiA 402 object 6060h."""
+
+    CSP = 8
+    CSV = 9
+    CST = 10
+
+
+class DriveState(IntEnum):
+    """What a drive does with its power stage, in the terms of CiA 402."""
+
+    UNKNOWN = 0
+    NOT_READY = 1
+    SWITCH_ON_DISABLED = 2
+    READY_TO_SWITCH_ON = 3
+    SWITCHED_ON = 4
+    OPERATION_ENABLED = 5
+    QUICK_STOP_ACTIVE = 6
+    FAULT_REACTION_ACTIVE = 7
+    FAULT = 8
+
+    @property
+    def is_powered(self) -> bool:
+        """Whether the power stage may produce torque."""
+        return self in (self.OPERATION_ENABLED, self.QUICK_STOP_ACTIVE, self.FAULT_REACTION_ACTIVE)
+
+
+class Request(IntEnum):
+    """What the loop wants a drive to be; the driver finds the way there, one step a cycle."""
+
+    LISTEN = 0  # never write anything
+    DISABLE = 1
+    ENABLE = 2
+    QUICK_STOP = 3
+    RESET_FAULT = 4  # only on the user's explicit word; ends where DISABLE does
+
+
+@dataclass(slots=True)
+class Feedback:
+    """What a drive said in this cycle, SI. One object an axis, overwritten each cycle."""
+
+    position: float = 0.0
+    velocity: float = 0.0
+    torque: float = 0.0
+    state: DriveState = DriveState.UNKNOWN
+    is_fresh: bool = False  # every frame of this cycle arrived in time
+    error_code: int = 0  # the drive's own (603Fh or its emergency frame), 0 for none
+    message: str = ""  # what is wrong beside the state: a lost heartbeat, a reboot, an emergency
+
+
+@dataclass(slots=True)
+class Command:
+    """What to write to a drive, SI. One object an axis, overwritten each cycle."""
+
+    request: Request = Request.LISTEN
+    position: float = 0.0  # CSP
+    velocity: float = 0.0  # CSV
+    torque: float = 0.0  # CST: the whole torque; CSP and CSV: torque offset, added by the drive
+
+
+@dataclass(frozen=True, slots=True)
+class AxisFacts:
+    """What the driver learned about a drive while connecting."""
+
+    name: str
+    identity: str  # for people: vendor, product, serial number
+    position_resolution: float  # smallest step of the position feedback, SI
+    torque_resolution: float  # smallest step of the torque command, SI
+    setpoint_delay_s: float  # from sending a set-point to the drive's demand being equal to it
+    actuation_delay_s: float  # from sending a torque to the middle of the period in which it acts
+    notes: tuple[str, ...] = field(default=())  # what the user should know, e.g. which watchdog is armed
+
+
+class Clock(Protocol):
+    """Time for the loop. ``RealClock`` waits; ``SteppedClock`` advances when asked (``--pace sync``)."""
+
+    is_real: bool
+
+    def now_ns(self) -> int:
+        """Monotonic time in nanoseconds."""
+        ...
+
+    def sleep_until(self, deadline_ns: int) -> None:
+        """Return at ``deadline_ns``, or at once when it has passed."""
+        ...
+
+
+class Drives(Protocol):
+    """All drives of one driver on one bus, driven from one thread.
+
+    Life: ``connect`` (blocking: identity, parameters, mapping, watchdogs), ``start`` (cyclic phase), then for
+    each cycle ``receive`` and ``send``, and ``close`` whatever happened. Between ``start`` and ``close``
+    nothing but the calling thread may touch the bus.
+    """
+
+    def connect(self) -> Sequence[AxisFacts]:
+        """Configure every drive, in the order of the axes.
+
+        Raises
+        ------
+        BusError, DriveError
+            The bus does not open, nobody answers, or a drive is not what the configuration says.
+        """
+        ...
+
+    def start(self) -> None:
+        """Begin the cyclic phase."""
+        ...
+
+    def receive(self, feedback: Sequence[Feedback], deadline_ns: int) -> None:
+        """Start a cycle on the bus and fill ``feedback``; return when all arrived or at the deadline."""
+        ...
+
+    def send(self, commands: Sequence[Command]) -> None:
+        """Write one command an axis."""
+        ...
+
+    def close(self) -> None:
+        """Leave the bus. Safe to call at any time, also twice."""
+        ...
+
+
+class Driver(Protocol):
+    """The class that an entry point of ``friction_hil.drivers`` names."""
+
+    Options: "type[BaseModel]"  # the keys of an axis that are the driver's own
+
+    def __call__(
+        self, configuration: "Configuration", axes: "Mapping[str, AxisConfig]", clock: Clock, *, dry_run: bool
+    ) -> Drives:
+        """Make the drives of ``axes``, none of them connected yet."""
+        ...
+
+
+class SimulatedDriver(Protocol):
+    """The class that an entry point of ``friction_hil.simulated_drives`` names."""
+
+    Options: "type[BaseModel]"  # the keys of an axis's ``simulation``
+
+    def __call__(self, configuration: "Configuration", axes: "Mapping[str, AxisConfig]", *, pace: str) -> Any:
+        """Make simulated drives; ``run(is_stopping)`` serves the bus until ``is_stopping()`` is true."""
+        ...
+
+
+DRIVERS = "friction_hil.drivers"
+SIMULATED_DRIVES = "friction_hil.simulated_drives"
+
+
+def driver_names(group: str = DRIVERS) -> list[str]:
+    """Names of the installed drivers."""
+    return sorted({entry.name for entry in entry_points(group=group)})
+
+
+def load_driver(name: str, group: str = DRIVERS) -> Any:
+    """Load the class that the entry point ``name`` of ``group`` stands for.
+
+    Raises
+    ------
+    UsageError
+        No driver of that name is installed; the message lists those that are.
+    """
+    for entry in entry_points(group=group):
+        if entry.name == name:
+            return entry.load()
+    raise UsageError(f"no driver is called {name!r}; {choices(name, driver_names(group))}")

@@ -1,0 +1,67 @@
+"""Compilation of the numeric kernels with numba, cached on disk.
+
+Every kernel is compiled through `compiled`: one place decides the floating-point rules. Fused multiply-adds
+and re-association stay off (numba's default), so that a kernel gives the same bits whether it runs alone, in
+the loop or inlined into another kernel.
+"""
+
+import hashlib
+import os
+import time
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Record = NDArray[np.void]  # structured array of length 1: kernels read and change its fields by name
+Function = TypeVar("Function", bound=Callable[..., object])
+
+_KEPT_DAYS = 14
+
+
+@cache
+def _cache_folder() -> str | None:
+    """Folder for compiled code, or None where none can be written.
+
+    numba notices a change in the file of a kernel, not in the files of the kernels that it calls; hence the
+    folder's name is a digest of all sources.
+    """
+    package = Path(__file__).parent
+    digest = hashlib.sha256()
+    for path in sorted([*package.glob("*.py"), *package.glob("models/*.py"), *package.glob("servo/*.py")]):
+        digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "friction_hil"
+    folder = base / digest.hexdigest()[:16]
+    try:
+        if not folder.is_dir():
+            folder.mkdir(parents=True)
+            _remove_stale(base)
+    except OSError:
+        return None
+    return str(folder) if os.access(folder, os.W_OK) else None
+
+
+def _remove_stale(base: Path) -> None:
+    import shutil
+
+    for folder in base.iterdir():
+        if folder.is_dir() and time.time() - folder.stat().st_mtime > _KEPT_DAYS * 86400:
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def compiled(function: Function) -> Function:
+    """Compile ``function`` in numba's nopython mode; division by zero gives infinity or NaN, as in C."""
+    folder = _cache_folder()
+    settings: Any = numba.config
+    before = settings.CACHE_DIR
+    if folder is not None:
+        settings.CACHE_DIR = folder
+    try:
+        return cast(Function, numba.njit(function, cache=folder is not None, error_model="numpy", nogil=True))
+    finally:
+        settings.CACHE_DIR = before

@@ -1,0 +1,279 @@
+"""The fixed-period loop: deadline, feedback, computation, command, one row out. One thread, nothing that blocks."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+
+from friction_hil.axis import AxisLoop
+from friction_hil.drive import Clock, Command, Drives, DriveState, Feedback, Request
+from friction_hil.errors import DriveError, FrictionHilError
+from friction_hil.jit import Array
+from friction_hil.recordings import columns
+from friction_hil.safety import REQUESTS, LoopState
+from friction_hil.sequence import Course, Facts
+from friction_hil.servo.trajectory import PathTime
+
+_LATE = columns.NAMES.index("late_us")
+_EXCHANGE = columns.NAMES.index("exchange_us")
+_RECEIVE_SHARE = 0.7  # of the period; what has not arrived by then is too late for this cycle
+_FIRST_FEEDBACK_S = 1.0
+_FAULT_RESET_S = 1.0
+_HISTOGRAM_US = 20000
+
+
+class Sink(Protocol):
+    """Where rows and events go; neither call may block a real-time loop."""
+
+    def push(self, row: Array) -> None:
+        """Take the rows of all axes of one cycle; ``row`` is reused."""
+        ...
+
+    def event(self, cycle: int, name: str, text: str) -> None:
+        """Take something that happened in a cycle."""
+        ...
+
+
+class StopRequest:
+    """Set from a signal handler, read by the loop."""
+
+    __slots__ = ("is_requested",)
+
+    def __init__(self) -> None:
+        self.is_requested = False
+
+
+@dataclass(frozen=True, slots=True)
+class LoopSettings:
+    """How the loop runs.
+
+    Attributes
+    ----------
+    period_s : float
+    duration_s : float
+        Time after which the motion comes to rest; infinity for none.
+    max_missed : int
+        Missed periods in a row that are a fault.
+    dry_run : bool
+        Listen, compute, record; never command.
+    is_fault_reset_wanted : bool
+        Leave a drive's fault, on the user's word, before enabling.
+    """
+
+    period_s: float
+    duration_s: float = math.inf
+    max_missed: int = 10
+    dry_run: bool = False
+    is_fault_reset_wanted: bool = False
+
+
+@dataclass(slots=True)
+class LoopResult:
+    """What a run amounts to. Lateness is that of the wake-ups, in microseconds."""
+
+    cycles: int = 0
+    missed: int = 0
+    late_p50_us: float = math.nan
+    late_p99_us: float = math.nan
+    faults: list[str] = field(default_factory=list)
+
+
+class Loop:
+    """Drives some axes through a run.
+
+    Parameters
+    ----------
+    drives : Drives
+        Connected, not yet started.
+    axes : sequence of AxisLoop
+        In the order of the drives' axes.
+    path_time : PathTime
+        The axes' shared one.
+    clock : Clock
+    sink : Sink
+    settings : LoopSettings
+    stop : StopRequest
+    """
+
+    def __init__(
+        self,
+        drives: Drives,
+        axes: Sequence[AxisLoop],
+        path_time: PathTime,
+        clock: Clock,
+        sink: Sink,
+        settings: LoopSettings,
+        stop: StopRequest,
+    ) -> None:
+        self._drives = drives
+        self._axes = list(axes)
+        self._path_time = path_time
+        self._clock = clock
+        self._sink = sink
+        self._settings = settings
+        self._stop = stop
+        self._feedback = [Feedback() for _ in axes]
+        self._commands = [Command() for _ in axes]
+        self._is_broken = [False for _ in axes]
+        width = columns_width(self._axes)
+        self._row = np.full(len(self._axes) * width, math.nan)
+        self._parts = [self._row[k * width : (k + 1) * width] for k in range(len(self._axes))]
+        self._late = np.zeros(_HISTOGRAM_US + 1, dtype=np.int64)
+        self._course = Course(LoopState.IDLE if settings.dry_run else LoopState.ENABLING)
+        self._running_since_s = math.nan
+        self.result = LoopResult()
+
+    def run(self) -> LoopResult:
+        """Run until the duration is over, a stop is requested, or a fault has been dealt with.
+
+        The drives are disabled when it returns, as far as they can still be reached. What went wrong is in the
+        result's ``faults``.
+        """
+        for axis in self._axes:
+            axis.warm_up()
+        cycle = 0
+        try:
+            self._drives.start()
+            period_ns = round(self._settings.period_s * 1e9)
+            start_ns = self._clock.now_ns() + period_ns
+            while self._course.state is not LoopState.DONE:
+                deadline_ns = start_ns + cycle * period_ns
+                self._clock.sleep_until(deadline_ns)
+                late_ns = self._clock.now_ns() - deadline_ns
+                skipped = late_ns // period_ns
+                if skipped:
+                    cycle += skipped
+                    self.result.missed += skipped
+                    if skipped >= self._settings.max_missed:
+                        self._fault(cycle, f"the loop was late by {late_ns / 1000:.0f} us ({skipped} periods)")
+                    late_ns -= skipped * period_ns
+                self._late[min(late_ns // 1000, _HISTOGRAM_US)] += 1
+                self._cycle(cycle, start_ns + cycle * period_ns, late_ns)
+                cycle += 1
+        except FrictionHilError as error:
+            self._fault(cycle, str(error))
+        finally:
+            self._finish(cycle)
+        return self.result
+
+    def _cycle(self, cycle: int, deadline_ns: int, late_ns: int) -> None:
+        """Everything that happens in one period."""
+        clock, settings = self._clock, self._settings
+        time_s = cycle * settings.period_s
+        began_ns = clock.now_ns()
+        self._drives.receive(self._feedback, deadline_ns + round(_RECEIVE_SHARE * settings.period_s * 1e9))
+        if not self._is_first_feedback_here(cycle, time_s):
+            return
+        state = self._course.state
+        running_s = time_s - self._running_since_s
+        for k, axis in enumerate(self._axes):
+            fault = self._update(k, axis, cycle, state, running_s)
+            if fault is not None and not self._is_fault_being_reset(self._feedback[k], time_s):
+                self._fault(cycle, fault)
+        for feedback, command in zip(self._feedback, self._commands, strict=True):
+            is_reset = self._is_fault_being_reset(feedback, time_s)
+            command.request = Request.RESET_FAULT if is_reset else REQUESTS[state]
+        self._drives.send(self._commands)
+        exchange_us = (clock.now_ns() - began_ns) * 1e-3
+        for part in self._parts:
+            part[_LATE] = late_ns * 1e-3
+            part[_EXCHANGE] = exchange_us
+        self._sink.push(self._row)
+        self.result.cycles += 1
+        self._advance(cycle, time_s)
+
+    def _is_first_feedback_here(self, cycle: int, time_s: float) -> bool:
+        """Whether every axis has told its position at least once; until then nothing is computed."""
+        if cycle == 0 or any(math.isnan(axis.supervisor.position) for axis in self._axes):
+            for axis, feedback in zip(self._axes, self._feedback, strict=True):
+                if math.isnan(axis.supervisor.position) and not axis.supervisor.is_usable(feedback):
+                    if time_s > _FIRST_FEEDBACK_S:
+                        raise DriveError(f"{axis.name}: no usable feedback within {_FIRST_FEEDBACK_S:g} s of the start")
+                    return False
+            if not self._settings.dry_run:
+                for axis in self._axes:
+                    axis.check_path()
+        return True
+
+    def _is_fault_being_reset(self, feedback: Feedback, time_s: float) -> bool:
+        return (
+            self._settings.is_fault_reset_wanted
+            and self._course.state is LoopState.ENABLING
+            and feedback.state is DriveState.FAULT
+            and time_s < _FAULT_RESET_S
+        )
+
+    def _update(self, k: int, axis: AxisLoop, cycle: int, state: LoopState, running_s: float) -> str | None:
+        """Compute one axis. A mistake of ours is a fault like any other: no torque, and the axis is stopped."""
+        command = self._commands[k]
+        if not self._is_broken[k]:
+            try:
+                return axis.update(cycle, state, running_s, self._feedback[k], command, self._parts[k])
+            except Exception as error:  # noqa: BLE001 - whatever it is, the machine must come to rest
+                self._is_broken[k] = True
+                command.torque = 0.0
+                return f"{axis.name}: the computation failed: {type(error).__name__}: {error}"
+        command.torque = 0.0
+        return None
+
+    def _advance(self, cycle: int, time_s: float) -> None:
+        """Take the run one step on, if it is due."""
+        if not math.isnan(self._running_since_s) and time_s - self._running_since_s >= self._settings.duration_s:
+            self._stop.is_requested = True
+        if self._settings.dry_run and time_s >= self._settings.duration_s:
+            self._stop.is_requested = True
+        states = [feedback.state for feedback in self._feedback]
+        facts = Facts(
+            is_stop_requested=self._stop.is_requested,
+            has_fault=bool(self.result.faults),
+            is_enabled=all(state is DriveState.OPERATION_ENABLED for state in states),
+            is_powered=any(state.is_powered for state in states),
+            is_setpoint_standing=self._path_time.is_standing(time_s - self._settings.period_s),
+            is_standing=all(axis.is_standing for axis in self._axes),
+            is_faded_out=all(axis.compensator.is_faded_out for axis in self._axes),
+        )
+        if not self._course.advance(time_s, facts):
+            return
+        if self._course.fault:
+            self._fault(cycle, self._course.fault)
+        # set-points are sent ahead of time: what has been sent stays true
+        later_s = time_s + self._settings.period_s + max(axis.setpoint_delay_s for axis in self._axes)
+        if self._course.state is LoopState.RUNNING:
+            self._running_since_s = time_s
+            for axis in self._axes:
+                axis.enter_path()
+            self._path_time.start(later_s)
+        elif self._course.state is LoopState.STOPPING:
+            self._path_time.stop(later_s)
+        self._sink.event(cycle, "state", self._course.state.name.lower())
+
+    def _fault(self, cycle: int, text: str) -> None:
+        """Note a fault, once."""
+        if text not in self.result.faults and len(self.result.faults) < 20:
+            self.result.faults.append(text)
+            self._sink.event(cycle, "fault", text)
+
+    def _finish(self, cycle: int) -> None:
+        """Write zero torque and disable once more whatever happened, leave the bus, sum up."""
+        try:
+            if not self._settings.dry_run:
+                for command in self._commands:
+                    command.request, command.torque, command.velocity = Request.DISABLE, 0.0, 0.0
+                self._drives.send(self._commands)
+        except FrictionHilError as error:
+            self._fault(cycle, str(error))
+        self._drives.close()
+        if self.result.cycles:
+            self.result.late_p50_us, self.result.late_p99_us = (_percentile(self._late, q) for q in (0.5, 0.99))
+
+
+def columns_width(axes: Sequence[AxisLoop]) -> int:
+    """Numbers in one axis's part of a row: columns of the recording, then the states; equal for all axes."""
+    return max(axis.row_width + axis.state_width for axis in axes)
+
+
+def _percentile(histogram: "np.ndarray[tuple[int], np.dtype[np.int64]]", share: float) -> float:
+    """Smallest value, in bins, that at least ``share`` of the samples do not exceed."""
+    return float(np.searchsorted(np.cumsum(histogram), share * histogram.sum()))

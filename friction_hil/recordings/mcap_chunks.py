@@ -1,0 +1,224 @@
+"""Walk over the bytes of an MCAP file: whole chunks at once, whatever state the file is in.
+
+The library's readers make an object of each message and raise at the first damage. Here a run of messages of
+equal size is one numpy array, and damage ends in a sentence.
+"""
+
+import io
+import json
+import os
+import struct
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, DataEnd, Metadata, Schema
+from mcap.writer import MCAP0_MAGIC
+from numpy.typing import NDArray
+
+from friction_hil.errors import RecordingError
+from friction_hil.recordings import mcap_format as layout
+
+_HEADER = struct.Struct("<BQ")  # opcode and length before each record
+_MESSAGE_HEADER = 22  # channel, sequence, two times
+_CHUNK_LIMIT = 1 << 30  # bytes; a larger claim is damage, and must not become an allocation
+_OPCODES = frozenset(Opcode) | frozenset(range(0x80, 0x100))  # the upper half is private, to be skipped
+_BAD_RECORD = (McapError, ValueError, struct.error)
+
+Run = NDArray[Any]
+
+
+class McapContent:
+    """What a file holds, as far as it could be read.
+
+    Attributes
+    ----------
+    schemas, channels : dict
+        By their number.
+    metadata : dict
+        Our records decoded from JSON, others as they are.
+    runs : dict of list of arrays
+        By channel: (n, words) float64 blocks, the CDR bodies of n messages, in the order of the file.
+    odd : dict of list of bytes
+        By channel: the messages whose body is not made of 8-byte words, in the order of the file.
+    problems : list of str
+        What is damaged, and what was lost by it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
+        self.metadata: dict[str, Any] = {}
+        self.runs: dict[int, list[Run]] = {}
+        self.odd: dict[int, list[bytes]] = {}
+        self.problems: list[str] = []
+        self._chunks = 0
+        self._first_log_time: int | None = None
+        with path.open("rb") as file:
+            self._read(file)
+
+    def _read(self, file: BinaryIO) -> None:
+        magic = file.read(len(MCAP0_MAGIC))
+        if magic != MCAP0_MAGIC:
+            what = "is empty" if not magic else "is not an MCAP file"
+            raise RecordingError(f"{self.path} {what}")
+        crc = zlib.crc32(magic)
+        for opcode, header, body in self._records(file):
+            if opcode == Opcode.DATA_END:
+                self._check_end(body, crc)
+            crc = zlib.crc32(body, zlib.crc32(header, crc))
+            try:
+                self._take(opcode, body)
+            except _BAD_RECORD as error:
+                self.problems.append(f"a {Opcode(opcode).name.lower()} record is damaged ({error}): left out")
+
+    def _records(self, file: BinaryIO) -> Iterator[tuple[int, bytes, bytes]]:
+        """Records of the file up to its footer, or up to the first place that makes no sense."""
+        size = os.fstat(file.fileno()).st_size
+        while True:
+            at = file.tell()
+            header = file.read(_HEADER.size)
+            if len(header) < _HEADER.size:
+                self.problems.append(f"the file was cut off at byte {at}, between two records")
+                return
+            opcode, length = _HEADER.unpack(header)
+            if opcode not in _OPCODES:
+                self.problems.append(f"the file is damaged at byte {at}: what stands from there is lost")
+                return
+            if length > size - file.tell():
+                self._note_cut(file, opcode, at, size)
+                return
+            body = file.read(length)
+            if opcode == Opcode.FOOTER:
+                if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
+                    self.problems.append("the file does not end as an MCAP file does; all its rows are there")
+                return
+            yield opcode, header, body
+
+    def _note_cut(self, file: BinaryIO, opcode: int, at: int, size: int) -> None:
+        lost = f"the {size - at} bytes from there are lost"
+        if opcode == Opcode.CHUNK and size - file.tell() >= 16:
+            lost = f"lost are the rows {self._span(*struct.unpack('<QQ', file.read(16)))}"
+        self.problems.append(f"the file was cut off in the record at byte {at}: {lost}, and what followed")
+
+    def _check_end(self, body: bytes, crc: int) -> None:
+        expected = DataEnd.read(_stream(body)).data_section_crc if len(body) >= 4 else 0
+        if expected not in (0, crc):
+            self.problems.append("the file is damaged: the checksum over its data does not agree")
+
+    def _take(self, opcode: int, body: bytes) -> None:
+        if opcode == Opcode.CHUNK:
+            self._chunks += 1
+            self._take_chunk(Chunk.read(_stream(body)))
+        elif opcode == Opcode.SCHEMA:
+            schema = Schema.read(_stream(body))
+            self.schemas.setdefault(schema.id, schema)
+        elif opcode == Opcode.CHANNEL:
+            channel = Channel.read(_stream(body))
+            self.channels.setdefault(channel.id, channel)
+        elif opcode == Opcode.METADATA:
+            record = Metadata.read(_stream(body))
+            is_ours = set(record.metadata) == {layout.JSON_KEY}
+            content = json.loads(record.metadata[layout.JSON_KEY]) if is_ours else record.metadata
+            self.metadata[record.name] = content
+        elif opcode == Opcode.MESSAGE:
+            raise RecordingError(f"{self.path} is not chunked, which is needed; `mcap recover` rewrites it")
+
+    def _take_chunk(self, chunk: Chunk) -> None:
+        try:
+            data = _decompress(chunk)
+            if chunk.uncompressed_crc not in (0, zlib.crc32(data)):
+                raise ValueError("its checksum does not agree")
+        except _BAD_RECORD as error:
+            span = self._span(chunk.message_start_time, chunk.message_end_time)
+            self.problems.append(f"chunk {self._chunks} is damaged ({error}): the rows {span} are lost")
+            return
+        if self._first_log_time is None:
+            self._first_log_time = chunk.message_start_time
+        self._walk(data)
+
+    def _walk(self, data: bytes) -> None:
+        """Take every record of a chunk; messages of one size after each other are taken as one array."""
+        at = 0
+        while at + _HEADER.size <= len(data):
+            opcode, length = _HEADER.unpack_from(data, at)
+            end = at + _HEADER.size + length
+            if end > len(data):
+                raise ValueError("a record reaches beyond the end of its chunk")
+            if opcode != Opcode.MESSAGE:
+                self._take(opcode, data[at + _HEADER.size : end])
+            elif (length - _MESSAGE_HEADER - 4) % 8 == 0 and length > _MESSAGE_HEADER + 4:
+                end = at + self._take_run(data, at, length)
+            elif length >= _MESSAGE_HEADER:
+                (channel,) = struct.unpack_from("<H", data, at + _HEADER.size)
+                self.odd.setdefault(channel, []).append(data[at + _HEADER.size + _MESSAGE_HEADER : end])
+            at = end
+
+    def _take_run(self, data: bytes, at: int, length: int) -> int:
+        """Take the messages of ``length`` bytes that begin at ``at``; returns the bytes they occupy."""
+        records = np.frombuffer(
+            data,
+            dtype=(kind := layout.message_records((length - _MESSAGE_HEADER - 4) // 8)),
+            offset=at,
+            count=(len(data) - at) // kind.itemsize,
+        )
+        differs = (records["opcode"] != Opcode.MESSAGE) | (records["length"] != length)
+        count = int(np.argmax(differs)) if differs.any() else len(records)
+        records = records[:count]
+        if np.any(records["encoding"] & 0xFFFF != layout.ENCODING_WORD):
+            raise RecordingError(f"{self.path}: its messages are not little-endian CDR")
+        for channel, which in _by_channel(records["channel"]):
+            self.runs.setdefault(channel, []).append(records["words"][which].copy())
+        return count * kind.itemsize
+
+    def _span(self, start_ns: int, end_ns: int) -> str:
+        about = self.metadata.get(layout.RECORDING_METADATA)
+        origin = about.get("started_unix_ns") if isinstance(about, dict) else None
+        origin = origin if isinstance(origin, int) else self._first_log_time or start_ns
+        return f"from {(start_ns - origin) * 1e-9:.3f} s to {(end_ns - origin) * 1e-9:.3f} s"
+
+
+def _by_channel(channels: NDArray[np.uint16]) -> list[tuple[int, slice | NDArray[np.bool_]]]:
+    """For each channel the messages that are its own; slices, which copy nothing, where channels take turns."""
+    again = np.flatnonzero(channels[1:] == channels[0])
+    turn = int(again[0]) + 1 if again.size else len(channels)
+    first = channels[:turn].tolist()
+    if len(set(first)) == turn and np.array_equal(channels[turn:], channels[:-turn]):
+        return [(channel, slice(i, None, turn)) for i, channel in enumerate(first)]
+    return [(int(channel), channels == channel) for channel in np.unique(channels)]
+
+
+def _stream(body: bytes) -> ReadDataStream:
+    return ReadDataStream(io.BytesIO(body))
+
+
+def _decompress(chunk: Chunk) -> bytes:
+    size = chunk.uncompressed_size
+    if size > _CHUNK_LIMIT:
+        raise ValueError(f"it claims {size} bytes")
+    if chunk.compression == "zstd":
+        try:
+            claimed = zstandard.get_frame_parameters(chunk.data).content_size
+            if claimed not in (size, zstandard.CONTENTSIZE_UNKNOWN):
+                raise ValueError(f"it claims {claimed} bytes, its record {size}")
+            return zstandard.ZstdDecompressor().decompress(chunk.data, max_output_size=size)
+        except zstandard.ZstdError as error:
+            raise ValueError(str(error)) from None
+    if chunk.compression == "lz4":
+        import lz4.frame  # type: ignore[import-untyped]
+
+        try:
+            data: bytes = lz4.frame.decompress(chunk.data)
+            return data
+        except RuntimeError as error:
+            raise ValueError(str(error)) from None
+    if chunk.compression:
+        raise ValueError(f"its compression {chunk.compression!r} is not known here")
+    return bytes(chunk.data)

@@ -1,0 +1,133 @@
+"""Read recordings from MCAP: our own, and any flat float64 ROS 2 messages."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from mcap.records import Channel
+from mcap.well_known import MessageEncoding, SchemaEncoding
+
+from friction_hil.errors import RecordingError
+from friction_hil.recordings import mcap_format as layout
+from friction_hil.recordings.columns import CYCLE
+from friction_hil.recordings.mcap_chunks import McapContent
+from friction_hil.recordings.recording import Array, Event, Recording
+
+
+def read_mcap(path: Path, select: Callable[[list[str]], list[str]]) -> list[Recording]:
+    """Read axes of an MCAP file.
+
+    A file that was cut off is read up to its last whole chunk, damaged chunks are left out; ``problems`` says
+    what was lost.
+
+    Parameters
+    ----------
+    path : path
+        The file.
+    select : function
+        From the names of all axes in the file, those to read.
+
+    Raises
+    ------
+    RecordingError
+        It is no MCAP file, or no channel holds rows that can be read.
+    OSError
+        It cannot be opened.
+    """
+    content = McapContent(path)
+    axes = _axes(content)
+    if not axes:
+        raise RecordingError(f"{path}: no channel holds flat float64 ROS 2 messages; {_what_is_there(content)}")
+    events = _events(content)
+    recordings = []
+    for axis in select(list(axes)):
+        channel, fields = axes[axis]
+        problems = list(content.problems)
+        recording = Recording(str(path), axis, {}, dict(content.metadata), problems, events=events)
+        recording.columns = _columns(content, channel, fields, recording.problems)
+        recording.restarts = _restarts(content, channel, recording)
+        recordings.append(recording)
+    return recordings
+
+
+def _axes(content: McapContent) -> dict[str, tuple[Channel, list[str]]]:
+    """Channel and fields of each axis, by name."""
+    axes = {}
+    for channel in content.channels.values():
+        schema = content.schemas.get(channel.schema_id)
+        if schema is None or schema.encoding != SchemaEncoding.ROS2 or channel.message_encoding != MessageEncoding.CDR:
+            continue
+        fields = layout.row_fields(schema.data.decode("utf-8", "replace"))
+        if fields and len(set(fields)) == len(fields):
+            axes[channel.topic.strip("/")] = channel, fields
+    return axes
+
+
+def _columns(content: McapContent, channel: Channel, fields: list[str], problems: list[str]) -> dict[str, Array]:
+    runs = content.runs.get(channel.id, [])
+    blocks = [run for run in runs if run.shape[1] == len(fields)]
+    others = sum(map(len, runs)) - sum(map(len, blocks)) + len(content.odd.get(channel.id, []))
+    if others:
+        problems.append(f"{others} rows of {channel.topic} have another size than its schema says: left out")
+    values = np.empty((len(fields), sum(map(len, blocks))))
+    row = 0
+    for block in blocks:
+        values[:, row : row + len(block)] = block.T
+        row += len(block)
+    return dict(zip(fields, values, strict=True))
+
+
+def _restarts(content: McapContent, channel: Channel, recording: Recording) -> list[tuple[int, Array]]:
+    topic = channel.topic + layout.STATE_SUFFIX
+    numbers = _numbers(content, topic, layout.STATE_SCHEMA)
+    messages = [message for number in numbers for run in content.runs.get(number, []) for message in run]
+    if not messages or CYCLE not in recording.columns:
+        return []
+    cycles = recording.columns[CYCLE]
+    if not np.all(np.diff(cycles) > 0.0):
+        recording.problems.append("the cycles are not in order: the restart points cannot be placed")
+        return []
+    restarts = []
+    for cycle, _, *state in messages:
+        row = int(np.searchsorted(cycles, cycle))
+        if row < len(cycles) and cycles[row] == cycle:
+            restarts.append((row, np.array(state)))
+    return sorted(restarts, key=lambda restart: restart[0])
+
+
+def _events(content: McapContent) -> list[Event]:
+    messages = []
+    for number in _numbers(content, layout.EVENT_TOPIC, layout.EVENT_SCHEMA):
+        messages += content.odd.get(number, [])
+        # An event whose bytes happen to be whole words lies among the runs.
+        whole = [message for run in content.runs.get(number, []) for message in run]
+        messages += [layout.CDR_LITTLE_ENDIAN + message.tobytes() for message in whole]
+    events = []
+    for message in messages:
+        try:
+            events.append(Event(*layout.read_event(message)))
+        except ValueError as error:
+            content.problems.append(f"an event is damaged ({error}): left out")
+    return sorted(events, key=lambda event: event.cycle)
+
+
+def _numbers(content: McapContent, topic: str, schema: str) -> list[int]:
+    """Numbers of the channels of a topic whose messages are of our ``schema``."""
+    return [
+        channel.id
+        for channel in content.channels.values()
+        if channel.topic == topic
+        and channel.schema_id in content.schemas
+        and content.schemas[channel.schema_id].name == schema
+    ]
+
+
+def _what_is_there(content: McapContent) -> str:
+    if not content.channels:
+        return "; ".join(["there is no channel in it", *content.problems])
+    kinds = []
+    for channel in content.channels.values():
+        schema = content.schemas.get(channel.schema_id)
+        name = schema.name if schema else "no schema"
+        kinds.append(f"{channel.topic} ({name}, {channel.message_encoding})")
+    return f"there are: {', '.join(kinds)}"

@@ -1,0 +1,217 @@
+"""Write recordings as MCAP, chunk by chunk."""
+
+import io
+import json
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap.well_known import MessageEncoding, Profile, SchemaEncoding
+from mcap.writer import CompressionType, Writer
+
+from friction_hil.errors import RecordingError
+from friction_hil.recordings import mcap_format as layout
+from friction_hil.recordings.columns import CYCLE, TIME
+from friction_hil.recordings.recording import Array, Recording
+
+CHUNK_S = 1.0
+_CHUNK_BYTES = 8 << 20
+_ROWS_AT_ONCE = 10_000
+
+
+class McapWriter:
+    """Writes the cycles of one or several axes; what has been flushed survives a crash of this process.
+
+    Metadata is on disk before the first row. At the start of each chunk and after each gap in ``cycle`` the
+    state of every axis is written, so that a replay can start there.
+
+    Parameters
+    ----------
+    path : path
+        The file. An existing one is not touched unless ``overwrite``.
+    axes : sequence of str
+        Names of the axes.
+    columns : sequence of str
+        Columns of every axis; ``time_s`` is one of them.
+    state_width : int
+        Number of values of state behind the columns of an axis in a row.
+    started_unix_ns : int
+        Wall-clock time at ``time_s`` = 0, ns since 1970.
+    metadata : dict
+        What JSON can hold, by name; each becomes a metadata record.
+    overwrite : bool
+        Whether an existing file is replaced.
+
+    Attributes
+    ----------
+    rows_kept : int
+        Rows that have left this process; the others are in the open chunk.
+
+    Raises
+    ------
+    RecordingError
+        A column's name is not one that a ROS 2 message can have.
+    OSError
+        The file exists, or cannot be opened or written.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        axes: Sequence[str],
+        columns: Sequence[str],
+        *,
+        state_width: int = 0,
+        started_unix_ns: int = 0,
+        metadata: Mapping[str, Any] | None = None,
+        overwrite: bool = False,
+    ) -> None:
+        _check_names(path, columns)
+        self.rows_kept = 0
+        self._width = len(columns)
+        self._axis_width = len(columns) + state_width
+        self._time = columns.index(TIME)
+        self._cycle = columns.index(CYCLE) if CYCLE in columns else None
+        self._started_unix_ns = started_unix_ns
+        self._rows = 0
+        self._previous_cycle = math.nan
+        self._chunk_start = math.nan  # time of the open chunk's first row; NaN while none is open
+        self._chunk_rows = 0
+        self._chunk_rows_limit = max(1, _CHUNK_BYTES // (len(axes) * (self._width * 8 + 35)))
+        self._last_log_time = started_unix_ns
+        self._file: io.BufferedWriter = path.open("wb" if overwrite else "xb")
+        try:
+            # Chunks end where this class says: the library's own limit is out of reach.
+            self._mcap = Writer(self._file, chunk_size=1 << 62, compression=CompressionType.ZSTD, enable_data_crcs=True)
+            self._mcap.start(profile=Profile.ROS2, library="friction_hil")
+            about = {
+                "version": layout.VERSION,
+                "axes": list(axes),
+                "columns": list(columns),
+                "state_width": state_width,
+                "started_unix_ns": started_unix_ns,
+            }
+            for name, content in {layout.RECORDING_METADATA: about, **(metadata or {})}.items():
+                self._mcap.add_metadata(name, {layout.JSON_KEY: json.dumps(content)})
+            self._register(axes, columns, state_width)
+            self._mcap.flush()  # type: ignore[no-untyped-call]
+        except BaseException:
+            self._file.close()
+            raise
+
+    def _register(self, axes: Sequence[str], columns: Sequence[str], state_width: int) -> None:
+        def schema(name: str, text: str) -> int:
+            number: int = self._mcap.register_schema(name, SchemaEncoding.ROS2, text.encode())
+            return number
+
+        def channels(suffix: str, schema_id: int) -> list[int]:
+            return [self._mcap.register_channel(f"/{axis}{suffix}", MessageEncoding.CDR, schema_id) for axis in axes]
+
+        self._row_channels = channels("", schema(layout.ROW_SCHEMA, layout.row_schema(columns)))
+        self._event_channel = self._mcap.register_channel(
+            layout.EVENT_TOPIC, MessageEncoding.CDR, schema(layout.EVENT_SCHEMA, layout.EVENT_TEXT)
+        )
+        self._state_channels = []
+        if state_width:
+            self._state_channels = channels(layout.STATE_SUFFIX, schema(layout.STATE_SCHEMA, layout.STATE_TEXT))
+
+    def write(self, rows: Array) -> None:
+        """Append rows, shape (n, axes * (columns + state)): for each axis its columns, then its state.
+
+        Raises
+        ------
+        OSError
+            The file cannot be written.
+        """
+        data = np.ascontiguousarray(rows, dtype="<f8").tobytes()
+        row_bytes = rows.shape[1] * 8
+        times = rows[:, self._time].tolist()
+        cycles = times if self._cycle is None else rows[:, self._cycle].tolist()
+        for i, (time, cycle) in enumerate(zip(times, cycles, strict=True)):
+            if self._chunk_rows and (
+                not 0.0 <= time - self._chunk_start < CHUNK_S or self._chunk_rows >= self._chunk_rows_limit
+            ):
+                self.flush()
+            row = data[i * row_bytes : (i + 1) * row_bytes]
+            is_gap = self._cycle is not None and cycle != self._previous_cycle + 1.0
+            if self._chunk_rows == 0:
+                self._chunk_start = time
+            self._write_row(row, time, cycle, with_state=self._chunk_rows == 0 or is_gap)
+            self._previous_cycle = cycle
+
+    def _write_row(self, row: bytes, time: float, cycle: float, *, with_state: bool) -> None:
+        log_time = self._started_unix_ns + round(time * 1e9)
+        axis_bytes, row_bytes = self._axis_width * 8, self._width * 8
+        if with_state:
+            for axis, channel in enumerate(self._state_channels):
+                state = row[axis * axis_bytes + row_bytes : (axis + 1) * axis_bytes]
+                self._mcap.add_message(channel, log_time, layout.state_message(cycle, state), log_time)
+        for axis, channel in enumerate(self._row_channels):
+            body = layout.CDR_LITTLE_ENDIAN + row[axis * axis_bytes : axis * axis_bytes + row_bytes]
+            self._mcap.add_message(channel, log_time, body, log_time, self._rows & 0xFFFFFFFF)
+        self._rows += 1
+        self._chunk_rows += 1
+        self._last_log_time = log_time
+
+    def write_event(self, cycle: float, name: str, text: str) -> None:
+        """Append an event; it goes into the chunk of the rows written before it.
+
+        Raises
+        ------
+        OSError
+            The file cannot be written.
+        """
+        message = layout.event_message(cycle, name, text)
+        self._mcap.add_message(self._event_channel, self._last_log_time, message, self._last_log_time)
+
+    def flush(self) -> None:
+        """End the open chunk and hand it to the operating system."""
+        self._mcap.flush()  # type: ignore[no-untyped-call]
+        self._chunk_rows = 0
+        self.rows_kept = self._rows
+
+    def close(self) -> None:
+        """Write the summary, and close the file; safe to call twice."""
+        if self._file.closed:
+            return
+        try:
+            self._mcap.finish()  # type: ignore[no-untyped-call]
+            self.rows_kept = self._rows
+        finally:
+            self._file.close()
+
+
+def write_mcap(path: Path, recording: Recording, *, overwrite: bool) -> None:
+    """Write the columns of one axis; ``time_s`` = 0 is 1970, or later where time stamps are negative.
+
+    Raises
+    ------
+    RecordingError
+        A column's name is not one that a ROS 2 message can have.
+    OSError
+        The file exists, unless ``overwrite``, or cannot be written.
+    """
+    columns = list(recording.columns)
+    time = recording[TIME]
+    started = max(0, -math.floor(float(time.min()) * 1e9))
+    if started + float(time.max()) * 1e9 >= 1 << 63:
+        raise RecordingError(f"{path}: {TIME} spans {time.min():g} to {time.max():g}: is it in seconds?")
+    axis = recording.axis
+    writer = McapWriter(path, [axis], columns, started_unix_ns=started, overwrite=overwrite)
+    try:
+        for start in range(0, len(recording), _ROWS_AT_ONCE):
+            rows = slice(start, start + _ROWS_AT_ONCE)
+            writer.write(np.stack([values[rows] for values in recording.columns.values()], axis=1))
+    finally:
+        writer.close()
+
+
+def _check_names(path: Path, columns: Sequence[str]) -> None:
+    wrong = [name for name in columns if not layout.is_field_name(name)]
+    if wrong:
+        raise RecordingError(
+            f"{path}: MCAP holds columns named with lower-case letters, digits and underscores, not "
+            f"{', '.join(map(repr, wrong))}; rename with --column new_name='{wrong[0]}'"
+        )

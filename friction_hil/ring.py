@@ -1,0 +1,216 @@
+"""A ring in shared memory that carries rows and events from the loop to the companion process.
+
+One process writes, one reads. The writer never waits and never fails: a reader that is too slow loses rows,
+and counts them. The memory has no name, so nothing is left behind by a process that dies; its file descriptor
+is handed to the child.
+
+Every slot carries the number of its row in front and behind. The writer sets the one in front, copies the
+row, sets the one behind and then the count; the reader takes a row when both numbers, and the one in front
+once more after the copy, are what they should be. (This relies on stores becoming visible in their order, as
+they do on x86-64; elsewhere a row being overwritten at that very moment could pass unseen.)
+"""
+
+import mmap
+import os
+import struct
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array: TypeAlias = NDArray[np.float64]
+
+# Words of the header, each 8 bytes.
+_MAGIC, _WIDTH, _CAPACITY, _CLOSED, _ROWS, _ROWS_DONE, _LOST, _EVENTS, _EVENTS_DONE, _EVENTS_LOST = range(10)
+_HEADER_BYTES = 4096
+_MAGIC_NUMBER = 0x31474E4952484946  # changes with the layout
+
+EVENT_SLOTS = 256
+_EVENT_BYTES = 256
+_EVENT_HEAD = struct.Struct("<qdHH")  # number of the event, cycle, lengths of its two texts
+_EVENT_TEXT_BYTES = _EVENT_BYTES - _EVENT_HEAD.size
+_NAME_BYTES = 40
+
+
+class _Ring:
+    """The memory and its views."""
+
+    def __init__(self, descriptor: int) -> None:
+        self.descriptor = descriptor
+        # Populated at once: a page fault in the loop would cost it its period.
+        flags = mmap.MAP_SHARED | mmap.MAP_POPULATE
+        self._memory = mmap.mmap(descriptor, os.fstat(descriptor).st_size, flags=flags)
+        self._header = memoryview(self._memory)[:_HEADER_BYTES].cast("q")
+        if self._header[_MAGIC] != _MAGIC_NUMBER:
+            raise ValueError("the shared memory is not a ring of this version")
+        self.width = self._header[_WIDTH]
+        self.capacity = self._header[_CAPACITY]
+        rows = np.frombuffer(self._memory, np.float64, offset=_HEADER_BYTES + EVENT_SLOTS * _EVENT_BYTES)
+        self._rows = rows.reshape(self.capacity, self.width + 2)
+        self._numbers = self._rows.view(np.int64)
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether the writer has said that nothing more comes."""
+        return bool(self._header[_CLOSED])
+
+    def close_writing(self) -> None:
+        """Say that nothing more comes; for the writer, or for whoever saw it die."""
+        self._header[_CLOSED] = 1
+
+
+class RingWriter(_Ring):
+    """The loop's end; makes the memory.
+
+    Parameters
+    ----------
+    width : int
+        Number of values in a row.
+    capacity : int
+        Number of rows that the ring holds.
+    """
+
+    def __init__(self, width: int, capacity: int) -> None:
+        if width < 1 or capacity < 1:
+            raise ValueError(f"a ring has at least one row of one value, not {capacity} of {width}")
+        descriptor = os.memfd_create("friction_hil-ring")
+        os.ftruncate(descriptor, _HEADER_BYTES + EVENT_SLOTS * _EVENT_BYTES + capacity * (width + 2) * 8)
+        os.pwrite(descriptor, struct.pack("<3q", _MAGIC_NUMBER, width, capacity), 0)
+        super().__init__(descriptor)
+        # Views made once: slicing in the loop would cost more than the copy.
+        self._slots = [row[1:-1] for row in self._rows]
+        self._flat_numbers = memoryview(self._memory)[_HEADER_BYTES + EVENT_SLOTS * _EVENT_BYTES :].cast("q")
+        self._stride = width + 2
+        self._count = 0
+        self._event_count = 0
+
+    def push(self, row: Array) -> None:
+        """Append a row, shape (width,); never waits."""
+        count = self._count
+        slot = count % self.capacity
+        first = slot * self._stride
+        count += 1
+        self._flat_numbers[first] = count
+        self._slots[slot][:] = row
+        self._flat_numbers[first + self._stride - 1] = count
+        self._header[_ROWS] = self._count = count
+
+    def push_event(self, cycle: float, name: str, text: str) -> None:
+        """Append an event; what does not fit 40 and 188 bytes of UTF-8 is cut off."""
+        name_bytes = _cut(name, _NAME_BYTES)
+        text_bytes = _cut(text, _EVENT_TEXT_BYTES - 8 - len(name_bytes))
+        at = _HEADER_BYTES + self._event_count % EVENT_SLOTS * _EVENT_BYTES
+        self._event_count += 1
+        end = at + _EVENT_BYTES
+        head = _EVENT_HEAD.pack(self._event_count, cycle, len(name_bytes), len(text_bytes))
+        body = (name_bytes + text_bytes).ljust(_EVENT_TEXT_BYTES - 8, b"\0")
+        self._memory[at : at + 8] = head[:8]
+        self._memory[at + 8 : end] = head[8:] + body + head[:8]
+        self._header[_EVENTS] = self._event_count
+
+    @property
+    def rows_pushed(self) -> int:
+        """Rows written so far."""
+        return self._count
+
+    def free_slots(self) -> int:
+        """Rows that can be pushed before the oldest one that the reader still needs is overwritten."""
+        return max(0, self.capacity - (self._count - self._header[_ROWS_DONE]))
+
+
+class _Cursor:
+    """How far the reader has come with rows or with events: taken, released, lost.
+
+    What was released and lost stands in the shared header, so that a reader that takes over from one that
+    died neither skips nor repeats nor counts anything twice.
+    """
+
+    def __init__(self, header: memoryview, written: int, done: int, lost: int) -> None:
+        self._header, self._written, self._done, self._lost = header, written, done, lost
+        self.next: int = header[done]
+        self._held = np.empty(0, np.int64)  # numbers of what was taken and not released
+
+    def available(self, slots: int) -> tuple[int, int]:
+        """First and last plus one of what can be taken."""
+        count: int = self._header[self._written]
+        return max(self.next, count - slots), count
+
+    def take(self, numbers: NDArray[np.int64], end: int) -> None:
+        self._held = np.concatenate([self._held, numbers])
+        self.next = end
+
+    def release(self, count: int) -> None:
+        done = int(self._held[count - 1]) if count else self._header[self._done]
+        self._held = self._held[count:]
+        if not self._held.size:
+            done = self.next
+        self._header[self._lost] += done - self._header[self._done] - count
+        self._header[self._done] = done
+
+    @property
+    def lost(self) -> int:
+        return int(self._header[self._lost] + self.next - self._header[self._done] - self._held.size)
+
+
+class RingReader(_Ring):
+    """The companion's end. A reader that takes over from one that died begins at what that one released."""
+
+    def __init__(self, descriptor: int) -> None:
+        super().__init__(descriptor)
+        self._row_cursor = _Cursor(self._header, _ROWS, _ROWS_DONE, _LOST)
+        self._event_cursor = _Cursor(self._header, _EVENTS, _EVENTS_DONE, _EVENTS_LOST)
+
+    def drain(self) -> Array:
+        """Take all rows that are there; a copy, shape (n, width). Those overwritten meanwhile are lost."""
+        start, end = self._row_cursor.available(self.capacity)
+        slots = np.arange(start, end) % self.capacity
+        rows = self._numbers[slots]
+        wanted = np.arange(start + 1, end + 1)
+        whole = (rows[:, -1] == wanted) & (self._numbers[slots, 0] == wanted)
+        self._row_cursor.take(wanted[whole], end)
+        return rows[whole, 1:-1].view(np.float64)
+
+    def drain_events(self) -> list[tuple[float, str, str]]:
+        """Take all events that are there: cycle, name, text."""
+        start, end = self._event_cursor.available(EVENT_SLOTS)
+        events, numbers = [], []
+        for number in range(start, end):
+            at = _HEADER_BYTES + number % EVENT_SLOTS * _EVENT_BYTES
+            record = self._memory[at : at + _EVENT_BYTES]
+            first, cycle, name_size, text_size = _EVENT_HEAD.unpack_from(record)
+            (last,) = struct.unpack_from("<q", record, _EVENT_BYTES - 8)
+            if first == last == number + 1 and self._memory[at : at + 8] == record[:8]:
+                text_at = _EVENT_HEAD.size + name_size
+                name = record[_EVENT_HEAD.size : text_at].decode()
+                events.append((cycle, name, record[text_at : text_at + text_size].decode()))
+                numbers.append(first)
+        self._event_cursor.take(np.array(numbers, np.int64), end)
+        return events
+
+    def release(self, rows: int, events: int) -> None:
+        """Say that so many of the rows and events drained, oldest first, are safe.
+
+        The writer may reuse their slots, and a reader that takes over does not see them again.
+        """
+        self._row_cursor.release(rows)
+        self._event_cursor.release(events)
+
+    @property
+    def is_drained(self) -> bool:
+        """Whether there is nothing left to take."""
+        return self._row_cursor.next == self._header[_ROWS] and self._event_cursor.next == self._header[_EVENTS]
+
+    @property
+    def lost(self) -> int:
+        """Rows that were overwritten before a reader took them."""
+        return self._row_cursor.lost
+
+    @property
+    def events_lost(self) -> int:
+        """Events that were overwritten before a reader took them."""
+        return self._event_cursor.lost
+
+
+def _cut(text: str, size: int) -> bytes:
+    """UTF-8 bytes of ``text``, at most ``size`` of them, without half a character."""
+    return text.encode("utf-8", "replace")[:size].decode("utf-8", "ignore").encode()

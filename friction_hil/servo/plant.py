@@ -1,0 +1,169 @@
+"""The simulated servo's inner loop: drive control, torque lag, mechanics with true friction, encoder."""
+
+import math
+
+import numpy as np
+
+from friction_hil.jit import Record, compiled
+from friction_hil.models import kernel
+from friction_hil.servo.control import cascade
+
+OFF, QUICK_STOP, CSP, CSV, CST = 0, 2, 8, 9, 10
+
+PLANT = np.dtype(
+    [
+        ("inertia", "f8"),
+        ("load_torque", "f8"),
+        ("friction_kind", "f8"),
+        ("is_friction_static", "f8"),
+        ("has_brake", "f8"),
+        ("step_s", "f8"),
+        ("torque_lag_share", "f8"),  # share of the torque step that arrives within one integration step
+        ("counts_per_unit", "f8"),
+        ("steps_per_control", "f8"),
+        ("velocity_filter_share", "f8"),  # one-pole coefficient of the drive's velocity at its loop rate
+        ("friction", "f8", (kernel.PARAMETER_ROOM,)),
+    ]
+)
+
+STATE = np.dtype(
+    [
+        ("position", "f8"),
+        ("velocity", "f8"),
+        ("torque", "f8"),  # acting on the mechanics, after the torque lag
+        ("friction", "f8", (kernel.STATE_ROOM,)),
+        ("mode", "f8"),
+        ("period_steps", "f8"),
+        ("phase", "f8"),  # integration steps since the last activation
+        ("control_phase", "f8"),
+        ("target0", "f8"),  # the last three targets, oldest first: control points of the interpolation
+        ("target1", "f8"),
+        ("target2", "f8"),
+        ("velocity_offset", "f8"),
+        ("torque_offset", "f8"),
+        ("deceleration", "f8"),
+        ("torque_limit", "f8"),
+        ("position_demand", "f8"),
+        ("velocity_demand", "f8"),
+        ("torque_demand", "f8"),
+        ("counts", "f8"),
+        ("velocity_seen", "f8"),
+        ("integral", "f8"),
+        ("is_limited", "f8"),
+    ]
+)
+
+
+@compiled
+def interpolate_position(s: Record, u: float, period: float) -> tuple[float, float, float]:
+    """Quadratic B-spline through the last three targets: smooth velocity, 1.5 periods behind the newest.
+
+    ``u`` counts periods since the activation. One missed target is bridged at constant velocity; after that
+    the demand stands still.
+    """
+    r = s[0]
+    bend = r.target0 - 2.0 * r.target1 + r.target2
+    if u <= 1.0:
+        position = 0.5 * (r.target0 + r.target1) + u * (r.target1 - r.target0) + 0.5 * u * u * bend
+        return position, (r.target1 - r.target0 + u * bend) / period, bend / (period * period)
+    velocity = (r.target2 - r.target1) / period
+    position = 0.5 * (r.target1 + r.target2) + (min(u, 2.0) - 1.0) * (r.target2 - r.target1)
+    return position, velocity if u <= 2.0 else 0.0, 0.0
+
+
+@compiled
+def interpolate_velocity(s: Record, u: float, period: float) -> tuple[float, float]:
+    """Straight line from the last target to the newest over one period, then constant."""
+    r = s[0]
+    if u <= 1.0:
+        return r.target1 + u * (r.target2 - r.target1), (r.target2 - r.target1) / period
+    return r.target2, 0.0
+
+
+@compiled
+def control(plant: Record, controller: Record, s: Record) -> None:
+    """One sample of the drive's own loops: demands, cascade, torque limit."""
+    c, r = plant[0], s[0]
+    dt = c.steps_per_control * c.step_s
+    counts = math.floor(r.position * c.counts_per_unit)
+    measured = (counts - r.counts) / (c.counts_per_unit * dt)
+    r.counts = counts
+    r.velocity_seen += c.velocity_filter_share * (measured - r.velocity_seen)
+    position = counts / c.counts_per_unit
+
+    period = r.period_steps * c.step_s
+    u = r.phase / r.period_steps
+    torque = 0.0
+    if r.mode == CSP:
+        demand, velocity_demand, acceleration = interpolate_position(s, u, period)
+        r.position_demand, r.velocity_demand = demand, velocity_demand + r.velocity_offset
+        torque, r.integral = cascade(
+            controller,
+            r.integral,
+            demand - position,
+            r.velocity_demand,
+            acceleration,
+            r.velocity_seen,
+            dt,
+            r.torque_limit,
+        )
+        torque += r.torque_offset
+    elif r.mode == CSV:
+        velocity_demand, acceleration = interpolate_velocity(s, u, period)
+        r.velocity_demand = velocity_demand + r.velocity_offset
+        r.position_demand += dt * r.velocity_demand
+        torque, r.integral = cascade(
+            controller, r.integral, 0.0, r.velocity_demand, acceleration, r.velocity_seen, dt, r.torque_limit
+        )
+        torque += r.torque_offset
+    elif r.mode == QUICK_STOP:
+        change = r.deceleration * dt
+        r.velocity_demand -= min(max(r.velocity_demand, -change), change)
+        r.position_demand += dt * r.velocity_demand
+        torque, r.integral = cascade(
+            controller,
+            r.integral,
+            r.position_demand - position,
+            r.velocity_demand,
+            0.0,
+            r.velocity_seen,
+            dt,
+            r.torque_limit,
+        )
+    else:
+        if r.mode == CST:
+            torque = r.target2 + r.torque_offset
+        r.integral = 0.0
+        r.position_demand, r.velocity_demand = position, r.velocity_seen
+    limited = min(max(torque, -r.torque_limit), r.torque_limit)
+    r.is_limited = 1.0 if limited != torque else 0.0
+    r.torque_demand = limited
+
+
+@compiled
+def advance(plant: Record, controller: Record, s: Record, steps: int) -> None:
+    """Integrate ``steps`` integration steps.
+
+    Semi-implicit Euler. A static friction map stops the axis where its velocity would change sign, and holds
+    it there up to the break-away level; a dynamic model has its own presliding.
+    """
+    c, r = plant[0], s[0]
+    kind = int(c.friction_kind)
+    gain = c.step_s / c.inertia
+    for _ in range(steps):
+        if r.control_phase <= 0.0:
+            control(plant, controller, s)
+            r.control_phase = c.steps_per_control
+        r.control_phase -= 1.0
+        r.phase += 1.0
+        r.torque += c.torque_lag_share * (r.torque_demand - r.torque)
+        if r.mode == OFF and c.has_brake > 0.0:
+            r.velocity = 0.0
+            continue
+        drive = r.torque - c.load_torque
+        friction = kernel.step(kind, c.friction, r.friction, r.velocity, r.velocity, c.step_s, drive, 0.0)
+        velocity = r.velocity + gain * (drive - friction)
+        if c.is_friction_static > 0.0 and velocity * r.velocity < 0.0:
+            velocity = 0.0
+        r.velocity = velocity
+        r.position += c.step_s * velocity

@@ -1,0 +1,180 @@
+"""A simulated servo behind plain attributes and methods, all SI. Deterministic: same calls, same bits."""
+
+import math
+
+import numpy as np
+
+from friction_hil.errors import UsageError
+from friction_hil.models import create
+from friction_hil.servo import plant
+from friction_hil.servo.config import ServoConfig
+from friction_hil.servo.control import CONTROLLER
+
+
+class Servo:
+    """Motor, load, encoder and drive loops of one simulated axis.
+
+    Parameters
+    ----------
+    config : ServoConfig
+        What the servo is.
+    position : float
+        Where it stands at rest when it starts, rad or m.
+    """
+
+    def __init__(self, config: ServoConfig, position: float = 0.0) -> None:
+        self.config = config
+        friction = create(config.friction.model, **config.friction.parameters)
+        step_s = 1.0 / config.integration_hz
+        steps_per_control = round(config.integration_hz / config.loops.rate_hz)
+        lag = config.motor.torque_lag_s
+        revolution = 2.0 * math.pi if config.mechanics.axis == "rotary" else 1.0
+
+        self.steps_per_second = round(config.integration_hz)
+        self.counts_per_unit = config.encoder.counts / revolution
+        self._plant = np.zeros(1, plant.PLANT)
+        c = self._plant[0]
+        c["inertia"] = config.mechanics.inertia
+        c["load_torque"] = config.mechanics.load_torque
+        c["has_brake"] = config.mechanics.has_brake
+        c["friction_kind"] = friction.kind
+        c["is_friction_static"] = friction.family.is_static
+        c["friction"] = friction.values
+        c["step_s"] = step_s
+        c["torque_lag_share"] = 1.0 if lag == 0.0 else -math.expm1(-step_s / lag)
+        c["counts_per_unit"] = self.counts_per_unit
+        c["steps_per_control"] = steps_per_control
+        c["velocity_filter_share"] = -math.expm1(
+            -2.0 * math.pi * config.loops.velocity_filter_hz / config.loops.rate_hz
+        )
+
+        self._controller = np.zeros(1, CONTROLLER)
+        k = self._controller[0]
+        k["position_gain"] = config.loops.position_gain
+        k["velocity_gain"] = config.loops.velocity_gain
+        k["integral_hz"] = config.loops.integral_hz
+        k["velocity_feedforward"] = config.loops.velocity_feedforward
+        k["inertia"] = config.loops.inertia_feedforward * config.mechanics.inertia
+
+        self._state = np.zeros(1, plant.STATE)
+        s = self._s = self._state[0]
+        s["position"] = s["position_demand"] = position
+        s["counts"] = math.floor(position * self.counts_per_unit)
+        s["torque_limit"] = config.motor.peak_torque
+        self.set_period(1e-3)
+
+    def set_period(self, period_s: float) -> None:
+        """Set the interpolation period (60C2h), the time between two `command` calls, s."""
+        steps = round(period_s * self.steps_per_second)
+        if steps < 1 or abs(steps / self.steps_per_second - period_s) > 1e-9:
+            raise UsageError(
+                f"an interpolation period of {period_s:g} s is not a whole number of integration steps of "
+                f"{1.0 / self.steps_per_second:g} s"
+            )
+        self._s["period_steps"] = steps
+
+    def command(self, mode: int, target: float, velocity_offset: float = 0.0, torque_offset: float = 0.0) -> None:
+        """Give the set-point of the next period.
+
+        Parameters
+        ----------
+        mode : int
+            8 (CSP): position; 9 (CSV): velocity; 10 (CST): torque; 0: power off, no torque, loops reset.
+        target : float
+            Position, velocity or torque, SI; without meaning for mode 0.
+        velocity_offset, torque_offset : float
+            Added to the demands (60B1h, 60B2h).
+        """
+        s = self._s
+        if mode != s["mode"]:
+            self._change_mode(mode)
+        s["phase"] = 0.0
+        s["velocity_offset"], s["torque_offset"] = velocity_offset, torque_offset
+        s["target0"], s["target1"], s["target2"] = s["target1"], s["target2"], target
+
+    def quick_stop(self, deceleration: float) -> None:
+        """Bring the demanded velocity to zero at ``deceleration`` (> 0, rad/s^2), then hold the position."""
+        s = self._s
+        if s["mode"] in (plant.OFF, plant.CST):
+            s["velocity_demand"] = s["velocity_seen"]
+            s["position_demand"] = self.position
+        s["mode"], s["deceleration"] = plant.QUICK_STOP, deceleration
+
+    def _change_mode(self, mode: int) -> None:
+        """Start a mode from what the axis does now, so that nothing jumps."""
+        s = self._s
+        start = {plant.CSP: self.position, plant.CSV: float(s["velocity_seen"])}.get(mode, 0.0)
+        s["target0"] = s["target1"] = s["target2"] = start
+        s["mode"] = mode
+        s["integral"] = 0.0
+        s["position_demand"] = self.position
+        if mode == plant.OFF:
+            s["torque_demand"] = 0.0
+
+    def advance(self, steps: int) -> None:
+        """Let ``steps`` integration steps pass."""
+        plant.advance(self._plant, self._controller, self._state, steps)
+
+    @property
+    def position(self) -> float:
+        """Position as the encoder sees it, in whole counts."""
+        return math.floor(self._s["position"] * self.counts_per_unit) / self.counts_per_unit
+
+    @property
+    def true_position(self) -> float:
+        """Position without quantisation."""
+        return float(self._s["position"])
+
+    @property
+    def velocity(self) -> float:
+        """Velocity as the drive estimates it for its own loop."""
+        return float(self._s["velocity_seen"])
+
+    @property
+    def true_velocity(self) -> float:
+        """Velocity of the mechanics."""
+        return float(self._s["velocity"])
+
+    @property
+    def torque(self) -> float:
+        """Torque that acts on the mechanics."""
+        return float(self._s["torque"])
+
+    @property
+    def position_demand(self) -> float:
+        """Position that the drive's loops follow now."""
+        return float(self._s["position_demand"])
+
+    @property
+    def velocity_demand(self) -> float:
+        """Velocity that the drive's loops follow now."""
+        return float(self._s["velocity_demand"])
+
+    @property
+    def torque_demand(self) -> float:
+        """Torque asked of the power stage, limited."""
+        return float(self._s["torque_demand"])
+
+    @property
+    def following_error(self) -> float:
+        """Demanded minus measured position."""
+        return self.position_demand - self.position
+
+    @property
+    def is_at_rest(self) -> bool:
+        """Whether the axis moves by less than one count per control sample, as the drive sees it."""
+        return abs(self.velocity) * self.counts_per_unit < self.config.loops.rate_hz
+
+    @property
+    def is_torque_limited(self) -> bool:
+        """Whether the torque limit cut the demand in the last control sample."""
+        return bool(self._s["is_limited"])
+
+    @property
+    def torque_limit(self) -> float:
+        """Bound on the absolute torque demand (6072h), N m."""
+        return float(self._s["torque_limit"])
+
+    @torque_limit.setter
+    def torque_limit(self, limit: float) -> None:
+        self._s["torque_limit"] = min(limit, self.config.motor.peak_torque)

@@ -1,0 +1,150 @@
+"""Set-points of the axes: closed paths, run through with a time of their own that starts and stops gently."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+TWO_PI = 2.0 * math.pi
+
+Path = Callable[[float], tuple[float, float, float]]
+
+
+def sine_path(amplitude: float, frequency: float, phase: float) -> Path:
+    """Position, velocity and acceleration of amplitude sin(2 pi frequency s + phase) at path time s."""
+    omega = TWO_PI * frequency
+
+    def path(s: float) -> tuple[float, float, float]:
+        angle = omega * s + phase
+        sine, cosine = math.sin(angle), math.cos(angle)
+        return amplitude * sine, amplitude * omega * cosine, -amplitude * omega * omega * sine
+
+    return path
+
+
+def circle_path(radius: float, frequency: float, phase: float) -> Path:
+    """One axis of a circle: radius cos(2 pi frequency s + phase)."""
+    return sine_path(radius, frequency, phase + 0.5 * math.pi)
+
+
+def triangle_path(amplitude: float, frequency: float, rounding: float) -> Path:
+    """Constant speed between corners rounded over a share ``rounding`` of a quarter period each side.
+
+    The straight lines aim at +-``amplitude``; a rounded corner stays a little inside.
+    """
+    quarter = 0.25 / frequency
+    speed = amplitude / quarter
+    corner = rounding * quarter
+
+    def path(s: float) -> tuple[float, float, float]:
+        # from -quarter (lower corner) over 0 (upwards through zero) to 3 quarters (lower corner again)
+        phase = (s + quarter) % (4.0 * quarter) - quarter
+        side = 1.0 if phase <= quarter else -1.0
+        from_zero = phase if side > 0.0 else phase - 2.0 * quarter
+        to_corner = quarter - abs(from_zero)
+        if to_corner >= corner:
+            return side * speed * from_zero, side * speed, 0.0
+        end = math.copysign(1.0, from_zero)
+        bend = speed / corner
+        position = amplitude - 0.5 * speed * corner - 0.5 * bend * to_corner * to_corner
+        return side * end * position, side * bend * to_corner, -side * end * bend
+
+    return path
+
+
+def still_path(s: float) -> tuple[float, float, float]:
+    """Stand still."""
+    return 0.0, 0.0, 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Setpoint:
+    """Where an axis should be at one instant, SI."""
+
+    position: float
+    velocity: float
+    acceleration: float
+
+
+class PathTime:
+    """Path time s(t): stands, runs up to 1 s per s in ``ramp_s``, and comes to rest again on request.
+
+    The rate follows 3 x^2 - 2 x^3, so that velocity and acceleration of the axis are continuous. All axes of
+    a machine share one, and so stay on their common path while they start and stop.
+    """
+
+    __slots__ = ("_ramp_s", "_start_s", "_stop_duration", "_stop_path", "_stop_rate", "_stop_s")
+
+    def __init__(self, ramp_s: float) -> None:
+        self._ramp_s = ramp_s
+        self._start_s = math.inf
+        self._stop_s = math.inf
+        self._stop_path = self._stop_rate = self._stop_duration = 0.0
+
+    def start(self, time_s: float) -> None:
+        """Begin to move at ``time_s``."""
+        self._start_s = time_s
+
+    def stop(self, time_s: float) -> None:
+        """Begin to come to rest at ``time_s``; a second call changes nothing."""
+        if math.isinf(self._stop_s):
+            self._stop_path, self._stop_rate, _ = self._running(time_s)
+            self._stop_duration = self._ramp_s * max(self._stop_rate, 0.1)
+            self._stop_s = time_s
+
+    def is_standing(self, time_s: float) -> bool:
+        """Whether the path has come to rest for good by ``time_s``."""
+        return time_s >= self._stop_s + self._stop_duration
+
+    def at(self, time_s: float) -> tuple[float, float, float]:
+        """Path time, its rate and the rate's change at ``time_s``."""
+        if time_s < self._stop_s:
+            return self._running(time_s)
+        x = (time_s - self._stop_s) / self._stop_duration
+        if x >= 1.0:
+            return self._stop_path + 0.5 * self._stop_rate * self._stop_duration, 0.0, 0.0
+        travelled = self._stop_rate * self._stop_duration * (x - x**3 + 0.5 * x**4)
+        rate = self._stop_rate * (1.0 - x * x * (3.0 - 2.0 * x))
+        return self._stop_path + travelled, rate, -6.0 * self._stop_rate * x * (1.0 - x) / self._stop_duration
+
+    def _running(self, time_s: float) -> tuple[float, float, float]:
+        if time_s <= self._start_s:
+            return 0.0, 0.0, 0.0
+        x = (time_s - self._start_s) / self._ramp_s
+        if x >= 1.0:
+            return time_s - self._start_s - 0.5 * self._ramp_s, 1.0, 0.0
+        return self._ramp_s * (x**3 - 0.5 * x**4), x * x * (3.0 - 2.0 * x), 6.0 * x * (1.0 - x) / self._ramp_s
+
+
+class Trajectory:
+    """The set-point of one axis over time: its path, entered at the position where the axis stands.
+
+    Parameters
+    ----------
+    path : callable
+        Position, velocity and acceleration over path time.
+    time : PathTime
+        Shared by the axes of a machine.
+    """
+
+    __slots__ = ("_offset", "_path", "_time")
+
+    def __init__(self, path: Path, time: PathTime) -> None:
+        self._path = path
+        self._time = time
+        self._offset = 0.0
+
+    def begin_at(self, position: float) -> None:
+        """Shift the path so that it starts at ``position``."""
+        self._offset = position - self._path(0.0)[0]
+
+    def at(self, time_s: float) -> Setpoint:
+        """Set-point at ``time_s``, by the chain rule over path time."""
+        s, rate, change = self._time.at(time_s)
+        position, velocity, acceleration = self._path(s)
+        return Setpoint(self._offset + position, velocity * rate, acceleration * rate * rate + velocity * change)
+
+    def extent(self, period_s: float) -> tuple[float, float, float]:
+        """Lowest and highest position and highest speed over one ``period_s`` of the path, at full rate."""
+        samples = [self._path(period_s * k / 2048) for k in range(2049)]
+        positions = [self._offset + sample[0] for sample in samples]
+        return min(positions), max(positions), max(abs(sample[1]) for sample in samples)

@@ -1,0 +1,156 @@
+"""Damaged MCAP files: whatever the bytes, rows and a sentence, or an error; never a traceback, never wrong rows."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+from mcap.opcode import Opcode
+from mcap.records import Chunk, MessageIndex
+from mcap.stream_reader import StreamReader
+
+import friction_hil as fh
+from friction_hil.errors import RecordingError
+from friction_hil.recordings.mcap_writer import McapWriter
+from friction_hil.recordings.recording import Recording
+
+COLUMNS = ("time_s", "cycle", "position")
+CHUNKS, ROWS = 4, 10
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    """A file of two axes and four chunks, with events and states."""
+    path = tmp_path_factory.mktemp("whole") / "run.mcap"
+    cycles = np.arange(float(CHUNKS * ROWS))
+    row = np.stack([cycles * 0.1, cycles, np.sin(cycles), cycles + 0.5], axis=1)
+    writer = McapWriter(path, ["x", "y"], COLUMNS, state_width=1, metadata={"configuration": {"version": 1}})
+    for start in range(0, len(row), ROWS):
+        writer.write(np.tile(row[start : start + ROWS], 2))
+        writer.write_event(float(start), "set", "gain 0.9")
+    writer.close()
+    return path.read_bytes()
+
+
+@pytest.fixture(scope="module")
+def scratch(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tmp_path_factory.mktemp("scratch") / "run.mcap"
+
+
+def read(path: Path, data: bytes) -> Recording | None:
+    """What is read, checked against the truth; None where the file is refused."""
+    path.write_bytes(data)
+    try:
+        recording = fh.recordings.read(path, "x")
+    except RecordingError:
+        return None
+    cycle = recording["cycle"]
+    np.testing.assert_array_equal(recording["position"], np.sin(cycle))
+    for row, state in recording.restarts:
+        np.testing.assert_array_equal(state, [cycle[row] + 0.5])
+    return recording
+
+
+def chunk_ends(data: bytes, path: Path) -> list[int]:
+    """Byte after each chunk record, told by the library."""
+    path.write_bytes(data)
+    with path.open("rb") as file:
+        records = StreamReader(file, emit_chunks=True).records
+        return [file.tell() for record in records if isinstance(record, Chunk)]
+
+
+@given(st.data())
+def test_cut_anywhere_is_read_up_to_the_last_whole_chunk(whole: bytes, scratch: Path, data: st.DataObject) -> None:
+    cut = data.draw(st.integers(0, len(whole) - 1))
+    ends = chunk_ends(whole, scratch)
+    chunks = sum(end <= cut for end in ends)
+    recording = read(scratch, whole[:cut])
+    if chunks == 0:
+        assert recording is None
+    else:
+        assert recording is not None
+        assert len(recording) == chunks * ROWS
+        assert recording.metadata["configuration"] == {"version": 1}
+        assert len(recording.events) == chunks
+        assert recording.problems
+        assert "cut off" in recording.problems[0] or "does not end" in recording.problems[0]
+
+
+def test_a_cut_chunk_says_which_rows_are_lost(whole: bytes, scratch: Path) -> None:
+    ends = chunk_ends(whole, scratch)
+    recording = read(scratch, whole[: ends[2] - 5])
+    assert recording is not None
+    (problem,) = recording.problems
+    assert "the file was cut off in the record at byte" in problem
+    assert "lost are the rows from 2.000 s to 2.900 s, and what followed" in problem
+
+
+@given(position=st.floats(0.0, 1.0, exclude_max=True), bit=st.integers(0, 7))
+@example(position=0.0, bit=0)
+def test_a_flipped_bit_is_refused_or_told(whole: bytes, scratch: Path, position: float, bit: int) -> None:
+    data = bytearray(whole)
+    at = int(position * len(data))
+    data[at] ^= 1 << bit
+    recording = read(scratch, bytes(data))
+    if recording is not None and at < first_record(whole, Opcode.DATA_END):
+        assert recording.problems
+
+
+@given(st.lists(st.tuples(st.floats(0.0, 1.0, exclude_max=True), st.binary(min_size=1, max_size=9)), max_size=6))
+def test_overwritten_bytes_never_end_in_a_traceback(
+    whole: bytes, scratch: Path, changes: list[tuple[float, bytes]]
+) -> None:
+    data = bytearray(whole)
+    for position, patch in changes:
+        at = int(position * len(data))
+        data[at : at + len(patch)] = patch
+    read(scratch, bytes(data))
+
+
+@given(st.binary(max_size=300))
+def test_arbitrary_bytes_after_the_magic(whole: bytes, scratch: Path, tail: bytes) -> None:
+    assert read(scratch, whole[:8] + tail) is None
+
+
+def test_one_damaged_chunk_costs_only_itself(whole: bytes, scratch: Path) -> None:
+    ends = chunk_ends(whole, scratch)
+    for chunk in range(CHUNKS):
+        data = bytearray(whole)
+        data[ends[chunk] - 20] ^= 0xFF
+        recording = read(scratch, bytes(data))
+        assert recording is not None
+        assert len(recording) == (CHUNKS - 1) * ROWS
+        expected = f"the rows from {chunk:.3f} s to {chunk + 0.9:.3f} s are lost"
+        assert f"chunk {chunk + 1} is damaged" in recording.problems[0]
+        assert expected in recording.problems[0]
+
+
+def test_a_claim_of_a_huge_chunk_allocates_nothing(whole: bytes, scratch: Path) -> None:
+    data = bytearray(whole)
+    index = first_record(whole, Opcode.CHUNK)
+    data[index + 9 + 16 : index + 9 + 24] = (1 << 60).to_bytes(8, "little")
+    recording = read(scratch, bytes(data))
+    assert recording is not None
+    assert "it claims 1152921504606846976 bytes" in recording.problems[0]
+
+
+def first_record(data: bytes, opcode: Opcode) -> int:
+    """Byte at which the first record of a kind begins."""
+    at = 8
+    while data[at] != opcode:
+        at += 9 + int.from_bytes(data[at + 1 : at + 9], "little")
+    return at
+
+
+def test_the_file_under_test_has_what_the_tests_assume(whole: bytes, scratch: Path) -> None:
+    recording = read(scratch, whole)
+    assert recording is not None
+    assert recording.problems == []
+    assert len(recording) == CHUNKS * ROWS
+    assert [row for row, _ in recording.restarts] == [0, 10, 20, 30]
+    assert len(recording.events) == CHUNKS
+    with scratch.open("rb") as file:
+        kinds = [type(record) for record in StreamReader(file, emit_chunks=True).records]
+    assert kinds.count(Chunk) == CHUNKS
+    assert MessageIndex in kinds

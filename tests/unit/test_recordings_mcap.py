@@ -1,0 +1,254 @@
+"""MCAP: what is written, judged by the library's and ROS 2's own readers, and read back."""
+
+import json
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+from mcap_ros2.decoder import DecoderFactory
+
+import friction_hil as fh
+from friction_hil.errors import RecordingError, UsageError
+from friction_hil.recordings import mcap_format as layout
+from friction_hil.recordings.columns import NAMES
+from friction_hil.recordings.mcap_writer import McapWriter
+from friction_hil.recordings.recording import Recording
+
+COLUMNS = ("time_s", "cycle", "position", "torque")
+STATE = 3
+STARTED = 1_700_000_000_000_000_000
+
+
+def rows(cycles: np.ndarray, axes: int, *, columns: int = len(COLUMNS), state: int = STATE) -> np.ndarray:
+    """Random rows for the writer, with consistent time and cycle."""
+    random = np.random.default_rng(7)
+    values = random.normal(size=(len(cycles), axes, columns + state))
+    values[:, :, 0] = cycles[:, None] * 1e-3
+    values[:, :, 1] = cycles[:, None]
+    return values.reshape(len(cycles), -1)
+
+
+def write(path: Path, values: np.ndarray, axes: list[str], **options: Any) -> None:
+    writer = McapWriter(path, axes, COLUMNS, state_width=STATE, started_unix_ns=STARTED, **options)
+    writer.write(values)
+    writer.close()
+
+
+def test_two_axes_come_back_bit_for_bit(tmp_path: Path) -> None:
+    values = rows(np.arange(2500.0), 2)
+    write(tmp_path / "run.mcap", values, ["x", "y"], metadata={"configuration": {"period_s": 1e-3}})
+    read = fh.recordings.read_all(tmp_path / "run.mcap")
+    assert list(read) == ["x", "y"]
+    for axis, name in enumerate(read):
+        assert list(read[name].columns) == list(COLUMNS)
+        for i, column in enumerate(COLUMNS):
+            expected = np.ascontiguousarray(values[:, axis * 7 + i])
+            assert read[name].columns[column].tobytes() == expected.tobytes()
+        assert read[name].problems == []
+        assert read[name].metadata["configuration"] == {"period_s": 1e-3}
+        assert read[name].metadata["recording"]["axes"] == ["x", "y"]
+
+
+def test_a_restart_point_at_each_chunk_and_after_each_gap(tmp_path: Path) -> None:
+    cycles = np.concatenate([np.arange(0, 1300), np.arange(1310, 2500)]).astype(float)
+    values = rows(cycles, 2)
+    write(tmp_path / "run.mcap", values, ["x", "y"])
+    read = fh.recordings.read(tmp_path / "run.mcap", "y")
+    restarts = read.restarts
+    assert [cycles[row] for row, _ in restarts] == [0, 1000, 1310, 2000]
+    for row, state in restarts:
+        np.testing.assert_array_equal(state, values[row, 7 + len(COLUMNS) : 14])
+
+
+def test_ros_decodes_the_same_numbers_at_the_same_times(tmp_path: Path) -> None:
+    values = rows(np.arange(30.0), 2)
+    writer = McapWriter(tmp_path / "run.mcap", ["x", "y"], COLUMNS, state_width=STATE, started_unix_ns=STARTED)
+    writer.write(values)
+    writer.write_event(29.0, "fault", "position of x beyond its limit, 10 Ω")
+    writer.close()
+    seen: dict[str, list[Any]] = {}
+    with (tmp_path / "run.mcap").open("rb") as file:
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        for _, channel, message, decoded in reader.iter_decoded_messages():
+            seen.setdefault(channel.topic, []).append((message.log_time, decoded))
+        names = [record.name for record in reader.iter_metadata()]
+    assert names == ["recording"]
+    assert set(seen) == {"/x", "/y", "/x/state", "/y/state", "/events"}
+    for offset, topic in ((0, "/x"), (7, "/y")):
+        assert len(seen[topic]) == 30
+        for i, (log_time, row) in enumerate(seen[topic]):
+            assert [getattr(row, name) for name in COLUMNS] == values[i, offset : offset + 4].tolist()
+            assert log_time == STARTED + i * 1_000_000
+        ((_, state),) = seen[f"{topic}/state"]
+        assert state.cycle == 0.0
+        assert list(state.state) == values[0, offset + 4 : offset + 7].tolist()
+    ((_, event),) = seen["/events"]
+    assert (event.cycle, event.name) == (29.0, "fault")
+    assert event.text == "position of x beyond its limit, 10 Ω"
+
+
+def test_the_full_set_of_columns_is_a_ros_message(tmp_path: Path) -> None:
+    names = [*NAMES, "shadow_dahl"]
+    full = Recording("", "x", {name: np.arange(3.0) for name in names})
+    fh.recordings.write(tmp_path / "x.mcap", full)
+    with (tmp_path / "x.mcap").open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        decoded = [message for *_, message in reader.iter_decoded_messages()]
+    assert len(decoded) == 3
+    for i, message in enumerate(decoded):
+        assert [getattr(message, name) for name in names] == [float(i)] * len(names)
+
+
+@given(st.floats(), st.text(), st.text())
+def test_events_survive(cycle: float, name: str, text: str) -> None:
+    back = layout.read_event(layout.event_message(cycle, name, text))
+    assert struct.pack("<d", back[0]) == struct.pack("<d", cycle)
+    assert back[1:] == (name, text)
+
+
+@given(st.binary(max_size=80))
+def test_damaged_events_are_refused(data: bytes) -> None:
+    try:
+        layout.read_event(layout.CDR_LITTLE_ENDIAN + data)
+    except ValueError:
+        return
+    assert len(data) >= 18  # a cycle and two terminated strings
+
+
+def test_events_of_every_length_are_read(tmp_path: Path) -> None:
+    writer = McapWriter(tmp_path / "run.mcap", ["x"], COLUMNS, state_width=STATE)
+    writer.write(rows(np.arange(3.0), 1))
+    texts = ["e" * length for length in range(20)]
+    for cycle, text in enumerate(texts):
+        writer.write_event(cycle, "set", text)
+    writer.write(rows(np.arange(3.0, 6.0), 1))
+    writer.close()
+    read = fh.recordings.read(tmp_path / "run.mcap")
+    assert [event.text for event in read.events] == texts
+    assert len(read) == 6
+
+
+def test_rows_are_on_disk_before_the_file_is_closed(tmp_path: Path) -> None:
+    path = tmp_path / "run.mcap"
+    writer = McapWriter(path, ["x"], COLUMNS, state_width=STATE, metadata={"fingerprint": {"cpu": "?"}})
+    with pytest.raises(RecordingError, match="there is no channel in it"):
+        fh.recordings.read(path)
+    writer.write(rows(np.arange(2300.0), 1))
+    assert writer.rows_kept == 2000
+    read = fh.recordings.read(path)
+    assert len(read) == 2000
+    assert read.metadata["fingerprint"] == {"cpu": "?"}
+    assert len(read.problems) == 1
+    assert "cut off" in read.problems[0]
+    writer.close()
+    assert writer.rows_kept == len(fh.recordings.read(path)) == 2300
+
+
+def test_chunks_hold_at_most_a_second_and_long_periods_still_end_them(tmp_path: Path) -> None:
+    for period, expected in ((0.4, [3, 3, 1]), (5.0, [1] * 7)):
+        path = tmp_path / f"{period}.mcap"
+        values = rows(np.arange(7.0), 1)
+        values[:, 0] = np.arange(7) * period
+        write(path, values, ["x"])
+        with path.open("rb") as file:
+            summary = make_reader(file).get_summary()
+        assert summary is not None
+        channel = next(c.id for c in summary.channels.values() if c.topic == "/x")
+        with path.open("rb") as file:
+            counts = []
+            for chunk in summary.chunk_indexes:
+                file.seek(chunk.message_index_offsets[channel] + 9 + 2)
+                counts.append(struct.unpack("<I", file.read(4))[0] // 16)
+        assert counts == expected
+
+
+def test_axis_must_be_chosen_where_there_are_several(tmp_path: Path) -> None:
+    write(tmp_path / "run.mcap", rows(np.arange(5.0), 2), ["x", "y"])
+    with pytest.raises(UsageError, match=r"several axes; choose one with --axis\. There are: x, y"):
+        fh.recordings.read(tmp_path / "run.mcap")
+    with pytest.raises(UsageError, match="no axis 'z'; There are: x, y"):
+        fh.recordings.read(tmp_path / "run.mcap", "z")
+
+
+def test_csv_to_mcap_to_csv_keeps_the_bytes(tmp_path: Path) -> None:
+    random = np.random.default_rng(3)
+    table = {name: random.normal(size=50) for name in ("time_s", "position", "gear_2")}
+    table["time_s"] = np.arange(50) / 3 - 1.0
+    table["position"][7] = np.nan
+    fh.recordings.write(tmp_path / "a.csv", Recording("", "x", table))
+    fh.recordings.write(tmp_path / "b.mcap", fh.recordings.read(tmp_path / "a.csv"))
+    fh.recordings.write(tmp_path / "c.csv", fh.recordings.read(tmp_path / "b.mcap"))
+    assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "c.csv").read_bytes()
+
+
+def test_names_that_a_message_cannot_have(tmp_path: Path) -> None:
+    odd = Recording("", "x", {"time_s": np.arange(2.0), "Speed (rpm)": np.ones(2)})
+    with pytest.raises(RecordingError, match=r"not 'Speed \(rpm\)'; rename with --column"):
+        fh.recordings.write(tmp_path / "x.mcap", odd)
+    assert not (tmp_path / "x.mcap").exists()
+
+
+def test_time_that_is_not_in_seconds(tmp_path: Path) -> None:
+    odd = Recording("", "x", {"time_s": np.array([0.0, 1.7e18])})
+    with pytest.raises(RecordingError, match="is it in seconds"):
+        fh.recordings.write(tmp_path / "x.mcap", odd)
+
+
+def foreign(path: Path, messages: list[tuple[str, str, str, bytes]], **options: Any) -> None:
+    """A file with one message on each channel: topic, schema, encoding, data."""
+    with path.open("wb") as file:
+        writer = Writer(file, **options)
+        writer.start()
+        for topic, schema, encoding, data in messages:
+            number = writer.register_schema(f"pkg/msg/{topic[1:].title()}", "ros2msg", schema.encode())
+            writer.add_message(writer.register_channel(topic, encoding, number), 5, data, 5)
+        writer.finish()
+
+
+FLAT = "float64 time_s\nfloat64 position  # m\n"
+BODY = struct.pack("<2d", 0.5, 2.0)
+
+
+@pytest.mark.parametrize("compression", list(CompressionType))
+def test_foreign_flat_messages_are_read(tmp_path: Path, compression: CompressionType) -> None:
+    foreign(
+        tmp_path / "x.mcap",
+        [
+            ("/joint", FLAT, "cdr", b"\0\1\0\0" + BODY),
+            ("/imu", "float64[3] gyro\n", "cdr", b"\0\1\0\0" + bytes(24)),
+        ],
+        compression=compression,
+    )
+    read = fh.recordings.read(tmp_path / "x.mcap")
+    assert (read.axis, read["position"].tolist()) == ("joint", [2.0])
+
+
+def test_foreign_files_that_are_not_ours_to_read(tmp_path: Path) -> None:
+    path = tmp_path / "x.mcap"
+    foreign(path, [("/imu", "float64[3] gyro\n", "cdr", b"\0\1\0\0" + bytes(24))])
+    with pytest.raises(RecordingError, match=r"no channel holds flat .*there are: /imu \(pkg/msg/Imu, cdr\)"):
+        fh.recordings.read(path)
+    foreign(path, [("/joint", FLAT, "json", json.dumps({"position": 1}).encode())])
+    with pytest.raises(RecordingError, match=r"/joint \(pkg/msg/Joint, json\)"):
+        fh.recordings.read(path)
+    foreign(path, [("/joint", FLAT, "cdr", b"\0\0\0\0" + BODY)])
+    with pytest.raises(RecordingError, match="not little-endian"):
+        fh.recordings.read(path)
+    foreign(path, [("/joint", FLAT, "cdr", b"\0\1\0\0" + BODY)], use_chunking=False)
+    with pytest.raises(RecordingError, match="not chunked"):
+        fh.recordings.read(path)
+    foreign(path, [("/joint", FLAT, "cdr", b"\0\1\0\0" + BODY + b"12345678")])
+    with pytest.raises(RecordingError, match="no rows: 1 rows of /joint have another size"):
+        fh.recordings.read(path)
+    path.write_bytes(b"")
+    with pytest.raises(RecordingError, match="is empty"):
+        fh.recordings.read(path)
+    path.write_bytes(b"time_s,position\n0,1\n")
+    with pytest.raises(RecordingError, match="is not an MCAP file"):
+        fh.recordings.read(path)

@@ -1,0 +1,171 @@
+"""The shared-memory ring: order, losses, torn rows, and a reader that takes over from another."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from friction_hil.ring import EVENT_SLOTS, RingReader, RingWriter
+
+WIDTH, CAPACITY = 3, 8
+
+
+@pytest.fixture
+def ring() -> Iterator[RingWriter]:
+    writer = RingWriter(WIDTH, CAPACITY)
+    yield writer
+    os.close(writer.descriptor)
+
+
+def push(ring: RingWriter, count: int) -> None:
+    for _ in range(count):
+        ring.push(np.full(WIDTH, float(ring.rows_pushed)))
+
+
+def test_rows_arrive_in_order_and_once(ring: RingWriter) -> None:
+    reader = RingReader(ring.descriptor)
+    assert reader.drain().shape == (0, WIDTH)
+    push(ring, 5)
+    assert not reader.is_drained
+    np.testing.assert_array_equal(reader.drain(), np.tile(np.arange(5.0)[:, None], WIDTH))
+    assert reader.is_drained
+    push(ring, 2)
+    np.testing.assert_array_equal(reader.drain()[:, 0], [5.0, 6.0])
+    assert reader.lost == 0
+
+
+def test_every_bit_of_a_row_is_kept(ring: RingWriter) -> None:
+    odd = np.array([0x7FF0000000000001, -1, 1], np.int64).view(np.float64)  # signalling NaN, NaN, denormal
+    reader = RingReader(ring.descriptor)
+    ring.push(odd)
+    assert reader.drain().tobytes() == odd.tobytes()
+
+
+def test_slow_reader_loses_the_oldest_rows_and_knows_how_many(ring: RingWriter) -> None:
+    reader = RingReader(ring.descriptor)
+    push(ring, CAPACITY + 3)
+    np.testing.assert_array_equal(reader.drain()[:, 0], np.arange(3.0, 11.0))
+    assert reader.lost == 3
+    reader.release(CAPACITY, 0)
+    assert RingReader(ring.descriptor).lost == 3
+
+
+@given(st.lists(st.one_of(st.integers(0, 20), st.just("drain"), st.just("release"), st.just("replace"))))
+def test_nothing_is_seen_twice_or_uncounted(steps: list[int | str]) -> None:
+    """Against a model: what is released never comes again, what is not comes again after a change of reader."""
+    ring = RingWriter(WIDTH, CAPACITY)
+    reader = RingReader(ring.descriptor)
+    held: list[float] = []
+    safe: list[float] = []
+    for step in steps:
+        if isinstance(step, int):
+            push(ring, step)
+        elif step == "drain":
+            held += reader.drain()[:, 0].tolist()
+        elif step == "release":
+            count = (len(held) + 1) // 2
+            reader.release(count, 0)
+            safe += held[:count]
+            held = held[count:]
+        else:
+            reader, held = RingReader(ring.descriptor), []
+        assert safe + held == sorted(set(safe + held))
+    held += reader.drain()[:, 0].tolist()
+    reader.release(len(held), 0)
+    safe += held
+    assert len(safe) + reader.lost == ring.rows_pushed
+    assert ring.free_slots() == CAPACITY
+    assert safe == sorted(set(safe))
+    os.close(ring.descriptor)
+
+
+def test_free_slots_count_what_the_reader_still_needs(ring: RingWriter) -> None:
+    reader = RingReader(ring.descriptor)
+    push(ring, 6)
+    assert ring.free_slots() == 2
+    reader.drain()
+    assert ring.free_slots() == 2
+    reader.release(4, 0)
+    assert ring.free_slots() == 6
+    push(ring, 20)
+    assert ring.free_slots() == 0
+
+
+def test_a_row_being_written_is_not_taken(ring: RingWriter) -> None:
+    reader = RingReader(ring.descriptor)
+    push(ring, 3)
+    numbers = ring._numbers
+    numbers[1, 0] = 99  # the writer has begun to overwrite row 1 ...
+    np.testing.assert_array_equal(reader.drain()[:, 0], [0.0, 2.0])
+    numbers[2, -1] = 99  # ... and a row whose end belongs to another lap
+    other = RingReader(ring.descriptor)
+    assert other.drain()[:, 0].tolist() == [0.0]
+    assert (reader.lost, other.lost) == (1, 2)
+
+
+def test_events(ring: RingWriter) -> None:
+    reader = RingReader(ring.descriptor)
+    ring.push_event(3.0, "fault", "zu heiß")
+    ring.push_event(4.0, "ü" * 100, "é" * 500)
+    first, second = reader.drain_events()
+    assert first == (3.0, "fault", "zu heiß")
+    assert second == (4.0, "ü" * 20, "é" * 94)
+    for number in range(EVENT_SLOTS + 5):
+        ring.push_event(number, "set", str(number))
+    assert [cycle for cycle, _, _ in reader.drain_events()] == list(range(5, EVENT_SLOTS + 5))
+    assert reader.events_lost == 5
+
+
+def test_closing_is_seen_by_the_reader(ring: RingWriter) -> None:
+    reader = RingReader(ring.descriptor)
+    assert not reader.is_closed
+    ring.close_writing()
+    assert reader.is_closed
+
+
+def test_memory_that_is_no_ring() -> None:
+    descriptor = os.memfd_create("other")
+    os.ftruncate(descriptor, 1 << 17)
+    with pytest.raises(ValueError, match="not a ring"):
+        RingReader(descriptor)
+    os.close(descriptor)
+    with pytest.raises(ValueError, match="at least one row"):
+        RingWriter(0, 8)
+
+
+READER = """
+import sys
+import numpy as np
+from friction_hil.ring import RingReader
+reader = RingReader(int(sys.argv[1]))
+seen = 0
+print("ready", flush=True)
+while not (reader.is_closed and reader.is_drained):
+    rows = reader.drain()
+    assert np.all(rows == rows[:, :1]), rows
+    assert np.all(np.diff(rows[:, 0]) > 0)
+    seen += len(rows)
+    reader.release(len(rows), 0)
+print(seen, reader.lost)
+"""
+
+
+def test_another_process_sees_only_whole_rows_while_it_is_overtaken() -> None:
+    """The writer laps a small ring as fast as it can; every row taken is whole, every other is counted."""
+    ring = RingWriter(64, 4)
+    command = [sys.executable, "-c", READER, str(ring.descriptor)]
+    with subprocess.Popen(command, pass_fds=[ring.descriptor], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        for number in range(100_000):
+            ring.push(np.full(64, float(number)))
+        ring.close_writing()
+        seen, lost = map(int, process.stdout.read().split())
+    assert process.returncode == 0
+    assert seen + lost == 100_000
+    os.close(ring.descriptor)
