@@ -1,6 +1,7 @@
 """From a configuration to the pure objects of an axis, the same for the loop and for replay."""
 
 import math
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +16,7 @@ from friction_hil.servo.trajectory import Path, circle_path, sine_path, still_pa
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig, ModelFile
 
+_LEAST_RAMP_S = 0.1
 
 def make_compensator(
     config: "AxisConfig", model: "ModelFile", position_resolution: float, period_s: float
@@ -45,6 +47,11 @@ def lead_s(model: "ModelFile", facts: AxisFacts) -> float:
     """Time from sampling the position to the middle of the period in which the torque acts."""
     delay = model.mechanics.delay_s
     return (delay if delay > 0.0 else facts.actuation_delay_s) + model.mechanics.torque_lag_s
+
+
+def ramp_s(axes: "Iterable[AxisConfig]") -> float:
+    """Time in which all axes together start and stop: the longest that one of them asks for."""
+    return max([_LEAST_RAMP_S, *(getattr(axis.trajectory, "ramp_s", _LEAST_RAMP_S) for axis in axes)])
 
 
 def make_path(config: "AxisConfig") -> Path:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from friction_hil.assembly import lead_s, make_compensator, make_controller, make_limits, make_path, make_shadows
+from friction_hil.compensator import input_checksum
 from friction_hil.drive import AxisFacts, Command, Feedback, Mode
 from friction_hil.errors import UsageError
 from friction_hil.jit import Array
@@ -54,7 +55,7 @@ class AxisLoop:
         self._baseline_s = config.compensation.baseline_s
         self._period_s = period_s
         self.setpoint_delay_s = facts.setpoint_delay_s
-        self._lead_s = lead_s(config.model, facts)
+        self.lead_s = lead_s(config.model, facts)
         self._limits = make_limits(config)
         self._unit = "rad" if config.model.axis == "rotary" else "m"
         self.supervisor = Supervisor(name, self._limits, period_s, facts.position_resolution, self._unit)
@@ -150,7 +151,7 @@ class AxisLoop:
         position = self.supervisor.position
         has_demand = self._has_setpoint and state in _MOVING
         now = self._trajectory.at(time_s) if has_demand else None
-        ahead = self._trajectory.at(time_s + self._lead_s).velocity if has_demand else math.nan
+        ahead = self._trajectory.at(time_s + self.lead_s).velocity if has_demand else math.nan
         velocity_demand = math.nan if now is None else now.velocity
         position_demand = math.nan if now is None else now.position
         is_enabled = self._is_enabled and (
@@ -190,6 +191,7 @@ class AxisLoop:
             feedback.state,
             is_usable,
             is_enabled,
+            input_checksum(*inputs),
             0.0,
             0.0,
         )

@@ -13,6 +13,9 @@ why:
 """
 
 import math
+import struct
+import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -150,6 +153,45 @@ def step(
     return r.compensation
 
 
+@compiled
+def replay(
+    settings: Record,
+    state: Record,
+    cycle: Array,
+    position: Array,
+    velocity: Array,
+    velocity_demand: Array,
+    velocity_demand_ahead: Array,
+    is_fresh: Array,
+    is_enabled: Array,
+    compensation: Array,
+    velocity_estimate: Array,
+) -> None:
+    """Run `step` over recorded inputs, each (n,); fills ``compensation`` and ``velocity_estimate``, (n,)."""
+    for k in range(cycle.shape[0]):
+        compensation[k] = step(
+            settings,
+            state,
+            cycle[k],
+            position[k],
+            velocity[k],
+            velocity_demand[k],
+            velocity_demand_ahead[k],
+            is_fresh[k],
+            is_enabled[k],
+        )
+        velocity_estimate[k] = state[0].velocity
+
+
+INPUTS = ("cycle", "position", "velocity", "velocity_demand", "velocity_demand_ahead", "is_fresh", "is_enabled")
+_PACKED_INPUTS = struct.Struct("<7d")
+
+
+def input_checksum(*inputs: float) -> float:
+    """CRC-32 of one cycle's `INPUTS`, in their order."""
+    return float(zlib.crc32(_PACKED_INPUTS.pack(*inputs)))
+
+
 @dataclass(frozen=True, slots=True)
 class CompensatorSettings:
     """Everything beside the model that decides what the compensator does.
@@ -271,6 +313,22 @@ class Compensator:
             float(is_enabled),
         )
         return torque
+
+    def replay(self, inputs: Sequence[Array]) -> tuple[Array, Array]:
+        """Take many cycles at once.
+
+        Parameters
+        ----------
+        inputs : sequence of (n,) arrays
+            The `INPUTS`, in their order.
+
+        Returns
+        -------
+        compensation, velocity_estimate : (n,) arrays
+        """
+        compensation, estimate = np.empty_like(inputs[0]), np.empty_like(inputs[0])
+        replay(self._settings, self._state, *inputs, compensation, estimate)
+        return compensation, estimate
 
     @property
     def state(self) -> Array:

@@ -50,6 +50,11 @@ class _Ring:
         self._numbers = self._rows.view(np.int64)
 
     @property
+    def rows_kept(self) -> int:
+        """Rows that a reader took and released as safe."""
+        return self._header[_ROWS_DONE] - self._header[_LOST]
+
+    @property
     def is_closed(self) -> bool:
         """Whether the writer has said that nothing more comes."""
         return bool(self._header[_CLOSED])
@@ -139,6 +144,10 @@ class _Cursor:
         self._held = np.concatenate([self._held, numbers])
         self.next = end
 
+    def discard(self) -> None:
+        self._held = self._held[:0]
+        self.release(0)
+
     def release(self, count: int) -> None:
         done = int(self._held[count - 1]) if count else self._header[self._done]
         self._held = self._held[count:]
@@ -194,6 +203,11 @@ class RingReader(_Ring):
         """
         self._row_cursor.release(rows)
         self._event_cursor.release(events)
+
+    def discard(self) -> None:
+        """Give up what was drained and not released: it counts as lost."""
+        self._row_cursor.discard()
+        self._event_cursor.discard()
 
     @property
     def is_drained(self) -> bool:

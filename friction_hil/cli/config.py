@@ -47,16 +47,11 @@ def check(files: tuple[str, ...], as_json: bool) -> int:
 
 @command.command()
 @click.argument("file", metavar="FILE")
-@option_json
-def show(file: str, as_json: bool) -> None:
+def show(file: str) -> None:
     """Print the configuration FILE with its defaults filled in and its models inlined, as YAML."""
     from friction_hil.config import dump, load, self_contained
 
-    values = self_contained(load(file))
-    if as_json:
-        print_json(values)
-    else:
-        click.echo(dump(values), nl=False)
+    click.echo(dump(self_contained(load(file))), nl=False)
 
 
 @command.command()

@@ -1,11 +1,16 @@
 """The JSON Schema of a configuration file, with the keys of the installed drivers."""
 
-from typing import Any
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
+import pydantic
 from pydantic import BaseModel
 
 from friction_hil.config.schema import Configuration
 from friction_hil.drive import DRIVERS, SIMULATED_DRIVES, driver_names, load_driver
+
+if TYPE_CHECKING:
+    from friction_hil.models.parameters import Parameter
 
 _PATH_OR_MODEL = {
     "description": "friction model: a model file (a path, seen from this file), or its content",
@@ -27,6 +32,7 @@ def json_schema() -> dict[str, Any]:
     shadow = definitions["Shadow"]
     shadow["properties"]["model"] = _PATH_OR_MODEL
     common["properties"]["shadows"]["items"] = {"anyOf": [{"type": "string"}, {"$ref": "#/$defs/Shadow"}]}
+    definitions["Friction"] = _friction(definitions["Friction"])
     names = driver_names()
     for name in names:
         definitions[f"AxisConfig_{name}"] = _axis(name, common, definitions)
@@ -42,7 +48,47 @@ def json_schema() -> dict[str, Any]:
             for name in names
         ],
     }
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
+    # its wording differs between versions of pydantic
+    pydantic_version = ".".join(pydantic.VERSION.split(".")[:2])
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "$comment": f"written by 'friction-hil config schema' with pydantic {pydantic_version}",
+        **schema,
+    }
+
+
+def _friction(general: dict[str, Any]) -> dict[str, Any]:
+    """The models of the registry, each with its parameters."""
+    from friction_hil import models
+
+    names = models.names()
+    properties = general["properties"]
+    properties["model"] = {"description": properties["model"]["description"], "enum": names}
+    properties["modifiers"] = {**properties["modifiers"], "maxProperties": 0}
+    choices = [
+        {
+            "if": {"properties": {"model": {"const": name}}, "required": ["model"]},
+            "then": {"properties": {"parameters": _parameters(models.describe(name).parameters)}},
+        }
+        for name in names
+    ]
+    return {**general, "properties": properties, "allOf": choices}
+
+
+def _parameters(parameters: "Sequence[Parameter]") -> dict[str, Any]:
+    return {
+        "type": "object",
+        "properties": {
+            parameter.name: {
+                "type": "number",
+                "description": f"{parameter.meaning} [{parameter.unit}]",
+                "minimum" if parameter.is_lower_allowed else "exclusiveMinimum": parameter.lower,
+            }
+            for parameter in parameters
+        },
+        "required": [parameter.name for parameter in parameters if parameter.default is None],
+        "additionalProperties": False,
+    }
 
 
 def _axis(driver: str, common: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:

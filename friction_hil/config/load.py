@@ -10,7 +10,7 @@ from pydantic import BaseModel, ValidationError
 from friction_hil.config import yaml_text
 from friction_hil.config.messages import mistakes_of, validate
 from friction_hil.config.model_file import ModelFile
-from friction_hil.config.schema import NAME_PATTERN, Configuration, split_options
+from friction_hil.config.schema import NAME_PATTERN, AxisConfig, Configuration, split_options
 from friction_hil.config.yaml_text import Document, Steps
 from friction_hil.errors import ConfigurationError, Problem, UsageError, choices
 
@@ -115,6 +115,8 @@ class _Origins:
         self._documents[steps] = document
 
     def locate(self, steps: Steps, message: str) -> Problem:
+        if steps[:1] == ("axes",) and steps[2:3] == ("options",):  # these keys stand flat in the file
+            steps = (*steps[:2], *steps[3:])
         start = max((known for known in self._documents if steps[: len(known)] == known), key=len)
         document, inner = self._documents[start], steps[len(start) :]
         return Problem(document.path, document.line(inner), field_name(inner), message)
@@ -136,11 +138,32 @@ def _configuration(document: Document, directory: Path) -> Configuration:
         reader = _ModelReader(directory, origins, problems, files)
         value = {**value, "axes": {name: reader.axis(name, axis) for name, axis in axes.items()}}
     configuration = _validate(Configuration, value, origins, problems)
+    axes = {name: _anchored(axis, directory.absolute()) for name, axis in configuration.axes.items()}
+    configuration = configuration.model_copy(update={"axes": axes})
     for steps, path in files.items():
         axis = configuration.axes[str(steps[1])]
         model_file = axis.model if steps[2] == "model" else axis.shadows[int(steps[3])].model
         model_file._source_path = path.absolute()
     return configuration
+
+
+def _anchored(axis: AxisConfig, directory: Path) -> AxisConfig:
+    """Let the relative paths among a driver's keys start from the directory of the configuration."""
+    parts = {"options": axis.options, "simulation": axis.simulation}
+    return axis.model_copy(
+        update={name: _with_paths(part, directory) for name, part in parts.items() if part is not None}
+    )
+
+
+def _with_paths(part: BaseModel, directory: Path) -> BaseModel:
+    changed: dict[str, Any] = {}
+    for name in type(part).model_fields:
+        value = getattr(part, name)
+        if isinstance(value, Path):
+            changed[name] = directory / value
+        elif isinstance(value, BaseModel):
+            changed[name] = _with_paths(value, directory)
+    return part.model_copy(update=changed) if changed else part
 
 
 class _ModelReader:

@@ -32,6 +32,7 @@ _WANTED = {
     "model_type": "a group of keys",
     "model_attributes_type": "a group of keys",
 }
+_TRUTH = {"on": "true", "yes": "true", "y": "true", "off": "false", "no": "false", "n": "false"}
 _BOUNDS = {"gt": "above", "ge": "at least", "lt": "below", "le": "at most"}
 
 
@@ -165,7 +166,8 @@ def _advice(kind: str, given: Any) -> str:
         return ""
     text = given.strip()
     if kind == "bool_type":
-        return "; write true or false" if text.lower() in ("on", "off", "yes", "no", "y", "n", "true", "false") else ""
+        meant = _TRUTH.get(text.lower())
+        return f" (it is text in YAML 1.2; write {meant})" if meant else ""
     if kind not in ("float_type", "int_type"):
         return ""
     if re.fullmatch(r"[0-9]+(:[0-5]?[0-9])+", text):

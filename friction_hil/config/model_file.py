@@ -81,19 +81,19 @@ def friction_mistakes(friction: Friction) -> list[Mistake]:
     except UsageError as error:
         return [*mistakes, (("model",), str(error))]
     by_name = {parameter.name: parameter for parameter in known}
-    valid: dict[str, Any] = {}
     for name, value in friction.parameters.items():
         try:
             if name in by_name:
-                valid[name] = by_name[name].check(friction.model, value)
+                by_name[name].check(friction.model, value)
             else:
                 check_all(friction.model, known, {name: value})
         except UsageError as error:
             mistakes.append((("parameters", name), str(error)))
-    missing = [p for p in known if p.default is None and p.name not in friction.parameters]
-    try:
-        if missing:
-            check_all(friction.model, known, valid)
-    except UsageError as error:
-        mistakes.append((("parameters", getattr(error, "parameter", None) or missing[0].name), str(error)))
+    for parameter in known:
+        if parameter.default is None and parameter.name not in friction.parameters:
+            others = {other.name: other.lower + 1.0 for other in known if other is not parameter}
+            try:
+                check_all(friction.model, known, others)
+            except UsageError as error:
+                mistakes.append((("parameters", parameter.name), str(error)))
     return mistakes

@@ -91,29 +91,30 @@ class Compensation(Section):
     )
 
 
-class _Moving(Section):
-    ramp_s: float = key("time to reach full speed from rest, and to come to rest", "s", default=1.0, gt=0)
+_RAMP = key("time to reach full speed from rest, and to come to rest", "s", default=1.0, gt=0)
 
 
-class Circle(_Moving):
+class Circle(Section):
     """x = radius cos(2 pi frequency t + phase); a second axis a quarter behind (phase -pi/2) makes the circle."""
 
     kind: Literal["circle"]
     radius: float = key("amplitude of this axis", POSITION, gt=0)
     frequency: float = key("rounds per second", "Hz", gt=0)
     phase: float = key("phase of this axis", "rad", default=0.0)
+    ramp_s: float = _RAMP
 
 
-class Sine(_Moving):
+class Sine(Section):
     """x = amplitude sin(2 pi frequency t + phase)."""
 
     kind: Literal["sine"]
     amplitude: float = key("amplitude", POSITION, gt=0)
     frequency: float = key("periods per second", "Hz", gt=0)
     phase: float = key("phase", "rad", default=0.0)
+    ramp_s: float = _RAMP
 
 
-class Triangle(_Moving):
+class Triangle(Section):
     """Constant speed to and fro, with rounded corners."""
 
     kind: Literal["triangle"]

@@ -144,7 +144,7 @@ def parse(text: str, path: str) -> Document:
 
 def dump(value: Any) -> str:
     """Write plain values as YAML that `parse` reads back as the same values."""
-    return yaml.dump(value, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=100)
+    return yaml.dump(value, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=100, default_flow_style=None)
 
 
 class _Builder:

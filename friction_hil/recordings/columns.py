@@ -36,6 +36,7 @@ COLUMNS = (
     Column("drive_state", "", "state of the drive (DriveState)"),
     Column("is_fresh", "", "1 where the feedback of this cycle arrived in time, else 0"),
     Column("is_enabled", "", "1 where the compensation fades in or is in force, 0 where it fades out"),
+    Column("checksum", "", "CRC-32 of the compensator's inputs in this row, by which replay knows an altered one"),
     Column("late_us", "us", "how late the cycle began"),
     Column("exchange_us", "us", "duration of the exchange with the drives"),
 )

@@ -46,8 +46,8 @@ class McapWriter:
 
     Attributes
     ----------
-    rows_kept : int
-        Rows that have left this process; the others are in the open chunk.
+    rows_kept, events_kept : int
+        Rows and events that have left this process; the others are in the open chunk.
 
     Raises
     ------
@@ -69,13 +69,13 @@ class McapWriter:
         overwrite: bool = False,
     ) -> None:
         _check_names(path, columns)
-        self.rows_kept = 0
+        self.rows_kept = self.events_kept = 0
         self._width = len(columns)
         self._axis_width = len(columns) + state_width
         self._time = columns.index(TIME)
         self._cycle = columns.index(CYCLE) if CYCLE in columns else None
         self._started_unix_ns = started_unix_ns
-        self._rows = 0
+        self._rows = self._events = 0
         self._previous_cycle = math.nan
         self._chunk_start = math.nan  # time of the open chunk's first row; NaN while none is open
         self._chunk_rows = 0
@@ -165,12 +165,13 @@ class McapWriter:
         """
         message = layout.event_message(cycle, name, text)
         self._mcap.add_message(self._event_channel, self._last_log_time, message, self._last_log_time)
+        self._events += 1
 
     def flush(self) -> None:
         """End the open chunk and hand it to the operating system."""
         self._mcap.flush()  # type: ignore[no-untyped-call]
         self._chunk_rows = 0
-        self.rows_kept = self._rows
+        self.rows_kept, self.events_kept = self._rows, self._events
 
     def close(self) -> None:
         """Write the summary, and close the file; safe to call twice."""
@@ -178,7 +179,7 @@ class McapWriter:
             return
         try:
             self._mcap.finish()  # type: ignore[no-untyped-call]
-            self.rows_kept = self._rows
+            self.rows_kept, self.events_kept = self._rows, self._events
         finally:
             self._file.close()
 

@@ -33,7 +33,7 @@ def open_bus(config: "BusConfig") -> "can.BusABC":
     """
     import can
 
-    arguments: dict[str, Any] = dict(config.model_extra or {})
+    arguments: dict[str, Any] = dict(config.further)
     if config.port is not None:
         arguments["port"] = config.port
     if config.hop_limit is not None:
@@ -67,7 +67,7 @@ def receive(bus: "can.BusABC", timeout: float) -> "can.Message | None":
     try:
         return bus.recv(timeout)
     except can.CanOperationError as error:
-        if isinstance(error.__cause__, OSError) or bus.fileno() < 0:
+        if error.__cause__ is None or isinstance(error.__cause__, OSError):
             raise BusError(f"the bus {bus.channel_info} cannot be read any more: {error}") from error
         return None
 

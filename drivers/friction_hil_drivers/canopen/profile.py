@@ -84,10 +84,11 @@ def next_controlword(state: DriveState, request: Request) -> int:
     Raises
     ------
     ValueError
-        ``request`` is `Request.LISTEN`: then no controlword is written at all.
+        ``request`` is `Request.LISTEN`: then no controlword is written at all; or `Request.RESET_FAULT`: that
+        depends on the controlword before.
     """
-    if request is Request.LISTEN:
-        raise ValueError("a listening driver writes no controlword")
+    if request not in _STEPS:
+        raise ValueError(f"no controlword follows from {request.name} and the drive's state alone")
     return _STEPS[request].get(state, DISABLE_VOLTAGE)
 
 

@@ -4,7 +4,7 @@ import struct
 from collections.abc import Callable, Iterable, Iterator
 from enum import IntEnum
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from friction_hil.errors import UsageError
 from friction_hil_drivers.canopen.eds import SIMULATED_SERVO, load_eds
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 Value = int | bytes
 _FIRST_OBJECT = 0x1000
+_TYPES = frozenset(DataType)
 
 
 class Abort(IntEnum):
@@ -38,7 +39,7 @@ class Abort(IntEnum):
     NO_DATA = 0x08000024
 
 
-class SdoAbort(Exception):
+class SdoAbortError(Exception):
     """A transfer is refused, for the reason that ``code`` gives."""
 
     def __init__(self, code: Abort) -> None:
@@ -50,7 +51,7 @@ class Entry:
     """One variable: an integer, or the bytes of a string or domain.
 
     ``on_read`` supplies the value of an entry that mirrors something live. ``on_write`` is called with the new
-    value before it is stored, and may refuse it with `SdoAbort`.
+    value before it is stored, and may refuse it with `SdoAbortError`.
     """
 
     __slots__ = (
@@ -72,12 +73,12 @@ class Entry:
         self, index: int, subindex: int, name: str, kind: int, access: str = "rw", *, is_mappable: bool = False
     ) -> None:
         self.index, self.subindex, self.name = index, subindex, name
-        self.type = DataType(kind) if kind in DataType else DataType.VISIBLE_STRING
+        self.type = DataType(kind) if kind in _TYPES else DataType.VISIBLE_STRING
         self.access = access
         self.is_mappable = is_mappable
         self.minimum, self.maximum = self.type.bounds if self.type.bits else (0, 0)
         self.default: Value = 0 if self.type.bits else b""
-        self.value: Value = self.default
+        self.value: Any = self.default  # int or bytes
         self.on_read: Callable[[], Value] | None = None
         self.on_write: Callable[[int], None] | None = None
 
@@ -91,22 +92,16 @@ class Entry:
         """Whether SDO may download it, and an RPDO carry it."""
         return "w" in self.access
 
-    @property
-    def number(self) -> int:
-        """Stored value of an integer entry."""
-        assert isinstance(self.value, int)
-        return self.value
-
     def read(self) -> Value:
         """Current value."""
         return self.value if self.on_read is None else self.on_read()
 
     def write(self, value: int) -> None:
-        """Take a new integer value, or raise `SdoAbort`."""
+        """Take a new integer value, or raise `SdoAbortError`."""
         if value > self.maximum:
-            raise SdoAbort(Abort.TOO_HIGH)
+            raise SdoAbortError(Abort.TOO_HIGH)
         if value < self.minimum:
-            raise SdoAbort(Abort.TOO_LOW)
+            raise SdoAbortError(Abort.TOO_LOW)
         if self.on_write is not None:
             self.on_write(value)
         self.value = value
@@ -114,21 +109,21 @@ class Entry:
     def upload(self) -> bytes:
         """Current value as it goes on the wire."""
         if not self.is_readable:
-            raise SdoAbort(Abort.WRITE_ONLY)
+            raise SdoAbortError(Abort.WRITE_ONLY)
         value = self.read()
         data = value if isinstance(value, bytes) else struct.pack(f"<{self.type.code}", value)
         if not data:
-            raise SdoAbort(Abort.NO_DATA)
+            raise SdoAbortError(Abort.NO_DATA)
         return data
 
     def download(self, data: bytes) -> None:
         """Take a value from the wire."""
         if not self.is_writable:
-            raise SdoAbort(Abort.READ_ONLY)
+            raise SdoAbortError(Abort.READ_ONLY)
         if not self.type.bits:
             self.value = bytes(data)
         elif len(data) * 8 != self.type.bits:
-            raise SdoAbort(Abort.LENGTH)
+            raise SdoAbortError(Abort.LENGTH)
         else:
             self.write(struct.unpack(f"<{self.type.code}", data)[0])
 
@@ -174,10 +169,10 @@ class Dictionary:
         return cls((own | shown).values(), hidden)
 
     def find(self, index: int, subindex: int) -> Entry:
-        """Entry as SDO and PDO see it; raises `SdoAbort` where there is none."""
+        """Entry as SDO and PDO see it; raises `SdoAbortError` where there is none."""
         entry = self._visible.get((index, subindex))
         if entry is None:
-            raise SdoAbort(Abort.NO_SUBINDEX if index in self._indices else Abort.NO_OBJECT)
+            raise SdoAbortError(Abort.NO_SUBINDEX if index in self._indices else Abort.NO_OBJECT)
         return entry
 
     def of(self, known: Object) -> Entry:
@@ -221,10 +216,9 @@ def _entry(variable: "ODVariable", path: Path) -> Entry:
         variable.access_type,
         is_mappable=variable.pdo_mappable,
     )
-    value = variable.default if variable.value is None else variable.value
+    value: Any = variable.default if variable.value is None else variable.value
     if not entry.type.bits:
-        text = b"" if value is None else value
-        entry.default = entry.value = text.encode() if isinstance(text, str) else bytes(text)
+        entry.default = entry.value = value.encode() if isinstance(value, str) else bytes(value or b"")
         return entry
     if variable.min is not None:
         entry.minimum = max(entry.minimum, variable.min)

@@ -8,16 +8,20 @@ from friction_hil.drive import DriveState, Mode
 from friction_hil.errors import DriveError
 from friction_hil.servo.servo import Servo
 from friction_hil_drivers.canopen import objects, profile
-from friction_hil_drivers.canopen.simulated.dictionary import Abort, Dictionary, SdoAbort
+from friction_hil_drivers.canopen.simulated.dictionary import Abort, Dictionary, SdoAbortError
 from friction_hil_drivers.canopen.simulated.emergency import Emergencies
 from friction_hil_drivers.canopen.simulated.power import requested_state
 from friction_hil_drivers.canopen.simulated.setpoints import NO_MODE, Setpoints
 from friction_hil_drivers.canopen.simulated.units import Units
 from friction_hil_drivers.canopen.simulated.values import connect_live_values, set_defaults
 
-FOLLOWING_ERROR = 0x8611
+PARAMETER_ERROR, FOLLOWING_ERROR = 0x6320, 0x8611
 _UNSUPERVISED = 0xFFFFFFFF  # following error window that switches the supervision off
 _MS, _S = 1_000_000, 1_000_000_000  # ns
+
+_DISABLED, _ENABLED = DriveState.SWITCH_ON_DISABLED, DriveState.OPERATION_ENABLED
+_STOPPING, _FAULT = DriveState.QUICK_STOP_ACTIVE, DriveState.FAULT
+_CSP = Mode.CSP
 
 # Option codes
 _ABORT_FAULT, _ABORT_DISABLE, _ABORT_QUICK_STOP = 1, 2, 3  # 6007h; 0: no reaction
@@ -40,10 +44,15 @@ class Drive:
     ramps, activates new set-points and supervises the following error.
     """
 
-    def __init__(
-        self, servo: Servo, dictionary: Dictionary, emergencies: Emergencies, modes: Iterable[Mode]
-    ) -> None:
+    def __init__(self, servo: Servo, dictionary: Dictionary, emergencies: Emergencies, modes: Iterable[Mode]) -> None:
         self.servo = servo
+        self.state = _DISABLED
+        self._mode = NO_MODE
+        self._controlword = 0
+        self._stop: _Stop | None = None
+        self._stop_was_commanded = False  # the quick stop, by the master's controlword
+        self._exceeded_since_ns: int | None = None
+        self._has_following_error = False
         self._emergencies = emergencies
         self._units = Units(servo)
         self._modes = frozenset(modes)
@@ -78,7 +87,7 @@ class Drive:
         self._mode = NO_MODE
         self._has_following_error = False
         self._stop_was_commanded = False
-        self._enter(DriveState.SWITCH_ON_DISABLED)
+        self._enter(_DISABLED)
 
     @property
     def statusword(self) -> int:
@@ -91,7 +100,7 @@ class Drive:
         if self._stop is not None:
             if self._is_standing():
                 bits |= profile.TARGET_REACHED
-        elif self.state is DriveState.OPERATION_ENABLED and self._mode != NO_MODE:
+        elif self.state is _ENABLED and self._mode != NO_MODE:
             bits |= profile.FOLLOWS_COMMAND
             if self._setpoints.are_limited or self.servo.is_torque_limited:
                 bits |= profile.INTERNAL_LIMIT
@@ -118,16 +127,16 @@ class Drive:
         if self._stop is not None:
             self._continue_stop(self._stop, now_ns)
         if self._mode != self._mode_wanted.value:
-            self._mode = self._mode_wanted.number
+            self._mode = self._mode_wanted.value
             self._setpoints.forget()
-        if self.state is not DriveState.OPERATION_ENABLED or self._stop is not None:
+        if self.state is not _ENABLED or self._stop is not None:
             return
-        if self._mode == Mode.CSP and self._setpoints.jumps_beyond(self._window.number):
+        if self._mode == _CSP and self._setpoints.jumps_beyond(self._window.value):
             self._fail_to_follow(now_ns)
             return
         if self._setpoints.are_new:
             self._setpoints.activate(self._mode)
-        if self._mode == Mode.CSP:
+        if self._mode == _CSP:
             self._supervise(now_ns)
 
     def connection_lost(self, code: int, now_ns: int) -> None:
@@ -135,14 +144,14 @@ class Drive:
         if not self.state.is_powered:
             self._emergencies.report(code)
             return
-        reaction = self._abort_option.number
+        reaction = self._abort_option.value
         if reaction == _ABORT_FAULT:
             self.fault(code, now_ns)
             return
         self._emergencies.report(code)
         if reaction == _ABORT_DISABLE:
-            self._enter(DriveState.SWITCH_ON_DISABLED)
-        elif reaction == _ABORT_QUICK_STOP and self.state is DriveState.OPERATION_ENABLED:
+            self._enter(_DISABLED)
+        elif reaction == _ABORT_QUICK_STOP and self.state is _ENABLED:
             self._quick_stop(now_ns)
 
     def connection_restored(self, *codes: int) -> None:
@@ -153,74 +162,77 @@ class Drive:
         """Enter the fault state by way of the fault reaction (605Eh)."""
         self._faults.add(code)
         self._emergencies.report(code)
-        if self.state in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE):
+        if self.state in (_FAULT, DriveState.FAULT_REACTION_ACTIVE):
             return
-        reaction = self._fault_option.number
+        reaction = self._fault_option.value
         if reaction == _COAST or not self.state.is_powered:
-            self._enter(DriveState.FAULT)
+            self._enter(_FAULT)
             return
         self.state = DriveState.FAULT_REACTION_ACTIVE
-        self._ramp_down(DriveState.FAULT, now_ns, is_quick=reaction == _QUICK_STOP_RAMP)
+        self._ramp_down(_FAULT, now_ns, is_quick=reaction == _QUICK_STOP_RAMP)
 
     # Device control
 
     def _obey(self, now_ns: int) -> None:
-        word, before = self._controlword_wanted.number, self._controlword
+        word, before = self._controlword_wanted.value, self._controlword
         self._controlword = word
-        if self.state is DriveState.FAULT:
+        if self.state is _FAULT:
             if word & ~before & profile.FAULT_RESET:
                 self._reset_fault()
             return
         wanted = requested_state(self.state, word)
-        if self.state is DriveState.QUICK_STOP_ACTIVE:
+        if self.state is _STOPPING:
             self._stop_was_commanded |= not word & 0x04
-            if wanted is DriveState.OPERATION_ENABLED and not self._may_resume():
+            if wanted is _ENABLED and not self._may_resume():
                 return
         if wanted is not self.state:
             self._change(wanted, now_ns)
-        elif self.state is DriveState.OPERATION_ENABLED and self._stop is not None:
+        elif self.state is _ENABLED and self._stop is not None:
             self._enter(wanted)  # the command that had started a ramp was revoked
 
     def _reset_fault(self) -> None:
         self._emergencies.clear(*self._faults)
         self._faults.clear()
         self._has_following_error = False
-        self._enter(DriveState.SWITCH_ON_DISABLED)
+        self._enter(_DISABLED)
 
     def _may_resume(self) -> bool:
         """Whether transition 16 is open: the master itself asked for the stop, and 605Ah lets it stay."""
         may_stay = (_PROFILE_RAMP_AND_STAY, _QUICK_STOP_RAMP_AND_STAY)
-        return self._stop_was_commanded and self._quick_stop_option.number in may_stay
+        return self._stop_was_commanded and self._quick_stop_option.value in may_stay
 
     def _change(self, wanted: DriveState, now_ns: int) -> None:
         """Make a transition that the controlword asks for, with the ramp that its option code wants."""
+        if wanted is _ENABLED and not self._setpoints.has_period:
+            self.fault(PARAMETER_ERROR, now_ns)
+            return
         option = None
-        if self.state is DriveState.OPERATION_ENABLED:
-            if wanted is DriveState.QUICK_STOP_ACTIVE:
+        if self.state is _ENABLED:
+            if wanted is _STOPPING:
                 self._quick_stop(now_ns)
                 return
             if wanted is DriveState.SWITCHED_ON:
                 option = self._disable_option
             elif wanted is DriveState.READY_TO_SWITCH_ON:
                 option = self._shutdown_option
-        if option is None or option.number == _COAST:
+        if option is None or option.value == _COAST:
             self._enter(wanted)
         elif self._stop is None or self._stop.then is not wanted:
             self._ramp_down(wanted, now_ns, is_quick=False)
 
     def _quick_stop(self, now_ns: int) -> None:
-        option = self._quick_stop_option.number
+        option = self._quick_stop_option.value
         if option == _COAST:
-            self._enter(DriveState.SWITCH_ON_DISABLED)
+            self._enter(_DISABLED)
             return
-        self.state = DriveState.QUICK_STOP_ACTIVE
+        self.state = _STOPPING
         self._stop_was_commanded = False
-        then = DriveState.SWITCH_ON_DISABLED if option in (_PROFILE_RAMP, _QUICK_STOP_RAMP) else None
+        then = _DISABLED if option in (_PROFILE_RAMP, _QUICK_STOP_RAMP) else None
         self._ramp_down(then, now_ns, is_quick=option in (_QUICK_STOP_RAMP, _QUICK_STOP_RAMP_AND_STAY))
 
     def _ramp_down(self, then: DriveState | None, now_ns: int, *, is_quick: bool) -> None:
         deceleration = self._quick_stop_deceleration if is_quick else self._profile_deceleration
-        rate = deceleration.number / self._units.counts
+        rate = deceleration.value / self._units.counts
         self.servo.quick_stop(rate)
         # a blocked or driven axis must not stay powered for ever: twice the ramp's time is patience enough
         patience_s = min(0.5 + 2.0 * abs(self.servo.velocity_demand) / rate, 60.0)
@@ -236,8 +248,8 @@ class Drive:
     def _enter(self, state: DriveState) -> None:
         """Be in a state, without any ramp; without power unless it is Operation Enabled."""
         self.state = state
-        self._stop: _Stop | None = None
-        self._exceeded_since_ns: int | None = None
+        self._stop = None
+        self._exceeded_since_ns = None
         self._setpoints.forget()
         if not state.is_powered:
             self.servo.command(NO_MODE, 0.0, 0.0, 0.0)
@@ -246,13 +258,13 @@ class Drive:
 
     def _supervise(self, now_ns: int) -> None:
         """Fault when the following error stays beyond its window (6065h) for longer than 6066h."""
-        excess = abs(self.servo.following_error) * self._units.counts > self._window.number
+        excess = abs(self.servo.following_error) * self._units.counts > self._window.value
         if not excess or self._window.value == _UNSUPERVISED:
             self._exceeded_since_ns = None
             return
         if self._exceeded_since_ns is None:
             self._exceeded_since_ns = now_ns
-        if now_ns - self._exceeded_since_ns >= self._timeout.number * _MS:
+        if now_ns - self._exceeded_since_ns >= self._timeout.value * _MS:
             self._fail_to_follow(now_ns)
 
     def _fail_to_follow(self, now_ns: int) -> None:
@@ -261,8 +273,8 @@ class Drive:
 
     def _check_mode(self, value: int) -> None:
         if value != NO_MODE and value not in self._modes:
-            raise SdoAbort(Abort.VALUE)
+            raise SdoAbortError(Abort.VALUE)
 
     def _check_quick_stop_option(self, value: int) -> None:
         if value in (3, 4):
-            raise SdoAbort(Abort.VALUE)
+            raise SdoAbortError(Abort.VALUE)

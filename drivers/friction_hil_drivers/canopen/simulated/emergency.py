@@ -4,7 +4,7 @@ import struct
 from collections.abc import Callable
 
 from friction_hil_drivers.canopen import objects
-from friction_hil_drivers.canopen.simulated.dictionary import Abort, Dictionary, SdoAbort
+from friction_hil_drivers.canopen.simulated.dictionary import Abort, Dictionary, SdoAbortError
 
 _FRAME = struct.Struct("<HB5x")
 _HISTORY_LENGTH = 8
@@ -78,10 +78,10 @@ class Emergencies:
 
     def _past(self, place: int) -> int:
         if place >= len(self._history):
-            raise SdoAbort(Abort.NO_DATA)
+            raise SdoAbortError(Abort.NO_DATA)
         return self._history[place]
 
     def _clear_history(self, value: int) -> None:
         if value != 0:
-            raise SdoAbort(Abort.VALUE)
+            raise SdoAbortError(Abort.VALUE)
         self._history.clear()

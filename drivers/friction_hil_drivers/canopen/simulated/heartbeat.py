@@ -1,7 +1,7 @@
 """Heartbeats of a simulated node: the one it produces (1017h), and those it watches (1016h)."""
 
 from friction_hil_drivers.canopen import objects
-from friction_hil_drivers.canopen.simulated.dictionary import Abort, Dictionary, Entry, SdoAbort
+from friction_hil_drivers.canopen.simulated.dictionary import Abort, Dictionary, Entry, SdoAbortError
 
 _MS = 1_000_000  # ns
 
@@ -15,7 +15,7 @@ class Producer:
 
     def is_due(self, now_ns: int) -> bool:
         """Whether to send one now; from then on the next interval counts."""
-        interval = self._time.number * _MS
+        interval = self._time.value * _MS
         if not interval or now_ns - self._last_ns < interval:
             return False
         # whole intervals since the last one, so that late service does not shift the grid
@@ -32,7 +32,7 @@ class Consumer:
 
     def __init__(self, dictionary: Dictionary) -> None:
         index, count = objects.CONSUMER_HEARTBEAT.index, dictionary.of(objects.CONSUMER_HEARTBEAT_COUNT)
-        self._entries = [dictionary.at(index, place) for place in range(1, count.number + 1)]
+        self._entries = [dictionary.at(index, place) for place in range(1, count.value + 1)]
         for entry in self._entries:
             entry.on_write = lambda value, entry=entry: self._write(entry, value)
         self._deadlines_ns: dict[int, int] = {}  # by node
@@ -44,12 +44,12 @@ class Consumer:
     @property
     def nodes(self) -> list[int]:
         """Nodes to be watched."""
-        return [entry.number >> 16 for entry in self._entries if _interval_ns(entry.number)]
+        return [entry.value >> 16 for entry in self._entries if _interval_ns(entry.value)]
 
     def heard(self, node: int, now_ns: int) -> None:
         """A heartbeat of ``node`` arrived."""
         for entry in self._entries:
-            if entry.number >> 16 == node and (interval := _interval_ns(entry.number)):
+            if entry.value >> 16 == node and (interval := _interval_ns(entry.value)):
                 self._deadlines_ns[node] = now_ns + interval
 
     def lost(self, now_ns: int) -> list[int]:
@@ -62,11 +62,11 @@ class Consumer:
     def _write(self, entry: Entry, value: int) -> None:
         node = value >> 16
         if node > 127:
-            raise SdoAbort(Abort.VALUE)
-        others = (other.number for other in self._entries if other is not entry)
+            raise SdoAbortError(Abort.VALUE)
+        others = (other.value for other in self._entries if other is not entry)
         if _interval_ns(value) and any(_interval_ns(other) and other >> 16 == node for other in others):
-            raise SdoAbort(Abort.INCOMPATIBLE)
-        self._deadlines_ns.pop(entry.number >> 16, None)
+            raise SdoAbortError(Abort.INCOMPATIBLE)
+        self._deadlines_ns.pop(entry.value >> 16, None)
         self._deadlines_ns.pop(node, None)
 
 

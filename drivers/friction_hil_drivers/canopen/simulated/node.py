@@ -5,7 +5,7 @@ from functools import partial
 
 from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.objects import NmtCommand, NmtState
-from friction_hil_drivers.canopen.simulated.dictionary import Abort, Dictionary, SdoAbort
+from friction_hil_drivers.canopen.simulated.dictionary import Abort, Dictionary, SdoAbortError
 from friction_hil_drivers.canopen.simulated.drive import Drive
 from friction_hil_drivers.canopen.simulated.emergency import Emergencies
 from friction_hil_drivers.canopen.simulated.heartbeat import Consumer, Producer
@@ -16,15 +16,16 @@ COMMUNICATION, HEARTBEAT_LOST, RPDO_TOO_SHORT, RPDO_TIMEOUT, SYNC_LOST = 0x8100,
 _CONNECTION_ERRORS = (COMMUNICATION, HEARTBEAT_LOST, RPDO_TIMEOUT, SYNC_LOST)
 _PATIENT_SYNCS = 10  # cycle periods (1006h) without SYNC that count as its loss
 _BEHAVIOUR = {0: NmtState.PRE_OPERATIONAL, 2: NmtState.STOPPED}  # 1029h:01; 1: no change
+_OPERATIONAL = NmtState.OPERATIONAL
 _S, _US = 1_000_000_000, 1_000  # ns
 
 
 class Node:
     """One node on the bus.
 
-    Frames come in through `receive`, time through `advance_to`; frames go out through ``send``. With
-    ``sync_steps`` the node has a time of its own that passes by that many integration steps at each SYNC and
-    stands still in between, so that all it does is a function of the frames it received.
+    Frames come in through `receive`, time through `advance_to`; frames go out through ``send``. Between frames,
+    `poll` does what is due. With ``sync_steps`` the node has a time of its own that passes by that many integration
+    steps at each SYNC and stands still in between, so that all it does is a function of the frames it received.
 
     Parameters
     ----------
@@ -51,6 +52,7 @@ class Node:
         self.number = number
         self.state = NmtState.BOOT_UP
         self.now_ns = 0
+        self._polled_ns = 0
         self._steps = 0  # integration steps done
         self._sync_steps = sync_steps
         self._send = send
@@ -79,12 +81,15 @@ class Node:
         self._send(objects.HEARTBEAT_BASE + self.number, bytes([NmtState.BOOT_UP]))
         self._producer.restart(self.now_ns)
 
+    def listens_to(self, can_id: int) -> bool:
+        """Whether a frame of this identifier concerns the node."""
+        return can_id in self._handlers
+
     def receive(self, can_id: int, data: bytes) -> None:
         """Take a frame from the bus; those of other identifiers are ignored."""
         handler = self._handlers.get(can_id)
         if handler is not None:
             handler(data)
-            self.poll()
 
     def advance_to(self, now_ns: int) -> None:
         """Let time pass until ``now_ns`` after the start, unless time is counted in SYNCs."""
@@ -97,16 +102,20 @@ class Node:
 
     def poll(self) -> None:
         """Do what is due at this time: timers, ramps, event-driven PDOs."""
-        now_ns = self.now_ns
-        if self._producer.is_due(now_ns):
-            self._send(objects.HEARTBEAT_BASE + self.number, bytes([self.state]))
-        for _ in self._consumer.lost(now_ns):
-            self._lose_connection(HEARTBEAT_LOST)
-        if self.state is NmtState.OPERATIONAL:
-            self._watch(now_ns)
-        self.drive.update(now_ns)
-        if self.state is NmtState.OPERATIONAL:
-            self._send_events()
+        self._check_timers()
+        self._update()
+
+    @property
+    def polled_ns(self) -> int:
+        """When the node last did what was due."""
+        return self._polled_ns
+
+    def _update(self) -> None:
+        self.drive.update(self.now_ns)
+        if self.state is _OPERATIONAL:
+            for tpdo in self._event_driven:
+                if (data := tpdo.at_time(self.now_ns)) is not None:
+                    self._send(tpdo.can_id, data)
 
     # Frames
 
@@ -126,18 +135,20 @@ class Node:
                 self._reset(0x1FFF)
             case NmtCommand.RESET_NODE:
                 self._reset(0xFFFF)
+        self._update()
 
     def _on_sdo(self, data: bytes) -> None:
         if self.state is not NmtState.STOPPED:
             self._sdo.request(data)
             self._load()
+            self._update()
 
     def _on_heartbeat(self, node: int, _: bytes) -> None:
         self._consumer.heard(node, self.now_ns)
         self.drive.connection_restored(HEARTBEAT_LOST)
 
     def _on_rpdo(self, rpdo: Rpdo, data: bytes) -> None:
-        if self.state is not NmtState.OPERATIONAL:
+        if self.state is not _OPERATIONAL:
             return
         if len(data) < rpdo.size:
             rpdo.is_too_short = True
@@ -152,44 +163,36 @@ class Node:
                 self.drive.connection_restored(RPDO_TIMEOUT)
             rpdo.deadline_ns = self.now_ns + rpdo.event_timer_ns
         if rpdo.is_synchronous:
-            rpdo.pending = bytes(data)
+            rpdo.pending = data
         else:
             rpdo.write(data)
+            self._update()
 
     def _on_sync(self, _: bytes) -> None:
         if self._sync_steps is not None:
             self.drive.advance(self._sync_steps)
             self._steps += self._sync_steps
             self.now_ns = self._steps * _S // self.drive.servo.steps_per_second
-        if self.state is NmtState.OPERATIONAL:
+        if self.state is _OPERATIONAL:
             self._exchange()
+        self.poll()
 
     def _exchange(self) -> None:
-        """Send the synchronous PDOs first, then let the received ones take effect."""
-        frames = [
-            (tpdo.can_id, data)
-            for tpdo in self._tpdos
-            if tpdo.exists and tpdo.is_synchronous and (data := tpdo.at_sync()) is not None
-        ]
+        """Send the synchronous PDOs, then write what the received ones brought."""
+        frames = [(tpdo.can_id, data) for tpdo in self._synchronous if (data := tpdo.at_sync()) is not None]
         for can_id, data in frames:
             self._send(can_id, data)
         for rpdo in self._rpdos:
             if rpdo.pending is not None:
                 rpdo.write(rpdo.pending)
                 rpdo.pending = None
-        self.drive.update(self.now_ns)
         if self._sync_period.value:
             if self._sync_deadline_ns is None:
                 self.drive.connection_restored(SYNC_LOST)
-            self._sync_deadline_ns = self.now_ns + _PATIENT_SYNCS * self._sync_period.number * _US
-
-    def _send_events(self) -> None:
-        for tpdo in self._tpdos:
-            if tpdo.exists and not tpdo.is_synchronous and (data := tpdo.at_time(self.now_ns)) is not None:
-                self._send(tpdo.can_id, data)
+            self._sync_deadline_ns = self.now_ns + _PATIENT_SYNCS * self._sync_period.value * _US
 
     def _send_emergency(self, data: bytes) -> None:
-        cob_id = self._emergency_id.number
+        cob_id = self._emergency_id.value
         if self.state in (NmtState.OPERATIONAL, NmtState.PRE_OPERATIONAL) and not cob_id & objects.PDO_INVALID:
             self._send(cob_id & 0x7FF, data)
 
@@ -228,7 +231,14 @@ class Node:
         self._connect()
         self.boot()
 
-    def _watch(self, now_ns: int) -> None:
+    def _check_timers(self) -> None:
+        now_ns = self._polled_ns = self.now_ns
+        if self._producer.is_due(now_ns):
+            self._send(objects.HEARTBEAT_BASE + self.number, bytes([self.state]))
+        for _ in self._consumer.lost(now_ns):
+            self._lose_connection(HEARTBEAT_LOST)
+        if self.state is not _OPERATIONAL:
+            return
         for rpdo in self._rpdos:
             if rpdo.deadline_ns is not None and now_ns >= rpdo.deadline_ns:
                 rpdo.deadline_ns = None
@@ -240,7 +250,7 @@ class Node:
     def _lose_connection(self, code: int) -> None:
         """React to a lost heartbeat: the drive by 6007h, the node by 1029h."""
         self.drive.connection_lost(code, self.now_ns)
-        behaviour = _BEHAVIOUR.get(self._behaviour.number)
+        behaviour = _BEHAVIOUR.get(self._behaviour.value)
         if self.state is NmtState.OPERATIONAL and behaviour is not None:
             self._set_state(behaviour)
 
@@ -248,11 +258,11 @@ class Node:
 
     def _write_sync_id(self, value: int) -> None:
         if value & ~0x7FF or value == 0:  # a producer (bit 30) it cannot be
-            raise SdoAbort(Abort.VALUE)
+            raise SdoAbortError(Abort.VALUE)
 
     def _write_emergency_id(self, value: int) -> None:
         if not value & objects.PDO_INVALID and (value & ~0x7FF or value == 0):
-            raise SdoAbort(Abort.VALUE)
+            raise SdoAbortError(Abort.VALUE)
 
     def _forget_sync(self, _: int) -> None:
         self._sync_deadline_ns = None
@@ -265,10 +275,12 @@ class Node:
         self._connect()
 
     def _connect(self) -> None:
-        """Say what is done with each identifier."""
+        """Say what is done with each identifier, and which PDOs are sent when."""
+        self._synchronous = [tpdo for tpdo in self._tpdos if tpdo.exists and tpdo.is_synchronous]
+        self._event_driven = [tpdo for tpdo in self._tpdos if tpdo.exists and not tpdo.is_synchronous]
         self._handlers = {rpdo.can_id: partial(self._on_rpdo, rpdo) for rpdo in self._rpdos if rpdo.exists}
         for node in self._consumer.nodes:
             self._handlers[objects.HEARTBEAT_BASE + node] = partial(self._on_heartbeat, node)
-        self._handlers[self._sync_id.number & 0x7FF] = self._on_sync
+        self._handlers[self._sync_id.value & 0x7FF] = self._on_sync
         self._handlers[objects.SDO_REQUEST_BASE + self.number] = self._on_sdo
         self._handlers[objects.NMT_ID] = self._on_nmt

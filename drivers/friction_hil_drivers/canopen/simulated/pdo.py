@@ -3,7 +3,7 @@
 import struct
 
 from friction_hil_drivers.canopen import objects
-from friction_hil_drivers.canopen.simulated.dictionary import Abort, Dictionary, Entry, SdoAbort, Value
+from friction_hil_drivers.canopen.simulated.dictionary import Abort, Dictionary, Entry, SdoAbortError, Value
 
 _LARGEST_SYNCHRONOUS = 240
 _EVENT_DRIVEN = (254, 255)
@@ -52,51 +52,51 @@ class Pdo:
     def load(self) -> None:
         """Take over what the records say now."""
         self.is_stale = False
-        self.can_id = self._cob_id.number & 0x7FF
-        self.transmission_type = self._type.number
+        self.can_id = self._cob_id.value & 0x7FF
+        self.transmission_type = self._type.value
         self.is_synchronous = self.transmission_type <= _LARGEST_SYNCHRONOUS
-        self.event_timer_ns = self._event_timer.number * _MS
+        self.event_timer_ns = self._event_timer.value * _MS
         try:
-            mapping = [entry.number for entry in self._mapped[: self._count.number]]
+            mapping = [entry.value for entry in self._mapped[: self._count.value]]
             self._entries = [self._resolve(word) for word in mapping]
-        except SdoAbort:  # the default mapping names an object that this specimen lacks
+        except SdoAbortError:  # the default mapping names an object that this specimen lacks
             self._entries = []
         self._struct = struct.Struct("<" + "".join(entry.type.code for entry in self._entries))
         self.size = self._struct.size
-        self.exists = not self._cob_id.number & objects.PDO_INVALID and bool(self._entries)
+        self.exists = not self._cob_id.value & objects.PDO_INVALID and bool(self._entries)
 
     def _note(self, _: int) -> None:
         self.is_stale = True
 
     def _require_disabled(self) -> None:
-        if not self._cob_id.number & objects.PDO_INVALID:
-            raise SdoAbort(Abort.UNSUPPORTED_ACCESS)
+        if not self._cob_id.value & objects.PDO_INVALID:
+            raise SdoAbortError(Abort.UNSUPPORTED_ACCESS)
 
     def _write_cob_id(self, value: int) -> None:
         if not value & objects.PDO_INVALID:
-            if self._cob_id.number & 0x1FFFFFFF != value & 0x1FFFFFFF:
+            if self._cob_id.value & 0x1FFFFFFF != value & 0x1FFFFFFF:
                 self._require_disabled()
             if value & 0x3FFFF800 or _is_restricted(value & 0x7FF):
-                raise SdoAbort(Abort.VALUE)
+                raise SdoAbortError(Abort.VALUE)
         self.is_stale = True
 
     def _write_type(self, value: int) -> None:
         if value > _LARGEST_SYNCHRONOUS and value not in _EVENT_DRIVEN:
-            raise SdoAbort(Abort.VALUE)
+            raise SdoAbortError(Abort.VALUE)
         self.is_stale = True
 
     def _write_count(self, value: int) -> None:
         self._require_disabled()
         if value > len(self._mapped):
-            raise SdoAbort(Abort.TOO_HIGH)
-        if sum(self._resolve(entry.number).type.bits for entry in self._mapped[:value]) > 64:
-            raise SdoAbort(Abort.PDO_TOO_LONG)
+            raise SdoAbortError(Abort.TOO_HIGH)
+        if sum(self._resolve(entry.value).type.bits for entry in self._mapped[:value]) > 64:
+            raise SdoAbortError(Abort.PDO_TOO_LONG)
         self.is_stale = True
 
     def _write_mapping(self, value: int) -> None:
         self._require_disabled()
         if self._count.value != 0:
-            raise SdoAbort(Abort.UNSUPPORTED_ACCESS)
+            raise SdoAbortError(Abort.UNSUPPORTED_ACCESS)
         if value != 0:
             self._resolve(value)
 
@@ -108,13 +108,13 @@ class Pdo:
         else:
             try:
                 entry = self._dictionary.find(index, subindex)
-            except SdoAbort as error:
-                raise SdoAbort(Abort.NOT_MAPPABLE) from error
+            except SdoAbortError as error:
+                raise SdoAbortError(Abort.NOT_MAPPABLE) from error
             may_be_mapped = entry.is_writable if self._is_receive else entry.is_readable
             if not (entry.is_mappable and may_be_mapped):
-                raise SdoAbort(Abort.NOT_MAPPABLE)
+                raise SdoAbortError(Abort.NOT_MAPPABLE)
         if bits != entry.type.bits:
-            raise SdoAbort(Abort.NOT_MAPPABLE)
+            raise SdoAbortError(Abort.NOT_MAPPABLE)
         return entry
 
 
@@ -126,6 +126,7 @@ class Rpdo(Pdo):
     _mapping_base = objects.RPDO_MAPPING
 
     def load(self) -> None:
+        """Take over what the records say now, and start afresh."""
         super().load()
         self.stop()
 
@@ -140,7 +141,7 @@ class Rpdo(Pdo):
         for entry, value in zip(self._entries, self._struct.unpack_from(data), strict=True):
             try:
                 entry.write(value)
-            except SdoAbort:
+            except SdoAbortError:
                 continue
 
 
@@ -161,8 +162,9 @@ class Tpdo(Pdo):
         super().__init__(number, dictionary)
 
     def load(self) -> None:
+        """Take over what the records say now, and start afresh."""
         super().load()
-        self._inhibit_ns = self._inhibit.number * _INHIBIT_UNIT
+        self._inhibit_ns = self._inhibit.value * _INHIBIT_UNIT
         self.start()
 
     def start(self) -> None:

@@ -50,13 +50,19 @@ TRANSITIONS: dict[tuple[DriveState, Command], DriveState] = {
 _UPWARD = ((_DISABLED, _READY), (_READY, _ON), (_ON, _ENABLED), (_STOPPING, _ENABLED))
 
 
+def _requested(state: DriveState, controlword: int) -> DriveState:
+    wanted = TRANSITIONS.get((state, command(controlword)), state)
+    return state if controlword & 0x80 and (state, wanted) in _UPWARD else wanted
+
+
+# by state and low byte of the controlword: looked up in every cycle
+_REQUESTED = {state: tuple(_requested(state, word) for word in range(0x100)) for state in DriveState}
+
+
 def requested_state(state: DriveState, controlword: int) -> DriveState:
     """State that a controlword asks for, one transition from ``state``; ``state`` itself for none.
 
     While the fault reset bit is set no transition leads towards Operation Enabled: resetting a fault must not
     switch a drive on. The reset itself (transition 15) needs the bit's history and is not decided here.
     """
-    wanted = TRANSITIONS.get((state, command(controlword)), state)
-    if controlword & 0x80 and (state, wanted) in _UPWARD:
-        return state
-    return wanted
+    return _REQUESTED[state][controlword & 0xFF]

@@ -4,7 +4,7 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from friction_hil_drivers.canopen.simulated.dictionary import Abort, Dictionary, Entry, SdoAbort
+from friction_hil_drivers.canopen.simulated.dictionary import Abort, Dictionary, Entry, SdoAbortError
 
 _HEAD = struct.Struct("<BHB")
 _SIZE = struct.Struct("<I")
@@ -72,9 +72,9 @@ class SdoServer:
             self._transfer = None
         try:
             if specifier not in self._services:  # block transfer is optional
-                raise SdoAbort(Abort.COMMAND)
+                raise SdoAbortError(Abort.COMMAND)
             self._services[specifier](data)
-        except SdoAbort as error:
+        except SdoAbortError as error:
             self._transfer = None
             self._send(_ABORT.pack(_ABORT_RESPONSE, index, subindex, error.code))
 
@@ -87,9 +87,7 @@ class SdoServer:
             self._send(_HEAD.pack(command, index, subindex) + value.ljust(4, b"\0"))
         else:
             self._transfer = _Transfer(entry, is_upload=True, data=bytearray(value))
-            self._send(
-                _HEAD.pack(_UPLOAD_RESPONSE | _SIZE_INDICATED, index, subindex) + _SIZE.pack(len(value))
-            )
+            self._send(_HEAD.pack(_UPLOAD_RESPONSE | _SIZE_INDICATED, index, subindex) + _SIZE.pack(len(value)))
 
     def _upload_segment(self, data: bytes) -> None:
         transfer = self._expected(data[0], is_upload=True)
@@ -105,7 +103,7 @@ class SdoServer:
         command, index, subindex = _HEAD.unpack_from(data)
         entry = self._dictionary.find(index, subindex)
         if not entry.is_writable:
-            raise SdoAbort(Abort.READ_ONLY)
+            raise SdoAbortError(Abort.READ_ONLY)
         if command & _EXPEDITED:
             size = entry.type.bits // 8 or 4
             if command & _SIZE_INDICATED:
@@ -114,7 +112,7 @@ class SdoServer:
         else:
             announced = _SIZE.unpack_from(data, 4)[0] if command & _SIZE_INDICATED else None
             if announced is not None and entry.type.bits and announced * 8 != entry.type.bits:
-                raise SdoAbort(Abort.LENGTH)
+                raise SdoAbortError(Abort.LENGTH)
             self._transfer = _Transfer(entry, is_upload=False, size=announced)
         self._send(_HEAD.pack(_DOWNLOAD_RESPONSE, index, subindex) + bytes(4))
 
@@ -123,10 +121,10 @@ class SdoServer:
         transfer = self._expected(command, is_upload=False)
         transfer.data += data[1 : 8 - (command >> 1 & 7)]
         if len(transfer.data) > _LARGEST:
-            raise SdoAbort(Abort.OUT_OF_MEMORY)
+            raise SdoAbortError(Abort.OUT_OF_MEMORY)
         if command & _LAST:
             if transfer.size not in (None, len(transfer.data)):
-                raise SdoAbort(Abort.LENGTH)
+                raise SdoAbortError(Abort.LENGTH)
             transfer.entry.download(bytes(transfer.data))
             self._transfer = None
         self._send(bytes([_DOWNLOAD_SEGMENT_RESPONSE | transfer.toggle]) + bytes(7))
@@ -136,7 +134,7 @@ class SdoServer:
         """Transfer that a segment belongs to, or the abort that answers a segment out of place."""
         transfer = self._transfer
         if transfer is None or transfer.is_upload is not is_upload:
-            raise SdoAbort(Abort.COMMAND)
+            raise SdoAbortError(Abort.COMMAND)
         if command & _TOGGLE != transfer.toggle:
-            raise SdoAbort(Abort.TOGGLE)
+            raise SdoAbortError(Abort.TOGGLE)
         return transfer

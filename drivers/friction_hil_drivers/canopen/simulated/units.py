@@ -3,8 +3,9 @@
 from fractions import Fraction
 
 from friction_hil.servo.servo import Servo
+from friction_hil_drivers.canopen.units import wrap
 
-INT16, INT32, UINT16, UINT32 = (-0x8000, 0x7FFF), (-(1 << 31), (1 << 31) - 1), (0, 0xFFFF), (0, 0xFFFFFFFF)
+INT16, INT32 = (-0x8000, 0x7FFF), (-(1 << 31), (1 << 31) - 1)
 
 
 def saturated(value: float, bounds: tuple[int, int]) -> int:
@@ -12,14 +13,9 @@ def saturated(value: float, bounds: tuple[int, int]) -> int:
     return round(min(max(value, bounds[0]), bounds[1]))
 
 
-def wrapped(counts: int) -> int:
-    """Position as an INTEGER32, which is all that the wire carries of it."""
-    return (counts + (1 << 31)) % (1 << 32) - (1 << 31)
-
-
 def unwrapped(position: int, near: int) -> int:
     """Position without wrap-around that looks like ``position`` on the wire and is closest to ``near``."""
-    return near + wrapped(position - near)
+    return near + wrap(position - near)
 
 
 class Units:

@@ -6,14 +6,15 @@ from friction_hil.drive import Mode
 from friction_hil.servo.servo import Servo
 from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.simulated.dictionary import Dictionary
-from friction_hil_drivers.canopen.simulated.units import INT16, INT32, Units, saturated, wrapped
+from friction_hil_drivers.canopen.simulated.units import INT16, INT32, Units, saturated
+from friction_hil_drivers.canopen.units import wrap
 
 
 def connect_live_values(dictionary: Dictionary, servo: Servo, units: Units) -> None:
     """Let the entries of demands and actual values read the servo."""
     counts, torque = units.counts, units.torque
-    dictionary.of(objects.POSITION_ACTUAL).on_read = lambda: wrapped(round(servo.position * counts))
-    dictionary.of(objects.POSITION_DEMAND).on_read = lambda: wrapped(round(servo.position_demand * counts))
+    dictionary.of(objects.POSITION_ACTUAL).on_read = lambda: wrap(round(servo.position * counts))
+    dictionary.of(objects.POSITION_DEMAND).on_read = lambda: wrap(round(servo.position_demand * counts))
     dictionary.of(objects.FOLLOWING_ERROR).on_read = lambda: saturated(servo.following_error * counts, INT32)
     dictionary.of(objects.VELOCITY_ACTUAL).on_read = lambda: saturated(servo.velocity * counts, INT32)
     dictionary.of(objects.VELOCITY_DEMAND).on_read = lambda: saturated(servo.velocity_demand * counts, INT32)

@@ -1,0 +1,182 @@
+"""Simulated drives of some axes on one bus, in one thread."""
+
+import time
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, Literal
+
+from friction_hil.errors import BusError, UsageError
+from friction_hil_drivers.canopen.bus import bus_name, open_bus, receive
+from friction_hil_drivers.canopen.simulated.options import SimulationOptions
+
+if TYPE_CHECKING:
+    from friction_hil.config import AxisConfig, Configuration
+    from friction_hil.servo.servo import Servo
+    from friction_hil_drivers.canopen.simulated.dictionary import Dictionary
+    from friction_hil_drivers.canopen.simulated.node import Node
+
+_REAL_TIMEOUT_S = 1e-3  # between frames, time passes at least this often
+_SYNC_TIMEOUT_S = 0.1
+_POLL_NS = 1_000_000
+
+
+class SimulatedCanopenDrives:
+    """One CANopen node an axis.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        Its bus and period.
+    axes : mapping of str to AxisConfig
+        The axes to simulate, each with its ``simulation``.
+    pace : {"real", "sync"}
+        real: in step with the monotonic clock. sync: time passes by one period of the configuration at each
+        SYNC and not otherwise, so that all that happens is a function of the frames.
+    bus : can.BusABC, optional
+        An open bus to be used in place of the configuration's.
+    """
+
+    Options = SimulationOptions
+
+    def __init__(
+        self,
+        configuration: "Configuration",
+        axes: "Mapping[str, AxisConfig]",
+        *,
+        pace: Literal["real", "sync"],
+        bus: Any = None,
+    ) -> None:
+        self._configuration = configuration
+        self._axes = dict(axes)
+        self._is_real = pace == "real"
+        self._bus = bus
+        self._nodes: list[Node] = []
+
+    def open(self) -> str:
+        """Compile everything, open the bus and let every node say that it is there.
+
+        Returns
+        -------
+        str
+            Which nodes there are and on which bus, for people.
+
+        Raises
+        ------
+        BusError
+            The bus does not open.
+        UsageError
+            An EDS is none, or the period is not a whole number of integration steps.
+        """
+        assert self._configuration.bus is not None  # the driver's options have checked it
+        nodes = {name: self._make_node(axis) for name, axis in self._axes.items()}
+        self._nodes = list(nodes.values())
+        if self._bus is None:
+            self._bus = open_bus(self._configuration.bus)
+        for node in self._nodes:
+            node.boot()
+        listed = ", ".join(f"{name}=node {node.number}" for name, node in nodes.items())
+        return f"{listed} on {bus_name(self._configuration.bus)}"
+
+    def run(self, is_stopping: Callable[[], bool]) -> None:
+        """Serve the bus until ``is_stopping()`` is true.
+
+        Raises
+        ------
+        BusError
+            The bus is gone.
+        DriveError
+            A simulated servo diverged.
+        """
+        nodes, bus, is_real = self._nodes, self._bus, self._is_real
+        timeout = _REAL_TIMEOUT_S if is_real else _SYNC_TIMEOUT_S
+        start_ns, now_ns = time.monotonic_ns(), 0
+        while not is_stopping():
+            message = receive(bus, timeout)
+            if is_real:
+                now_ns = time.monotonic_ns() - start_ns
+            if message is not None and not (
+                message.is_extended_id or message.is_error_frame or message.is_remote_frame
+            ):
+                can_id = message.arbitration_id
+                for node in nodes:
+                    if node.listens_to(can_id):
+                        node.advance_to(now_ns)
+                        node.receive(can_id, bytes(message.data))
+            for node in nodes:
+                if now_ns - node.polled_ns >= _POLL_NS:
+                    node.advance_to(now_ns)
+                    node.poll()
+
+    def close(self) -> None:
+        """Leave the bus. Safe to call twice."""
+        if self._bus is not None:
+            self._bus.shutdown()
+            self._bus = None
+
+    def _make_node(self, axis: "AxisConfig") -> "Node":
+        from friction_hil.drive import Mode
+        from friction_hil.servo.servo import Servo
+        from friction_hil_drivers.canopen.simulated.drive import Drive
+        from friction_hil_drivers.canopen.simulated.node import Node
+
+        simulation = axis.simulation
+        assert isinstance(simulation, SimulationOptions)
+        number: int = getattr(axis.options, "node")  # noqa: B009 - the driver's options, known to it alone
+        servo = Servo(simulation)
+        modes = [Mode[name.upper()] for name in simulation.canopen.supported_modes]
+        _compile(Servo(simulation))
+        return Node(
+            number,
+            self._dictionary(number, simulation),
+            lambda dictionary, emergencies: Drive(servo, dictionary, emergencies, modes),
+            self._send,
+            None if self._is_real else self._steps_per_period(servo),
+        )
+
+    def _dictionary(self, number: int, simulation: SimulationOptions) -> "Dictionary":
+        from friction_hil_drivers.canopen import objects
+        from friction_hil_drivers.canopen.eds import SIMULATED_SERVO
+        from friction_hil_drivers.canopen.simulated.dictionary import Dictionary
+
+        shown = simulation.canopen
+        path = SIMULATED_SERVO
+        if shown.eds is not None:
+            source = self._configuration.source_path
+            path = shown.eds if source is None else source.parent / shown.eds
+        dictionary = Dictionary.from_eds(path, number, shown.missing)
+        for known, value in (
+            (objects.VENDOR_ID, shown.vendor_id),
+            (objects.PRODUCT_CODE, shown.product_code),
+            (objects.REVISION_NUMBER, shown.revision),
+            (objects.SERIAL_NUMBER, number if shown.serial is None else shown.serial),
+        ):
+            if value is not None:
+                dictionary.set_default(known, value)
+        return dictionary
+
+    def _steps_per_period(self, servo: "Servo") -> int:
+        exact = self._configuration.period_s * servo.steps_per_second
+        steps = round(exact)
+        if steps < 1 or abs(exact - steps) > 1e-6:
+            raise UsageError(
+                f"with --pace sync the period must be a whole number of integration steps; "
+                f"{self._configuration.period_s:g} s is {exact:g} of them (integration_hz)"
+            )
+        return steps
+
+    def _send(self, can_id: int, data: bytes) -> None:
+        import can
+
+        message = can.Message(arbitration_id=can_id, data=data, is_extended_id=False)
+        try:
+            self._bus.send(message)
+        except (can.CanError, OSError) as error:
+            raise BusError(f"the bus {self._bus.channel_info} cannot send: {error}") from error
+
+
+def _compile(servo: "Servo") -> None:
+    """Let numba compile what the servo runs through, in each mode, before time counts."""
+    for mode in (8, 9, 10):
+        servo.command(mode, 0.0)
+        servo.advance(1)
+    servo.quick_stop(1.0)
+    servo.advance(1)

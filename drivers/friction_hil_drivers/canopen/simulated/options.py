@@ -1,0 +1,35 @@
+"""What the simulated drive of an axis is: the keys of its ``simulation``."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from friction_hil.servo.config import ServoConfig
+
+Unsigned32 = Annotated[int, Field(ge=0, le=0xFFFFFFFF)]
+Index = Annotated[int, Field(ge=0x1000, le=0xFFFF)]
+
+
+class CanopenSimulation(BaseModel):
+    """How the simulated drive shows itself on the bus."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    eds: Path | None = Field(
+        None, description="EDS that it follows, seen from the configuration file; its own when not given"
+    )
+    vendor_id: Unsigned32 | None = Field(None, description="1018h:01; as in the EDS when not given")
+    product_code: Unsigned32 | None = Field(None, description="1018h:02; as in the EDS when not given")
+    revision: Unsigned32 | None = Field(None, description="1018h:03; as in the EDS when not given")
+    serial: Unsigned32 | None = Field(None, description="1018h:04; the node number when not given")
+    missing: tuple[Index, ...] = Field((), description="indices of objects that it lacks, e.g. [0x60B2]")
+    supported_modes: tuple[Literal["csp", "csv", "cst"], ...] = Field(
+        ("csp", "csv", "cst"), description="modes of operation that it has"
+    )
+
+
+class SimulationOptions(ServoConfig):
+    """A simulated servo and its drive."""
+
+    canopen: CanopenSimulation = CanopenSimulation()

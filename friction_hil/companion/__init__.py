@@ -1,0 +1,27 @@
+"""The companion process: records the loop's cycles and shows them live, and can never disturb the loop.
+
+Three processes take part. The *control* process runs the loop and holds a `friction_hil.companion.client.Companion`.
+It starts the *supervisor* (``python -m friction_hil.companion``), which forks a *worker*, and another one when
+that dies. The worker drains the shared-memory ring, writes the recording and prints the status line.
+
+The supervisor's standard input is a pipe that carries the job and is then held open: its end says that the
+control process is gone. Its standard output carries lines of JSON back (`friction_hil.companion.job`).
+Both ignore the signals of a terminal: the control process decides when a run is over.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from friction_hil.companion.client import Companion, CompanionReport, free_path
+    from friction_hil.companion.job import Job
+
+__all__ = ["Companion", "CompanionReport", "Job", "free_path"]
+
+
+def __getattr__(name: str) -> Any:
+    # Imported on use: the supervisor, which lies in this package too, needs no numpy.
+    if name in __all__:
+        module = "job" if name == "Job" else "client"
+        return getattr(importlib.import_module(f"friction_hil.companion.{module}"), name)
+    raise AttributeError(f"module 'friction_hil.companion' has no attribute {name!r}")

@@ -1,0 +1,131 @@
+"""A simulated CANopen drive on the bench: raw frames in, raw frames out, no bus and no clock."""
+
+import struct
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from friction_hil_drivers.canopen.eds import SIMULATED_SERVO
+from friction_hil_drivers.canopen.simulated.dictionary import Dictionary
+from friction_hil_drivers.canopen.simulated.drive import Drive
+from friction_hil_drivers.canopen.simulated.node import Node
+
+from friction_hil.drive import Mode
+from friction_hil.servo.config import ServoConfig
+from friction_hil.servo.servo import Servo
+
+NODE = 5
+STEPS_PER_MS = 80
+
+Frame = tuple[int, bytes]
+
+
+class Bench:
+    """One node; with ``is_paced_by_sync`` a SYNC is one millisecond, otherwise time is what `at` says."""
+
+    def __init__(
+        self,
+        servo: dict[str, Any] | None = None,
+        *,
+        position: float = 0.0,
+        is_paced_by_sync: bool = True,
+        modes: Sequence[Mode] = tuple(Mode),
+        missing: Sequence[int] = (),
+        eds: Path = SIMULATED_SERVO,
+    ) -> None:
+        self.sent: list[Frame] = []
+        self.servo = Servo(ServoConfig.model_validate(servo or {}), position)
+        self.node = Node(
+            NODE,
+            Dictionary.from_eds(eds, NODE, missing),
+            lambda dictionary, emergencies: Drive(self.servo, dictionary, emergencies, modes),
+            lambda can_id, data: self.sent.append((can_id, bytes(data))),
+            STEPS_PER_MS if is_paced_by_sync else None,
+        )
+        self.node.boot()
+
+    def send(self, can_id: int, data: bytes | str = b"") -> list[Frame]:
+        """Give the node a frame; return what it sends in answer."""
+        before = len(self.sent)
+        self.node.receive(can_id, bytes.fromhex(data) if isinstance(data, str) else data)
+        return self.sent[before:]
+
+    def at(self, time_ms: float) -> list[Frame]:
+        """Let real time come to ``time_ms``; return what the node sends meanwhile."""
+        before = len(self.sent)
+        self.node.advance_to(round(time_ms * 1e6))
+        self.node.poll()
+        return self.sent[before:]
+
+    def sync(self, count: int = 1) -> list[Frame]:
+        """Send SYNCs; return what the node sends in answer to the last one."""
+        frames: list[Frame] = []
+        for _ in range(count):
+            frames = self.send(0x080)
+        return frames
+
+    def nmt(self, command: int, node: int = NODE) -> list[Frame]:
+        return self.send(0x000, bytes([command, node]))
+
+    def read(self, index: int, subindex: int = 0, code: str = "I") -> int:
+        """Expedited upload."""
+        [(can_id, answer)] = self.sdo(struct.pack("<BHB4x", 0x40, index, subindex))
+        assert can_id == 0x580 + NODE
+        size = struct.calcsize(f"<{code}")
+        assert answer[:4] == struct.pack("<BHB", 0x43 | (4 - size) << 2, index, subindex), answer.hex()
+        return int(struct.unpack_from(f"<{code}", answer, 4)[0])
+
+    def write(self, index: int, subindex: int, code: str, value: int) -> None:
+        """Expedited download that must succeed."""
+        assert self.try_write(index, subindex, code, value) == 0
+
+    def try_write(self, index: int, subindex: int, code: str, value: int) -> int:
+        """Expedited download; return the abort code, 0 for none."""
+        data = struct.pack(f"<{code}", value)
+        head = struct.pack("<BHB", 0x23 | (4 - len(data)) << 2, index, subindex)
+        [(can_id, answer)] = self.sdo(head + data.ljust(4, b"\0"))
+        assert can_id == 0x580 + NODE
+        if answer[0] == 0x80:
+            assert answer[1:4] == head[1:4]
+            return int(struct.unpack_from("<I", answer, 4)[0])
+        assert answer == bytes([0x60]) + head[1:4] + bytes(4)
+        return 0
+
+    def sdo(self, request: bytes) -> list[Frame]:
+        """Give the server a request; return its answers without the emergencies beside them."""
+        return [frame for frame in self.send(0x600 + NODE, request) if frame[0] == 0x580 + NODE]
+
+    def map(self, parameter: int, mapping: int, cob_id: int, kind: int, words: Sequence[int]) -> None:
+        """Set up a PDO through SDO, the way CiA 301 prescribes."""
+        self.write(parameter, 1, "I", 0x80000000 | cob_id)
+        self.write(mapping, 0, "B", 0)
+        for place, word in enumerate(words, 1):
+            self.write(mapping, place, "I", word)
+        self.write(mapping, 0, "B", len(words))
+        self.write(parameter, 2, "B", kind)
+        self.write(parameter, 1, "I", cob_id)
+
+    @property
+    def statusword(self) -> int:
+        return self.read(0x6041, 0, "H")
+
+    @property
+    def emergencies(self) -> list[str]:
+        """Codes of the emergency messages so far."""
+        return [f"{struct.unpack_from('<H', data)[0]:04X}" for can_id, data in self.sent if can_id == 0x080 + NODE]
+
+    def enable(self, mode: int) -> None:
+        """To Operation Enabled, by SDO."""
+        self.write(0x6060, 0, "b", mode)
+        for word in (0x06, 0x07, 0x0F):
+            self.write(0x6040, 0, "H", word)
+        assert self.statusword & 0x6F == 0x27, hex(self.statusword)
+
+    def stream(self, mode: int, offset: int | None = 0x60B20010) -> None:
+        """Map controlword, target and torque offset synchronously, go to Operational and enable."""
+        target = {8: 0x607A0020, 9: 0x60FF0020, 10: 0x60710010}[mode]
+        words = [0x60400010, target, *([offset] if offset else [])]
+        self.map(0x1400, 0x1600, 0x205, 1, words)
+        self.map(0x1800, 0x1A00, 0x185, 1, [0x60410010, 0x60640020, 0x60770010])
+        self.nmt(0x01)
+        self.enable(mode)

@@ -1,0 +1,171 @@
+"""Drives for tests of the loop: simulated servos behind the drive port, without any bus. Time is stepped."""
+
+import math
+from collections.abc import Callable, Sequence
+
+from friction_hil.axis import AxisLoop
+from friction_hil.config import from_dict
+from friction_hil.drive import AxisFacts, Command, DriveState, Feedback, Mode, Request
+from friction_hil.loop import Loop, LoopResult, LoopSettings, StopRequest
+from friction_hil.realtime import SteppedClock
+from friction_hil.recordings import columns
+from friction_hil.servo.config import ServoConfig
+from friction_hil.servo.servo import Servo
+from friction_hil.servo.trajectory import PathTime
+
+PERIOD_S = 1e-3
+TRUE_FRICTION = {
+    "sigma0": 2000.0,
+    "sigma1": 1.0,
+    "sigma2": 2e-3,
+    "coulomb": 0.08,
+    "static": 0.12,
+    "stribeck_velocity": 0.2,
+    "damping_velocity": 0.2,
+}
+
+
+def axis_dict(**changes):
+    """An axis of a configuration, as a dict, with some keys changed."""
+    return {
+        "driver": "canopen",
+        "node": 1,
+        "mode": "csp",
+        "limits": {"torque": 0.3, "torque_slew": 300.0, "velocity": 30.0, "following_error": 0.5},
+        "model": {
+            "axis": "rotary",
+            "friction": {"model": "lugre", "parameters": dict(TRUE_FRICTION)},
+            "mechanics": {"inertia": 2e-4, "torque_lag_s": 3e-4},
+        },
+        "compensation": {"fade_s": 0.1},
+        "trajectory": {"kind": "sine", "amplitude": 0.3, "frequency": 1.0, "ramp_s": 0.25},
+        **changes,
+    }
+
+
+def configuration(**axes):
+    """A configuration with the given axes (dicts)."""
+    data = {
+        "version": 1,
+        "period_s": PERIOD_S,
+        "bus": {"interface": "virtual", "channel": "test"},
+        "axes": axes or {"x": axis_dict()},
+    }
+    return from_dict(data, "test")
+
+
+class ServoDrives:
+    """Simulated servos as `friction_hil.drive.Drives`: commands act from the next cycle on.
+
+    ``disturb(cycle, feedback)`` may change what the loop sees; ``states`` overrides a drive's state.
+    """
+
+    def __init__(self, config, *, servo=None, disturb: Callable[[int, list[Feedback]], None] | None = None) -> None:
+        self.modes = [Mode[axis.mode.upper()] for axis in config.axes.values()]
+        self.names = list(config.axes)
+        self.period_s = config.period_s
+        self.servos = [Servo(servo or ServoConfig()) for _ in self.names]
+        for one in self.servos:
+            one.set_period(config.period_s)
+        self.states = [DriveState.SWITCH_ON_DISABLED] * len(self.names)
+        self.pending: list[Command | None] = [None] * len(self.names)
+        self.sent: list[list[tuple[Request, float, float]]] = [[] for _ in self.names]
+        self.disturb = disturb
+        self.cycle = 0
+        self.is_closed = False
+
+    def connect(self) -> Sequence[AxisFacts]:
+        delays = {Mode.CSP: 2.5, Mode.CSV: 2.0, Mode.CST: 1.5}
+        return [
+            AxisFacts(name, "servo", 1.0 / s.counts_per_unit, 6.4e-4, delays[m] * self.period_s, 1.5 * self.period_s)
+            for name, s, m in zip(self.names, self.servos, self.modes, strict=True)
+        ]
+
+    def start(self) -> None:
+        pass
+
+    def receive(self, feedback, deadline_ns) -> None:
+        for k, servo in enumerate(self.servos):
+            servo.advance(round(self.period_s * servo.steps_per_second))
+            self._activate(k, servo)
+            f = feedback[k]
+            f.position, f.velocity, f.torque = servo.position, servo.velocity, servo.torque
+            f.state, f.is_fresh, f.error_code, f.message = self.states[k], True, 0, ""
+        if self.disturb is not None:
+            self.disturb(self.cycle, feedback)
+        self.cycle += 1
+
+    def _activate(self, k, servo) -> None:
+        command = self.pending[k]
+        self.pending[k] = None
+        if command is None:
+            return
+        if self.states[k] is not DriveState.FAULT:
+            self.states[k] = {
+                Request.ENABLE: DriveState.OPERATION_ENABLED,
+                Request.DISABLE: DriveState.SWITCH_ON_DISABLED,
+                Request.QUICK_STOP: DriveState.QUICK_STOP_ACTIVE,
+                Request.RESET_FAULT: DriveState.SWITCH_ON_DISABLED,
+            }[command.request]
+        elif command.request is Request.RESET_FAULT:
+            self.states[k] = DriveState.SWITCH_ON_DISABLED
+        if self.states[k] is DriveState.OPERATION_ENABLED:
+            mode = self.modes[k]
+            target = {Mode.CSP: command.position, Mode.CSV: command.velocity, Mode.CST: command.torque}[mode]
+            servo.command(mode, target, 0.0, 0.0 if mode is Mode.CST else command.torque)
+        elif self.states[k] is DriveState.QUICK_STOP_ACTIVE:
+            servo.quick_stop(200.0)
+        else:
+            servo.command(0, 0.0)
+
+    def send(self, commands) -> None:
+        for k, c in enumerate(commands):
+            assert math.isfinite(c.position)
+            assert math.isfinite(c.velocity)
+            assert math.isfinite(c.torque)
+            self.sent[k].append((c.request, c.position, c.torque))
+            if c.request is not Request.LISTEN:
+                self.pending[k] = Command(c.request, c.position, c.velocity, c.torque)
+
+    def close(self) -> None:
+        self.is_closed = True
+
+
+class Rows:
+    """Keeps rows and events, as a recorder would."""
+
+    def __init__(self, config) -> None:
+        self.names = list(config.axes)
+        self.rows = []
+        self.events = []
+
+    def push(self, row) -> None:
+        self.rows.append(row.copy())
+
+    def event(self, cycle, name, text) -> None:
+        self.events.append((cycle, name, text))
+
+    def column(self, axis, name):
+        """One column of one axis over all cycles, as a list."""
+        width = self.rows[0].size // len(self.names)
+        index = self.names.index(axis) * width + columns.NAMES.index(name)
+        return [float(row[index]) for row in self.rows]
+
+
+def make_loop(config, drives, *, stop=None, **settings):
+    """A loop over ``drives``, its sink and its axes."""
+    path_time = PathTime(0.25)
+    axes = [
+        AxisLoop(name, config.axes[name], facts, config.period_s, path_time)
+        for name, facts in zip(config.axes, drives.connect(), strict=True)
+    ]
+    sink = Rows(config)
+    settings = LoopSettings(period_s=config.period_s, **settings)
+    return Loop(drives, axes, path_time, SteppedClock(), sink, settings, stop or StopRequest()), sink, axes
+
+
+def run(config, **settings) -> tuple[LoopResult, Rows, ServoDrives]:
+    """A whole run."""
+    drives = ServoDrives(config, disturb=settings.pop("disturb", None), servo=settings.pop("servo", None))
+    loop, sink, _ = make_loop(config, drives, **settings)
+    return loop.run(), sink, drives
