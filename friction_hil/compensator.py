@@ -327,7 +327,7 @@ class Compensator:
         compensation, velocity_estimate : (n,) arrays
         """
         compensation, estimate = np.empty_like(inputs[0]), np.empty_like(inputs[0])
-        replay(self._settings, self._state, *inputs, compensation, estimate)
+        replay(self._settings, self._state, *inputs, compensation, estimate)  # type: ignore[call-arg]
         return compensation, estimate
 
     @property

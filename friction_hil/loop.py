@@ -121,7 +121,7 @@ class Loop:
         self._row = np.full(len(self._axes) * width, math.nan)
         self._parts = [self._row[k * width : (k + 1) * width] for k in range(len(self._axes))]
         self._late = np.zeros(_HISTOGRAM_US + 1, dtype=np.int64)
-        self._course = Course(LoopState.IDLE if settings.dry_run else LoopState.ENABLING)
+        self._course = Course(is_listening=settings.dry_run)
         self._running_since_s = math.nan
         self.result = LoopResult()
 
@@ -144,10 +144,8 @@ class Loop:
                 late_ns = self._clock.now_ns() - deadline_ns
                 skipped = late_ns // period_ns
                 if skipped:
+                    self._note_missed(cycle, skipped, late_ns)
                     cycle += skipped
-                    self.result.missed += skipped
-                    if skipped >= self._settings.max_missed:
-                        self._fault(cycle, f"the loop was late by {late_ns / 1000:.0f} us ({skipped} periods)")
                     late_ns -= skipped * period_ns
                 self._late[min(late_ns // 1000, _HISTOGRAM_US)] += 1
                 self._cycle(cycle, start_ns + cycle * period_ns, late_ns)
@@ -157,6 +155,14 @@ class Loop:
         finally:
             self._finish(cycle)
         return self.result
+
+    def _note_missed(self, cycle: int, skipped: int, late_ns: int) -> None:
+        """Count missed periods; while the drives are idle, none is."""
+        if self._course.state is LoopState.IDLE and not self._settings.dry_run:
+            return
+        self.result.missed += skipped
+        if skipped >= self._settings.max_missed:
+            self._fault(cycle, f"the loop was late by {late_ns / 1000:.0f} us ({skipped} periods)")
 
     def _cycle(self, cycle: int, deadline_ns: int, late_ns: int) -> None:
         """Everything that happens in one period."""
@@ -173,7 +179,7 @@ class Loop:
             if fault is not None and not self._is_fault_being_reset(self._feedback[k], time_s):
                 self._fault(cycle, fault)
         for feedback, command in zip(self._feedback, self._commands, strict=True):
-            is_reset = self._is_fault_being_reset(feedback, time_s)
+            is_reset = state is LoopState.ENABLING and self._is_fault_being_reset(feedback, time_s)
             command.request = Request.RESET_FAULT if is_reset else REQUESTS[state]
         self._drives.send(self._commands)
         exchange_us = (clock.now_ns() - began_ns) * 1e-3
@@ -200,7 +206,7 @@ class Loop:
     def _is_fault_being_reset(self, feedback: Feedback, time_s: float) -> bool:
         return (
             self._settings.is_fault_reset_wanted
-            and self._course.state is LoopState.ENABLING
+            and self._course.state in (LoopState.IDLE, LoopState.ENABLING)
             and feedback.state is DriveState.FAULT
             and time_s < _FAULT_RESET_S
         )

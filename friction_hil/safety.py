@@ -124,7 +124,7 @@ class Supervisor:
         if feedback.message:
             return f"{name}: {feedback.message}"
         if self._stale_cycles > MAX_STALE_CYCLES:
-            return f"{name}: no usable feedback for {self._stale_cycles} cycles"
+            return f"{name}: no usable feedback for more than {MAX_STALE_CYCLES} cycles"
         if feedback.state in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE):
             return f"{name}: the drive reports a fault, error code {feedback.error_code:04X}h"
         if state not in (LoopState.RUNNING, LoopState.STOPPING):

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from friction_hil.safety import LoopState
 
+SETTLE_S = 0.05  # of idle cycles first, in which everything is used once
 ENABLE_TIMEOUT_S = 5.0
 STANDSTILL_TIMEOUT_S = 2.0
 QUICK_STOP_TIMEOUT_S = 5.0
@@ -26,6 +27,11 @@ class Facts:
 class Course:
     """Where a run stands, and since when.
 
+    Parameters
+    ----------
+    is_listening : bool
+        Stay idle: a dry run enables nothing.
+
     Attributes
     ----------
     state : LoopState
@@ -35,10 +41,11 @@ class Course:
         Why the course itself gave up (an axis did not enable, or did not stop), or empty.
     """
 
-    __slots__ = ("fault", "since_s", "state")
+    __slots__ = ("_is_listening", "fault", "since_s", "state")
 
-    def __init__(self, state: LoopState) -> None:
-        self.state = state
+    def __init__(self, *, is_listening: bool) -> None:
+        self._is_listening = is_listening
+        self.state = LoopState.IDLE
         self.since_s = 0.0
         self.fault = ""
 
@@ -53,7 +60,9 @@ class Course:
     def _next(self, elapsed_s: float, facts: Facts) -> LoopState:
         state = self.state
         if state is LoopState.IDLE:
-            return LoopState.DONE if facts.is_stop_requested or facts.has_fault else state
+            if facts.is_stop_requested or facts.has_fault:
+                return LoopState.DONE
+            return state if self._is_listening or elapsed_s < SETTLE_S else LoopState.ENABLING
         if state is LoopState.ENABLING:
             if facts.is_stop_requested or facts.has_fault:
                 return LoopState.DISABLING

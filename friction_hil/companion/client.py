@@ -59,6 +59,7 @@ class Companion:
         self._received = b""
         self._paths: list[str] = []
         self._problems: list[str] = []
+        self._report: CompanionReport | None = None
         self.push = ring.push
         self.push_event = ring.push_event
         self.free_slots = ring.free_slots
@@ -84,6 +85,7 @@ class Companion:
         # -P: modules are not looked for in the current directory, which may be the user's.
         command = [sys.executable, "-P", "-m", "friction_hil.companion"]
         try:
+            line = encode(job, ring.descriptor)
             process = subprocess.Popen(
                 command,
                 stdin=subprocess.PIPE,
@@ -92,7 +94,6 @@ class Companion:
                 env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
             )
         finally:
-            line = encode(job, ring.descriptor)
             os.close(ring.descriptor)
         companion = cls(ring, process)
         companion._begin(line)
@@ -106,8 +107,11 @@ class Companion:
     def close(self, timeout_s: float = 60.0) -> CompanionReport:
         """Say that no more rows come, and wait until the recording is finished.
 
-        After ``timeout_s`` the report says that it is not, and the companion goes on in the background.
+        After ``timeout_s`` the report says that it is not, and the companion goes on in the background. A second
+        call gives the same report.
         """
+        if self._report is not None:
+            return self._report
         self._ring.close_writing()
         if not self._receive_all(timeout_s):
             self._problems.append(f"the recording was not finished within {timeout_s:g} s; that goes on")
@@ -115,7 +119,9 @@ class Companion:
             self._process.wait()
         self._close_pipes()
         rows = self._ring.rows_kept
-        return CompanionReport(tuple(self._paths), rows, self._ring.rows_pushed - rows, tuple(self._problems))
+        lost = self._ring.rows_pushed - rows
+        self._report = CompanionReport(tuple(self._paths), rows, lost, tuple(self._problems))
+        return self._report
 
     def __enter__(self) -> "Companion":
         return self

@@ -6,9 +6,10 @@ import os
 import sys
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from friction_hil.recordings.columns import AxisKind
+if TYPE_CHECKING:
+    from friction_hil.recordings.columns import AxisKind
 
 CANNOT_OPEN = 2  # exit status of a first worker that could not open its file, and has said why
 _INPUT, _OUTPUT = 0, 1
@@ -53,7 +54,7 @@ class Job:
     overwrite: bool = False
     metadata: dict[str, Any] = field(default_factory=dict)
     status_line: bool = False
-    kinds: list[AxisKind] = field(default_factory=list)
+    kinds: "list[AxisKind]" = field(default_factory=list)
 
     @property
     def row_width(self) -> int:

@@ -1,6 +1,5 @@
 """The live line: how the loop and each axis are doing, a few times a second."""
 
-import contextlib
 import os
 import sys
 import time
@@ -34,14 +33,13 @@ class StatusLine:
         """Take rows (n, width) of the ring, and print when it is time to."""
         if len(rows):
             self._take(rows)
-        if self._window and time.monotonic() - self._shown_at >= _INTERVAL_S:
+        if time.monotonic() - self._shown_at >= _INTERVAL_S:
             self._shown_at = time.monotonic()
-            self._print(f"\r{self.text(lost)[: _terminal_width()]}\x1b[K")
+            self._print(lost)
 
-    def close(self) -> None:
-        """Leave the line on the screen."""
-        if self._window:
-            self._print("\n")
+    def close(self, lost: int) -> None:
+        """Show the last rows, and leave the line on the screen."""
+        self._print(lost, end="\n")
 
     def text(self, lost: int) -> str:
         """The line itself, of the rows shown so far."""
@@ -89,14 +87,14 @@ class StatusLine:
             return np.full(len(rows), np.nan)
         return rows[:, axis * self._axis_width + self._columns[column]]
 
-    def _print(self, text: str) -> None:
-        if not self._is_visible:
+    def _print(self, lost: int, end: str = "") -> None:
+        if not self._window or not self._is_visible:
             return
-        with contextlib.suppress(OSError):
-            sys.stderr.write(text)
+        try:
+            sys.stderr.write(f"\r{self.text(lost)[: _terminal_width()]}\x1b[K{end}")
             sys.stderr.flush()
-            return
-        self._is_visible = False  # the terminal has gone
+        except OSError:
+            self._is_visible = False  # the terminal has gone; the recording goes on
 
 
 def _terminal_width() -> int:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from friction_hil.companion.job import CANNOT_OPEN, Job, say, segment_path, warn
 from friction_hil.companion.status import StatusLine
+from friction_hil.errors import RecordingError
 from friction_hil.recordings.columns import CYCLE
 from friction_hil.recordings.mcap_writer import McapWriter
 from friction_hil.recordings.recording import Array
@@ -33,15 +34,21 @@ def work(job: Job, ring_descriptor: int, number: int) -> int:
         Exit status: 0, or ``CANNOT_OPEN``, and then the control process has been told why.
     """
     ring = RingReader(ring_descriptor)
-    path = None if job.path is None else segment_path(Path(job.path), number)
-    try:
-        writer = None if path is None else _open(job, path, overwrite=job.overwrite and number == 1)
-    except OSError as error:
-        say(failed=f"{path} cannot be written: {error.strerror}")
-        return CANNOT_OPEN
-    say(opened=writer and str(path), pid=os.getpid())
+    recorder = _Recorder(job, ring)
+    path = None
+    if job.path is not None:
+        path = segment_path(Path(job.path), number)
+        try:
+            recorder.open(path, overwrite=job.overwrite and number == 1)
+        except (OSError, RecordingError) as error:
+            reason = f"{path} cannot be written: {error.strerror if isinstance(error, OSError) else error}"
+            if number == 1:
+                say(failed=reason)
+                return CANNOT_OPEN
+            warn(reason)
+            path = None
+    say(opened=path and str(path), pid=os.getpid())
     status = StatusLine(job) if job.status_line else None
-    recorder = _Recorder(job, ring, writer)
     control = select.poll()
     control.register(_INPUT, 0)  # no event but the hang-up that is always told
     while True:
@@ -57,39 +64,43 @@ def work(job: Job, ring_descriptor: int, number: int) -> int:
             control.poll(_PAUSE_MS)
     recorder.close(was_abandoned=is_gone and not ring.is_closed)
     if status:
-        status.close()
+        status.close(ring.lost)
     return 0
 
 
-def _open(job: Job, path: Path, *, overwrite: bool) -> McapWriter:
-    return McapWriter(
-        path,
-        job.axes,
-        job.columns,
-        state_width=job.state_width,
-        started_unix_ns=job.started_unix_ns,
-        metadata=job.metadata,
-        overwrite=overwrite,
-    )
-
-
 class _Recorder:
-    """Writes what comes from the ring, and tells the ring what is safe on disk."""
+    """Writes what comes from the ring, and tells the ring what is safe on disk.
 
-    def __init__(self, job: Job, ring: RingReader, writer: McapWriter | None) -> None:
+    A worker that is killed just between the two leaves a chunk that its successor writes once more: rather
+    twice than not at all.
+    """
+
+    def __init__(self, job: Job, ring: RingReader) -> None:
+        self._job = job
         self._ring = ring
-        self._writer = writer
-        self._is_wanted = writer is not None
+        self._writer: McapWriter | None = None
         self._cycle_column = job.columns.index(CYCLE) if CYCLE in job.columns else None
         self._rows = self._events = 0  # told to the ring as safe
         self._cycle = 0.0
 
+    def open(self, path: Path, *, overwrite: bool) -> None:
+        self._writer = McapWriter(
+            path,
+            self._job.axes,
+            self._job.columns,
+            state_width=self._job.state_width,
+            started_unix_ns=self._job.started_unix_ns,
+            metadata=self._job.metadata,
+            overwrite=overwrite,
+            on_flush=self._release,
+        )
+
     def take(self, rows: Array, events: list[tuple[float, str, str]]) -> None:
+        if self._job.path is None:
+            self._ring.release(len(rows), len(events))
+            return
         if self._writer is None:
-            if self._is_wanted:
-                self._ring.discard()
-            else:
-                self._ring.release(len(rows), len(events))
+            self._ring.discard()
             return
         if len(rows) and self._cycle_column is not None:
             self._cycle = float(rows[-1, self._cycle_column])
@@ -99,7 +110,6 @@ class _Recorder:
                 self._writer.write_event(*event)
         except OSError as error:
             self._give_up(error)
-        self._release()
 
     def close(self, *, was_abandoned: bool) -> None:
         if self._writer is None:
@@ -107,14 +117,13 @@ class _Recorder:
         try:
             if was_abandoned:
                 self._writer.write_event(self._cycle, "abandoned", "the control process ended without a word")
+                self._events += 1  # this one is not from the ring
             self._writer.close()
         except OSError as error:
             self._give_up(error)
-        self._release()
 
     def _release(self) -> None:
-        if self._writer is None:
-            self._ring.discard()
+        if self._writer is None:  # it is being made
             return
         self._ring.release(self._writer.rows_kept - self._rows, self._writer.events_kept - self._events)
         self._rows, self._events = self._writer.rows_kept, self._writer.events_kept
@@ -122,5 +131,5 @@ class _Recorder:
     def _give_up(self, error: OSError) -> None:
         """The disk is full or gone: the run goes on without a recording, and the user is told."""
         warn(f"the recording ended early: {error.strerror}")
-        self._release()
+        self._ring.discard()
         self._writer = None

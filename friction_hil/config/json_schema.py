@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 import pydantic
 from pydantic import BaseModel
 
-from friction_hil.config.schema import Configuration
-from friction_hil.drive import DRIVERS, SIMULATED_DRIVES, driver_names, load_driver
+from friction_hil.config.schema import Configuration, driver_options
+from friction_hil.drive import DRIVERS, SIMULATED_DRIVES, driver_names
 
 if TYPE_CHECKING:
     from friction_hil.models.parameters import Parameter
@@ -22,6 +22,11 @@ def json_schema() -> dict[str, Any]:
     """Describe the configuration file for editors, as JSON Schema 2020-12.
 
     Checks that span several keys are beyond it; `friction_hil.config.load` has the last word.
+
+    Raises
+    ------
+    UsageError
+        An installed driver is broken.
     """
     schema = Configuration.model_json_schema()
     definitions = schema["$defs"]
@@ -93,11 +98,11 @@ def _parameters(parameters: "Sequence[Parameter]") -> dict[str, Any]:
 
 def _axis(driver: str, common: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:
     """All keys of an axis with this driver; what its models refer to goes into ``definitions``."""
-    options = _model_schema(load_driver(driver, DRIVERS).Options, driver, definitions)
+    options = _model_schema(driver_options(driver, DRIVERS), driver, definitions)
     properties = {**common["properties"], **options.get("properties", {})}
     properties["driver"] = {**properties["driver"], "const": driver}
     if driver in driver_names(SIMULATED_DRIVES):
-        simulation = _model_schema(load_driver(driver, SIMULATED_DRIVES).Options, f"{driver}_simulation", definitions)
+        simulation = _model_schema(driver_options(driver, SIMULATED_DRIVES), f"{driver}_simulation", definitions)
         properties["simulation"] = {"anyOf": [simulation, {"type": "null"}], "default": None}
     else:
         properties["simulation"] = {"type": "null", "description": "this driver has no simulated drive"}

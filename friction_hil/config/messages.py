@@ -107,6 +107,10 @@ def _retell(item: ErrorDetails, model: type[BaseModel], value: Any, known: Colle
         if len(location) == 1:
             names |= set(known)
         return _present(location, value), f"is no key here; {choices(str(location[-1]), names)}"
+    if item["type"] == "union_tag_invalid":
+        name = context["discriminator"].strip("'")
+        message = f"must be one of {context['expected_tags']}, not {show(item['input'][name])}"
+        return (*_present(location, value), name), message
     field, holders = _find(model, location)
     return _present(location, value), _describe(item, context, field, holders)
 
@@ -127,8 +131,6 @@ def _describe(
         return f"must be {_bounds(field, context)}{f' {unit}' if unit else ''}, not {show(given)}"
     if kind in ("literal_error", "enum"):
         return f"must be {context['expected']}, not {show(given)}"
-    if kind == "union_tag_invalid":
-        return f"{context['discriminator']} must be one of {context['expected_tags']}, not {context['tag']!r}"
     if kind == "union_tag_not_found":
         return f"needs the key {context['discriminator']}, which says what it is"
     if kind == "string_pattern_mismatch":

@@ -1,5 +1,6 @@
 """The configuration as pydantic models: every key with its meaning, unit, default and bounds."""
 
+import functools
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -22,7 +23,7 @@ from friction_hil.config.checks import axis_mistakes, bus_mistakes, configuratio
 from friction_hil.config.messages import refuse, validate
 from friction_hil.config.model_file import ModelFile
 from friction_hil.config.section import POSITION, TORQUE, VELOCITY, Section, key, keys
-from friction_hil.drive import DRIVERS, SIMULATED_DRIVES, load_driver
+from friction_hil.drive import DRIVERS, SIMULATED_DRIVES, driver_names, load_driver
 from friction_hil.errors import UsageError
 
 NAME_PATTERN = "^[a-z][a-z0-9_]*$"
@@ -175,7 +176,10 @@ class AxisConfig(Section):
     @field_validator("driver")
     @classmethod
     def _is_installed(cls, name: str) -> str:
-        _options(name, DRIVERS)
+        try:
+            driver_options(name, DRIVERS)
+        except UsageError as error:
+            raise ValueError(str(error)) from None
         return name
 
     @field_validator("options", mode="plain")
@@ -183,14 +187,20 @@ class AxisConfig(Section):
     def _validate_options(cls, value: Any, info: ValidationInfo) -> BaseModel:
         if "driver" not in info.data:  # already a mistake of its own
             return Section()
-        return validate(_options(info.data["driver"], DRIVERS), value, keys(cls))
+        return validate(driver_options(info.data["driver"], DRIVERS), value, keys(cls))
 
     @field_validator("simulation", mode="plain")
     @classmethod
     def _validate_simulation(cls, value: Any, info: ValidationInfo) -> BaseModel | None:
         if value is None or "driver" not in info.data:
             return None
-        return validate(_options(info.data["driver"], SIMULATED_DRIVES), value)
+        driver = info.data["driver"]
+        try:
+            options = driver_options(driver, SIMULATED_DRIVES)
+        except UsageError as error:
+            simulated = ", ".join(driver_names(SIMULATED_DRIVES))
+            raise ValueError(f"simulated drives exist for {simulated}: {error}") from None
+        return validate(options, value)
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -246,13 +256,19 @@ def split_options(axis: Mapping[str, Any]) -> dict[str, Any]:
     return {**common, "options": {name: value for name, value in axis.items() if name not in common}}
 
 
-def _options(driver: str, group: str) -> type[BaseModel]:
+@functools.cache
+def driver_options(driver: str, group: str) -> type[BaseModel]:
+    """Return the model of a driver's own keys.
+
+    Raises
+    ------
+    UsageError
+        No such driver is installed, or it is broken.
+    """
     try:
         options = load_driver(driver, group).Options
-    except UsageError as error:
-        raise ValueError(str(error)) from None
     except ImportError as error:
-        raise ValueError(f"the driver {driver!r} cannot be imported: {error}") from None
+        raise UsageError(f"the driver {driver!r} cannot be imported: {error}") from error
     if not (isinstance(options, type) and issubclass(options, BaseModel)):
-        raise ValueError(f"the driver {driver!r} has no pydantic model 'Options'")
+        raise UsageError(f"the driver {driver!r} is broken: its Options is no pydantic model")
     return options

@@ -22,6 +22,7 @@ _PARSER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _LARGEST_FILE = 16 * 2**20  # bytes
 _MOST_VALUES = 200_000  # with anchors expanded
 _DEEPEST = 50
+_TEXT = "tag:yaml.org,2002:str"
 
 # YAML 1.2.2, section 10.3.2, but for leading zeros: 012 is 10 to YAML 1.1 and 12 to 1.2, hence text here.
 _NULL = re.compile(r"null|Null|NULL|~|")
@@ -276,7 +277,7 @@ def _explain(error: yaml.MarkedYAMLError, text: str) -> tuple[int | None, str]:
     row = lines[mark.line] if mark.line < len(lines) else ""
     character = row[mark.column : mark.column + 1]
     problem = str(error.problem)
-    if character == "\t" or (problem != "" and row[: mark.column].strip(" ") == "\t"):
+    if character == "\t" or "\t" in row[: len(row) - len(row.lstrip())]:
         return mark.line + 1, "a tab stands where YAML wants spaces: indent with spaces"
     if "cannot start any token" in problem:
         return mark.line + 1, f"a text that begins with {character!r} needs quotes"
@@ -297,11 +298,13 @@ class _Dumper(yaml.SafeDumper):
 
 
 def _represent_text(dumper: yaml.SafeDumper, text: str) -> yaml.ScalarNode:
+    if not text.isprintable():
+        return dumper.represent_scalar(_TEXT, text, style='"')  # PyYAML breaks U+0085 in any other style
     try:
-        is_text = isinstance(resolve(text), str) and text != "<<"
+        is_plain = isinstance(resolve(text), str) and text != "<<"
     except OverflowError:
-        is_text = False
-    return dumper.represent_scalar("tag:yaml.org,2002:str", text, style=None if is_text else "'")
+        is_plain = False
+    return dumper.represent_scalar(_TEXT, text, style=None if is_plain else "'")
 
 
 _Dumper.add_representer(str, _represent_text)

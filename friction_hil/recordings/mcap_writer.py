@@ -3,7 +3,7 @@
 import io
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +43,8 @@ class McapWriter:
         What JSON can hold, by name; each becomes a metadata record.
     overwrite : bool
         Whether an existing file is replaced.
+    on_flush : callable
+        Called whenever ``rows_kept`` and ``events_kept`` have changed.
 
     Attributes
     ----------
@@ -67,6 +69,7 @@ class McapWriter:
         started_unix_ns: int = 0,
         metadata: Mapping[str, Any] | None = None,
         overwrite: bool = False,
+        on_flush: Callable[[], None] = lambda: None,
     ) -> None:
         _check_names(path, columns)
         self.rows_kept = self.events_kept = 0
@@ -75,6 +78,7 @@ class McapWriter:
         self._time = columns.index(TIME)
         self._cycle = columns.index(CYCLE) if CYCLE in columns else None
         self._started_unix_ns = started_unix_ns
+        self._on_flush = on_flush
         self._rows = self._events = 0
         self._previous_cycle = math.nan
         self._chunk_start = math.nan  # time of the open chunk's first row; NaN while none is open
@@ -171,7 +175,7 @@ class McapWriter:
         """End the open chunk and hand it to the operating system."""
         self._mcap.flush()  # type: ignore[no-untyped-call]
         self._chunk_rows = 0
-        self.rows_kept, self.events_kept = self._rows, self._events
+        self._note_kept()
 
     def close(self) -> None:
         """Write the summary, and close the file; safe to call twice."""
@@ -179,9 +183,14 @@ class McapWriter:
             return
         try:
             self._mcap.finish()  # type: ignore[no-untyped-call]
-            self.rows_kept, self.events_kept = self._rows, self._events
+            self._file.close()
+            self._note_kept()
         finally:
             self._file.close()
+
+    def _note_kept(self) -> None:
+        self.rows_kept, self.events_kept = self._rows, self._events
+        self._on_flush()
 
 
 def write_mcap(path: Path, recording: Recording, *, overwrite: bool) -> None:

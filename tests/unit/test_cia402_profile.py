@@ -43,7 +43,7 @@ def test_bits_of_a_state_decode_to_it(state: DriveState) -> None:
         (DriveState.OPERATION_ENABLED, Request.QUICK_STOP, [0x02], DriveState.QUICK_STOP_ACTIVE),
         (DriveState.QUICK_STOP_ACTIVE, Request.DISABLE, [0x00], DriveState.SWITCH_ON_DISABLED),
         (DriveState.QUICK_STOP_ACTIVE, Request.ENABLE, [0x00, 0x06, 0x07, 0x0F], DriveState.OPERATION_ENABLED),
-        (DriveState.SWITCHED_ON, Request.QUICK_STOP, [0x02], DriveState.SWITCH_ON_DISABLED),
+        (DriveState.SWITCHED_ON, Request.QUICK_STOP, [0x00], DriveState.SWITCH_ON_DISABLED),
     ],
 )
 def test_request_is_reached_by_the_standard_commands(

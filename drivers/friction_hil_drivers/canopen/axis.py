@@ -2,17 +2,14 @@
 
 import struct
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING
 
 from friction_hil.drive import Command, DriveState, Feedback, Mode, Request
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import objects, profile
 from friction_hil_drivers.canopen.configure import ConfiguredDrive
+from friction_hil_drivers.canopen.frames import Frame
 from friction_hil_drivers.canopen.mapping import Pdo
 from friction_hil_drivers.canopen.units import Unwrapper
-
-if TYPE_CHECKING:
-    import can
 
 _HEARTBEATS_TO_LOSS = 3
 _EMERGENCY = struct.Struct("<HB")
@@ -41,12 +38,11 @@ class CanopenAxis:
         self._rpdo = drive.rpdo
         self._heartbeat_loss_ns = round(_HEARTBEATS_TO_LOSS * heartbeat_s * 1e9)
         self._unwrapper = Unwrapper()
-        self._frame: can.Message | None = None
         self._controlword = profile.DISABLE_VOLTAGE
 
         self._all = (1 << len(drive.tpdos)) - 1
         self._arrived = 0
-        self._received = [bytearray() for _ in drive.tpdos]
+        self._received = [b"" for _ in drive.tpdos]
         self._state = DriveState.UNKNOWN
         self._position = self._velocity = self._torque = 0.0
         self._error_code = 0
@@ -60,11 +56,11 @@ class CanopenAxis:
         """All PDOs of a cycle."""
         return self._tpdos if self._rpdo is None else (*self._tpdos, self._rpdo)
 
-    def handlers(self) -> Mapping[int, Callable[[bytearray], None]]:
+    def handlers(self) -> Mapping[int, Callable[[bytes], None]]:
         """What to do with the data of a frame, by its identifier."""
 
-        def store(number: int, size: int) -> Callable[[bytearray], None]:
-            def handle(data: bytearray) -> None:
+        def store(number: int, size: int) -> Callable[[bytes], None]:
+            def handle(data: bytes) -> None:
                 if len(data) >= size:
                     self._received[number] = data
                     self._arrived |= 1 << number
@@ -113,8 +109,8 @@ class CanopenAxis:
         feedback.error_code = self._error_code
         feedback.message = self._message
 
-    def command_frame(self, command: Command) -> "can.Message":
-        """Encode a command into this drive's RPDO; the frame is overwritten by the next call.
+    def command_frame(self, command: Command) -> Frame:
+        """Encode a command into this drive's RPDO.
 
         Raises
         ------
@@ -126,20 +122,11 @@ class CanopenAxis:
             raise DriveError(f"{self.facts.name}: a drive that is only listened to gets no command")
         word = self._controlword = self._next_controlword(command.request)
         torque = units.torque_per_mille(command.torque)
-        if self._frame is None:
-            import can
-
-            self._frame = can.Message(
-                arbitration_id=rpdo.cob_id, data=bytearray(rpdo.layout.size), is_extended_id=False
-            )
-        data = self._frame.data
         if self._mode is Mode.CSP:
-            rpdo.layout.pack_into(data, 0, word, units.position_counts(command.position), torque)
-        elif self._mode is Mode.CSV:
-            rpdo.layout.pack_into(data, 0, word, units.velocity_increments(command.velocity), torque)
-        else:
-            rpdo.layout.pack_into(data, 0, word, torque)
-        return self._frame
+            return rpdo.cob_id, rpdo.layout.pack(word, units.position_counts(command.position), torque)
+        if self._mode is Mode.CSV:
+            return rpdo.cob_id, rpdo.layout.pack(word, units.velocity_increments(command.velocity), torque)
+        return rpdo.cob_id, rpdo.layout.pack(word, torque)
 
     def _next_controlword(self, request: Request) -> int:
         if request is not Request.RESET_FAULT:
@@ -149,11 +136,11 @@ class CanopenAxis:
             return profile.FAULT_RESET
         return profile.DISABLE_VOLTAGE
 
-    def _on_emergency(self, data: bytearray) -> None:
+    def _on_emergency(self, data: bytes) -> None:
         if len(data) >= _EMERGENCY.size:  # some drives send shorter ones
             self._error_code = _EMERGENCY.unpack_from(data)[0]
 
-    def _on_heartbeat(self, data: bytearray) -> None:
+    def _on_heartbeat(self, data: bytes) -> None:
         if not data:
             return
         state = data[0] & 0x7F

@@ -17,6 +17,7 @@ from friction_hil_drivers.canopen.axis import CanopenAxis
 from friction_hil_drivers.canopen.bus import bus_name, open_bus
 from friction_hil_drivers.canopen.configure import configure
 from friction_hil_drivers.canopen.exclusive import AxisLock
+from friction_hil_drivers.canopen.frames import Frame, FrameBus, frame_bus
 from friction_hil_drivers.canopen.mapping import check_bus_load
 from friction_hil_drivers.canopen.options import CanopenOptions
 from friction_hil_drivers.canopen.sdo import ObjectAccess
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 _LISTEN_S = 0.1
 _STEPPED_TIMEOUT_S = 10.0
 _NOTIFIER_TIMEOUT_S = 0.02
+_OPERATIONAL = bytes([objects.NmtState.OPERATIONAL])
 
 
 class CanopenDrives:
@@ -49,14 +51,14 @@ class CanopenDrives:
         self._configs = dict(axes)
         self._clock = clock
         self._dry_run = dry_run
-        self._bus: Any = bus
+        self._given_bus = bus
+        self._bus: FrameBus | None = None
         self._network: Any = None
         self._locks: list[AxisLock] = []
         self._accesses: dict[str, ObjectAccess] = {}
         self._axes: list[CanopenAxis] = []
-        self._handlers: dict[int, Callable[[bytearray], None]] = {}
-        self._sync: Any = None
-        self._heartbeat: Any = None
+        self._handlers: dict[int, Callable[[bytes], None]] = {}
+        self._heartbeat_id = 0  # 0 before the cyclic phase
         self._heartbeat_ns = 0
         self._next_heartbeat_ns = 0
 
@@ -68,11 +70,11 @@ class CanopenDrives:
         assert config is not None  # the driver's options have checked it
         for name, axis in self._configs.items():
             self._locks.append(AxisLock(config, _options(axis).node, name))
-        if self._bus is None:
-            self._bus = open_bus(config)
-        self._refuse_second_master()
+        name = bus_name(config)
+        self._bus = frame_bus(self._given_bus or open_bus(config), config, name)
+        self._refuse_second_master(name)
 
-        self._network = canopen.Network(self._bus)
+        self._network = canopen.Network(self._bus.bus)
         with self._reading():
             for name, axis in self._configs.items():
                 self._axes.append(self._connect_axis(name, axis))
@@ -94,27 +96,18 @@ class CanopenDrives:
         drive = configure(access, name, config, self._configuration.period_s, dry_run=self._dry_run)
         return CanopenAxis(drive, options.node, options.heartbeat_s)
 
-    def _refuse_second_master(self) -> None:
+    def _refuse_second_master(self, name: str) -> None:
         """Listen for another master's SYNC, which a lock on this machine cannot tell of."""
         end = time.monotonic() + _LISTEN_S
         while (left := end - time.monotonic()) > 0.0:
-            message = self._receive(left)
-            if message is not None and message.arbitration_id == objects.SYNC_ID:
-                raise DriveError(
-                    f"another master sends SYNC on {self._bus.channel_info}: two daemons must not drive one bus"
-                )
+            frame = self._open_bus.receive(left)
+            if frame is not None and frame[0] == objects.SYNC_ID:
+                raise DriveError(f"another master sends SYNC on {name}: two daemons must not drive one bus")
 
     def start(self) -> None:
         """Switch the nodes to Operational and begin the cyclic phase."""
-        import can
-
         options = [_options(axis) for axis in self._configs.values()]
-        self._sync = can.Message(arbitration_id=objects.SYNC_ID, is_extended_id=False)
-        self._heartbeat = can.Message(
-            arbitration_id=objects.HEARTBEAT_BASE + options[0].master_node,
-            data=[objects.NmtState.OPERATIONAL],
-            is_extended_id=False,
-        )
+        self._heartbeat_id = objects.HEARTBEAT_BASE + options[0].master_node
         self._heartbeat_ns = round(min(option.heartbeat_s for option in options) * 1e9)
         for axis in self._axes:
             self._handlers.update(axis.handlers())
@@ -126,19 +119,21 @@ class CanopenDrives:
 
     def receive(self, feedback: Sequence[Feedback], deadline_ns: int) -> None:
         """Send SYNC and collect the feedback of every drive until it is complete, or until the deadline."""
-        clock, axes = self._clock, self._axes
-        while (message := self._receive(0.0)) is not None:
-            self._dispatch(message)
+        clock, axes, bus = self._clock, self._axes, self._open_bus
+        while (frame := bus.receive(0.0)) is not None:
+            self._dispatch(frame)
         now = clock.now_ns()
         for axis in axes:
             axis.expect(now)
-        self._send(self._sync)
+        bus.send(objects.SYNC_ID, b"")
         while not all(axis.is_complete for axis in axes):
             timeout = (deadline_ns - clock.now_ns()) * 1e-9 if clock.is_real else _STEPPED_TIMEOUT_S
-            message = self._receive(timeout) if timeout > 0.0 else None
-            if message is None:
+            if timeout <= 0.0:
                 break
-            self._dispatch(message)
+            if (frame := bus.receive(timeout)) is not None:
+                self._dispatch(frame)
+            elif not clock.is_real:
+                break
         for axis, target in zip(axes, feedback, strict=True):
             axis.fill(target, now)
 
@@ -147,7 +142,7 @@ class CanopenDrives:
         if not self._dry_run:
             for axis, command in zip(self._axes, commands, strict=True):
                 if command.request is not Request.LISTEN:
-                    self._send(axis.command_frame(command))
+                    self._open_bus.send(*axis.command_frame(command))
         now = self._clock.now_ns()
         if now >= self._next_heartbeat_ns:
             self._beat(now)
@@ -155,18 +150,18 @@ class CanopenDrives:
     def _beat(self, now: int) -> None:
         """Send the daemon's heartbeat, by which the drives watch it."""
         if not self._dry_run:
-            self._send(self._heartbeat)
+            self._open_bus.send(self._heartbeat_id, _OPERATIONAL)
         self._next_heartbeat_ns = now + self._heartbeat_ns
 
     def close(self) -> None:
         """Take the nodes out of Operational, so that no stale command stays in force, and leave the bus."""
         if self._bus is not None:
             try:
-                if self._sync is not None and not self._dry_run:
+                if self._heartbeat_id and not self._dry_run:
                     self._part()
             finally:
                 bus, self._bus = self._bus, None
-                bus.shutdown()
+                bus.close()
         for lock in self._locks:
             lock.release()
 
@@ -183,38 +178,25 @@ class CanopenDrives:
         """Let the canopen library's thread read the bus, for its SDO client."""
         import can
 
-        self._network.notifier = can.Notifier(self._bus, self._network.listeners, _NOTIFIER_TIMEOUT_S)
+        self._network.notifier = can.Notifier(self._open_bus.bus, self._network.listeners, _NOTIFIER_TIMEOUT_S)
         try:
             yield
         finally:
             self._network.notifier.stop()
 
-    def _dispatch(self, message: "can.Message") -> None:
-        handler = self._handlers.get(message.arbitration_id)
-        if handler is not None and not message.is_extended_id and not message.is_error_frame:
-            handler(message.data)
+    def _dispatch(self, frame: Frame) -> None:
+        handler = self._handlers.get(frame[0])
+        if handler is not None:
+            handler(frame[1])
 
     def _write_nmt(self, command: objects.NmtCommand, node: int) -> None:
-        self._send(_nmt(command, node))
+        self._open_bus.send(objects.NMT_ID, bytes((command, node)))
 
-    def _send(self, message: "can.Message") -> None:
-        import can
-
-        try:
-            self._bus.send(message)
-        except (can.CanError, OSError) as error:
-            raise BusError(f"the bus {self._bus.channel_info} cannot send: {error}") from error
-
-    def _receive(self, timeout: float) -> "can.Message | None":
-        from friction_hil_drivers.canopen.bus import receive
-
-        return receive(self._bus, timeout)
-
-
-def _nmt(command: objects.NmtCommand, node: int) -> "can.Message":
-    import can
-
-    return can.Message(arbitration_id=objects.NMT_ID, data=[command, node], is_extended_id=False)
+    @property
+    def _open_bus(self) -> FrameBus:
+        if self._bus is None:
+            raise BusError("the bus is not open: connect first")
+        return self._bus
 
 
 def _options(axis: "AxisConfig") -> CanopenOptions:

@@ -5,7 +5,8 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Literal
 
 from friction_hil.errors import BusError, UsageError
-from friction_hil_drivers.canopen.bus import bus_name, open_bus, receive
+from friction_hil_drivers.canopen.bus import bus_name, open_bus
+from friction_hil_drivers.canopen.frames import FrameBus, frame_bus
 from friction_hil_drivers.canopen.simulated.options import SimulationOptions
 
 if TYPE_CHECKING:
@@ -48,7 +49,8 @@ class SimulatedCanopenDrives:
         self._configuration = configuration
         self._axes = dict(axes)
         self._is_real = pace == "real"
-        self._bus = bus
+        self._given_bus = bus
+        self._bus: FrameBus | None = None
         self._nodes: list[Node] = []
 
     def open(self) -> str:
@@ -69,12 +71,13 @@ class SimulatedCanopenDrives:
         assert self._configuration.bus is not None  # the driver's options have checked it
         nodes = {name: self._make_node(axis) for name, axis in self._axes.items()}
         self._nodes = list(nodes.values())
-        if self._bus is None:
-            self._bus = open_bus(self._configuration.bus)
+        config = self._configuration.bus
+        where = bus_name(config)
+        self._bus = frame_bus(self._given_bus or open_bus(config), config, where)
         for node in self._nodes:
             node.boot()
         listed = ", ".join(f"{name}=node {node.number}" for name, node in nodes.items())
-        return f"{listed} on {bus_name(self._configuration.bus)}"
+        return f"{listed} on {where}"
 
     def run(self, is_stopping: Callable[[], bool]) -> None:
         """Serve the bus until ``is_stopping()`` is true.
@@ -86,21 +89,19 @@ class SimulatedCanopenDrives:
         DriveError
             A simulated servo diverged.
         """
-        nodes, bus, is_real = self._nodes, self._bus, self._is_real
+        nodes, is_real, bus = self._nodes, self._is_real, self._open_bus
         timeout = _REAL_TIMEOUT_S if is_real else _SYNC_TIMEOUT_S
         start_ns, now_ns = time.monotonic_ns(), 0
         while not is_stopping():
-            message = receive(bus, timeout)
+            frame = bus.receive(timeout)
             if is_real:
                 now_ns = time.monotonic_ns() - start_ns
-            if message is not None and not (
-                message.is_extended_id or message.is_error_frame or message.is_remote_frame
-            ):
-                can_id = message.arbitration_id
+            if frame is not None:
+                can_id, data = frame
                 for node in nodes:
                     if node.listens_to(can_id):
                         node.advance_to(now_ns)
-                        node.receive(can_id, bytes(message.data))
+                        node.receive(can_id, data)
             for node in nodes:
                 if now_ns - node.polled_ns >= _POLL_NS:
                     node.advance_to(now_ns)
@@ -109,7 +110,7 @@ class SimulatedCanopenDrives:
     def close(self) -> None:
         """Leave the bus. Safe to call twice."""
         if self._bus is not None:
-            self._bus.shutdown()
+            self._bus.close()
             self._bus = None
 
     def _make_node(self, axis: "AxisConfig") -> "Node":
@@ -164,13 +165,13 @@ class SimulatedCanopenDrives:
         return steps
 
     def _send(self, can_id: int, data: bytes) -> None:
-        import can
+        self._open_bus.send(can_id, data)
 
-        message = can.Message(arbitration_id=can_id, data=data, is_extended_id=False)
-        try:
-            self._bus.send(message)
-        except (can.CanError, OSError) as error:
-            raise BusError(f"the bus {self._bus.channel_info} cannot send: {error}") from error
+    @property
+    def _open_bus(self) -> FrameBus:
+        if self._bus is None:
+            raise BusError("the bus is not open: call open() first")
+        return self._bus
 
 
 def _compile(servo: "Servo") -> None:

@@ -153,6 +153,7 @@ class Node:
         if len(data) < rpdo.size:
             rpdo.is_too_short = True
             self._emergencies.report(RPDO_TOO_SHORT)
+            self._update()
             return
         if rpdo.is_too_short:
             rpdo.is_too_short = False

@@ -1,0 +1,258 @@
+"""The companion as a real process: what it records, and what happens when something dies."""
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import friction_hil as fh
+from friction_hil.companion import Companion, CompanionReport, Job, free_path
+from friction_hil.errors import RecordingError, UsageError
+from friction_hil.recordings.columns import NAMES
+
+COLUMNS = ["time_s", "cycle", "position"]
+STATE = 2
+PERIOD_S = 1e-3
+
+
+@pytest.fixture
+def job(tmp_path: Path) -> Job:
+    return Job(
+        axes=["x", "y"],
+        columns=COLUMNS,
+        state_width=STATE,
+        period_s=PERIOD_S,
+        started_unix_ns=1_700_000_000_000_000_000,
+        path=str(tmp_path / "run.mcap"),
+        metadata={"configuration": {"period_s": PERIOD_S, "level": float("inf")}},
+    )
+
+
+@pytest.fixture
+def companion(job: Job) -> Iterator[Companion]:
+    with Companion.start(job) as started:
+        yield started
+
+
+def row(cycle: int) -> np.ndarray:
+    """One cycle of both axes: the position of x is its cycle, that of y the negative; states follow."""
+    return np.array([cycle * PERIOD_S, cycle, cycle, 1, -1, cycle * PERIOD_S, cycle, -cycle, 2, -2], dtype=float)
+
+
+def push(companion: Companion, first: int, end: int) -> None:
+    for cycle in range(first, end):
+        while companion.free_slots() == 0:  # the ring is in shared memory: this ends when the reader is there
+            os.sched_yield()
+        companion.push(row(cycle))
+
+
+def cycles(paths: tuple[str, ...], axis: str = "x") -> list[float]:
+    """Cycles of all segments, in order; every row is checked."""
+    found: list[float] = []
+    for path in paths:
+        recording = fh.recordings.read(path, axis)
+        cycle = recording["cycle"]
+        np.testing.assert_array_equal(recording["position"], cycle if axis == "x" else -cycle)
+        assert recording.metadata["configuration"] == {"period_s": PERIOD_S, "level": float("inf")}
+        assert recording.restarts[0][0] == 0
+        np.testing.assert_array_equal(recording.restarts[0][1], [1, -1] if axis == "x" else [2, -2])
+        found += cycle.tolist()
+    return found
+
+
+def test_every_row_and_event_is_recorded(companion: Companion, job: Job) -> None:
+    push(companion, 0, 2500)
+    companion.push_event(2499, "fault", "x: following error")
+    report = companion.close()
+    assert report == CompanionReport((str(job.path),), 2500, 0, ())
+    assert companion.close() is report
+    assert not companion.is_alive
+    for axis in ("x", "y"):
+        assert cycles(report.recording, axis) == list(range(2500))
+    read = fh.recordings.read(str(job.path), "x")
+    assert [(event.cycle, event.name, event.text) for event in read.events] == [(2499.0, "fault", "x: following error")]
+    assert read.problems == []
+
+
+def test_without_a_path_rows_are_taken_and_dropped(job: Job, tmp_path: Path) -> None:
+    with Companion.start(replace(job, path=None)) as companion:
+        push(companion, 0, 20_000)
+        assert companion.close() == CompanionReport((), 20_000, 0, ())
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_killed_worker_is_replaced_and_nothing_is_lost(companion: Companion, job: Job, tmp_path: Path) -> None:
+    push(companion, 0, 9500)
+    while companion.free_slots() < 8000 - 500:  # until nine chunks are on disk and half a one is not
+        os.sched_yield()
+    first = companion.worker_pid
+    os.kill(first, signal.SIGKILL)
+    assert "died (signal SIGKILL)" in str(companion.next_message())
+    assert companion.next_message() == {"opened": str(tmp_path / "run-2.mcap"), "pid": companion.worker_pid}
+    assert companion.worker_pid != first
+    push(companion, 9500, 12_000)
+    report = companion.close()
+    assert report.recording == (job.path, str(tmp_path / "run-2.mcap"))
+    assert (report.rows, report.lost) == (12_000, 0)
+    assert cycles(report.recording, "y") == list(range(12_000))
+    assert len(report.problems) == 1
+
+
+def test_rows_that_come_while_nobody_reads_are_counted_when_the_ring_is_full(companion: Companion) -> None:
+    os.kill(companion.worker_pid, signal.SIGSTOP)
+    for cycle in range(10_000):  # 8000 fit
+        companion.push(row(cycle))
+    assert companion.free_slots() == 0
+    os.kill(companion.worker_pid, signal.SIGCONT)
+    report = companion.close()
+    assert report.rows + report.lost == 10_000
+    assert report.lost >= 1000
+    found = cycles(report.recording)
+    assert len(found) == report.rows
+    assert found[-1] == 9999.0
+    read = fh.recordings.read(report.recording[0], "x")
+    assert [row for row, _ in read.restarts][:1] == [0]
+
+
+def test_a_worker_that_dies_again_and_again_is_given_up(companion: Companion) -> None:
+    for _ in range(3):
+        os.kill(companion.worker_pid, signal.SIGKILL)
+        companion.next_message()
+        companion.next_message()
+    companion.push(row(0))
+    report = companion.close()
+    assert not companion.is_alive
+    assert (report.rows, report.lost) == (0, 1)
+    assert "3 workers of the companion died at once" in report.problems[-1]
+
+
+def test_the_death_of_the_supervisor_stops_nothing(companion: Companion) -> None:
+    push(companion, 0, 100)
+    companion._process.kill()
+    companion._process.wait()
+    push(companion, 100, 200)
+    report = companion.close()
+    assert cycles(report.recording) == list(range(200))
+
+
+def test_signals_of_the_terminal_are_left_to_the_control_process(companion: Companion) -> None:
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        os.kill(companion.worker_pid, number)
+        companion._process.send_signal(number)
+    push(companion, 0, 1200)
+    report = companion.close()
+    assert report.problems == ()
+    assert cycles(report.recording) == list(range(1200))
+
+
+CONTROL = """
+import json, os, sys
+sys.path.insert(0, sys.argv[2])
+from friction_hil.companion import Companion, Job
+from test_companion import push
+companion = Companion.start(Job(**json.loads(sys.argv[1])))
+push(companion, 0, 1500)
+print("pushed", flush=True)
+sys.stdin.read()
+"""
+
+
+def test_a_killed_control_process_leaves_a_whole_file(job: Job) -> None:
+    import json
+    from dataclasses import asdict
+
+    with subprocess.Popen(
+        [sys.executable, "-c", CONTROL, json.dumps(asdict(job)), str(Path(__file__).parent)],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    ) as control:
+        assert control.stdout is not None
+        assert control.stderr is not None
+        assert control.stdout.readline() == b"pushed\n"
+        control.kill()
+        assert control.stderr.read() == b""  # its end: the companion, which has the other end, has gone too
+    assert cycles((str(job.path),)) == list(range(1500))
+    read = fh.recordings.read(str(job.path), "x")
+    assert read.problems == []
+    assert [(event.cycle, event.name) for event in read.events] == [(1499.0, "abandoned")]
+
+
+def test_a_full_disk_ends_the_recording_and_not_the_run(job: Job, capfd: pytest.CaptureFixture[str]) -> None:
+    companion = Companion.start(job)
+    resource.prlimit(companion.worker_pid, resource.RLIMIT_FSIZE, (100_000, 100_000))
+    push(companion, 0, 20_000)
+    report = companion.close()
+    assert report.problems == ("the recording ended early: File too large",)
+    assert "the recording ended early: File too large" in capfd.readouterr().err
+    assert 0 < report.rows < 20_000
+    assert report.rows + report.lost == 20_000
+    found = cycles(report.recording)
+    assert len(found) >= report.rows  # a chunk may be there whose index is not
+    assert found == list(range(len(found)))
+
+
+def test_a_file_that_cannot_be_made_is_told_before_anything_moves(job: Job, tmp_path: Path) -> None:
+    (tmp_path / "full.mcap").symlink_to("/dev/full")
+    (tmp_path / "folder.mcap").mkdir()
+    (tmp_path / "file").touch()
+    for path, overwrite, message in (
+        ("full.mcap", True, "full.mcap cannot be written: No space left on device"),
+        ("folder.mcap", True, "folder.mcap cannot be written: Is a directory"),
+        ("file/run.mcap", False, "file cannot be made: File exists"),
+        ("file/a/run.mcap", False, "file/a cannot be made: Not a directory"),
+    ):
+        with pytest.raises(RecordingError, match=message):
+            Companion.start(replace(job, path=str(tmp_path / path), overwrite=overwrite))
+    with pytest.raises(UsageError, match=r"written as \.mcap"):
+        Companion.start(replace(job, path=str(tmp_path / "run.csv")))
+
+
+def test_missing_folders_are_made_and_existing_files_kept(job: Job, tmp_path: Path) -> None:
+    path = tmp_path / "a" / "b" / "run.mcap"
+    job = replace(job, path=str(path))
+    assert free_path(path, 0) == path
+    Companion.start(job).close()
+    before = path.read_bytes()
+    with pytest.raises(RecordingError, match="exists already; --force replaces it"):
+        Companion.start(job)
+    assert path.read_bytes() == before
+    other = free_path(path, job.started_unix_ns)
+    assert other.parent == path.parent
+    assert other.name.startswith("run-2023111")
+    with Companion.start(replace(job, overwrite=True)) as companion:
+        companion.push(row(0))
+    assert cycles((str(path),)) == [0.0]
+
+
+def test_the_status_line_tells_how_it_goes(job: Job, capfd: pytest.CaptureFixture[str]) -> None:
+    job = replace(job, columns=list(NAMES), axes=["x", "z"], kinds=["rotary", "linear"], status_line=True, path=None)
+    values = dict.fromkeys(NAMES, np.nan) | {"position": 0.0, "position_demand": 3e-3, "compensation": 0.05, "state": 2}
+    with Companion.start(job) as companion:
+        for cycle in (*range(50), *range(52, 1000)):
+            late = 10.0 if cycle < 970 else 500.0
+            now = values | {"time_s": cycle * PERIOD_S, "cycle": cycle, "late_us": late}
+            companion.push(np.tile([*now.values(), *[0.0] * STATE], 2))
+    lines = capfd.readouterr().err.replace("\x1b[K", "").split("\r")
+    assert lines[0] == ""
+    assert "x: RUNNING error 3.00e-03 rad rms comp +0.05 N m  z: RUNNING error 3.00e-03 m rms comp +0.05 N" in lines[-1]
+    assert lines[-1].startswith("1.0 s  ")
+    assert lines[-1].endswith("late p99 500 us  missed 2  lost 0\n")
+
+
+def test_the_companion_needs_no_compiler() -> None:
+    code = (
+        "import sys, friction_hil.companion.__main__ as main\n"
+        "assert 'numpy' not in sys.modules\n"
+        "import friction_hil.companion.worker\n"
+        "assert 'numba' not in sys.modules\n"
+        "assert 'scipy' not in sys.modules\n"
+    )
+    subprocess.run([sys.executable, "-P", "-c", code], check=True)

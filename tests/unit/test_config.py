@@ -1,0 +1,621 @@
+"""Configurations and model files: what is accepted, and what is said of what is not."""
+
+import copy
+import json
+import math
+import re
+
+import pytest
+import yaml
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from friction_hil.config import (
+    dump,
+    from_dict,
+    json_schema,
+    load,
+    load_model_file,
+    model_from_argument,
+    self_contained,
+)
+from friction_hil.errors import ConfigurationError, UsageError
+
+FAKE_DRIVER = """
+from pathlib import Path
+
+from pydantic import BaseModel, ConfigDict, Field
+
+
+class Wiring(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    pins: tuple[int, ...] = ()
+    table: Path | None = None
+
+
+class Options(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    node: int = Field(ge=1, le=9)
+    gear: float = Field(1.0, gt=0, allow_inf_nan=False, json_schema_extra={"unit": "furlong"})
+    is_inverted: bool = False
+    table: Path | None = None
+    wiring: Wiring = Wiring()
+
+    @classmethod
+    def check(cls, axes, bus):
+        seen = set()
+        for name, axis in axes.items():
+            if axis.options.node in seen:
+                yield name, "node", "has this node already"
+            seen.add(axis.options.node)
+            if bus is None:
+                yield name, "driver", "needs a bus"
+
+
+class Drives:
+    Options = Options
+
+
+class Simulation(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    rate_hz: float = 8000.0
+    quirks: Wiring = Wiring()
+
+
+class SimulatedDrives:
+    Options = Simulation
+"""
+
+GOOD = """\
+version: 1
+period_s: 1e-3
+bus:
+  interface: udp_multicast
+  channel: 239.74.163.2
+  port: 43113
+axes:
+  x:
+    driver: fake
+    node: 1
+    mode: csp
+    limits:
+      torque: 0.3
+      torque_slew: 300.0
+      velocity: 30.0
+      following_error: 0.1
+      position: [-10.0, 10]
+    model:
+      axis: rotary
+      friction:
+        model: lugre
+        parameters:
+          sigma0: 2000
+          coulomb: 0.1
+          stribeck_velocity: 0.1
+          damping_velocity: .inf
+      mechanics:
+        inertia: 2e-4
+    compensation:
+      gain: 0.8
+    shadows:
+      - name: plain
+        model:
+          axis: rotary
+          friction:
+            model: coulomb
+            parameters:
+              coulomb: 0.1
+    trajectory:
+      kind: circle
+      radius: 1.0
+      frequency: 0.5
+    simulation:
+      rate_hz: 4000.0
+recording:
+  path: out/run.mcap
+realtime:
+  priority: 0
+"""
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _fake_drivers(tmp_path_factory):
+    """Install a distribution with the drivers ``fake``, ``unsimulated`` and ``broken``."""
+    directory = tmp_path_factory.mktemp("site")
+    (directory / "fake_friction_drives.py").write_text(FAKE_DRIVER)
+    metadata = directory / "fake_friction_drives-1.0.dist-info"
+    metadata.mkdir()
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: fake-friction-drives\nVersion: 1.0\n")
+    (metadata / "entry_points.txt").write_text(
+        "[friction_hil.drivers]\n"
+        "fake = fake_friction_drives:Drives\n"
+        "unsimulated = fake_friction_drives:Drives\n"
+        "broken = fake_friction_drives.missing:Drives\n"
+        "[friction_hil.simulated_drives]\n"
+        "fake = fake_friction_drives:SimulatedDrives\n"
+    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(directory)
+        yield
+
+
+def good():
+    return yaml.safe_load(GOOD.replace("1e-3", "0.001").replace("2e-4", "0.0002"))
+
+
+def changed(**changes):
+    """The good values with some of them replaced; names as ``axes__x__node``; None removes."""
+    values = good()
+    for name, value in changes.items():
+        *steps, last = name.split("__")
+        place = values
+        for step in steps:
+            place = place[step]
+        if value is None:
+            del place[last]
+        else:
+            place[last] = value
+    return values
+
+
+def problems_of(values):
+    with pytest.raises(ConfigurationError) as caught:
+        from_dict(values, "test")
+    return {problem.field: problem.message for problem in caught.value.problems}
+
+
+def outcome(path):
+    """The configuration, or None, and the problems."""
+    try:
+        return load(path), ()
+    except ConfigurationError as error:
+        return None, error.problems
+
+
+def problems_in(path, text):
+    path.write_text(text)
+    configuration, problems = outcome(path)
+    assert configuration is None
+    return problems
+
+
+@pytest.fixture
+def path(tmp_path):
+    return tmp_path / "axis.yaml"
+
+
+def test_a_good_file(path):
+    path.write_text(GOOD)
+    configuration = load(path)
+    axis = configuration.axes["x"]
+    assert configuration.source_path == path
+    assert configuration.period_s == 1e-3
+    assert configuration.bus.hop_limit == 0
+    assert configuration.realtime.max_missed == 10
+    assert (axis.options.node, axis.options.gear, axis.simulation.rate_hz) == (1, 1.0, 4000.0)
+    assert axis.limits.position == (-10.0, 10.0)
+    assert axis.compensation.model_dump() == {
+        "enabled": True,
+        "gain": 0.8,
+        "source": "auto",
+        "fade_s": 0.5,
+        "baseline_s": 0.0,
+        "velocity": "position",
+        "smoothing": 0.5,
+    }
+    assert axis.model.friction_model.parameters["damping_velocity"] == math.inf
+    assert [shadow.name for shadow in axis.shadows] == ["plain"]
+    assert axis.trajectory.ramp_s == 1.0
+    assert str(configuration.recording.path) == "out/run.mcap"
+
+
+def test_it_cannot_be_changed():
+    configuration = from_dict(good(), "test")
+    with pytest.raises(ValueError, match="frozen"):
+        configuration.axes["x"].limits.torque = 3.0
+
+
+CASES = [
+    # the line of GOOD that is replaced, what replaces it, the field, the message
+    ("period_s: 1e-3", "period_s: 1:30", "period_s", "must be a number [s], not the text '1:30'"),
+    ("period_s: 1e-3", "period_s: 1:30", "period_s", "write 90"),
+    ("period_s: 1e-3", "period_s: 2", "period_s", "must be at least 0.0001 and at most 1 s, not 2"),
+    ("period_s: 1e-3", "period_s: .nan", "period_s", "must be a finite number, not .nan"),
+    ("period_s: 1e-3", "period_s: .inf", "period_s", "must be a finite number, not .inf"),
+    ("period_s: 1e-3", "period_s: '1e-3'", "period_s", "without quotes"),
+    ("period_s: 1e-3", "period_s: 1 ms", "period_s", "write the number alone, 1"),
+    ("period_s: 1e-3", "period_s: 0,001", "period_s", "write 0.001"),
+    ("period_s: 1e-3", "period_s: true", "period_s", "must be a number [s], not true"),
+    ("period_s: 1e-3", "period_s:", "period_s", "not empty"),
+    ("period_s: 1e-3", "priod_s: 1e-3", "priod_s", "did you mean 'period_s'?"),
+    ("version: 1", "version: 2", "version", "must be 1, not 2"),
+    ("  port: 43113", "  port: 43_113", "bus.port", "write 43113"),
+    ("  port: 43113", "  port: 70000", "bus.port", "at most 65535"),
+    ("  port: 43113", "  port: 1.0", "bus.port", "write 1"),
+    ("  port: 43113", "  bitrate: 1000", "bus.bitrate", "no meaning for the interface udp_multicast"),
+    ("  port: 43113", "  prot: 43113", "bus.prot", "did you mean 'port'?"),
+    ("  channel: 239.74.163.2", "  channel: [1]", "bus.channel", "must be a whole number, not a list; or"),
+    ("  x:", "  X:", "axes.X", "small letters"),
+    ("    driver: fake", "    driver: fkae", "axes.x.driver", "did you mean 'fake'?"),
+    ("    driver: fake", "    driver: broken", "axes.x.driver", "cannot be imported"),
+    ("    node: 1", "    node: 10", "axes.x.node", "must be at least 1 and at most 9, not 10"),
+    ("    node: 1", "    node: 010", "axes.x.node", "write 10"),
+    ("    node: 1", "    nod: 1", "axes.x.nod", "did you mean 'node'?"),
+    ("    node: 1", "    node: 1\n    options: {node: 1}", "axes.x.options", "is no key here"),
+    ("    node: 1", "    node: 1\n    gear: 0", "axes.x.gear", "must be above 0 furlong, not 0"),
+    ("    node: 1", "    node: 1\n    is_inverted: on", "axes.x.is_inverted", "write true"),
+    ("    node: 1", "    node: 1\n    wiring: {pins: [1, a]}", "axes.x.wiring.pins[1]", "whole number"),
+    ("    node: 1", "    node: 1\n    wiring: {pin: [1]}", "axes.x.wiring.pin", "did you mean 'pins'?"),
+    ("    mode: csp", "    mode: CSP", "axes.x.mode", "'csp', 'csv' or 'cst'"),
+    ("    limits:", "    limit:", "axes.x.limit", "did you mean 'limits'?"),
+    ("      torque: 0.3", "      torque: -0.3", "axes.x.limits.torque", "must be above 0 N m"),
+    ("      torque: 0.3", "      torque: 0.3 Nm", "axes.x.limits.torque", "write the number alone, 0.3"),
+    ("      torque: 0.3", "      torqe: 0.3", "axes.x.limits.torqe", "did you mean 'torque'?"),
+    ("      position: [-10.0, 10]", "      position: [1, 1]", "axes.x.limits.position", "[lowest, highest]"),
+    ("      position: [-10.0, 10]", "      position: [1]", "axes.x.limits.position", "at least 2 values"),
+    ("      position: [-10.0, 10]", "      position: [1, 2, 3]", "axes.x.limits.position", "at most 2"),
+    ("      position: [-10.0, 10]", "      position: [1, .nan]", "axes.x.limits.position[1]", "finite"),
+    ("      velocity: 30.0", "      velocity: 3.1", "axes.x.limits.velocity", "moves at up to 3.142"),
+    ("        model: lugre", "        model: lugree", "axes.x.model.friction.model", "did you mean 'lugre'?"),
+    ("          sigma0: 2000", "          sigma0: -1", "axes.x.model.friction.parameters.sigma0", "N m/rad, > 0"),
+    ("          sigma0: 2000", "          sigma0: .nan", "axes.x.model.friction.parameters.sigma0", "nan"),
+    ("          sigma0: 2000", "          sigma: 1", "axes.x.model.friction.parameters.sigma", "sigma0"),
+    ("        inertia: 2e-4", "        inertia: [2e-4]", "axes.x.model.mechanics.inertia", "not a list"),
+    ("        inertia: 2e-4", "        inertia: -1", "axes.x.model.mechanics.inertia", "kg m^2 or kg"),
+    ("      gain: 0.8", "      gain: 1.6", "axes.x.compensation.gain", "at least 0 and at most 1.5, not 1.6"),
+    ("      gain: 0.8", "      enabled: yes", "axes.x.compensation.enabled", "write true"),
+    ("      gain: 0.8", "      enabled: 1", "axes.x.compensation.enabled", "must be true or false, not 1"),
+    ("      gain: 0.8", "      smoothing: 0.05", "axes.x.compensation.smoothing", "cycles"),
+    ("      - name: plain", "      - name: Plain", "axes.x.shadows[0].name", "small letters"),
+    ("      kind: circle", "      kind: circel", "axes.x.trajectory.kind", "one of 'circle', 'sine'"),
+    ("      radius: 1.0", "      radus: 1.0", "axes.x.trajectory.radus", "did you mean 'radius'?"),
+    ("      kind: circle", "", "axes.x.trajectory", "needs the key 'kind'"),
+    ("      radius: 1.0", "      radius: 0", "axes.x.trajectory.radius", "must be above 0 rad or m"),
+    ("      rate_hz: 4000.0", "      rate: 1", "axes.x.simulation.rate", "did you mean 'rate_hz'?"),
+    ("  path: out/run.mcap", "  path: 3", "recording.path", "3"),
+    ("  priority: 0", "  priority: 100", "realtime.priority", "at most 99"),
+    ("  priority: 0", "  spin_us: 1000", "realtime.spin_us", "below the period, 1000 us"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "field", "message"), CASES)
+def test_a_mistake_is_told_with_its_line(path, old, new, field, message):
+    assert GOOD.count(f"{old}\n") == 1
+    problems = problems_in(path, GOOD.replace(f"{old}\n", f"{new}\n"))
+    [problem] = [problem for problem in problems if problem.field == field]
+    assert message in problem.message
+    assert problem.path == str(path)
+    lines = GOOD.split("\n")
+    expected = lines.index(old) + 1 + new.count("\n")
+    if message.startswith("needs the key"):
+        expected = lines.index("    trajectory:") + 1
+    assert problem.line == expected
+
+
+def test_a_missing_key_is_told_at_its_parent(path):
+    [problem] = problems_in(path, GOOD.replace("      torque: 0.3\n", ""))
+    assert (problem.line, problem.field) == (12, "axes.x.limits.torque")
+    assert problem.message.startswith("is missing: bound on abs(compensation)")
+    [problem] = problems_in(path, GOOD.replace("          coulomb: 0.1\n          strib", "          strib"))
+    assert (problem.line, problem.field) == (22, "axes.x.model.friction.parameters.coulomb")
+    assert problem.message.startswith("lugre needs coulomb (Coulomb level")
+
+
+def test_a_driver_without_simulated_drive(path):
+    [problem] = problems_in(path, GOOD.replace("    driver: fake\n", "    driver: unsimulated\n"))
+    assert (problem.line, problem.field) == (43, "axes.x.simulation")
+    assert problem.message.startswith("simulated drives exist for canopen, fake: no driver is called 'unsimulated'")
+
+
+def test_all_mistakes_are_told_at_once(path):
+    text = GOOD
+    places = set()
+    for old, new in [
+        ("period_s: 1e-3", "period_s: 0"),
+        ("    node: 1", "    node: 0"),
+        ("      torque: 0.3", "      torque: 0"),
+        ("          sigma0: 2000", "          sigma0: 0"),
+        ("          coulomb: 0.1", "          colomb: 0.1"),
+        ("      - name: plain", "      - name: 3"),
+        ("      rate_hz: 4000.0", "      rate_hz: x"),
+        ("  priority: 0", "  priority: 0\n  priority: 1"),
+    ]:
+        text = text.replace(f"{old}\n", f"{new}\n", 1)
+        places.add(text.split("\n").index(new.split("\n")[-1]) + 1)
+    problems = problems_in(path, text)
+    assert {problem.line for problem in problems} == places | {GOOD.split("\n").index("        parameters:") + 1}
+    assert [problem.line for problem in problems] == sorted(problem.line for problem in problems)
+    assert problems[-1].message.startswith("is given twice")
+
+
+@pytest.mark.parametrize(
+    ("changes", "field", "message"),
+    [
+        ({"axes__x__trajectory": {"kind": "none"}}, "axes.x.trajectory.kind", "mode csp needs"),
+        ({"axes__x__mode": "csv", "axes__x__trajectory": {"kind": "none"}}, "axes.x.trajectory.kind", "csv"),
+        ({"axes__x__mode": "cst"}, "axes.x.controller", "is missing"),
+        (
+            {"axes__x__controller": {"position_gain": 1.0, "velocity_gain": 1.0, "integral_hz": 0.0}},
+            "axes.x.controller",
+            "belongs to mode cst",
+        ),
+        (
+            {"axes__x__mode": "cst", "axes__x__trajectory": {"kind": "none"}},
+            "axes.x.limits.following_error",
+            "none without a set-point",
+        ),
+        ({"axes__x__shadows": [good()["axes"]["x"]["shadows"][0]] * 2}, "axes.x.shadows[1]", "'plain' already"),
+        ({"axes__x__model__friction__modifiers": {"load": {}}}, "axes.x.model.friction.modifiers", "no modifiers"),
+        ({"axes__y": good()["axes"]["x"]}, "axes.y.node", "has this node already"),
+        ({"bus": None}, "axes.x.driver", "needs a bus"),
+        ({"axes": {}}, "axes", "needs at least 1"),
+        (
+            {"axes__x__trajectory": {"kind": "triangle", "amplitude": 20.0, "frequency": 0.4}},
+            "axes.x.limits.velocity",
+            "32",
+        ),
+        ({"bus__interface": "socketcan", "bus__channel": "can0"}, "bus.port", "no meaning"),
+        ({"bus": {"interface": "pcan", "channel": "PCAN_USBBUS1", "timing": [1]}}, "bus.timing", "single value"),
+    ],
+)
+def test_what_does_not_fit_together(changes, field, message):
+    assert message in problems_of(changed(**changes))[field]
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"axes__x__mode": "cst", "axes__x__trajectory": {"kind": "none"}, "axes__x__limits__following_error": None},
+        {
+            "axes__x__mode": "cst",
+            "axes__x__controller": {"position_gain": 1.0, "velocity_gain": 1.0, "integral_hz": 0.0},
+        },
+        {"axes__x__trajectory": {"kind": "hold"}},
+        {"axes__x__mode": "csv", "axes__x__trajectory": {"kind": "sine", "amplitude": 1.0, "frequency": 1.0}},
+        {"axes__y": {**good()["axes"]["x"], "node": 2}},
+        {"bus": {"interface": "socketcan", "channel": "can0", "bitrate": 1000000}},
+        {"bus": {"interface": "kvaser", "channel": 0, "bitrate": 1000000, "single_handle": True}},
+        {"recording": None, "realtime": None, "axes__x__simulation": None, "axes__x__shadows": None},
+    ],
+)
+def test_what_fits_together(changes):
+    from_dict(changed(**changes), "test")
+
+
+def test_further_keys_of_an_interface_are_kept_for_python_can():
+    bus = {"interface": "kvaser", "channel": 0, "single_handle": True}
+    assert from_dict(changed(bus=bus), "test").bus.further == {"single_handle": True}
+
+
+@given(st.data())
+@settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
+def test_a_wrong_value_is_told_in_its_own_line(tmp_path, data):
+    values = good()
+    places = [steps for steps in leaves(values) if steps != ("axes", "x", "shadows", 0, "name")]
+    steps = data.draw(st.sampled_from(places))
+    replace(values, steps, {"what": "is this"})
+    text = yaml.safe_dump(values, default_flow_style=False, sort_keys=False)
+    problems = problems_in(tmp_path / "axis.yaml", text)
+    node = yaml.compose(text)
+    for step in steps:
+        if isinstance(step, int):
+            node = node.value[step]
+            line = node.start_mark.line + 1
+        else:
+            [(name, node)] = [(name, value) for name, value in node.value if name.value == step]
+            line = name.start_mark.line + 1
+    told = {problem.line for problem in problems}
+    assert told & {line, line + 1}, f"line {line}: {problems}"
+
+
+def leaves(value, steps=()):
+    if isinstance(value, dict):
+        return [leaf for key, item in value.items() for leaf in leaves(item, (*steps, key))]
+    if isinstance(value, list):
+        return [leaf for index, item in enumerate(value) for leaf in leaves(item, (*steps, index))]
+    return [steps]
+
+
+def replace(value, steps, new):
+    for step in steps[:-1]:
+        value = value[step]
+    value[steps[-1]] = new
+
+
+ANYTHING = st.recursive(
+    st.none()
+    | st.booleans()
+    | st.integers()
+    | st.floats()
+    | st.text(max_size=6)
+    | st.sampled_from(["csp", "cst", "none", "fake", "broken", "coulomb", "1:30", "on", 1e-3, 1, 10**30, "axis.yaml"]),
+    lambda inner: (
+        st.lists(inner, max_size=3)
+        | st.dictionaries(
+            st.sampled_from(["kind", "model", "axis", "friction", "parameters", "node", "name"]) | st.text(max_size=4),
+            inner,
+            max_size=3,
+        )
+    ),
+    max_leaves=6,
+)
+
+
+def every_place(value, steps=()):
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, item in items:
+        yield (*steps, key)
+        yield from every_place(item, (*steps, key))
+
+
+@given(st.data())
+@settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=150)
+def test_a_mutated_configuration_loads_or_has_mistakes_with_lines(tmp_path, data):
+    values = good()
+    for _ in range(data.draw(st.integers(1, 3))):
+        steps = data.draw(st.sampled_from(list(every_place(values)) or [("axes",)]))
+        kind = data.draw(st.sampled_from(["replace", "remove", "add"]))
+        place = values
+        for step in steps[:-1]:
+            place = place[step]
+        if kind == "replace":
+            place[steps[-1]] = data.draw(ANYTHING)
+        elif kind == "remove":
+            del place[steps[-1]]
+        elif isinstance(place, dict):
+            place[data.draw(st.text(max_size=5))] = data.draw(ANYTHING)
+        else:
+            place.append(data.draw(ANYTHING))
+    text = dump(values)
+    path = tmp_path / "mutated.yaml"
+    path.write_text(text)
+    configuration, problems = outcome(path)
+    if configuration is not None:
+        assert self_contained(from_dict(self_contained(configuration), "test")) == self_contained(configuration)
+        return
+    assert problems
+    for problem in problems:
+        assert problem.message
+        if problem.path == str(path):
+            assert 1 <= problem.line <= text.count("\n") + 1
+
+
+@given(st.data())
+@settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=100)
+def test_a_mutated_text_loads_or_has_mistakes(tmp_path, data):
+    raw = bytearray(GOOD.encode())
+    for _ in range(data.draw(st.integers(1, 4))):
+        at = data.draw(st.integers(0, len(raw) - 1))
+        raw[at : at + data.draw(st.integers(0, 3))] = data.draw(
+            st.binary(max_size=3) | st.sampled_from([b":", b"\n", b"  ", b"*", b"&a ", b"\t"])
+        )
+    path = tmp_path / "mutated.yaml"
+    path.write_bytes(bytes(raw))
+    configuration, problems = outcome(path)
+    assert configuration is not None or problems
+
+
+def test_what_is_self_contained_comes_back_without_files(tmp_path):
+    (tmp_path / "models").mkdir()
+    values = good()
+    model = values["axes"]["x"]["model"]
+    (tmp_path / "models" / "lugre_axis.yaml").write_text(dump({"version": 1, **model}))
+    values["axes"]["x"]["model"] = "models/lugre_axis.yaml"
+    values["axes"]["x"]["shadows"] = [
+        "models/lugre_axis.yaml",
+        {"name": "other", "model": "models/lugre_axis.yaml"},
+        {"name": "inline", "model": model},
+    ]
+    path = tmp_path / "axis.yaml"
+    path.write_text(dump(values))
+    configuration = load(path)
+    axis = configuration.axes["x"]
+    assert [shadow.name for shadow in axis.shadows] == ["lugre_axis", "other", "inline"]
+    assert axis.model.source_path == tmp_path / "models" / "lugre_axis.yaml"
+    assert [shadow.model.source_path is not None for shadow in axis.shadows] == [True, True, False]
+
+    carried = json.loads(json.dumps(self_contained(configuration)))
+    for file in (path, tmp_path / "models" / "lugre_axis.yaml"):
+        file.unlink()
+    again = from_dict(carried, "run.mcap")
+    assert self_contained(again) == carried
+    assert again.axes["x"].model.friction.parameters == {**model["friction"]["parameters"]}
+    assert again.axes["x"].options == axis.options
+
+
+def test_relative_paths_of_a_driver_start_from_the_configuration(path):
+    path.write_text(GOOD.replace("    node: 1\n", "    node: 1\n    table: a.csv\n    wiring: {table: /b.csv}\n"))
+    options = load(path).axes["x"].options
+    assert options.table == path.parent / "a.csv"
+    assert str(options.wiring.table) == "/b.csv"
+
+
+def test_mistakes_in_a_model_file_name_that_file(tmp_path, path):
+    lines = GOOD.split("\n")
+    start, end = lines.index("    model:"), lines.index("    compensation:")
+    text = "\n".join([*lines[:start], "    model: models/bad.yaml", *lines[end:]])
+    (tmp_path / "models").mkdir()
+    model = tmp_path / "models" / "bad.yaml"
+
+    model.write_text("axis: rotary\nfriction:\n  model: coulomb\n  parameters:\n    coulomb: -1\n    viscus: 0\n")
+    assert {(problem.path, problem.line, problem.field) for problem in problems_in(path, text)} == {
+        (str(model), 5, "friction.parameters.coulomb"),
+        (str(model), 6, "friction.parameters.viscus"),
+    }
+    model.write_text("axis: rotary\nfriction: [\n")
+    assert {(problem.path, problem.line) for problem in problems_in(path, text)} == {(str(model), 3)}
+    model.rename(tmp_path / "models" / "bed.yaml")
+    [problem] = problems_in(path, text)
+    assert (problem.path, problem.line, problem.field) == (str(path), start + 1, "axes.x.model")
+    assert "did you mean 'models/bed.yaml'?" in problem.message
+
+
+def test_a_shadow_whose_file_name_is_no_name(tmp_path, path):
+    (tmp_path / "My-Axis.yaml").write_text(dump(good()["axes"]["x"]["model"]))
+    values = changed(axes__x__shadows=["My-Axis.yaml"])
+    problems = problems_in(path, dump(values))
+    assert ["{name: ..., model: My-Axis.yaml}" in problem.message for problem in problems] == [True]
+
+
+def test_model_file(tmp_path):
+    path = tmp_path / "axis.yaml"
+    path.write_text("axis: linear\nfriction: {model: coulomb, parameters: {coulomb: 20.4, viscous: 203.5}}\n")
+    model = load_model_file(path)
+    assert (model.axis, model.mechanics.inertia, model.source_path) == ("linear", 0.0, path)
+    assert model.friction_model.parameters == {"coulomb": 20.4, "static": 20.4, "viscous": 203.5}
+    path.write_text("axis: linear\nfriction: {model: coulomb, parameters: {coulomb: 20.4}}\nfit: [1]\nfoo: 2\n")
+    with pytest.raises(ConfigurationError) as caught:
+        load_model_file(path)
+    assert [(problem.line, problem.field) for problem in caught.value.problems] == [(3, "fit"), (4, "foo")]
+    path.write_text("- 3\n")
+    with pytest.raises(ConfigurationError, match="must be a group of keys"):
+        load_model_file(path)
+
+
+def test_model_from_argument(tmp_path):
+    model = model_from_argument("lugre:sigma0=2e3, coulomb=0.08,stribeck_velocity=.2,damping_velocity=.inf")
+    assert (model.axis, model.friction.model) == ("rotary", "lugre")
+    assert model.friction_model.parameters["sigma0"] == 2000.0
+    assert model.friction_model.parameters["damping_velocity"] == math.inf
+    path = tmp_path / "file.yaml"
+    path.write_text("axis: linear\nfriction: {model: coulomb, parameters: {coulomb: 1}}\n")
+    assert model_from_argument(str(path)).axis == "linear"
+
+
+@pytest.mark.parametrize(
+    ("argument", "message"),
+    [
+        ("lugree", "did you mean 'lugre'"),
+        ("missing.yaml", "cannot be read"),
+        ("coulomb", "coulomb needs coulomb"),
+        ("coulomb:", "coulomb needs coulomb"),
+        ("coulomb:coulomb", "write coulomb:parameter=value"),
+        ("coulomb:coulomb=1,coulomb=2", "each parameter once"),
+        ("coulomb:colomb=1", "did you mean 'coulomb'"),
+        ("coulomb:coulomb=-1", "not allowed"),
+        ("coulomb:coulomb=.nan", "not allowed"),
+        ("coulomb:coulomb=1e999", "too large"),
+        ("coulomb:coulomb=1:30", "not a number"),
+        ("coulomb:coulomb=[1,2]", "not a number"),
+        ("coulomb:coulomb=[1", "is no YAML"),
+        ("coulomb:coulomb=", "is empty"),
+    ],
+)
+def test_a_wrong_argument(argument, message):
+    with pytest.raises(UsageError, match=re.escape(message)):
+        model_from_argument(argument)
+
+
+def test_the_schema_names_a_broken_driver():
+    with pytest.raises(UsageError, match="'broken' cannot be imported"):
+        json_schema()
+
+
+def test_the_good_values_stay_good():
+    values = good()
+    before = copy.deepcopy(values)
+    from_dict(values, "test")
+    assert values == before

@@ -1,0 +1,154 @@
+"""The shipped EDS: complete, and the same as the table of objects and as what the simulated drive does."""
+
+import configparser
+from pathlib import Path
+from typing import Any
+
+import canopen
+import pytest
+from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen.eds import SIMULATED_SERVO, load_eds
+from friction_hil_drivers.canopen.objects import DataType
+from friction_hil_drivers.canopen.simulated.dictionary import Dictionary
+
+from friction_hil.errors import UsageError
+from tests.canopen_bench import NODE, Bench
+
+PDO_RECORDS = {base + n for base in (0x1400, 0x1600, 0x1800, 0x1A00) for n in range(objects.PDO_COUNT)}
+
+
+@pytest.fixture(scope="module")
+def eds() -> Any:
+    return canopen.import_od(str(SIMULATED_SERVO), NODE)
+
+
+def variables(eds: Any) -> list[Any]:
+    found: list[Any] = []
+    for item in eds.values():
+        if item.index >= 0x1000:
+            found += [item] if isinstance(item, canopen.objectdictionary.ODVariable) else [item[s] for s in item]
+    return found
+
+
+def test_every_entry_has_type_access_and_default(eds: Any) -> None:
+    for variable in variables(eds):
+        assert variable.data_type in set(DataType), variable
+        assert variable.access_type in ("ro", "rw", "const"), variable
+        assert variable.default is not None, variable
+        if variable.min is not None and variable.max is not None:
+            assert variable.min <= variable.default <= variable.max, variable
+
+
+def test_lists_of_objects_match_the_sections() -> None:
+    parser = configparser.RawConfigParser()
+    parser.optionxform = str  # type: ignore[assignment, method-assign]
+    parser.read(SIMULATED_SERVO)
+    listed: list[int] = []
+    for section in ("MandatoryObjects", "OptionalObjects", "ManufacturerObjects"):
+        count = parser.getint(section, "SupportedObjects")
+        listed += [int(parser.get(section, str(number)), 0) for number in range(1, count + 1)]
+        assert len(parser.options(section)) == count + 1
+    described = [int(name, 16) for name in parser.sections() if len(name) == 4]
+    assert sorted(listed) == sorted(described)
+    assert len(set(listed)) == len(listed)
+    for name in parser.sections():
+        if len(name) == 4 and parser.has_option(name, "SubNumber"):
+            subindices = [s for s in parser.sections() if s.startswith(f"{name}sub")]
+            assert len(subindices) == int(parser.get(name, "SubNumber"), 0), name
+            highest = max(int(s[7:], 16) for s in subindices)
+            counts_what_is_there = name == "1003" or int(name, 16) >> 8 in (0x16, 0x1A)
+            if not counts_what_is_there:
+                assert int(parser.get(f"{name}sub0", "DefaultValue"), 0) == highest, name
+
+
+def test_eds_and_table_of_objects_agree(eds: Any) -> None:
+    for entry in objects.TABLE.values():
+        variable = eds.get_variable(entry.index, entry.subindex)
+        assert variable is not None, str(entry)
+        assert (variable.data_type, variable.name) == (entry.type, entry.name)
+    known = {index for index, _ in objects.TABLE} | PDO_RECORDS
+    assert {variable.index for variable in variables(eds)} == known
+
+
+def test_simulated_drive_serves_exactly_the_eds(eds: Any) -> None:
+    bench = Bench()
+    present = {(variable.index, variable.subindex) for variable in variables(eds)}
+    for index in sorted({index for index, _ in present}):
+        for subindex in range(12):
+            [(_, answer)] = bench.sdo(bytes([0x40, index & 0xFF, index >> 8, subindex, 0, 0, 0, 0]))
+            abort = int.from_bytes(answer[4:], "little") if answer[0] == 0x80 else 0
+            assert (abort in (0x06020000, 0x06090011)) == ((index, subindex) not in present), f"{index:X}:{subindex}"
+
+
+def test_device_information(eds: Any) -> None:
+    information = eds.device_information
+    assert (information.nr_of_RXPDO, information.nr_of_TXPDO) == (objects.PDO_COUNT, objects.PDO_COUNT)
+    assert eds[0x1018][2].default == information.product_number
+    assert eds[0x1018][1].default == information.vendor_number
+
+
+# Foreign EDS files
+
+FOREIGN = """
+[Comments]
+Lines1=2
+Line1=a sloppy file, as vendors ship them
+[FileInfo]
+FileName=foreign.eds
+[DeviceInfo]
+VendorName=somebody
+[1000]
+ParameterName=Device Type
+ObjectType=0x7
+DataType=0x0007
+AccessType=ro
+DefaultValue=0x12345678
+[6040]
+ParameterName=Controlword
+DataType=0x0006
+AccessType=rww
+PDOMapping=1
+[60B2]
+ParameterName=Torque offset
+DataType=0x0004
+AccessType=rww
+DefaultValue=0xFFFFFFFF
+PDOMapping=1
+"""
+
+
+def test_drive_with_somebody_elses_eds(tmp_path: Path) -> None:
+    path = tmp_path / "foreign.eds"
+    path.write_text(FOREIGN)
+    bench = Bench(eds=path)
+    assert bench.read(0x1000) == 0x12345678
+    assert bench.read(0x60B2, 0, "i") == -1, "an INTEGER32 here"
+    assert bench.try_write(0x60B2, 0, "h", 1) == 0x06070010
+    assert bench.try_write(0x6041, 0, "H", 1) == 0x06020000, "its EDS has no 6041h"
+    bench.write(0x6040, 0, "H", 0x06)
+    assert bench.node.drive.state.name == "READY_TO_SWITCH_ON", "what it lacks it works with nevertheless"
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "message"),
+    [
+        ("missing.eds", None, "cannot be read"),
+        ("drive.xml", "<xml/>", "should end in"),
+        ("empty.eds", "", "no object"),
+        ("garbage.eds", "this is no EDS", "no valid EDS"),
+        ("twice.eds", "[1000]\n[1000]\n", "no valid EDS"),
+        ("nameless.eds", "[1000]\nDataType=7\n", "no valid EDS"),
+        ("wide.eds", "[1000]\nParameterName=a\nDataType=5\nAccessType=ro\nDefaultValue=300\n", "does not fit"),
+    ],
+)
+def test_unreadable_eds_is_a_clear_error(tmp_path: Path, name: str, text: str | None, message: str) -> None:
+    path = tmp_path / name
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(UsageError, match=message) as info:
+        Dictionary.from_eds(path, NODE)
+    assert name in str(info.value)
+
+
+def test_loaded_eds_knows_the_node() -> None:
+    assert load_eds(SIMULATED_SERVO, 7)[0x1014].default == 0x87

@@ -1,0 +1,294 @@
+"""A simulated node's life on the bus: boot-up, NMT, heartbeats, SYNC, emergencies, lost connections."""
+
+import struct
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from friction_hil.drive import DriveState
+from tests.canopen_bench import Bench, Frame
+
+PLAIN: dict[str, Any] = {"friction": {"model": "coulomb", "parameters": {"coulomb": 0.01}}}
+MASTER = 0x77E  # heartbeat of node 126
+BOOT_UP: list[Frame] = [(0x705, b"\x00")]
+
+
+def heartbeats(frames: list[Frame]) -> list[int]:
+    return [data[0] for can_id, data in frames if can_id == 0x705]
+
+
+def test_boot_up_then_nmt() -> None:
+    bench = Bench()
+    assert bench.sent == BOOT_UP
+    bench.write(0x1017, 0, "H", 10)
+    states = {0x01: 0x05, 0x80: 0x7F, 0x02: 0x04}
+    time = 0
+    for command, state in states.items():
+        bench.nmt(command)
+        time += 10
+        frames = bench.sync(10)
+        assert heartbeats(frames) == [state]
+    assert BOOT_UP[0] in bench.nmt(0x81)
+    assert BOOT_UP[0] in bench.nmt(0x82, node=0)
+    assert heartbeats(bench.sync(100)) == [], "1017h is back at zero"
+
+
+@pytest.mark.parametrize("frame", [b"", b"\x01", b"\x01\x06", b"\x03\x05", b"\x00\x05"])
+def test_what_is_no_command_for_this_node(frame: bytes) -> None:
+    bench = Bench()
+    bench.map(0x1800, 0x1A00, 0x185, 1, [0x60410010])
+    bench.send(0x000, frame)
+    assert bench.sync() == []
+
+
+def test_reset_communication_keeps_the_device() -> None:
+    bench = Bench(PLAIN)
+    bench.write(0x6065, 0, "I", 12345)
+    bench.write(0x1017, 0, "H", 10)
+    bench.enable(8)
+    assert bench.nmt(0x82) == BOOT_UP
+    assert (bench.read(0x6065), bench.read(0x1017, 0, "H")) == (12345, 0)
+    assert bench.node.drive.state is DriveState.OPERATION_ENABLED, "it was never in Operational"
+
+
+def test_heartbeat_keeps_its_grid_in_real_time() -> None:
+    bench = Bench(is_paced_by_sync=False)
+    bench.write(0x1017, 0, "H", 100)
+    times = [time for time in range(0, 1007, 7) if heartbeats(bench.at(time))]
+    assert len(times) == 10
+    assert all(0 <= time - 100 * (number + 1) < 7 for number, time in enumerate(times))
+
+
+def test_sync_identifier_is_a_setting() -> None:
+    bench = Bench()
+    bench.map(0x1800, 0x1A00, 0x185, 1, [0x60410010])
+    bench.nmt(0x01)
+    bench.write(0x1005, 0, "I", 0x90)
+    assert bench.sync() == []
+    assert len(bench.send(0x090)) == 1
+    assert bench.try_write(0x1005, 0, "I", 0x40000080) == 0x06090030, "it produces no SYNC"
+
+
+def test_emergency_identifier_is_a_setting() -> None:
+    bench = Bench()
+    bench.nmt(0x01)
+    bench.write(0x1014, 0, "I", 0x99)
+    assert bench.send(0x205, b"")[0][0] == 0x099
+    bench.write(0x1014, 0, "I", 0x80000099)
+    assert all(can_id != 0x099 for can_id, _ in bench.send(0x205, b"\0\0"))
+
+
+# Lost connections
+
+
+def watch_heartbeat(bench: Bench, time_ms: int) -> None:
+    bench.write(0x1016, 1, "I", 126 << 16 | time_ms)
+
+
+def torque_on(bench: Bench) -> None:
+    """In CST, pushing."""
+    bench.stream(10)
+    for _ in range(5):
+        bench.send(0x205, struct.pack("<Hhh", 0x0F, 50, 0))
+        bench.sync()
+    assert bench.servo.torque_demand > 0.0
+
+
+def test_heartbeat_is_watched_from_the_first_on() -> None:
+    bench = Bench(is_paced_by_sync=False)
+    watch_heartbeat(bench, 50)
+    assert bench.at(1000) == []
+    bench.send(MASTER, b"\x05")
+    assert bench.at(1049) == []
+    assert bench.at(1050) == [(0x085, bytes.fromhex("30 81 11 00 00 00 00 00"))]
+    assert bench.at(5000) == [], "told once"
+    assert bench.send(MASTER, b"\x05") == [(0x085, bytes(8))]
+
+
+def test_consumer_heartbeat_entries_are_checked() -> None:
+    bench = Bench()
+    watch_heartbeat(bench, 50)
+    assert bench.try_write(0x1016, 2, "I", 126 << 16 | 70) == 0x06040043, "that node is watched already"
+    assert bench.try_write(0x1016, 2, "I", 128 << 16 | 70) == 0x06090030
+    assert bench.try_write(0x1016, 2, "I", 125 << 16 | 70) == 0
+    assert bench.try_write(0x1016, 3, "I", 0) == 0x06090011
+    assert bench.try_write(0x1016, 0, "B", 1) == 0x06010002
+
+
+@pytest.mark.parametrize(
+    ("option", "states"),
+    [
+        (0, {DriveState.OPERATION_ENABLED}),
+        (1, {DriveState.FAULT}),
+        (2, {DriveState.SWITCH_ON_DISABLED}),
+        (3, {DriveState.SWITCH_ON_DISABLED}),  # after the ramp
+    ],
+)
+def test_lost_heartbeat_does_what_6007h_says(option: int, states: set[DriveState]) -> None:
+    bench = Bench(PLAIN)
+    bench.write(0x6007, 0, "h", option)
+    bench.write(0x1029, 1, "B", 1)
+    watch_heartbeat(bench, 20)
+    bench.send(MASTER, b"\x05")
+    torque_on(bench)
+    bench.sync(100)
+    assert bench.emergencies == ["8130"]
+    assert bench.node.drive.state in states
+    assert (bench.servo.torque_demand == 0.0) == (option != 0)
+    bench.send(MASTER, b"\x05")
+    assert (bench.emergencies == ["8130"]) == (option == 1), "a fault stays until it is reset"
+
+
+@pytest.mark.parametrize(("behaviour", "state"), [(0, 0x7F), (1, 0x05), (2, 0x04)])
+def test_lost_heartbeat_does_what_1029h_says(behaviour: int, state: int) -> None:
+    bench = Bench(PLAIN)
+    bench.write(0x1029, 1, "B", behaviour)
+    bench.write(0x1017, 0, "H", 100)
+    watch_heartbeat(bench, 20)
+    bench.nmt(0x01)
+    bench.send(MASTER, b"\x05")
+    bench.sync(99)
+    assert heartbeats(bench.sync()) == [state]
+
+
+def test_rpdo_deadline_stops_the_drive() -> None:
+    bench = Bench(PLAIN)
+    bench.write(0x1400, 5, "H", 20)
+    torque_on(bench)
+    bench.sync(18)  # the last RPDO came before a SYNC
+    assert bench.emergencies == []
+    bench.sync(1)
+    assert bench.emergencies == ["8250"]
+    bench.sync(100)
+    assert bench.node.drive.state is DriveState.FAULT
+    assert abs(bench.servo.velocity) < 0.1
+    assert bench.servo.torque_demand == 0.0
+
+
+def test_rpdo_stream_that_comes_back_enables_nothing() -> None:
+    for option in (1, 2, 3):
+        bench = Bench(PLAIN)
+        bench.write(0x6007, 0, "h", option)
+        bench.write(0x605A, 0, "h", 6)
+        bench.write(0x1400, 5, "H", 20)
+        torque_on(bench)
+        bench.sync(100)
+        for _ in range(50):
+            bench.send(0x205, struct.pack("<Hhh", 0x0F, 500, 0))
+            bench.sync()
+        assert bench.node.drive.state is not DriveState.OPERATION_ENABLED
+        assert abs(bench.servo.torque_demand) < 0.02
+
+
+def test_late_sync_stops_the_drive() -> None:
+    bench = Bench(PLAIN, is_paced_by_sync=False)
+    bench.write(0x1006, 0, "I", 1000)
+    bench.stream(8)
+    for time in range(1, 6):
+        bench.at(time)
+        bench.sync()
+    bench.at(14)
+    assert bench.emergencies == []
+    bench.at(15)
+    assert bench.emergencies == ["8700"]
+    bench.at(20)
+    assert bench.node.drive.state is DriveState.FAULT
+
+
+def test_lost_connection_of_a_drive_that_is_off_is_told_but_no_fault() -> None:
+    bench = Bench(PLAIN)
+    bench.write(0x1400, 5, "H", 20)
+    bench.nmt(0x01)
+    bench.send(0x205, b"\0\0")
+    bench.sync(50)
+    assert bench.emergencies == ["8250"]
+    assert bench.statusword & 0xCF == 0xC0, "switch on disabled, with a warning"
+
+
+@pytest.mark.parametrize("command", [0x02, 0x80, 0x81, 0x82])
+def test_leaving_operational_takes_the_torque_away(command: int) -> None:
+    bench = Bench(PLAIN)
+    torque_on(bench)
+    bench.nmt(command)
+    bench.sync(100)
+    assert bench.servo.torque_demand == 0.0
+    assert bench.node.drive.state is (DriveState.SWITCH_ON_DISABLED if command == 0x81 else DriveState.FAULT)
+
+
+def test_errors_are_listed_newest_first() -> None:
+    bench = Bench(PLAIN)
+    watch_heartbeat(bench, 5)
+    bench.write(0x1400, 5, "H", 20)
+    bench.nmt(0x01)
+    bench.send(MASTER, b"\x05")
+    bench.write(0x1029, 1, "B", 1)
+    bench.send(0x205, b"\0\0")
+    bench.sync(30)
+    bench.send(0x205, b"")
+    assert bench.read(0x1003, 0, "B") == 3
+    assert [bench.read(0x1003, place) for place in (1, 2, 3)] == [0x8210, 0x8250, 0x8130]
+    assert bench.read(0x603F, 0, "H") == 0x8210
+
+
+# Robustness
+
+NODE_IDS = (0x000, 0x080, 0x085, 0x185, 0x205, 0x305, 0x405, 0x505, 0x585, 0x605, 0x705, MASTER)
+WRITES: st.SearchStrategy[Frame] = st.builds(
+    lambda index, subindex, size, data: (
+        0x605,
+        struct.pack("<BHB", 0x23 | (4 - size) << 2, index, subindex) + data[:size].ljust(4, b"\0"),
+    ),
+    st.sampled_from([0x1005, 0x1014, 0x1016, 0x1400, 0x1600, 0x1800, 0x1A00, 0x6040, 0x6060, 0x605A, 0x60C2, 0x6080]),
+    st.integers(0, 8),
+    st.integers(1, 4),
+    st.binary(min_size=4, max_size=4),
+)
+FRAMES = st.lists(st.one_of(st.tuples(st.sampled_from(NODE_IDS), st.binary(max_size=8)), WRITES), max_size=40)
+
+
+def enables(frame: Frame) -> bool:
+    """Whether a frame may take part in enabling a drive: NMT start, or SDO access to the controlword."""
+    can_id, data = frame
+    return (can_id == 0x000 and data[:1] == b"\x01") or (can_id == 0x605 and data[1:3] == b"\x40\x60")
+
+
+@settings(deadline=None, max_examples=60)
+@given(FRAMES)
+def test_random_frames_neither_stop_a_node_nor_enable_its_drive(frames: list[Frame]) -> None:
+    bench = Bench(PLAIN)
+    for frame in frames:
+        if not enables(frame):
+            bench.send(*frame)
+        assert not bench.node.drive.state.is_powered
+    assert bench.servo.torque_demand == 0.0
+    bench.nmt(0x82)
+    assert bench.read(0x1000) == 0x20192, "it still answers"
+
+
+@settings(deadline=None, max_examples=30, suppress_health_check=[HealthCheck.too_slow])
+@given(FRAMES)
+def test_random_frames_to_an_enabled_drive_break_nothing(frames: list[Frame]) -> None:
+    bench = Bench(PLAIN)
+    bench.stream(8)
+    for frame in frames:
+        bench.send(*frame)
+        bench.send(0x080)
+        drive = bench.node.drive
+        assert drive.state.is_powered or bench.servo.torque_demand == 0.0
+        assert abs(bench.servo.torque_demand) <= bench.servo.config.motor.peak_torque
+
+
+@settings(deadline=None, max_examples=15)
+@given(st.lists(st.sampled_from([(0x205, struct.pack("<Hhh", 0x0F, 30, 0)), (0x080, b""), (MASTER, b"\x05")])))
+def test_paced_by_sync_everything_is_a_function_of_the_frames(frames: list[Frame]) -> None:
+    runs = []
+    for _ in range(2):
+        bench = Bench()
+        bench.write(0x1400, 5, "H", 5)
+        bench.stream(10)
+        for frame in frames:
+            bench.send(*frame)
+        runs.append((bench.sent, bench.servo.true_position.hex(), bench.servo.true_velocity.hex()))
+    assert runs[0] == runs[1]

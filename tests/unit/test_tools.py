@@ -1,0 +1,345 @@
+"""The set-up tools, in a copy of the project where stubs stand for what is slow: pip, pytest, the kernel."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PROJECT = Path(__file__).parents[2]
+SHELL_TOOLS = (".ci/run", "tools/demo", "tools/test", "tools/_environment")
+CANDIDATES = ("python3", "python3.11", "python3.12", "python3.13", "python3.14")
+
+# Stands in for python3 where an environment is made: puts the interpreter below into it.
+PYTHON3 = """#!/bin/bash
+[ "$1 $2" = "-m venv" ] || exec {python} "$@"
+mkdir -p "$3/bin" && cp {folder}/venv_python "$3/bin/python"
+"""
+
+# The environment's interpreter; in place of pip it notes the call and fails when told to.
+VENV_PYTHON = """#!/bin/bash
+[ "$1 $2" = "-m pip" ] || exec {python} "$@"
+echo "${{*:3}}" >> {folder}/pip_calls
+echo what pip says
+[ ! -e {folder}/pip_fails ]
+"""
+
+
+def executable(path: Path, text: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text)
+    path.chmod(0o755)
+
+
+class Copy:
+    """A copy of the tools in a folder with a blank in its name, and a PATH with stubs in front."""
+
+    def __init__(self, folder: Path) -> None:
+        self.root = folder / "my project"
+        (self.root / "tools").mkdir(parents=True)
+        for name in ("tools/demo", "tools/test", "tools/_environment", "pyproject.toml"):
+            shutil.copy(PROJECT / name, self.root / name)
+        self.bin = folder / "bin"
+        self.stamp = self.root / ".venv/complete"
+        self.pip_calls = folder / "pip_calls"
+        self.pip_fails = folder / "pip_fails"
+        for name in CANDIDATES:
+            executable(self.bin / name, "#!/bin/sh\nexit 127\n")
+        executable(self.bin / "python3", PYTHON3.format(python=sys.executable, folder=folder))
+        executable(folder / "venv_python", VENV_PYTHON.format(python=sys.executable, folder=folder))
+
+    def start(self, *command: str) -> "subprocess.Popen[str]":
+        environment = os.environ | {"PATH": f"{self.bin}:{os.environ['PATH']}"}
+        return subprocess.Popen(
+            command, cwd="/", env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        )
+
+    def run(self, *command: str) -> "subprocess.CompletedProcess[str]":
+        process = self.start(*command)
+        output, errors = process.communicate()
+        return subprocess.CompletedProcess(command, process.returncode, output, errors)
+
+    def ensure(self) -> "subprocess.CompletedProcess[str]":
+        return self.run("bash", "-c", f"source '{self.root}/tools/_environment'; ensure_environment; echo ready")
+
+    def edit(self, old: str, new: str) -> None:
+        path = self.root / "pyproject.toml"
+        text = path.read_text()
+        assert old in text
+        path.write_text(text.replace(old, new))
+
+
+@pytest.fixture
+def copy(tmp_path: Path) -> Copy:
+    return Copy(tmp_path)
+
+
+@pytest.mark.parametrize("name", SHELL_TOOLS)
+def test_shell_tools_parse(name: str) -> None:
+    done = subprocess.run(["bash", "-n", PROJECT / name], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("name", [".ci/run", "tools/demo", "tools/test", "tools/vcan-run"])
+def test_tools_are_executable(name: str) -> None:
+    assert os.access(PROJECT / name, os.X_OK)
+
+
+def test_first_call_installs_everything_and_the_second_nothing(copy: Copy) -> None:
+    first = copy.ensure()
+    assert (first.returncode, first.stdout) == (0, "ready\n")
+    assert "setting up" in first.stderr
+    assert "what pip says" not in first.stderr
+    (call,) = copy.pip_calls.read_text().splitlines()
+    assert call.startswith("install ")
+    assert call.endswith(" --editable .[all]")
+    second = copy.ensure()
+    assert (second.returncode, second.stdout, second.stderr) == (0, "ready\n", "")
+    assert copy.pip_calls.read_text().count("install") == 1
+
+
+def test_failed_installation_is_shown_and_repeated_from_scratch(copy: Copy) -> None:
+    copy.pip_fails.touch()
+    failed = copy.ensure()
+    assert (failed.returncode, failed.stdout) == (1, "")
+    assert "what pip says" in failed.stderr
+    assert str(copy.root / ".venv/install.log") in failed.stderr
+    assert not copy.stamp.exists()
+    leftover = copy.root / ".venv/half-installed"
+    leftover.touch()
+    copy.pip_fails.unlink()
+    assert copy.ensure().returncode == 0
+    assert not leftover.exists()
+
+
+def test_changed_dependency_updates_in_place(copy: Copy) -> None:
+    copy.ensure()
+    kept = copy.root / ".venv/kept"
+    kept.touch()
+    copy.edit('"pyserial>=3.5"', '"pyserial>=3.6"')
+    updated = copy.ensure()
+    assert updated.returncode == 0
+    assert "dependencies have changed" in updated.stderr
+    assert kept.exists()
+    assert copy.pip_calls.read_text().count("install") == 2
+    assert copy.ensure().stderr == ""
+
+
+def test_setting_of_a_linter_makes_nothing_stale(copy: Copy) -> None:
+    copy.ensure()
+    copy.edit("[tool.ruff]", "[tool.ruff]\nfix = true")
+    assert copy.ensure().stderr == ""
+
+
+@pytest.mark.parametrize("other", ["cpython-39", "cpython-399"])
+def test_other_interpreter_rebuilds(copy: Copy, other: str) -> None:
+    copy.ensure()
+    made_for = copy.stamp.read_text()
+    copy.stamp.write_text(made_for.replace(sys.implementation.cache_tag, other))
+    assert "setting up" in copy.ensure().stderr
+    assert copy.stamp.read_text() == made_for
+
+
+def test_interpreter_that_is_gone_rebuilds(copy: Copy) -> None:
+    copy.ensure()
+    (copy.root / ".venv/bin/python").unlink()
+    assert "setting up" in copy.ensure().stderr
+
+
+def test_moved_project_rebuilds(copy: Copy) -> None:
+    copy.ensure()
+    copy.root = copy.root.rename(copy.root.with_name("moved project"))
+    assert "setting up" in copy.ensure().stderr
+
+
+@pytest.mark.parametrize("stamp", ["", "x", "x y z\n"])
+def test_stamp_that_is_cut_off_rebuilds(copy: Copy, stamp: str) -> None:
+    copy.ensure()
+    copy.stamp.write_text(stamp)
+    assert "setting up" in copy.ensure().stderr
+
+
+def test_two_calls_at_once_install_once(copy: Copy) -> None:
+    script = f"source '{copy.root}/tools/_environment'; ensure_environment"
+    processes = [copy.start("bash", "-c", script) for _ in range(3)]
+    for process in processes:
+        process.communicate()
+    assert [process.returncode for process in processes] == [0, 0, 0]
+    assert copy.pip_calls.read_text().count("install") == 1
+
+
+@pytest.mark.parametrize("tool", ["demo", "test"])
+def test_missing_venv_package_gives_the_apt_line(copy: Copy, tmp_path: Path, tool: str) -> None:
+    blocked = tmp_path / "blocked/ensurepip.py"
+    executable(blocked, "raise ImportError")
+    executable(copy.bin / "python3", f'#!/bin/sh\nPYTHONPATH="{blocked.parent}" exec {sys.executable} "$@"\n')
+    done = copy.run(str(copy.root / "tools" / tool))
+    assert (done.returncode, done.stdout) == (1, "")
+    assert "    sudo apt install python3-venv\n" in done.stderr
+    assert not (copy.root / ".venv").exists()
+
+
+OLD = "#!/bin/sh\ncase $2 in *'(3, 11)'*) exit 1;; *) echo 3.9;; esac\n"
+
+
+def test_old_python_is_named(copy: Copy) -> None:
+    executable(copy.bin / "python3", OLD)
+    done = copy.ensure()
+    assert done.returncode == 1
+    assert "Python 3.11 or newer is needed; python3 here is Python 3.9" in done.stderr
+    assert "sudo apt install python3.11 python3.11-venv" in done.stderr
+
+
+def test_newer_python_beside_an_old_python3_is_taken(copy: Copy) -> None:
+    (copy.bin / "python3").rename(copy.bin / "python3.12")
+    executable(copy.bin / "python3", OLD)
+    assert copy.ensure().returncode == 0
+
+
+def test_no_python_at_all(copy: Copy) -> None:
+    executable(copy.bin / "python3", "#!/bin/sh\nexit 127\n")
+    done = copy.ensure()
+    assert done.returncode == 1
+    assert "there is no python3 here" in done.stderr
+
+
+def test_demo_hands_its_arguments_on(copy: Copy) -> None:
+    copy.ensure()
+    executable(copy.root / ".venv/bin/friction-hil", '#!/bin/sh\npwd; printf "<%s>" "$@"\nexit 7\n')
+    done = copy.run(str(copy.root / "tools/demo"), "--output", "a b")
+    assert (done.returncode, done.stdout, done.stderr) == (7, "/\n<demo><--output><a b>", "")
+
+
+# An interpreter that notes what pytest is called with and answers with the status it is told.
+PYTEST = """#!/bin/bash
+[ "$2" = pytest ] || exec {python} "$@"
+[[ " $* " == *" --collect-only "* ]] && exit "$(cat {answers}/collected)"
+[[ " $* " == *" -m socketcan "* ]] && half=socketcan || half=rest
+printf '%s\\n' "${{@:3}}" > {answers}/$half.called
+exit "$(cat {answers}/$half)"
+"""
+
+
+class Pytest(Copy):
+    """A copy with an environment whose pytest answers ``rest`` and ``socketcan`` with given statuses."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder)
+        self.ensure()
+        (self.root / "tests").mkdir()
+        self.answers = folder / "answers"
+        self.answers.mkdir()
+        python = self.root / ".venv/bin/python"
+        python.unlink()
+        executable(python, PYTEST.format(python=sys.executable, answers=self.answers))
+
+    def reset(self) -> "Pytest":
+        for path in self.answers.iterdir():
+            path.unlink()
+        executable(self.root / "tools/vcan-run", '#!/bin/sh\n[ "$1" = --setup ] || { shift 3; exec "$@"; }\n')
+        return self
+
+    def test(self, *arguments: str, **statuses: int) -> "subprocess.CompletedProcess[str]":
+        for name, status in ({"collected": 0, "rest": 0, "socketcan": 0} | statuses).items():
+            (self.answers / name).write_text(str(status))
+        return self.run(str(self.root / "tools/test"), *arguments)
+
+    def called(self, half: str) -> list[str] | None:
+        path = self.answers / f"{half}.called"
+        return path.read_text().splitlines() if path.exists() else None
+
+
+@pytest.fixture(scope="module")
+def made_project(tmp_path_factory: pytest.TempPathFactory) -> Pytest:
+    return Pytest(tmp_path_factory.mktemp("tools"))
+
+
+@pytest.fixture
+def project(made_project: Pytest) -> Pytest:
+    return made_project.reset()
+
+
+@pytest.mark.parametrize(
+    ("rest", "socketcan", "status"), [(0, 0, 0), (1, 0, 1), (0, 1, 1), (1, 1, 1), (5, 0, 0), (0, 125, 1)]
+)
+def test_status_is_of_both_halves(project: Pytest, rest: int, socketcan: int, status: int) -> None:
+    assert project.test(rest=rest, socketcan=socketcan).returncode == status
+    assert project.called("socketcan") is not None
+
+
+@pytest.mark.parametrize("status", [2, 3, 4])
+def test_interruption_and_wrong_use_end_at_once(project: Pytest, status: int) -> None:
+    assert project.test(rest=status).returncode == status
+    assert project.called("socketcan") is None
+
+
+@pytest.mark.parametrize("status", [0, 1, 5])
+def test_selection_without_socketcan_boots_nothing(project: Pytest, status: int) -> None:
+    assert project.test("-k", "foo", collected=5, rest=status).returncode == status
+    assert project.called("socketcan") is None
+
+
+def test_arguments_reach_pytest(project: Pytest) -> None:
+    project.test("tests/unit", "-k", "a or b")
+    called = project.called("rest") or []
+    assert called[-3:] == ["tests/unit", "-k", "a or b"]
+    assert called[called.index("-n") + 1] == "auto"
+    assert called[called.index("-m") + 1] == "not socketcan"
+
+
+@pytest.mark.parametrize("path", ["tests/unit/test_a.py", "tests/unit/test_a.py::test_b[1]"])
+def test_single_files_need_no_workers(project: Pytest, path: str) -> None:
+    project.test(path)
+    assert "-n" not in (project.called("rest") or ["-n"])
+
+
+def test_files_without_socketcan_tests_are_not_imported_there(project: Pytest) -> None:
+    (project.root / "tests/test_a.py").write_text("import numba\n")
+    (project.root / "tests/test_b.py").write_text("@pytest.mark.socketcan\n")
+    project.test()
+    called = project.called("socketcan") or []
+    assert [word for word in called if "ignore" in word] == ["--ignore=tests/test_a.py"]
+
+
+@pytest.mark.parametrize("mark", [["-m", "socketcan"], ["-msocketcan"]])
+def test_socketcan_alone(project: Pytest, mark: list[str]) -> None:
+    assert project.test(*mark, socketcan=1).returncode == 1
+    assert project.called("rest") is None
+
+
+def test_other_mark_expression_is_taken_as_it_is(project: Pytest) -> None:
+    project.test("-m", "not socketcan")
+    called = project.called("rest") or []
+    assert called[-2:] == ["-m", "not socketcan"]
+    assert called.count("-m") == 1
+    assert project.called("socketcan") is None
+
+
+@pytest.mark.skipif(Path("/sys/class/net/vcan0").exists(), reason="this machine has vcan0")
+@pytest.mark.parametrize(("arguments", "status"), [([], 0), (["-m", "socketcan"], 1)])
+def test_no_kernel_for_socketcan_is_said(project: Pytest, arguments: list[str], status: int) -> None:
+    executable(project.root / "tools/vcan-run", "#!/bin/sh\necho vcan-run: no kernel >&2\nexit 125\n")
+    done = project.test(*arguments)
+    assert done.returncode == status
+    assert "no interface vcan0 here" in done.stderr
+    assert "vcan-run: no kernel" in done.stderr
+    assert project.called("socketcan") is None
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "message"),
+    [
+        ([], 2, "no COMMAND"),
+        (["--timeout", "nan", "true"], 2, "--timeout nan"),
+        (["--timeout", "-1", "true"], 2, "--timeout -1"),
+        (["--rw", "/does/not/exist", "true"], 125, "/does/not/exist: no such folder"),
+    ],
+)
+def test_wrong_use_of_vcan_run(arguments: list[str], status: int, message: str) -> None:
+    command = [sys.executable, str(PROJECT / "tools/vcan-run"), *arguments]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == status
+    assert message in done.stderr
+    assert "Traceback" not in done.stderr
