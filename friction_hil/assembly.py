@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 _LEAST_RAMP_S = 0.1
 
+
 def make_compensator(
     config: "AxisConfig", model: "ModelFile", position_resolution: float, period_s: float
 ) -> Compensator:

@@ -1,6 +1,7 @@
 """One axis in the loop: feedback and set-point in, command and a row of the recording out. No bus, no clock."""
 
 import math
+import struct
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from friction_hil.config import AxisConfig
 
 _MOVING = (LoopState.RUNNING, LoopState.STOPPING)
+_COLUMNS = struct.Struct(f"={len(columns.NAMES)}d")
 _STANDSTILL_SHARE = 1e-3  # of the velocity limit counts as standing
 
 
@@ -172,7 +174,9 @@ class AxisLoop:
         self._fill(command, state, time_s, position, now, compensation)
         if now is not None and state is LoopState.RUNNING:
             self.stats.add(now.position - position)
-        row[: len(columns.NAMES)] = (
+        _COLUMNS.pack_into(
+            row.data,
+            0,
             time_s,
             cycle,
             position,
@@ -195,7 +199,6 @@ class AxisLoop:
             0.0,
             0.0,
         )
-        row[len(columns.NAMES) : self.row_width] = math.nan
         for index, shadow in zip(self._shadow_columns, self.shadows.values(), strict=True):
             row[index] = shadow.step(*inputs)
         return fault

@@ -68,6 +68,12 @@ STATE = np.dtype(
 )
 
 
+assert STATE.fields is not None
+_VELOCITY, _FADE, _COMPENSATION, _IS_FAULTY = (
+    STATE.fields[name][1] // 8 for name in ("velocity", "fade", "compensation", "is_faulty")
+)  # places in the flat view
+
+
 @compiled
 def _restart(r: Any, cycle: float, position: float, velocity: float, demand: float) -> None:
     r.position_cycle = cycle
@@ -243,7 +249,7 @@ class Compensator:
         The velocity filter is slower than the demand history can follow.
     """
 
-    __slots__ = ("_settings", "_state", "model", "settings")
+    __slots__ = ("_flat", "_settings", "_state", "model", "settings")
 
     def __init__(self, model: FrictionModel, settings: CompensatorSettings) -> None:
         if settings.filter_delay_cycles > HISTORY - 2:
@@ -274,6 +280,7 @@ class Compensator:
         c["torque_slew"] = settings.torque_slew
         self._state = np.zeros(1, STATE)
         self._state[0]["cycle"] = -1.0
+        self._flat: Array = self._state.view(np.float64)
 
     def step(
         self,
@@ -333,20 +340,19 @@ class Compensator:
     @property
     def state(self) -> Array:
         """The whole state as a flat array, a live view: copy to keep it, assign to restore it."""
-        flat: Array = self._state.view(np.float64)
-        return flat
+        return self._flat
 
     @property
     def velocity_estimate(self) -> float:
         """Filtered velocity, SI; older than the position by the filter delay."""
-        return float(self._state[0]["velocity"])
+        return self._flat.item(_VELOCITY)
 
     @property
     def is_faded_out(self) -> bool:
         """Whether no torque is left."""
-        return float(self._state[0]["fade"]) == 0.0 and float(self._state[0]["compensation"]) == 0.0
+        return self._flat.item(_FADE) == 0.0 and self._flat.item(_COMPENSATION) == 0.0
 
     @property
     def is_faulty(self) -> bool:
         """Whether the model's torque was not finite in the last cycle, and so was not used."""
-        return bool(self._state[0]["is_faulty"])
+        return bool(self._flat.item(_IS_FAULTY))

@@ -134,7 +134,7 @@ def _first_difference(recording: Recording, compensators: Mapping[str, Compensat
                     recorded = recording.columns[name][first + row]
                     worst = (
                         first + row,
-                        f"{name} was {recorded!r} and comes out as {values[row]!r} ({values[row] - recorded:.3g} apart)",
+                        f"{name} was {float(recorded)!r} and comes out as {float(values[row])!r}",
                     )
         if worst is not None:
             return f"cycle {_cycle(recording, worst[0])}: {worst[1]}"

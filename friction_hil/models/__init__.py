@@ -12,7 +12,7 @@ from friction_hil.errors import UsageError, choices
 from friction_hil.models.family import Family
 from friction_hil.models.kernel import FAMILIES
 from friction_hil.models.model import FrictionModel, Runner
-from friction_hil.models.parameters import InvalidParameterError, check_all
+from friction_hil.models.parameters import InvalidParameterError, check_all, describe_brief
 
 __all__ = [
     "Family",
@@ -21,6 +21,7 @@ __all__ = [
     "Runner",
     "create",
     "describe",
+    "describe_brief",
     "load",
     "names",
 ]

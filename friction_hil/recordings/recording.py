@@ -148,7 +148,8 @@ def _note_gaps(recording: Recording) -> None:
     if gaps.size:
         missing = int(np.sum(steps[gaps] - 1.0))
         recording.problems.append(
-            f"{missing} cycles are missing in {gaps.size} gaps, the first after cycle {cycle[gaps[0]]:.0f}"
+            f"{missing} cycles are missing in {gaps.size} gap{'s' * (gaps.size > 1)}, "
+            f"the first after cycle {cycle[gaps[0]]:.0f}"
         )
 
 

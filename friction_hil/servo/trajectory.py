@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 TWO_PI = 2.0 * math.pi
 
@@ -56,8 +56,7 @@ def still_path(s: float) -> tuple[float, float, float]:
     return 0.0, 0.0, 0.0
 
 
-@dataclass(frozen=True, slots=True)
-class Setpoint:
+class Setpoint(NamedTuple):
     """Where an axis should be at one instant, SI."""
 
     position: float

@@ -107,6 +107,8 @@ def test_a_killed_worker_is_replaced_and_nothing_is_lost(companion: Companion, j
 
 def test_rows_that_come_while_nobody_reads_are_counted_when_the_ring_is_full(companion: Companion) -> None:
     os.kill(companion.worker_pid, signal.SIGSTOP)
+    while Path(f"/proc/{companion.worker_pid}/stat").read_text().rpartition(")")[2].split()[0] != "T":
+        os.sched_yield()
     for cycle in range(10_000):  # 8000 fit
         companion.push(row(cycle))
     assert companion.free_slots() == 0

@@ -26,8 +26,8 @@ def run() -> list[Row]:
                 times[name].append(taken)
     # bare Python plus click's import is what Python takes to import click
     return [
-        compare("friction-hil --help , against python -c 'import click'", "ms", times["help"], times["click"]),
-        compare("python -c 'import click' , against python -c pass", "ms", times["click"], times["bare"]),
+        compare("friction-hil --help (python -c 'import click')", "ms", times["help"], times["click"]),
+        compare("python -c 'import click' (python -c pass)", "ms", times["click"], times["bare"]),
     ]
 
 

@@ -9,12 +9,11 @@ import math
 import os
 import shutil
 import subprocess
-from collections.abc import Sequence
 
 from friction_hil.config.schema import Realtime
 from friction_hil.errors import FrictionHilError
 from friction_hil.realtime import RealClock, punctuality
-from tools.benchmarks.report import Row, compare, note, rounds
+from tools.benchmarks.report import Row, compare, note, percentile, rounds
 
 ROUNDS = 7
 CYCLES = 2000
@@ -35,9 +34,11 @@ def run() -> list[Row]:
         raise FrictionHilError("there is no cyclictest here to compare with: sudo apt install rt-tests")
     defaults = Realtime()
     priority = defaults.priority if is_fifo_allowed(defaults.priority) else 0
-    if not priority:
+    if priority:
+        note(f"both under SCHED_FIFO {priority}")
+    else:
         note("SCHED_FIFO is not allowed here (root, or rtprio in /etc/security/limits.conf): ordinary scheduling")
-    clocks = {"sleep": RealClock(spin_us=0), f"sleep, spin {defaults.spin_us} us": RealClock(defaults.spin_us)}
+    clocks = {"sleep": RealClock(spin_us=0), f"spin {defaults.spin_us} us": RealClock(defaults.spin_us)}
     ours: dict[str, list[list[float]]] = {name: [] for name in clocks}
     theirs: list[list[float]] = []
     for _ in rounds(ROUNDS, "clock and cyclictest in turns"):
@@ -45,10 +46,9 @@ def run() -> list[Row]:
         for name, clock in clocks.items():
             with punctuality(priority):
                 ours[name].append(lateness(clock))
-    scheduling = f"SCHED_FIFO {priority}" if priority else "ordinary scheduling"
     return [
         compare(
-            f"late {label} ({name}; {scheduling}), against cyclictest",
+            f"late {label}, {name} (cyclictest)",
             "us",
             [percentile(samples, share) for samples in series],
             [percentile(samples, share) for samples in theirs],
@@ -97,8 +97,3 @@ def cyclictest(priority: int) -> list[float]:
         raise FrictionHilError(f"cyclictest failed ({done.returncode}): {done.stderr.strip() or done.stdout.strip()}")
     samples += [float(HISTOGRAM_US)] * (CYCLES - len(samples))
     return samples
-
-
-def percentile(ascending: Sequence[float], share: float) -> float:
-    """Smallest sample that at least ``share`` of them do not exceed."""
-    return ascending[math.ceil(share * len(ascending)) - 1]

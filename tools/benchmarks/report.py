@@ -1,5 +1,6 @@
 """What benchmarks have in common: the rows of their results, how they are shown, and rounds with progress."""
 
+import math
 import os
 import platform
 import sys
@@ -20,6 +21,7 @@ class Row:
     Attributes
     ----------
     name : str
+        What was measured, and in brackets what the reference is.
     value : float
         In ``unit``.
     unit : str
@@ -45,6 +47,11 @@ def compare(name: str, unit: str, values: Sequence[float], references: Sequence[
 def against(target: float, name: str, unit: str, value: float) -> Row:
     """Compare a value with its target."""
     return Row(name, value, unit, target, value / target)
+
+
+def percentile(ascending: Sequence[float], share: float) -> float:
+    """Smallest sample that at least ``share`` of them do not exceed."""
+    return ascending[math.ceil(share * len(ascending)) - 1]
 
 
 def rounds(count: int, label: str) -> Iterator[int]:

@@ -1,10 +1,10 @@
-"""Opening and reading the CAN bus, for the drives and for their simulated counterparts."""
+"""Opening the CAN bus, for the drives and for their simulated counterparts."""
 
 import socket
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from friction_hil.errors import BusError
+from friction_hil.errors import BusError, UsageError, choices
 
 if TYPE_CHECKING:
     import can
@@ -30,8 +30,16 @@ def open_bus(config: "BusConfig") -> "can.BusABC":
     ------
     BusError
         It does not open; the message says what to do about it.
+    UsageError
+        python-can has no such interface.
     """
     import can
+    from can.interfaces import VALID_INTERFACES
+
+    if config.interface not in VALID_INTERFACES:
+        raise UsageError(
+            f"bus: python-can has no interface {config.interface!r}; {choices(config.interface, VALID_INTERFACES)}"
+        )
 
     arguments: dict[str, Any] = dict(config.further)
     if config.port is not None:
@@ -52,24 +60,6 @@ def open_bus(config: "BusConfig") -> "can.BusABC":
     except (can.CanError, OSError, ValueError, TypeError, ImportError) as error:
         reason = str(error) or type(error).__name__
         raise BusError(f"the bus {bus_name(config)} does not open: {reason}{_advice(config)}") from error
-
-
-def receive(bus: "can.BusABC", timeout: float) -> "can.Message | None":
-    """Next frame, or None after ``timeout`` seconds. Datagrams of others that are no CAN frame are ignored.
-
-    Raises
-    ------
-    BusError
-        The bus is gone.
-    """
-    import can
-
-    try:
-        return bus.recv(timeout)
-    except can.CanOperationError as error:
-        if error.__cause__ is None or isinstance(error.__cause__, OSError):
-            raise BusError(f"the bus {bus.channel_info} cannot be read any more: {error}") from error
-        return None
 
 
 def _require_route(group: str, port: int) -> None:

@@ -1,0 +1,124 @@
+"""``friction-hil convert``, as a user types it."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import friction_hil as fh
+from friction_hil.cli import main
+from friction_hil.recordings.mcap_writer import McapWriter
+
+CSV = "time_s,position,torque\n0.0,0.1,1.5\n0.001,0.30000000000000004,-2.0\n"
+
+
+@pytest.fixture
+def two_axes(tmp_path: Path) -> Path:
+    """A recording of the daemon's kind: axes x and y, a gap, an event, states."""
+    path = tmp_path / "run.mcap"
+    cycles = np.array([0.0, 1.0, 5.0])
+    rows = np.stack([cycles * 1e-3, cycles, cycles / 3, cycles], axis=1)
+    writer = McapWriter(path, ["x", "y"], ("time_s", "cycle", "position"), state_width=1, metadata={"fingerprint": {}})
+    writer.write(np.hstack([rows, rows * [1, 1, -1, 1]]))
+    writer.write_event(5.0, "fault", "[red] x: too fast")
+    writer.close()
+    return path
+
+
+@pytest.fixture
+def table(tmp_path: Path) -> Path:
+    path = tmp_path / "bench.csv"
+    path.write_text(CSV)
+    return path
+
+
+def test_csv_to_mcap_and_back_keeps_every_byte(table: Path, tmp_path: Path) -> None:
+    assert main(["convert", str(table), str(tmp_path / "b.mcap")]) == 0
+    assert main(["convert", str(tmp_path / "b.mcap"), str(tmp_path / "c.csv")]) == 0
+    assert (tmp_path / "c.csv").read_text() == CSV
+
+
+def test_each_axis_gets_a_csv_of_its_own(two_axes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["convert", str(two_axes), str(tmp_path / "out.csv")]) == 0
+    output = capsys.readouterr()
+    assert output.out == f"{tmp_path}/out_x.csv: 3 rows of 3 columns\n{tmp_path}/out_y.csv: 3 rows of 3 columns\n"
+    assert f"{two_axes}: x: 3 cycles are missing in 1 gap, the first after cycle 1\n" in output.err
+    y = fh.recordings.read(tmp_path / "out_y.csv")
+    np.testing.assert_array_equal(y["position"], -np.array([0, 1, 5]) / 3)
+
+
+def test_one_axis_is_written_under_the_name_given(two_axes: Path, tmp_path: Path) -> None:
+    assert main(["convert", str(two_axes), str(tmp_path / "out.csv"), "--axis", "y"]) == 0
+    assert fh.recordings.read(tmp_path / "out.csv")["position"][1] == -1 / 3
+
+
+def test_columns_are_renamed_and_scaled_on_the_way(table: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out.csv"
+    words = ["--column", "current=torque", "--scale", "current=2", "--column", "angle=position"]
+    assert main(["convert", str(table), str(out), *words]) == 0
+    assert out.read_text().splitlines()[:2] == ["current,angle,time_s", "3.0,0.1,0.0"]
+
+
+def test_existing_files_are_replaced_only_by_force(
+    table: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "out.mcap"
+    out.write_bytes(b"precious")
+    assert main(["convert", str(table), str(out)]) == 1
+    assert "exists already; --force replaces it" in capsys.readouterr().err
+    assert out.read_bytes() == b"precious"
+    assert main(["convert", str(table), str(out), "--force", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == {"written": [str(out)], "rows": {"bench": 2}}
+
+
+@pytest.mark.parametrize(
+    ("words", "status", "message"),
+    [
+        (["bench.csv"], 2, "give OUT, or --info"),
+        (["bench.csv", "x.csv", "--info"], 2, "leave OUT away"),
+        (["bench.csv", "x.txt"], 2, "There are: .csv, .mcap"),
+        (["none.csv", "x.mcap"], 1, "No such file or directory"),
+        (["bench.csv", "x.mcap", "--column", "torque"], 2, "has not the form 'torque=effort'"),
+        (["bench.csv", "x.mcap", "--column", "torque=efort"], 2, "There are: position, time_s, torque"),
+        (["bench.csv", "x.mcap", "--scale", "torque=much"], 2, "'much' is not a number"),
+        (["bench.csv", "x.mcap", "--scale", "torque=nan"], 2, "finite and not zero"),
+        (["run.mcap", "x.mcap"], 2, "is MCAP already"),
+        (["run.mcap", "x.csv", "--axis", "z"], 2, "no axis 'z'; There are: x, y"),
+    ],
+)
+def test_mistakes_are_told_in_a_sentence(
+    words: list[str],
+    status: int,
+    message: str,
+    two_axes: Path,
+    table: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(two_axes.parent)
+    assert main(["convert", *words]) == status
+    error = capsys.readouterr().err
+    assert message in " ".join(error.split())
+    assert "Traceback" not in error
+
+
+def test_info_tells_what_is_in_a_recording(two_axes: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["convert", str(two_axes), "--info"]) == 0
+    output = capsys.readouterr()
+    assert "x: 3 rows, 0.005 s at 400 Hz" in output.out
+    assert "1.66667" in output.out
+    assert "2 restart points; metadata: fingerprint, recording" in output.out
+    assert "cycle 5: fault: [red] x: too fast" in output.out
+    assert "3 cycles are missing" in output.err
+
+
+def test_info_as_json(two_axes: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["convert", str(two_axes), "--info", "--axis", "y", "--json"]) == 0
+    content = json.loads(capsys.readouterr().out)
+    facts = content["axes"]["y"]
+    assert list(content["axes"]) == ["y"]
+    assert (facts["rows"], facts["rate_hz"], facts["restart_points"]) == (3, pytest.approx(400.0), 2)
+    assert facts["columns"]["position"] == {"unit": "rad or m", "values": 3, "min": -5 / 3, "max": 0.0}
+    assert facts["events"] == [{"cycle": 5.0, "name": "fault", "text": "[red] x: too fast"}]
+    assert facts["problems"] == ["3 cycles are missing in 1 gap, the first after cycle 1"]

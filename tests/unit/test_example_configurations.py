@@ -1,0 +1,124 @@
+"""The configurations that are shipped load, say the truth, and fit the schema that is shipped with them."""
+
+import json
+import re
+from pathlib import Path
+
+import jsonschema
+import pydantic
+import pytest
+
+from friction_hil.config import (
+    AxisConfig,
+    Compensation,
+    Configuration,
+    Limits,
+    Realtime,
+    dump,
+    from_dict,
+    json_schema,
+    load,
+    load_model_file,
+    self_contained,
+)
+from friction_hil.config.section import keys
+from friction_hil.config.yaml_text import parse, read
+
+DIRECTORY = Path(__file__).parents[2] / "config"
+EXAMPLES = sorted(DIRECTORY.glob("*.yaml"))
+MODELS = sorted((DIRECTORY / "models").glob("*.yaml"))
+SCHEMA = json.loads((DIRECTORY / "schema.json").read_text())
+
+
+def name_of(path):
+    return path.name
+
+
+def schema_errors(value, schema=SCHEMA):
+    return [error.message for error in jsonschema.Draft202012Validator(schema).iter_errors(value)]
+
+
+def test_there_are_examples():
+    assert {path.stem for path in EXAMPLES} >= {"demo", "single_axis_csp", "cst_controller"}
+    assert MODELS
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=name_of)
+def test_it_loads_and_comes_back(path):
+    configuration = load(path)
+    values = self_contained(configuration)
+    assert self_contained(from_dict(parse(dump(values), "show").value, "show")) == values
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=name_of)
+def test_it_fits_the_schema(path):
+    assert schema_errors(read(path).value) == []
+    assert schema_errors(self_contained(load(path))) == []
+
+
+@pytest.mark.parametrize("path", MODELS, ids=name_of)
+def test_a_model_file_loads(path):
+    assert load_model_file(path).friction_model.parameters
+    assert schema_errors(read(path).value, {**SCHEMA, **SCHEMA["$defs"]["ModelFile"]}) == []
+
+
+def test_the_schema_is_current():
+    jsonschema.Draft202012Validator.check_schema(SCHEMA)
+    current = json_schema()
+    if current["$comment"] != SCHEMA["$comment"]:
+        pytest.skip(f"pydantic is {pydantic.VERSION} here, but schema.json was {SCHEMA['$comment']}")
+    assert current == SCHEMA, "config/schema.json is stale: friction-hil config schema > config/schema.json"
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("node: 1", "nod: 1"),
+        ("node: 1", "node: 128"),
+        ("mode: csp", "mode: cspp"),
+        ("driver: canopen", "driver: canopn"),
+        ("kind: sine", "kind: sinus"),
+        ("  amplitude: 0.5", "  amplitude: 0"),
+        ("models/lugre_axis.yaml", "3"),
+        ("{coulomb: 0.05, viscous: 1e-3}", "{colomb: 0.05, viscous: 1e-3}"),
+        ("priority: 80", "priority: 100"),
+        ("period_s: 1e-3", "period_s: 1 ms"),
+        ("torque_slew: 100.0", "torque_slow: 100.0"),
+    ],
+)
+def test_the_schema_finds_mistakes(old, new):
+    text = (DIRECTORY / "single_axis_csp.yaml").read_text()
+    assert schema_errors(parse(text.replace(old, new, 1), "mutated").value)
+
+
+def test_what_is_marked_as_default_is_the_default():
+    path = DIRECTORY / "single_axis_csp.yaml"
+    lines = path.read_text().splitlines(keepends=True)
+    kept = [line for line in lines if not re.search(r"#\s*default\b", line)]
+    assert len(kept) < len(lines) - 15
+    shorter = from_dict(parse("".join(kept), "shorter").value, str(path))
+    assert self_contained(shorter) == self_contained(load(path))
+
+
+def test_the_first_example_lists_every_key():
+    path = DIRECTORY / "single_axis_csp.yaml"
+    value, axis = read(path).value, load(path).axes["x"]
+    for group, model in [
+        (value, Configuration),
+        (value["realtime"], Realtime),
+        (value["axes"]["x"]["limits"], Limits),
+        (value["axes"]["x"]["compensation"], Compensation),
+        (value["axes"]["x"]["trajectory"], type(axis.trajectory)),
+    ]:
+        assert set(group) == set(keys(model))
+    elsewhere = {"controller", "simulation"}
+    assert set(value["axes"]["x"]) == {*keys(AxisConfig), *type(axis.options).model_fields} - elsewhere
+
+
+def test_the_demo_is_a_circle_with_wrong_parameters():
+    axes = load(DIRECTORY / "demo.yaml").axes
+    assert list(axes) == ["x", "y"]
+    for axis in axes.values():
+        believed, true = axis.model.friction_model, axis.simulation.friction
+        ratios = [believed.parameters[name] / true.parameters[name] for name in ("coulomb", "static", "sigma0")]
+        assert all(0.09 <= abs(ratio - 1.0) <= 0.21 for ratio in ratios), ratios
