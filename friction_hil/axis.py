@@ -13,7 +13,7 @@ from friction_hil.jit import Array
 from friction_hil.recordings import columns
 from friction_hil.safety import LoopState, SlewLimiter, Supervisor
 from friction_hil.servo.control import cascade
-from friction_hil.servo.trajectory import PathTime, Setpoint, Trajectory
+from friction_hil.servo.trajectory import PathTime, Setpoint, Trajectory, extent
 
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig
@@ -64,8 +64,9 @@ class AxisLoop:
         self._total = SlewLimiter(self._limits.torque, self._limits.torque_slew, period_s)
         self._standstill = max(_STANDSTILL_SHARE * self._limits.velocity, 2.0 * facts.position_resolution / period_s)
         self._has_setpoint = config.trajectory.kind != "none"
-        self._path_s = 1.0 / getattr(config.trajectory, "frequency", 1.0)
-        self._trajectory = Trajectory(make_path(config), path_time)
+        path = make_path(config)
+        self._extent = extent(path, 1.0 / getattr(config.trajectory, "frequency", 1.0))
+        self._trajectory = Trajectory(path, path_time)
         self._controller, self._integral = make_controller(config), 0.0
 
         self._shadow_columns = [columns.NAMES.index("exchange_us") + 1 + shadow_names.index(n) for n in self.shadows]
@@ -94,12 +95,12 @@ class AxisLoop:
         UsageError
             The path leaves the position limits or is faster than the velocity limit.
         """
-        self.enter_path()
-        low, high, speed = self._trajectory.extent(self._path_s)
+        start = self.supervisor.position
+        low, high, speed = start + self._extent[0], start + self._extent[1], self._extent[2]
         limits, unit = self._limits, self._unit
         if not limits.position_low <= low <= high <= limits.position_high:
             raise UsageError(
-                f"{self.name}: from {self.supervisor.position:.4g} {unit} the trajectory would go from {low:.4g} to "
+                f"{self.name}: from {start:.4g} {unit} the trajectory would go from {low:.4g} to "
                 f"{high:.4g} {unit}, outside the position limits [{limits.position_low:g}, {limits.position_high:g}]"
             )
         if speed > limits.velocity:
@@ -172,7 +173,7 @@ class AxisLoop:
             fault = fault or f"{self.name}: the friction model gave a torque that is not finite"
 
         self._fill(command, state, time_s, position, now, compensation)
-        if now is not None and state is LoopState.RUNNING:
+        if now is not None and is_usable and state is LoopState.RUNNING:
             self.stats.add(now.position - position)
         _COLUMNS.pack_into(
             row.data,

@@ -18,7 +18,7 @@ from friction_hil.servo.trajectory import PathTime
 
 _LATE = columns.NAMES.index("late_us")
 _EXCHANGE = columns.NAMES.index("exchange_us")
-_RECEIVE_SHARE = 0.7  # of the period; what has not arrived by then is too late for this cycle
+_RECEIVE_SHARE = 0.75  # of the period; what has not arrived by then is too late for this cycle
 _FIRST_FEEDBACK_S = 1.0
 _FAULT_RESET_S = 1.0
 _HISTOGRAM_US = 20000

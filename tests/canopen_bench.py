@@ -48,6 +48,8 @@ class Bench:
         """Give the node a frame; return what it sends in answer."""
         before = len(self.sent)
         self.node.receive(can_id, bytes.fromhex(data) if isinstance(data, str) else data)
+        if self.node.needs_poll(self.node.now_ns):
+            self.node.poll()
         return self.sent[before:]
 
     def at(self, time_ms: float) -> list[Frame]:

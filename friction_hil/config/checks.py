@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from friction_hil.config.messages import Mistake
+from friction_hil.config.messages import Mistake, show
 from friction_hil.errors import UsageError, choices
 
 if TYPE_CHECKING:
@@ -24,6 +24,8 @@ def bus_mistakes(bus: "BusConfig") -> Iterator[Mistake]:
     for name, value in bus.further.items():
         if isinstance(value, dict | list):
             yield (name,), "must be a single value: it is handed to python-can as it is"
+        elif isinstance(value, float) and not math.isfinite(value):
+            yield (name,), f"must be a finite number, not {show(value)}"
     allowed = _BUS_KEYS.get(bus.interface)
     if allowed is None:
         return

@@ -1,5 +1,6 @@
 """Files and plain values to a checked configuration, with all mistakes at once."""
 
+import os
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -79,7 +80,7 @@ def model_from_argument(argument: str) -> ModelFile:
     """
     from friction_hil import models
 
-    if argument.endswith((".yaml", ".yml")) or Path(argument).is_file():
+    if argument.endswith((".yaml", ".yml")) or os.path.isfile(argument):
         return load_model_file(argument)
     name, _, rest = argument.partition(":")
     if name not in models.names():
@@ -201,7 +202,7 @@ class _ModelReader:
 
     def _read(self, name: str, steps: Steps) -> Any:
         path = self._directory / name
-        if not path.is_file():
+        if not os.path.isfile(path):  # unlike Path.is_file it says no to a name that is too long
             siblings = [str(Path(name).parent / item.name) for item in path.parent.glob("*.y*ml")]
             message = f"there is no model file {path}; {choices(name, siblings)}"
             self._problems.append(self._origins.locate(steps, message))

@@ -175,7 +175,8 @@ class _Builder:
         if isinstance(event, yaml.AliasEvent):
             return self._alias(event, line)
         if event.tag not in (None, "!"):
-            self._report(line, f"tags such as {event.tag} have no use here: remove it")
+            tag = event.tag.replace("tag:yaml.org,2002:", "!!")
+            self._report(line, f"tags such as {tag} have no use here: remove it")
         if event.anchor is not None:
             self._anchors[event.anchor] = None  # known, but not complete
         node = Node(None, line)

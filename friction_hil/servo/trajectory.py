@@ -142,8 +142,10 @@ class Trajectory:
         position, velocity, acceleration = self._path(s)
         return Setpoint(self._offset + position, velocity * rate, acceleration * rate * rate + velocity * change)
 
-    def extent(self, period_s: float) -> tuple[float, float, float]:
-        """Lowest and highest position and highest speed over one ``period_s`` of the path, at full rate."""
-        samples = [self._path(period_s * k / 2048) for k in range(2049)]
-        positions = [self._offset + sample[0] for sample in samples]
-        return min(positions), max(positions), max(abs(sample[1]) for sample in samples)
+
+def extent(path: Path, duration_s: float) -> tuple[float, float, float]:
+    """Lowest and highest position, seen from the start of the path, and highest speed, over ``duration_s``."""
+    samples = [path(duration_s * k / 2048) for k in range(2049)]
+    start = samples[0][0]
+    positions = [sample[0] - start for sample in samples]
+    return min(positions), max(positions), max(abs(sample[1]) for sample in samples)

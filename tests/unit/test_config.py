@@ -359,6 +359,9 @@ def test_all_mistakes_are_told_at_once(path):
         ),
         ({"bus__interface": "socketcan", "bus__channel": "can0"}, "bus.port", "no meaning"),
         ({"bus": {"interface": "pcan", "channel": "PCAN_USBBUS1", "timing": [1]}}, "bus.timing", "single value"),
+        ({"bus": {"interface": "pcan", "channel": "PCAN_USBBUS1", "delay": math.nan}}, "bus.delay", "finite"),
+        ({"axes__x__model": "x" * 300}, "axes.x.model", "there is no model file"),
+        ({"axes__x__model": "no\0where/x"}, "axes.x.model", "there is no model file"),
     ],
 )
 def test_what_does_not_fit_together(changes, field, message):
@@ -596,6 +599,7 @@ def test_model_from_argument(tmp_path):
         ("coulomb:coulomb=1,coulomb=2", "each parameter once"),
         ("coulomb:colomb=1", "did you mean 'coulomb'"),
         ("coulomb:coulomb=-1", "not allowed"),
+        ("coulomb:coulomb=-1" + " " * 300, "not allowed"),
         ("coulomb:coulomb=.nan", "not allowed"),
         ("coulomb:coulomb=1e999", "too large"),
         ("coulomb:coulomb=1:30", "not a number"),

@@ -174,7 +174,7 @@ def test_anchors_and_merge_keys():
         ("a:\n\tb: 1\n", 2, "a tab"),
         ("a: 1\n  \tb: 1\n", 2, "a tab"),
         ("a: 1\nb: !!python/object:os.system {}\n", 2, "tags"),
-        ("a: !!int 3\n", 1, "tags"),
+        ("a: !!int 3\n", 1, "tags such as !!int"),
         ("a: 1\nb: 1e999\n", 2, "too large"),
         ("a: " + "9" * 5000 + "\n", 1, "too large"),
         ("a: 0x" + "f" * 390 + "\n", 1, "too large"),

@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Literal
 
 from friction_hil.errors import BusError, UsageError
+from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.bus import bus_name, open_bus
 from friction_hil_drivers.canopen.frames import FrameBus, frame_bus
 from friction_hil_drivers.canopen.simulated.options import SimulationOptions
@@ -15,9 +16,8 @@ if TYPE_CHECKING:
     from friction_hil_drivers.canopen.simulated.dictionary import Dictionary
     from friction_hil_drivers.canopen.simulated.node import Node
 
-_REAL_TIMEOUT_S = 1e-3  # between frames, time passes at least this often
+_IDLE_TIMEOUT_S = 2.5e-4  # between frames time passes this often, so that little is left to integrate at a SYNC
 _SYNC_TIMEOUT_S = 0.1
-_POLL_NS = 1_000_000
 
 
 class SimulatedCanopenDrives:
@@ -89,23 +89,39 @@ class SimulatedCanopenDrives:
         DriveError
             A simulated servo diverged.
         """
-        nodes, is_real, bus = self._nodes, self._is_real, self._open_bus
-        timeout = _REAL_TIMEOUT_S if is_real else _SYNC_TIMEOUT_S
-        start_ns, now_ns = time.monotonic_ns(), 0
+        nodes, bus = self._nodes, self._open_bus
+        if not self._is_real:
+            while not is_stopping():
+                if (frame := bus.receive(_SYNC_TIMEOUT_S)) is not None:
+                    self._take(*frame, 0)
+            return
+        period_ns = round(self._configuration.period_s * 1e9)
+        spin_ns = self._configuration.realtime.spin_us * 1000
+        start_ns, now_ns, next_sync_ns = time.monotonic_ns(), 0, 0
         while not is_stopping():
-            frame = bus.receive(timeout)
-            if is_real:
-                now_ns = time.monotonic_ns() - start_ns
-            if frame is not None:
-                can_id, data = frame
+            # around the moment of the next SYNC, busy waiting: the answer shall not wait for this process to wake up
+            is_near = abs(next_sync_ns - now_ns) <= spin_ns
+            frame = bus.receive(0.0 if is_near else _IDLE_TIMEOUT_S)
+            now_ns = time.monotonic_ns() - start_ns
+            if frame is None:
                 for node in nodes:
-                    if node.listens_to(can_id):
-                        node.advance_to(now_ns)
-                        node.receive(can_id, data)
-            for node in nodes:
-                if now_ns - node.polled_ns >= _POLL_NS:
                     node.advance_to(now_ns)
-                    node.poll()
+                    if node.needs_poll(now_ns):
+                        node.poll()
+            else:
+                if frame[0] == objects.SYNC_ID:
+                    next_sync_ns = now_ns + period_ns
+                self._take(*frame, now_ns)
+
+    def _take(self, can_id: int, data: bytes, now_ns: int) -> None:
+        """Give a frame to the nodes; all answer before any of them does what else there is to do."""
+        concerned = [node for node in self._nodes if node.listens_to(can_id)]
+        for node in concerned:
+            node.advance_to(now_ns)
+            node.receive(can_id, data)
+        for node in concerned:
+            if node.needs_poll(now_ns):
+                node.poll()
 
     def close(self) -> None:
         """Leave the bus. Safe to call twice."""
@@ -125,16 +141,17 @@ class SimulatedCanopenDrives:
         servo = Servo(simulation)
         modes = [Mode[name.upper()] for name in simulation.canopen.supported_modes]
         _compile(Servo(simulation))
+        steps = self._steps_per_period(servo)
         return Node(
             number,
             self._dictionary(number, simulation),
             lambda dictionary, emergencies: Drive(servo, dictionary, emergencies, modes),
             self._send,
-            None if self._is_real else self._steps_per_period(servo),
+            sync_steps=None if self._is_real else steps,
+            lock_steps=steps if self._is_real else None,
         )
 
     def _dictionary(self, number: int, simulation: SimulationOptions) -> "Dictionary":
-        from friction_hil_drivers.canopen import objects
         from friction_hil_drivers.canopen.eds import SIMULATED_SERVO
         from friction_hil_drivers.canopen.simulated.dictionary import Dictionary
 
@@ -159,7 +176,7 @@ class SimulatedCanopenDrives:
         steps = round(exact)
         if steps < 1 or abs(exact - steps) > 1e-6:
             raise UsageError(
-                f"with --pace sync the period must be a whole number of integration steps; "
+                f"the period must be a whole number of integration steps of the simulated servo; "
                 f"{self._configuration.period_s:g} s is {exact:g} of them (integration_hz)"
             )
         return steps

@@ -17,15 +17,18 @@ _CONNECTION_ERRORS = (COMMUNICATION, HEARTBEAT_LOST, RPDO_TIMEOUT, SYNC_LOST)
 _PATIENT_SYNCS = 10  # cycle periods (1006h) without SYNC that count as its loss
 _BEHAVIOUR = {0: NmtState.PRE_OPERATIONAL, 2: NmtState.STOPPED}  # 1029h:01; 1: no change
 _OPERATIONAL = NmtState.OPERATIONAL
+_POLL_NS = 1_000_000
+_LOCKED_PERIODS = 10  # without SYNC after which the drive's clock runs free again
 _S, _US = 1_000_000_000, 1_000  # ns
 
 
 class Node:
     """One node on the bus.
 
-    Frames come in through `receive`, time through `advance_to`; frames go out through ``send``. Between frames,
-    `poll` does what is due. With ``sync_steps`` the node has a time of its own that passes by that many integration
-    steps at each SYNC and stands still in between, so that all it does is a function of the frames it received.
+    Frames come in through `receive`, time through `advance_to`; frames go out through ``send``. `poll` does what is
+    due: it is to be called when `needs_poll` says so, that is after a SYNC (once all nodes have sent their PDOs),
+    and regularly between frames. With ``sync_steps`` the node has a time of its own that passes by that many
+    integration steps at each SYNC and stands still in between, so that all it does is a function of the frames.
 
     Parameters
     ----------
@@ -39,6 +42,10 @@ class Node:
         Called with identifier and data of each frame to be sent.
     sync_steps : int or None
         Integration steps a SYNC; None: time comes from `advance_to`.
+    lock_steps : int or None
+        With time from `advance_to`: integration steps between two SYNCs, to which the drive locks its clock as real
+        drives do, so that a SYNC that comes late by some microseconds does not shift the instants at which it samples
+        and interpolates. None: SYNCs are taken as they come.
     """
 
     def __init__(
@@ -48,13 +55,17 @@ class Node:
         make_drive: Callable[[Dictionary, Emergencies], Drive],
         send: Callable[[int, bytes], None],
         sync_steps: int | None = None,
+        lock_steps: int | None = None,
     ) -> None:
         self.number = number
         self.state = NmtState.BOOT_UP
         self.now_ns = 0
         self._polled_ns = 0
+        self._has_sync = False  # one came whose received PDOs are still to take effect
         self._steps = 0  # integration steps done
         self._sync_steps = sync_steps
+        self._lock_steps = lock_steps
+        self._locked_until_ns = 0
         self._send = send
         self._dictionary = dictionary
         self._emergencies = Emergencies(dictionary, self._send_emergency)
@@ -94,21 +105,28 @@ class Node:
     def advance_to(self, now_ns: int) -> None:
         """Let time pass until ``now_ns`` after the start, unless time is counted in SYNCs."""
         if self._sync_steps is None:
+            self.now_ns = max(self.now_ns, now_ns)
+            if now_ns < self._locked_until_ns:
+                return
             steps = now_ns * self.drive.servo.steps_per_second // _S - self._steps
             if steps > 0:
                 self.drive.advance(steps)
                 self._steps += steps
-            self.now_ns = max(self.now_ns, now_ns)
+
+    def needs_poll(self, now_ns: int) -> bool:
+        """Whether `poll` is to be called."""
+        return self._has_sync or now_ns - self._polled_ns >= _POLL_NS
 
     def poll(self) -> None:
-        """Do what is due at this time: timers, ramps, event-driven PDOs."""
+        """Do what is due at this time: what a SYNC brought, timers, ramps, event-driven PDOs."""
+        if self._has_sync:
+            self._has_sync = False
+            for rpdo in self._rpdos:
+                if rpdo.pending is not None:
+                    rpdo.write(rpdo.pending)
+                    rpdo.pending = None
         self._check_timers()
         self._update()
-
-    @property
-    def polled_ns(self) -> int:
-        """When the node last did what was due."""
-        return self._polled_ns
 
     def _update(self) -> None:
         self.drive.update(self.now_ns)
@@ -174,19 +192,19 @@ class Node:
             self.drive.advance(self._sync_steps)
             self._steps += self._sync_steps
             self.now_ns = self._steps * _S // self.drive.servo.steps_per_second
-        if self.state is _OPERATIONAL:
-            self._exchange()
-        self.poll()
-
-    def _exchange(self) -> None:
-        """Send the synchronous PDOs, then write what the received ones brought."""
-        frames = [(tpdo.can_id, data) for tpdo in self._synchronous if (data := tpdo.at_sync()) is not None]
-        for can_id, data in frames:
-            self._send(can_id, data)
-        for rpdo in self._rpdos:
-            if rpdo.pending is not None:
-                rpdo.write(rpdo.pending)
-                rpdo.pending = None
+        elif self._lock_steps is not None:
+            if self.now_ns < self._locked_until_ns:
+                self.drive.advance(self._lock_steps)
+                self._steps += self._lock_steps
+            self._locked_until_ns = (
+                self.now_ns + _LOCKED_PERIODS * self._lock_steps * _S // self.drive.servo.steps_per_second
+            )
+        self._has_sync = True
+        if self.state is not _OPERATIONAL:
+            return
+        for tpdo in self._synchronous:
+            if (data := tpdo.at_sync()) is not None:
+                self._send(tpdo.can_id, data)
         if self._sync_period.value:
             if self._sync_deadline_ns is None:
                 self.drive.connection_restored(SYNC_LOST)

@@ -29,9 +29,10 @@ class Units:
         config = servo.config
         self.counts = servo.counts_per_unit  # per rad or m
         self.resolution = Fraction(config.encoder.counts).limit_denominator(1000)  # counts a revolution
+        self._per_minute = float(self.resolution) / 60.0
         self.rated_torque = max(1, round(1000.0 * config.motor.rated_torque))  # mN m or mN
         self.torque = self.rated_torque * 1e-6  # N m or N per per mille
 
     def speed(self, revolutions_per_minute: int) -> float:
         """Counts per second of a speed in revolutions per minute."""
-        return revolutions_per_minute * float(self.resolution) / 60.0
+        return revolutions_per_minute * self._per_minute
