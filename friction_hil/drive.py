@@ -66,7 +66,7 @@ class Feedback:
     torque: float = 0.0
     state: DriveState = DriveState.UNKNOWN
     is_fresh: bool = False  # every frame of this cycle arrived in time
-    error_code: int = 0  # the drive's own (603Fh or its emergency frame), 0 for none
+    error: str = ""  # the drive's own error code in words, as last heard
     message: str = ""  # what is wrong beside the state: a lost heartbeat, a reboot, an emergency
 
 

@@ -26,7 +26,7 @@ DEFAULT_LOWPASS_SHARE = 0.1  # of the sampling rate, where velocity must be deri
 _LOWPASS_ORDER = 4
 _DECIMATOR = (8, 0.05, 0.8)  # order, ripple in dB and share of the new Nyquist frequency of the Chebyshev filter
 _PADDING_PER_ORDER = 3  # samples by which a zero-phase filter extends a record at both ends
-_TRANSIENT_PERIODS = 5.0  # of the low-pass, left out at the beginning; gives the 49 samples of the EMPS benchmark
+_TRANSIENT_PERIODS = 5.0  # of the low-pass, left out at both ends: what it makes of the end of a record is not data
 _UNEVEN_SHARE = 0.1  # of the period: larger deviations of a time stamp make a record uneven
 _GAP_PERIODS = 10.0  # beyond which nothing is interpolated
 
@@ -67,21 +67,27 @@ class Prediction:
     ----------
     model : str
         Its name for people.
-    torque : (m,) array
-        Predicted, N m or N.
+    friction, mechanics : (m,) array
+        Predicted torque of friction, and of inertia, offset and gravity, N m or N.
     rmse : float
         Root mean square of measured minus predicted.
     relative_error : float
         norm(measured - predicted) / norm(measured); NaN where nothing was measured but zeros.
     unit : str
-        Of torque and rmse.
+        Of torque and rmse: ``N m`` or ``N``.
     """
 
     model: str
-    torque: Array
+    friction: Array
+    mechanics: Array
     rmse: float
     relative_error: float
     unit: str
+
+    @property
+    def torque(self) -> Array:
+        """Predicted torque (m,), N m or N."""
+        return self.mechanics + self.friction
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,29 +136,32 @@ def replay(
     if decimate < 1:
         raise UsageError(f"decimate by a whole number from 1, not {decimate}")
     motion = derive(recording, lowpass_hz)
-    first = 0
+    transient = 0
     if motion.lowpass_hz is not None:
-        first = math.ceil(_TRANSIENT_PERIODS * motion.rate_hz / motion.lowpass_hz) - 1
-    shortest = first + 1 + (_PADDING_PER_ORDER * _DECIMATOR[0] if decimate > 1 else 0)
+        transient = math.ceil(_TRANSIENT_PERIODS * motion.rate_hz / motion.lowpass_hz) - 1
+    shortest = 2 * transient + 1 + (_PADDING_PER_ORDER * _DECIMATOR[0] if decimate > 1 else 0)
     if len(motion.time_s) <= shortest:
         raise RecordingError(
             f"{recording.path}: {len(motion.time_s)} rows without a gap are too few for these filters, which take "
             f"{shortest} to settle"
         )
 
+    inner = slice(transient, len(motion.time_s) - transient)
+
     def reduce(values: Array) -> Array:
-        return _decimated(values[first:], decimate)
+        return _decimated(values[inner], decimate)
 
     measured = reduce(motion.torque)
     predictions = []
     for name, model in models.items():
-        torque = reduce(predict(model, motion))
-        residual = float(np.linalg.norm(measured - torque))
+        friction, mechanics = map(reduce, predict(model, motion))
+        residual = float(np.linalg.norm(measured - mechanics - friction))
         norm = float(np.linalg.norm(measured))
         predictions.append(
             Prediction(
                 model=name,
-                torque=torque,
+                friction=friction,
+                mechanics=mechanics,
                 rmse=residual / math.sqrt(len(measured)),
                 relative_error=residual / norm if norm > 0.0 else math.nan,
                 unit="N m" if model.axis == "rotary" else "N",
@@ -164,23 +173,24 @@ def replay(
         rows=len(recording),
         duration_s=recording.duration_s,
         problems=(*recording.problems, *motion.problems),
-        time_s=motion.time_s[first:][(len(motion.time_s) - first - 1) % decimate :: decimate],
+        time_s=motion.time_s[inner][::-1][::decimate][::-1],
         velocity=reduce(motion.velocity),
         measured=measured,
         predictions=tuple(predictions),
     )
 
 
-def predict(model: "ModelFile", motion: Motion) -> Array:
-    """Torque (n,) that the model says the motion takes, low-passed as the motion is."""
+def predict(model: "ModelFile", motion: Motion) -> tuple[Array, Array]:
+    """Torques (n,) that the model says the motion takes for friction and for mechanics, low-passed as it is."""
     mechanics = model.mechanics
     gravity = mechanics.gravity
-    torque = model.friction_model.simulate(motion.velocity, 1.0 / motion.rate_hz)
-    torque = torque + (mechanics.offset + gravity.constant)
-    torque += gravity.sine * np.sin(motion.position) + gravity.cosine * np.cos(motion.position)
+    friction = model.friction_model.simulate(motion.velocity, 1.0 / motion.rate_hz)
+    static = gravity.sine * np.sin(motion.position) + gravity.cosine * np.cos(motion.position)
+    static += mechanics.offset + gravity.constant
     if motion.lowpass_hz is not None:
-        torque = _lowpassed(torque, motion.lowpass_hz, motion.rate_hz)
-    return torque + mechanics.inertia * motion.acceleration
+        friction = _lowpassed(friction, motion.lowpass_hz, motion.rate_hz)
+        static = _lowpassed(static, motion.lowpass_hz, motion.rate_hz)
+    return friction, mechanics.inertia * motion.acceleration + static
 
 
 def derive(recording: Recording, lowpass_hz: float | None = None) -> Motion:

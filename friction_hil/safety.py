@@ -38,6 +38,9 @@ REQUESTS = {
 }
 
 
+_NOT_YET_ENABLED = (LoopState.IDLE, LoopState.ENABLING)
+
+
 @dataclass(frozen=True, slots=True)
 class Limits:
     """Bounds of one axis, SI; infinity where there is none."""
@@ -126,7 +129,8 @@ class Supervisor:
         if self._stale_cycles > MAX_STALE_CYCLES:
             return f"{name}: no usable feedback for more than {MAX_STALE_CYCLES} cycles"
         if feedback.state in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE):
-            return f"{name}: the drive reports a fault, error code {feedback.error_code:04X}h"
+            text = f"{name}: the drive is in fault: {feedback.error or 'it does not say why'}"
+            return f"{text}; --reset-fault leaves it" if state in _NOT_YET_ENABLED else text
         if state not in (LoopState.RUNNING, LoopState.STOPPING):
             return None
         if feedback.state is not DriveState.OPERATION_ENABLED:

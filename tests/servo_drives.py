@@ -90,7 +90,7 @@ class ServoDrives:
             self._activate(k, servo)
             f = feedback[k]
             f.position, f.velocity, f.torque = servo.position, servo.velocity, servo.torque
-            f.state, f.is_fresh, f.error_code, f.message = self.states[k], True, 0, ""
+            f.state, f.is_fresh, f.error, f.message = self.states[k], True, "", ""
         if self.disturb is not None:
             self.disturb(self.cycle, feedback)
         self.cycle += 1

@@ -10,6 +10,7 @@ from friction_hil.cli.recording_options import recording_options
 
 if TYPE_CHECKING:
     from friction_hil.recordings import Recording
+    from friction_hil.recordings.columns import AxisKind
 
 
 @click.command("convert")
@@ -85,12 +86,12 @@ def _facts(recording: "Recording") -> dict[str, Any]:
 
     from friction_hil.recordings.columns import unit
 
+    kinds = _kinds(recording)
     facts = {}
     for name, values in recording.columns.items():
         finite = values[np.isfinite(values)]
-        units = dict.fromkeys((unit(name), unit(name, "linear")))
         facts[name] = {
-            "unit": " or ".join(text for text in units if text),
+            "unit": " or ".join(dict.fromkeys(filter(None, (unit(name, kind) for kind in kinds)))),
             "values": int(finite.size),
             "min": float(finite.min()) if finite.size else None,
             "max": float(finite.max()) if finite.size else None,
@@ -108,25 +109,28 @@ def _facts(recording: "Recording") -> dict[str, Any]:
     }
 
 
+def _kinds(recording: "Recording") -> "tuple[AxisKind, ...]":
+    """Whether the axis is rotary or linear, where the recording carries the daemon's configuration; else both."""
+    try:
+        kind = recording.metadata["configuration"]["axes"][recording.axis]["model"]["axis"]
+    except (KeyError, TypeError):
+        kind = None
+    return (kind,) if kind in ("rotary", "linear") else ("rotary", "linear")
+
+
 def _print(name: str, facts: dict[str, Any]) -> None:
     from rich.table import Table
     from rich.text import Text
 
     rate = f" at {facts['rate_hz']:.6g} Hz" if facts["rate_hz"] else ""
-    title = f"{name}: {facts['rows']} rows, {facts['duration_s']:.6g} s{rate}"
-    table = Table(title=Text(title), title_justify="left")
-    for heading, justify in (
-        ("column", "left"),
-        ("unit", "left"),
-        ("values", "right"),
-        ("min", "right"),
-        ("max", "right"),
-    ):
-        table.add_column(heading, justify=justify)  # type: ignore[arg-type]
+    out = console()
+    out.print(f"{name}: {facts['rows']} rows, {facts['duration_s']:.6g} s{rate}", markup=False)
+    table = Table("column", "unit", "values", "min", "max", box=None, header_style="bold", pad_edge=False)
+    for number in table.columns[2:]:
+        number.justify = "right"
     for column, fact in facts["columns"].items():
         low, high = ("" if fact[key] is None else f"{fact[key]:.6g}" for key in ("min", "max"))
         table.add_row(Text(column), fact["unit"], str(fact["values"]), low, high)
-    out = console()
     out.print(table)
     if facts["metadata"]:
         out.print(f"{facts['restart_points']} restart points; metadata: {', '.join(facts['metadata'])}", markup=False)

@@ -49,10 +49,10 @@ def command(config: str, pace: str, ready_fd: int | None, exit_with_stdin: bool)
         raise UsageError(
             f"{config}: nobody outside this process can hear a bus of interface 'virtual'; use udp_multicast"
         )
-    is_stopping = _stop_conditions(exit_with_stdin)
     drives: Any = load_driver(drivers[0], SIMULATED_DRIVES)(configuration, axes, pace=pace)
     try:
         ready = f"ready: {drives.open()}"
+        is_stopping = _stop_conditions(exit_with_stdin)
         click.echo(ready)
         if ready_fd is not None:
             _announce(ready_fd, ready)

@@ -40,15 +40,9 @@ def axis_mistakes(axis: "AxisConfig") -> Iterator[Mistake]:
     """Check mode, trajectory, controller and limits of an axis against each other."""
     kind = axis.trajectory.kind
     has_setpoint = kind != "none"
-    if axis.mode != "cst":
-        if not has_setpoint:
-            yield ("trajectory", "kind"), f"'none' has no set-point, which mode {axis.mode} needs; try kind: hold"
-        if axis.controller is not None:
-            yield ("controller",), f"belongs to mode cst; in {axis.mode} the drive's own controller is at work"
-    elif has_setpoint and axis.controller is None:
-        yield ("controller",), "is missing: mode cst needs position_gain, velocity_gain and integral_hz"
-    elif not has_setpoint and axis.controller is not None:
-        yield ("controller",), "has nothing to control: trajectory kind none has no set-point"
+    if not has_setpoint and axis.mode != "cst":
+        yield ("trajectory", "kind"), f"'none' has no set-point, which mode {axis.mode} needs; try kind: hold"
+    yield from _controller_mistakes(axis, has_setpoint)
     yield from _limit_mistakes(axis, has_setpoint)
     yield from _compensation_mistakes(axis)
     names = [shadow.name for shadow in axis.shadows]
@@ -58,6 +52,21 @@ def axis_mistakes(axis: "AxisConfig") -> Iterator[Mistake]:
                 ("shadows", index),
                 f"a shadow is called {name!r} already; give one another: {{name: ..., model: ...}}",
             )
+
+
+def _controller_mistakes(axis: "AxisConfig", has_setpoint: bool) -> Iterator[Mistake]:
+    given = axis.controller
+    if axis.mode == "cst" and has_setpoint:
+        if given is None:
+            yield ("controller",), "is missing: mode cst needs position_gain, velocity_gain and integral_hz"
+        elif given.velocity_gain == 0.0:
+            yield ("controller", "velocity_gain"), "must be above zero in mode cst, where the daemon closes this loop"
+    elif given is not None and axis.mode == "cst":
+        yield ("controller",), "has nothing to control: trajectory kind none has no set-point"
+    elif given is not None and axis.mode == "csp":
+        yield ("controller",), "belongs to modes cst and csv; in csp the drive's own controller is at work"
+    elif given is not None and (given.velocity_gain or given.integral_hz):
+        yield ("controller",), "in csv the drive closes the velocity loop: only position_gain can be given"
 
 
 def _limit_mistakes(axis: "AxisConfig", has_setpoint: bool) -> Iterator[Mistake]:

@@ -140,11 +140,11 @@ Trajectory = Annotated[Circle | Sine | Triangle | Hold | NoTrajectory, Field(dis
 
 
 class Controller(Section):
-    """The daemon's own cascade in cst: position P, velocity PI."""
+    """The daemon's own loops: position P and velocity PI in cst; position P alone over the drive's loop in csv."""
 
     position_gain: float = key("velocity per position error", "1/s", ge=0)
-    velocity_gain: float = key("torque per velocity error", "N m s/rad or N s/m", ge=0)
-    integral_hz: float = key("corner frequency of the velocity loop's integral part", "Hz", ge=0)
+    velocity_gain: float = key("torque per velocity error (cst)", "N m s/rad or N s/m", default=0.0, ge=0)
+    integral_hz: float = key("corner frequency of the velocity loop's integral part (cst)", "Hz", default=0.0, ge=0)
 
 
 class Shadow(Section):
@@ -169,7 +169,7 @@ class AxisConfig(Section):
     compensation: Compensation = key("how the model's torque is applied", default=Compensation())
     shadows: tuple[Shadow, ...] = key("further models, recorded for comparison, never commanded", default=())
     trajectory: Trajectory = key("motion: kind circle, sine, triangle, hold or none")
-    controller: Controller | None = key("the daemon's own controller (mode cst)", default=None)
+    controller: Controller | None = key("the daemon's own controller (modes cst and csv)", default=None)
     simulation: SerializeAsAny[BaseModel] | None = key("the drive that 'simulate' puts on the bus", default=None)
     options: SerializeAsAny[BaseModel] = Field(json_schema_extra={"is_key": False})
 

@@ -15,6 +15,7 @@ class Column:
     name: str
     unit: str  # of a rotary axis; `unit` gives that of a linear one
     meaning: str
+    is_sparse: bool = False  # NaN in single rows is no fault: the value does not exist at all times
 
 
 COLUMNS = (
@@ -23,10 +24,12 @@ COLUMNS = (
     Column("position", "rad", "measured position"),
     Column("velocity", "rad/s", "measured velocity, as the drive reports it"),
     Column("torque", "N m", "actual torque, as the drive reports it"),
-    Column("position_demand", "rad", "position that the motion asks for now"),
-    Column("velocity_demand", "rad/s", "velocity that the motion asks for now"),
-    Column("velocity_demand_ahead", "rad/s", "velocity demand at the time when this cycle's torque acts"),
-    Column("torque_demand", "N m", "torque that the drive's loops ask for"),
+    Column("position_demand", "rad", "position that the motion asks for now", is_sparse=True),
+    Column("velocity_demand", "rad/s", "velocity that the motion asks for now", is_sparse=True),
+    Column(
+        "velocity_demand_ahead", "rad/s", "velocity demand at the time when this cycle's torque acts", is_sparse=True
+    ),
+    Column("torque_demand", "N m", "torque that the drive's loops ask for", is_sparse=True),
     Column("load_torque", "N m", "torque that the load puts on the axis"),
     Column("temperature", "°C", "temperature of the axis"),
     Column("velocity_estimate", "rad/s", "velocity that the friction model was given"),
@@ -42,6 +45,7 @@ COLUMNS = (
 )
 
 NAMES = tuple(column.name for column in COLUMNS)
+SPARSE = frozenset(column.name for column in COLUMNS if column.is_sparse)
 TIME, CYCLE = NAMES[:2]
 SHADOW_PREFIX = "shadow_"
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from friction_hil.errors import RecordingError, UsageError, choices
-from friction_hil.recordings.columns import CYCLE, TIME
+from friction_hil.recordings.columns import CYCLE, SPARSE, TIME
 
 Array = NDArray[np.float64]
 
@@ -133,9 +133,9 @@ def check(recording: Recording) -> None:
         if rows.any():
             recording.problems.append(f"{TIME} {what} at {_rows(np.flatnonzero(rows) + 1, len(time))}")
     for name, values in recording.columns.items():
-        wrong = np.flatnonzero(~np.isfinite(values))
-        is_absent = wrong.size == len(values) and bool(np.isnan(values).all())
-        if wrong.size and not is_absent:
+        is_absent = name in SPARSE or bool(np.isnan(values).all())
+        wrong = np.flatnonzero(np.isinf(values) if is_absent else ~np.isfinite(values))
+        if wrong.size:
             recording.problems.append(f"{name} is not finite in {_rows(wrong, len(values))}")
     if CYCLE in recording:
         _note_gaps(recording)

@@ -1,11 +1,9 @@
-"""The picture of a replay: predicted and measured torque over time, what is left, and torque over velocity."""
+"""The picture of a replay: predicted and measured torque, what is left, and friction over velocity."""
 
 from pathlib import Path
 
 from friction_hil.errors import RecordingError, UsageError, choices
 from friction_hil.replay import Replay
-
-_MEASURED = {"color": "0.6", "linewidth": 1.2, "label": "measured"}
 
 
 def draw(replay: Replay, path: Path) -> None:
@@ -27,25 +25,29 @@ def draw(replay: Replay, path: Path) -> None:
     known = figure.canvas.get_supported_filetypes()
     if path.suffix.removeprefix(".").lower() not in known:
         raise UsageError(f"{path}: no picture format has the suffix {path.suffix!r}; {choices(path.suffix, known)}")
-    unit = replay.predictions[0].unit
-    speed = "rad/s" if unit == "N m" else "m/s"
-    axes = figure.subplot_mosaic([["torque", "curve"], ["residual", "curve"]], width_ratios=[3, 2])
+    first = replay.predictions[0]
+    what, speed = ("torque", "rad/s") if first.unit == "N m" else ("force", "m/s")
+    axes = figure.subplot_mosaic([["torque", "friction"], ["residual", "friction"]], width_ratios=[3, 2])
     axes["residual"].sharex(axes["torque"])
-    axes["torque"].plot(replay.time_s, replay.measured, **_MEASURED)
-    axes["curve"].plot(replay.velocity, replay.measured, ".", color="0.6", markersize=1.5, label="measured")
+    axes["torque"].plot(replay.time_s, replay.measured, color="0.6", linewidth=1.2, label="measured")
+    axes["friction"].plot(replay.velocity, replay.measured - first.mechanics, ".", color="0.6", markersize=2.0)
     for i, prediction in enumerate(replay.predictions):
         color = f"C{i}"
-        label = f"{prediction.model}: {100.0 * prediction.relative_error:.2f} %"
+        label = f"{prediction.model}: relative error {100.0 * prediction.relative_error:.2f} %"
         axes["torque"].plot(replay.time_s, prediction.torque, color=color, linewidth=0.8, label=label)
         axes["residual"].plot(replay.time_s, replay.measured - prediction.torque, color=color, linewidth=0.8)
-        axes["curve"].plot(replay.velocity, prediction.torque, ".", color=color, markersize=1.5)
-    axes["torque"].set(ylabel=f"torque [{unit}]", title="predicted and measured")
-    axes["torque"].legend(loc="upper right")
-    axes["residual"].set(ylabel=f"measured - predicted [{unit}]", xlabel="time [s]")
-    axes["curve"].set(xlabel=f"velocity [{speed}]", ylabel=f"torque [{unit}]", title="over velocity")
+        axes["friction"].plot(replay.velocity, prediction.friction, ".", color=color, markersize=2.0)
+    axes["torque"].set(ylabel=f"{what} [{first.unit}]")
+    axes["residual"].set(ylabel=f"measured - predicted [{first.unit}]", xlabel="time [s]")
+    axes["friction"].set(
+        xlabel=f"velocity [{speed}]",
+        ylabel=f"friction [{first.unit}]",
+        title="friction; grey: measured, less the mechanics\nof the first model",
+    )
     for each in axes.values():
         each.grid(alpha=0.3)
     figure.suptitle(f"{Path(replay.path).name}, axis {replay.axis}")
+    figure.legend(*axes["torque"].get_legend_handles_labels(), loc="outside lower left")
     try:
         figure.savefig(path, dpi=120)
     except OSError as error:

@@ -340,7 +340,7 @@ def test_all_mistakes_are_told_at_once(path):
         (
             {"axes__x__controller": {"position_gain": 1.0, "velocity_gain": 1.0, "integral_hz": 0.0}},
             "axes.x.controller",
-            "belongs to mode cst",
+            "belongs to modes cst",
         ),
         (
             {"axes__x__mode": "cst", "axes__x__trajectory": {"kind": "none"}},

@@ -122,3 +122,18 @@ def test_info_as_json(two_axes: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert facts["columns"]["position"] == {"unit": "rad or m", "values": 3, "min": -5 / 3, "max": 0.0}
     assert facts["events"] == [{"cycle": 5.0, "name": "fault", "text": "[red] x: too fast"}]
     assert facts["problems"] == ["3 cycles are missing in 1 gap, the first after cycle 1"]
+
+
+def test_a_recording_that_was_cut_off_is_converted_as_far_as_it_goes(
+    two_axes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = two_axes.read_bytes()
+    two_axes.write_bytes(data[: data.rindex(b"fingerprint") - 200])
+    assert main(["convert", str(two_axes), str(tmp_path / "out.csv"), "--axis", "x"]) == 0
+    assert "the file was cut off" in capsys.readouterr().err
+    assert len(fh.recordings.read(tmp_path / "out.csv")) == 3
+    two_axes.write_bytes(data[:300])
+    assert main(["convert", str(two_axes), str(tmp_path / "more.csv"), "--axis", "x"]) == 1
+    error = capsys.readouterr().err
+    assert "Traceback" not in error
+    assert "there is no channel in it; the file was cut off" in error

@@ -127,6 +127,11 @@ def test_odd_time_stamps_and_gaps_are_told(tmp_path: Path) -> None:
     ]
 
 
+def test_demand_may_be_unknown_for_a_while_but_not_infinite(tmp_path: Path) -> None:
+    read = fh.recordings.read(csv(tmp_path, "time_s,velocity_demand\n0,nan\n1,-inf\n2,1\n"))
+    assert read.problems == ["velocity_demand is not finite in 1 of 3 rows (row 1)"]
+
+
 def test_absent_column_is_no_problem_but_is_not_there() -> None:
     absent = recording(time_s=[0, 1], temperature=[np.nan, np.nan])
     assert "temperature" not in absent

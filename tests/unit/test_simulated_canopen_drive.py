@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 
 from friction_hil.drive import Mode
+from friction_hil.errors import DriveError
 from tests.canopen_bench import Bench
 
 INERTIA, FRICTION, RATED = 2e-4, 0.01, 0.64
@@ -372,6 +373,21 @@ def test_linear_axis_counts_per_metre() -> None:
     for cycle in range(300):
         move(bench, 8, 50 * cycle, 1)
     assert bench.servo.position == pytest.approx(50 * 299 / 1e6, abs=2e-4)
+
+
+def test_servo_beyond_all_bounds_is_a_clear_error() -> None:
+    bench = Bench({**PLAIN, "mechanics": {"inertia": 1e-300, "load_torque": 1e300}})
+    with pytest.raises(DriveError, match="diverged"):
+        bench.sync(2)
+
+
+def test_interpolation_period_that_fits_nothing_is_found_at_enable(bench: Bench) -> None:
+    bench.write(0x60C2, 2, "b", -5)  # one step of 10 us, which the servo cannot do
+    bench.write(0x6060, 0, "b", 8)
+    control(bench, 0x06)
+    control(bench, 0x07)
+    assert control(bench, 0x0F) == FAULT
+    assert bench.read(0x603F, 0, "H") == 0x6320
 
 
 def test_reset_node_returns_to_the_defaults_and_keeps_the_place(bench: Bench) -> None:

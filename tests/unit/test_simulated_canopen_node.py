@@ -107,6 +107,36 @@ def test_heartbeat_is_watched_from_the_first_on() -> None:
     assert bench.send(MASTER, b"\x05") == [(0x085, bytes(8))]
 
 
+def test_one_of_two_masters_is_missed() -> None:
+    bench = Bench()
+    watch_heartbeat(bench, 20)
+    bench.write(0x1016, 2, "I", 125 << 16 | 20)
+    for cycle in range(100):
+        bench.send(0x77D, b"\x05")
+        if cycle == 0:
+            bench.send(MASTER, b"\x05")
+        bench.sync()
+    assert bench.emergencies == ["8130"]
+    bench.send(MASTER, b"\x05")
+    assert bench.emergencies == ["8130", "0000"]
+
+
+def test_one_of_two_rpdos_is_missed() -> None:
+    bench = Bench()
+    bench.map(0x1401, 0x1601, 0x305, 255, [0x60710010])
+    for parameter in (0x1400, 0x1401):
+        bench.write(parameter, 5, "H", 20)
+    bench.nmt(0x01)
+    for cycle in range(100):
+        bench.send(0x205, b"\0\0")
+        if cycle == 0:
+            bench.send(0x305, b"\0\0")
+        bench.sync()
+    assert bench.emergencies == ["8250"]
+    bench.send(0x305, b"\0\0")
+    assert bench.emergencies == ["8250", "0000"]
+
+
 def test_consumer_heartbeat_entries_are_checked() -> None:
     bench = Bench()
     watch_heartbeat(bench, 50)
@@ -215,6 +245,14 @@ def test_leaving_operational_takes_the_torque_away(command: int) -> None:
     bench.sync(100)
     assert bench.servo.torque_demand == 0.0
     assert bench.node.drive.state is (DriveState.SWITCH_ON_DISABLED if command == 0x81 else DriveState.FAULT)
+
+
+def test_leaving_operational_with_the_drive_off_is_no_error() -> None:
+    bench = Bench()
+    bench.nmt(0x01)
+    for command in (0x80, 0x01, 0x02, 0x01, 0x82):
+        bench.nmt(command)
+    assert bench.emergencies == []
 
 
 def test_errors_are_listed_newest_first() -> None:

@@ -1,5 +1,7 @@
 """The set-up tools, in a copy of the project where stubs stand for what is slow: pip, pytest, the kernel."""
 
+import json
+import math
 import os
 import shutil
 import subprocess
@@ -8,8 +10,10 @@ from pathlib import Path
 
 import pytest
 
+from tools.benchmarks.report import Row, compare, percentile, show
+
 PROJECT = Path(__file__).parents[2]
-SHELL_TOOLS = (".ci/run", "tools/demo", "tools/test", "tools/_environment")
+SHELL_TOOLS = (".ci/run", "tools/demo", "tools/test", "tools/bench", "tools/_environment")
 CANDIDATES = ("python3", "python3.11", "python3.12", "python3.13", "python3.14")
 
 # Stands in for python3 where an environment is made: puts the interpreter below into it.
@@ -82,7 +86,7 @@ def test_shell_tools_parse(name: str) -> None:
     assert (done.returncode, done.stderr) == (0, "")
 
 
-@pytest.mark.parametrize("name", [".ci/run", "tools/demo", "tools/test", "tools/vcan-run"])
+@pytest.mark.parametrize("name", [".ci/run", "tools/demo", "tools/test", "tools/bench", "tools/vcan-run"])
 def test_tools_are_executable(name: str) -> None:
     assert os.access(PROJECT / name, os.X_OK)
 
@@ -343,3 +347,36 @@ def test_wrong_use_of_vcan_run(arguments: list[str], status: int, message: str) 
     assert done.returncode == status
     assert message in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_unknown_benchmark_is_answered_with_what_there_is() -> None:
+    command = [sys.executable, "-m", "tools.benchmarks", "latenzy"]
+    done = subprocess.run(command, cwd=PROJECT, capture_output=True, text=True)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "did you mean 'latency'? There are: exchange, help, latency" in done.stderr
+
+
+def test_ratio_of_a_comparison_is_that_of_single_rounds() -> None:
+    # the medians alone would say 1: both programs were slow in one round of three, but not in the same one
+    row = compare("a (b)", "us", [2.0, 9.0, 4.0], [1.0, 4.0, 8.0])
+    assert (row.value, row.reference, row.ratio) == (4.0, 4.0, 2.0)
+
+
+@pytest.mark.parametrize(("share", "expected"), [(0.5, 2.0), (0.51, 3.0), (0.99, 4.0), (0.25, 1.0)])
+def test_percentile_is_a_sample(share: float, expected: float) -> None:
+    assert percentile([1.0, 2.0, 3.0, 4.0], share) == expected
+
+
+def test_benchmark_as_json_has_null_for_what_is_no_number(capsys: pytest.CaptureFixture[str]) -> None:
+    show([Row("a", math.nan, "us"), Row("b", 1.0, "us", 2.0, math.inf)], as_json=True)
+    result = json.loads(capsys.readouterr().out)
+    assert set(result) == {"machine", "rows"}
+    assert result["rows"][0] == {"name": "a", "value": None, "unit": "us", "reference": None, "ratio": None}
+    assert result["rows"][1]["ratio"] is None
+
+
+def test_benchmark_table_shows_every_row(capsys: pytest.CaptureFixture[str]) -> None:
+    show([Row("a", 1.25, "us", 2.5, 0.5), Row("b", 3.0, "ms")], as_json=False)
+    shown = capsys.readouterr().out
+    for cell in ("1.25 us", "2.5 us", "0.50", "3 ms"):
+        assert cell in shown

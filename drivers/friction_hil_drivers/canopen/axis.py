@@ -45,7 +45,7 @@ class CanopenAxis:
         self._received = [b"" for _ in drive.tpdos]
         self._state = DriveState.UNKNOWN
         self._position = self._velocity = self._torque = 0.0
-        self._error_code = 0
+        self._error = drive.error
         self._message = ""
         self._has_heartbeat = False
         self._heard_ns = 0
@@ -106,7 +106,7 @@ class CanopenAxis:
         feedback.torque = self._torque
         feedback.state = self._state
         feedback.is_fresh = is_fresh
-        feedback.error_code = self._error_code
+        feedback.error = self._error
         feedback.message = self._message
 
     def command_frame(self, command: Command) -> Frame:
@@ -138,7 +138,8 @@ class CanopenAxis:
 
     def _on_emergency(self, data: bytes) -> None:
         if len(data) >= _EMERGENCY.size:  # some drives send shorter ones
-            self._error_code = _EMERGENCY.unpack_from(data)[0]
+            code = _EMERGENCY.unpack_from(data)[0]
+            self._error = profile.error_text(code) if code else ""
 
     def _on_heartbeat(self, data: bytes) -> None:
         if not data:

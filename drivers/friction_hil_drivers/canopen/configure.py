@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from friction_hil.drive import AxisFacts, DriveState, Mode
@@ -35,6 +35,7 @@ class ConfiguredDrive:
     mode: Mode
     tpdos: tuple[Pdo, ...]
     rpdo: Pdo | None  # None: the drive is only listened to
+    error: str  # why the drive is in fault, if it is
 
 
 def configure(
@@ -89,14 +90,8 @@ def configure(
         actuation_delay_s=_ACTUATION_DELAY_CYCLES * period_s,
         notes=tuple(notes),
     )
-    if state is DriveState.FAULT:
-        code = access.find(objects.ERROR_CODE) or 0
-        facts = _with_note(facts, f"the drive is in fault: {profile.error_text(code)}")
-    return ConfiguredDrive(facts, units, mode, tpdos, rpdo)
-
-
-def _with_note(facts: AxisFacts, note: str) -> AxisFacts:
-    return replace(facts, notes=(*facts.notes, note))
+    code = access.find(objects.ERROR_CODE) if state is DriveState.FAULT else None
+    return ConfiguredDrive(facts, units, mode, tpdos, rpdo, profile.error_text(code) if code else "")
 
 
 def _identify(access: ObjectAccess, options: CanopenOptions) -> str:

@@ -96,6 +96,10 @@ class Entry:
         """Current value."""
         return self.value if self.on_read is None else self.on_read()
 
+    def reader(self) -> Callable[[], Value]:
+        """What `read` calls, for those who read often."""
+        return (lambda: self.value) if self.on_read is None else self.on_read
+
     def write(self, value: int) -> None:
         """Take a new integer value, or raise `SdoAbortError`."""
         if value > self.maximum:

@@ -112,14 +112,11 @@ class Drive:
         Raises
         ------
         DriveError
-            The simulated servo left all bounds; its loops are unstable.
+            The simulated servo left all bounds.
         """
         self.servo.advance(steps)
         if not math.isfinite(self.servo.true_position):
-            raise DriveError(
-                "the simulated servo diverged: its loops are unstable; lower position_gain or velocity_gain "
-                "under simulation.loops"
-            )
+            raise DriveError("the simulated servo diverged: look at mechanics, friction and loops under simulation")
 
     def update(self, now_ns: int) -> None:
         """Obey, activate, supervise."""

@@ -103,15 +103,15 @@ class SimulatedCanopenDrives:
             is_near = abs(next_sync_ns - now_ns) <= spin_ns
             frame = bus.receive(0.0 if is_near else _IDLE_TIMEOUT_S)
             now_ns = time.monotonic_ns() - start_ns
-            if frame is None:
-                for node in nodes:
-                    node.advance_to(now_ns)
-                    if node.needs_poll(now_ns):
-                        node.poll()
-            else:
+            if frame is not None:
                 if frame[0] == objects.SYNC_ID:
                     next_sync_ns = now_ns + period_ns
                 self._take(*frame, now_ns)
+            for node in nodes:
+                if frame is None or node.needs_poll(now_ns):
+                    node.advance_to(now_ns)
+                if node.needs_poll(now_ns):
+                    node.poll()
 
     def _take(self, can_id: int, data: bytes, now_ns: int) -> None:
         """Give a frame to the nodes; all answer before any of them does what else there is to do."""

@@ -36,10 +36,17 @@ class Consumer:
         for entry in self._entries:
             entry.on_write = lambda value, entry=entry: self._write(entry, value)
         self._deadlines_ns: dict[int, int] = {}  # by node
+        self._missing: set[int] = set()
 
     def reset(self) -> None:
         """Wait for first heartbeats again."""
         self._deadlines_ns.clear()
+        self._missing.clear()
+
+    @property
+    def are_all_present(self) -> bool:
+        """Whether no node is lost."""
+        return not self._missing
 
     @property
     def nodes(self) -> list[int]:
@@ -51,12 +58,14 @@ class Consumer:
         for entry in self._entries:
             if entry.value >> 16 == node and (interval := _interval_ns(entry.value)):
                 self._deadlines_ns[node] = now_ns + interval
+                self._missing.discard(node)
 
     def lost(self, now_ns: int) -> list[int]:
         """Nodes whose heartbeat has failed to come since the last call."""
         late = [node for node, deadline in self._deadlines_ns.items() if now_ns >= deadline]
         for node in late:
             del self._deadlines_ns[node]
+            self._missing.add(node)
         return late
 
     def _write(self, entry: Entry, value: int) -> None:
@@ -66,8 +75,9 @@ class Consumer:
         others = (other.value for other in self._entries if other is not entry)
         if _interval_ns(value) and any(_interval_ns(other) and other >> 16 == node for other in others):
             raise SdoAbortError(Abort.INCOMPATIBLE)
-        self._deadlines_ns.pop(entry.value >> 16, None)
-        self._deadlines_ns.pop(node, None)
+        for changed in (entry.value >> 16, node):
+            self._deadlines_ns.pop(changed, None)
+            self._missing.discard(changed)
 
 
 def _interval_ns(entry: int) -> int:

@@ -148,8 +148,7 @@ class Node:
             case NmtCommand.ENTER_PRE_OPERATIONAL:
                 self._change_state(NmtState.PRE_OPERATIONAL)
             case NmtCommand.RESET_COMMUNICATION:
-                if self.state is NmtState.OPERATIONAL:
-                    self.drive.connection_lost(COMMUNICATION, self.now_ns)
+                self._leave_operational()
                 self._reset(0x1FFF)
             case NmtCommand.RESET_NODE:
                 self._reset(0xFFFF)
@@ -163,7 +162,8 @@ class Node:
 
     def _on_heartbeat(self, node: int, _: bytes) -> None:
         self._consumer.heard(node, self.now_ns)
-        self.drive.connection_restored(HEARTBEAT_LOST)
+        if self._consumer.are_all_present:
+            self.drive.connection_restored(HEARTBEAT_LOST)
 
     def _on_rpdo(self, rpdo: Rpdo, data: bytes) -> None:
         if self.state is not _OPERATIONAL:
@@ -178,9 +178,11 @@ class Node:
             if not any(other.is_too_short for other in self._rpdos):
                 self._emergencies.clear(RPDO_TOO_SHORT)
         if rpdo.event_timer_ns:
-            if rpdo.deadline_ns is None:
-                self.drive.connection_restored(RPDO_TIMEOUT)
             rpdo.deadline_ns = self.now_ns + rpdo.event_timer_ns
+        if rpdo.is_late:
+            rpdo.is_late = False
+            if not any(other.is_late for other in self._rpdos):
+                self.drive.connection_restored(RPDO_TIMEOUT)
         if rpdo.is_synchronous:
             rpdo.pending = data
         else:
@@ -220,11 +222,15 @@ class Node:
     def _change_state(self, state: NmtState) -> None:
         if state is self.state:
             return
-        if self.state is NmtState.OPERATIONAL:
-            self.drive.connection_lost(COMMUNICATION, self.now_ns)
-        elif state is NmtState.OPERATIONAL:
+        self._leave_operational()
+        if state is _OPERATIONAL:
             self.drive.connection_restored(*_CONNECTION_ERRORS)
         self._set_state(state)
+
+    def _leave_operational(self) -> None:
+        """Without PDOs nobody guides a drive that is enabled."""
+        if self.state is _OPERATIONAL and self.drive.state.is_powered:
+            self.drive.connection_lost(COMMUNICATION, self.now_ns)
 
     def _set_state(self, state: NmtState) -> None:
         self.state = state
@@ -261,6 +267,7 @@ class Node:
         for rpdo in self._rpdos:
             if rpdo.deadline_ns is not None and now_ns >= rpdo.deadline_ns:
                 rpdo.deadline_ns = None
+                rpdo.is_late = True
                 self.drive.connection_lost(RPDO_TIMEOUT, now_ns)
         if self._sync_deadline_ns is not None and now_ns >= self._sync_deadline_ns:
             self._sync_deadline_ns = None
@@ -270,7 +277,7 @@ class Node:
         """React to a lost heartbeat: the drive by 6007h, the node by 1029h."""
         self.drive.connection_lost(code, self.now_ns)
         behaviour = _BEHAVIOUR.get(self._behaviour.value)
-        if self.state is NmtState.OPERATIONAL and behaviour is not None:
+        if self.state is _OPERATIONAL and behaviour is not None:
             self._set_state(behaviour)
 
     # Parameters

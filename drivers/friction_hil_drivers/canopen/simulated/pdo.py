@@ -3,7 +3,7 @@
 import struct
 
 from friction_hil_drivers.canopen import objects
-from friction_hil_drivers.canopen.simulated.dictionary import Abort, Dictionary, Entry, SdoAbortError, Value
+from friction_hil_drivers.canopen.simulated.dictionary import Abort, Dictionary, Entry, SdoAbortError
 
 _LARGEST_SYNCHRONOUS = 240
 _EVENT_DRIVEN = (254, 255)
@@ -134,6 +134,7 @@ class Rpdo(Pdo):
         """Drop what was received and stop watching the deadline."""
         self.pending: bytes | None = None  # synchronous: takes effect at the next SYNC
         self.deadline_ns: int | None = None
+        self.is_late = False
         self.is_too_short = False
 
     def write(self, data: bytes) -> None:
@@ -164,6 +165,7 @@ class Tpdo(Pdo):
     def load(self) -> None:
         """Take over what the records say now, and start afresh."""
         super().load()
+        self._readers = [entry.reader() for entry in self._entries]
         self._inhibit_ns = self._inhibit.value * _INHIBIT_UNIT
         self.start()
 
@@ -175,8 +177,7 @@ class Tpdo(Pdo):
 
     def sample(self) -> bytes:
         """Content at this moment."""
-        values: list[Value] = [entry.read() for entry in self._entries]
-        return self._struct.pack(*values)
+        return self._struct.pack(*[read() for read in self._readers])
 
     def at_sync(self) -> bytes | None:
         """What to send at this SYNC, if anything."""

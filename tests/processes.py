@@ -1,0 +1,110 @@
+"""Real processes on a real bus: simulated drives and the daemon, for integration tests. Paced by SYNC, so no clock."""
+
+import contextlib
+import json
+import os
+import random
+import subprocess
+import sys
+from pathlib import Path
+
+import can
+import yaml
+
+from tests.servo_drives import axis_dict
+
+COMMAND = [sys.executable, "-m", "friction_hil"]
+GROUP = "239.74.163.2"
+
+
+def free_port():
+    """A port of its own for each run, so that parallel runs do not hear each other."""
+    return random.SystemRandom().randrange(20000, 60000)
+
+
+def write_configuration(folder: Path, *, port=None, bus=None, period_s=1e-3, **axes) -> Path:
+    """A configuration file with simulated axes; an axis may change keys of `axis_dict`."""
+    data = {
+        "version": 1,
+        "period_s": period_s,
+        "bus": bus or {"interface": "udp_multicast", "channel": GROUP, "port": port or free_port(), "hop_limit": 0},
+        "axes": {name: {"simulation": {}, **axis_dict(**changes)} for name, changes in (axes or {"x": {}}).items()},
+        "realtime": {"priority": 0},
+    }
+    path = folder / "axes.yaml"
+    path.write_text(yaml.safe_dump(data))
+    return path
+
+
+@contextlib.contextmanager
+def simulated_drives(configuration: Path, *options: str):
+    """Simulated drives on the bus, paced by SYNC; they end with this test, however it ends."""
+    process = subprocess.Popen(
+        [*COMMAND, "simulate", str(configuration), "--pace", "sync", "--exit-with-stdin", *options],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        ready = process.stdout.readline()
+        assert ready.startswith("ready:"), process.stderr.read()
+        yield process
+    finally:
+        process.stdin.close()
+        process.wait(30)
+        process.stdout.close()
+        process.stderr.close()
+
+
+def run(*arguments, check=True, **options) -> subprocess.CompletedProcess:
+    """One command of friction-hil, to its end."""
+    done = subprocess.run(
+        [*COMMAND, *map(str, arguments)], capture_output=True, text=True, timeout=240, check=False, **options
+    )
+    if check:
+        assert done.returncode == 0, done.stderr + done.stdout
+    return done
+
+
+def run_daemon(configuration: Path, *options, check=True) -> tuple[dict, subprocess.CompletedProcess]:
+    """The daemon, paced by SYNC; its JSON (empty when it printed none) and the process."""
+    done = run("run", configuration, "--pace", "sync", "--json", *options, check=check)
+    return (json.loads(done.stdout) if done.stdout else {}), done
+
+
+def start_daemon(configuration: Path, *options) -> subprocess.Popen:
+    """The daemon in the background; the caller ends it."""
+    return subprocess.Popen(
+        [*COMMAND, "run", str(configuration), "--pace", "sync", "--json", *map(str, options)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=os.environ.copy(),
+    )
+
+
+@contextlib.contextmanager
+def listening(configuration: Path):
+    """A python-can bus beside the processes."""
+    config = yaml.safe_load(configuration.read_text())["bus"]
+    bus = can.Bus(
+        interface=config["interface"],
+        channel=config["channel"],
+        **{key: config[key] for key in ("port", "hop_limit") if key in config},
+    )
+    try:
+        yield bus
+    finally:
+        bus.shutdown()
+
+
+def wait_for_frames(bus, can_id: int, count: int) -> list[can.Message]:
+    """All frames up to the ``count``-th with ``can_id``."""
+    frames = []
+    while count:
+        message = bus.recv(30.0)
+        assert message is not None, f"no frame for 30 s, {count} more of {can_id:X}h expected"
+        frames.append(message)
+        count -= message.arbitration_id == can_id
+    return frames
