@@ -29,7 +29,7 @@ _HEADER = struct.Struct("<BQ")  # opcode and length before each record
 _MESSAGE_HEADER = 22  # channel, sequence, two times
 _CHUNK_LIMIT = 1 << 30  # bytes; a larger claim is damage, and must not become an allocation
 _OPCODES = frozenset(Opcode) | frozenset(range(0x80, 0x100))  # the upper half is private, to be skipped
-_BAD_RECORD = (McapError, ValueError, struct.error)
+_BAD_RECORD = (McapError, ValueError, OverflowError, struct.error)
 
 Run = NDArray[Any]
 
@@ -173,7 +173,7 @@ class McapContent:
         count = int(np.argmax(differs)) if differs.any() else len(records)
         records = records[:count]
         if np.any(records["encoding"] & 0xFFFF != layout.ENCODING_WORD):
-            raise RecordingError(f"{self.path}: its messages are not little-endian CDR")
+            raise ValueError("its messages are not little-endian CDR")
         for channel, which in _by_channel(records["channel"]):
             self.runs.setdefault(channel, []).append(records["words"][which].copy())
         return count * kind.itemsize

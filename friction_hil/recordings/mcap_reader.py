@@ -80,7 +80,8 @@ def _columns(content: McapContent, channel: Channel, fields: list[str], problems
 def _restarts(content: McapContent, channel: Channel, recording: Recording) -> list[tuple[int, Array]]:
     topic = channel.topic + layout.STATE_SUFFIX
     numbers = _numbers(content, topic, layout.STATE_SCHEMA)
-    messages = [message for number in numbers for run in content.runs.get(number, []) for message in run]
+    runs = [run for number in numbers for run in content.runs.get(number, []) if run.shape[1] > 2]
+    messages = [message for run in runs for message in run]
     if not messages or CYCLE not in recording.columns:
         return []
     cycles = recording.columns[CYCLE]

@@ -19,8 +19,15 @@ COLUMNS = ("time_s", "cycle", "position")
 CHUNKS, ROWS = 4, 10
 
 
+class Whole(bytes):
+    """Bytes that hypothesis does not print."""
+
+    def __repr__(self) -> str:
+        return f"{len(self)} bytes"
+
+
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Whole:
     """A file of two axes and four chunks, with events and states."""
     path = tmp_path_factory.mktemp("whole") / "run.mcap"
     cycles = np.arange(float(CHUNKS * ROWS))
@@ -30,7 +37,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> bytes:
         writer.write(np.tile(row[start : start + ROWS], 2))
         writer.write_event(float(start), "set", "gain 0.9")
     writer.close()
-    return path.read_bytes()
+    return Whole(path.read_bytes())
 
 
 @pytest.fixture(scope="module")
@@ -133,6 +140,16 @@ def test_a_claim_of_a_huge_chunk_allocates_nothing(whole: bytes, scratch: Path) 
     recording = read(scratch, bytes(data))
     assert recording is not None
     assert "it claims 1152921504606846976 bytes" in recording.problems[0]
+
+
+def test_a_claim_beyond_any_memory_is_only_damage(whole: bytes, scratch: Path) -> None:
+    """The length of a chunk's data lies behind its times, sizes and compression; its last byte is the highest."""
+    data = bytearray(whole)
+    data[first_record(whole, Opcode.CHUNK) + 9 + 28 + 8 + 7] = 0x80
+    recording = read(scratch, bytes(data))
+    assert recording is not None
+    assert len(recording) == (CHUNKS - 1) * ROWS
+    assert "a chunk record is damaged" in recording.problems[0]
 
 
 def first_record(data: bytes, opcode: Opcode) -> int:

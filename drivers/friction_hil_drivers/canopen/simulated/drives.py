@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 _IDLE_TIMEOUT_S = 2.5e-4  # between frames time passes this often, so that little is left to integrate at a SYNC
 _SYNC_TIMEOUT_S = 0.1
+_AHEAD_NS = 400_000
 
 
 class SimulatedCanopenDrives:
@@ -100,16 +101,21 @@ class SimulatedCanopenDrives:
         start_ns, now_ns, next_sync_ns = time.monotonic_ns(), 0, 0
         while not is_stopping():
             # around the moment of the next SYNC, busy waiting: the answer shall not wait for this process to wake up
-            is_near = abs(next_sync_ns - now_ns) <= spin_ns
-            frame = bus.receive(0.0 if is_near else _IDLE_TIMEOUT_S)
+            left_ns = next_sync_ns - now_ns
+            if left_ns > spin_ns:
+                frame = bus.receive(min((left_ns - spin_ns) * 1e-9, _IDLE_TIMEOUT_S))
+            else:
+                frame = bus.receive(0.0 if left_ns >= -spin_ns else _IDLE_TIMEOUT_S)
             now_ns = time.monotonic_ns() - start_ns
             if frame is not None:
                 if frame[0] == objects.SYNC_ID:
                     next_sync_ns = now_ns + period_ns
                 self._take(*frame, now_ns)
+                continue
             for node in nodes:
-                if frame is None or node.needs_poll(now_ns):
-                    node.advance_to(now_ns)
+                node.advance_to(now_ns)
+                if left_ns < _AHEAD_NS:
+                    node.prepare()
                 if node.needs_poll(now_ns):
                     node.poll()
 

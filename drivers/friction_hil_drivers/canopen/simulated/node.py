@@ -66,6 +66,7 @@ class Node:
         self._sync_steps = sync_steps
         self._lock_steps = lock_steps
         self._locked_until_ns = 0
+        self._is_ahead = False  # at the coming SYNC already
         self._send = send
         self._dictionary = dictionary
         self._emergencies = Emergencies(dictionary, self._send_emergency)
@@ -112,6 +113,16 @@ class Node:
             if steps > 0:
                 self.drive.advance(steps)
                 self._steps += steps
+
+    def prepare(self) -> None:
+        """Integrate up to the coming SYNC before it comes, where the clock is locked: nothing is lost by it.
+
+        What synchronous PDOs bring takes effect at a SYNC anyway.
+        """
+        if self._lock_steps is not None and self.now_ns < self._locked_until_ns and not self._is_ahead:
+            self.drive.advance(self._lock_steps)
+            self._steps += self._lock_steps
+            self._is_ahead = True
 
     def needs_poll(self, now_ns: int) -> bool:
         """Whether `poll` is to be called."""
@@ -195,9 +206,8 @@ class Node:
             self._steps += self._sync_steps
             self.now_ns = self._steps * _S // self.drive.servo.steps_per_second
         elif self._lock_steps is not None:
-            if self.now_ns < self._locked_until_ns:
-                self.drive.advance(self._lock_steps)
-                self._steps += self._lock_steps
+            self.prepare()
+            self._is_ahead = False
             self._locked_until_ns = (
                 self.now_ns + _LOCKED_PERIODS * self._lock_steps * _S // self.drive.servo.steps_per_second
             )
