@@ -102,6 +102,10 @@ class Clock(Protocol):
         """Monotonic time in nanoseconds."""
         ...
 
+    def doze_until(self, deadline_ns: int) -> bool:
+        """Sleep until shortly before ``deadline_ns``; whether there is time left to get ready."""
+        ...
+
     def sleep_until(self, deadline_ns: int) -> None:
         """Return at ``deadline_ns``, or at once when it has passed."""
         ...
@@ -135,6 +139,10 @@ class Drives(Protocol):
 
     def send(self, commands: Sequence[Command]) -> None:
         """Write one command an axis."""
+        ...
+
+    def rehearse(self) -> None:
+        """Do once, without the bus and without any effect, what a cycle does: it brings the code into the caches."""
         ...
 
     def close(self) -> None:

@@ -16,18 +16,23 @@ class RealClock:
 
     is_real = True
 
-    def __init__(self, spin_us: int = 100) -> None:
+    def __init__(self, spin_us: int = 200) -> None:
         self._spin_ns = spin_us * 1000
 
     def now_ns(self) -> int:
         """Monotonic time, ns."""
         return time.monotonic_ns()
 
-    def sleep_until(self, deadline_ns: int) -> None:
-        """Return at ``deadline_ns``, at once when it has passed."""
+    def doze_until(self, deadline_ns: int) -> bool:
+        """Sleep until the spin before ``deadline_ns``; whether it has not begun yet."""
         left = deadline_ns - self._spin_ns - time.monotonic_ns()
         if left > 0:
             time.sleep(left * 1e-9)
+        return left > 0 and self._spin_ns > 0
+
+    def sleep_until(self, deadline_ns: int) -> None:
+        """Return at ``deadline_ns``, at once when it has passed."""
+        self.doze_until(deadline_ns)
         while time.monotonic_ns() < deadline_ns:
             pass
 
@@ -43,6 +48,10 @@ class SteppedClock:
     def now_ns(self) -> int:
         """Simulated time, ns."""
         return self._now_ns
+
+    def doze_until(self, deadline_ns: int) -> bool:
+        """Do nothing: there is no time in which to get ready."""
+        return False
 
     def sleep_until(self, deadline_ns: int) -> None:
         """Go on to ``deadline_ns``."""

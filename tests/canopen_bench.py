@@ -21,7 +21,10 @@ Frame = tuple[int, bytes]
 
 
 class Bench:
-    """One node; with ``is_paced_by_sync`` a SYNC is one millisecond, otherwise time is what `at` says."""
+    """One node; with ``is_paced_by_sync`` a SYNC is one millisecond, otherwise time is what `at` says.
+
+    With ``is_locked`` its clock locks to SYNCs of one millisecond, as it does in real time.
+    """
 
     def __init__(
         self,
@@ -29,6 +32,7 @@ class Bench:
         *,
         position: float = 0.0,
         is_paced_by_sync: bool = True,
+        is_locked: bool = False,
         modes: Sequence[Mode] = tuple(Mode),
         missing: Sequence[int] = (),
         eds: Path = SIMULATED_SERVO,
@@ -40,7 +44,8 @@ class Bench:
             Dictionary.from_eds(eds, NODE, missing),
             lambda dictionary, emergencies: Drive(self.servo, dictionary, emergencies, modes),
             lambda can_id, data: self.sent.append((can_id, bytes(data))),
-            STEPS_PER_MS if is_paced_by_sync else None,
+            sync_steps=STEPS_PER_MS if is_paced_by_sync else None,
+            lock_steps=STEPS_PER_MS if is_locked else None,
         )
         self.node.boot()
 

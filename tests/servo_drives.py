@@ -118,6 +118,9 @@ class ServoDrives:
         else:
             servo.command(0, 0.0)
 
+    def rehearse(self) -> None:
+        pass
+
     def send(self, commands) -> None:
         for k, c in enumerate(commands):
             assert math.isfinite(c.position)

@@ -223,7 +223,7 @@ class Realtime(Section):
     """How punctual the loop shall be."""
 
     priority: int = key("SCHED_FIFO priority; 0: ordinary scheduling", default=80, ge=0, le=99)
-    spin_us: int = key("busy waiting before each deadline, for less wake-up latency", "us", default=100, ge=0)
+    spin_us: int = key("busy waiting before each deadline, for less wake-up latency", "us", default=200, ge=0)
     max_missed: int = key("missed periods in a row that are a fault", default=10, ge=1)
 
 

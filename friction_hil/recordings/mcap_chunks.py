@@ -60,6 +60,7 @@ class McapContent:
         self.odd: dict[int, list[bytes]] = {}
         self.problems: list[str] = []
         self._chunks = 0
+        self._is_data_complete = False
         self._first_log_time: int | None = None
         with path.open("rb") as file:
             self._read(file)
@@ -72,6 +73,7 @@ class McapContent:
         crc = zlib.crc32(magic)
         for opcode, header, body in self._records(file):
             if opcode == Opcode.DATA_END:
+                self._is_data_complete = True
                 self._check_end(body, crc)
             crc = zlib.crc32(body, zlib.crc32(header, crc))
             try:
@@ -86,27 +88,28 @@ class McapContent:
             at = file.tell()
             header = file.read(_HEADER.size)
             if len(header) < _HEADER.size:
-                self.problems.append(f"the file was cut off at byte {at}, between two records")
+                self._note_end(f"was cut off at byte {at}", "what followed is lost")
                 return
             opcode, length = _HEADER.unpack(header)
-            if opcode not in _OPCODES:
-                self.problems.append(f"the file is damaged at byte {at}: what stands from there is lost")
-                return
             if length > size - file.tell():
-                self._note_cut(file, opcode, at, size)
+                lost = f"the {size - at} bytes from there and what followed are lost"
+                if opcode == Opcode.CHUNK and size - file.tell() >= 16:
+                    span = self._span(*struct.unpack("<QQ", file.read(16)))
+                    lost = f"the rows {span} and what followed are lost"
+                self._note_end(f"was cut off in the record at byte {at}", lost)
+                return
+            if opcode not in _OPCODES or (opcode == Opcode.FOOTER and not self._is_data_complete):
+                self._note_end(f"is damaged at byte {at}", f"the {size - at} bytes from there are lost")
                 return
             body = file.read(length)
             if opcode == Opcode.FOOTER:
                 if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
-                    self.problems.append("the file does not end as an MCAP file does; all its rows are there")
+                    self._note_end("was cut off at its end", "")
                 return
             yield opcode, header, body
 
-    def _note_cut(self, file: BinaryIO, opcode: int, at: int, size: int) -> None:
-        lost = f"the {size - at} bytes from there are lost"
-        if opcode == Opcode.CHUNK and size - file.tell() >= 16:
-            lost = f"lost are the rows {self._span(*struct.unpack('<QQ', file.read(16)))}"
-        self.problems.append(f"the file was cut off in the record at byte {at}: {lost}, and what followed")
+    def _note_end(self, what: str, lost: str) -> None:
+        self.problems.append(f"the file {what}: {'all its rows are there' if self._is_data_complete else lost}")
 
     def _check_end(self, body: bytes, crc: int) -> None:
         expected = DataEnd.read(_stream(body)).data_section_crc if len(body) >= 4 else 0

@@ -7,7 +7,7 @@ import numpy as np
 from mcap.records import Channel
 from mcap.well_known import MessageEncoding, SchemaEncoding
 
-from friction_hil.errors import RecordingError
+from friction_hil.errors import RecordingError, UsageError
 from friction_hil.recordings import mcap_format as layout
 from friction_hil.recordings.columns import CYCLE
 from friction_hil.recordings.mcap_chunks import McapContent
@@ -40,7 +40,7 @@ def read_mcap(path: Path, select: Callable[[list[str]], list[str]]) -> list[Reco
         raise RecordingError(f"{path}: no channel holds flat float64 ROS 2 messages; {_what_is_there(content)}")
     events = _events(content)
     recordings = []
-    for axis in select(list(axes)):
+    for axis in _select(content, list(axes), select):
         channel, fields = axes[axis]
         problems = list(content.problems)
         recording = Recording(str(path), axis, {}, dict(content.metadata), problems, events=events)
@@ -61,6 +61,15 @@ def _axes(content: McapContent) -> dict[str, tuple[Channel, list[str]]]:
         if fields and len(set(fields)) == len(fields):
             axes[channel.topic.strip("/")] = channel, fields
     return axes
+
+
+def _select(content: McapContent, names: list[str], select: Callable[[list[str]], list[str]]) -> list[str]:
+    try:
+        return select(names)
+    except UsageError as error:
+        if not content.problems:
+            raise
+        raise RecordingError(f"{error}; {'; '.join(content.problems)}") from None
 
 
 def _columns(content: McapContent, channel: Channel, fields: list[str], problems: list[str]) -> dict[str, Array]:

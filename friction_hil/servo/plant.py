@@ -8,6 +8,7 @@ from friction_hil.jit import Record, compiled
 from friction_hil.models import kernel
 from friction_hil.servo.control import cascade
 
+BRIDGED_PERIODS = 10.0  # of missing targets
 OFF, QUICK_STOP, CSP, CSV, CST = 0, 2, 8, 9, 10
 
 PLANT = np.dtype(
@@ -58,8 +59,8 @@ STATE = np.dtype(
 def interpolate_position(s: Record, u: float, period: float) -> tuple[float, float, float]:
     """Quadratic B-spline through the last three targets: smooth velocity, 1.5 periods behind the newest.
 
-    ``u`` counts periods since the activation. One missed target is bridged at constant velocity; after that
-    the demand stands still.
+    ``u`` counts periods since the activation. Missed targets are bridged at constant velocity, up to
+    `BRIDGED_PERIODS`; after that the demand stands still.
     """
     r = s[0]
     bend = r.target0 - 2.0 * r.target1 + r.target2
@@ -67,8 +68,9 @@ def interpolate_position(s: Record, u: float, period: float) -> tuple[float, flo
         position = 0.5 * (r.target0 + r.target1) + u * (r.target1 - r.target0) + 0.5 * u * u * bend
         return position, (r.target1 - r.target0 + u * bend) / period, bend / (period * period)
     velocity = (r.target2 - r.target1) / period
-    position = 0.5 * (r.target1 + r.target2) + (min(u, 2.0) - 1.0) * (r.target2 - r.target1)
-    return position, velocity if u <= 2.0 else 0.0, 0.0
+    bridged = min(u - 1.0, BRIDGED_PERIODS)
+    position = 0.5 * (r.target1 + r.target2) + bridged * (r.target2 - r.target1)
+    return position, velocity if bridged < BRIDGED_PERIODS else 0.0, 0.0
 
 
 @compiled

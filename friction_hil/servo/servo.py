@@ -119,6 +119,15 @@ class Servo:
         s, get = self._s, self._get
         if mode != get(_MODE):
             self._change_mode(mode)
+        elif mode == plant.CSP:
+            # targets that did not come lie on the straight line along which the demand went on
+            missed = round(get(_PHASE) / get(_PERIOD_STEPS)) - 1
+            for _ in range(min(missed, round(plant.BRIDGED_PERIODS))):
+                s[_TARGET0], s[_TARGET1], s[_TARGET2] = (
+                    get(_TARGET1),
+                    get(_TARGET2),
+                    2.0 * get(_TARGET2) - get(_TARGET1),
+                )
         s[_PHASE] = 0.0
         s[_VELOCITY_OFFSET], s[_TORQUE_OFFSET] = velocity_offset, torque_offset
         s[_TARGET0], s[_TARGET1], s[_TARGET2] = get(_TARGET1), get(_TARGET2), target

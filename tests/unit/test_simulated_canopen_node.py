@@ -270,6 +270,45 @@ def test_errors_are_listed_newest_first() -> None:
     assert bench.read(0x603F, 0, "H") == 0x8210
 
 
+# The clock of the drive in real time
+
+
+def test_locked_clock_makes_nothing_of_late_syncs() -> None:
+    def run(lateness_us: list[int], prepares: bool) -> list[Frame]:
+        bench = Bench(PLAIN, is_paced_by_sync=False, is_locked=True)
+        bench.stream(10)
+        for cycle, late in enumerate(lateness_us, 1):
+            bench.send(0x205, struct.pack("<Hhh", 0x0F, 50, 0))
+            if prepares:
+                bench.at(cycle - 0.2)
+                bench.node.prepare()
+                bench.node.prepare()
+            bench.at(cycle + 1e-3 * late)
+            bench.sync()
+        return [frame for frame in bench.sent if frame[0] == 0x185][1:]
+
+    punctual = run([0] * 60, False)
+    assert len(punctual) == 59
+    assert run([0, *[(37 * cycle) % 300 for cycle in range(59)]], False) == punctual
+    assert run([0, *[(53 * cycle) % 300 for cycle in range(59)]], True) == punctual
+
+
+def test_clock_runs_free_again_when_syncs_stay_away() -> None:
+    bench = Bench(PLAIN, is_paced_by_sync=False, is_locked=True)
+    bench.stream(10)
+    for time in range(1, 6):
+        bench.at(time)
+        bench.send(0x205, struct.pack("<Hhh", 0x0F, 50, 0))
+        bench.sync()
+    bench.node.prepare()
+    bench.at(14)
+    speed = bench.servo.true_velocity
+    bench.at(25)
+    acceleration = (0.05 * 0.64 - 0.01) / 2e-4
+    assert bench.servo.true_velocity == pytest.approx(acceleration * 24e-3, rel=0.03)
+    assert bench.servo.true_velocity > 2.0 * speed
+
+
 # Robustness
 
 NODE_IDS = (0x000, 0x080, 0x085, 0x185, 0x205, 0x305, 0x405, 0x505, 0x585, 0x605, 0x705, MASTER)

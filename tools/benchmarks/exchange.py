@@ -122,10 +122,10 @@ class Clock(RealClock):
         super().__init__(spin_us)
         self._frames = frames
 
-    def sleep_until(self, deadline_ns: int) -> None:
-        """Return at the deadline."""
+    def doze_until(self, deadline_ns: int) -> bool:
+        """Sleep until shortly before the deadline."""
         self._frames.work()
-        super().sleep_until(deadline_ns)
+        return super().doze_until(deadline_ns)
 
 
 class TimedDrives(CanopenDrives):

@@ -11,6 +11,8 @@ from friction_hil_drivers.canopen.frames import Frame
 from friction_hil_drivers.canopen.mapping import Pdo
 from friction_hil_drivers.canopen.units import Unwrapper
 
+Handler = Callable[[bytes], bool]  # takes a frame's data; whether it is feedback of this cycle that was missing
+
 _HEARTBEATS_TO_LOSS = 3
 _EMERGENCY = struct.Struct("<HB")
 _NMT_NAMES = {state.value: state.name.lower().replace("_", "-") for state in objects.NmtState}
@@ -30,11 +32,13 @@ class CanopenAxis:
     """
 
     def __init__(self, drive: ConfiguredDrive, node: int, heartbeat_s: float) -> None:
+        self._drive = drive
+        self._heartbeat_s = heartbeat_s
         self.facts = drive.facts
         self.node = node
         self._units = drive.units
         self._mode = drive.mode
-        self._tpdos = drive.tpdos
+        self.tpdos = drive.tpdos
         self._rpdo = drive.rpdo
         self._heartbeat_loss_ns = round(_HEARTBEATS_TO_LOSS * heartbeat_s * 1e9)
         self._unwrapper = Unwrapper()
@@ -50,24 +54,32 @@ class CanopenAxis:
         self._has_heartbeat = False
         self._heard_ns = 0
         self._now_ns = 0
+        self.handlers = self._make_handlers()  # what to do with the data of a frame, by its identifier
 
     @property
     def pdos(self) -> tuple[Pdo, ...]:
         """All PDOs of a cycle."""
-        return self._tpdos if self._rpdo is None else (*self._tpdos, self._rpdo)
+        return self.tpdos if self._rpdo is None else (*self.tpdos, self._rpdo)
 
-    def handlers(self) -> Mapping[int, Callable[[bytes], None]]:
-        """What to do with the data of a frame, by its identifier."""
+    def double(self) -> "CanopenAxis":
+        """Another decoder of the same drive."""
+        return CanopenAxis(self._drive, self.node, self._heartbeat_s)
 
-        def store(number: int, size: int) -> Callable[[bytes], None]:
-            def handle(data: bytes) -> None:
-                if len(data) >= size:
+    def _make_handlers(self) -> Mapping[int, Handler]:
+
+        def store(number: int, size: int) -> Handler:
+            bit = 1 << number
+
+            def handle(data: bytes) -> bool:
+                is_new = len(data) >= size and not self._arrived & bit
+                if is_new:
                     self._received[number] = data
-                    self._arrived |= 1 << number
+                    self._arrived |= bit
+                return is_new
 
             return handle
 
-        table = {pdo.cob_id: store(number, pdo.layout.size) for number, pdo in enumerate(self._tpdos)}
+        table = {pdo.cob_id: store(number, pdo.layout.size) for number, pdo in enumerate(self.tpdos)}
         table[objects.EMERGENCY_BASE + self.node] = self._on_emergency
         table[objects.HEARTBEAT_BASE + self.node] = self._on_heartbeat
         return table
@@ -76,22 +88,18 @@ class CanopenAxis:
         """Start watching; the first heartbeat may take its time."""
         self._heard_ns = self._now_ns = now_ns
 
-    def expect(self, now_ns: int) -> None:
-        """Forget what arrived before this cycle's SYNC."""
+    def expect(self, now_ns: int) -> int:
+        """Forget what arrived before this cycle's SYNC; how many frames are to come."""
         self._arrived = 0
         self._now_ns = now_ns
-
-    @property
-    def is_complete(self) -> bool:
-        """Whether every TPDO of this cycle is here."""
-        return self._arrived == self._all
+        return len(self.tpdos)
 
     def fill(self, feedback: Feedback, now_ns: int) -> None:
         """Decode what arrived; without all of it the values stay those of the last complete cycle."""
         is_fresh = self._arrived == self._all
         if is_fresh:
-            statusword, counts, torque = self._tpdos[0].layout.unpack_from(self._received[0])
-            velocity, mode = self._tpdos[1].layout.unpack_from(self._received[1])
+            statusword, counts, torque = self.tpdos[0].layout.unpack_from(self._received[0])
+            velocity, mode = self.tpdos[1].layout.unpack_from(self._received[1])
             units = self._units
             self._state = profile.drive_state(statusword)
             self._position = self._unwrapper.total(counts) / units.counts_per_unit
@@ -136,14 +144,15 @@ class CanopenAxis:
             return profile.FAULT_RESET
         return profile.DISABLE_VOLTAGE
 
-    def _on_emergency(self, data: bytes) -> None:
+    def _on_emergency(self, data: bytes) -> bool:
         if len(data) >= _EMERGENCY.size:  # some drives send shorter ones
             code = _EMERGENCY.unpack_from(data)[0]
             self._error = profile.error_text(code) if code else ""
+        return False
 
-    def _on_heartbeat(self, data: bytes) -> None:
+    def _on_heartbeat(self, data: bytes) -> bool:
         if not data:
-            return
+            return False
         state = data[0] & 0x7F
         if state == objects.NmtState.BOOT_UP:
             self._message = f"node {self.node} restarted (boot-up message)"
@@ -152,3 +161,4 @@ class CanopenAxis:
         elif state == objects.NmtState.OPERATIONAL:
             self._has_heartbeat = True
             self._heard_ns = self._now_ns
+        return False

@@ -7,13 +7,13 @@ and writes the bus, with frames packed by precompiled `struct`.
 
 import contextlib
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from friction_hil.drive import AxisFacts, Clock, Command, Feedback, Request
 from friction_hil.errors import BusError, DriveError
 from friction_hil_drivers.canopen import objects
-from friction_hil_drivers.canopen.axis import CanopenAxis
+from friction_hil_drivers.canopen.axis import CanopenAxis, Handler
 from friction_hil_drivers.canopen.bus import bus_name, open_bus
 from friction_hil_drivers.canopen.configure import configure
 from friction_hil_drivers.canopen.exclusive import AxisLock
@@ -57,7 +57,9 @@ class CanopenDrives:
         self._locks: list[AxisLock] = []
         self._accesses: dict[str, ObjectAccess] = {}
         self._axes: list[CanopenAxis] = []
-        self._handlers: dict[int, Callable[[bytes], None]] = {}
+        self._double: CanopenAxis | None = None
+        self._double_feedback, self._double_command = Feedback(), Command(Request.ENABLE)
+        self._handlers: dict[int, Handler] = {}
         self._heartbeat_id = 0  # 0 before the cyclic phase
         self._heartbeat_ns = 0
         self._next_heartbeat_ns = 0
@@ -78,6 +80,7 @@ class CanopenDrives:
         with self._reading():
             for name, axis in self._configs.items():
                 self._axes.append(self._connect_axis(name, axis))
+            self._double = self._axes[0].double()
         if config.bitrate is not None:
             pdos = [pdo for axis in self._axes for pdo in axis.pdos]
             check_bus_load(config.bitrate, self._configuration.period_s, pdos)
@@ -110,7 +113,7 @@ class CanopenDrives:
         self._heartbeat_id = objects.HEARTBEAT_BASE + options[0].master_node
         self._heartbeat_ns = round(min(option.heartbeat_s for option in options) * 1e9)
         for axis in self._axes:
-            self._handlers.update(axis.handlers())
+            self._handlers.update(axis.handlers)
             self._write_nmt(objects.NmtCommand.START, axis.node)
         now = self._clock.now_ns()
         for axis in self._axes:
@@ -123,15 +126,16 @@ class CanopenDrives:
         while (frame := bus.receive(0.0)) is not None:
             self._dispatch(frame)
         now = clock.now_ns()
+        missing = 0
         for axis in axes:
-            axis.expect(now)
+            missing += axis.expect(now)
         bus.send(objects.SYNC_ID, b"")
-        while not all(axis.is_complete for axis in axes):
+        while missing:
             timeout = (deadline_ns - clock.now_ns()) * 1e-9 if clock.is_real else _STEPPED_TIMEOUT_S
             if timeout <= 0.0:
                 break
             if (frame := bus.receive(timeout)) is not None:
-                self._dispatch(frame)
+                missing -= self._dispatch(frame)
             elif not clock.is_real:
                 break
         for axis, target in zip(axes, feedback, strict=True):
@@ -146,6 +150,17 @@ class CanopenDrives:
         now = self._clock.now_ns()
         if now >= self._next_heartbeat_ns:
             self._beat(now)
+
+    def rehearse(self) -> None:
+        """Decode and encode as in a cycle, on a copy of the first axis; see `friction_hil.drive.Drives.rehearse`."""
+        axis = self._double
+        if axis is not None:
+            for tpdo in axis.tpdos:
+                axis.handlers[tpdo.cob_id](bytes(tpdo.layout.size))
+            axis.fill(self._double_feedback, self._next_heartbeat_ns)
+            if not self._dry_run:
+                axis.command_frame(self._double_command)
+            axis.expect(self._next_heartbeat_ns)
 
     def _beat(self, now: int) -> None:
         """Send the daemon's heartbeat, by which the drives watch it."""
@@ -184,10 +199,10 @@ class CanopenDrives:
         finally:
             self._network.notifier.stop()
 
-    def _dispatch(self, frame: Frame) -> None:
+    def _dispatch(self, frame: Frame) -> bool:
+        """Hand a frame to its axis; whether it is feedback of this cycle."""
         handler = self._handlers.get(frame[0])
-        if handler is not None:
-            handler(frame[1])
+        return handler is not None and handler(frame[1])
 
     def _write_nmt(self, command: objects.NmtCommand, node: int) -> None:
         self._open_bus.send(objects.NMT_ID, bytes((command, node)))

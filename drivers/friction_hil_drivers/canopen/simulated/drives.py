@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 _IDLE_TIMEOUT_S = 2.5e-4  # between frames time passes this often, so that little is left to integrate at a SYNC
 _SYNC_TIMEOUT_S = 0.1
-_AHEAD_NS = 400_000
+_AHEAD_NS = 400_000  # so long before a SYNC what it will sample is computed
 
 
 class SimulatedCanopenDrives:
@@ -111,12 +111,13 @@ class SimulatedCanopenDrives:
                 if frame[0] == objects.SYNC_ID:
                     next_sync_ns = now_ns + period_ns
                 self._take(*frame, now_ns)
-                continue
             for node in nodes:
-                node.advance_to(now_ns)
-                if left_ns < _AHEAD_NS:
-                    node.prepare()
+                if frame is None:
+                    node.advance_to(now_ns)
+                    if left_ns < _AHEAD_NS:
+                        node.prepare()
                 if node.needs_poll(now_ns):
+                    node.advance_to(now_ns)
                     node.poll()
 
     def _take(self, can_id: int, data: bytes, now_ns: int) -> None:
