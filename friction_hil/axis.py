@@ -11,7 +11,7 @@ from friction_hil.drive import AxisFacts, Command, Feedback, Mode
 from friction_hil.errors import UsageError
 from friction_hil.jit import Array
 from friction_hil.recordings import columns
-from friction_hil.safety import LoopState, SlewLimiter, Supervisor
+from friction_hil.safety import MAX_STALE_CYCLES, LoopState, SlewLimiter, Supervisor
 from friction_hil.servo.control import cascade
 from friction_hil.servo.trajectory import PathTime, Setpoint, Trajectory, extent
 
@@ -37,6 +37,8 @@ class AxisLoop:
         Shared by the axes, so that they stay on their common path.
     shadow_names : sequence of str
         Shadow models of all axes: the rows of all axes have the same columns.
+    max_stale_cycles : int
+        Cycles in a row without usable feedback that are still bridged.
     """
 
     def __init__(
@@ -47,6 +49,7 @@ class AxisLoop:
         period_s: float,
         path_time: PathTime,
         shadow_names: Sequence[str] = (),
+        max_stale_cycles: int = MAX_STALE_CYCLES,
     ) -> None:
         self.name = name
         self.compensator = make_compensator(config, config.model, facts.position_resolution, period_s)
@@ -60,7 +63,9 @@ class AxisLoop:
         self.lead_s = lead_s(config.model, facts)
         self._limits = make_limits(config)
         self._unit = "rad" if config.model.axis == "rotary" else "m"
-        self.supervisor = Supervisor(name, self._limits, period_s, facts.position_resolution, self._unit)
+        self.supervisor = Supervisor(
+            name, self._limits, period_s, facts.position_resolution, self._unit, max_stale_cycles
+        )
         self._total = SlewLimiter(self._limits.torque, self._limits.torque_slew, period_s)
         self._standstill = max(_STANDSTILL_SHARE * self._limits.velocity, 2.0 * facts.position_resolution / period_s)
         self._has_setpoint = config.trajectory.kind != "none"

@@ -11,7 +11,7 @@ from enum import IntEnum
 
 from friction_hil.drive import DriveState, Feedback, Request
 
-MAX_STALE_CYCLES = 5
+MAX_STALE_CYCLES = 10
 _JUMP_MARGIN = 2.0
 
 
@@ -67,12 +67,20 @@ class Supervisor:
         Smallest step of the position, SI.
     unit : str
         Unit of position, for messages: ``rad`` or ``m``.
+    max_stale_cycles : int
+        Cycles in a row without usable feedback that are still bridged.
     """
 
-    __slots__ = ("_jump", "_last_position", "_limits", "_name", "_slack", "_stale_cycles", "_unit")
+    __slots__ = ("_jump", "_last_position", "_limits", "_max_stale_cycles", "_name", "_slack", "_stale_cycles", "_unit")
 
     def __init__(
-        self, name: str, limits: Limits, period_s: float, position_resolution: float, unit: str = "rad"
+        self,
+        name: str,
+        limits: Limits,
+        period_s: float,
+        position_resolution: float,
+        unit: str = "rad",
+        max_stale_cycles: int = MAX_STALE_CYCLES,
     ) -> None:
         self._name = name
         self._limits = limits
@@ -81,6 +89,7 @@ class Supervisor:
         self._slack = 10.0 * position_resolution
         self._last_position = math.nan
         self._stale_cycles = 0
+        self._max_stale_cycles = max_stale_cycles
 
     @property
     def position(self) -> float:
@@ -126,8 +135,8 @@ class Supervisor:
         name, limits, unit = self._name, self._limits, self._unit
         if feedback.message:
             return f"{name}: {feedback.message}"
-        if self._stale_cycles > MAX_STALE_CYCLES:
-            return f"{name}: no usable feedback for more than {MAX_STALE_CYCLES} cycles"
+        if self._stale_cycles > self._max_stale_cycles:
+            return f"{name}: no usable feedback for more than {self._max_stale_cycles} cycles"
         if feedback.state in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE):
             text = f"{name}: the drive is in fault: {feedback.error or 'it does not say why'}"
             return f"{text}; --reset-fault leaves it" if state in _NOT_YET_ENABLED else text

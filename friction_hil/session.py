@@ -100,7 +100,15 @@ def run_session(
         path_time = PathTime(ramp_s(configuration.axes.values()))
         shadows = sorted({shadow.name for axis in configuration.axes.values() for shadow in axis.shadows})
         axes = [
-            AxisLoop(fact.name, configuration.axes[fact.name], fact, configuration.period_s, path_time, shadows)
+            AxisLoop(
+                fact.name,
+                configuration.axes[fact.name],
+                fact,
+                configuration.period_s,
+                path_time,
+                shadows,
+                realtime.max_missed,
+            )
             for fact in facts
         ]
         for axis in axes:

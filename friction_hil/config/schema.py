@@ -224,7 +224,9 @@ class Realtime(Section):
 
     priority: int = key("SCHED_FIFO priority; 0: ordinary scheduling", default=80, ge=0, le=99)
     spin_us: int = key("busy waiting before each deadline, for less wake-up latency", "us", default=200, ge=0)
-    max_missed: int = key("missed periods in a row that are a fault", default=10, ge=1)
+    max_missed: int = key(
+        "periods in a row, missed or without feedback, that are bridged before it is a fault", default=10, ge=1
+    )
 
 
 class Configuration(Section):

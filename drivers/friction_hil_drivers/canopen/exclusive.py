@@ -25,15 +25,13 @@ class AxisLock:
 
     def __init__(self, bus: "BusConfig", node: int, axis: str) -> None:
         name = re.sub(r"\W+", "-", f"friction_hil-{bus_name(bus)}-{node}") + ".lock"
-        path = Path(tempfile.gettempdir()) / name
-        # shared between users, as the bus is; never through a link that somebody else may have laid
-        flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW
+        self._path = Path(tempfile.gettempdir()) / name
+        self._descriptor = self._open(axis)
         try:
-            self._descriptor = os.open(path, flags, 0o666)
-        except OSError as error:
-            raise DriveError(f"{axis}: the lock file {path} cannot be opened: {error.strerror}") from error
-        try:
-            fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            # the owner before may have removed the file between our opening and locking it
+            while not self._lock():
+                os.close(self._descriptor)
+                self._descriptor = self._open(axis)
         except BlockingIOError:
             owner = os.read(self._descriptor, 32).decode(errors="replace").strip() or "unknown"
             os.close(self._descriptor)
@@ -47,5 +45,22 @@ class AxisLock:
     def release(self) -> None:
         """Give the axis free; safe to call twice."""
         if self._descriptor >= 0:
+            self._path.unlink(missing_ok=True)
             os.close(self._descriptor)
             self._descriptor = -1
+
+    def _open(self, axis: str) -> int:
+        # for all users, as the bus is; never through a link that somebody else may have laid
+        flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW
+        try:
+            return os.open(self._path, flags, 0o666)
+        except OSError as error:
+            raise DriveError(f"{axis}: the lock file {self._path} cannot be opened: {error.strerror}") from error
+
+    def _lock(self) -> bool:
+        """Lock the open file; whether it is still the one that others will find."""
+        fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        try:
+            return os.path.samestat(os.fstat(self._descriptor), os.stat(self._path))
+        except FileNotFoundError:
+            return False
