@@ -41,9 +41,10 @@ def step(
         if exponent == 1.0:
             rest = rest * math.exp(-path)
         elif rest > 0.0:
+            # w^p - p path, less one, in a form that keeps its digits where the exponent is close to 1
             power = 1.0 - exponent
-            remaining = rest**power - power * path
-            rest = remaining ** (1.0 / power) if remaining > 0.0 else 0.0
+            remaining = math.expm1(power * math.log(rest)) - power * path
+            rest = math.exp(math.log1p(remaining) / power) if remaining > -1.0 else 0.0
         s[0] = coulomb * sign * (1.0 - rest)
     return s[0] + viscous * level_velocity
 

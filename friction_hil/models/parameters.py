@@ -47,14 +47,24 @@ class Parameter:
             It is no number, not finite, or outside the bounds.
         """
         wanted = f"{self.meaning}, in {self.unit}, {self.bounds}"
-        if isinstance(value, bool) or not hasattr(value, "__float__"):
+        number = _as_number(value)
+        if number is None:
             raise InvalidParameterError(f"{model}: {self.name} is {value!r}, not a number ({wanted})", self.name)
-        number = float(value)
         is_finite = math.isfinite(number) or (self.is_infinity_allowed and number == math.inf)
         is_inside = number > self.lower or (self.is_lower_allowed and number == self.lower)
         if not (is_finite and is_inside):
             raise InvalidParameterError(f"{model}: {self.name} = {number:g} is not allowed ({wanted})", self.name)
         return number
+
+
+def _as_number(value: object) -> float | None:
+    """``value`` as a float; None for what is no single number, or one that no float can hold."""
+    if isinstance(value, (bool, str, bytes)) or not hasattr(value, "__float__"):
+        return None
+    try:
+        return float(value)
+    except (TypeError, ValueError, OverflowError):
+        return None
 
 
 def check_all(model: str, known: Sequence[Parameter], given: Mapping[str, object]) -> tuple[float, ...]:
@@ -71,17 +81,20 @@ def check_all(model: str, known: Sequence[Parameter], given: Mapping[str, object
             raise InvalidParameterError(f"{model} has no parameter {name!r}; {choices(name, by_name)}", name)
     values: dict[str, float] = {}
     for parameter in known:
-        value = given.get(parameter.name, parameter.default)
+        value = given.get(parameter.name)
+        if value is None and isinstance(parameter.default, str):
+            # the parameter that the default names stands before this one in the table
+            values[parameter.name] = values[parameter.default]
+            continue
+        if value is None:
+            value = parameter.default
         if value is None:
             raise InvalidParameterError(
                 f"{model} needs {parameter.name} ({parameter.meaning}, in {parameter.unit}, "
                 f"{parameter.bounds}); its parameters are {', '.join(describe_brief(p) for p in known)}",
                 parameter.name,
             )
-        # a default may name another parameter, which then stands before this one in the table
-        values[parameter.name] = (
-            values[value] if isinstance(value, str) and value in values else parameter.check(model, value)
-        )
+        values[parameter.name] = parameter.check(model, value)
     return tuple(values.values())
 
 

@@ -323,7 +323,7 @@ def test_signals_end_it_cleanly(tmp_path: Path, number: signal.Signals) -> None:
         ({"bus": {"interface": "socketcan", "channel": "nocan7"}}, 1, "does not open"),
         ({"bus": {"interface": "socketcann", "channel": "can0"}}, 2, "did you mean 'socketcan'"),
         ({"bus": {"interface": "virtual", "channel": "a"}}, 2, "udp_multicast"),
-        ({"period_s": 0.00012345}, 2, "whole number of integration steps"),
+        ({"period_s": 0.0012345}, 2, "whole number of integration steps"),
         ({"axes": {"simulation": None}}, 2, "simulation"),
         ({"axes": {"simulation": {"canopen": {"eds": "nowhere.eds"}}}}, 2, "nowhere.eds"),
         ({"axes": {"simulation": {"encodr": {}}}}, 2, "did you mean 'encoder'"),
