@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from friction_hil.assembly import lead_s, make_compensator, make_controller, make_limits, make_path, make_shadows
 from friction_hil.compensator import input_checksum
-from friction_hil.drive import AxisFacts, Command, Feedback, Mode
+from friction_hil.drive import AxisFacts, Command, DriveState, Feedback, Mode
 from friction_hil.errors import UsageError
 from friction_hil.jit import Array
 from friction_hil.recordings import columns
@@ -67,12 +67,13 @@ class AxisLoop:
             name, self._limits, period_s, facts.position_resolution, self._unit, max_stale_cycles
         )
         self._total = SlewLimiter(self._limits.torque, self._limits.torque_slew, period_s)
-        self._standstill = max(_STANDSTILL_SHARE * self._limits.velocity, 2.0 * facts.position_resolution / period_s)
+        self.standstill = max(_STANDSTILL_SHARE * self._limits.velocity, 2.0 * facts.position_resolution / period_s)
         self._has_setpoint = config.trajectory.kind != "none"
         path = make_path(config)
         self._extent = extent(path, 1.0 / getattr(config.trajectory, "frequency", 1.0))
         self._trajectory = Trajectory(path, path_time)
         self._controller, self._integral = make_controller(config), 0.0
+        self._held = math.nan
 
         self._shadow_columns = [columns.NAMES.index("exchange_us") + 1 + shadow_names.index(n) for n in self.shadows]
         self.row_width = len(columns.NAMES) + len(shadow_names)
@@ -85,12 +86,12 @@ class AxisLoop:
 
     @property
     def is_standing(self) -> bool:
-        """Whether the axis is at rest, as far as its encoder tells."""
-        return abs(self.compensator.velocity_estimate) <= self._standstill
+        """Whether the axis is at rest, as far as its encoder tells; without feedback nobody knows."""
+        return self.supervisor.is_current and abs(self.compensator.velocity_estimate) <= self.standstill
 
     def enter_path(self) -> None:
-        """Let the path begin at the present position."""
-        self._trajectory.begin_at(self.supervisor.position)
+        """Let the path begin where the axis is held now."""
+        self._trajectory.begin_at(self._held)
 
     def check_path(self) -> None:
         """See that the path from here stays inside the limits.
@@ -177,7 +178,8 @@ class AxisLoop:
         if self.compensator.is_faulty:
             fault = fault or f"{self.name}: the friction model gave a torque that is not finite"
 
-        self._fill(command, state, time_s, position, now, compensation)
+        is_powered = feedback.state is DriveState.OPERATION_ENABLED
+        self._fill(command, state, time_s, position, now, compensation, is_powered)
         if now is not None and is_usable and state is LoopState.RUNNING:
             self.stats.add(now.position - position)
         _COLUMNS.pack_into(
@@ -217,25 +219,30 @@ class AxisLoop:
         position: float,
         now: Setpoint | None,
         compensation: float,
+        is_powered: bool,
     ) -> None:
         """Write set-point and torque; outside of the moving states the axis holds where it is, without torque."""
         command.velocity = 0.0
         if state not in _MOVING:
-            command.position = position
+            if not (is_powered and state is LoopState.ENABLING and self._mode is Mode.CSP):
+                self._held = position
+            # a powered axis that waits for the others is held at one place: following itself, it would sink
+            command.position = self._held
             self._integral = 0.0
-            command.torque = compensation if state is LoopState.FAULT_STOPPING else 0.0
+            command.torque = self._total.limit(compensation) if state is LoopState.FAULT_STOPPING else 0.0
             self._total.torque = command.torque
             return
         if self._mode is Mode.CST:
             command.torque = self._total.limit(self._own_control(now, position) + compensation)
             return
-        self._total.torque = command.torque = compensation
+        command.torque = self._total.limit(compensation)
         if now is not None:
             sent = self._trajectory.at(time_s + self.setpoint_delay_s)
             command.position = sent.position
             command.velocity = sent.velocity
             if self._mode is Mode.CSV:
-                command.velocity += self._controller[0]["position_gain"] * (now.position - position)
+                wanted = sent.velocity + self._controller[0]["position_gain"] * (now.position - position)
+                command.velocity = min(max(wanted, -self._limits.velocity), self._limits.velocity)
 
     def _own_control(self, now: Setpoint | None, position: float) -> float:
         """Torque of the loop's own position and velocity control (CST)."""

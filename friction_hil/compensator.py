@@ -246,7 +246,7 @@ class Compensator:
     Raises
     ------
     UsageError
-        The velocity filter is slower than the demand history can follow.
+        The velocity filter is slower than the demand history can follow, or the position has no resolution.
     """
 
     __slots__ = ("_flat", "_settings", "_state", "model", "settings")
@@ -258,6 +258,8 @@ class Compensator:
                 f"{settings.filter_delay_cycles:.1f} cycles, more than {HISTORY - 2}; "
                 f"take {1.0 / (HISTORY - 2):.2g} or more"
             )
+        if not 0.0 < settings.position_resolution < math.inf:
+            raise UsageError(f"position_resolution = {settings.position_resolution:g} must be finite and above zero")
         self.model = model
         self.settings = settings
         noise = 2.0 * settings.position_resolution / settings.period_s

@@ -17,12 +17,20 @@ from friction_hil.safety import REQUESTS, LoopState
 from friction_hil.sequence import Course, Facts
 from friction_hil.servo.trajectory import PathTime
 
+_TIME, _CYCLE = columns.NAMES.index(columns.TIME), columns.NAMES.index(columns.CYCLE)
 _LATE = columns.NAMES.index("late_us")
 _EXCHANGE = columns.NAMES.index("exchange_us")
 _RECEIVE_SHARE = 0.75  # of the period; what has not arrived by then is too late for this cycle
 _FIRST_FEEDBACK_S = 1.0
 _FAULT_RESET_S = 1.0
 _HISTOGRAM_US = 20000
+_WITHOUT_FAULT = (
+    DriveState.SWITCH_ON_DISABLED,
+    DriveState.READY_TO_SWITCH_ON,
+    DriveState.SWITCHED_ON,
+    DriveState.OPERATION_ENABLED,
+    DriveState.QUICK_STOP_ACTIVE,
+)
 
 
 class Sink(Protocol):
@@ -118,6 +126,7 @@ class Loop:
         self._feedback = [Feedback() for _ in axes]
         self._commands = [Command() for _ in axes]
         self._is_broken = [False for _ in axes]
+        self._may_reset_fault = [settings.is_fault_reset_wanted for _ in axes]
         width = columns_width(self._axes)
         self._row = np.full(len(self._axes) * width, math.nan)
         self._parts = [self._row[k * width : (k + 1) * width] for k in range(len(self._axes))]
@@ -189,11 +198,11 @@ class Loop:
         running_s = time_s - self._running_since_s
         for k, axis in enumerate(self._axes):
             fault = self._update(k, axis, cycle, state, running_s)
-            if fault is not None and not self._is_fault_being_reset(self._feedback[k], time_s):
+            is_reset = self._is_fault_being_reset(k, time_s)
+            if fault is not None and not is_reset:
                 self._fault(cycle, fault)
-        for feedback, command in zip(self._feedback, self._commands, strict=True):
-            is_reset = state is LoopState.ENABLING and self._is_fault_being_reset(feedback, time_s)
-            command.request = Request.RESET_FAULT if is_reset else REQUESTS[state]
+            is_reset = is_reset and state is LoopState.ENABLING
+            self._commands[k].request = Request.RESET_FAULT if is_reset else REQUESTS[state]
         self._drives.send(self._commands)
         exchange_us = (clock.now_ns() - began_ns) * 1e-3
         for part in self._parts:
@@ -216,9 +225,13 @@ class Loop:
                     axis.check_path()
         return True
 
-    def _is_fault_being_reset(self, feedback: Feedback, time_s: float) -> bool:
+    def _is_fault_being_reset(self, k: int, time_s: float) -> bool:
+        """Whether the drive is in the fault that the user wants to leave: the one it was found in, no later one."""
+        feedback = self._feedback[k]
+        if feedback.is_fresh and feedback.state in _WITHOUT_FAULT:
+            self._may_reset_fault[k] = False
         return (
-            self._settings.is_fault_reset_wanted
+            self._may_reset_fault[k]
             and self._course.state in (LoopState.IDLE, LoopState.ENABLING)
             and feedback.state is DriveState.FAULT
             and time_s < _FAULT_RESET_S
@@ -226,16 +239,23 @@ class Loop:
 
     def _update(self, k: int, axis: AxisLoop, cycle: int, state: LoopState, running_s: float) -> str | None:
         """Compute one axis. A mistake of ours is a fault like any other: no torque, and the axis is stopped."""
-        command = self._commands[k]
+        command, part, fault = self._commands[k], self._parts[k], None
         if not self._is_broken[k]:
             try:
-                return axis.update(cycle, state, running_s, self._feedback[k], command, self._parts[k])
+                return axis.update(cycle, state, running_s, self._feedback[k], command, part)
             except Exception as error:  # noqa: BLE001 - whatever it is, the machine must come to rest
                 self._is_broken[k] = True
-                command.torque = 0.0
-                return f"{axis.name}: the computation failed: {type(error).__name__}: {error}"
-        command.torque = 0.0
-        return None
+                fault = f"{axis.name}: the computation failed: {type(error).__name__}: {error}"
+        command.torque = command.velocity = 0.0
+        part.fill(math.nan)
+        part[_TIME], part[_CYCLE] = cycle * self._settings.period_s, cycle
+        return fault
+
+    def _is_standing(self, k: int, axis: AxisLoop) -> bool:
+        if not self._is_broken[k]:
+            return axis.is_standing
+        feedback = self._feedback[k]
+        return feedback.is_fresh and abs(feedback.velocity) <= axis.standstill
 
     def _advance(self, cycle: int, time_s: float) -> None:
         """Take the run one step on, if it is due."""
@@ -250,7 +270,7 @@ class Loop:
             is_enabled=all(state is DriveState.OPERATION_ENABLED for state in states),
             is_powered=any(state.is_powered for state in states),
             is_setpoint_standing=self._path_time.is_standing(time_s - self._settings.period_s),
-            is_standing=all(axis.is_standing for axis in self._axes),
+            is_standing=all(self._is_standing(k, axis) for k, axis in enumerate(self._axes)),
             is_faded_out=all(axis.compensator.is_faded_out for axis in self._axes),
         )
         if not self._course.advance(time_s, facts):
@@ -283,7 +303,8 @@ class Loop:
                 self._drives.send(self._commands)
         except FrictionHilError as error:
             self._fault(cycle, str(error))
-        self._drives.close()
+        finally:
+            self._drives.close()
         if self.result.cycles:
             self.result.late_p50_us, self.result.late_p99_us = (_percentile(self._late, q) for q in (0.5, 0.99))
 

@@ -79,7 +79,7 @@ def punctuality(priority: int) -> Iterator[list[str]]:
         yield refused
         return
     with contextlib.ExitStack() as stack:
-        _lock_memory(refused)
+        _lock_memory(refused, stack)
         try:
             before = os.sched_getscheduler(0), os.sched_getparam(0)
             os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
@@ -104,8 +104,10 @@ def punctuality(priority: int) -> Iterator[list[str]]:
         yield refused
 
 
-def _lock_memory(refused: list[str]) -> None:
+def _lock_memory(refused: list[str], stack: contextlib.ExitStack) -> None:
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) != 0:
         reason = os.strerror(ctypes.get_errno())
         refused.append(f"memory is not locked ({reason}): raise memlock in /etc/security/limits.conf")
+    else:
+        stack.callback(libc.munlockall)

@@ -96,6 +96,11 @@ class Supervisor:
         """Last usable position; NaN before there was one."""
         return self._last_position
 
+    @property
+    def is_current(self) -> bool:
+        """Whether that position is of the last cycle."""
+        return self._stale_cycles == 0
+
     def is_usable(self, feedback: Feedback) -> bool:
         """Whether this cycle's feedback is fresh, finite and plausible; to be asked once a cycle.
 

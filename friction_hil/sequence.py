@@ -9,6 +9,7 @@ ENABLE_TIMEOUT_S = 5.0
 STANDSTILL_TIMEOUT_S = 2.0
 QUICK_STOP_TIMEOUT_S = 5.0
 DISABLE_TIMEOUT_S = 2.0
+STANDSTILL_S = 0.05  # without motion; in a single cycle an axis seems to stand at each reversal
 
 
 @dataclass(slots=True)
@@ -20,7 +21,7 @@ class Facts:
     is_enabled: bool = False  # every drive is in Operation Enabled
     is_powered: bool = False  # some drive may give torque
     is_setpoint_standing: bool = False  # the set-point has come to rest for good
-    is_standing: bool = False  # no axis moves
+    is_standing: bool = False  # no axis moves in this cycle
     is_faded_out: bool = False  # no compensation is left
 
 
@@ -41,23 +42,27 @@ class Course:
         Why the course itself gave up (an axis did not enable, or did not stop), or empty.
     """
 
-    __slots__ = ("_is_listening", "fault", "since_s", "state")
+    __slots__ = ("_is_listening", "_moved_s", "fault", "since_s", "state")
 
     def __init__(self, *, is_listening: bool) -> None:
         self._is_listening = is_listening
         self.state = LoopState.IDLE
         self.since_s = 0.0
         self.fault = ""
+        self._moved_s = 0.0
 
     def advance(self, time_s: float, facts: Facts) -> bool:
         """Take one cycle's facts; whether the state changed."""
-        after = self._next(time_s - self.since_s, facts)
+        if not facts.is_standing:
+            self._moved_s = time_s
+        has_stood = time_s - self._moved_s >= STANDSTILL_S
+        after = self._next(time_s - self.since_s, facts, has_stood)
         if after is self.state:
             return False
         self.state, self.since_s = after, time_s
         return True
 
-    def _next(self, elapsed_s: float, facts: Facts) -> LoopState:
+    def _next(self, elapsed_s: float, facts: Facts, has_stood: bool) -> LoopState:
         state = self.state
         if state is LoopState.IDLE:
             if facts.is_stop_requested or facts.has_fault:
@@ -75,9 +80,9 @@ class Course:
         if state is LoopState.RUNNING:
             return LoopState.STOPPING if facts.is_stop_requested else state
         if state is LoopState.STOPPING:
-            return self._stopping(elapsed_s, facts)
+            return self._stopping(elapsed_s, facts, has_stood)
         if state is LoopState.FAULT_STOPPING:
-            if facts.is_standing or not facts.is_powered:
+            if has_stood or not facts.is_powered:
                 return LoopState.DISABLING
             if elapsed_s > QUICK_STOP_TIMEOUT_S:
                 self.fault = f"no standstill within {QUICK_STOP_TIMEOUT_S:g} s of the quick stop; disabled all the same"
@@ -91,11 +96,11 @@ class Course:
                 return LoopState.DONE
         return state
 
-    def _stopping(self, elapsed_s: float, facts: Facts) -> LoopState:
+    def _stopping(self, elapsed_s: float, facts: Facts, has_stood: bool) -> LoopState:
         if not (facts.is_setpoint_standing and facts.is_faded_out):
             # neither can take longer than its ramp, which starts with this state
             return self.state
-        if facts.is_standing:
+        if has_stood:
             return LoopState.DISABLING
         if elapsed_s > STANDSTILL_TIMEOUT_S:
             # a set-point at rest and an axis in motion: somebody turns it, or it hunts

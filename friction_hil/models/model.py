@@ -149,7 +149,10 @@ def _vector(name: str, values: ArrayLike) -> Array:
 
 
 def _per_sample(name: str, values: ArrayLike, samples: int) -> Array:
-    array = np.atleast_1d(np.asarray(values, dtype=np.float64))
+    try:
+        array = np.atleast_1d(np.asarray(values, dtype=np.float64))
+    except (TypeError, ValueError) as error:
+        raise UsageError(f"{name} must be a number or an array of numbers: {error}") from None
     if array.shape not in ((1,), (samples,)):
         raise UsageError(f"{name} must be a number or have shape ({samples},), not {array.shape}")
     _require_finite(name, array)

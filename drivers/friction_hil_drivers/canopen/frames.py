@@ -71,7 +71,7 @@ class FrameBus:
         try:
             message = self.bus.recv(timeout)
         except can.CanOperationError as error:
-            if isinstance(error.__cause__, OSError) or self.bus.fileno() < 0:
+            if isinstance(error.__cause__, OSError):
                 raise self._error("be read any more", error) from error
             return None  # somebody's datagram that is no CAN frame
         if message is None or message.is_extended_id or message.is_remote_frame or message.is_error_frame:

@@ -27,7 +27,7 @@ class Units:
 
     def position_counts(self, position: float) -> int:
         """Counts of a position, wrapped to 32 bits as drives wrap theirs."""
-        return wrap(round(position * self.counts_per_unit))
+        return wrap(round(_finite(position * self.counts_per_unit)))
 
     def velocity_increments(self, velocity: float) -> int:
         """Increments of a velocity, saturated at 32 bits."""
@@ -48,10 +48,14 @@ def wrap(counts: int) -> int:
 
 
 def _saturate(value: float, bits: int) -> int:
+    bound = (1 << (bits - 1)) - 1
+    return max(-bound - 1, min(bound, round(_finite(value))))
+
+
+def _finite(value: float) -> float:
     if not math.isfinite(value):
         raise ValueError(f"{value} cannot be sent to a drive")
-    bound = (1 << (bits - 1)) - 1
-    return max(-bound - 1, min(bound, round(value)))
+    return value
 
 
 class Unwrapper:

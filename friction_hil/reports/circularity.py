@@ -1,0 +1,253 @@
+"""The circularity test of machine builders: a recorded circle, without and with compensation. Pure: rows -> figures."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from friction_hil.errors import RecordingError
+from friction_hil.recordings.recording import Array, Recording
+from friction_hil.safety import LoopState
+
+if TYPE_CHECKING:
+    from friction_hil.config import Circle, Configuration
+
+SETTLE_S = 0.5  # until the drive's loops have forgotten a ramp or a fade
+RECOVERY_S = 0.1  # likewise a missed period
+_LEAST_SHARE = 0.5
+
+_COLUMNS = ("position", "position_demand", "velocity_estimate", "compensation", "is_fresh", "is_enabled", "state")
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """Following error of one axis, rad or m: root mean square, and largest absolute value."""
+
+    rms: float
+    peak: float
+
+
+@dataclass(frozen=True, slots=True)
+class Laps:
+    """Whole laps in steady motion, either all without or all with compensation.
+
+    Attributes
+    ----------
+    count : int
+    interval_s : (float, float)
+        From and to, in the recording's time.
+    rows : int
+        How many rows were asked for: all periods of the laps.
+    angle : (n,) array
+        Where on the circle each row that counts is, rad; -pi to pi, from the first axis towards the second.
+    radius_error : (n,) array
+        Measured radius less the nominal one, about the nominal centre, rad or m.
+    figures : dict
+        By axis.
+    """
+
+    count: int
+    interval_s: tuple[float, float]
+    rows: int
+    angle: Array
+    radius_error: Array
+    figures: dict[str, Figures]
+
+    @property
+    def left_out(self) -> int:
+        """Rows that do not count: no fresh position, or the motion was disturbed by a missed period."""
+        return self.rows - self.angle.size
+
+    @property
+    def circular_range(self) -> float:
+        """Largest less smallest radius error, rad or m."""
+        return float(np.ptp(self.radius_error))
+
+
+@dataclass(frozen=True, slots=True)
+class Circularity:
+    """A circle that was drawn without and with compensation.
+
+    Attributes
+    ----------
+    configuration : Configuration
+        What the daemon ran with.
+    axes : (str, str)
+        Names; the first is drawn to the right, the second upwards.
+    radius : float
+        Nominal, rad or m.
+    unit : str
+        Of position: rad or m.
+    uncompensated, compensated : Laps
+    columns : dict of dict of (n,) arrays
+        Columns of the recording by axis, in the rows that both axes have, beside ``time_s`` and ``error``, the
+        following error (NaN without a fresh position).
+    """
+
+    configuration: "Configuration"
+    axes: tuple[str, str]
+    radius: float
+    unit: str
+    uncompensated: Laps
+    compensated: Laps
+    columns: dict[str, dict[str, Array]]
+
+    def factor(self, axis: str, figure: str) -> float:
+        """How many times smaller ``figure`` (rms or peak) is with compensation."""
+        return float(
+            getattr(self.uncompensated.figures[axis], figure) / getattr(self.compensated.figures[axis], figure)
+        )
+
+    @property
+    def not_helped(self) -> list[str]:
+        """Axes and figures that compensation did not make smaller; empty is good."""
+        return [f"{axis} {name}" for axis in self.axes for name in ("rms", "peak") if not self.factor(axis, name) > 1.0]
+
+
+def duration_s(configuration: "Configuration", laps: int) -> float:
+    """Time of motion that `analyse` needs for so many laps with compensation."""
+    axes = configuration.axes.values()
+    before = max(axis.compensation.baseline_s + axis.compensation.fade_s for axis in axes)
+    lap = max(1.0 / getattr(axis.trajectory, "frequency", 1.0) for axis in axes)
+    return before + SETTLE_S + laps * lap + 0.1
+
+
+def analyse(recordings: Mapping[str, Recording]) -> Circularity:
+    """Take the whole laps in steady motion of a run with ``baseline_s``, as many without as with compensation.
+
+    The first laps end where the compensation fades in, the others where the motion ends. A period that the loop missed
+    shifts the drive's time base: a fault of the computer, not of either lap, so the rows until the drive
+    has recovered do not count; nor do those without a fresh position.
+
+    Parameters
+    ----------
+    recordings : dict
+        The two axes of a run, by name, with its configuration.
+
+    Raises
+    ------
+    RecordingError
+        It is no circle of two axes, a lap is missing, or too few rows of the laps can be used.
+    """
+    from friction_hil.assembly import ramp_s
+
+    configuration, circle = _circle(recordings)
+    first, second = recordings
+    path = recordings[first].path
+    cycle, columns = _aligned(recordings)
+    period_s = configuration.period_s
+    lap = 1.0 / (circle.frequency * period_s)
+    fade_s = max(axis.compensation.fade_s for axis in configuration.axes.values())
+
+    is_running = np.all([each["state"] == LoopState.RUNNING for each in columns.values()], axis=0)
+    enabled = np.array([each["is_enabled"] for each in columns.values()])
+    phases = {
+        "without": _settled(
+            cycle, is_running & ~enabled.any(axis=0), (ramp_s(configuration.axes.values()) + SETTLE_S) / period_s
+        ),
+        "with": _settled(cycle, is_running & enabled.all(axis=0), (fade_s + SETTLE_S) / period_s),
+    }
+    count = min(int((stop - start) / lap + 1e-6) for start, stop in phases.values())
+    if count < 1:
+        present = ", ".join(
+            f"{max(stop - start, 0) * period_s:.3g} s {name} compensation" for name, (start, stop) in phases.items()
+        )
+        raise RecordingError(f"{path}: a lap takes {lap * period_s:g} s; in steady motion there are only {present}")
+
+    is_usable = np.all([np.isfinite(each["error"]) for each in columns.values()], axis=0)
+    is_usable &= ~_is_recovering(cycle, RECOVERY_S / period_s)
+    in_last_lap = is_running & (cycle >= phases["with"][1] - lap) & (cycle < phases["with"][1])
+    offsets = [_deviation(columns[name], 2.0 * np.pi * cycle / lap, in_last_lap) for name in recordings]
+    angle, radius_error = np.arctan2(offsets[1], offsets[0]), np.hypot(*offsets) - circle.radius
+
+    def laps(stop: float) -> Laps:
+        start = stop - count * lap
+        rows = (cycle >= start - 1e-6) & (cycle < stop - 1e-6)
+        used = rows & is_usable
+        wanted = round(count * lap)
+        if np.count_nonzero(used) < _LEAST_SHARE * wanted:
+            raise RecordingError(
+                f"{path}: only {np.count_nonzero(used)} of {wanted} periods of the laps can be used; in the others the "
+                "drives were not heard in time: the computer was too busy"
+            )
+        figures = {name: _figures(columns[name]["error"][used]) for name in recordings}
+        return Laps(count, (start * period_s, stop * period_s), wanted, angle[used], radius_error[used], figures)
+
+    without, with_compensation = (laps(stop) for _, stop in phases.values())
+    for each in columns.values():
+        each["time_s"] = cycle * period_s
+    unit = "rad" if configuration.axes[first].model.axis == "rotary" else "m"
+    return Circularity(configuration, (first, second), circle.radius, unit, without, with_compensation, columns)
+
+
+def _circle(recordings: Mapping[str, Recording]) -> tuple["Configuration", "Circle"]:
+    """Configuration of a run and its circle; the axes must agree on it, a quarter of a turn apart."""
+    from friction_hil.config import Circle, from_dict
+
+    path = next((each.path for each in recordings.values()), "")
+    if len(recordings) != 2:
+        raise RecordingError(f"{path}: a circle takes two axes, here are {len(recordings)}")
+    first, second = recordings.values()
+    if "configuration" not in first.metadata:
+        raise RecordingError(f"{path}: there is no configuration in it: it is no recording of 'friction-hil run'")
+    configuration = from_dict(first.metadata["configuration"], f"{path} (configuration inside)")
+    paths = [configuration.axes[each.axis].trajectory for each in (first, second)]
+    if not (isinstance(a := paths[0], Circle) and isinstance(b := paths[1], Circle)):
+        kinds = ", ".join(f"{each.axis}: {p.kind}" for each, p in zip((first, second), paths, strict=True))
+        raise RecordingError(f"{path}: the trajectories are no circle: {kinds}")
+    same = a.radius == b.radius and a.frequency == b.frequency
+    if not same or abs(np.cos(a.phase - b.phase)) > 1e-6:
+        raise RecordingError(f"{path}: a circle needs one radius and frequency, and phases a quarter of a turn apart")
+    return configuration, a
+
+
+def _aligned(recordings: Mapping[str, Recording]) -> tuple[Array, dict[str, dict[str, Array]]]:
+    """Numbers of the cycles that all axes have, and the columns in them, with the following error."""
+    for each in recordings.values():
+        each.require("cycle", *_COLUMNS)
+    first, second = recordings.values()
+    cycle, *rows = np.intersect1d(first["cycle"], second["cycle"], return_indices=True)
+    columns: dict[str, dict[str, Array]] = {}
+    for (name, each), at in zip(recordings.items(), rows, strict=True):
+        taken = {column: each[column][at] for column in _COLUMNS}
+        taken["error"] = np.where(taken["is_fresh"] == 1.0, taken["position_demand"] - taken["position"], np.nan)
+        columns[name] = taken
+    return cycle, columns
+
+
+def _settled(cycle: Array, mask: Any, settle_cycles: float) -> tuple[float, float]:
+    """Cycles from and to between which ``mask`` holds and what went before it is forgotten."""
+    inside = cycle[mask]
+    return (float(inside[0]) + settle_cycles, float(inside[-1]) + 1.0) if inside.size else (0.0, 0.0)
+
+
+def _is_recovering(cycle: Array, recovery_cycles: float) -> Any:
+    """Whether a period was missed shortly before each row."""
+    is_after_gap = np.diff(cycle, prepend=cycle[:1]) > 1.0
+    last = np.maximum.accumulate(np.where(is_after_gap, cycle, -np.inf))
+    return cycle - last < recovery_cycles
+
+
+def _deviation(columns: Mapping[str, Array], turn: Array, in_steady_motion: Any) -> Array:
+    """Position relative to the centre of the demanded circle, (n,).
+
+    The centre comes from a fit of the demand, which is exact in steady motion whichever rows are missing.
+    """
+    angle = turn[in_steady_motion]
+    design = np.stack([np.cos(angle), np.sin(angle), np.ones_like(angle)], axis=1)
+    _, _, centre = np.linalg.lstsq(design, columns["position_demand"][in_steady_motion])[0]
+    return np.asarray(columns["position"] - centre)
+
+
+def _figures(error: Array) -> Figures:
+    return Figures(rms=float(np.sqrt(np.mean(error * error))), peak=float(np.abs(error).max()))
+
+
+def readable(unit: str, values: Any) -> tuple[float, str]:
+    """Factor and unit in which the smallest of ``values`` (SI) is at least 1: ``(1e6, "µrad")``."""
+    smallest = float(np.min(np.abs(values)))
+    for factor, prefix in ((1.0, ""), (1e3, "m"), (1e6, "µ")):
+        if smallest * factor >= 1.0:
+            return factor, prefix + unit
+    return 1e9, "n" + unit
