@@ -13,6 +13,7 @@ from friction_hil.recordings.recording import Array
 from friction_hil.safety import LoopState
 
 _INTERVAL_S = 0.2
+_UNKNOWN_WIDTH = 1000
 _WINDOW_S = 1.0  # of recorded time, over which errors and lateness are judged
 
 
@@ -99,6 +100,7 @@ class StatusLine:
 
 def _terminal_width() -> int:
     try:
-        return os.get_terminal_size(sys.stderr.fileno()).columns
+        # a pseudo-terminal that nobody gave a size says 0
+        return os.get_terminal_size(sys.stderr.fileno()).columns or _UNKNOWN_WIDTH
     except OSError:
-        return 1000
+        return _UNKNOWN_WIDTH

@@ -138,15 +138,15 @@ def analyse(recordings: Mapping[str, Recording]) -> Circularity:
     cycle, columns = _aligned(recordings)
     period_s = configuration.period_s
     lap = 1.0 / (circle.frequency * period_s)
-    fade_s = max(axis.compensation.fade_s for axis in configuration.axes.values())
+    axes = configuration.axes.values()
+    starting = (ramp_s(axes) + SETTLE_S) / period_s
+    fading = (max(axis.compensation.fade_s for axis in axes) + SETTLE_S) / period_s
 
     is_running = np.all([each["state"] == LoopState.RUNNING for each in columns.values()], axis=0)
     enabled = np.array([each["is_enabled"] for each in columns.values()])
     phases = {
-        "without": _settled(
-            cycle, is_running & ~enabled.any(axis=0), (ramp_s(configuration.axes.values()) + SETTLE_S) / period_s
-        ),
-        "with": _settled(cycle, is_running & enabled.all(axis=0), (fade_s + SETTLE_S) / period_s),
+        "without": _settled(cycle, is_running & ~enabled.any(axis=0), starting),
+        "with": _settled(cycle, is_running & enabled.all(axis=0), fading),
     }
     count = min(int((stop - start) / lap + 1e-6) for start, stop in phases.values())
     if count < 1:

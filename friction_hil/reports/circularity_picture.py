@@ -1,0 +1,229 @@
+"""Pictures of the circularity test: the circle with its radius error magnified, following error, friction torque."""
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from friction_hil.errors import UsageError
+from friction_hil.models import create
+from friction_hil.reports.circularity import Circularity, Laps, readable
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# Okabe and Ito's: told apart with any colour vision, and in grey.
+WITHOUT, WITH = "#d55e00", "#0072b2"
+_INK, _FAINT = "#222222", "#c8c8c8"
+_RING = 0.2  # of the drawn radius, between two rings of the scale
+_RINGS = 3  # the largest error reaches the last of them
+
+
+def require_matplotlib() -> None:
+    """Raise UsageError where there is no matplotlib; does not import it."""
+    from importlib.util import find_spec
+
+    if find_spec("matplotlib") is None:
+        raise UsageError("the report needs matplotlib: pip install 'friction-hil[report]'")
+
+
+def division(largest: float) -> float:
+    """Smallest of 1, 2, 5, 10, ... times a power of ten of which ``_RINGS`` reach ``largest``."""
+    power = 10.0 ** math.floor(math.log10(largest / _RINGS))
+    return next(power * step for step in (1.0, 2.0, 5.0, 10.0) if power * step * _RINGS >= largest * (1.0 - 1e-9))
+
+
+def draw_circle(circularity: Circularity) -> "Figure":
+    """Draw both circles with their radius errors magnified about the nominal one."""
+    laps = circularity.uncompensated, circularity.compensated
+    lowest = min(float(each.radius_error.min()) for each in laps)
+    highest = max(float(each.radius_error.max()) for each in laps)
+    ring = division(max(highest, -lowest))
+    magnification = _RING * circularity.radius / ring
+    factor, unit = readable(circularity.unit, ring)
+
+    figure = _figure(8.0, 8.0)
+    axes = figure.add_axes((0.0, 0.0, 1.0, 0.93))
+    axes.set_aspect("equal")
+    axes.axis("off")
+    outer = max(math.ceil(highest / ring - 1e-9), 1)
+    inner = max(math.ceil(-lowest / ring - 1e-9), 1)
+    for k in range(-inner, outer + 1):
+        _ring(axes, 1.0 + k * _RING, "nominal" if k == 0 else f"{k * ring * factor:+g} {unit}", is_nominal=k == 0)
+    reach = 1.0 + outer * _RING
+    for x, y in ((1, 0), (0, 1), (-1, 0), (0, -1)):
+        start = 1.0 - inner * _RING
+        axes.plot([x * start, x * reach], [y * start, y * reach], color=_FAINT, linewidth=0.8, zorder=1)
+    for each, color, width in zip(laps, (WITHOUT, WITH), (1.3, 1.8), strict=True):
+        drawn = 1.0 + each.radius_error * magnification / circularity.radius
+        x, y = _broken(each.angle, drawn * np.cos(each.angle), drawn * np.sin(each.angle))
+        axes.plot(x, y, color=color, linewidth=width, solid_joinstyle="round", zorder=3)
+    _label_quadrants(axes, circularity.axes, reach + 0.06)
+    _write_figures(axes, circularity)
+    limit = reach + 0.17
+    axes.set(xlim=(-limit, limit), ylim=(-limit, limit))
+    motion = circularity.configuration.axes[circularity.axes[0]].trajectory
+    figure.text(
+        0.5,
+        0.955,
+        f"Circle of radius {circularity.radius:g} {circularity.unit} at {getattr(motion, 'frequency', 0.0):g} Hz, "
+        f"radius error magnified {magnification:g} times",
+        ha="center",
+        fontsize=15,
+        color=_INK,
+        fontweight="bold",
+    )
+    return figure
+
+
+def draw_error(circularity: Circularity) -> "Figure":
+    """Draw the following error of both axes over the whole motion."""
+    peaks = [each.figures[axis].peak for each in (circularity.uncompensated,) for axis in circularity.axes]
+    factor, unit = readable(circularity.unit, peaks)
+    figure = _figure(10.0, 5.2, layout="constrained")
+    panels = figure.subplots(2, 1, sharex=True, sharey=True)
+    for axes, axis in zip(panels, circularity.axes, strict=True):
+        columns = circularity.columns[axis]
+        error = columns["error"] * factor
+        is_on = columns["is_enabled"] == 1.0
+        is_moving = np.isfinite(columns["position_demand"])
+        for rows, color in ((~is_on, WITHOUT), (is_on, WITH)):
+            line = np.where(rows & is_moving, error, np.nan)
+            axes.plot(columns["time_s"], line, color=color, linewidth=1.0)
+        for laps, color, name in (
+            (circularity.uncompensated, WITHOUT, "without compensation"),
+            (circularity.compensated, WITH, "with compensation"),
+        ):
+            axes.axvspan(*laps.interval_s, color=color, alpha=0.09, linewidth=0.0)
+            figures = laps.figures[axis]
+            axes.annotate(
+                f"{_laps(laps)} {name}: {figures.rms * factor:.3g} {unit} rms, {figures.peak * factor:.3g} {unit} peak",
+                (sum(laps.interval_s) / 2.0, 0.97),
+                xycoords=("data", "axes fraction"),
+                ha="center",
+                va="top",
+                fontsize=9.5,
+                color=color,
+            )
+        axes.set_ylabel(f"{axis} [{unit}]")
+        axes.margins(x=0.01, y=0.3)
+        _plain(axes)
+    panels[-1].set_xlabel("time [s]")
+    figure.suptitle("Following error: demanded less measured position", fontsize=13, fontweight="bold", color=_INK)
+    return figure
+
+
+def draw_friction(circularity: Circularity) -> "Figure":
+    """Draw true friction, believed friction and applied compensation over velocity."""
+    configuration = circularity.configuration
+    angle = circularity.unit
+    torque = "N m" if angle == "rad" else "N"
+    figure = _figure(10.0, 4.6, layout="constrained")
+    panels = figure.subplots(1, 2)
+    start, stop = circularity.compensated.interval_s
+    for axes, axis in zip(panels, circularity.axes, strict=True):
+        columns, config = circularity.columns[axis], configuration.axes[axis]
+        rows = (columns["time_s"] >= start) & (columns["time_s"] < stop)
+        applied = columns["compensation"][rows]
+        fastest = float(np.nanmax(np.abs(columns["velocity_estimate"][rows])))
+        truth: Any = getattr(config.simulation, "friction", None)
+        side = np.geomspace(1e-4, 1.0, 300) * fastest
+        velocity = np.concatenate([-side[::-1], [0.0], side])
+        believed = config.model.friction_model
+        curves = [
+            (create(truth.model, **truth.parameters), "true friction of the simulated axis", "-", _INK),
+            (believed, "what the compensator believes", "--", "#777777"),
+        ]
+        for model, label, style, color in curves:
+            level = np.where(velocity == 0.0, np.nan, model.steady_state(velocity))
+            axes.plot(velocity, level, style, color=color, linewidth=1.6, label=label)
+        axes.plot(
+            columns["velocity_estimate"][rows],
+            applied,
+            color=WITH,
+            linewidth=1.0,
+            label=f"compensation as applied, gain {config.compensation.gain:g}",
+        )
+        axes.set(xlabel=f"velocity of {axis} [{angle}/s]", ylabel=f"torque [{torque}]")
+        axes.axhline(0.0, color=_FAINT, linewidth=0.8, zorder=0)
+        axes.axvline(0.0, color=_FAINT, linewidth=0.8, zorder=0)
+        _plain(axes)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
+    figure.suptitle("Friction over velocity, steady state", fontsize=13, fontweight="bold", color=_INK)
+    return figure
+
+
+def _figure(width: float, height: float, **options: Any) -> "Figure":
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), facecolor="white", **options)
+
+
+def _plain(axes: "Axes") -> None:
+    axes.grid(alpha=0.3)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+
+
+def _laps(laps: Laps) -> str:
+    return f"{laps.count} lap{'s' if laps.count > 1 else ''}"
+
+
+def _ring(axes: "Axes", radius: float, text: str, *, is_nominal: bool) -> None:
+    from matplotlib.patches import Circle
+
+    color = _INK if is_nominal else _FAINT
+    axes.add_patch(Circle((0.0, 0.0), radius, fill=False, color=color, linewidth=1.0 if is_nominal else 0.8, zorder=1))
+    at = radius * math.sqrt(0.5)
+    axes.text(
+        at,
+        at,
+        text,
+        fontsize=10,
+        color=_INK if is_nominal else "#666666",
+        ha="center",
+        va="center",
+        rotation=-45.0,
+        bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0},
+        zorder=2,
+    )
+
+
+def _label_quadrants(axes: "Axes", names: tuple[str, str], at: float) -> None:
+    for x, y, name, turn in (
+        (at, 0, names[0], -90),
+        (-at, 0, names[0], 90),
+        (0, at, names[1], 0),
+        (0, -at, names[1], 0),
+    ):
+        axes.text(x, y, f"{name} reverses", rotation=turn, ha="center", va="center", fontsize=12, color=_INK)
+
+
+def _write_figures(axes: "Axes", circularity: Circularity) -> None:
+    """Write legend and figures where a circle has room: in its middle."""
+    laps = circularity.uncompensated, circularity.compensated
+    factor, unit = readable(circularity.unit, [f.rms for each in laps for f in each.figures.values()])
+    rows = [("", "without", "with", "compensation")]
+    for axis in circularity.axes:
+        for name in ("rms", "peak"):
+            values = [getattr(each.figures[axis], name) * factor for each in laps]
+            rows.append(
+                (f"{axis} {name}", *(f"{value:.0f}" for value in values), f"÷ {circularity.factor(axis, name):.1f}")
+            )
+    columns = (-0.24, -0.02, 0.18, 0.23)
+    aligned = ("right", "right", "right", "left")
+    colors = (_INK, WITHOUT, WITH, _INK)
+    top = 0.16
+    axes.text(0.0, top + 0.13, f"following error [{unit}]", ha="center", va="center", fontsize=13, color=_INK)
+    for k, row in enumerate(rows):
+        for text, x, ha, color in zip(row, columns, aligned, colors, strict=True):
+            weight = "bold" if color in (WITHOUT, WITH) else "normal"
+            axes.text(x, top - 0.085 * k, text, ha=ha, va="center", fontsize=13, color=color, fontweight=weight)
+
+
+def _broken(angle: Any, *lines: Any) -> tuple[Any, ...]:
+    """Put NaN where rows are left out, so that nothing is drawn across."""
+    steps = np.abs(np.diff(np.unwrap(angle)))
+    gaps = np.flatnonzero(steps > 5.0 * np.median(steps)) + 1
+    return tuple(np.insert(line, gaps, np.nan) for line in lines)
