@@ -142,7 +142,7 @@ class AxisLoop:
         state : LoopState
             Where the run stands.
         running_s : float
-            Time since the run began to move, s; negative before.
+            Time since the run began to move, or, of a run that only listens, since it began; NaN before.
         feedback : Feedback
             From the drive, this cycle.
         command : Command
@@ -163,9 +163,7 @@ class AxisLoop:
         ahead = self._trajectory.at(time_s + self.lead_s).velocity if has_demand else math.nan
         velocity_demand = math.nan if now is None else now.velocity
         position_demand = math.nan if now is None else now.position
-        is_enabled = self._is_enabled and (
-            state is LoopState.IDLE or (state is LoopState.RUNNING and running_s >= self._baseline_s)
-        )
+        is_enabled = self._is_enabled and state in (LoopState.IDLE, LoopState.RUNNING) and running_s >= self._baseline_s
 
         place = self.row_width
         for saved in self._states:

@@ -13,7 +13,7 @@ from friction_hil.drive import Clock, Command, Drives, DriveState, Feedback, Req
 from friction_hil.errors import DriveError, FrictionHilError
 from friction_hil.jit import Array
 from friction_hil.recordings import columns
-from friction_hil.safety import REQUESTS, LoopState
+from friction_hil.safety import REQUESTS, REQUESTS_AFTER_FAULT, LoopState
 from friction_hil.sequence import Course, Facts
 from friction_hil.servo.trajectory import PathTime
 
@@ -126,6 +126,7 @@ class Loop:
         self._feedback = [Feedback() for _ in axes]
         self._commands = [Command() for _ in axes]
         self._is_broken = [False for _ in axes]
+        self._is_rehearsal_broken = False
         self._may_reset_fault = [settings.is_fault_reset_wanted for _ in axes]
         width = columns_width(self._axes)
         self._row = np.full(len(self._axes) * width, math.nan)
@@ -173,10 +174,16 @@ class Loop:
 
     def _rehearse(self, cycle: int) -> None:
         """Run a cycle's code on a copy of the first axis: caches that a sleep has emptied cost as much as the work."""
-        self._drives.rehearse()
-        self._double.update(
-            cycle, LoopState.RUNNING, 0.0, self._double_feedback, self._double_command, self._double_row
-        )
+        if self._is_rehearsal_broken:
+            return
+        try:
+            self._drives.rehearse()
+            self._double.update(
+                cycle, LoopState.RUNNING, 0.0, self._double_feedback, self._double_command, self._double_row
+            )
+        except Exception as error:  # noqa: BLE001 - what fails here will fail in earnest: come to rest in good order
+            self._is_rehearsal_broken = True
+            self._fault(cycle, f"the computation failed in rehearsal: {type(error).__name__}: {error}")
 
     def _note_missed(self, cycle: int, skipped: int, late_ns: int) -> None:
         """Count missed periods; while the drives are idle, none is."""
@@ -195,14 +202,17 @@ class Loop:
         if not self._is_first_feedback_here(cycle, time_s):
             return
         state = self._course.state
-        running_s = time_s - self._running_since_s
+        running_s = time_s if settings.dry_run else time_s - self._running_since_s
         for k, axis in enumerate(self._axes):
             fault = self._update(k, axis, cycle, state, running_s)
             is_reset = self._is_fault_being_reset(k, time_s)
             if fault is not None and not is_reset:
                 self._fault(cycle, fault)
-            is_reset = is_reset and state is LoopState.ENABLING
-            self._commands[k].request = Request.RESET_FAULT if is_reset else REQUESTS[state]
+            self._commands[k].request = Request.RESET_FAULT if is_reset else Request.LISTEN
+        request = REQUESTS_AFTER_FAULT[state] if self.result.faults else REQUESTS[state]
+        for command in self._commands:
+            if command.request is Request.LISTEN or state is not LoopState.ENABLING:
+                command.request = request
         self._drives.send(self._commands)
         exchange_us = (clock.now_ns() - began_ns) * 1e-3
         for part in self._parts:

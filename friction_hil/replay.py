@@ -136,10 +136,10 @@ def replay(
     if decimate < 1:
         raise UsageError(f"decimate by a whole number from 1, not {decimate}")
     motion = derive(recording, lowpass_hz)
-    transient = 0
-    if motion.lowpass_hz is not None:
-        transient = math.ceil(_TRANSIENT_PERIODS * motion.rate_hz / motion.lowpass_hz) - 1
-    shortest = 2 * transient + 1 + (_PADDING_PER_ORDER * _DECIMATOR[0] if decimate > 1 else 0)
+    transient = 0 if motion.lowpass_hz is None else _transient(motion.lowpass_hz, motion.rate_hz)
+    shortest = 2 * transient + 1
+    if decimate > 1:
+        shortest += max(decimate, _PADDING_PER_ORDER * _DECIMATOR[0])
     if len(motion.time_s) <= shortest:
         raise RecordingError(
             f"{recording.path}: {len(motion.time_s)} rows without a gap are too few for these filters, which take "
@@ -256,8 +256,17 @@ def _check_lowpass(path: str, lowpass_hz: float, rate_hz: float, rows: int) -> N
             f"{path}: a low-pass lies above 0 and below half the sampling rate, {rate_hz / 2.0:.6g} Hz, "
             f"not at {lowpass_hz:g} Hz"
         )
-    if rows <= _PADDING_PER_ORDER * _LOWPASS_ORDER:
-        raise RecordingError(f"{path}: {rows} rows without a gap are too few for a low-pass")
+    slowest_hz = 2.0 * _TRANSIENT_PERIODS * rate_hz / rows
+    if rows <= _PADDING_PER_ORDER * _LOWPASS_ORDER or lowpass_hz < slowest_hz:
+        raise RecordingError(
+            f"{path}: {rows} rows without a gap are too few for a low-pass at {lowpass_hz:g} Hz, "
+            f"which takes {_TRANSIENT_PERIODS:g} periods to settle at either end"
+        )
+
+
+def _transient(lowpass_hz: float, rate_hz: float) -> int:
+    """Rows at either end that a low-pass spoils."""
+    return math.ceil(_TRANSIENT_PERIODS * rate_hz / lowpass_hz) - 1
 
 
 def _lowpassed(values: Array, lowpass_hz: float, rate_hz: float) -> Array:

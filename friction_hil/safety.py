@@ -36,7 +36,12 @@ REQUESTS = {
     LoopState.DISABLING: Request.DISABLE,
     LoopState.DONE: Request.DISABLE,
 }
-
+# in the very cycle in which something is found wrong, before the state follows
+REQUESTS_AFTER_FAULT = REQUESTS | {
+    LoopState.ENABLING: Request.DISABLE,
+    LoopState.RUNNING: Request.QUICK_STOP,
+    LoopState.STOPPING: Request.QUICK_STOP,
+}
 
 _NOT_YET_ENABLED = (LoopState.IDLE, LoopState.ENABLING)
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from friction_hil.assembly import ramp_s
 from friction_hil.axis import AxisLoop
-from friction_hil.companion import Companion, CompanionReport, Job, free_path
+from friction_hil.companion import Companion, CompanionReport, Job, free_path, prepare
 from friction_hil.config import self_contained
 from friction_hil.drive import AxisFacts, Clock, Drives, load_driver
 from friction_hil.errors import UsageError
@@ -89,6 +89,10 @@ def run_session(
     realtime = configuration.realtime
     clock: Clock = SteppedClock() if settings.is_paced_by_sync else RealClock(realtime.spin_us)
     driver = _only_driver(configuration)
+    started_ns = 0 if settings.is_paced_by_sync else time.time_ns()
+    path = _recording_path(configuration, settings, started_ns)
+    if path is not None:
+        prepare(path, overwrite=settings.is_overwrite_allowed)  # a wrong path is found before any drive is touched
     with contextlib.ExitStack() as stack:
         drives: Drives = load_driver(driver)(configuration, configuration.axes, clock, dry_run=settings.dry_run)
         stack.callback(drives.close)
@@ -113,7 +117,7 @@ def run_session(
         ]
         for axis in axes:
             axis.warm_up()
-        companion = Companion.start(_job(configuration, settings, facts, axes, shadows))
+        companion = Companion.start(_job(configuration, settings, path, started_ns, facts, axes, shadows))
         try:
             with punctuality(0 if settings.is_paced_by_sync else realtime.priority) as refused:
                 for line in refused:
@@ -141,18 +145,22 @@ def _only_driver(configuration: "Configuration") -> str:
     return names[0]
 
 
+def _recording_path(configuration: "Configuration", settings: SessionSettings, started_ns: int) -> Path | None:
+    if settings.record is None and configuration.recording is not None:
+        return free_path(configuration.recording.path, started_ns)
+    return settings.record
+
+
 def _job(
     configuration: "Configuration",
     settings: SessionSettings,
+    path: Path | None,
+    started_ns: int,
     facts: Sequence[AxisFacts],
     axes: Sequence[AxisLoop],
     shadows: Sequence[str],
 ) -> Job:
     """What the companion has to know to record and to show a run."""
-    started_ns = 0 if settings.is_paced_by_sync else time.time_ns()
-    path = settings.record
-    if path is None and configuration.recording is not None:
-        path = free_path(configuration.recording.path, started_ns)
     return Job(
         axes=[axis.name for axis in axes],
         columns=[*columns.NAMES, *(columns.shadow(name) for name in shadows)],

@@ -64,13 +64,13 @@ def verify(recording: Recording, configuration: "Configuration | None" = None) -
     RecordingError
         The recording is not the daemon's own: configuration, states or columns are missing.
     """
-    recording.require("compensation", "velocity_estimate", "checksum", "cycle", "position", "velocity")
     metadata = recording.metadata
     if not recording.restarts or "configuration" not in metadata or "facts" not in metadata:
         raise RecordingError(
             f"{recording.path}: only the daemon's own MCAP recording can be verified; this one has no states of the "
             "compensator"
         )
+    recording.require("compensation", "velocity_estimate", "checksum", "cycle", "position", "velocity")
     configuration = configuration or from_dict(metadata["configuration"], f"{recording.path} (configuration inside)")
     if recording.axis not in configuration.axes:
         raise RecordingError(

@@ -78,6 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments
         The words after the program's name; those of the process when not given.
     """
+    _open_standard_streams()
     try:
         result = application.main(arguments, prog_name="friction-hil", standalone_mode=False)
         sys.stdout.flush()
@@ -105,6 +106,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         click.echo(traceback.format_exc() + _REPORT, err=True)
         return 1
     return result if type(result) is int else 0
+
+
+def _open_standard_streams() -> None:
+    """Put the null device where the caller has closed one of the standard streams.
+
+    Otherwise the next file to be opened would take its number, and what is printed would end up in it.
+    """
+    for descriptor, (name, mode) in enumerate((("stdin", "r"), ("stdout", "w"), ("stderr", "w"))):
+        try:
+            os.fstat(descriptor)
+        except OSError:
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # the lowest number that is free: this one
+            setattr(sys, name, open(descriptor, mode, encoding="utf-8", closefd=False))  # noqa: SIM115
 
 
 _REPORT = (

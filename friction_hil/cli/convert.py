@@ -7,6 +7,7 @@ import click
 
 from friction_hil.cli.output import console, option_json, print_json
 from friction_hil.cli.recording_options import recording_options
+from friction_hil.errors import RecordingError
 
 if TYPE_CHECKING:
     from friction_hil.recordings import Recording
@@ -52,11 +53,13 @@ def command(
         raise click.UsageError(f"{source} is MCAP already; a copy would lose its metadata and restart points")
     if len(found) > 1 and target.suffix.lower() == ".mcap":
         raise click.UsageError(f"{target} would take one axis; choose it with --axis")
-    written = []
+    files = {name: target if len(found) == 1 else target.with_stem(f"{target.stem}_{name}") for name in found}
+    for file in () if force else files.values():
+        if file.exists():  # before the first is written: all or none
+            raise RecordingError(f"{file} exists already; --force replaces it")
     for name, recording in found.items():
-        file = target if len(found) == 1 else target.with_stem(f"{target.stem}_{name}")
-        recordings.write(file, recording, overwrite=force)
-        written.append(str(file))
+        recordings.write(files[name], recording, overwrite=force)
+    written = [str(file) for file in files.values()]
     _warn(found)
     if as_json:
         print_json({"written": written, "rows": {name: len(recording) for name, recording in found.items()}})

@@ -1,7 +1,7 @@
 """The options by which commands choose an axis and columns of recordings."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from typing import Any, TypeVar
 
 import click
@@ -10,13 +10,19 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 def _columns(context: click.Context, parameter: click.Parameter, pairs: tuple[str, ...]) -> dict[str, str]:
-    return dict(_pair(text, "torque=effort") for text in pairs)
+    columns: dict[str, str] = {}
+    for text in pairs:
+        name, source = _pair(text, "torque=effort")
+        _once(name, columns)
+        columns[name] = source
+    return columns
 
 
 def _scale(context: click.Context, parameter: click.Parameter, pairs: tuple[str, ...]) -> dict[str, float]:
-    factors = {}
+    factors: dict[str, float] = {}
     for text in pairs:
         name, value = _pair(text, "torque=35.15")
+        _once(name, factors)
         try:
             factors[name] = float(value)
         except ValueError:
@@ -24,6 +30,11 @@ def _scale(context: click.Context, parameter: click.Parameter, pairs: tuple[str,
         if not math.isfinite(factors[name]) or factors[name] == 0.0:
             raise click.BadParameter(f"{text!r}: a factor is finite and not zero")
     return factors
+
+
+def _once(name: str, given: Collection[str]) -> None:
+    if name in given:
+        raise click.BadParameter(f"{name!r} is given twice")
 
 
 def _pair(text: str, example: str) -> tuple[str, str]:

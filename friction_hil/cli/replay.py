@@ -1,5 +1,6 @@
 """``friction-hil replay``: recordings through friction models, and the compensator run again."""
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -156,7 +157,8 @@ def _print(results: "list[tuple[Recording, Replay | None, Verification | None]]"
         for problem in replay.problems if replay else recording.problems:
             errors.print(f"{name}: {recording.axis}: {problem}", markup=False, soft_wrap=True)
         for each in replay.predictions if replay else ():
-            rmse, relative = f"{each.rmse:.4g} {each.unit}", f"{100.0 * each.relative_error:.3f} %"
+            rmse, share = f"{each.rmse:.4g} {each.unit}", each.relative_error
+            relative = f"{100.0 * share:.3f} %" if math.isfinite(share) else "undefined: measured torque is 0"
             table.add_row(Text(name), recording.axis, Text(each.model), rmse, relative)
         if verification:
             out.print(_verdict(name, verification), markup=False, soft_wrap=True)

@@ -13,10 +13,10 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from friction_hil.companion.client import Companion, CompanionReport, free_path
+    from friction_hil.companion.client import Companion, CompanionReport, free_path, prepare
     from friction_hil.companion.job import Job
 
-__all__ = ["Companion", "CompanionReport", "Job", "free_path"]
+__all__ = ["Companion", "CompanionReport", "Job", "free_path", "prepare"]
 
 
 def __getattr__(name: str) -> Any:

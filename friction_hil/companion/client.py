@@ -79,7 +79,7 @@ class Companion:
             The file cannot be made or exists already, or the process does not start.
         """
         if job.path is not None:
-            _prepare(Path(job.path), overwrite=job.overwrite)
+            prepare(Path(job.path), overwrite=job.overwrite)
         capacity = max(_RING_ROWS_MIN, math.ceil(_RING_S / job.period_s))
         ring = RingWriter(job.row_width, capacity)
         # -P: modules are not looked for in the current directory, which may be the user's.
@@ -197,7 +197,18 @@ def free_path(path: str | Path, started_unix_ns: int) -> Path:
     return path.with_stem(f"{path.stem}-{started:%Y%m%d-%H%M%S}")
 
 
-def _prepare(path: Path, *, overwrite: bool) -> None:
+def prepare(path: Path, *, overwrite: bool) -> None:
+    """Make the folder of a recording that is to be written, and see whether it can be.
+
+    Raises
+    ------
+    UsageError
+        The path does not end in ``.mcap``.
+    RecordingError
+        It is a folder, it exists already and shall not be overwritten, or its folder cannot be made.
+    """
+    if path.is_dir():
+        raise UsageError(f"{path} is a folder: name the file in it, e.g. {path / 'run.mcap'}")
     if path.suffix.lower() != ".mcap":
         raise UsageError(f"{path}: recordings are written as .mcap; `friction-hil convert` makes other formats of one")
     if path.exists() and not overwrite:
@@ -205,4 +216,6 @@ def _prepare(path: Path, *, overwrite: bool) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise RecordingError(f"{path.parent} cannot be made: {error.strerror}") from None
+        is_in_the_way = isinstance(error, FileExistsError | NotADirectoryError)
+        reason = "there is a file of that name" if is_in_the_way else error.strerror
+        raise RecordingError(f"the folder {path.parent} cannot be made: {reason}") from None

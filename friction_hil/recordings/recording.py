@@ -96,7 +96,7 @@ def rename(recording: Recording, columns: Mapping[str, str], scale: Mapping[str,
     Raises
     ------
     UsageError
-        A column to be mapped or scaled is not there, or a factor is not finite or is zero.
+        A column to be mapped or scaled is not there, or a factor is not finite, zero or too large.
     """
     there = recording.columns
     for name, source in columns.items():
@@ -110,7 +110,12 @@ def rename(recording: Recording, columns: Mapping[str, str], scale: Mapping[str,
             raise UsageError(f"{recording.path}: --scale {name}: {choices(name, recording.columns)}")
         if not np.isfinite(factor) or factor == 0.0:
             raise UsageError(f"--scale {name}={factor:g}: a factor is finite and not zero")
-        recording.columns[name] = recording.columns[name] * factor
+        values = recording.columns[name]
+        with np.errstate(over="ignore"):
+            scaled = values * factor
+        if np.isinf(scaled[np.isfinite(values)]).any():
+            raise UsageError(f"{recording.path}: --scale {name}={factor:g}: what results is too large for a number")
+        recording.columns[name] = scaled
 
 
 def check(recording: Recording) -> None:

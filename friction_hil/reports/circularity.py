@@ -1,5 +1,6 @@
 """The circularity test of machine builders: a recorded circle, without and with compensation. Pure: rows -> figures."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
     from friction_hil.config import Circle, Configuration
 
 SETTLE_S = 0.5  # until the drive's loops have forgotten a ramp or a fade
-RECOVERY_S = 0.1  # likewise a missed period
+RECOVERY_S = 0.03  # likewise a missed period or late feedback: several time constants of a position loop
 _LEAST_SHARE = 0.5
 
 _COLUMNS = ("position", "position_demand", "velocity_estimate", "compensation", "is_fresh", "is_enabled", "state")
@@ -56,7 +57,7 @@ class Laps:
 
     @property
     def left_out(self) -> int:
-        """Rows that do not count: no fresh position, or the motion was disturbed by a missed period."""
+        """Periods that do not count, because the computer was too late in them or shortly before."""
         return self.rows - self.angle.size
 
     @property
@@ -82,7 +83,7 @@ class Circularity:
     uncompensated, compensated : Laps
     columns : dict of dict of (n,) arrays
         Columns of the recording by axis, in the rows that both axes have, beside ``time_s`` and ``error``, the
-        following error (NaN without a fresh position).
+        following error (NaN without fresh feedback).
     """
 
     configuration: "Configuration"
@@ -116,9 +117,9 @@ def duration_s(configuration: "Configuration", laps: int) -> float:
 def analyse(recordings: Mapping[str, Recording]) -> Circularity:
     """Take the whole laps in steady motion of a run with ``baseline_s``, as many without as with compensation.
 
-    The first laps end where the compensation fades in, the others where the motion ends. A period that the loop missed
-    shifts the drive's time base: a fault of the computer, not of either lap, so the rows until the drive
-    has recovered do not count; nor do those without a fresh position.
+    The first laps end where the compensation fades in, the others where the motion ends. Where the computer was too
+    late, that is where a period was missed or feedback did not arrive in its period, the rows until the drives have
+    recovered do not count in either lap: the error there is not one of friction.
 
     Parameters
     ----------
@@ -155,8 +156,7 @@ def analyse(recordings: Mapping[str, Recording]) -> Circularity:
         )
         raise RecordingError(f"{path}: a lap takes {lap * period_s:g} s; in steady motion there are only {present}")
 
-    is_usable = np.all([np.isfinite(each["error"]) for each in columns.values()], axis=0)
-    is_usable &= ~_is_recovering(cycle, RECOVERY_S / period_s)
+    is_usable = ~_is_recovering(cycle, columns, RECOVERY_S / period_s)
     in_last_lap = is_running & (cycle >= phases["with"][1] - lap) & (cycle < phases["with"][1])
     offsets = [_deviation(columns[name], 2.0 * np.pi * cycle / lap, in_last_lap) for name in recordings]
     angle, radius_error = np.arctan2(offsets[1], offsets[0]), np.hypot(*offsets) - circle.radius
@@ -168,8 +168,8 @@ def analyse(recordings: Mapping[str, Recording]) -> Circularity:
         wanted = round(count * lap)
         if np.count_nonzero(used) < _LEAST_SHARE * wanted:
             raise RecordingError(
-                f"{path}: only {np.count_nonzero(used)} of {wanted} periods of the laps can be used; in the others the "
-                "drives were not heard in time: the computer was too busy"
+                f"{path}: only {np.count_nonzero(used)} of {wanted} periods of the laps can be used; in the others "
+                "the loop or the drives were late: the computer was too busy"
             )
         figures = {name: _figures(columns[name]["error"][used]) for name in recordings}
         return Laps(count, (start * period_s, stop * period_s), wanted, angle[used], radius_error[used], figures)
@@ -222,10 +222,12 @@ def _settled(cycle: Array, mask: Any, settle_cycles: float) -> tuple[float, floa
     return (float(inside[0]) + settle_cycles, float(inside[-1]) + 1.0) if inside.size else (0.0, 0.0)
 
 
-def _is_recovering(cycle: Array, recovery_cycles: float) -> Any:
-    """Whether a period was missed shortly before each row."""
-    is_after_gap = np.diff(cycle, prepend=cycle[:1]) > 1.0
-    last = np.maximum.accumulate(np.where(is_after_gap, cycle, -np.inf))
+def _is_recovering(cycle: Array, columns: Mapping[str, Mapping[str, Array]], recovery_cycles: float) -> Any:
+    """Whether a period was missed, or feedback was late, in each row or shortly before it."""
+    is_disturbed = np.diff(cycle, prepend=cycle[:1]) > 1.0
+    for each in columns.values():
+        is_disturbed |= each["is_fresh"] != 1.0
+    last = np.maximum.accumulate(np.where(is_disturbed, cycle, -np.inf))
     return cycle - last < recovery_cycles
 
 
@@ -251,3 +253,15 @@ def readable(unit: str, values: Any) -> tuple[float, str]:
         if smallest * factor >= 1.0:
             return factor, prefix + unit
     return 1e9, "n" + unit
+
+
+def unit_of_figures(circularity: Circularity) -> tuple[float, str]:
+    """Factor and unit in which people read the following errors."""
+    laps = circularity.uncompensated, circularity.compensated
+    return readable(circularity.unit, [figures.rms for each in laps for figures in each.figures.values()])
+
+
+def digits(value: float, significant: int = 3) -> str:
+    """Write a number with so many digits at least, and no exponent."""
+    places = max(significant - 1 - math.floor(math.log10(abs(value))), 0) if value else 0
+    return f"{value:.{places}f}"

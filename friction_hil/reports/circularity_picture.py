@@ -7,7 +7,7 @@ import numpy as np
 
 from friction_hil.errors import UsageError
 from friction_hil.models import create
-from friction_hil.reports.circularity import Circularity, Laps, readable
+from friction_hil.reports.circularity import Circularity, Laps, digits, readable, unit_of_figures
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -44,13 +44,13 @@ def draw_circle(circularity: Circularity) -> "Figure":
     factor, unit = readable(circularity.unit, ring)
 
     figure = _figure(8.0, 8.0)
-    axes = figure.add_axes((0.0, 0.0, 1.0, 0.93))
+    axes = figure.add_axes((0.0, 0.0, 1.0, 0.92))
     axes.set_aspect("equal")
     axes.axis("off")
     outer = max(math.ceil(highest / ring - 1e-9), 1)
     inner = max(math.ceil(-lowest / ring - 1e-9), 1)
     for k in range(-inner, outer + 1):
-        _ring(axes, 1.0 + k * _RING, "nominal" if k == 0 else f"{k * ring * factor:+g} {unit}", is_nominal=k == 0)
+        _ring(axes, 1.0 + k * _RING, "" if k == 0 else f"{k * ring * factor:+g} {unit}".replace("-", "−"))
     reach = 1.0 + outer * _RING
     for x, y in ((1, 0), (0, 1), (-1, 0), (0, -1)):
         start = 1.0 - inner * _RING
@@ -64,23 +64,18 @@ def draw_circle(circularity: Circularity) -> "Figure":
     limit = reach + 0.17
     axes.set(xlim=(-limit, limit), ylim=(-limit, limit))
     motion = circularity.configuration.axes[circularity.axes[0]].trajectory
+    shape = f"radius {circularity.radius:g} {circularity.unit}, {getattr(motion, 'frequency', 0.0):g} Hz"
+    title = f"Radius error of a circle, magnified {magnification:g} times"
+    figure.text(0.5, 0.955, title, ha="center", fontsize=17, color=_INK, fontweight="bold")
     figure.text(
-        0.5,
-        0.955,
-        f"Circle of radius {circularity.radius:g} {circularity.unit} at {getattr(motion, 'frequency', 0.0):g} Hz, "
-        f"radius error magnified {magnification:g} times",
-        ha="center",
-        fontsize=15,
-        color=_INK,
-        fontweight="bold",
+        0.5, 0.925, f"{shape}; from ring to ring {ring * factor:g} {unit}", ha="center", fontsize=13, color=_INK
     )
     return figure
 
 
 def draw_error(circularity: Circularity) -> "Figure":
     """Draw the following error of both axes over the whole motion."""
-    peaks = [each.figures[axis].peak for each in (circularity.uncompensated,) for axis in circularity.axes]
-    factor, unit = readable(circularity.unit, peaks)
+    factor, unit = unit_of_figures(circularity)
     figure = _figure(10.0, 5.2, layout="constrained")
     panels = figure.subplots(2, 1, sharex=True, sharey=True)
     for axes, axis in zip(panels, circularity.axes, strict=True):
@@ -97,17 +92,18 @@ def draw_error(circularity: Circularity) -> "Figure":
         ):
             axes.axvspan(*laps.interval_s, color=color, alpha=0.09, linewidth=0.0)
             figures = laps.figures[axis]
+            rms, peak = digits(figures.rms * factor), digits(figures.peak * factor)
             axes.annotate(
-                f"{_laps(laps)} {name}: {figures.rms * factor:.3g} {unit} rms, {figures.peak * factor:.3g} {unit} peak",
+                f"{_laps(laps)} {name}\n{rms} {unit} rms, {peak} {unit} peak",
                 (sum(laps.interval_s) / 2.0, 0.97),
                 xycoords=("data", "axes fraction"),
                 ha="center",
                 va="top",
-                fontsize=9.5,
+                fontsize=10,
                 color=color,
             )
         axes.set_ylabel(f"{axis} [{unit}]")
-        axes.margins(x=0.01, y=0.3)
+        axes.margins(x=0.01, y=0.35)
         _plain(axes)
     panels[-1].set_xlabel("time [s]")
     figure.suptitle("Following error: demanded less measured position", fontsize=13, fontweight="bold", color=_INK)
@@ -170,24 +166,16 @@ def _laps(laps: Laps) -> str:
     return f"{laps.count} lap{'s' if laps.count > 1 else ''}"
 
 
-def _ring(axes: "Axes", radius: float, text: str, *, is_nominal: bool) -> None:
+def _ring(axes: "Axes", radius: float, text: str) -> None:
+    """Draw a ring of the scale with its label; the nominal circle has none."""
     from matplotlib.patches import Circle
 
-    color = _INK if is_nominal else _FAINT
-    axes.add_patch(Circle((0.0, 0.0), radius, fill=False, color=color, linewidth=1.0 if is_nominal else 0.8, zorder=1))
+    color, width = (_FAINT, 0.8) if text else (_INK, 1.0)
+    axes.add_patch(Circle((0.0, 0.0), radius, fill=False, color=color, linewidth=width, zorder=1))
     at = radius * math.sqrt(0.5)
-    axes.text(
-        at,
-        at,
-        text,
-        fontsize=10,
-        color=_INK if is_nominal else "#666666",
-        ha="center",
-        va="center",
-        rotation=-45.0,
-        bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0},
-        zorder=2,
-    )
+    box = {"facecolor": "white", "edgecolor": "none", "pad": 1.0}
+    if text:
+        axes.text(at, at, text, fontsize=11, color="#666666", ha="center", va="center", rotation=-45.0, bbox=box)
 
 
 def _label_quadrants(axes: "Axes", names: tuple[str, str], at: float) -> None:
@@ -203,23 +191,19 @@ def _label_quadrants(axes: "Axes", names: tuple[str, str], at: float) -> None:
 def _write_figures(axes: "Axes", circularity: Circularity) -> None:
     """Write legend and figures where a circle has room: in its middle."""
     laps = circularity.uncompensated, circularity.compensated
-    factor, unit = readable(circularity.unit, [f.rms for each in laps for f in each.figures.values()])
-    rows = [("", "without", "with", "compensation")]
+    factor, unit = unit_of_figures(circularity)
+    rows: list[tuple[str, ...]] = [("", "without", "with", "times"), ("", "", "", "lower")]
     for axis in circularity.axes:
         for name in ("rms", "peak"):
-            values = [getattr(each.figures[axis], name) * factor for each in laps]
-            rows.append(
-                (f"{axis} {name}", *(f"{value:.0f}" for value in values), f"÷ {circularity.factor(axis, name):.1f}")
-            )
-    columns = (-0.24, -0.02, 0.18, 0.23)
-    aligned = ("right", "right", "right", "left")
-    colors = (_INK, WITHOUT, WITH, _INK)
-    top = 0.16
-    axes.text(0.0, top + 0.13, f"following error [{unit}]", ha="center", va="center", fontsize=13, color=_INK)
+            values = [digits(getattr(each.figures[axis], name) * factor) for each in laps]
+            rows.append((f"{axis} {name}", *values, digits(circularity.factor(axis, name), 2)))
+    top, line = 0.24, 0.105
+    axes.text(0.0, top + 1.5 * line, f"following error in {unit}", ha="center", va="center", fontsize=14, color=_INK)
+    axes.text(0.015, top - line, "compensation", ha="center", va="center", fontsize=14, color=_INK)
     for k, row in enumerate(rows):
-        for text, x, ha, color in zip(row, columns, aligned, colors, strict=True):
+        for text, x, color in zip(row, (-0.37, 0.06, 0.37, 0.70), (_INK, WITHOUT, WITH, _INK), strict=True):
             weight = "bold" if color in (WITHOUT, WITH) else "normal"
-            axes.text(x, top - 0.085 * k, text, ha=ha, va="center", fontsize=13, color=color, fontweight=weight)
+            axes.text(x, top - k * line, text, ha="right", va="center", fontsize=14, color=color, fontweight=weight)
 
 
 def _broken(angle: Any, *lines: Any) -> tuple[Any, ...]:

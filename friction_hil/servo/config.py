@@ -44,9 +44,13 @@ class TrueFriction(_Part):
 
     @model_validator(mode="after")
     def _exists(self) -> "TrueFriction":
+        from friction_hil.errors import UsageError
         from friction_hil.models import create
 
-        create(self.model, **self.parameters)
+        try:
+            create(self.model, **self.parameters)
+        except UsageError as error:
+            raise ValueError(str(error)) from None  # what pydantic gathers, with its place in the file
         return self
 
 

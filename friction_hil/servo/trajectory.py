@@ -67,7 +67,8 @@ class Setpoint(NamedTuple):
 class PathTime:
     """Path time s(t): stands, runs up to 1 s per s in ``ramp_s``, and comes to rest again on request.
 
-    The rate follows 3 x^2 - 2 x^3, so that velocity and acceleration of the axis are continuous. All axes of
+    The rate follows 3 x^2 - 2 x^3, so that velocity and acceleration of the axis are continuous (in a stop amid
+    the start, velocity alone). All axes of
     a machine share one, and so stay on their common path while they start and stop.
     """
 

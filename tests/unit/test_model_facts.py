@@ -4,6 +4,7 @@ Canudas de Wit, Olsson, Astrom, Lischinsky, IEEE Transactions on Automatic Contr
 The mass is integrated here, step by step, with the friction that `Runner.step` gives.
 """
 
+import itertools
 import math
 from dataclasses import dataclass, field
 
@@ -50,7 +51,7 @@ class Mass:
 
 def test_fact_1_constant_velocity_settles_on_the_stribeck_curve():
     v = np.array([-0.1, -2e-3, -1e-3, 5e-4, 1e-3, 3e-3, 0.05])
-    torque = [reference().simulate(np.full(2000, one), 1e-4 / abs(one) * 1e-2)[-1] for one in v]
+    torque = [reference().simulate(np.full(200, one), 1e-5 / abs(one))[-1] for one in v]
     curve = np.sign(v) * (1.0 + 0.5 * np.exp(-((v / 1e-3) ** 2))) + 0.4 * v
     np.testing.assert_allclose(torque, curve, rtol=1e-6)
 
@@ -97,7 +98,7 @@ def test_fact_4_break_away_falls_with_the_rate_of_the_force():
         while mass.v < 5.0 * REFERENCE["stribeck_velocity"]:  # it slides
             mass.push(rate * dt * len(mass.trace), dt)
         levels.append(mass.column(2).max())
-    assert all(a > b + 0.01 for a, b in zip(levels, levels[1:], strict=False))
+    assert all(a > b + 0.01 for a, b in itertools.pairwise(levels))
     assert 1.4 < levels[0] < 1.5
     assert 1.0 < levels[-1] < 1.25
 
@@ -135,9 +136,12 @@ def test_fact_6_dahl_saturates_without_overshoot_and_lugre_overshoots_when_it_ac
     assert np.all(np.diff(force) >= 0.0)
     assert 0.999 < force[-1] <= 1.0
     t = 1e-5 * np.arange(1, 100_001)
-    accelerating = reference().simulate(2e-2 * t, 1e-5) - 0.4 * 2e-2 * t
-    assert accelerating.max() > 1.2  # on its way to 1.0
-    assert accelerating[-1] == pytest.approx(1.0, abs=0.01)
+    overshoots = []
+    for acceleration in (5e-3, 2e-2):
+        torque = reference().simulate(acceleration * t, 1e-5) - 0.4 * acceleration * t
+        overshoots.append(torque.max() - 1.0)
+        assert torque[-1] == pytest.approx(1.0, abs=0.01)
+    assert 0.5 > overshoots[0] > overshoots[1] > 0.1  # never above break-away, less of it the faster it starts
     assert dahl.simulate(2e-2 * t, 1e-5).max() <= 1.0
     steady = fh.models.create("lugre", **REFERENCE | {"sigma1": 0.0}).simulate(np.full(4000, 5e-4), 1e-4)
     assert np.all(np.diff(steady) >= 0.0)
@@ -155,27 +159,26 @@ def test_fact_8_constant_bristle_damping_is_passive_up_to_its_bound(speed, is_pa
         supplied = runner.step(speed, dt) * speed * dt
         stored = 0.5 * REFERENCE["sigma0"] * (runner.state[0] ** 2 - before**2)
         worst = min(worst, (supplied - stored) / dt)
-    assert (worst >= -1e-9) is is_passive
+    assert bool(worst >= -1e-9) is is_passive
 
 
-@pytest.mark.parametrize("gain", [0.0, 0.9])
+@pytest.mark.parametrize("gain", [0.0, 1.0])
 def test_fact_9_an_integral_hunts_and_compensation_ends_it(gain):
     """PID position control of the 1995 paper. The mass is to go to 1 m; then it must stay there."""
     mass, dt = Mass(reference().start("simulation")), 4e-4
     compensator = reference().start("feedforward")
     integral = 0.0
-    for _ in range(150_000):
+    for _ in range(200_000):
         error = 1.0 - mass.x
         integral += dt * error
         feedforward = gain * compensator.step(mass.v, dt)
         mass.push(3.0 * error + 4.0 * integral - 6.0 * mass.v + feedforward, dt)
-    x = mass.column(0)[-75_000:]
-    crossings = np.count_nonzero(np.diff(np.sign(x - 1.0)))
+    off = mass.column(0) - 1.0
     if gain == 0.0:
-        assert crossings >= 2
-        assert np.ptp(x) > 0.02
+        assert np.count_nonzero(np.diff(np.sign(off[75_000:]))) >= 2
+        assert np.ptp(off[-50_000:]) > 0.1
     else:
-        assert np.abs(x - 1.0).max() < 1e-3
+        assert np.abs(off[-50_000:]).max() < 1e-4
 
 
 def test_fact_10_oddness_is_exact_on_a_long_rough_history():

@@ -108,7 +108,8 @@ class CanopenAxis:
             if self._state is DriveState.OPERATION_ENABLED and self._rpdo is not None and mode != self._mode:
                 self._message = f"the drive is in mode {mode} and not in {self._mode.name} ({self._mode.value})"
         if self._has_heartbeat and now_ns - self._heard_ns > self._heartbeat_loss_ns:
-            self._message = f"no heartbeat from node {self.node} for {(now_ns - self._heard_ns) / 1e6:.0f} ms"
+            loss_ms = self._heartbeat_loss_ns / 1e6
+            self._message = f"no heartbeat from node {self.node} for more than {loss_ms:.0f} ms"
         feedback.position = self._position
         feedback.velocity = self._velocity
         feedback.torque = self._torque

@@ -16,6 +16,7 @@ from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.axis import CanopenAxis, Handler
 from friction_hil_drivers.canopen.bus import bus_name, open_bus
 from friction_hil_drivers.canopen.configure import configure
+from friction_hil_drivers.canopen.eds import load_eds
 from friction_hil_drivers.canopen.exclusive import AxisLock
 from friction_hil_drivers.canopen.frames import Frame, FrameBus, frame_bus
 from friction_hil_drivers.canopen.mapping import check_bus_load
@@ -70,6 +71,9 @@ class CanopenDrives:
 
         config = self._configuration.bus
         assert config is not None  # the driver's options have checked it
+        for axis in self._configs.values():
+            if (eds := _options(axis).eds) is not None:
+                load_eds(eds, _options(axis).node)  # a file that is none is found before any drive is touched
         for name, axis in self._configs.items():
             self._locks.append(AxisLock(config, _options(axis).node, name))
         name = bus_name(config)

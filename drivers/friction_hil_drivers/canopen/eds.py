@@ -39,7 +39,8 @@ def load_eds(path: Path, node: int) -> "ObjectDictionary":
     try:
         dictionary = canopen.import_od(source, node)
     except (configparser.Error, ValueError, KeyError, TypeError) as error:
-        raise UsageError(f"{path} is no valid EDS: {error}") from error
+        reason = str(error).partition("\n")[0]  # what follows quotes the file, which may be anything
+        raise UsageError(f"{path} is no valid EDS: {reason}") from error
     if len(dictionary) == 0:
         raise UsageError(f"{path} is no EDS: it has no object")
     return dictionary

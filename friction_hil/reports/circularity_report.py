@@ -1,0 +1,209 @@
+"""The circularity test as one HTML file that needs nothing else: pictures, figures, and what was true and believed."""
+
+import base64
+import html
+import io
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from friction_hil import __version__
+from friction_hil.models import create
+from friction_hil.reports.circularity import Circularity, digits, unit_of_figures
+from friction_hil.reports.circularity_picture import WITH, WITHOUT, draw_circle, draw_error, draw_friction
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+MARK = '<meta name="generator" content="friction-hil demo'
+
+_STYLE = f"""
+body {{ font: 16px/1.5 system-ui, sans-serif; color: #222; background: #fff }}
+body {{ max-width: 62rem; margin: 2rem auto; padding: 0 1rem }}
+h1 {{ font-size: 1.6rem; margin-bottom: .3rem }} h2 {{ font-size: 1.2rem; margin-top: 2.2rem }}
+figure {{ margin: 1rem 0 }} img {{ display: block; width: 100%; height: auto; margin: auto }}
+figure.circle img {{ max-width: 46rem }}
+figcaption, .note {{ color: #555; font-size: .92rem }}
+table {{ border-collapse: collapse; margin: .6rem 0; font-variant-numeric: tabular-nums }}
+th, td {{ padding: .25rem .8rem; text-align: right; border-bottom: 1px solid #ddd; font-weight: normal }}
+thead th {{ border-bottom: 2px solid #888; vertical-align: bottom }}
+th:first-child, td.text {{ text-align: left }} td {{ white-space: nowrap }} td.text {{ white-space: normal }}
+.without {{ color: {WITHOUT}; font-weight: 600 }} .with {{ color: {WITH}; font-weight: 600 }}
+pre {{ white-space: pre-wrap; font-size: .85rem; background: #f5f5f5; padding: .6rem }}
+""".strip()
+
+
+def write_report(circularity: Circularity, loop: Mapping[str, Any], notes: str, pace: str, path: Path) -> None:
+    """Write the report.
+
+    Parameters
+    ----------
+    circularity : Circularity
+    loop : dict
+        ``cycles``, ``late_p50_us``, ``late_p99_us`` and ``missed`` as 'friction-hil run --json' gives them.
+    notes : str
+        What the daemon said at its start.
+    pace : str
+        ``real`` or ``sync``.
+    path : Path
+        The HTML file; overwritten.
+    """
+    first, second = circularity.axes
+    factors = [f"{digits(circularity.factor(axis, 'rms'), 2)} times smaller on {axis}" for axis in circularity.axes]
+    result = f"With compensation the RMS following error is {' and '.join(factors)}."
+    if circularity.not_helped:
+        result = f"Compensation did not help: {', '.join(circularity.not_helped)}."
+    body = f"""
+<h1>Friction compensation on a circle of two axes</h1>
+<p><strong>{html.escape(result)}</strong> {_what_ran(circularity, pace)}</p>
+{_picture(draw_circle(circularity), _CIRCLE_CAPTION.format(x=first, y=second), "circle")}
+<h2>Figures</h2>
+{_figures(circularity)}
+<p class="note">{_left_out(circularity)}</p>
+{_loop(circularity, loop, pace)}
+<h2>Following error over time</h2>
+{_picture(draw_error(circularity), _ERROR_CAPTION)}
+<h2>Friction over velocity</h2>
+{_picture(draw_friction(circularity), _FRICTION_CAPTION)}
+<h2>What is true, and what the compensator believes</h2>
+<p>The compensator's parameters are wrong on purpose, as those of a real axis always are.</p>
+{"".join(_parameters(circularity, axis) for axis in circularity.axes)}
+<h2>The drive's own loops, the same in all laps</h2>
+{_loops(circularity)}
+<h2>What the daemon said</h2>
+<pre>{html.escape(notes.strip() or "nothing")}</pre>
+<p class="note">friction-hil {__version__}. The recording beside this file holds every cycle and the whole
+configuration; <code>friction-hil replay RECORDING --verify</code> runs the compensator again, bit for bit.</p>
+"""
+    head = f'<meta charset="utf-8">\n{MARK} {__version__}">\n<meta name="viewport" content="width=device-width">'
+    title = "<title>friction-hil: circularity without and with compensation</title>"
+    document = f'<!doctype html>\n<html lang="en">\n<head>\n{head}\n{title}\n<style>\n{_STYLE}\n</style>\n</head>\n'
+    path.write_text(f"{document}<body>{body}</body>\n</html>\n", encoding="utf-8")
+
+
+_CIRCLE_CAPTION = (
+    "Distance from the centre, less the nominal radius, over the angle. Where {x} or {y} reverses, friction changes "
+    "its sign faster than the drive's loops can answer: the axis stays behind, and leaves a spike."
+)
+_ERROR_CAPTION = "The whole run. Only the shaded laps count: whole ones, in steady motion."
+_FRICTION_CAPTION = (
+    "Lines: friction at constant velocity, true and believed. Blue: the torque that was added, over the estimated "
+    "velocity, in the laps with compensation; it is the believed friction times the gain, with the bristle's "
+    "presliding about zero."
+)
+
+
+def _what_ran(circularity: Circularity, pace: str) -> str:
+    period = f"{circularity.configuration.period_s * 1e3:g} ms"
+    time = "in real time" if pace == "real" else "in simulated time, one period a SYNC"
+    return (
+        f"The daemon, its CANopen driver and two simulated CiA 402 drives ran as separate processes on a virtual CAN "
+        f"bus, with a period of {period}, {time}. Laps without and with compensation come from one run, in which "
+        "nothing differs but the friction torque that is added."
+    )
+
+
+def _picture(figure: "Figure", caption: str, kind: str = "wide") -> str:
+    text = io.StringIO()
+    figure.savefig(text, format="svg")
+    data = base64.b64encode(text.getvalue().encode()).decode()
+    escaped = html.escape(caption)
+    source = f"data:image/svg+xml;base64,{data}"
+    return f'<figure class="{kind}"><img alt="{escaped}" src="{source}"><figcaption>{escaped}</figcaption></figure>'
+
+
+def _table(header: Sequence[str], rows: Iterable[Sequence[str]], classes: Sequence[str] = ()) -> str:
+    """Lay out a table; its cells are HTML. ``classes`` are those of the columns after the first."""
+    heads = "".join(f'<th scope="col">{cell}</th>' for cell in header)
+    lines = []
+    for first, *others in rows:
+        marks = [*classes, *[""] * len(others)]
+        cells = "".join(f'<td class="{mark}">{cell}</td>' for cell, mark in zip(others, marks, strict=False))
+        lines.append(f'<tr><th scope="row">{first}</th>{cells}</tr>')
+    return f"<table><thead><tr>{heads}</tr></thead><tbody>{''.join(lines)}</tbody></table>"
+
+
+def _figures(circularity: Circularity) -> str:
+    factor, unit = unit_of_figures(circularity)
+    before, after = circularity.uncompensated, circularity.compensated
+    rows = []
+    for axis in circularity.axes:
+        for name in ("rms", "peak"):
+            values = [digits(getattr(laps.figures[axis], name) * factor) for laps in (before, after)]
+            times = digits(circularity.factor(axis, name), 2)
+            rows.append((f"following error of {axis}, {name}", unit, *values, times))
+    ranges = before.circular_range, after.circular_range
+    rows.append(
+        (
+            "radius error, largest less smallest",
+            unit,
+            *(digits(value * factor) for value in ranges),
+            digits(ranges[0] / ranges[1], 2),
+        )
+    )
+    header = ("", "unit", "without", "with compensation", "times smaller")
+    return _table(header, rows, ("", "without", "with", ""))
+
+
+def _left_out(circularity: Circularity) -> str:
+    before, after = circularity.uncompensated, circularity.compensated
+    text = f"{before.count} laps each, {before.rows} periods. "
+    if before.left_out or after.left_out:
+        text += (
+            f"{before.left_out} of them without and {after.left_out} with compensation do not count: in them, or "
+            "shortly before, the computer was late."
+        )
+    return text
+
+
+def _loop(circularity: Circularity, loop: Mapping[str, Any], pace: str) -> str:
+    period = f"{circularity.configuration.period_s * 1e3:g} ms"
+    if pace == "sync":
+        return f"<p>Loop: {loop['cycles']} cycles of {period}, in simulated time.</p>"
+    return (
+        f"<p>Loop: {loop['cycles']} cycles of {period}; a cycle began late by {digits(loop['late_p50_us'], 1)} µs in "
+        f"the median and by {digits(loop['late_p99_us'], 1)} µs at the 99th percentile; {loop['missed']} missed.</p>"
+    )
+
+
+def _parameters(circularity: Circularity, axis: str) -> str:
+    """Parameters of plant and compensator side by side."""
+    config = circularity.configuration.axes[axis]
+    plant: Any = config.simulation
+    is_rotary = circularity.unit == "rad"
+    true_model, model = create(plant.friction.model, **plant.friction.parameters), config.model.friction_model
+    rows = []
+    if true_model.name == model.name:
+        for parameter in model.family.parameters:
+            name = parameter.name
+            unit = parameter.unit if is_rotary else parameter.unit.replace("N m", "N").replace("rad", "m")
+            rows.append((name, unit, true_model.parameters[name], model.parameters[name], parameter.meaning))
+    mechanics = config.model.mechanics
+    rows.append(
+        ("inertia", "kg m²" if is_rotary else "kg", plant.mechanics.inertia, mechanics.inertia, "motor and load")
+    )
+    rows.append(("torque_lag_s", "s", plant.motor.torque_lag_s, mechanics.torque_lag_s, "time constant of the torque"))
+    cells = [
+        (
+            html.escape(name),
+            unit,
+            f"{true:g}",
+            f"{believed:g}",
+            f"{100.0 * (believed / true - 1.0):+.0f} %".replace("-", "−") if believed != true else "",
+            f"<span class='note'>{html.escape(meaning)}</span>",
+        )
+        for name, unit, true, believed, meaning in rows
+    ]
+    header = (f"<strong>{axis}</strong>, model {model.name}", "unit", "true", "believed", "difference", "")
+    gain = f"Gain of the compensation on {axis}: {config.compensation.gain:g}."
+    return _table(header, cells, ("", "", "", "", "text")) + f'<p class="note">{gain}</p>'
+
+
+def _loops(circularity: Circularity) -> str:
+    plants: list[Any] = [circularity.configuration.axes[axis].simulation for axis in circularity.axes]
+    fields = type(plants[0].loops).model_fields
+    rows = []
+    for name, field in fields.items():
+        values = (f"{getattr(plant.loops, name):g}" for plant in plants)
+        rows.append((name, *values, f"<span class='note'>{html.escape(field.description or '')}</span>"))
+    return _table(("", *circularity.axes, ""), rows, ("", "", "text"))

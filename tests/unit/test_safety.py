@@ -1,0 +1,198 @@
+"""Limits and plausibility: what counts as a fault, and what can never become a torque."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from friction_hil.drive import DriveState, Feedback, Request
+from friction_hil.safety import MAX_STALE_CYCLES, REQUESTS, Limits, LoopState, SlewLimiter, Supervisor
+
+PERIOD_S = 1e-3
+ENABLED = DriveState.OPERATION_ENABLED
+LIMITS = Limits(torque=0.3, velocity=10.0, following_error=0.1, position_low=-1.0, position_high=1.0)
+REACH = 2.0 * 10.0 * PERIOD_S + 10.0 * 1e-5
+MOVING = (LoopState.RUNNING, LoopState.STOPPING)
+
+any_float = st.floats(allow_nan=True, allow_infinity=True)
+states = st.sampled_from(DriveState)
+
+
+def supervisor(limits=LIMITS, position=0.0, **changes):
+    one = Supervisor("x", limits, PERIOD_S, 1e-5, **changes)
+    if position is not None:
+        assert one.is_usable(heard(position))
+    return one
+
+
+def heard(position=0.0, velocity=0.0, torque=0.0, state=ENABLED, is_fresh=True, error="", message=""):
+    return Feedback(position, velocity, torque, state, is_fresh, error, message)
+
+
+# --- what feedback is used
+
+
+@given(any_float, any_float, any_float, st.booleans())
+def test_only_fresh_finite_feedback_is_used_and_remembered(position, velocity, torque, is_fresh):
+    one = supervisor(position=None)
+    assert math.isnan(one.position)
+    is_good = is_fresh and all(map(math.isfinite, (position, velocity, torque)))
+    assert one.is_usable(heard(position, velocity, torque, is_fresh=is_fresh)) is is_good
+    assert one.is_current is is_good
+    assert one.position == position if is_good else math.isnan(one.position)
+
+
+@given(st.floats(-1e3, 1e3), st.integers(0, 20))
+def test_a_position_may_jump_as_far_as_twice_the_velocity_limit_reaches_since_the_last_one(jump, missed):
+    one = supervisor()
+    for _ in range(missed):
+        assert not one.is_usable(heard(is_fresh=False))
+    reach = 2.0 * 10.0 * PERIOD_S * (missed + 1) + 10.0 * 1e-5
+    assert one.is_usable(heard(jump)) is (abs(jump) <= reach)
+    assert one.position == (jump if abs(jump) <= reach else 0.0)
+
+
+def test_a_single_glitch_is_passed_over():
+    one = supervisor()
+    assert not one.is_usable(heard(5.0))
+    assert not one.is_current
+    assert one.fault(heard(5.0), LoopState.RUNNING, 0.0, 0.0) is None
+    assert one.is_usable(heard(0.001))
+    assert one.is_current
+
+
+@given(st.lists(st.one_of(any_float, st.floats(-0.05, 0.05)), min_size=1, max_size=40))
+def test_the_position_in_use_never_moves_faster_than_twice_the_limit(positions):
+    one, before, passed = supervisor(), 0.0, 0
+    for position in positions:
+        passed += 1
+        if one.is_usable(heard(position)):
+            assert abs(one.position - before) <= 2.0 * 10.0 * PERIOD_S * passed + 1e-4
+            before, passed = one.position, 0
+        assert one.position == before
+
+
+# --- what is a fault
+
+
+@pytest.mark.parametrize("state", LoopState)
+@pytest.mark.parametrize("limit", [MAX_STALE_CYCLES, 3])
+def test_feedback_may_be_missing_for_some_cycles_and_no_longer_in_any_state(state, limit):
+    one = supervisor(max_stale_cycles=limit)
+    missing = heard(is_fresh=False)
+    for _ in range(limit):
+        one.is_usable(missing)
+        assert one.fault(missing, state, 0.0, 0.0) is None
+    one.is_usable(missing)
+    assert one.fault(missing, state, 0.0, 0.0) == f"x: no usable feedback for more than {limit} cycles"
+
+
+def test_cycles_with_feedback_between_start_the_count_anew():
+    one = supervisor()
+    for _ in range(10):
+        for _ in range(MAX_STALE_CYCLES):
+            one.is_usable(heard(math.nan))
+        assert one.fault(heard(), LoopState.RUNNING, 0.0, 0.0) is None
+        one.is_usable(heard())
+
+
+@pytest.mark.parametrize("state", LoopState)
+def test_what_the_driver_says_and_a_drives_fault_count_in_every_state(state):
+    one = supervisor()
+    assert one.fault(heard(message="no heartbeat"), state, 0.0, 0.0) == "x: no heartbeat"
+    for reaction in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE):
+        text = one.fault(heard(state=reaction, error="8611h following error"), state, 0.0, 0.0)
+        assert text is not None
+        assert "in fault: 8611h following error" in text
+        assert ("--reset-fault" in text) is (state in (LoopState.IDLE, LoopState.ENABLING))
+    assert "does not say why" in str(one.fault(heard(state=DriveState.FAULT), state, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("state", MOVING)
+@pytest.mark.parametrize("drive", [state for state in DriveState if state is not ENABLED])
+def test_a_drive_that_leaves_operation_enabled_in_motion_is_a_fault(state, drive):
+    assert supervisor().fault(heard(state=drive), state, 0.0, 0.0) is not None
+    assert supervisor().fault(heard(), state, 0.0, 0.0) is None
+
+
+@pytest.mark.parametrize("state", MOVING)
+@pytest.mark.parametrize(
+    ("position", "velocity", "demand", "words"),
+    [
+        (0.0, 10.0, 0.0, None),
+        (0.0, 10.001, 0.0, "x: velocity 10 is beyond its limit of 10 rad/s"),
+        (0.0, -11.0, 0.0, "x: velocity -11 is beyond"),
+        (0.0, math.nan, 0.0, "x: velocity nan is beyond"),
+        (0.0, math.inf, 0.0, "x: velocity inf is beyond"),
+        (1.0, 0.0, 1.0, None),
+        (1.001, 0.0, 1.0, "x: position 1.001 rad is outside [-1, 1] rad"),
+        (-1.001, 0.0, -1.0, "x: position -1.001 rad is outside"),
+        (0.0, 0.0, 0.1, None),
+        (0.0, 0.0, 0.1001, "x: following error 0.1001 rad is beyond its limit of 0.1 rad"),
+        (0.0, 0.0, -0.2, "x: following error -0.2 rad is beyond"),
+        (0.0, 0.0, math.nan, None),  # there is no set-point
+    ],
+)
+def test_each_limit_trips_just_beyond_it(state, position, velocity, demand, words):
+    text = supervisor(position=position).fault(heard(position), state, velocity, demand)
+    assert (text is None) if words is None else str(text).startswith(words)
+
+
+@given(st.floats(-10.0, 10.0), st.floats(-1.0, 1.0), st.floats(-0.1, 0.1), st.sampled_from(MOVING))
+def test_inside_all_limits_there_is_no_fault(velocity, position, error, state):
+    demand = position + 0.999 * error
+    assert supervisor(position=position).fault(heard(position), state, velocity, demand) is None
+
+
+@pytest.mark.parametrize("state", [state for state in LoopState if state not in MOVING])
+def test_limits_of_motion_do_not_count_while_nothing_is_commanded_to_move(state):
+    assert supervisor(position=5.0).fault(heard(5.0, state=DriveState.SWITCHED_ON), state, 99.0, 77.0) is None
+
+
+def test_an_axis_without_the_optional_limits_has_none_and_a_linear_one_its_unit():
+    one = supervisor(Limits(torque=1.0, velocity=2.0), unit="m")
+    assert one.fault(heard(), LoopState.RUNNING, 1.0, 1e6) is None
+    assert "2.5 is beyond its limit of 2 m/s" in str(one.fault(heard(), LoopState.RUNNING, 2.5, 0.0))
+
+
+# --- what the states ask of the drives
+
+
+def test_only_states_of_motion_ask_for_power():
+    assert set(REQUESTS) == set(LoopState)
+    enabling = {state for state, request in REQUESTS.items() if request is Request.ENABLE}
+    assert enabling == {LoopState.ENABLING, LoopState.RUNNING, LoopState.STOPPING}
+    assert Request.RESET_FAULT not in REQUESTS.values()
+
+
+# --- the torque limiter
+
+
+@given(st.floats(1e-6, 1e3), st.floats(1e-3, 1e6), st.lists(any_float, max_size=50))
+def test_no_wish_breaks_torque_or_slew(limit, slew, wishes):
+    one = SlewLimiter(limit, slew, PERIOD_S)
+    before = one.torque
+    assert before == 0.0
+    for wish in wishes:
+        torque = one.limit(wish)
+        assert abs(torque) <= limit
+        assert abs(torque - before) <= slew * PERIOD_S * (1.0 + 1e-9) + 1e-15 * limit
+        assert torque == one.torque
+        before = torque
+
+
+@given(st.floats(-1.0, 1.0))
+def test_what_can_be_reached_is_reached(wish):
+    one = SlewLimiter(1.0, 100.0, PERIOD_S)
+    for _ in range(10):
+        one.limit(wish)
+    assert one.torque == pytest.approx(wish)
+    assert SlewLimiter(1.0, math.inf, PERIOD_S).limit(wish) == wish
+
+
+@pytest.mark.parametrize("wish", [math.nan, math.inf, -math.inf])
+def test_what_is_not_finite_counts_as_zero(wish):
+    one = SlewLimiter(1.0, 100.0, PERIOD_S)
+    one.limit(0.05)
+    assert one.limit(wish) == 0.0
