@@ -10,7 +10,7 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from importlib.resources import as_file, files
+from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -68,11 +68,10 @@ def run_demo(folder: Path, pace: str, tell: Tell) -> Demo:
     from friction_hil.reports.circularity_picture import require_matplotlib
 
     require_matplotlib()
-    _claim(folder)
+    claim(folder)
     with tempfile.TemporaryDirectory(prefix=".demo-", dir=folder) as name:
         work = Path(name)
-        configuration, path = _private_configuration(work)
-        loop, notes = _draw_circle(configuration, path, pace, tell)
+        loop, notes = _run_processes(_private_configuration(work), pace, tell)
         tell("making the report", 0.95)
         from friction_hil.recordings import read_all
         from friction_hil.reports.circularity import analyse
@@ -80,16 +79,23 @@ def run_demo(folder: Path, pace: str, tell: Tell) -> Demo:
         from friction_hil.reports.circularity_report import write_report
 
         circularity = analyse(read_all(loop["recording"]))
-        write_report(circularity, loop, notes, pace, work / REPORT)
-        draw_circle(circularity).savefig(work / PICTURE, dpi=130)
+        circle = draw_circle(circularity)
+        circle.savefig(work / PICTURE, dpi=130)
+        write_report(work / REPORT, circularity, circle, loop, notes, pace)
         # the report first: it is what tells the next demo that the others are its own
         for made in (REPORT, PICTURE, RECORDING):
             os.replace(work / made, folder / made)
     return Demo(circularity, loop, folder / REPORT, folder / PICTURE, folder / RECORDING)
 
 
-def _claim(folder: Path) -> None:
-    """Make the folder; refuse one in which somebody else's files would be overwritten."""
+def claim(folder: Path) -> None:
+    """Make the folder of a demo.
+
+    Raises
+    ------
+    UsageError
+        Somebody else's files would be overwritten in it.
+    """
     from friction_hil.reports.circularity_report import MARK
 
     folder.mkdir(parents=True, exist_ok=True)
@@ -103,17 +109,17 @@ def _claim(folder: Path) -> None:
         )
 
 
-def _private_configuration(work: Path) -> tuple["Configuration", Path]:
+def _private_configuration(work: Path) -> Path:
     """Copy the configuration that comes with the product, on a bus of its own."""
-    from friction_hil.config import dump, load, self_contained
+    from friction_hil.config.yaml_text import dump, parse
 
-    with as_file(files("friction_hil") / "demo.yaml") as path:
-        values = self_contained(load(path))
+    original = files("friction_hil") / "demo.yaml"
+    values = parse(original.read_text(encoding="utf-8"), str(original)).value
     values["bus"]["port"] = _free_port()
-    values["recording"] = None
+    del values["recording"]
     copy = work / "demo.yaml"
     copy.write_text(dump(values), encoding="utf-8")
-    return load(copy), copy
+    return copy
 
 
 def _free_port() -> int:
@@ -123,18 +129,20 @@ def _free_port() -> int:
         return port
 
 
-def _draw_circle(configuration: "Configuration", path: Path, pace: str, tell: Tell) -> tuple[dict[str, Any], str]:
+def _run_processes(path: Path, pace: str, tell: Tell) -> tuple[dict[str, Any], str]:
     """Run drives and daemon; return the daemon's summary, and what it said."""
-    from friction_hil.reports.circularity import duration_s
-
-    moving_s = duration_s(configuration, _LAPS)
-    run = ["run", str(path), "--duration", f"{moving_s:g}", "--record", str(path.parent / RECORDING), "--json"]
     tell("starting the simulated drives", 0.0)
     with _Child(["simulate", str(path), "--exit-with-stdin"], pace, path.parent) as drives:
+        from friction_hil.config import load
+        from friction_hil.reports.circularity import duration_s
+
+        configuration = load(path)  # while the drives start
+        moving_s = duration_s(configuration, _LAPS)
         while not drives.printed:
             drives.wait(_TICK_S)
             drives.refuse_failure()
         tell("starting the daemon", 0.1)
+        run = ["run", str(path), "--duration", f"{moving_s:g}", "--record", str(path.parent / RECORDING), "--json"]
         with _Child(run, pace, path.parent) as daemon:
             if pace == "sync":
                 tell("drawing the circle in simulated time", 0.15)
@@ -143,6 +151,7 @@ def _draw_circle(configuration: "Configuration", path: Path, pace: str, tell: Te
                 if pace == "real" and daemon.said:  # it speaks when it has found its drives
                     began_s = began_s or time.monotonic()
                     tell(*_progress(configuration, time.monotonic() - began_s, moving_s))
+            drives.refuse_failure()
             daemon.refuse_failure("" if pace == "sync" else _BUSY)
         return json.loads(daemon.printed), daemon.said
 

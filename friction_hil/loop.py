@@ -205,14 +205,12 @@ class Loop:
         running_s = time_s if settings.dry_run else time_s - self._running_since_s
         for k, axis in enumerate(self._axes):
             fault = self._update(k, axis, cycle, state, running_s)
-            is_reset = self._is_fault_being_reset(k, time_s)
-            if fault is not None and not is_reset:
+            if fault is not None and not self._is_fault_being_reset(k, time_s):
                 self._fault(cycle, fault)
-            self._commands[k].request = Request.RESET_FAULT if is_reset else Request.LISTEN
-        request = REQUESTS_AFTER_FAULT[state] if self.result.faults else REQUESTS[state]
-        for command in self._commands:
-            if command.request is Request.LISTEN or state is not LoopState.ENABLING:
-                command.request = request
+        request = (REQUESTS_AFTER_FAULT if self.result.faults else REQUESTS)[state]
+        for k, command in enumerate(self._commands):
+            is_reset = state is LoopState.ENABLING and self._is_fault_being_reset(k, time_s)
+            command.request = Request.RESET_FAULT if is_reset else request
         self._drives.send(self._commands)
         exchange_us = (clock.now_ns() - began_ns) * 1e-3
         for part in self._parts:

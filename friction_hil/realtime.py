@@ -98,8 +98,9 @@ def punctuality(priority: int) -> Iterator[list[str]]:
             refused.append(f"/dev/cpu_dma_latency cannot be held ({error.strerror}): wake-ups may take longer")
         gc.collect()
         gc.freeze()
-        gc.disable()
-        stack.callback(gc.enable)
+        if gc.isenabled():
+            gc.disable()
+            stack.callback(gc.enable)
         stack.callback(gc.unfreeze)
         yield refused
 

@@ -5,6 +5,7 @@ import json
 import math
 import os
 import selectors
+import signal
 import subprocess
 import sys
 import time
@@ -120,6 +121,9 @@ class Companion:
         self._close_pipes()
         rows = self._ring.rows_kept
         lost = self._ring.rows_pushed - rows
+        if lost and (self._process.returncode or 0) < 0:
+            name = signal.Signals(-self._process.returncode).name
+            self._problems.append(f"the companion process was killed (signal {name}): nothing more was recorded")
         self._report = CompanionReport(tuple(self._paths), rows, lost, tuple(self._problems))
         return self._report
 

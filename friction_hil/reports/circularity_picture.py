@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from friction_hil.errors import UsageError
-from friction_hil.models import create
 from friction_hil.reports.circularity import Circularity, Laps, digits, readable, unit_of_figures
 
 if TYPE_CHECKING:
@@ -112,6 +111,8 @@ def draw_error(circularity: Circularity) -> "Figure":
 
 def draw_friction(circularity: Circularity) -> "Figure":
     """Draw true friction, believed friction and applied compensation over velocity."""
+    from friction_hil.models import create
+
     configuration = circularity.configuration
     angle = circularity.unit
     torque = "N m" if angle == "rad" else "N"

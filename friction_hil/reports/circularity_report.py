@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from friction_hil import __version__
-from friction_hil.models import create
 from friction_hil.reports.circularity import Circularity, digits, unit_of_figures
-from friction_hil.reports.circularity_picture import WITH, WITHOUT, draw_circle, draw_error, draw_friction
+from friction_hil.reports.circularity_picture import WITH, WITHOUT, draw_error, draw_friction
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -33,20 +32,24 @@ pre {{ white-space: pre-wrap; font-size: .85rem; background: #f5f5f5; padding: .
 """.strip()
 
 
-def write_report(circularity: Circularity, loop: Mapping[str, Any], notes: str, pace: str, path: Path) -> None:
+def write_report(
+    path: Path, circularity: Circularity, circle: "Figure", loop: Mapping[str, Any], notes: str, pace: str
+) -> None:
     """Write the report.
 
     Parameters
     ----------
+    path : Path
+        The HTML file; overwritten.
     circularity : Circularity
+    circle : Figure
+        Its picture.
     loop : dict
         ``cycles``, ``late_p50_us``, ``late_p99_us`` and ``missed`` as 'friction-hil run --json' gives them.
     notes : str
         What the daemon said at its start.
     pace : str
         ``real`` or ``sync``.
-    path : Path
-        The HTML file; overwritten.
     """
     first, second = circularity.axes
     factors = [f"{digits(circularity.factor(axis, 'rms'), 2)} times smaller on {axis}" for axis in circularity.axes]
@@ -56,7 +59,7 @@ def write_report(circularity: Circularity, loop: Mapping[str, Any], notes: str, 
     body = f"""
 <h1>Friction compensation on a circle of two axes</h1>
 <p><strong>{html.escape(result)}</strong> {_what_ran(circularity, pace)}</p>
-{_picture(draw_circle(circularity), _CIRCLE_CAPTION.format(x=first, y=second), "circle")}
+{_picture(circle, _CIRCLE_CAPTION.format(x=first, y=second), "circle")}
 <h2>Figures</h2>
 {_figures(circularity)}
 <p class="note">{_left_out(circularity)}</p>
@@ -168,6 +171,8 @@ def _loop(circularity: Circularity, loop: Mapping[str, Any], pace: str) -> str:
 
 def _parameters(circularity: Circularity, axis: str) -> str:
     """Parameters of plant and compensator side by side."""
+    from friction_hil.models import create
+
     config = circularity.configuration.axes[axis]
     plant: Any = config.simulation
     is_rotary = circularity.unit == "rad"

@@ -207,14 +207,15 @@ def test_a_file_that_cannot_be_made_is_told_before_anything_moves(job: Job, tmp_
     (tmp_path / "file").touch()
     for path, overwrite, message in (
         ("full.mcap", True, "full.mcap cannot be written: No space left on device"),
-        ("folder.mcap", True, "folder.mcap cannot be written: Is a directory"),
-        ("file/run.mcap", False, "file cannot be made: File exists"),
-        ("file/a/run.mcap", False, "file/a cannot be made: Not a directory"),
+        ("file/run.mcap", False, "file cannot be made: there is a file of that name"),
+        ("file/a/run.mcap", False, "file/a cannot be made: there is a file of that name"),
     ):
         with pytest.raises(RecordingError, match=message):
             Companion.start(replace(job, path=str(tmp_path / path), overwrite=overwrite))
     with pytest.raises(UsageError, match=r"written as \.mcap"):
         Companion.start(replace(job, path=str(tmp_path / "run.csv")))
+    with pytest.raises(UsageError, match="folder.mcap is a folder"):
+        Companion.start(replace(job, path=str(tmp_path / "folder.mcap")))
 
 
 def test_missing_folders_are_made_and_existing_files_kept(job: Job, tmp_path: Path) -> None:

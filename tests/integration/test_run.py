@@ -1,5 +1,6 @@
 """The daemon against simulated drives: real processes, a real (virtual) bus, simulated time."""
 
+import json
 import signal
 import struct
 
@@ -206,8 +207,40 @@ def test_nobody_answers(tmp_path):
     configuration = write_configuration(tmp_path)
     _, done = run_daemon(configuration, "--duration", 0.5, check=False)
     assert done.returncode == 1
-    assert "nobody answers as node 1" in done.stderr
+    assert done.stderr.startswith("Error: x: nobody answers as node 1")
+    assert done.stderr.count("\n") == 1
     assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("changes", "words", "message"),
+    [
+        ({}, ["--record", "run.csv"], "run.csv: recordings are written as .mcap"),
+        ({}, ["--record", "."], ". is a folder"),
+        ({"eds": "drive.eds"}, [], "drive.eds cannot be read: No such file"),
+        ({"eds": "noise.eds"}, [], "noise.eds is no valid EDS: File contains no section headers.\n"),
+    ],
+)
+def test_wrong_files_are_told_before_any_drive_is_asked(tmp_path, changes, words, message):
+    (tmp_path / "noise.eds").write_bytes(b"\x1b[2J\x07 noise\n" * 9)
+    configuration = write_configuration(tmp_path, x=changes)
+    done = run("run", configuration, "--pace", "sync", *words, check=False, cwd=tmp_path)
+    assert done.returncode == 2
+    assert message in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+def test_drives_that_vanish_are_one_fault_each(tmp_path):
+    configuration = write_configuration(tmp_path)
+    with simulated_drives(configuration) as drives, listening(configuration) as bus:
+        daemon = start_daemon(configuration)
+        wait_for_frames(bus, objects.SYNC_ID, 500)
+        drives.kill()
+        out, err = daemon.communicate(timeout=240)
+    assert daemon.returncode == 1
+    faults = json.loads(out)["faults"]
+    assert len(faults) <= 3, faults
+    assert "Traceback" not in err
 
 
 def test_a_bus_that_does_not_open(tmp_path):

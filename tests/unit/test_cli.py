@@ -74,6 +74,18 @@ def test_the_overview_imports_nothing_heavy():
     assert not loaded & heavy
 
 
+@pytest.mark.parametrize("redirections", [">&-", "<&- >&-", "2>&-", "<&- >&- 2>&-"])
+def test_closed_standard_streams_are_no_mistake(redirections, tmp_path):
+    """A file that is opened then must not take the number of one of them either."""
+    (tmp_path / "a.csv").write_text("time_s,torque\n0.0,1.0\n")
+    line = f'exec "$0" -m friction_hil convert a.csv b.csv {redirections}'
+    run = subprocess.run(
+        ["sh", "-c", line, sys.executable], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=120
+    )
+    assert (run.returncode, run.stderr) == (0, "")
+    assert (tmp_path / "b.csv").read_text() == "time_s,torque\n0.0,1.0\n"
+
+
 def test_the_module_is_the_command():
     run = subprocess.run(
         [sys.executable, "-m", "friction_hil", "--version"], capture_output=True, text=True, check=True

@@ -48,6 +48,16 @@ def test_each_axis_gets_a_csv_of_its_own(two_axes: Path, tmp_path: Path, capsys:
     np.testing.assert_array_equal(y["position"], -np.array([0, 1, 5]) / 3)
 
 
+def test_where_one_of_the_files_exists_none_is_written(
+    two_axes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "out_y.csv").write_text("mine")
+    assert main(["convert", str(two_axes), str(tmp_path / "out.csv")]) == 1
+    assert "out_y.csv exists already; --force replaces it" in capsys.readouterr().err
+    assert not (tmp_path / "out_x.csv").exists()
+    assert (tmp_path / "out_y.csv").read_text() == "mine"
+
+
 def test_one_axis_is_written_under_the_name_given(two_axes: Path, tmp_path: Path) -> None:
     assert main(["convert", str(two_axes), str(tmp_path / "out.csv"), "--axis", "y"]) == 0
     assert fh.recordings.read(tmp_path / "out.csv")["position"][1] == -1 / 3

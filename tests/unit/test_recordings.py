@@ -109,6 +109,8 @@ def test_wrong_mapping_or_scale_is_wrong_use(tmp_path: Path) -> None:
     for factor in (0.0, np.inf, np.nan):
         with pytest.raises(UsageError, match="finite and not zero"):
             fh.recordings.read(path, scale={"effort": factor})
+    with pytest.raises(UsageError, match="too large"):
+        fh.recordings.read(csv(tmp_path, "time_s,effort\n0,1\n1,200\n"), scale={"effort": 1e307})
 
 
 def test_name_of_the_axis(tmp_path: Path) -> None:

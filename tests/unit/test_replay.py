@@ -221,7 +221,12 @@ def test_pictures_are_drawn(swing: Path, capsys: pytest.CaptureFixture[str]) -> 
         (["--model", "coulomb:coulomb=1", "--decimate", "0"], 2, "0 is not in the range"),
         (["--model", "coulomb:coulomb=1", "--output", "x.jpgg"], 2, "no picture format has the suffix '.jpgg'"),
         (["--model", "coulomb:coulomb=1", "--output", "no/x.png"], 1, "no/x.png cannot be written"),
-        (["--verify"], 1, "no column compensation"),
+        (["--verify"], 1, "only the daemon's own MCAP recording can be verified"),
+        (["--model", "coulomb:coulomb=1", "--lowpass", "1e-9"], 1, "too few for a low-pass at 1e-09 Hz"),
+        (["--model", "coulomb:coulomb=1", "--lowpass", "1e-320"], 1, "too few for a low-pass"),
+        (["--model", "coulomb:coulomb=1", "--decimate", "1000000"], 1, "too few for these filters"),
+        (["--model", "coulomb:coulomb=1", "--scale", "torque=2", "--scale", "torque=3"], 2, "'torque' is given twice"),
+        (["--model", "coulomb:coulomb=1", "--column", "a=torque", "--column", "a=position"], 2, "'a' is given twice"),
         (["--model", "coulomb:coulomb=1", "--column", "torque=curent"], 2, "There are: position, time_s, torque"),
     ],
 )
@@ -232,6 +237,13 @@ def test_mistakes_are_told_in_a_sentence(
     error = " ".join(capsys.readouterr().err.split())
     assert message in error
     assert "Traceback" not in error
+
+
+def test_no_torque_at_all_has_no_relative_error(swing: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["replay", "swing.csv", "--model", "coulomb:coulomb=1", "--scale", "torque=1e-300"]) == 0
+    out = capsys.readouterr().out
+    assert "undefined" in out
+    assert "nan" not in out
 
 
 def test_the_daemons_own_model_is_taken_where_none_is_given(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

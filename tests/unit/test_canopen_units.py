@@ -1,0 +1,80 @@
+"""Drive integers and SI units: nothing lost, nothing that does not fit, nothing that is no number."""
+
+import math
+import struct
+
+import pytest
+from friction_hil_drivers.canopen.units import Units, Unwrapper, wrap
+from hypothesis import given
+from hypothesis import strategies as st
+
+COUNTS = 1048576 / (2.0 * math.pi)
+UNITS = Units(COUNTS, COUNTS, 0.64)
+INVERTED = Units(-COUNTS, -COUNTS, -0.64)
+both = pytest.mark.parametrize("units", [UNITS, INVERTED])
+
+
+@given(st.integers(-(1 << 40), 1 << 40))
+def test_wrapping_is_what_32_bits_hold(counts):
+    (expected,) = struct.unpack("<i", struct.pack("<q", counts)[:4])
+    assert wrap(counts) == expected
+
+
+@given(st.integers(-(1 << 31), (1 << 31) - 1), st.lists(st.integers(-(1 << 31), (1 << 31) - 1), max_size=50))
+def test_a_position_is_followed_through_all_wraps(start, steps):
+    unwrapper, true = Unwrapper(), start
+    assert unwrapper.total(wrap(true)) == true
+    for step in steps:
+        true += step
+        assert unwrapper.total(wrap(true)) == true
+
+
+@both
+@given(position=st.floats(-1e4, 1e4))
+def test_a_position_comes_back_within_half_a_count(units, position):
+    counts = units.position_counts(position)
+    assert -(1 << 31) <= counts < 1 << 31
+    assert counts / units.counts_per_unit == pytest.approx(position, abs=0.5001 / COUNTS)
+
+
+def test_a_position_beyond_32_bits_wraps_as_the_drives_own_does():
+    turns = (1 << 31) / COUNTS  # 2048 revolutions
+    assert UNITS.position_counts(turns) == -(1 << 31)
+    assert UNITS.position_counts(turns - 1.0 / COUNTS) == (1 << 31) - 1
+    assert INVERTED.position_counts(3.0 * turns) == -(1 << 31)
+
+
+@both
+@given(torque=st.floats(-20.0, 20.0))
+def test_a_torque_is_rounded_to_the_nearest_per_mille_of_its_sign(units, torque):
+    per_mille = units.torque_per_mille(torque)
+    assert units.torque(per_mille) == pytest.approx(torque, abs=0.5001 * 0.64e-3)
+    assert units.torque_per_mille(-torque) == -per_mille
+    assert per_mille * torque * units.rated_torque >= 0.0
+
+
+@both
+@given(value=st.floats(allow_nan=False, allow_infinity=False))
+def test_what_does_not_fit_saturates_with_its_sign(units, value):
+    if not math.isfinite(value * COUNTS) or not math.isfinite(value / 0.64 * 1000.0):
+        return
+    sign = math.copysign(1.0, value * units.rated_torque)
+    for number, bits in ((units.torque_per_mille(value), 16), (units.velocity_increments(value), 32)):
+        assert -(1 << (bits - 1)) <= number < 1 << (bits - 1)
+        assert number * sign >= 0
+        struct.pack("<h" if bits == 16 else "<i", number)
+
+
+@both
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e308])
+def test_what_is_no_finite_number_never_reaches_a_drive(units, value):
+    for encode in (units.position_counts, units.velocity_increments, units.torque_per_mille):
+        with pytest.raises(ValueError, match="cannot be sent to a drive"):
+            encode(value)
+
+
+def test_rated_torque_is_a_thousand():
+    assert UNITS.torque_per_mille(0.64) == 1000
+    assert UNITS.torque(1000) == pytest.approx(0.64)
+    assert INVERTED.torque_per_mille(0.32) == -500
+    assert INVERTED.torque(-500) == pytest.approx(0.32)

@@ -1,0 +1,92 @@
+"""Clocks, and what is asked of the operating system: nothing here waits for time to pass."""
+
+import gc
+import os
+
+import pytest
+
+from friction_hil.realtime import RealClock, SteppedClock, punctuality
+
+
+def test_simulated_time_passes_only_in_sleep_and_never_backward():
+    clock = SteppedClock()
+    assert not clock.is_real
+    assert clock.now_ns() == clock.now_ns() == 0
+    assert clock.doze_until(10**9) is False
+    assert clock.now_ns() == 0
+    clock.sleep_until(1_000_000)
+    assert clock.now_ns() == 1_000_000
+    clock.sleep_until(500_000)
+    assert clock.now_ns() == 1_000_000
+
+
+@pytest.mark.parametrize("spin_us", [0, 100])
+def test_real_time_is_never_early(spin_us):
+    clock = RealClock(spin_us)
+    assert clock.is_real
+    for ahead_ns in (-1_000_000_000, 0, 1_000, 300_000):
+        deadline = clock.now_ns() + ahead_ns
+        clock.sleep_until(deadline)
+        assert clock.now_ns() >= deadline
+
+
+def test_after_the_deadline_there_is_no_time_to_get_ready():
+    clock = RealClock(100)
+    assert clock.doze_until(clock.now_ns() - 1) is False
+    assert RealClock(0).doze_until(clock.now_ns() + 200_000) is False
+
+
+def status_of(process="self"):
+    """What punctuality changes, as the kernel and Python tell it."""
+    with open(f"/proc/{process}/status") as status:
+        locked = next(line.split()[1] for line in status if line.startswith("VmLck"))
+    descriptors = {os.readlink(f"/proc/self/fd/{fd}") for fd in os.listdir("/proc/self/fd") if _is_open(fd)}
+    return {
+        "scheduler": os.sched_getscheduler(0),
+        "priority": os.sched_getparam(0).sched_priority,
+        "is_locked": locked != "0",
+        "is_latency_held": "/dev/cpu_dma_latency" in descriptors,
+        "is_collecting": gc.isenabled(),
+        "is_frozen": gc.get_freeze_count() > 0,
+    }
+
+
+def _is_open(fd):
+    return os.path.lexists(f"/proc/self/fd/{fd}")
+
+
+def test_nothing_is_asked_for_at_ordinary_priority():
+    before = status_of()
+    with punctuality(0) as refused:
+        assert refused == []
+        assert status_of() == before
+
+
+@pytest.mark.parametrize("error", [None, RuntimeError])
+def test_everything_is_granted_or_told_and_given_back(error):
+    before = status_of()
+    try:
+        with punctuality(1) as refused:
+            inside = status_of()
+            if error is not None:
+                raise error
+    except RuntimeError:
+        pass
+    assert status_of() == before
+    text = "\n".join(refused)
+    scheduler = inside["scheduler"] & ~os.SCHED_RESET_ON_FORK
+    assert (scheduler == os.SCHED_FIFO and inside["priority"] == 1) != ("no SCHED_FIFO priority 1" in text)
+    assert inside["is_locked"] != ("memory is not locked" in text)
+    assert inside["is_latency_held"] != ("/dev/cpu_dma_latency cannot be held" in text)
+    assert inside["is_frozen"]
+    assert not inside["is_collecting"]
+
+
+def test_a_collector_that_was_off_stays_off():
+    gc.disable()
+    try:
+        with punctuality(1):
+            pass
+        assert not gc.isenabled()
+    finally:
+        gc.enable()
