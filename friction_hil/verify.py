@@ -1,6 +1,5 @@
 """Re-running the compensator over the daemon's own recording: what it gave must come out again, bit for bit."""
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -65,7 +64,11 @@ def verify(recording: Recording, configuration: "Configuration | None" = None) -
         The recording is not the daemon's own: configuration, states or columns are missing.
     """
     metadata = recording.metadata
-    if not recording.restarts or "configuration" not in metadata or "facts" not in metadata:
+    has_inputs = all(name in recording.columns for name in INPUTS) and "checksum" in recording
+    is_ours = has_inputs and "configuration" in metadata and "facts" in metadata
+    # an altered cycle number can make the states unplaceable: then the checksum says why
+    altered = _altered_row(recording) if is_ours else None
+    if not is_ours or (altered is None and not recording.restarts):
         raise RecordingError(
             f"{recording.path}: only the daemon's own MCAP recording can be verified; this one has no states of the "
             "compensator"
@@ -83,8 +86,15 @@ def verify(recording: Recording, configuration: "Configuration | None" = None) -
     parameters = axis.model.friction_model.parameters
     level = max(parameters.get("static", 0.0), parameters["coulomb"])
     tolerance = _RELATIVE_TOLERANCE * level if differences else 0.0
-    reason = _altered_input(recording) or _first_difference(recording, compensators, tolerance)
-    rows = len(recording) - recording.restarts[0][0]
+    recording.require(*compensators)
+    rows = len(recording) - recording.restarts[0][0] if recording.restarts else 0
+    if altered is not None:
+        row, reason = altered, "the recorded inputs are not those that the daemon saw (checksum)"
+    else:
+        row, reason = _first_difference(recording, compensators, tolerance)
+    if reason:
+        # by its time: the number of the cycle is an input too, and may be what was altered
+        reason = f"cycle {round(float(recording.columns[columns.TIME][row]) / configuration.period_s)}: {reason}"
     return Verification(recording.axis, not reason, rows, tolerance, differences, reason)
 
 
@@ -105,19 +115,28 @@ def _compensators(axis: "AxisConfig", facts: Mapping[str, Any], period_s: float)
     }
 
 
-def _altered_input(recording: Recording) -> str:
-    """Name the first row whose inputs are not those that the daemon saw."""
+def _altered_row(recording: Recording) -> int | None:
+    """The first row whose inputs are not those that the daemon saw, if there is one."""
     inputs = zip(*(recording.columns[name] for name in INPUTS), strict=True)
     for row, (values, checksum) in enumerate(zip(inputs, recording.columns["checksum"], strict=True)):
         if input_checksum(*values) != checksum:
-            return f"cycle {_cycle(recording, row)}: the recorded inputs are not those that the daemon saw (checksum)"
-    return ""
+            return row
+    return None
 
 
-def _first_difference(recording: Recording, compensators: Mapping[str, Compensator], tolerance: float) -> str:
+def _first_difference(
+    recording: Recording, compensators: Mapping[str, Compensator], tolerance: float
+) -> tuple[int, str]:
+    """Row and description of the first difference; an empty description if there is none."""
+    needed = sum(compensator.state.size for compensator in compensators.values())
     bounds = [row for row, _ in recording.restarts] + [len(recording)]
     for (first, state), end in zip(recording.restarts, bounds[1:], strict=True):
         inputs = [np.ascontiguousarray(recording.columns[name][first:end]) for name in INPUTS]
+        if state.size < needed:
+            raise RecordingError(
+                f"{recording.path}: the recorded state has {state.size} numbers, but these compensators have {needed}: "
+                "it was recorded with other models, or by another version"
+            )
         place = 0
         worst: tuple[int, str] | None = None
         for column, compensator in compensators.items():
@@ -137,8 +156,8 @@ def _first_difference(recording: Recording, compensators: Mapping[str, Compensat
                         f"{name} was {float(recorded)!r} and comes out as {float(values[row])!r}",
                     )
         if worst is not None:
-            return f"cycle {_cycle(recording, worst[0])}: {worst[1]}"
-    return ""
+            return worst
+    return 0, ""
 
 
 def _first_unequal(recorded: Array, values: Array, tolerance: float) -> int | None:
@@ -148,8 +167,3 @@ def _first_unequal(recorded: Array, values: Array, tolerance: float) -> int | No
         unequal = ~(np.abs(values - recorded) <= tolerance)
     rows = np.flatnonzero(unequal)
     return int(rows[0]) if rows.size else None
-
-
-def _cycle(recording: Recording, row: int) -> int:
-    cycle = float(recording.columns["cycle"][row])
-    return int(cycle) if math.isfinite(cycle) else row

@@ -144,6 +144,18 @@ def test_the_death_of_the_supervisor_stops_nothing(companion: Companion) -> None
     assert cycles(report.recording) == list(range(200))
 
 
+def test_rows_that_died_with_the_companion_are_explained(companion: Companion) -> None:
+    companion._process.kill()
+    os.kill(companion.worker_pid, signal.SIGKILL)
+    companion._process.wait()
+    while companion.next_message() is not None:
+        pass
+    companion.push(row(0))
+    report = companion.close()
+    assert report.lost == 1
+    assert report.problems == ("the companion process was killed (signal SIGKILL): nothing more was recorded",)
+
+
 def test_signals_of_the_terminal_are_left_to_the_control_process(companion: Companion) -> None:
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         os.kill(companion.worker_pid, number)
@@ -214,7 +226,7 @@ def test_a_file_that_cannot_be_made_is_told_before_anything_moves(job: Job, tmp_
             Companion.start(replace(job, path=str(tmp_path / path), overwrite=overwrite))
     with pytest.raises(UsageError, match=r"written as \.mcap"):
         Companion.start(replace(job, path=str(tmp_path / "run.csv")))
-    with pytest.raises(UsageError, match="folder.mcap is a folder"):
+    with pytest.raises(UsageError, match=r"folder\.mcap is a folder"):
         Companion.start(replace(job, path=str(tmp_path / "folder.mcap")))
 
 

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 
 _LISTEN_S = 0.1
 _STEPPED_TIMEOUT_S = 10.0
+_STEPPED_TIMEOUTS = 3  # in a row; in simulated time nothing else would ever end a run without drives
 _NOTIFIER_TIMEOUT_S = 0.02
 _OPERATIONAL = bytes([objects.NmtState.OPERATIONAL])
 
@@ -64,6 +65,7 @@ class CanopenDrives:
         self._heartbeat_id = 0  # 0 before the cyclic phase
         self._heartbeat_ns = 0
         self._next_heartbeat_ns = 0
+        self._timeouts = 0
 
     def connect(self) -> Sequence[AxisFacts]:
         """Configure every drive; nothing is enabled. See `friction_hil.drive.Drives.connect`."""
@@ -142,6 +144,10 @@ class CanopenDrives:
                 missing -= self._dispatch(frame)
             elif not clock.is_real:
                 break
+        self._timeouts = self._timeouts + 1 if missing and not clock.is_real else 0
+        if self._timeouts >= _STEPPED_TIMEOUTS:
+            waited_s = _STEPPED_TIMEOUTS * _STEPPED_TIMEOUT_S
+            raise DriveError(f"not every drive has answered SYNC for {waited_s:g} s: do they still run?")
         for axis, target in zip(axes, feedback, strict=True):
             axis.fill(target, now)
 

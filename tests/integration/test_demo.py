@@ -1,0 +1,210 @@
+"""The demo: real processes on a real bus, in simulated time. Physics, files, and that nothing is left behind."""
+
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+import uuid
+from pathlib import Path
+
+import pytest
+
+from friction_hil import demo
+from friction_hil.cli import main
+from friction_hil.errors import UsageError
+from friction_hil.recordings import read_all
+from friction_hil.reports.circularity import analyse
+from friction_hil.verify import verify
+from tests.unit.test_circularity import make_circle
+
+COMMAND = [sys.executable, "-m", "friction_hil", "demo"]
+
+
+def marked(mark):
+    """Processes that inherited ``mark``: the demo, its children and theirs."""
+    found = []
+    for process in Path("/proc").glob("[0-9]*"):
+        try:
+            if mark.encode() in (process / "environ").read_bytes():
+                found.append(process.name)
+        except (FileNotFoundError, ProcessLookupError, PermissionError):
+            continue
+    return found
+
+
+class Outcome:
+    """A demo that has run to its end."""
+
+    def __init__(self, output, *under):
+        self.output, self.mark = output, f"FRICTION_HIL_TEST={uuid.uuid4()}"
+        self.done = subprocess.run(
+            [*under, *COMMAND, "--pace", "sync", "--json", "--output", str(output)],
+            env={**os.environ, "FRICTION_HIL_TEST": self.mark.partition("=")[2]},
+            capture_output=True,
+            text=True,
+            timeout=240,
+        )
+
+
+@pytest.fixture(scope="module")
+def outcome(tmp_path_factory):
+    return Outcome(tmp_path_factory.mktemp("demo") / "deeper" / "folder")
+
+
+def test_compensation_takes_the_friction_out_of_the_circle(outcome):
+    assert outcome.done.returncode == 0, outcome.done.stderr
+    for axis in json.loads(outcome.done.stdout)["axes"].values():
+        before, after = axis["uncompensated"], axis["compensated"]
+        assert before["rms"] > 3.0 * after["rms"]
+        assert before["peak"] > 2.0 * after["peak"]
+        assert after["rms"] > 1e-6  # wrong parameters cannot do better than this
+
+
+def test_json_has_its_shape(outcome):
+    result = json.loads(outcome.done.stdout)
+    assert list(result) == ["axes", "loop", "report", "recording"]
+    assert list(result["axes"]) == ["x", "y"]
+    for axis in result["axes"].values():
+        assert {name: list(figures) for name, figures in axis.items()} == {
+            "uncompensated": ["rms", "peak"],
+            "compensated": ["rms", "peak"],
+        }
+    loop = result["loop"]
+    assert list(loop) == ["period_s", "cycles", "late_p50_us", "late_p99_us", "missed"]
+    assert loop["period_s"] == 1e-3
+    assert loop["cycles"] > 11_000
+    assert loop["missed"] == 0
+    assert Path(result["report"]) == outcome.output / "report.html"
+    assert Path(result["recording"]) == outcome.output / "recording.mcap"
+
+
+def test_files_are_there_and_nothing_else(outcome):
+    assert sorted(path.name for path in outcome.output.iterdir()) == [
+        "circularity.png",
+        "recording.mcap",
+        "report.html",
+    ]
+    assert (outcome.output / "circularity.png").read_bytes().startswith(b"\x89PNG")
+    assert (outcome.output / "report.html").read_text().endswith("</html>\n")
+
+
+def test_no_process_is_left(outcome):
+    assert marked(outcome.mark) == []
+
+
+def test_the_recording_gives_the_same_figures_and_replays(outcome):
+    recordings = read_all(outcome.output / "recording.mcap")
+    circularity = analyse(recordings)
+    assert circularity.uncompensated.left_out == circularity.compensated.left_out == 0
+    shown = json.loads(outcome.done.stdout)["axes"]
+    for name, recording in recordings.items():
+        assert shown[name]["compensated"]["rms"] == circularity.compensated.figures[name].rms
+        assert verify(recording).is_verified
+        assert not any(recording["compensation"][recording["is_enabled"] == 0.0][:1000])
+
+
+def test_progress_is_on_stderr(outcome):
+    assert outcome.done.stderr.splitlines() == [
+        "starting the simulated drives ...",
+        "starting the daemon ...",
+        "drawing the circle in simulated time ...",
+        "making the report ...",
+    ]
+
+
+def test_a_former_demo_may_be_replaced_and_nothing_else(outcome, tmp_path):
+    demo.claim(outcome.output)
+    for name in (demo.REPORT, demo.PICTURE, demo.RECORDING):
+        foreign = tmp_path / name
+        foreign.write_text("mine")
+        with pytest.raises(UsageError, match=name):
+            demo.claim(tmp_path)
+        assert foreign.read_text() == "mine"
+        foreign.unlink()
+
+
+def test_foreign_files_are_refused_before_anything_starts(tmp_path, capsys):
+    (tmp_path / demo.PICTURE).write_text("mine")
+    assert main(["demo", "--output", str(tmp_path)]) == 2
+    said = capsys.readouterr().err
+    assert "no former demo made it" in said
+    assert "starting" not in said
+    assert [path.name for path in tmp_path.iterdir()] == [demo.PICTURE]
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_interruption_ends_everything(tmp_path, number):
+    mark = str(uuid.uuid4())
+    process = subprocess.Popen(
+        [*COMMAND, "--pace", "sync", "--output", str(tmp_path)],
+        env={**os.environ, "FRICTION_HIL_TEST": mark},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    with process:
+        while not process.stderr.readline().startswith("drawing"):
+            assert process.poll() is None
+        assert len(marked(mark)) >= 3
+        process.send_signal(number)
+        _, said = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "Traceback" not in said
+    assert marked(mark) == []
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_killed_demo_leaves_no_process(tmp_path):
+    mark = str(uuid.uuid4())
+    process = subprocess.Popen(
+        [*COMMAND, "--pace", "sync", "--output", str(tmp_path)],
+        env={**os.environ, "FRICTION_HIL_TEST": mark},
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    with process:
+        while not process.stderr.readline().startswith("drawing"):
+            assert process.poll() is None
+        children = [int(pid) for pid in marked(mark) if int(pid) != process.pid]
+        handles = [os.pidfd_open(pid) for pid in children]
+        process.kill()
+    poll = select.poll()
+    for handle in handles:
+        poll.register(handle, select.POLLIN)
+    waiting = set(handles)
+    while waiting:
+        ended = poll.poll(60_000)
+        assert ended, "a child outlives the demo"
+        for handle, _ in ended:
+            poll.unregister(handle)
+            os.close(handle)
+            waiting.discard(handle)
+
+
+def test_a_bus_that_does_not_open_is_explained(tmp_path):
+    bare = ["unshare", "--user", "--map-root-user", "--net"]
+    if subprocess.run([*bare, "true"], capture_output=True, check=False).returncode:
+        pytest.skip("this machine lets nobody make a network of their own (unshare)")
+    outcome = Outcome(tmp_path, *bare)
+    assert outcome.done.returncode == 1
+    assert outcome.done.stdout == ""
+    assert "'friction-hil simulate' failed:\nError: the bus udp_multicast" in outcome.done.stderr
+    assert "ip route add 239.0.0.0/8 dev lo" in outcome.done.stderr
+    assert "Traceback" not in outcome.done.stderr
+    assert marked(outcome.mark) == []
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("size", "status"), [(5e-4, 0), (4e-3, 1)])
+def test_exit_status_tells_whether_compensation_helped(size, status, tmp_path, monkeypatch, capsys):
+    circularity = analyse(make_circle(compensated=lambda angle: size + 0.0 * angle))
+    loop = {"cycles": 1, "late_p50_us": 1.0, "late_p99_us": 2.0, "missed": 0}
+    made = demo.Demo(circularity, loop, tmp_path / "a", tmp_path / "b", tmp_path / "c")
+    monkeypatch.setattr(demo, "run_demo", lambda *_: made)
+    for options in ([], ["--json"]):
+        assert main(["demo", *options]) == status
+        said = capsys.readouterr()
+        assert ("compensation did not help: x rms" in said.err) == (status == 1)
+    assert json.loads(said.out)["axes"]["x"]["uncompensated"]["peak"] == pytest.approx(2e-3)

@@ -1,0 +1,303 @@
+"""One drive in the cyclic phase: the bytes of its frames in, feedback out; commands in, bytes out."""
+
+import math
+import struct
+
+import pytest
+from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen.axis import CanopenAxis
+from friction_hil_drivers.canopen.configure import ConfiguredDrive
+from friction_hil_drivers.canopen.mapping import COMMANDS, FEEDBACK, Pdo
+from friction_hil_drivers.canopen.units import Units
+from hypothesis import given
+from hypothesis import strategies as st
+
+from friction_hil.drive import AxisFacts, Command, DriveState, Feedback, Mode, Request
+from friction_hil.errors import DriveError
+
+NODE = 5
+TPDO1, TPDO2, RPDO1, EMCY, HEARTBEAT = 0x185, 0x285, 0x205, 0x085, 0x705
+UNITS = Units(1000.0, 500.0, 0.64)
+LAYOUTS = {Mode.CSP: "<Hih", Mode.CSV: "<Hih", Mode.CST: "<Hh"}
+MS = 1_000_000
+BOOT_UP, STOPPED, OPERATIONAL, PRE_OPERATIONAL = b"\x00", b"\x04", b"\x05", b"\x7f"
+
+
+class Bench:
+    """The axis, fed with frames in hexadecimal."""
+
+    def __init__(self, mode=Mode.CSP, units=UNITS, *, is_listened_to=False, error="", heartbeat_s=0.1):
+        tpdos = (
+            Pdo(TPDO1, FEEDBACK[0], struct.Struct("<Hih")),
+            Pdo(TPDO2, FEEDBACK[1], struct.Struct("<ib")),
+        )
+        rpdo = None if is_listened_to else Pdo(RPDO1, COMMANDS[mode], struct.Struct(LAYOUTS[mode]))
+        facts = AxisFacts("x", "a drive", 1e-3, 6.4e-4, 2.5e-3, 1.5e-3)
+        self.axis = CanopenAxis(ConfiguredDrive(facts, units, mode, tpdos, rpdo, error), NODE, heartbeat_s)
+        self.axis.begin(0)
+        self.now_ns = 0
+
+    def cycle(self, *frames, after_ms=1):
+        """One period: SYNC, then frames (identifier, data); the feedback."""
+        self.now_ns += after_ms * MS
+        self.axis.expect(self.now_ns)
+        for can_id, data in frames:
+            self.axis.handlers[can_id](bytes.fromhex(data) if isinstance(data, str) else data)
+        feedback = Feedback()
+        self.axis.fill(feedback, self.now_ns)
+        return feedback
+
+    def heard(self, state=0x0637, counts=0, torque=0, velocity=0, mode=8, **what):
+        """A cycle in which everything arrives."""
+        first, second = struct.pack("<Hih", state, counts, torque), struct.pack("<ib", velocity, mode)
+        return self.cycle((TPDO1, first), (TPDO2, second), **what)
+
+    def command(self, request, position=0.0, velocity=0.0, torque=0.0):
+        can_id, data = self.axis.command_frame(Command(request, position, velocity, torque))
+        assert can_id == RPDO1
+        return data.hex()
+
+
+# --- feedback
+
+
+def test_frames_become_si_values():
+    feedback = Bench().cycle((TPDO1, "3706 e8030000 f4ff"), (TPDO2, "18fcffff 08"))
+    assert feedback == Feedback(1.0, -2.0, pytest.approx(-12 * 0.64e-3), DriveState.OPERATION_ENABLED, True, "", "")
+
+
+def test_an_inverted_axis_turns_all_signs():
+    feedback = Bench(units=Units(-1000.0, -500.0, -0.64)).cycle((TPDO1, "3706 e8030000 f4ff"), (TPDO2, "18fcffff 08"))
+    assert (feedback.position, feedback.velocity) == (-1.0, 2.0)
+    assert feedback.torque == pytest.approx(12 * 0.64e-3)
+
+
+def test_the_order_of_frames_does_not_matter_but_their_cycle_does():
+    bench = Bench()
+    assert bench.cycle((TPDO2, "00000000 08"), (TPDO1, "3706 e8030000 0000")).is_fresh
+    bench.axis.handlers[TPDO1](bytes.fromhex("3706d00700000000"))  # too late for the last cycle, before this SYNC
+    feedback = bench.cycle((TPDO2, "00000000 08"))
+    assert not feedback.is_fresh
+    assert feedback.position == 1.0
+
+
+@pytest.mark.parametrize(
+    "frames",
+    [
+        [],
+        [(TPDO1, "2106 d0070000 0000")],
+        [(TPDO2, "d0070000 08")],
+        [(TPDO1, "2106 d0070000 00"), (TPDO2, "d0070000 08")],  # a byte short
+        [(TPDO1, "2106 d0070000 0000"), (TPDO2, "d0070000")],
+        [(TPDO1, ""), (TPDO2, "")],
+    ],
+)
+def test_half_a_cycle_changes_nothing(frames):
+    """No torn snapshot: the values of the last complete cycle stay, and are marked as old."""
+    bench = Bench()
+    before = bench.heard(counts=1000, velocity=250, torque=7)
+    after = bench.cycle(*frames)
+    assert not after.is_fresh
+    after.is_fresh = True
+    assert after == before
+
+
+def test_before_anything_was_heard_nothing_is_known():
+    feedback = Bench().cycle()
+    assert (feedback.is_fresh, feedback.state) == (False, DriveState.UNKNOWN)
+
+
+def test_longer_frames_are_read_from_their_beginning_and_a_repeated_one_does_not_count():
+    bench = Bench()
+    feedback = bench.cycle((TPDO1, "3706 e8030000 0000"), (TPDO1, "3706 d0070000 0000"), (TPDO2, "00000000 08 ffffff"))
+    assert feedback.is_fresh
+    assert feedback.position == 1.0
+
+
+def test_a_position_goes_on_through_the_wrap_of_the_counter():
+    bench = Bench()
+    edge = (1 << 31) - 1
+    positions = [bench.heard(counts=counts).position for counts in (edge - 5, edge, -edge - 1, -edge + 8, edge - 1)]
+    expected = [edge - 5, edge, edge + 1, edge + 10, edge - 1]
+    assert positions == pytest.approx([counts / 1000.0 for counts in expected], abs=1e-9)
+    # and what is sent back is in the drive's own counts again
+    bench.heard(counts=-edge)
+    assert bench.command(Request.ENABLE, position=(edge + 3) / 1000.0)[4:12] == struct.pack("<i", -edge + 1).hex()
+
+
+@pytest.mark.parametrize(
+    ("word", "state"),
+    [
+        (0x0250, DriveState.SWITCH_ON_DISABLED),
+        (0x0231, DriveState.READY_TO_SWITCH_ON),
+        (0x0233, DriveState.SWITCHED_ON),
+        (0x1237, DriveState.OPERATION_ENABLED),
+        (0x0217, DriveState.QUICK_STOP_ACTIVE),
+        (0x021F, DriveState.FAULT_REACTION_ACTIVE),
+        (0x0218, DriveState.FAULT),
+        (0x0200, DriveState.NOT_READY),
+    ],
+)
+def test_the_statusword_is_decoded_by_its_state_bits(word, state):
+    assert Bench().heard(state=word).state is state
+
+
+# --- what is wrong
+
+
+def test_a_drive_in_another_mode_than_asked_for_is_told_once_it_is_enabled():
+    bench = Bench(Mode.CSP)
+    assert bench.heard(state=0x0233, mode=0).message == ""
+    assert bench.heard(state=0x0237, mode=10).message == "the drive is in mode 10 and not in CSP (8)"
+    assert Bench(Mode.CST).heard(mode=10).message == ""
+    assert Bench(is_listened_to=True).heard(mode=3).message == ""  # somebody else's business
+
+
+@pytest.mark.parametrize(
+    ("data", "error"),
+    [
+        ("1186 20 0000000000", "8611h following error"),
+        ("3081 10 0000000000", "8130h heartbeat or life guard lost"),
+        ("1186 20", "8611h following error"),  # some drives send short ones
+        ("00ff 81 0102030405", "FF00h additional functions"),
+        ("1186", "as before"),
+        ("", "as before"),
+    ],
+)
+def test_an_emergency_says_what_the_error_is(data, error):
+    bench = Bench(error="as before")
+    feedback = bench.cycle((EMCY, data))
+    assert feedback.error == error
+    assert bench.cycle((EMCY, "0000 00 0000000000")).error == ""  # error reset
+
+
+def test_a_drive_that_restarts_is_told_and_not_forgotten():
+    bench = Bench()
+    bench.heard()
+    bench.axis.handlers[HEARTBEAT](BOOT_UP)
+    assert bench.heard().message == "node 5 restarted (boot-up message)"
+    bench.axis.handlers[HEARTBEAT](OPERATIONAL)
+    assert bench.heard().message == "node 5 restarted (boot-up message)"
+
+
+@pytest.mark.parametrize(("state", "name"), [(PRE_OPERATIONAL, "pre-operational"), (STOPPED, "stopped")])
+def test_a_drive_that_leaves_operational_is_told(state, name):
+    bench = Bench()
+    bench.axis.handlers[HEARTBEAT](state)  # on its way up
+    assert bench.heard().message == ""
+    bench.axis.handlers[HEARTBEAT](OPERATIONAL)
+    bench.axis.handlers[HEARTBEAT](bytes([state[0] | 0x80]))  # the toggle bit of node guarding is no state
+    assert bench.heard().message == f"node 5 left Operational: it is {name}"
+
+
+def test_three_missing_heartbeats_are_a_loss():
+    bench = Bench(heartbeat_s=0.1)
+    assert bench.heard(after_ms=5000).message == ""  # it never had one
+    bench.axis.handlers[HEARTBEAT](OPERATIONAL)
+    for _ in range(5):
+        assert bench.heard(after_ms=150).message == ""
+        bench.axis.handlers[HEARTBEAT](OPERATIONAL)
+    assert bench.heard(after_ms=300).message == ""
+    assert bench.heard(after_ms=1).message == "no heartbeat from node 5 for more than 300 ms"
+    bench.axis.handlers[HEARTBEAT](OPERATIONAL)
+    assert "no heartbeat" in bench.heard().message  # one loss is one too many
+
+
+@given(st.lists(st.tuples(st.sampled_from([TPDO1, TPDO2, EMCY, HEARTBEAT]), st.binary(max_size=8)), max_size=30))
+def test_no_bytes_on_the_bus_break_the_decoder(frames):
+    bench = Bench()
+    for start in range(0, len(frames), 4):
+        feedback = bench.cycle(*frames[start : start + 4])
+        assert all(map(math.isfinite, (feedback.position, feedback.velocity, feedback.torque)))
+        assert isinstance(feedback.state, DriveState)
+        bench.command(Request.ENABLE)
+
+
+# --- commands
+
+
+@pytest.mark.parametrize(
+    ("mode", "data"),
+    [(Mode.CSP, "0f00 dc050000 9cff"), (Mode.CSV, "0f00 18fcffff 9cff"), (Mode.CST, "0f00 9cff")],
+)
+def test_a_command_is_packed_as_it_is_mapped(mode, data):
+    bench = Bench(mode)
+    bench.heard()
+    assert bench.command(Request.ENABLE, 1.5, -2.0, -0.064) == data.replace(" ", "")
+
+
+@pytest.mark.parametrize(
+    ("word", "wish", "sent"),
+    [
+        (0x0250, Request.ENABLE, 0x06),
+        (0x0231, Request.ENABLE, 0x07),
+        (0x0233, Request.ENABLE, 0x0F),
+        (0x0237, Request.ENABLE, 0x0F),
+        (0x0217, Request.ENABLE, 0x00),  # out of the quick stop, by way of Switch On Disabled
+        (0x0218, Request.ENABLE, 0x00),  # a fault stays
+        (0x0237, Request.QUICK_STOP, 0x02),
+        (0x0217, Request.QUICK_STOP, 0x02),
+        (0x0237, Request.DISABLE, 0x07),
+        (0x0233, Request.DISABLE, 0x06),
+        (0x0217, Request.DISABLE, 0x00),
+        (0x0218, Request.DISABLE, 0x00),
+    ],
+)
+def test_the_controlword_leads_one_step_towards_what_is_requested(word, wish, sent):
+    bench = Bench()
+    bench.heard(state=word)
+    assert bench.command(wish)[:4] == struct.pack("<H", sent).hex()
+
+
+def test_as_long_as_nothing_was_heard_a_drive_is_not_enabled():
+    assert Bench().command(Request.ENABLE)[:4] == "0000"
+
+
+def test_a_fault_is_reset_by_a_rising_edge_and_only_in_fault():
+    bench = Bench()
+    bench.heard(state=0x0218)
+    words = [bench.command(Request.RESET_FAULT)[:4] for _ in range(4)]
+    assert words == ["8000", "0000", "8000", "0000"]
+    bench.heard(state=0x0250)
+    assert bench.command(Request.RESET_FAULT)[:4] == "0000"
+    assert bench.command(Request.ENABLE)[:4] == "0600"
+
+
+@pytest.mark.parametrize("mode", [Mode.CSP, Mode.CSV, Mode.CST])
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_a_command_that_is_not_finite_makes_no_frame(mode, value):
+    bench = Bench(mode)
+    bench.heard()
+    with pytest.raises(ValueError, match="cannot be sent"):
+        bench.command(Request.ENABLE, torque=value)
+    if mode is not Mode.CST:
+        with pytest.raises(ValueError, match="cannot be sent"):
+            bench.command(Request.ENABLE, position=value, velocity=value)
+
+
+def test_a_torque_beyond_16_bits_saturates():
+    bench = Bench(Mode.CST)
+    bench.heard()
+    assert bench.command(Request.ENABLE, torque=1e6) == "0f00ff7f"
+    assert bench.command(Request.ENABLE, torque=-1e6) == "0f000080"
+
+
+def test_a_drive_that_is_only_listened_to_gets_no_command():
+    bench = Bench(is_listened_to=True)
+    bench.heard()
+    with pytest.raises(DriveError, match="x: a drive that is only listened to"):
+        bench.axis.command_frame(Command(Request.DISABLE))
+    assert [pdo.cob_id for pdo in bench.axis.pdos] == [TPDO1, TPDO2]
+
+
+def test_a_double_decodes_by_itself():
+    bench = Bench()
+    bench.heard(counts=1000)
+    double = bench.axis.double()
+    double.handlers[TPDO1](struct.pack("<Hih", 0x0218, 77, 0))
+    double.handlers[TPDO2](bytes(5))
+    feedback = Feedback()
+    double.fill(feedback, 0)
+    assert feedback.state is DriveState.FAULT
+    assert bench.cycle().state is DriveState.OPERATION_ENABLED
+    assert objects.TPDO_BASES[0] + NODE == TPDO1

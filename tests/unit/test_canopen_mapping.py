@@ -1,0 +1,187 @@
+"""PDO mapping against a simulated drive's SDO server, and what a cycle costs on the wire."""
+
+import re
+from collections.abc import Callable, Iterator
+
+import can
+import canopen
+import pytest
+from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen.eds import SIMULATED_SERVO
+from friction_hil_drivers.canopen.mapping import (
+    COMMANDS,
+    FEEDBACK,
+    check_bus_load,
+    frame_bits,
+    map_pdo,
+    switch_off,
+    wire_time_s,
+)
+from friction_hil_drivers.canopen.sdo import ObjectAccess
+
+from friction_hil.drive import Mode
+from friction_hil.errors import DriveError
+from tests.canopen_bench import NODE, Bench
+
+
+class Wire(can.BusABC):
+    """Hands the master's frames to the node and the node's answers back, at once; ``garble`` may change these."""
+
+    def __init__(self, network, bench):
+        super().__init__(channel="wire")
+        self.network, self.bench = network, bench
+        self.garble = lambda data: data
+        self.requests = []
+
+    def send(self, msg, timeout=None):
+        self.requests.append(bytes(msg.data))
+        for can_id, data in self.bench.send(msg.arbitration_id, bytes(msg.data)):
+            self.network.notify(can_id, bytearray(self.garble(data)), 0.0)
+
+
+class Drive:
+    """A simulated drive and the SDO access to it."""
+
+    def __init__(self, **settings):
+        network = canopen.Network()
+        self.bench = Bench(**settings)
+        network.bus = self.wire = Wire(network, self.bench)
+        node = network.add_node(NODE, object_dictionary=None)
+        self.access = ObjectAccess(node, "x", f"node {NODE} on a wire")
+
+    def map(self, entries, *, is_receive=False, number=0, event_ms=0):
+        return map_pdo(self.access, is_receive=is_receive, number=number, node=NODE, entries=entries, event_ms=event_ms)
+
+
+@pytest.fixture
+def make() -> Iterator[Callable[..., Drive]]:
+    drives = []
+
+    def one(**settings):
+        drives.append(Drive(**settings))
+        return drives[-1]
+
+    yield one
+    for drive in drives:
+        drive.wire.shutdown()
+
+
+@pytest.fixture
+def drive(make) -> Drive:
+    return make()
+
+
+def test_feedback_is_mapped_and_comes_with_every_sync(drive):
+    pdos = [drive.map(entries, number=number) for number, entries in enumerate(FEEDBACK)]
+    assert [(pdo.cob_id, pdo.layout.format) for pdo in pdos] == [(0x185, "<Hih"), (0x285, "<ib")]
+    assert drive.bench.read(0x1A00, 0, "B") == 3
+    assert [drive.bench.read(0x1A00, k) for k in (1, 2, 3)] == [0x60410010, 0x60640020, 0x60770010]
+    assert drive.bench.read(0x1800, 2, "B") == 1
+    drive.bench.nmt(0x01)
+    frames = dict(drive.bench.sync())
+    assert {can_id: len(data) for can_id, data in frames.items()} == {0x185: 8, 0x285: 5}
+    word, counts, _ = pdos[0].layout.unpack(frames[0x185])
+    assert word & 0x6F == 0x40
+    assert counts == drive.bench.read(0x6064, 0, "i")
+
+
+@pytest.mark.parametrize("mode", Mode)
+def test_commands_are_mapped_and_take_effect(drive, mode):
+    pdo = drive.map(COMMANDS[mode], is_receive=True, event_ms=20)
+    assert pdo.cob_id == 0x205
+    assert drive.bench.read(0x1400, 5, "H") == 20
+    drive.bench.nmt(0x01)
+    drive.bench.send(pdo.cob_id, pdo.layout.pack(0x06, *range(5, 5 + len(COMMANDS[mode]) - 1)))
+    drive.bench.sync()
+    assert drive.bench.statusword & 0x6F == 0x21
+    assert drive.bench.read(COMMANDS[mode][1].index, 0, "i" if mode is not Mode.CST else "h") == 5
+
+
+def test_mapping_again_replaces_what_was_there(drive):
+    drive.map(FEEDBACK[0])
+    pdo = drive.map(FEEDBACK[1])
+    assert drive.bench.read(0x1A00, 0, "B") == len(pdo.entries) == 2
+    assert drive.bench.read(0x1800, 1) == 0x185
+
+
+def test_a_pdo_is_switched_off_while_its_mapping_changes(drive):
+    """As CiA 301 prescribes; a drive refuses it otherwise."""
+    drive.map(FEEDBACK[0])
+    drive.wire.requests.clear()
+    drive.map(FEEDBACK[1])
+    downloads = [data for data in drive.wire.requests if data[0] & 0xE0 == 0x20]
+    addresses = [int.from_bytes(data[1:3], "little") for data in downloads]
+    assert addresses[0] == addresses[-1] == 0x1800
+    assert int.from_bytes(downloads[0][4:8], "little") == 0x80000185
+    assert int.from_bytes(downloads[-1][4:8], "little") == 0x185
+
+
+def test_the_width_is_the_drives_own(tmp_path, make):
+    """60B2h has 32 bits in some drives: mapped with 16 every later field would be plausible garbage."""
+    text = SIMULATED_SERVO.read_text()
+    wide = re.sub(r"(\[60B2\].*?DataType=)0x0003", r"\g<1>0x0004", text, count=1, flags=re.DOTALL)
+    assert wide != text
+    path = tmp_path / "wide.eds"
+    path.write_text(wide)
+    drive = make(eds=path)
+    pdo = drive.map(COMMANDS[Mode.CSV][::2], is_receive=True)  # controlword and torque offset
+    assert pdo.layout.format == "<Hi"
+    assert drive.bench.read(0x1600, 2) == 0x60B20020
+    with pytest.raises(DriveError, match=r"x: .*60B2h torque offset need 10 bytes on this drive; RPDO 1 carries 8"):
+        drive.map(COMMANDS[Mode.CSP], is_receive=True)
+
+
+def test_a_missing_object_is_named(make):
+    drive = make(missing=[0x60B2])
+    with pytest.raises(
+        DriveError, match="x: node 5 on a wire lacks object 60B2h torque offset, which belongs into RPDO 1"
+    ):
+        drive.map(COMMANDS[Mode.CSP], is_receive=True)
+
+
+def test_a_drive_that_keeps_another_mapping_is_found_out(drive):
+    upload_of_second = bytes.fromhex("43001a02")
+    drive.wire.garble = lambda data: data[:4] + bytes.fromhex("20006c60") if data[:4] == upload_of_second else data
+    with pytest.raises(DriveError, match="TPDO 1 of node 5 on a wire holds 606C0020h at position 2 after 60640020h"):
+        drive.map(FEEDBACK[0])
+
+
+def test_unused_pdos_are_switched_off_once(drive):
+    drive.map(FEEDBACK[0], number=2)
+    assert drive.bench.read(0x1802, 1) == 0x385
+    switch_off(drive.access, is_receive=False, number=2, node=NODE)
+    assert drive.bench.read(0x1802, 1) & objects.PDO_INVALID
+    drive.wire.requests.clear()
+    switch_off(drive.access, is_receive=False, number=2, node=NODE)
+    assert all(data[0] == 0x40 for data in drive.wire.requests)  # it only looked
+
+
+def test_a_pdo_that_the_drive_does_not_have_needs_no_switching_off(make):
+    drive = make(missing=[0x1803, 0x1A03])
+    switch_off(drive.access, is_receive=False, number=3, node=NODE)
+
+
+# --- time on the wire: figures of CAN at 1 Mbit/s with worst-case stuffing
+
+
+def test_frames_have_their_known_length():
+    assert {size: frame_bits(size) for size in (0, 4, 8)} == {0: 55, 4: 95, 8: 135}
+
+
+@pytest.mark.parametrize(("axes", "microseconds"), [(1, 285), (2, 515), (3, 745), (4, 975)])
+def test_a_cycle_takes_its_known_time(drive, axes, microseconds):
+    feedback = drive.map(FEEDBACK[0])  # 8 bytes
+    command = drive.map(COMMANDS[Mode.CST], is_receive=True)  # 4 bytes
+    assert wire_time_s(1_000_000, [feedback, command] * axes) == pytest.approx(microseconds * 1e-6)
+
+
+def test_a_cycle_that_does_not_fit_is_refused_with_the_arithmetic(drive):
+    pdos = [drive.map(FEEDBACK[0]), drive.map(FEEDBACK[1], number=1), drive.map(COMMANDS[Mode.CSP], is_receive=True)]
+    bits = 55 + 135 + frame_bits(5) + 135
+    check_bus_load(1_000_000, 1e-3, pdos * 2)
+    check_bus_load(500_000, 2.0 * bits / 500_000, pdos)
+    with pytest.raises(DriveError) as caught:
+        check_bus_load(1_000_000, 1e-3, pdos * 3)
+    needed = 55 + 3 * (bits - 55)
+    assert f"needs {needed} us on the bus at 1000000 bit/s (SYNC 55 + PDOs 135 +" in str(caught.value)
+    assert "more than 90 % of the period of 1000 us" in str(caught.value)

@@ -1,0 +1,289 @@
+"""The circularity test on circles that are known exactly: laps, figures, what is left out, pictures, report."""
+
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from friction_hil.config import from_dict, self_contained
+from friction_hil.errors import RecordingError
+from friction_hil.recordings import Recording
+from friction_hil.reports.circularity import RECOVERY_S, SETTLE_S, analyse, digits, duration_s, readable
+from friction_hil.reports.circularity_picture import WITH, WITHOUT, division, draw_circle, draw_error, draw_friction
+from friction_hil.reports.circularity_report import MARK, write_report
+from friction_hil.safety import LoopState
+from tests.servo_drives import PERIOD_S, axis_dict
+
+RADIUS, FREQUENCY, BASELINE_S, FADE_S, RAMP_S = 0.5, 2.0, 2.0, 0.1, 0.25
+LAP = round(1.0 / (FREQUENCY * PERIOD_S))
+START = 40  # cycles before the motion
+
+
+def make_configuration(*, phases=(0.0, -np.pi / 2), laps=2, **changes):
+    axes = {}
+    for node, (name, phase) in enumerate(zip("xy", phases, strict=True), start=1):
+        circle = {"kind": "circle", "radius": RADIUS, "frequency": FREQUENCY, "phase": phase, "ramp_s": RAMP_S}
+        axes[name] = {
+            **axis_dict(node=node, trajectory=circle, simulation={}, compensation={"fade_s": FADE_S, "gain": 0.9}),
+            **changes.get(name, {}),
+        }
+        axes[name]["compensation"]["baseline_s"] = BASELINE_S
+    bus = {"interface": "virtual", "channel": "test"}
+    return from_dict({"version": 1, "period_s": PERIOD_S, "bus": bus, "axes": axes}, "test")
+
+
+def make_circle(
+    without=lambda angle: 2e-3 + 0.0 * angle,
+    compensated=lambda angle: 5e-4 + 0.0 * angle,
+    *,
+    centre=(0.3, -0.2),
+    phases=(0.0, -np.pi / 2),
+    laps=2,
+    **changes,
+):
+    """A run whose radius error over the angle is known in the laps, and wild where no lap may be."""
+    configuration = make_configuration(phases=phases, **changes)
+    running = round(duration_s(configuration, laps) / PERIOD_S)
+    cycle = np.arange(START + running + 30, dtype=float)
+    moving_s = (cycle - START) * PERIOD_S
+    is_running = (cycle >= START) & (cycle < START + running)
+    is_on = is_running & (moving_s >= BASELINE_S - 1e-9)
+    turn = 2.0 * np.pi * FREQUENCY * cycle * PERIOD_S
+    demand = [RADIUS * np.cos(turn + phase) for phase in phases]
+    angle = np.arctan2(demand[1], demand[0])
+    steady = RAMP_S + SETTLE_S, BASELINE_S + FADE_S + SETTLE_S
+    error = np.where(is_on, compensated(angle), without(angle))
+    error[moving_s < steady[0] - 1e-9] = 0.05
+    error[is_on & (moving_s < steady[1] - 1e-9)] = 0.05
+    recordings = {}
+    for name, middle, wanted in zip("xy", centre, demand, strict=True):
+        columns = {
+            "time_s": cycle * PERIOD_S,
+            "cycle": cycle,
+            "position": middle + wanted * (1.0 + error / RADIUS),
+            "position_demand": np.where(is_running, middle + wanted, np.nan),
+            "velocity_estimate": np.gradient(wanted, PERIOD_S),
+            "compensation": np.where(is_on, 0.08 * np.sign(np.gradient(wanted)), 0.0),
+            "is_fresh": np.ones_like(cycle),
+            "is_enabled": is_on.astype(float),
+            "state": np.where(is_running, float(LoopState.RUNNING), float(LoopState.IDLE)),
+        }
+        metadata = {"configuration": self_contained(configuration)}
+        recordings[name] = Recording("circle.mcap", name, columns, metadata)
+    return recordings
+
+
+def drop(recordings, rows):
+    """Miss some periods."""
+    for recording in recordings.values():
+        recording.columns = {name: np.delete(values, rows) for name, values in recording.columns.items()}
+
+
+def test_figures_are_those_of_a_constant_radius_error():
+    result = analyse(make_circle())
+    assert result.unit == "rad"
+    for laps, size in ((result.uncompensated, 2e-3), (result.compensated, 5e-4)):
+        assert (laps.count, laps.rows, laps.left_out) == (2, 2 * LAP, 0)
+        np.testing.assert_allclose(laps.radius_error, size, rtol=1e-6)
+        assert laps.circular_range == pytest.approx(0.0, abs=1e-9)
+        for figures in laps.figures.values():  # the error of one axis is size cos(angle)
+            assert figures.rms == pytest.approx(size / np.sqrt(2.0))
+            assert figures.peak == pytest.approx(size)
+    assert result.factor("x", "rms") == pytest.approx(4.0)
+    assert result.not_helped == []
+
+
+@settings(deadline=None, max_examples=30)
+@given(
+    st.tuples(st.floats(-100.0, 100.0), st.floats(-100.0, 100.0)),
+    st.floats(-3.0, 3.0),
+    st.sampled_from([-0.5 * np.pi, 0.5 * np.pi]),
+    st.integers(1, 6),
+)
+def test_radius_error_is_found_wherever_and_however_the_circle_is_drawn(centre, phase, quarter, order):
+    def error(angle):
+        return 1e-3 * np.cos(order * angle)
+
+    result = analyse(make_circle(error, centre=centre, phases=(phase, phase + quarter), laps=1))
+    laps = result.uncompensated
+    np.testing.assert_allclose(laps.radius_error, error(laps.angle), atol=1e-9)
+    assert laps.angle.size == LAP
+    assert laps.circular_range == pytest.approx(2e-3, rel=1e-3)
+
+
+def test_a_missed_period_leaves_out_what_it_disturbs():
+    recordings = make_circle()
+    at = START + round(1.2 / PERIOD_S)  # in the laps without compensation
+    disturbed = slice(at, at + round(RECOVERY_S / PERIOD_S))
+    recordings["x"].columns["position"][disturbed] += 0.3
+    drop(recordings, [at - 1])
+    result = analyse(recordings)
+    assert result.uncompensated.left_out == 1 + round(RECOVERY_S / PERIOD_S)
+    assert result.compensated.left_out == 0
+    assert result.uncompensated.figures["x"].peak == pytest.approx(2e-3, rel=1e-2)
+
+
+def test_late_feedback_of_one_axis_counts_for_neither():
+    recordings = make_circle()
+    at = START + round(3.0 / PERIOD_S)
+    recordings["y"].columns["is_fresh"][at] = 0.0
+    recordings["y"].columns["position"][at : at + 3] += 0.3  # one old value, then answers to former cycles
+    result = analyse(recordings)
+    assert result.compensated.left_out == round(RECOVERY_S / PERIOD_S)
+    assert result.compensated.figures["y"].peak == pytest.approx(5e-4, rel=1e-2)
+    assert np.isnan(result.columns["y"]["error"][at])
+
+
+def test_what_was_too_disturbed_is_no_result():
+    recordings = make_circle()
+    recordings["x"].columns["is_fresh"][:: round(RECOVERY_S / PERIOD_S)] = 0.0
+    with pytest.raises(RecordingError, match=r"only 0 of 1000 periods.*too busy"):
+        analyse(recordings)
+
+
+def test_what_became_worse_is_named():
+    result = analyse(make_circle(compensated=lambda angle: 2.1e-3 * (np.abs(np.cos(angle)) > 0.95)))
+    assert result.not_helped == ["x peak"]
+
+
+def test_equal_is_no_help():
+    same = analyse(make_circle(compensated=lambda angle: 2.001e-3 + 0.0 * angle))
+    assert same.not_helped == ["x rms", "x peak", "y rms", "y peak"]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda r: r.pop("y"), "takes two axes, here are 1"),
+        (lambda r: r["x"].metadata.clear(), "no configuration"),
+        (lambda r: r["x"].columns.pop("is_enabled"), "no column is_enabled"),
+        (lambda r: drop(r, slice(2500, None)), "only 1.25 s without compensation, 0 s with compensation"),
+        (lambda r: r["x"].columns.update(state=0.0 * r["x"]["state"]), "only 0 s without compensation"),
+    ],
+)
+def test_what_is_no_such_run_is_refused(spoil, message):
+    recordings = make_circle()
+    spoil(recordings)
+    with pytest.raises(RecordingError, match=message):
+        analyse(recordings)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"phases": (0.0, 0.0)}, "a quarter of a turn apart"),
+        ({"x": {"trajectory": {"kind": "hold"}}}, "no circle: x: hold, y: circle"),
+        ({"x": {"trajectory": {"kind": "circle", "radius": 0.4, "frequency": 2.0}}}, "one radius"),
+    ],
+)
+def test_what_is_no_circle_is_refused(changes, message):
+    with pytest.raises(RecordingError, match=message):
+        analyse(make_circle(**changes))
+
+
+def test_duration_holds_the_laps_that_were_asked_for():
+    for laps in (1, 2):
+        assert analyse(make_circle(laps=laps)).compensated.count == laps
+
+
+@given(st.floats(1e-12, 1e6))
+def test_three_rings_reach_the_largest_error(largest):
+    ring = division(largest)
+    assert largest <= 3.0 * ring * (1.0 + 1e-6)
+    assert 3.0 * ring <= largest * 2.5 * (1.0 + 1e-6)
+    assert float(f"{ring:.0e}") == pytest.approx(ring)
+    assert f"{ring:.0e}"[0] in "125"
+
+
+def test_numbers_for_people():
+    texts = [digits(value) for value in (2416.4, 42.48, 6.194, 0.0123, 0.0)]
+    assert texts == ["2416", "42.5", "6.19", "0.0123", "0"]
+    assert digits(13.4, 1) == "13"
+    assert readable("rad", [3.6e-5, 2.4e-3]) == (1e6, "µrad")
+    assert readable("m", [0.02, 3.0]) == (1e3, "mm")
+    assert readable("m", [1e-9]) == (1e9, "nm")
+
+
+def curve(figure, color):
+    (axes,) = figure.axes
+    (line,) = [each for each in axes.lines if each.get_color() == color]
+    return line.get_xdata(), line.get_ydata()
+
+
+def test_the_circle_is_magnified_as_it_says():
+    result = analyse(make_circle(lambda angle: 2.9e-3 * np.cos(angle)))
+    figure = draw_circle(result)
+    texts = [text.get_text() for text in (*figure.texts, *figure.axes[0].texts)]
+    assert any("magnified 100 times" in text for text in texts)
+    assert any("from ring to ring 1 mrad" in text for text in texts)
+    for laps, color in ((result.uncompensated, WITHOUT), (result.compensated, WITH)):
+        x, y = curve(figure, color)
+        np.testing.assert_allclose(np.hypot(x, y), 1.0 + 100.0 * laps.radius_error / RADIUS)
+        np.testing.assert_allclose(np.arctan2(y, x), laps.angle, atol=1e-9)
+    assert {"+3 mrad", "−3 mrad", "x reverses", "y reverses"} <= set(texts)
+
+
+def test_nothing_is_drawn_across_what_is_left_out():
+    recordings = make_circle()
+    drop(recordings, [START + round(1.2 / PERIOD_S)])
+    result = analyse(recordings)
+    x, _ = curve(draw_circle(result), WITHOUT)
+    assert np.count_nonzero(np.isnan(x)) == 1
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("draw", [draw_circle, draw_error, draw_friction])
+def test_pictures_are_drawn_without_complaint(draw, tmp_path):
+    draw(analyse(make_circle())).savefig(tmp_path / "picture.png")
+    assert (tmp_path / "picture.png").read_bytes().startswith(b"\x89PNG")
+
+
+class Page(HTMLParser):
+    """Collects the text, and what is fetched from elsewhere; refuses tags that do not match."""
+
+    VOID = ("meta", "img")
+
+    def __init__(self, text):
+        super().__init__()
+        self.open, self.sources, self.text = [], [], []
+        self.feed(text)
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.sources += [value for name, value in attrs if name in ("src", "href")]
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text.append(data)
+
+
+def test_the_report_has_everything_inside(tmp_path):
+    wrong = {"model": {**axis_dict()["model"], "mechanics": {"inertia": 1.7e-4, "torque_lag_s": 3.45e-4}}}
+    result = analyse(make_circle(x=wrong))
+    loop = {"cycles": 4711, "late_p50_us": 2.0, "late_p99_us": 31.0, "missed": 3}
+    path = tmp_path / "report.html"
+    write_report(path, result, draw_circle(result), loop, "x: <no> SCHED_FIFO", "real")
+    text = path.read_text()
+    assert MARK in text[:1000]
+    page = Page(text)
+    assert len(page.sources) == 3
+    assert all(source.startswith("data:image/svg+xml;base64,") for source in page.sources)
+    said = re.sub(r"\s+", " ", " ".join(page.text))
+    assert "4711 cycles of 1 ms" in said
+    assert "31 µs at the 99th percentile; 3 missed" in said
+    assert "4.0 times smaller on x" in said
+    assert "x: <no> SCHED_FIFO" in said
+    for row in (
+        "inertia kg m² 0.0002 0.00017 −15 %",
+        "torque_lag_s s 0.0003 0.000345 +15 %",
+        "sigma0 N m/rad 2000 2000",
+    ):
+        assert row in said

@@ -1,0 +1,73 @@
+"""The demo's configuration is honest: loops as an expert tunes them, and every parameter wrong by one simple rule."""
+
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from friction_hil.config import load
+
+DEMO = Path(__file__).parents[2] / "config/demo.yaml"
+AXES = load(DEMO).axes
+
+
+def test_the_product_carries_the_very_same_file():
+    assert (files("friction_hil") / "demo.yaml").read_bytes() == DEMO.read_bytes()
+
+
+def ratios(axis):
+    plant, model = axis.simulation, axis.model
+    true = {
+        **plant.friction.parameters,
+        "inertia": plant.mechanics.inertia,
+        "torque_lag_s": plant.motor.torque_lag_s,
+    }
+    mechanics = {"inertia": model.mechanics.inertia, "torque_lag_s": model.mechanics.torque_lag_s}
+    believed = {**model.friction.parameters, **mechanics}
+    assert list(true) == list(believed)
+    return [believed[name] / value for name, value in true.items()]
+
+
+def test_every_parameter_is_15_percent_off_by_turns():
+    by_turns = [1.15, 0.85] * 5
+    assert ratios(AXES["x"]) == pytest.approx(by_turns[:9])
+    assert ratios(AXES["y"]) == pytest.approx(by_turns[1:10])
+
+
+def test_nothing_else_differs_between_the_laps():
+    for axis in AXES.values():
+        assert axis.compensation.enabled
+        assert axis.compensation.gain == 0.9
+        assert axis.simulation.loops.velocity_feedforward == axis.simulation.loops.inertia_feedforward == 1.0
+
+
+def open_loop(plant, frequency_hz, position_gain):
+    """Frequency response of the drive's loop, cut at the torque: sampled control, lagging torque, inertia."""
+    loops, sample = plant.loops, 1.0 / plant.loops.rate_hz
+    s = 2j * np.pi * frequency_hz
+    delay = np.exp(-s * sample)
+    hold = (1.0 - delay) / (s * sample)
+    velocity = hold / (1.0 + s * plant.motor.torque_lag_s) / (plant.mechanics.inertia * s)
+    pole = np.exp(-2.0 * np.pi * loops.velocity_filter_hz * sample)
+    seen = (1.0 - delay) / (s * sample) * (1.0 - pole) / (1.0 - pole * delay)
+    integral = 2.0 * np.pi * loops.integral_hz * sample / (1.0 - delay)
+    return loops.velocity_gain * (1.0 + integral) * (seen + position_gain / s) * velocity
+
+
+def phase_margin(plant, position_gain):
+    frequency = np.geomspace(1.0, 3000.0, 100_000)
+    response = open_loop(plant, frequency, position_gain)
+    crossing = np.flatnonzero(np.abs(response) > 1.0)[-1]
+    return frequency[crossing], 180.0 + np.degrees(np.angle(response[crossing]))
+
+
+@pytest.mark.parametrize("axis", AXES)
+def test_loops_are_as_stiff_as_their_margins_allow(axis):
+    plant = AXES[axis].simulation
+    crossover, margin = phase_margin(plant, 0.0)
+    assert 2.0 * np.pi * crossover == pytest.approx(1000.0, rel=0.05)
+    assert margin == pytest.approx(55.0, abs=1.0)
+    assert plant.loops.position_gain == pytest.approx(1000.0 / 5.0)
+    assert 2.0 * np.pi * plant.loops.integral_hz == pytest.approx(1000.0 / 10.0, rel=0.02)
+    assert phase_margin(plant, plant.loops.position_gain)[1] == pytest.approx(43.0, abs=1.0)

@@ -1,0 +1,229 @@
+"""Verification of the daemon's own recordings: the same bits again, and every single one that is not."""
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from friction_hil import recordings
+from friction_hil.axis import AxisLoop
+from friction_hil.compensator import INPUTS, input_checksum
+from friction_hil.config import from_dict, self_contained
+from friction_hil.errors import RecordingError
+from friction_hil.fingerprint import fingerprint
+from friction_hil.loop import Loop, LoopSettings, StopRequest
+from friction_hil.realtime import SteppedClock
+from friction_hil.recordings import columns
+from friction_hil.recordings.mcap_writer import McapWriter
+from friction_hil.servo.trajectory import PathTime
+from friction_hil.verify import verify
+from tests.servo_drives import TRUE_FRICTION, Rows, ServoDrives, axis_dict, configuration
+
+CHECKED = ("compensation", "velocity_estimate", "shadow_dahl")
+SHADOW = {
+    "name": "dahl",
+    "model": {
+        "axis": "rotary",
+        "friction": {"model": "dahl", "parameters": {"sigma0": 2000.0, "coulomb": 0.08, "exponent": 1.5}},
+    },
+}
+
+
+def quick(**changes):
+    motion = {"kind": "sine", "amplitude": 0.3, "frequency": 2.0, "ramp_s": 0.1}
+    return axis_dict(trajectory=motion, compensation={"fade_s": 0.05}, **changes)
+
+
+class Made:
+    """What a run of two axes, one with a shadow model, gave; it can be written again with changes."""
+
+    def __init__(self):
+        self.config = configuration(x=quick(shadows=[SHADOW]), y=quick(node=2, model=self.other_model()))
+
+        def flaky(cycle, feedback):
+            feedback[0].is_fresh = not 420 <= cycle < 424
+
+        drives = ServoDrives(self.config, disturb=flaky)
+        facts = drives.connect()
+        time = PathTime(0.1)
+        axes = [AxisLoop(f.name, self.config.axes[f.name], f, 1e-3, time, ["dahl"]) for f in facts]
+        rows = Rows(self.config)
+        loop = Loop(drives, axes, time, SteppedClock(), rows, LoopSettings(1e-3, duration_s=1.3), StopRequest())
+        assert loop.run().faults == []
+        self.rows = np.array(rows.rows)
+        self.columns = [*columns.NAMES, "shadow_dahl"]
+        self.state_width = max(axis.state_width for axis in axes)
+        self.metadata = {
+            "configuration": self_contained(self.config),
+            "facts": [{"name": f.name, "position_resolution": f.position_resolution} for f in facts],
+            "fingerprint": fingerprint(),
+        }
+
+    @staticmethod
+    def other_model():
+        friction = {"model": "stribeck", "parameters": {"coulomb": 0.07, "static": 0.1, "stribeck_velocity": 0.2}}
+        return {"axis": "rotary", "friction": friction, "mechanics": {"inertia": 2e-4}}
+
+    def place(self, name, axis=0):
+        return axis * (len(self.columns) + self.state_width) + self.columns.index(name)
+
+    def write(self, path, rows=None, **metadata):
+        """A recording as the companion writes it; returns it read again, one an axis."""
+        writer = McapWriter(
+            path,
+            ["x", "y"],
+            self.columns,
+            state_width=self.state_width,
+            metadata=self.metadata | metadata,
+            overwrite=True,
+        )
+        writer.write(self.rows if rows is None else rows)
+        writer.close()
+        return recordings.read_all(path)
+
+
+@pytest.fixture(scope="module")
+def made():
+    return Made()
+
+
+def flipped(value, bit):
+    (word,) = struct.unpack("<Q", struct.pack("<d", value))
+    return struct.unpack("<d", struct.pack("<Q", word ^ 1 << bit))[0]
+
+
+def test_an_unaltered_recording_comes_out_bit_for_bit(made, tmp_path):
+    for name, recording in made.write(tmp_path / "run.mcap").items():
+        result = verify(recording)
+        assert (result.axis, result.is_verified, result.reason) == (name, True, "")
+        assert (result.rows, result.tolerance, result.differences) == (len(made.rows), 0.0, ())
+        assert len(recording.restarts) >= 2  # one a chunk
+        assert np.abs(recording["compensation"]).max() > 0.03
+
+
+@pytest.mark.parametrize("bit", [0, 51, 63])
+@pytest.mark.parametrize("name", INPUTS)
+@pytest.mark.parametrize("row", [0, 777, 1200])
+def test_one_flipped_bit_of_one_input_names_its_cycle(made, tmp_path, name, bit, row):
+    """In the file itself; row 0 and 1200 lie at the beginning and within the second chunk."""
+    rows = made.rows.copy()
+    place = made.place(name)
+    rows[row, place] = flipped(rows[row, place], bit)
+    result = verify(made.write(tmp_path / "run.mcap", rows)["x"])
+    assert not result.is_verified
+    assert result.reason.startswith(f"cycle {row}: the recorded inputs are not those that the daemon saw")
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 1200), st.integers(0, 63), st.sampled_from(CHECKED))
+def test_one_flipped_bit_of_a_result_names_its_cycle(made, tmp_path_factory, row, bit, name):
+    rows = made.rows.copy()
+    place = made.place(name)
+    before = rows[row, place]
+    rows[row, place] = flipped(before, bit)
+    result = verify(made.write(tmp_path_factory.mktemp("flip") / "run.mcap", rows)["x"])
+    cycle = int(rows[row, made.place("cycle")])
+    assert result.reason.startswith(f"cycle {cycle}: {name} was ")
+    assert repr(float(before)) in result.reason
+
+
+def test_an_altered_input_with_a_matching_checksum_is_found_by_what_follows_from_it(made, tmp_path):
+    rows = made.rows.copy()
+    rows[700, made.place("position")] += 1e-6
+    rows[700, made.place("checksum")] = input_checksum(*(rows[700, made.place(name)] for name in INPUTS))
+    result = verify(made.write(tmp_path / "run.mcap", rows)["x"])
+    assert result.reason.startswith("cycle 700: compensation was")
+
+
+@pytest.mark.parametrize("axis", ["x", "y"])
+def test_it_starts_again_after_lost_rows(made, tmp_path, axis):
+    rows = np.delete(made.rows, np.r_[300:340, 500:501, 900:1100], axis=0)
+    recording = made.write(tmp_path / "run.mcap", rows)[axis]
+    assert "cycles are missing in 3 gaps" in recording.problems[0]
+    result = verify(recording)
+    assert (result.is_verified, result.rows) == (True, len(rows))
+    # without the states after the gaps it could not come out
+    recording.restarts = recording.restarts[:1]
+    assert verify(recording).reason.startswith("cycle 340: ")
+
+
+def test_a_restart_in_the_wrong_state_is_found(made, tmp_path):
+    rows = np.delete(made.rows, np.r_[300:340], axis=0)
+    recording = made.write(tmp_path / "run.mcap", rows)["x"]
+    row, state = recording.restarts[1]
+    recording.restarts[1] = (row, state + 1e-9)
+    assert verify(recording).reason.startswith(f"cycle {recording['cycle'][row]:.0f}: ")
+
+
+def test_elsewhere_a_billionth_of_the_break_away_level_is_allowed_and_no_more(made, tmp_path):
+    elsewhere = {"fingerprint": fingerprint() | {"cpu": "another", "numpy": "0.1"}}
+    level = TRUE_FRICTION["static"]
+    for share, is_verified in ((0.9e-9, True), (1.1e-9, False)):
+        rows = made.rows.copy()
+        rows[:, made.place("compensation")] += share * level
+        result = verify(made.write(tmp_path / "run.mcap", rows, **elsewhere)["x"])
+        assert result.is_verified is is_verified
+        assert result.tolerance == pytest.approx(1e-9 * level)
+        assert result.differences == (
+            f"cpu: another, here {fingerprint()['cpu']}",
+            f"numpy: 0.1, here {np.__version__}",
+        )
+    rows[:, made.place("compensation")] = np.nan
+    rows[5, made.place("compensation")] = 0.0
+    assert not verify(made.write(tmp_path / "run.mcap", rows, **elsewhere)["x"]).is_verified
+    assert not verify(made.write(tmp_path / "run.mcap", np.where(rows == 0.0, 1e-6, rows))["x"]).is_verified
+
+
+def test_the_tolerance_is_that_of_the_axis(made, tmp_path):
+    recording = made.write(tmp_path / "run.mcap", fingerprint={})["y"]
+    assert verify(recording).tolerance == pytest.approx(1e-9 * 0.1)
+    assert "not told" in verify(recording).differences[0]
+
+
+def test_a_configuration_beside_it_is_taken_instead(made, tmp_path):
+    recording = made.write(tmp_path / "run.mcap")["y"]
+    assert verify(recording, made.config).is_verified
+    other = self_contained(made.config)
+    other["axes"]["y"]["compensation"]["gain"] = 0.8
+    result = verify(recording, from_dict(other, "other"))
+    assert not result.is_verified
+    assert "compensation was" in result.reason
+    del other["axes"]["y"]
+    with pytest.raises(RecordingError, match="its axis 'y' is not in the configuration, which has x"):
+        verify(recording, from_dict(other, "other"))
+
+
+def test_a_configuration_with_other_models_does_not_fit(made, tmp_path):
+    recording = made.write(tmp_path / "run.mcap")["x"]
+    other = self_contained(made.config)
+    other["axes"]["x"]["shadows"].append(SHADOW | {"name": "more"})
+    with pytest.raises(RecordingError, match="shadow_more"):
+        verify(recording, from_dict(other, "other"))
+    recording.restarts = [(row, state[:-30]) for row, state in recording.restarts]
+    with pytest.raises(RecordingError, match="the recorded state has"):
+        verify(recording)
+
+
+@pytest.mark.parametrize("missing", ["configuration", "facts", "states", "checksum", "axis"])
+def test_what_is_not_the_daemons_own_is_refused(made, tmp_path, missing):
+    recording = made.write(tmp_path / "run.mcap")["x"]
+    if missing == "states":
+        recording.restarts = []
+    elif missing == "checksum":
+        recording.columns["checksum"][:] = np.nan
+    elif missing == "axis":
+        recording.metadata["facts"] = []
+    else:
+        del recording.metadata[missing]
+    with pytest.raises(RecordingError):
+        verify(recording)
+
+
+def test_a_csv_of_it_cannot_be_verified(made, tmp_path):
+    path: Path = tmp_path / "run.csv"
+    recordings.write(path, made.write(tmp_path / "run.mcap")["x"])
+    with pytest.raises(RecordingError, match="only the daemon's own MCAP recording can be verified"):
+        verify(recordings.read(path))
