@@ -55,15 +55,15 @@ def command(output: Path, pace: str, as_json: bool) -> int:
 
 
 @contextmanager
-def _progress() -> Iterator[Callable[[str, float], None]]:
+def _progress() -> Iterator[Callable[[str, float | None], None]]:
     """Show what is going on: a bar on a terminal, a line for each new thing elsewhere. All of it on stderr."""
     if not sys.stderr.isatty():
         last = ""
 
-        def tell_line(text: str, share: float) -> None:
+        def tell_line(text: str, share: float | None) -> None:
             nonlocal last
             if text != last:
-                click.echo(f"{text} ...", err=True)
+                click.echo(text if share is None else f"{text} ...", err=True)
                 last = text
 
         yield tell_line
@@ -75,8 +75,11 @@ def _progress() -> Iterator[Callable[[str, float], None]]:
     with Progress(*columns, console=console(stderr=True), transient=True, auto_refresh=False) as bar:
         task = bar.add_task("", total=1.0)
 
-        def tell(text: str, share: float) -> None:
-            bar.update(task, description=text, completed=share, refresh=True)
+        def tell(text: str, share: float | None) -> None:
+            if share is None:
+                bar.console.print(text, markup=False, soft_wrap=True)
+            else:
+                bar.update(task, description=text, completed=share, refresh=True)
 
         yield tell
 

@@ -100,10 +100,10 @@ def command(
 
 def _print(summary: dict[str, Any], period_s: float, dry_run: bool) -> None:
     """Tell a person what the run was like."""
-    click.echo(
-        f"{summary['cycles']} cycles of {period_s * 1e3:g} ms; late p50 {summary['late_p50_us']:.0f} us, "
-        f"p99 {summary['late_p99_us']:.0f} us; {summary['missed']} missed"
-    )
+    late = ""
+    if summary["cycles"]:
+        late = f"late p50 {summary['late_p50_us']:.0f} us, p99 {summary['late_p99_us']:.0f} us; "
+    click.echo(f"{summary['cycles']} cycles of {period_s * 1e3:g} ms; {late}{summary['missed']} missed")
     for name, error in summary["axes"].items():
         if not dry_run and math.isfinite(error["rms"]):
             click.echo(f"{name}: following error {error['rms']:.3g} rms, {error['peak']:.3g} peak")

@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from friction_hil.config import Circle, Configuration
 
 SETTLE_S = 0.5  # until the drive's loops have forgotten a ramp or a fade
-RECOVERY_S = 0.03  # likewise a missed period or late feedback: several time constants of a position loop
+RECOVERY_S = 0.03  # likewise late feedback or a missed period: several time constants of a position loop
+_RECOVERY_OF_MISSED = 5.0  # so many more periods for each that was missed
 _LEAST_SHARE = 0.5
 
 _COLUMNS = ("position", "position_demand", "velocity_estimate", "compensation", "is_fresh", "is_enabled", "state")
@@ -82,8 +83,8 @@ class Circularity:
         Of position: rad or m.
     uncompensated, compensated : Laps
     columns : dict of dict of (n,) arrays
-        Columns of the recording by axis, in the rows that both axes have, beside ``time_s`` and ``error``, the
-        following error (NaN without fresh feedback).
+        Columns of the recording by axis, in the rows that both axes have; beside them ``time_s``, the following
+        ``error`` (NaN without fresh feedback), and ``is_usable``: 0 where the computer was late.
     """
 
     configuration: "Configuration"
@@ -171,12 +172,13 @@ def analyse(recordings: Mapping[str, Recording]) -> Circularity:
                 f"{path}: only {np.count_nonzero(used)} of {wanted} periods of the laps can be used; in the others "
                 "the loop or the drives were late: the computer was too busy"
             )
-        figures = {name: _figures(columns[name]["error"][used]) for name in recordings}
+        place = ((cycle[used] - start) % lap).astype(np.intp)
+        figures = {name: _figures(columns[name]["error"][used], place) for name in recordings}
         return Laps(count, (start * period_s, stop * period_s), wanted, angle[used], radius_error[used], figures)
 
     without, with_compensation = (laps(stop) for _, stop in phases.values())
     for each in columns.values():
-        each["time_s"] = cycle * period_s
+        each.update(time_s=cycle * period_s, is_usable=is_usable.astype(np.float64))
     unit = "rad" if configuration.axes[first].model.axis == "rotary" else "m"
     return Circularity(configuration, (first, second), circle.radius, unit, without, with_compensation, columns)
 
@@ -224,11 +226,10 @@ def _settled(cycle: Array, mask: Any, settle_cycles: float) -> tuple[float, floa
 
 def _is_recovering(cycle: Array, columns: Mapping[str, Mapping[str, Array]], recovery_cycles: float) -> Any:
     """Whether a period was missed, or feedback was late, in each row or shortly before it."""
-    is_disturbed = np.diff(cycle, prepend=cycle[:1]) > 1.0
-    for each in columns.values():
-        is_disturbed |= each["is_fresh"] != 1.0
-    last = np.maximum.accumulate(np.where(is_disturbed, cycle, -np.inf))
-    return cycle - last < recovery_cycles
+    missed = np.diff(cycle, prepend=cycle[:1] - 1.0) - 1.0
+    is_fresh = np.all([each["is_fresh"] == 1.0 for each in columns.values()], axis=0)
+    until = np.where((missed > 0.0) | ~is_fresh, cycle + recovery_cycles + _RECOVERY_OF_MISSED * missed, -np.inf)
+    return cycle < np.maximum.accumulate(until)
 
 
 def _deviation(columns: Mapping[str, Array], turn: Array, in_steady_motion: Any) -> Array:
@@ -242,8 +243,11 @@ def _deviation(columns: Mapping[str, Array], turn: Array, in_steady_motion: Any)
     return np.asarray(columns["position"] - centre)
 
 
-def _figures(error: Array) -> Figures:
-    return Figures(rms=float(np.sqrt(np.mean(error * error))), peak=float(np.abs(error).max()))
+def _figures(error: Array, place: Any) -> Figures:
+    """Figures of an error over its place in the lap; each place counts once, however many laps it is known of."""
+    known = np.bincount(place)
+    square = np.bincount(place, error * error)[known > 0] / known[known > 0]
+    return Figures(rms=float(np.sqrt(square.mean())), peak=float(np.abs(error).max()))
 
 
 def readable(unit: str, values: Any) -> tuple[float, str]:

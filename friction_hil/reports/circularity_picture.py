@@ -80,11 +80,9 @@ def draw_error(circularity: Circularity) -> "Figure":
     for axes, axis in zip(panels, circularity.axes, strict=True):
         columns = circularity.columns[axis]
         error = columns["error"] * factor
-        is_on = columns["is_enabled"] == 1.0
-        is_moving = np.isfinite(columns["position_demand"])
-        for rows, color in ((~is_on, WITHOUT), (is_on, WITH)):
-            line = np.where(rows & is_moving, error, np.nan)
-            axes.plot(columns["time_s"], line, color=color, linewidth=1.0)
+        is_on, is_usable = columns["is_enabled"] == 1.0, columns["is_usable"] == 1.0
+        for rows, color in ((~is_usable, _FAINT), (is_usable & ~is_on, WITHOUT), (is_usable & is_on, WITH)):
+            axes.plot(columns["time_s"], np.where(rows, error, np.nan), color=color, linewidth=1.0)
         for laps, color, name in (
             (circularity.uncompensated, WITHOUT, "without compensation"),
             (circularity.compensated, WITH, "with compensation"),

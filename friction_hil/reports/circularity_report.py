@@ -88,7 +88,7 @@ _CIRCLE_CAPTION = (
     "Distance from the centre, less the nominal radius, over the angle. Where {x} or {y} reverses, friction changes "
     "its sign faster than the drive's loops can answer: the axis stays behind, and leaves a spike."
 )
-_ERROR_CAPTION = "The whole run. Only the shaded laps count: whole ones, in steady motion."
+_ERROR_CAPTION = "The whole run. The shaded laps count: whole ones, in steady motion. Grey: the computer was late."
 _FRICTION_CAPTION = (
     "Lines: friction at constant velocity, true and believed. Blue: the torque that was added, over the estimated "
     "velocity, in the laps with compensation; it is the believed friction times the gain, with the bristle's "

@@ -243,6 +243,24 @@ def test_drives_that_vanish_end_the_run(tmp_path):
     assert "Traceback" not in err
 
 
+def test_a_bus_that_is_none_is_told_in_one_line(tmp_path):
+    configuration = write_configuration(tmp_path, bus={"interface": "udp_multicast", "channel": "10.0.0.1"})
+    done = run("run", configuration, check=False)
+    assert done.returncode == 1
+    assert done.stderr.startswith("Error: the bus udp_multicast 10.0.0.1 does not open")
+    assert done.stderr.count("\n") == 1
+
+
+def test_a_run_that_ends_before_its_first_cycle_prints_no_nan(tmp_path):
+    limits = {"torque": 0.3, "velocity": 30.0, "position": [-0.1, 0.1]}
+    configuration = write_configuration(tmp_path, x={"limits": limits})
+    with simulated_drives(configuration):
+        done = run("run", configuration, "--pace", "sync", check=False)
+    assert done.returncode == 1
+    assert "0 cycles of 1 ms; 0 missed\n" in done.stdout
+    assert "nan" not in done.stdout
+
+
 def test_a_bus_that_does_not_open(tmp_path):
     configuration = write_configuration(tmp_path, bus={"interface": "socketcan", "channel": "nocan7"})
     done = run("run", configuration, "--duration", 0.5, check=False)

@@ -128,7 +128,7 @@ def test_a_listener_stays_idle_until_it_is_told_to_go():
     assert run.pass_time(is_stop_requested=True) is LoopState.DONE
 
 
-@settings(deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(st.lists(st.tuples(facts, st.integers(1, 300)), max_size=20), st.booleans())
 def test_no_course_of_things_goes_back_or_gives_power_after_a_fault(events, is_listening):
     course, time_s, faulty = Course(is_listening=is_listening), 0.0, False
@@ -154,7 +154,7 @@ def test_no_course_of_things_goes_back_or_gives_power_after_a_fault(events, is_l
             before = after
 
 
-@settings(deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(st.lists(st.tuples(facts, st.integers(1, 100)), max_size=8), facts, st.sampled_from(["stop", "fault"]))
 def test_every_course_ends_in_bounded_time(events, last, why):
     """Whatever the drives do: set-point and fading end by themselves, all else has a time-out."""

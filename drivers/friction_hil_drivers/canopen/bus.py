@@ -1,5 +1,6 @@
 """Opening the CAN bus, for the drives and for their simulated counterparts."""
 
+import logging
 import socket
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +13,10 @@ if TYPE_CHECKING:
     from friction_hil.config import BusConfig
 
 _WITHOUT_BITRATE = ("udp_multicast", "virtual", "socketcan")
+
+# What these libraries log, Python prints where nobody handles it; our own errors say it, once and in full.
+for _library in ("can", "canopen"):
+    logging.getLogger(_library).addHandler(logging.NullHandler())
 
 
 def bus_name(config: "BusConfig") -> str:

@@ -1,6 +1,5 @@
 """Reading and writing a drive's object dictionary, with errors that say what and where."""
 
-import logging
 import struct
 from typing import Any
 
@@ -9,9 +8,6 @@ from friction_hil_drivers.canopen.objects import DataType, Object
 
 _MISSING = (0x06020000, 0x06090011)
 _ATTEMPTS = 3
-
-# The library logs each time-out; without a handler Python would print that beside our own error.
-logging.getLogger("canopen").addHandler(logging.NullHandler())
 
 
 class ObjectAccess:
