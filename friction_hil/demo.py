@@ -10,6 +10,7 @@ import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -152,10 +153,12 @@ def _run_processes(path: Path, pace: str, tell: Tell) -> tuple[dict[str, Any], s
     """Run drives and daemon; return the daemon's summary, and what it said."""
     tell("starting the simulated drives", 0.0)
     with _Child(["simulate", str(path), "--exit-with-stdin"], pace, path.parent) as drives:
+        # what this process will need is loaded now, beside the drives, and not when it would keep the user waiting
+        import_module("matplotlib.figure")
         from friction_hil.config import load
         from friction_hil.reports.circularity import duration_s
 
-        configuration = load(path)  # while the drives start
+        configuration = load(path)
         moving_s = duration_s(configuration, _LAPS)
         while not drives.printed:
             drives.wait(_TICK_S)

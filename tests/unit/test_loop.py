@@ -733,3 +733,15 @@ def test_an_axis_that_waits_for_the_others_does_not_sink():
     enabled = np.flatnonzero(waiting)
     assert len({sent[k] for k in enabled}) == 1
     assert np.abs(np.diff(sent[enabled[0] : enabled[-1] + 200], 2)).max() < 1e-4  # and it sets off from there
+
+
+def test_the_velocity_ahead_is_the_demand_when_the_torque_acts():
+    """1.5 periods until the middle of the period in which it acts, and the torque's own lag of 0.3 ms."""
+    run = Run(duration_s=1.0)
+    rows = run.column("state") == LoopState.RUNNING
+    t, now, ahead = (run.column(name)[rows] for name in ("time_s", "velocity_demand", "velocity_demand_ahead"))
+    np.testing.assert_allclose(ahead[:-5], np.interp(t[:-5] + 1.8e-3, t, now), atol=1e-4)
+    delayed = model() | {"mechanics": {"inertia": 2e-4, "delay_s": 4e-3}}
+    run = Run(axis(model=delayed), duration_s=1.0)
+    ahead = run.column("velocity_demand_ahead")[rows]
+    np.testing.assert_allclose(ahead[:-5], np.interp(t[:-5] + 4e-3, t, now), atol=1e-4)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from friction_hil.drive import AxisFacts, Clock, Command, Feedback, Request
 from friction_hil.errors import BusError, DriveError
-from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen import objects, profile
 from friction_hil_drivers.canopen.axis import CanopenAxis, Handler
 from friction_hil_drivers.canopen.bus import bus_name, open_bus
 from friction_hil_drivers.canopen.configure import configure
@@ -191,12 +191,17 @@ class CanopenDrives:
             lock.release()
 
     def _part(self) -> None:
-        """Stop the exchange and end the drives' watch over the daemon, for it will be silent from now on."""
+        """Stop the exchange and see that no drive keeps its power; only then end its watch over the daemon."""
         for axis in self._axes:
             self._write_nmt(objects.NmtCommand.ENTER_PRE_OPERATIONAL, axis.node)
         with self._reading():
             for access in self._accesses.values():
-                access.try_write(objects.CONSUMER_HEARTBEAT, 0)
+                # a drive that does not answer, or keeps its power, goes on watching: the daemon's silence trips it
+                with contextlib.suppress(DriveError):
+                    # what the last RPDO said takes effect at a SYNC that does not come any more; this does at once
+                    access.write(objects.CONTROLWORD, profile.DISABLE_VOLTAGE)
+                    if not profile.drive_state(access.read(objects.STATUSWORD)).is_powered:
+                        access.try_write(objects.CONSUMER_HEARTBEAT, 0)
 
     @contextlib.contextmanager
     def _reading(self) -> Iterator[None]:
