@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 _MOVING = (LoopState.RUNNING, LoopState.STOPPING)
 _COLUMNS = struct.Struct(f"={len(columns.NAMES)}d")
+_PATH_MARGIN = 0.01
 _STANDSTILL_SHARE = 1e-3  # of the velocity limit counts as standing
 
 
@@ -104,10 +105,12 @@ class AxisLoop:
         start = self.supervisor.position
         low, high, speed = start + self._extent[0], start + self._extent[1], self._extent[2]
         limits, unit = self._limits, self._unit
-        if not limits.position_low <= low <= high <= limits.position_high:
+        margin = _PATH_MARGIN * (high - low)  # an axis that follows its set-point overshoots a little
+        if not limits.position_low + margin <= low <= high <= limits.position_high - margin:
             raise UsageError(
                 f"{self.name}: from {start:.4g} {unit} the trajectory would go from {low:.4g} to "
-                f"{high:.4g} {unit}, outside the position limits [{limits.position_low:g}, {limits.position_high:g}]"
+                f"{high:.4g} {unit}, outside the position limits [{limits.position_low:g}, {limits.position_high:g}] "
+                f"or within {_PATH_MARGIN:.0%} of its own extent from them"
             )
         if speed > limits.velocity:
             raise UsageError(

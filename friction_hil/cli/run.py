@@ -91,11 +91,12 @@ def command(
             click.echo(f"recorded: {path}")
     for problem in report.problems if report else ():
         click.echo(f"recording: {problem}", err=True)
-    if report and report.lost and paths:
+    is_incomplete = bool(report and report.lost and paths)
+    if report and is_incomplete:
         click.echo(f"recording: {report.lost} of {report.rows + report.lost} rows were lost", err=True)
     for fault in result.loop.faults:
         click.echo(f"fault: {fault}", err=True)
-    return 1 if result.loop.faults else 0
+    return 1 if result.loop.faults or is_incomplete else 0
 
 
 def _print(summary: dict[str, Any], period_s: float, dry_run: bool) -> None:
