@@ -372,6 +372,14 @@ def test_each_limit_is_a_fault_that_ends_in_quick_stop_then_disabled(mode, limit
     run.assert_left_disabled()
 
 
+def test_in_cst_the_torque_of_the_loops_own_control_ramps_down_after_a_fault_too():
+    limits = LIMITS | {"torque": 0.6, "torque_slew": 20.0, "following_error": 0.15}
+    run = Run(axis("cst", controller=CONTROLLER | {"velocity_gain": 0.1}, limits=limits), disturb=freezes)
+    assert run.result.faults[0].startswith("x: following error")
+    assert np.abs(run.torques()).max() > 0.3
+    run.assert_within_limits()
+
+
 def test_a_path_that_leaves_the_limits_is_refused_before_anything_is_enabled():
     def elsewhere(cycle, feedback):
         feedback[0].position += 0.4
