@@ -15,7 +15,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from friction_hil.errors import FrictionHilError, UsageError
+from friction_hil.errors import FrictionHilError, RecordingError, UsageError
 
 if TYPE_CHECKING:
     from friction_hil.config import Configuration
@@ -41,10 +41,11 @@ class LoopFaultError(DemoError):
 
 @dataclass(frozen=True, slots=True)
 class Demo:
-    """What a demo leaves behind; ``loop`` is the daemon's own summary."""
+    """What a demo leaves behind; ``loop`` is the daemon's own summary, ``pace`` is real or sync."""
 
     circularity: "Circularity"
     loop: dict[str, Any]
+    pace: str
     report: Path
     picture: Path
     recording: Path
@@ -58,7 +59,7 @@ def run_demo(folder: Path, pace: str, tell: Tell) -> Demo:
     folder : Path
         Where report, picture and recording go; made if need be. Those of a former demo are replaced.
     pace : str
-        ``real``, or ``sync``: in simulated time.
+        ``real``; ``sync``: in simulated time; or ``auto``: real, and where the computer does not keep up, sync.
     tell : callable
 
     Raises
@@ -76,21 +77,18 @@ def run_demo(folder: Path, pace: str, tell: Tell) -> Demo:
     claim(folder)
     with tempfile.TemporaryDirectory(prefix=".demo-", dir=folder) as name:
         work = Path(name)
-        loop, notes = _run_twice_if_need_be(work, pace, tell)
+        circularity, loop, notes, pace = _record(work, pace, tell)
         tell("making the report", 0.95)
-        from friction_hil.recordings import read_all
-        from friction_hil.reports.circularity import analyse
         from friction_hil.reports.circularity_picture import draw_circle
         from friction_hil.reports.circularity_report import write_report
 
-        circularity = analyse(read_all(loop["recording"]))
         circle = draw_circle(circularity)
         circle.savefig(work / PICTURE, dpi=130)
         write_report(work / REPORT, circularity, circle, loop, notes, pace)
         # the report first: it is what tells the next demo that the others are its own
         for made in (REPORT, PICTURE, RECORDING):
             os.replace(work / made, folder / made)
-    return Demo(circularity, loop, folder / REPORT, folder / PICTURE, folder / RECORDING)
+    return Demo(circularity, loop, pace, folder / REPORT, folder / PICTURE, folder / RECORDING)
 
 
 def claim(folder: Path) -> None:
@@ -134,19 +132,20 @@ def _free_port() -> int:
         return port
 
 
-def _run_twice_if_need_be(work: Path, pace: str, tell: Tell) -> tuple[dict[str, Any], str]:
-    """Run the processes; in real time once more after a fault, for a computer may stall for a moment."""
-    try:
-        return _run_processes(_private_configuration(work), pace, tell)
-    except LoopFaultError as error:
-        if pace == "sync":
-            raise
-        tell(f"{error}\nOnce more.", None)
-        (work / RECORDING).unlink(missing_ok=True)
-    try:
-        return _run_processes(_private_configuration(work), pace, tell)
-    except LoopFaultError as error:
-        raise LoopFaultError(f"{error}\n{_BUSY}") from None
+def _record(work: Path, pace: str, tell: Tell) -> tuple["Circularity", dict[str, Any], str, str]:
+    """Draw the circle; return what came of it, the daemon's summary, what it said, and the pace."""
+    from friction_hil.recordings import read_all
+    from friction_hil.reports.circularity import analyse
+
+    if pace == "auto":
+        try:
+            return _record(work, "real", tell)
+        except (LoopFaultError, RecordingError) as error:
+            tell(f"{error}\nThis computer is too busy for real time. Once more, in simulated time.", None)
+            (work / RECORDING).unlink(missing_ok=True)
+            pace = "sync"
+    loop, notes = _run_processes(_private_configuration(work), pace, tell)
+    return analyse(read_all(work / RECORDING)), loop, notes, pace
 
 
 def _run_processes(path: Path, pace: str, tell: Tell) -> tuple[dict[str, Any], str]:
@@ -176,12 +175,6 @@ def _run_processes(path: Path, pace: str, tell: Tell) -> tuple[dict[str, Any], s
             drives.refuse_failure()
             daemon.refuse_failure(LoopFaultError if daemon.printed else DemoError)
         return json.loads(daemon.printed), daemon.said
-
-
-_BUSY = (
-    "If other work keeps this computer too busy for the loop: 'friction-hil demo --pace sync' draws the same circle in "
-    "simulated time."
-)
 
 
 def _progress(configuration: "Configuration", elapsed_s: float, moving_s: float) -> tuple[str, float]:

@@ -26,10 +26,11 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--pace",
-    type=click.Choice(["real", "sync"]),
-    default="real",
+    type=click.Choice(["auto", "real", "sync"]),
+    default="auto",
     show_default=True,
-    help="real: 1000 cycles a second. sync: the same in simulated time, as fast as this computer is.",
+    help="real: 1000 cycles a second. sync: in simulated time, as fast as this computer is. auto: real, and where this "
+    "computer is too busy for that, sync.",
 )
 @option_json
 def command(output: Path, pace: str, as_json: bool) -> int:
@@ -48,7 +49,7 @@ def command(output: Path, pace: str, as_json: bool) -> int:
     if as_json:
         print_json(_as_dict(demo))
     else:
-        _print(demo, pace)
+        _print(demo)
     for figure in demo.circularity.not_helped:
         click.echo(f"compensation did not help: {figure} is not lower with it", err=True)
     return 1 if demo.circularity.not_helped else 0
@@ -87,6 +88,9 @@ def _progress() -> Iterator[Callable[[str, float | None], None]]:
 def _as_dict(demo: "Demo") -> dict[str, Any]:
     circularity, loop = demo.circularity, demo.loop
     laps = {"uncompensated": circularity.uncompensated, "compensated": circularity.compensated}
+    timing = {name: loop[name] for name in ("cycles", "late_p50_us", "late_p99_us", "missed")}
+    if demo.pace == "sync":
+        timing.update(late_p50_us=None, late_p99_us=None)  # in simulated time nothing is late
     return {
         "axes": {
             axis: {
@@ -94,16 +98,13 @@ def _as_dict(demo: "Demo") -> dict[str, Any]:
             }
             for axis in circularity.axes
         },
-        "loop": {
-            "period_s": circularity.configuration.period_s,
-            **{name: loop[name] for name in ("cycles", "late_p50_us", "late_p99_us", "missed")},
-        },
+        "loop": {"period_s": circularity.configuration.period_s, **timing},
         "report": demo.report,
         "recording": demo.recording,
     }
 
 
-def _print(demo: "Demo", pace: str) -> None:
+def _print(demo: "Demo") -> None:
     from rich.table import Table
 
     from friction_hil.reports.circularity import digits, unit_of_figures
@@ -122,7 +123,7 @@ def _print(demo: "Demo", pace: str) -> None:
     out.print(table)
     out.print(f"{before.count} laps each; {before.left_out + after.left_out} of {2 * before.rows} periods do not count")
     late = "in simulated time"
-    if pace == "real":
+    if demo.pace == "real":
         late = f"late p50 {loop['late_p50_us']:.0f} us, p99 {loop['late_p99_us']:.0f} us; {loop['missed']} missed"
     out.print(f"loop: {loop['cycles']} cycles of {circularity.configuration.period_s * 1e3:g} ms; {late}")
     for name in ("report", "picture", "recording"):

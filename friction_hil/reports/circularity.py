@@ -15,8 +15,9 @@ if TYPE_CHECKING:
     from friction_hil.config import Circle, Configuration
 
 SETTLE_S = 0.5  # until the drive's loops have forgotten a ramp or a fade
-RECOVERY_S = 0.03  # likewise late feedback or a missed period: several time constants of a position loop
-_RECOVERY_OF_MISSED = 5.0  # so many more periods for each that was missed
+RECOVERY_S = 0.03  # likewise a missed period: several time constants of a position loop
+RECOVERY_OF_MISSED = 5.0  # so many more periods for each that was missed
+RECOVERY_OF_LATE = 5.0  # periods; what arrives shortly after late feedback may be the answer to a former cycle
 _LEAST_SHARE = 0.5
 
 _COLUMNS = ("position", "position_demand", "velocity_estimate", "compensation", "is_fresh", "is_enabled", "state")
@@ -228,8 +229,9 @@ def _is_recovering(cycle: Array, columns: Mapping[str, Mapping[str, Array]], rec
     """Whether a period was missed, or feedback was late, in each row or shortly before it."""
     missed = np.diff(cycle, prepend=cycle[:1] - 1.0) - 1.0
     is_fresh = np.all([each["is_fresh"] == 1.0 for each in columns.values()], axis=0)
-    until = np.where((missed > 0.0) | ~is_fresh, cycle + recovery_cycles + _RECOVERY_OF_MISSED * missed, -np.inf)
-    return cycle < np.maximum.accumulate(until)
+    after_missed = np.where(missed > 0.0, recovery_cycles + RECOVERY_OF_MISSED * missed, 0.0)
+    after_late = np.where(is_fresh, 0.0, RECOVERY_OF_LATE)
+    return cycle < np.maximum.accumulate(cycle + np.maximum(after_missed, after_late))
 
 
 def _deviation(columns: Mapping[str, Array], turn: Array, in_steady_motion: Any) -> Array:

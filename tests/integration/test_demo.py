@@ -3,6 +3,7 @@
 import json
 import os
 import select
+import shutil
 import signal
 import subprocess
 import sys
@@ -76,6 +77,7 @@ def test_json_has_its_shape(outcome):
     assert loop["period_s"] == 1e-3
     assert loop["cycles"] > 11_000
     assert loop["missed"] == 0
+    assert loop["late_p50_us"] is loop["late_p99_us"] is None  # nothing is late in simulated time
     assert Path(result["report"]) == outcome.output / "report.html"
     assert Path(result["recording"]) == outcome.output / "recording.mcap"
 
@@ -201,10 +203,44 @@ def test_a_bus_that_does_not_open_is_explained(tmp_path):
 def test_exit_status_tells_whether_compensation_helped(size, status, tmp_path, monkeypatch, capsys):
     circularity = analyse(make_circle(compensated=lambda angle: size + 0.0 * angle))
     loop = {"cycles": 1, "late_p50_us": 1.0, "late_p99_us": 2.0, "missed": 0}
-    made = demo.Demo(circularity, loop, tmp_path / "a", tmp_path / "b", tmp_path / "c")
+    made = demo.Demo(circularity, loop, "real", tmp_path / "a", tmp_path / "b", tmp_path / "c")
     monkeypatch.setattr(demo, "run_demo", lambda *_: made)
     for options in ([], ["--json"]):
         assert main(["demo", *options]) == status
         said = capsys.readouterr()
         assert ("compensation did not help: x rms" in said.err) == (status == 1)
-    assert json.loads(said.out)["axes"]["x"]["uncompensated"]["peak"] == pytest.approx(2e-3)
+    result = json.loads(said.out)
+    assert result["axes"]["x"]["uncompensated"]["peak"] == pytest.approx(2e-3)
+    assert result["loop"] == {"period_s": 1e-3, **loop}
+
+
+@pytest.fixture
+def busy_computer(outcome, monkeypatch):
+    """Processes that meet a fault in real time, and in simulated time record what they did before."""
+    asked = []
+
+    def run_processes(path, pace, tell):
+        asked.append(pace)
+        if pace == "real":
+            raise demo.LoopFaultError("fault: the loop was late")
+        shutil.copy(outcome.output / demo.RECORDING, path.parent)
+        return {"cycles": 1, "late_p50_us": 0.0, "late_p99_us": 0.0, "missed": 0}, "notes"
+
+    monkeypatch.setattr(demo, "_run_processes", run_processes)
+    return asked
+
+
+def test_a_busy_computer_gets_its_circle_in_simulated_time_and_is_told(busy_computer, tmp_path, capsys):
+    assert main(["demo", "--output", str(tmp_path)]) == 0
+    assert busy_computer == ["real", "sync"]
+    said = capsys.readouterr()
+    assert "fault: the loop was late\nThis computer is too busy for real time" in said.err
+    assert "in simulated time" in said.out
+    assert "in simulated time" in (tmp_path / demo.REPORT).read_text()
+
+
+def test_real_time_means_real_time(busy_computer, tmp_path, capsys):
+    assert main(["demo", "--pace", "real", "--output", str(tmp_path)]) == 1
+    assert busy_computer == ["real"]
+    assert "fault: the loop was late" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
