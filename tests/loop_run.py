@@ -1,0 +1,115 @@
+"""Whole runs of the loop over simulated servos, for the tests of the loop."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from friction_hil.drive import DriveState, Request
+from friction_hil.loop import StopRequest
+from friction_hil.safety import LoopState
+from tests.servo_drives import PERIOD_S, TRUE_FRICTION, ServoDrives, axis_dict, configuration, make_loop
+
+BELIEVED = TRUE_FRICTION | {"coulomb": 0.07, "static": 0.13, "sigma0": 2400.0, "stribeck_velocity": 0.23}
+LIMITS = {"torque": 0.3, "torque_slew": 300.0, "velocity": 30.0, "following_error": 0.5}
+CONTROLLER = {"position_gain": 30.0, "velocity_gain": 0.02, "integral_hz": 2.0}
+MODES = {
+    "csp": {"mode": "csp"},
+    "csv": {"mode": "csv", "controller": {"position_gain": 60.0}},
+    "cst": {"mode": "cst", "controller": CONTROLLER, "limits": LIMITS | {"torque": 0.6}},
+}
+SINE = {"kind": "sine", "amplitude": 0.3, "frequency": 1.0, "ramp_s": 0.25}
+
+
+def axis(mode="csp", **changes):
+    return axis_dict(**MODES[mode] | changes)
+
+
+def model(**parameters):
+    friction = {"model": "lugre", "parameters": TRUE_FRICTION | parameters}
+    return {"axis": "rotary", "friction": friction, "mechanics": {"inertia": 2e-4, "torque_lag_s": 3e-4}}
+
+
+class Drives(ServoDrives):
+    """Keeps every command; ``before`` is asked before each cycle and may do anything to the drives."""
+
+    def __init__(self, config, before=None, **settings):
+        super().__init__(config, **settings)
+        self.before = before
+        self.commands = [[] for _ in self.names]
+        self.closed = 0
+
+    def receive(self, feedback, deadline_ns):
+        if self.before is not None:
+            self.before(self)
+        super().receive(feedback, deadline_ns)
+
+    def send(self, commands):
+        for kept, command in zip(self.commands, commands, strict=True):
+            kept.append(replace(command))
+        super().send(commands)
+
+    def close(self):
+        self.closed += 1
+
+
+class Run:
+    """A run, and what there is to see of it afterwards."""
+
+    def __init__(self, *axes, before=None, disturb=None, servo=None, clock=None, on_axes=None, stop_at=None, **loop):
+        self.config = configuration(**dict(zip("xyz", axes or (axis(),), strict=False)))
+        stop = StopRequest()
+
+        def hook(drives):
+            if drives.cycle == stop_at:
+                stop.is_requested = True
+            if before is not None:
+                before(drives)
+
+        self.drives = Drives(self.config, hook, disturb=disturb, servo=servo)
+        self.loop, self.sink, self.axes = make_loop(self.config, self.drives, stop=stop, **loop)
+        if clock is not None:
+            self.loop._clock = clock
+        if on_axes is not None:
+            on_axes(self.axes)
+        self.result = self.loop.run()
+        self.commands = self.drives.commands
+
+    def column(self, name, axis="x"):
+        return np.array(self.sink.column(axis, name))
+
+    def requests(self, k=0):
+        """The requests to a drive, in their order, without repetitions."""
+        all_of_them = [command.request for command in self.commands[k]]
+        return [one for one, last in zip(all_of_them, [None, *all_of_them], strict=False) if one is not last]
+
+    def torques(self, k=0):
+        return np.array([command.torque for command in self.commands[k]])
+
+    def events(self, name="state"):
+        return [text for _, kind, text in self.sink.events if kind == name]
+
+    def error(self, axis="x"):
+        """Following error while the axes run."""
+        running = self.column("state", axis) == LoopState.RUNNING
+        return (self.column("position_demand", axis) - self.column("position", axis))[running]
+
+    def assert_left_disabled(self):
+        assert self.drives.closed == 1
+        for k, commands in enumerate(self.commands):
+            assert commands[-1].request is Request.DISABLE
+            assert commands[-1].torque == 0.0
+            self.drives._activate(k, self.drives.servos[k])
+            assert not self.drives.states[k].is_powered or self.drives.states[k] is DriveState.FAULT_REACTION_ACTIVE
+
+    def assert_within_limits(self):
+        for k, (name, config) in enumerate(self.config.axes.items()):
+            torque, limits = self.torques(k), config.limits
+            assert np.abs(torque).max() <= limits.torque, name
+            asked = [command.request for command in self.commands[k]]
+            powered = np.array([request in (Request.ENABLE, Request.QUICK_STOP) for request in asked])
+            steps = np.abs(np.diff(torque))[powered[1:]]
+            assert np.all(steps <= limits.torque_slew * PERIOD_S * (1.0 + 1e-9)), name
+
+
+ORDINARY = [Request.LISTEN, Request.ENABLE, Request.DISABLE]
+STOPPED_BY_FAULT = [Request.LISTEN, Request.ENABLE, Request.QUICK_STOP, Request.DISABLE]

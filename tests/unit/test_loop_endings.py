@@ -1,0 +1,389 @@
+"""How a run of the loop ends: on request, by a limit, by a fault of a drive, of the bus or of ours."""
+
+import math
+
+import numpy as np
+import pytest
+
+from friction_hil.drive import DriveState, Request
+from friction_hil.errors import BusError
+from friction_hil.realtime import SteppedClock
+from friction_hil.safety import LoopState
+from tests.loop_run import CONTROLLER, LIMITS, MODES, ORDINARY, SINE, STOPPED_BY_FAULT, Drives, Run, axis
+from tests.servo_drives import PERIOD_S, configuration, make_loop
+
+# --- ways to end
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("stop_at", [30, 60, 200, 700])
+def test_a_stop_request_brings_the_axis_to_rest_without_a_step(mode, stop_at):
+    run = Run(axis(mode), stop_at=stop_at)
+    assert run.result.faults == []
+    asked = run.requests()
+    assert Request.QUICK_STOP not in asked
+    run.assert_left_disabled()
+    run.assert_within_limits()
+    if stop_at < 60:  # it never moved
+        assert Request.DISABLE in asked
+        return
+    w, ramp = 2.0 * math.pi, 0.25
+    bound = 0.3 * (w * w + w * 1.5 / ramp)  # of the acceleration, along the path and of the path time
+    stopping = run.column("state") == LoopState.STOPPING
+    compensation = run.column("compensation")[stopping]
+    assert compensation[-1] == 0.0
+    assert run.column("command")[-1] == 0.0
+    enabled = [command for command in run.commands[0] if command.request is Request.ENABLE]
+    if mode == "csp":
+        positions = np.array([command.position for command in enabled])
+        assert np.abs(np.diff(positions, 2)).max() <= 1.05 * bound * PERIOD_S**2
+        assert positions[-1] == positions[-3]
+    else:
+        demand = run.column("velocity_demand")
+        demand = demand[np.isfinite(demand)]
+        assert np.abs(np.diff(demand)).max() <= 1.05 * bound * PERIOD_S
+        assert demand[-1] == 0.0
+    assert abs(run.column("velocity_estimate")[-1]) <= 0.03
+
+
+def test_a_run_is_as_long_as_it_was_told():
+    run = Run(duration_s=0.7)
+    states = run.column("state")
+    assert np.count_nonzero(states == LoopState.RUNNING) == pytest.approx(700, abs=1)
+    assert run.events() == ["enabling", "running", "stopping", "disabling", "done"]
+    assert run.result.cycles == len(run.sink.rows)
+    np.testing.assert_allclose(run.column("time_s"), run.column("cycle") * PERIOD_S)
+
+
+def slips(per_cycle, begin=300, end=400):
+    """The encoder slips for a while."""
+
+    def disturb(cycle, feedback):
+        if begin <= cycle:
+            feedback[0].position += per_cycle * (min(cycle, end) - begin)
+
+    return disturb
+
+
+def carried(cycle, feedback):
+    """Somewhere else, whatever the drive does about it."""
+    if cycle >= 300:
+        feedback[0].position = carried.at + 3e-3 * min(cycle - 299, 300)
+    else:
+        carried.at = feedback[0].position
+
+
+def jumps(cycle, feedback):
+    if 300 <= cycle < 320:
+        feedback[0].position += 100.0
+
+
+def freezes(cycle, feedback):
+    if cycle >= 300:
+        feedback[0].position = freezes.at
+    else:
+        freezes.at = feedback[0].position
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize(
+    ("limits", "disturb", "words"),
+    [
+        ({"velocity": 6.0}, slips(8e-3), "x: velocity"),
+        ({"velocity": 6.0}, slips(-8e-3), "x: velocity"),
+        ({"following_error": 0.05}, freezes, "x: following error"),
+        ({"position": [-0.5, 0.5], "following_error": 10.0}, carried, "is outside [-0.5, 0.5] rad"),
+        ({"velocity": 6.0}, jumps, "x: no usable feedback for more than 10 cycles"),
+    ],
+)
+def test_each_limit_is_a_fault_that_ends_in_quick_stop_then_disabled(mode, limits, disturb, words):
+    run = Run(axis(mode, limits=LIMITS | limits), disturb=disturb, duration_s=3.0)
+    assert any(words in fault for fault in run.result.faults), run.result.faults
+    assert run.requests() == STOPPED_BY_FAULT
+    assert "fault_stopping" in run.events()
+    assert run.events("fault") == run.result.faults
+    run.assert_within_limits()
+    run.assert_left_disabled()
+
+
+def test_in_cst_the_torque_of_the_loops_own_control_ramps_down_after_a_fault_too():
+    limits = LIMITS | {"torque": 0.6, "torque_slew": 20.0, "following_error": 0.15}
+    run = Run(axis("cst", controller=CONTROLLER | {"velocity_gain": 0.1}, limits=limits), disturb=freezes)
+    assert run.result.faults[0].startswith("x: following error")
+    assert np.abs(run.torques()).max() > 0.3
+    run.assert_within_limits()
+
+
+def test_a_path_that_leaves_the_limits_is_refused_before_anything_is_enabled():
+    def elsewhere(cycle, feedback):
+        feedback[0].position += 0.4
+
+    limits = LIMITS | {"position": [-0.5, 0.5]}
+    assert Run(axis(limits=limits), duration_s=0.1).result.faults == []
+    run = Run(axis(limits=limits), disturb=elsewhere)
+    (fault,) = run.result.faults
+    assert fault.startswith("x: from 0.4 rad the trajectory would go from 0.1 to 0.7 rad, outside the position limits")
+    assert Request.ENABLE not in run.requests()
+
+
+def test_a_drive_fault_in_motion_stops_all_axes_and_is_not_reset():
+    def fails(drives):
+        if drives.cycle == 400:
+            drives.states[1] = DriveState.FAULT
+
+    run = Run(axis(), axis(node=2), before=fails, is_fault_reset_wanted=True)
+    assert run.result.faults == ["y: the drive is in fault: it does not say why"]
+    for k in (0, 1):
+        assert run.requests(k) == STOPPED_BY_FAULT
+    speed = np.abs(run.column("velocity_estimate"))
+    assert speed[400] > 0.3  # the healthy axis was brought to rest before it was disabled
+    assert speed[run.column("state") == LoopState.DISABLING].max() <= 0.03
+    run.assert_left_disabled()
+
+
+def test_a_drive_that_leaves_operation_enabled_by_itself_is_a_fault():
+    def leaves(cycle, feedback):
+        if cycle >= 400:
+            feedback[0].state = DriveState.SWITCHED_ON
+
+    run = Run(disturb=leaves)
+    assert run.result.faults == ["x: the drive left Operation enabled: switched on"]
+    run.assert_left_disabled()
+
+
+def test_a_drive_that_is_never_enabled_is_given_up():
+    def refuses(cycle, feedback):
+        feedback[0].state = DriveState.SWITCH_ON_DISABLED
+
+    run = Run(disturb=refuses)
+    assert run.result.faults == ["not every drive was enabled within 5 s"]
+    assert run.requests() == ORDINARY
+    assert np.all(run.torques() == 0.0)
+    run.assert_left_disabled()
+
+
+def test_a_drive_that_stays_powered_is_told_of():
+    def stays(cycle, feedback):
+        feedback[0].state = DriveState.OPERATION_ENABLED
+
+    run = Run(disturb=stays, duration_s=0.2)
+    assert run.result.faults == ["a drive is still powered 2 s after it was told to disable"]
+
+
+# --- faults at the start
+
+
+def in_fault(clears=True, again_when_enabled=0):
+    """A drive found in fault; it may not leave it, or fall back as often as given when it is enabled."""
+    falls = [again_when_enabled]
+
+    def before(drives):
+        if drives.cycle == 0:
+            drives.states[0] = DriveState.FAULT
+        pending = drives.pending[0]
+        if pending is not None and pending.request is Request.RESET_FAULT and not clears:
+            drives.pending[0] = None
+        if pending is not None and pending.request is Request.ENABLE and falls[0]:
+            falls[0] -= 1
+            drives.states[0] = DriveState.FAULT
+            drives.pending[0] = None
+
+    return before
+
+
+def test_a_fault_at_the_start_is_told_and_not_reset_without_the_users_word():
+    run = Run(before=in_fault())
+    assert run.result.faults == ["x: the drive is in fault: it does not say why; --reset-fault leaves it"]
+    assert Request.RESET_FAULT not in run.requests()
+    assert Request.ENABLE not in run.requests()
+
+
+def test_on_the_users_word_a_fault_is_reset_and_the_run_goes_on():
+    run = Run(before=in_fault(), is_fault_reset_wanted=True, duration_s=0.3)
+    assert run.result.faults == []
+    assert run.requests() == [Request.LISTEN, Request.RESET_FAULT, Request.ENABLE, Request.DISABLE]
+
+
+def test_a_fault_that_cannot_be_reset_ends_the_run():
+    run = Run(before=in_fault(clears=False), is_fault_reset_wanted=True)
+    assert "in fault" in run.result.faults[0]
+    assert Request.ENABLE not in run.requests()
+    assert run.result.cycles == pytest.approx(1000, abs=5)
+    run.assert_left_disabled()
+
+
+def test_a_fault_that_comes_back_is_not_reset_again():
+    """One word, one reset: a drive that trips when it is enabled must not be pushed back in again and again."""
+    run = Run(before=in_fault(again_when_enabled=50), is_fault_reset_wanted=True)
+    assert "in fault" in run.result.faults[0]
+    assert run.requests() == [Request.LISTEN, Request.RESET_FAULT, Request.ENABLE, Request.DISABLE]
+
+
+def test_a_new_fault_of_a_healthy_drive_is_not_covered_by_the_reset_either():
+    def before(drives):
+        pending = drives.pending[0]
+        if pending is not None and pending.request is Request.ENABLE:
+            drives.states[0] = DriveState.FAULT
+
+    run = Run(before=before, is_fault_reset_wanted=True)
+    assert "in fault" in run.result.faults[0]
+    assert Request.RESET_FAULT not in run.requests()
+
+
+# --- no feedback
+
+
+def test_without_any_feedback_nothing_is_enabled():
+    def silent(cycle, feedback):
+        feedback[0].is_fresh = False
+
+    run = Run(disturb=silent)
+    assert run.result.faults == ["x: no usable feedback within 1 s of the start"]
+    assert run.requests() == [Request.DISABLE]
+
+
+def test_the_first_feedback_may_take_its_time():
+    def late(cycle, feedback):
+        if cycle < 300:
+            feedback[1].position = math.nan
+
+    run = Run(axis(), axis(node=2), disturb=late, duration_s=0.2)
+    assert run.result.faults == []
+    assert run.column("cycle")[0] == 300
+
+
+def test_silence_in_motion_is_bridged_shortly():
+    def silent(cycle, feedback):
+        if 300 <= cycle < 306:
+            feedback[0].is_fresh = False
+
+    run = Run(disturb=silent, duration_s=0.6)
+    assert run.result.faults == []
+    assert np.count_nonzero(run.column("is_fresh") == 0.0) == 6
+    assert np.abs(run.error()).max() < 0.02
+
+
+@pytest.mark.parametrize("trajectory", [SINE, {"kind": "hold"}])
+def test_an_axis_that_nobody_sees_is_not_taken_to_stand(trajectory):
+    run = Run(
+        axis(trajectory=trajectory), disturb=lambda cycle, feedback: setattr(feedback[0], "is_fresh", cycle < 300)
+    )
+    assert run.result.faults[0] == "x: no usable feedback for more than 10 cycles"
+    assert run.requests() == STOPPED_BY_FAULT
+    # nobody knows that it stands: the drive holds it until the time is up
+    stops = run.column("state") == LoopState.FAULT_STOPPING
+    assert np.count_nonzero(stops) == pytest.approx(5000, abs=2)
+    assert abs(run.drives.servos[0].true_velocity) < 1e-3
+    assert np.all(run.column("compensation")[stops][400:] == 0.0)
+    run.assert_left_disabled()
+
+
+# --- the world breaks
+
+
+@pytest.mark.parametrize("error", [BusError("the bus is gone"), RuntimeError("a bug")])
+@pytest.mark.parametrize("where", ["receive", "send"])
+def test_whatever_breaks_the_drives_are_disabled_and_the_bus_is_left(where, error):
+    config = configuration()
+    drives = Drives(config)
+    original, calls = getattr(drives, where), []
+
+    def broken(*arguments):
+        calls.append(0)
+        if len(calls) == 300:
+            raise error
+        original(*arguments)
+
+    setattr(drives, where, broken)
+    loop, *_ = make_loop(config, drives)
+    if isinstance(error, BusError):
+        assert loop.run().faults == ["the bus is gone"]
+    else:
+        with pytest.raises(RuntimeError):
+            loop.run()
+    assert drives.closed == 1
+    assert drives.commands[0][-1].request is Request.DISABLE
+    assert drives.commands[0][-1].torque == 0.0
+
+
+@pytest.mark.parametrize("error", [BusError("gone"), RuntimeError("a bug")])
+def test_the_bus_is_left_even_if_the_last_word_fails(error):
+    config = configuration()
+    drives = Drives(config)
+
+    def broken(commands):
+        raise error
+
+    drives.send = broken
+    loop, *_ = make_loop(config, drives)
+    if isinstance(error, BusError):
+        assert loop.run().faults == ["gone"]
+    else:
+        with pytest.raises(RuntimeError):
+            loop.run()
+    assert drives.closed == 1
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_a_mistake_in_the_computation_stops_the_axes_in_good_order(mode):
+    def sabotage(axes):
+        original = axes[0].compensator.step
+        compensator = axes[0].compensator
+
+        class Broken:
+            def step(self, cycle, *rest):
+                if cycle >= 400:
+                    raise ZeroDivisionError("by hand")
+                return original(cycle, *rest)
+
+            def __getattr__(self, name):
+                return getattr(compensator, name)
+
+        axes[0].compensator = Broken()
+
+    run = Run(axis(mode), axis(mode, node=2), on_axes=sabotage)
+    assert run.result.faults == ["x: the computation failed: ZeroDivisionError: by hand"]
+    for k in (0, 1):
+        assert run.requests(k) == STOPPED_BY_FAULT
+    broken = run.column("cycle") >= 400
+    assert np.all(run.torques()[np.flatnonzero(broken)] == 0.0)
+    assert np.isnan(run.column("compensation")[broken]).all()
+    assert np.isfinite(run.column("compensation", "y")[broken]).all()
+    for one in run.drives.servos:
+        assert abs(one.true_velocity) < 0.05
+    assert np.count_nonzero(run.column("state", "y") == LoopState.FAULT_STOPPING) < 1000  # it saw the standstill
+    run.assert_left_disabled()
+
+
+def test_a_model_that_overflows_is_a_fault():
+    def poison(axes):
+        axes[0].compensator.state[:] = np.where(np.arange(axes[0].compensator.state.size) == 21, math.nan, -1.0)
+
+    run = Run(on_axes=poison)
+    assert any("not finite" in fault for fault in run.result.faults)
+    assert np.all(run.torques() == 0.0)
+    run.assert_left_disabled()
+
+
+def test_a_failing_rehearsal_stops_the_axes_in_good_order():
+    class Ready(SteppedClock):
+        def doze_until(self, deadline_ns):
+            return True
+
+    def before(drives):
+        if drives.cycle == 400:
+            drives.rehearse = lambda: 1 / 0
+
+    run = Run(before=before, clock=Ready())
+    assert run.result.faults == ["the computation failed in rehearsal: ZeroDivisionError: division by zero"]
+    assert run.requests() == STOPPED_BY_FAULT
+    run.assert_left_disabled()
+
+
+def test_rehearsals_change_no_bit_of_what_is_commanded():
+    class Ready(SteppedClock):
+        def doze_until(self, deadline_ns):
+            return True
+
+    plain, rehearsed = Run(duration_s=0.4), Run(duration_s=0.4, clock=Ready())
+    assert plain.commands == rehearsed.commands
