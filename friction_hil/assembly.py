@@ -19,13 +19,14 @@ if TYPE_CHECKING:
 _LEAST_RAMP_S = 0.1
 
 
-def make_compensator(
-    config: "AxisConfig", model: "ModelFile", position_resolution: float, period_s: float
-) -> Compensator:
+def make_compensator(config: "AxisConfig", model: "ModelFile", facts: AxisFacts, period_s: float) -> Compensator:
     """Compensator of an axis for one of its models, as the loop and replay both build it."""
+    gravity = model.mechanics.gravity
     settings = CompensatorSettings(
         period_s=period_s,
-        position_resolution=position_resolution,
+        position_resolution=facts.position_resolution,
+        lead_s=lead_s(model, facts),
+        gravity=(gravity.constant, gravity.sine, gravity.cosine),
         torque_limit=config.limits.torque,
         torque_slew=math.inf if config.limits.torque_slew is None else config.limits.torque_slew,
         gain=config.compensation.gain,
@@ -37,11 +38,9 @@ def make_compensator(
     return Compensator(model.friction_model, settings)
 
 
-def make_shadows(config: "AxisConfig", position_resolution: float, period_s: float) -> dict[str, Compensator]:
+def make_shadows(config: "AxisConfig", facts: AxisFacts, period_s: float) -> dict[str, Compensator]:
     """Compensators of the shadow models, by name."""
-    return {
-        shadow.name: make_compensator(config, shadow.model, position_resolution, period_s) for shadow in config.shadows
-    }
+    return {shadow.name: make_compensator(config, shadow.model, facts, period_s) for shadow in config.shadows}
 
 
 def lead_s(model: "ModelFile", facts: AxisFacts) -> float:

@@ -53,8 +53,8 @@ class AxisLoop:
         max_stale_cycles: int = MAX_STALE_CYCLES,
     ) -> None:
         self.name = name
-        self.compensator = make_compensator(config, config.model, facts.position_resolution, period_s)
-        self.shadows = make_shadows(config, facts.position_resolution, period_s)
+        self.compensator = make_compensator(config, config.model, facts, period_s)
+        self.shadows = make_shadows(config, facts, period_s)
         self.stats = FollowingError()
         self._mode = Mode[config.mode.upper()]
         self._is_enabled = config.compensation.enabled

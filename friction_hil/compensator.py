@@ -38,6 +38,10 @@ SETTINGS = np.dtype(
     [
         ("kind", "f8"),
         ("friction", "f8", (kernel.PARAMETER_ROOM,)),
+        ("gravity_constant", "f8"),
+        ("gravity_sine", "f8"),
+        ("gravity_cosine", "f8"),
+        ("lead_s", "f8"),
         ("period_s", "f8"),
         ("source", "f8"),
         ("uses_drive_velocity", "f8"),
@@ -144,7 +148,21 @@ def step(
     dt = elapsed * c.period_s
 
     state_velocity, level_velocity = _model_velocities(c, r, velocity_demand_ahead)
-    torque = kernel.step(int(c.kind), c.friction, r.friction, state_velocity, level_velocity, dt, 0.0, c.epsilon)
+    reached = r.position + c.lead_s * level_velocity  # where the torque will act
+    load_torque = c.gravity_constant + c.gravity_sine * math.sin(reached) + c.gravity_cosine * math.cos(reached)
+    torque = kernel.step(
+        int(c.kind),
+        c.friction,
+        r.friction,
+        state_velocity,
+        level_velocity,
+        dt,
+        reached,
+        load_torque,
+        math.nan,
+        0.0,
+        c.epsilon,
+    )
 
     change = dt / c.fade_s
     r.fade = min(r.fade + change, 1.0) if is_enabled > 0.0 else max(r.fade - change, 0.0)
@@ -208,6 +226,11 @@ class CompensatorSettings:
         Period of the loop.
     position_resolution : float
         Smallest step of the position, SI; sets what counts as velocity noise.
+    lead_s : float
+        From sampling the position to the torque's acting; position-dependent friction is that of the place
+        reached by then.
+    gravity : tuple of float
+        Load torque over position q, constant + sine sin(q) + cosine cos(q), N m, for load-dependent friction.
     torque_limit : float
         Bound on the absolute compensation, N m.
     torque_slew : float
@@ -227,6 +250,8 @@ class CompensatorSettings:
     period_s: float
     position_resolution: float
     torque_limit: float
+    lead_s: float = 0.0
+    gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     torque_slew: float = math.inf
     gain: float = 0.9
     source: str = "auto"
@@ -269,6 +294,8 @@ class Compensator:
         c = self._settings[0]
         c["kind"] = model.kind
         c["friction"] = model.values
+        c["gravity_constant"], c["gravity_sine"], c["gravity_cosine"] = settings.gravity
+        c["lead_s"] = settings.lead_s
         c["period_s"] = settings.period_s
         c["source"] = SOURCES[settings.source]
         c["uses_drive_velocity"] = settings.uses_drive_velocity
@@ -338,6 +365,11 @@ class Compensator:
         compensation, estimate = np.empty_like(inputs[0]), np.empty_like(inputs[0])
         replay(self._settings, self._state, *inputs, compensation, estimate)  # type: ignore[call-arg]
         return compensation, estimate
+
+    @property
+    def record(self) -> Record:
+        """Settings and model as the compiled `step` takes them."""
+        return self._settings
 
     @property
     def state(self) -> Array:

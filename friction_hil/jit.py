@@ -33,7 +33,8 @@ def _cache_folder() -> str | None:
     """
     package = Path(__file__).parent
     digest = hashlib.sha256()
-    for path in sorted([*package.glob("*.py"), *package.glob("models/*.py"), *package.glob("servo/*.py")]):
+    folders = (package, package / "models", package / "servo", package / "study")
+    for path in sorted(path for each in folders for path in each.glob("*.py")):
         digest.update(path.name.encode() + b"\0" + path.read_bytes())
     base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "friction_hil"
     folder = base / digest.hexdigest()[:16]
@@ -56,12 +57,26 @@ def _remove_stale(base: Path) -> None:
 
 def compiled(function: Function) -> Function:
     """Compile ``function`` in numba's nopython mode; division by zero gives infinity or NaN, as in C."""
+    return _compiled(function, nogil=True)
+
+
+def inlined(function: Function) -> Function:
+    """Compile ``function`` into each compiled function that calls it: what is constant there costs nothing."""
+    return _compiled(function, nogil=True, forceinline=True)
+
+
+def compiled_for_one_sample(function: Function) -> Function:
+    """Compile ``function`` for calls that take less time than it takes to release Python's lock."""
+    return _compiled(function)
+
+
+def _compiled(function: Function, **options: Any) -> Function:
     folder = _cache_folder()
     settings: Any = numba.config
     before = settings.CACHE_DIR
     if folder is not None:
         settings.CACHE_DIR = folder
     try:
-        return cast(Function, numba.njit(function, cache=folder is not None, error_model="numpy", nogil=True))
+        return cast(Function, numba.njit(function, cache=folder is not None, error_model="numpy", **options))
     finally:
         settings.CACHE_DIR = before

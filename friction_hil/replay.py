@@ -41,6 +41,8 @@ class Motion:
         SI; low-passed where ``lowpass_hz`` is set.
     torque : array
         Measured, likewise.
+    load_torque, temperature : array or None
+        Where they were recorded.
     rate_hz : float
         Sampling rate.
     lowpass_hz : float or None
@@ -54,6 +56,8 @@ class Motion:
     velocity: Array
     acceleration: Array
     torque: Array
+    load_torque: Array | None
+    temperature: Array | None
     rate_hz: float
     lowpass_hz: float | None
     problems: tuple[str, ...]
@@ -129,7 +133,7 @@ def replay(
     Raises
     ------
     RecordingError
-        A column is missing or not finite, or there are too few rows.
+        A column is missing or not finite, there are too few rows, or nothing tells the load on which a model depends.
     UsageError
         A filter does not fit the sampling rate.
     """
@@ -153,7 +157,9 @@ def replay(
 
     measured = reduce(motion.torque)
     predictions = []
+    problems = [*recording.problems, *motion.problems]
     for name, model in models.items():
+        problems += _missing_inputs(recording, name, model, motion)
         friction, mechanics = map(reduce, predict(model, motion))
         residual = float(np.linalg.norm(measured - mechanics - friction))
         norm = float(np.linalg.norm(measured))
@@ -172,7 +178,7 @@ def replay(
         axis=recording.axis,
         rows=len(recording),
         duration_s=recording.duration_s,
-        problems=(*recording.problems, *motion.problems),
+        problems=tuple(problems),
         time_s=motion.time_s[inner][::-1][::decimate][::-1],
         velocity=reduce(motion.velocity),
         measured=measured,
@@ -180,13 +186,39 @@ def replay(
     )
 
 
+def _missing_inputs(recording: Recording, name: str, model: "ModelFile", motion: Motion) -> list[str]:
+    """Say what a model needs and the recording does not tell."""
+    modifiers = model.friction.modifiers
+    if (
+        "load" in modifiers
+        and motion.load_torque is None
+        and model.mechanics.gravity == type(model.mechanics.gravity)()
+    ):
+        raise RecordingError(
+            f"{recording.path}: {name} depends on the load; there is no column load_torque with a number in each row, "
+            "and no gravity in the model's mechanics to tell it from the position"
+        )
+    if "temperature" in modifiers and motion.temperature is None:
+        return [f"no temperature: {name} is taken at its reference"]
+    return []
+
+
 def predict(model: "ModelFile", motion: Motion) -> tuple[Array, Array]:
-    """Torques (n,) that the model says the motion takes for friction and for mechanics, low-passed as it is."""
+    """Torques (n,) that the model says the motion takes for friction and for mechanics, low-passed as it is.
+
+    Where no load was recorded, that of friction is gravity.
+    """
     mechanics = model.mechanics
     gravity = mechanics.gravity
-    friction = model.friction_model.simulate(motion.velocity, 1.0 / motion.rate_hz)
-    static = gravity.sine * np.sin(motion.position) + gravity.cosine * np.cos(motion.position)
-    static += mechanics.offset + gravity.constant
+    static = gravity.sine * np.sin(motion.position) + gravity.cosine * np.cos(motion.position) + gravity.constant
+    friction = model.friction_model.simulate(
+        motion.velocity,
+        1.0 / motion.rate_hz,
+        position=motion.position,
+        load_torque=static if motion.load_torque is None else motion.load_torque,
+        temperature=motion.temperature,
+    )
+    static = static + mechanics.offset
     if motion.lowpass_hz is not None:
         friction = _lowpassed(friction, motion.lowpass_hz, motion.rate_hz)
         static = _lowpassed(static, motion.lowpass_hz, motion.rate_hz)
@@ -198,6 +230,7 @@ def derive(recording: Recording, lowpass_hz: float | None = None) -> Motion:
     has_velocity = "velocity" in recording and lowpass_hz is None
     names = ["position", "torque", *(["velocity"] if has_velocity else [])]
     recording.require(*names)
+    names += [name for name in ("load_torque", "temperature") if _is_known(recording, name)]
     time, columns, problems = _even(recording, names)
     rate_hz = (len(time) - 1) / (time[-1] - time[0])
     if not has_velocity and lowpass_hz is None:
@@ -213,10 +246,16 @@ def derive(recording: Recording, lowpass_hz: float | None = None) -> Motion:
         velocity=velocity,
         acceleration=np.gradient(velocity, 1.0 / rate_hz),
         torque=columns["torque"],
+        load_torque=columns.get("load_torque"),
+        temperature=columns.get("temperature"),
         rate_hz=rate_hz,
         lowpass_hz=lowpass_hz,
         problems=tuple(problems),
     )
+
+
+def _is_known(recording: Recording, name: str) -> bool:
+    return name in recording and bool(np.all(np.isfinite(recording[name])))
 
 
 def _even(recording: Recording, names: list[str]) -> tuple[Array, dict[str, Array], list[str]]:

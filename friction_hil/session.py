@@ -4,7 +4,7 @@ import contextlib
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -171,10 +171,7 @@ def _job(
         overwrite=settings.is_overwrite_allowed,
         metadata={
             "configuration": self_contained(configuration),
-            "facts": [
-                {"name": fact.name, "position_resolution": fact.position_resolution, "lead_s": axis.lead_s}
-                for fact, axis in zip(facts, axes, strict=True)
-            ],
+            "facts": [{**asdict(fact), "lead_s": axis.lead_s} for fact, axis in zip(facts, axes, strict=True)],
             "fingerprint": fingerprint(),
         },
         status_line=settings.is_status_shown,

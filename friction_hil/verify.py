@@ -1,7 +1,7 @@
 """Re-running the compensator over the daemon's own recording: what it gave must come out again, bit for bit."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -10,6 +10,7 @@ from friction_hil import fingerprint
 from friction_hil.assembly import make_compensator, make_shadows
 from friction_hil.compensator import INPUTS, Compensator, input_checksum
 from friction_hil.config import from_dict
+from friction_hil.drive import AxisFacts
 from friction_hil.errors import RecordingError
 from friction_hil.jit import Array
 from friction_hil.recordings import Recording, columns
@@ -83,9 +84,7 @@ def verify(recording: Recording, configuration: "Configuration | None" = None) -
     axis = configuration.axes[recording.axis]
     compensators = _compensators(axis, _facts(metadata, recording), configuration.period_s)
     differences = tuple(fingerprint.differences(metadata.get("fingerprint", {}), fingerprint.fingerprint()))
-    parameters = axis.model.friction_model.parameters
-    level = max(parameters.get("static", 0.0), parameters["coulomb"])
-    tolerance = _RELATIVE_TOLERANCE * level if differences else 0.0
+    tolerance = _RELATIVE_TOLERANCE * axis.model.friction_model.level if differences else 0.0
     recording.require(*compensators)
     rows = len(recording) - recording.restarts[0][0] if recording.restarts else 0
     if altered is not None:
@@ -98,19 +97,25 @@ def verify(recording: Recording, configuration: "Configuration | None" = None) -
     return Verification(recording.axis, not reason, rows, tolerance, differences, reason)
 
 
-def _facts(metadata: Mapping[str, Any], recording: Recording) -> Mapping[str, Any]:
+def _facts(metadata: Mapping[str, Any], recording: Recording) -> AxisFacts:
+    names = [field.name for field in fields(AxisFacts)]
     for facts in metadata["facts"]:
-        if facts["name"] == recording.axis:
-            return dict(facts)
+        if facts["name"] != recording.axis:
+            continue
+        if missing := [name for name in names if name not in facts]:
+            raise RecordingError(
+                f"{recording.path}: what it says about the drive of axis {recording.axis!r} lacks "
+                f"{', '.join(missing)}; it was made by another version, and can be verified by that one"
+            )
+        return AxisFacts(**{name: facts[name] for name in names})
     raise RecordingError(f"{recording.path}: it says nothing about the drive of axis {recording.axis!r}")
 
 
-def _compensators(axis: "AxisConfig", facts: Mapping[str, Any], period_s: float) -> dict[str, Compensator]:
+def _compensators(axis: "AxisConfig", facts: AxisFacts, period_s: float) -> dict[str, Compensator]:
     """The compensator and the shadows, by the column that each filled."""
-    resolution = float(facts["position_resolution"])
-    shadows = make_shadows(axis, resolution, period_s)
+    shadows = make_shadows(axis, facts, period_s)
     return {
-        "compensation": make_compensator(axis, axis.model, resolution, period_s),
+        "compensation": make_compensator(axis, axis.model, facts, period_s),
         **{columns.shadow(name): shadow for name, shadow in shadows.items()},
     }
 

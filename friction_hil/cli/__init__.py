@@ -22,6 +22,7 @@ COMMANDS = {
     "simulate": "Simulate the drives of a configuration on its bus.",
     "replay": "Run recordings through friction models, or verify them.",
     "convert": "Convert a recording to or from CSV.",
+    "study": "Show what each friction model does to a servo.",
     "models": "List the friction models, or describe one.",
     "config": "Check, show and describe configurations.",
 }

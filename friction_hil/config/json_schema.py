@@ -65,18 +65,29 @@ def json_schema() -> dict[str, Any]:
 def _friction(general: dict[str, Any]) -> dict[str, Any]:
     """The models of the registry, each with its parameters."""
     from friction_hil import models
+    from friction_hil.models.modifiers import SIDES
 
     names = models.names()
     properties = general["properties"]
     properties["model"] = {"description": properties["model"]["description"], "enum": names}
-    properties["modifiers"] = {**properties["modifiers"], "maxProperties": 0}
-    choices = [
-        {
-            "if": {"properties": {"model": {"const": name}}, "required": ["model"]},
-            "then": {"properties": {"parameters": _parameters(models.describe(name).parameters)}},
-        }
-        for name in names
-    ]
+    general_modifiers = {**properties["modifiers"], "additionalProperties": False, "properties": _modifiers()}
+    properties["modifiers"] = general_modifiers
+    choices = []
+    for name in names:
+        known = models.describe(name).parameters
+        side = {**_parameters(known), "required": []}
+        sides = {"type": "object", "properties": dict.fromkeys(SIDES, side), "additionalProperties": False}
+        choices.append(
+            {
+                "if": {"properties": {"model": {"const": name}}, "required": ["model"]},
+                "then": {
+                    "properties": {
+                        "parameters": _parameters(known),
+                        "modifiers": {"properties": {"direction": sides}},
+                    }
+                },
+            }
+        )
     return {**general, "properties": properties, "allOf": choices}
 
 
@@ -84,15 +95,46 @@ def _parameters(parameters: "Sequence[Parameter]") -> dict[str, Any]:
     return {
         "type": "object",
         "properties": {
-            parameter.name: {
-                "type": "number",
-                "description": f"{parameter.meaning} [{parameter.unit}]",
-                "minimum" if parameter.is_lower_allowed else "exclusiveMinimum": parameter.lower,
-            }
+            parameter.name: {"description": f"{parameter.meaning} [{parameter.unit}]", **_value(parameter)}
             for parameter in parameters
         },
         "required": [parameter.name for parameter in parameters if parameter.default is None],
         "additionalProperties": False,
+    }
+
+
+def _value(parameter: "Parameter") -> dict[str, Any]:
+    """Which values a parameter may have."""
+    from friction_hil.models.parameters import Choice, NumberList, PointList
+
+    if isinstance(parameter, Choice):
+        return {"enum": list(parameter.words)}
+    if isinstance(parameter, PointList):
+        pair = {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2}
+        return {"type": "array", "items": pair, "minItems": 1, "maxItems": parameter.most}
+    number: dict[str, Any] = {"type": "number"}
+    if parameter.lower is not None:
+        number["minimum" if parameter.is_lower_allowed else "exclusiveMinimum"] = parameter.lower
+    if parameter.upper is not None:
+        number["maximum" if parameter.is_upper_allowed else "exclusiveMaximum"] = parameter.upper
+    if isinstance(parameter, NumberList):
+        return {"type": "array", "items": number, "minItems": parameter.least, "maxItems": parameter.most}
+    return number
+
+
+def _modifiers() -> dict[str, Any]:
+    """The modifiers that are the same for every model, each with its keys; those of `direction` are the model's."""
+    from friction_hil.models.modifiers import HARMONIC, LOAD, MAX_HARMONICS, TEMPERATURE, VISCOUS
+
+    fixed = {
+        each.name: {"description": each.summary, **_parameters(each.parameters)}
+        for each in (LOAD, TEMPERATURE, VISCOUS)
+    }
+    harmonics = {"type": "array", "items": _parameters(HARMONIC.parameters), "maxItems": MAX_HARMONICS}
+    return {
+        "direction": {"description": "parameters that differ between the directions of motion"},
+        **fixed,
+        "ripple": {"description": HARMONIC.summary, **harmonics},
     }
 
 

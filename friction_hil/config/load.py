@@ -101,7 +101,7 @@ def model_from_argument(argument: str) -> ModelFile:
         model = models.create(name, **parameters)
     except UsageError as error:
         raise UsageError(f"--model {argument}: {error}") from None
-    friction = {"model": name, "parameters": dict(model.parameters)}
+    friction = {"model": name, "parameters": dict(model.given)}
     return ModelFile.model_validate({"axis": "rotary", "friction": friction})
 
 

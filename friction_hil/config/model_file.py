@@ -1,5 +1,6 @@
 """The model file: friction, mechanics and provenance of one axis."""
 
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
 
@@ -18,7 +19,9 @@ class Friction(Section):
 
     model: str = key("name of the friction model; 'friction-hil models' lists them")
     parameters: dict[str, Any] = key("the model's parameters, SI; 'friction-hil models NAME' describes them")
-    modifiers: dict[str, Any] = key("none in this version", default={})
+    modifiers: dict[str, Any] = key(
+        "what changes the friction of any model: direction, viscous, load, temperature, ripple", default={}
+    )
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -65,35 +68,50 @@ class ModelFile(Section):
         """The friction model, made anew at each call."""
         from friction_hil import models
 
-        return models.create(self.friction.model, **self.friction.parameters)
+        friction = self.friction
+        return models.create(friction.model, modifiers=friction.modifiers, axis=self.axis, **friction.parameters)
 
 
 def friction_mistakes(friction: Friction) -> list[Mistake]:
     """Check model, parameters and modifiers against the registry of friction models."""
     from friction_hil import models
-    from friction_hil.models.parameters import check_all
+    from friction_hil.models.modifiers import check_modifiers
+    from friction_hil.models.parameters import InvalidParameterError, check_all
 
-    mistakes: list[Mistake] = []
-    if friction.modifiers:
-        mistakes.append((("modifiers",), "this version has no modifiers yet: remove them"))
     try:
-        known = models.describe(friction.model).parameters
+        family = models.describe(friction.model)
     except UsageError as error:
-        return [*mistakes, (("model",), str(error))]
-    by_name = {parameter.name: parameter for parameter in known}
+        return [(("model",), str(error))]
+    known = {parameter.name: parameter for parameter in family.parameters}
+    mistakes: list[Mistake] = []
     for name, value in friction.parameters.items():
         try:
-            if name in by_name:
-                by_name[name].check(friction.model, value)
+            if name in known:
+                known[name].check(friction.model, value)
             else:
-                check_all(friction.model, known, {name: value})
+                check_all(friction.model, family.parameters, {name: value})
         except UsageError as error:
             mistakes.append((("parameters", name), str(error)))
-    for parameter in known:
-        if parameter.default is None and parameter.name not in friction.parameters:
-            others = {other.name: other.lower + 1.0 for other in known if other is not parameter}
+    for name, parameter in known.items():
+        if parameter.default is None and name not in friction.parameters:
             try:
-                check_all(friction.model, known, others)
+                check_all(friction.model, family.parameters, {**family.example, name: None})
             except UsageError as error:
-                mistakes.append((("parameters", parameter.name), str(error)))
+                mistakes.append((("parameters", name), str(error)))
+    if mistakes:
+        return mistakes
+    try:
+        family.check(check_all(friction.model, family.parameters, friction.parameters))
+    except InvalidParameterError as error:
+        return [(("parameters", *([error.parameter] if error.parameter else [])), str(error))]
+    for name, content in friction.modifiers.items():
+        try:
+            check_modifiers(family, friction.parameters, {name: content})
+        except InvalidParameterError as error:
+            mistakes.append((("modifiers", *_steps(error.parameter or name)), str(error)))
     return mistakes
+
+
+def _steps(place: str) -> list[str | int]:
+    """Turn ``ripple[0].order`` into ``ripple, 0, order``."""
+    return [int(step) if step.isdigit() else step for step in re.findall(r"\w+", place)]

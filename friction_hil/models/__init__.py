@@ -6,13 +6,19 @@
 array([-0.11,  0.  ,  0.12])
 """
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
 
 from friction_hil.errors import UsageError, choices
+from friction_hil.jit import Array
+from friction_hil.models.dispatch import FAMILIES
 from friction_hil.models.family import Family
-from friction_hil.models.kernel import FAMILIES
-from friction_hil.models.model import FrictionModel, Runner
-from friction_hil.models.parameters import InvalidParameterError, check_all, describe_brief
+from friction_hil.models.model import Axis, FrictionModel, Runner
+from friction_hil.models.parameters import InvalidParameterError, describe_brief
 
 __all__ = [
     "Family",
@@ -24,6 +30,7 @@ __all__ = [
     "describe_brief",
     "load",
     "names",
+    "simulate_many",
 ]
 
 
@@ -46,8 +53,22 @@ def describe(name: str) -> Family:
         raise UsageError(f"no friction model is called {name!r}; {choices(name, FAMILIES)}") from None
 
 
-def create(name: str, /, **parameters: float) -> FrictionModel:
+def create(
+    name: str, /, *, modifiers: Mapping[str, Any] | None = None, axis: Axis = "rotary", **parameters: Any
+) -> FrictionModel:
     """Make a model from the values of its parameters, SI.
+
+    Parameters
+    ----------
+    name : str
+        One of `names`.
+    modifiers : mapping, optional
+        What changes the model's friction, as in a model file: ``direction``, ``viscous``, ``load``,
+        ``temperature``, ``ripple``.
+    axis : {"rotary", "linear"}
+        Decides what the order of a ripple counts: periods per revolution, or per metre.
+    **parameters
+        See `describe`.
 
     Raises
     ------
@@ -56,9 +77,41 @@ def create(name: str, /, **parameters: float) -> FrictionModel:
     InvalidParameterError
         A parameter is unknown, missing, not finite or outside its bounds.
     """
-    family = describe(name)
-    values = check_all(name, family.parameters, parameters)
-    return FrictionModel(family, {p.name: value for p, value in zip(family.parameters, values, strict=True)})
+    return FrictionModel(describe(name), parameters, modifiers, axis)
+
+
+def simulate_many(
+    models: Sequence[FrictionModel], velocity: ArrayLike, dt: ArrayLike, *, workers: int = 1, **inputs: Any
+) -> Array:
+    """Friction torque of one velocity record by many models or candidates of one, on ``workers`` cores.
+
+    Parameters
+    ----------
+    models : sequence of m FrictionModel
+    velocity, dt, **inputs
+        See `FrictionModel.simulate`.
+    workers : int
+        Threads; the compiled code lets them run side by side.
+
+    Returns
+    -------
+    (m, n) array
+        N m.
+    """
+    from concurrent.futures import ThreadPoolExecutor
+
+    torque = np.empty((len(models), np.size(velocity)))
+
+    def simulate(row: int) -> None:
+        models[row].simulate(velocity, dt, out=torque[row], **inputs)
+
+    if workers == 1:
+        for row in range(len(models)):
+            simulate(row)
+        return torque
+    with ThreadPoolExecutor(workers) as pool:
+        list(pool.map(simulate, range(len(models))))
+    return torque
 
 
 def load(path: str | Path) -> FrictionModel:

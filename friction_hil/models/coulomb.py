@@ -1,34 +1,33 @@
 """Coulomb friction with break-away and viscous friction: the classical static map."""
 
-from friction_hil.jit import Array, compiled
-from friction_hil.models.curves import direction, sticking
+from friction_hil.jit import Array, inlined
+from friction_hil.models.curves import direction, modified, sticking
 from friction_hil.models.family import Family
-from friction_hil.models.parameters import COULOMB, VISCOUS, Parameter
-
-_STATIC = Parameter("static", "Fs", "N m", "break-away level at rest", default="coulomb")
+from friction_hil.models.parameters import COULOMB, STATIC, VISCOUS, defaulting
 
 
-@compiled
+@inlined
 def step(
     p: Array,
     s: Array,
     velocity: float,
     level_velocity: float,
     dt: float,
+    extra: float,
+    scale: float,
     applied_torque: float,
     epsilon: float,
 ) -> float:
-    """Torque of one sample; see `friction_hil.models.kernel.step`."""
-    coulomb, static, viscous = p[0], p[1], p[2]
+    """Torque of one sample; see `friction_hil.models.kernel`."""
     if velocity == 0.0 and epsilon == 0.0:
-        return sticking(applied_torque, static)
-    return coulomb * direction(velocity, epsilon) + viscous * level_velocity
+        return sticking(applied_torque, modified(p[1], extra, scale))
+    return modified(p[0], extra, scale) * direction(velocity, epsilon) + p[2] * level_velocity
 
 
-@compiled
-def steady(p: Array, velocity: float) -> float:
+@inlined
+def steady(p: Array, velocity: float, extra: float, scale: float) -> float:
     """Torque at constant ``velocity``; 0 at rest."""
-    return p[0] * direction(velocity, 0.0) + p[2] * velocity
+    return modified(p[0], extra, scale) * direction(velocity, 0.0) + p[2] * velocity
 
 
 FAMILY = Family(
@@ -36,6 +35,7 @@ FAMILY = Family(
     summary="Coulomb level, break-away level and viscous friction",
     formula="F = Fc sgn v + Fv v;  at rest F balances the applied torque up to Fs",
     source="Olsson, Astrom, Canudas de Wit, Gafvert, Lischinsky, European Journal of Control 4(3), 1998",
-    parameters=(COULOMB, _STATIC, VISCOUS),
+    parameters=(COULOMB, defaulting(STATIC, "coulomb"), VISCOUS),
     states=(),
+    example={"coulomb": 0.08, "static": 0.12, "viscous": 2e-3},
 )

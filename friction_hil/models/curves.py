@@ -1,27 +1,41 @@
-"""Level curves that several models share."""
+"""Level curves and directions that several models share.
 
-import math
+A model's *level* is the torque that its friction, without the viscous part, approaches while it slides. Load and
+temperature change it in every model the same way: `modified`.
+"""
 
-from friction_hil.jit import compiled
+from friction_hil.jit import inlined
+from friction_hil.models.elementary import decay, power, tanh
 
 
-@compiled
+@inlined
+def modified(level: float, extra: float, scale: float) -> float:
+    """Level, in N m, that load has raised by ``extra`` N m and temperature has scaled; see `modifiers`."""
+    return (level + extra) * scale
+
+
+@inlined
 def stribeck_level(velocity: float, coulomb: float, static: float, stribeck_velocity: float, exponent: float) -> float:
-    """Friction level g(v) = Fc + (Fs - Fc) exp(-(abs(v)/vs)^delta), even in ``velocity``, in N m.
+    """Level g(v) = Fc + (Fs - Fc) exp(-(abs(v)/vs)^delta), even in ``velocity``, in N m.
 
     Source: Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30(7), 1994. Some texts print a ratio of
     powers in place of the exponential, which is dimensionally wrong.
     """
-    ratio = abs(velocity) / stribeck_velocity
-    power = ratio * ratio if exponent == 2.0 else ratio**exponent
-    return coulomb + (static - coulomb) * math.exp(-power)
+    return coulomb + (static - coulomb) * decay(power(abs(velocity) / stribeck_velocity, exponent))
 
 
-@compiled
+@inlined
+def gaussian_level(velocity: float, coulomb: float, static: float, stribeck_velocity: float) -> float:
+    """`stribeck_level` of exponent 2."""
+    ratio = velocity / stribeck_velocity
+    return coulomb + (static - coulomb) * decay(ratio * ratio)
+
+
+@inlined
 def direction(velocity: float, epsilon: float) -> float:
     """Sign of ``velocity``; a smooth one of width ``epsilon`` where that is above zero. Odd; 0 at 0."""
     if epsilon > 0.0:
-        return math.tanh(velocity / epsilon)
+        return tanh(velocity / epsilon)
     if velocity > 0.0:
         return 1.0
     if velocity < 0.0:
@@ -29,7 +43,11 @@ def direction(velocity: float, epsilon: float) -> float:
     return 0.0
 
 
-@compiled
+@inlined
 def sticking(applied_torque: float, break_away: float) -> float:
-    """Friction at rest: it balances ``applied_torque`` up to the break-away level, in N m."""
-    return min(max(applied_torque, -break_away), break_away)
+    """Friction at rest: it balances ``applied_torque`` up to the ``break_away`` level, in N m."""
+    if applied_torque > break_away:
+        return break_away
+    if applied_torque < -break_away:
+        return -break_away
+    return applied_torque

@@ -1,31 +1,55 @@
-"""One compiled step for every model, chosen by number: loop, replay, fitting and simulated plant call it."""
+"""The step of every model with its modifiers: loop, replay, fitting and simulated plant call it.
 
-import numpy as np
+A model's parameters are one flat array, ``p``::
 
-from friction_hil.jit import Array, compiled
-from friction_hil.models import coulomb, dahl, lugre, stribeck
+    0                whether there are modifiers
+    1, 2             where the parameters for negative motion begin, and the modifiers
+    3 ...            the model's own parameters, in the order of its family's `pack`
 
-COULOMB, STRIBECK, DAHL, LUGRE = range(4)
-KINDS = {"coulomb": COULOMB, "stribeck": STRIBECK, "dahl": DAHL, "lugre": LUGRE}
-FAMILIES = {family.name: family for family in (coulomb.FAMILY, stribeck.FAMILY, dahl.FAMILY, lugre.FAMILY)}
+and its state another, ``s``: the family's own states from 0 on and, in the last place, the direction of the last
+motion. Each family has ``step(p, s, velocity, level_velocity, dt, extra, scale, applied_torque, epsilon)`` and
+``steady(p, velocity, extra, scale)``, with ``p`` beginning at its own parameters; ``extra`` and ``scale`` are
+what load and temperature do to its level.
+"""
 
-PARAMETER_ROOM = 8
-STATE_ROOM = 1
+from typing import Any
 
-_coulomb_step, _coulomb_steady = coulomb.step, coulomb.steady
-_stribeck_step, _stribeck_steady = stribeck.step, stribeck.steady
-_dahl_step, _dahl_steady = dahl.step, dahl.steady
-_lugre_step, _lugre_steady = lugre.step, lugre.steady
+from friction_hil.dual import borrowed_at, primal
+from friction_hil.jit import Array, compiled, compiled_for_one_sample, inlined
+from friction_hil.models import modifiers
+from friction_hil.models.curves import direction
+from friction_hil.models.dispatch import (
+    FAMILY_STATES,
+    KARNOPP,
+    LAST_STATIC,
+    family_run,
+    family_steady,
+    family_step,
+    number,
+)
+from friction_hil.models.elementary import part, whole
+
+HEADER = 3
+PARAMETER_ROOM = 640  # a full table for each direction, and the modifiers
+STATE_ROOM = FAMILY_STATES + 1
+DIRECTION = STATE_ROOM - 1
+WHOLE_ROOM = 2 + PARAMETER_ROOM + STATE_ROOM
+
+_level_extra, _level_scale = modifiers.level_extra, modifiers.level_scale
+_fast_torque, _ripple_torque = modifiers.fast_torque, modifiers.ripple_torque
 
 
-@compiled
+@inlined
 def step(
-    kind: int,
+    kind: Any,
     p: Array,
     s: Array,
     velocity: float,
     level_velocity: float,
     dt: float,
+    position: float,
+    load_torque: float,
+    temperature: float,
     applied_torque: float,
     epsilon: float,
 ) -> float:
@@ -34,59 +58,122 @@ def step(
     Parameters
     ----------
     kind
-        Number of the model, from `KINDS`.
+        Number or tag of the family; see `dispatch`.
     p, s
-        Parameters, in the order of the family, and state, changed in place.
+        Parameters and state; the state is changed in place.
     velocity, level_velocity
         The velocity that drives the state and the direction, and the one at which the level, the damping and
         the viscous part are taken, rad/s. The same, except in a compensator, which knows them from different
         sources.
     dt
         Time over which ``velocity`` is held, s, above zero.
+    position
+        For the ripple, rad.
+    load_torque
+        For load dependence, N m, positive where it opposes positive motion.
+    temperature
+        For temperature dependence, deg C; NaN for the reference.
     applied_torque
         Torque that friction balances while a static map sticks (``velocity`` 0, ``epsilon`` 0), N m.
     epsilon
         Width over which a static map's jump at zero velocity is smoothed, rad/s; 0 for the exact map.
         Dynamic models have no jump and ignore it.
     """
-    if kind == LUGRE:
-        return _lugre_step(p, s, velocity, level_velocity, dt, applied_torque, epsilon)
-    if kind == DAHL:
-        return _dahl_step(p, s, velocity, level_velocity, dt, applied_torque, epsilon)
-    if kind == STRIBECK:
-        return _stribeck_step(p, s, velocity, level_velocity, dt, applied_torque, epsilon)
-    return _coulomb_step(p, s, velocity, level_velocity, dt, applied_torque, epsilon)
+    if p[0] == 0.0:
+        own = part(p, HEADER)
+        return family_step(kind, own, s, velocity, level_velocity, dt, 0.0, 1.0, applied_torque, epsilon)
+    m = part(p, whole(p[2]))
+    ripple = _ripple_torque(m, position)
+    pushed = applied_torque - ripple
+    if velocity != 0.0:
+        s[DIRECTION] = direction(velocity, 0.0)
+    sign = primal(s[DIRECTION])
+    is_stuck = velocity == 0.0 or (number(kind) == KARNOPP and abs(velocity) < primal(p[HEADER + 5]))
+    if is_stuck and epsilon == 0.0 and number(kind) <= LAST_STATIC:
+        sign = direction(primal(pushed), 0.0)  # it holds with the level of the side to which it would break away
+    own = part(p, whole(p[1]) if sign < 0.0 else HEADER)
+    extra, scale = _level_extra(m, load_torque, sign), _level_scale(m, temperature)
+    torque = family_step(kind, own, s, velocity, level_velocity, dt, extra, scale, pushed, epsilon)
+    return torque + _fast_torque(m, level_velocity) + ripple
+
+
+@compiled_for_one_sample
+def step_whole(
+    address: int,
+    velocity: float,
+    dt: float,
+    position: float,
+    load_torque: float,
+    temperature: float,
+    applied_torque: float,
+) -> float:
+    """`step` of a model whose number, epsilon, parameters and state are one array at an address."""
+    model = borrowed_at(address, WHOLE_ROOM)
+    kind, epsilon, p, s = int(model[0]), model[1], part(model, 2), part(model, 2 + PARAMETER_ROOM)
+    return step(kind, p, s, velocity, velocity, dt, position, load_torque, temperature, applied_torque, epsilon)
+
+
+@compiled_for_one_sample
+def step_plain(address: int, velocity: float, dt: float) -> float:
+    """`step_whole` without all that a model without modifiers has no need of."""
+    model = borrowed_at(address, WHOLE_ROOM)
+    kind, epsilon, p, s = int(model[0]), model[1], part(model, 2 + HEADER), part(model, 2 + PARAMETER_ROOM)
+    return family_step(kind, p, s, velocity, velocity, dt, 0.0, 1.0, 0.0, epsilon)
 
 
 @compiled
-def steady(kind: int, p: Array, velocity: float) -> float:
-    """Torque that the model settles on at constant ``velocity``, N m; 0 at rest."""
-    if kind == LUGRE:
-        return _lugre_steady(p, velocity)
-    if kind == DAHL:
-        return _dahl_steady(p, velocity)
-    if kind == STRIBECK:
-        return _stribeck_steady(p, velocity)
-    return _coulomb_steady(p, velocity)
+def run(
+    kind: Any,
+    p: Array,
+    s: Array,
+    velocity: Array,
+    dt: Array,
+    position: Array,
+    load_torque: Array,
+    temperature: Array,
+    applied_torque: Array,
+    torque: Array,
+) -> None:
+    """Fill ``torque`` with that of every sample.
 
-
-@compiled
-def simulate(kind: int, p: Array, s: Array, velocity: Array, dt: Array, applied_torque: Array) -> Array:
-    """Torque of every sample; ``dt`` and ``applied_torque`` have one element, or one a sample."""
-    n = velocity.shape[0]
+    ``kind`` is the family's tag. The inputs after ``velocity`` have one element, or one a sample.
+    """
+    if p[0] == 0.0 and dt.shape[0] == 1 and applied_torque.shape[0] == 1:
+        family_run(kind, part(p, HEADER), s, velocity, dt[0], applied_torque[0], torque)
+        return
     dt_stride = 1 if dt.shape[0] > 1 else 0
+    position_stride = 1 if position.shape[0] > 1 else 0
+    load_stride = 1 if load_torque.shape[0] > 1 else 0
+    temperature_stride = 1 if temperature.shape[0] > 1 else 0
     applied_stride = 1 if applied_torque.shape[0] > 1 else 0
-    torque = np.empty(n)
-    for k in range(n):
-        v = velocity[k]
-        torque[k] = step(kind, p, s, v, v, dt[k * dt_stride], applied_torque[k * applied_stride], 0.0)
-    return torque
+    for k in range(velocity.shape[0]):
+        torque[k] = step(
+            kind,
+            p,
+            s,
+            velocity[k],
+            velocity[k],
+            dt[k * dt_stride],
+            position[k * position_stride],
+            load_torque[k * load_stride],
+            temperature[k * temperature_stride],
+            applied_torque[k * applied_stride],
+            0.0,
+        )
 
 
 @compiled
-def steady_curve(kind: int, p: Array, velocity: Array) -> Array:
-    """Steady torque at every ``velocity``."""
-    torque = np.empty(velocity.shape[0])
+def steady_curve(kind: Any, p: Array, velocity: Array, load_torque: float, temperature: float, torque: Array) -> None:
+    """Fill ``torque`` with what the model settles on at every constant ``velocity``, without ripple; 0 at rest.
+
+    ``kind`` is the family's tag.
+    """
     for k in range(velocity.shape[0]):
-        torque[k] = steady(kind, p, velocity[k])
-    return torque
+        v = velocity[k]
+        if p[0] == 0.0:
+            torque[k] = family_steady(kind, part(p, HEADER), v, 0.0, 1.0)
+            continue
+        m = part(p, whole(p[2]))
+        own = part(p, whole(p[1]) if v < 0.0 else HEADER)
+        extra, scale = _level_extra(m, load_torque, direction(v, 0.0)), _level_scale(m, temperature)
+        torque[k] = family_steady(kind, own, v, extra, scale) + _fast_torque(m, v)

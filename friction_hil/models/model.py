@@ -1,16 +1,22 @@
-"""A friction model with its parameters: simulate a record, or run step by step."""
+"""A friction model with its parameters: simulate a record, differentiate it, or run step by step."""
 
-from collections.abc import Mapping
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import accumulate, chain
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from friction_hil.errors import UsageError
+from friction_hil.dual import WIDTH
+from friction_hil.errors import UsageError, choices
 from friction_hil.jit import Array
-from friction_hil.models import kernel
+from friction_hil.models import dispatch, kernel, sensitivity
 from friction_hil.models.family import Family
+from friction_hil.models.modifiers import SIDES, check_modifiers, pack_modifiers
+from friction_hil.models.parameters import check_all
 
+Axis = Literal["rotary", "linear"]
 Purpose = Literal["feedforward", "simulation"]
 
 # Where nobody tells the velocity noise: slow against any Stribeck velocity, fast against double rounding.
@@ -20,47 +26,125 @@ DEFAULT_VELOCITY_EPSILON = 1e-3
 class FrictionModel:
     """A model of the library with values for its parameters; make it with `friction_hil.models.create`.
 
-    Friction is positive when it opposes positive velocity: J dv/dt = tau - F - load.
+    Friction is positive when it opposes positive velocity: J dv/dt = tau - F - load. Units are those of a rotary
+    axis; on a linear one N m becomes N and rad becomes m.
 
     Attributes
     ----------
     family : Family
         Name, formula, source and parameter table.
+    given : dict
+        Parameters by name as they were given: what a model file holds.
     parameters : dict
         Every parameter by name, defaults filled in, SI.
+    modifiers : dict
+        Modifiers by name, defaults filled in; see `friction_hil.models.modifiers`.
+    free : tuple of str
+        Names of all numbers that have a gradient, e.g. ``coulomb``, ``weight[1]``, ``load.motoring``.
     kind : int
         Number by which `friction_hil.models.kernel` knows the model.
     values : array
-        The parameters in the kernel's order.
+        Parameters and modifiers in the kernel's order.
     notes : tuple of str
         What is unusual but allowed.
     """
 
-    __slots__ = ("family", "kind", "notes", "parameters", "values")
+    __slots__ = ("_places", "axis", "family", "free", "given", "kind", "modifiers", "notes", "parameters", "values")
 
-    def __init__(self, family: Family, parameters: Mapping[str, float]) -> None:
+    def __init__(
+        self,
+        family: Family,
+        parameters: Mapping[str, Any],
+        modifiers: Mapping[str, Any] | None = None,
+        axis: Axis = "rotary",
+    ) -> None:
         self.family = family
-        self.parameters = dict(parameters)
-        self.kind = kernel.KINDS[family.name]
-        self.values = np.zeros(kernel.PARAMETER_ROOM)
-        self.values[: len(self.parameters)] = list(self.parameters.values())
-        self.notes: tuple[str, ...] = ()
-        if self.parameters.get("static", np.inf) < self.parameters["coulomb"]:
-            self.notes = ("static is below coulomb: this axis has no Stribeck hump",)
+        self.axis = axis
+        self.given = dict(parameters)
+        self.parameters = check_all(family.name, family.parameters, parameters)
+        family.check(self.parameters)
+        self.modifiers = check_modifiers(family, parameters, modifiers or {})
+        self.kind = dispatch.KINDS[family.name]
+        self.values, self._places = self._pack()
+        self.free = tuple(dict.fromkeys(name for name, _ in self._places if name is not None))
+        self.notes = tuple(self._notes())
 
     def __repr__(self) -> str:
-        return f"{self.family.name}({', '.join(f'{name}={value:g}' for name, value in self.parameters.items())})"
+        words = [f"{name}={_brief(value)}" for name, value in self.parameters.items()]
+        words += [f"modifiers={self.modifiers}"] if self.modifiers else []
+        return f"{self.family.name}({', '.join(words)})"
+
+    def _side(self, side: str) -> dict[str, Any]:
+        """All parameters for one direction of motion; defaults follow what that direction changes."""
+        changes = self.modifiers.get("direction", {}).get(side, {})
+        return check_all(self.name, self.family.parameters, {**self.given, **changes})
+
+    def _pack(self) -> tuple[Array, list[tuple[str | None, float]]]:
+        """Values as `kernel` wants them, and for each place whose value it has, times what."""
+        packs: list[Sequence[float]] = []
+        places: list[tuple[str | None, float]] = [(None, 1.0)] * kernel.HEADER
+        for side in SIDES if "direction" in self.modifiers else SIDES[:1]:
+            own = self._side(side)
+            pack = self.family.pack(own)
+            packs.append(pack.values)
+            names = [self._name(name, side, own) for name in pack.names]
+            places += zip(names, pack.factors or [1.0] * len(names), strict=True)
+        begins = [kernel.HEADER, *(kernel.HEADER + end for end in accumulate(map(len, packs)))]
+        changes = pack_modifiers(self.modifiers, 2.0 * math.pi if self.axis == "linear" else 1.0)
+        content = [float(bool(self.modifiers)), begins[len(packs) - 1], begins[-1], *chain(*packs), *changes.values]
+        values = np.zeros(kernel.PARAMETER_ROOM)
+        values[: len(content)] = content
+        return values, [*places, *((name, 1.0) for name in changes.names)]
+
+    def _name(self, name: str | None, side: str, own: Mapping[str, Any]) -> str | None:
+        """Name of a parameter: one for both directions where it is the same in both."""
+        if name is None:
+            return None
+        parameter = name.partition("[")[0]
+        is_own = parameter in self.modifiers.get("direction", {}).get(side, {})
+        return f"direction.{side}.{name}" if is_own or own[parameter] != self.parameters[parameter] else name
+
+    def _notes(self) -> Iterator[str]:
+        sides = [self._side(side) for side in SIDES]
+        if any(side.get("static", math.inf) < side.get("coulomb", 0.0) for side in sides):
+            yield "static is below coulomb: this axis has no Stribeck hump"
+        if self.name == "bouc_wen" and any(side["gamma"] > side["beta"] for side in sides):
+            yield "gamma is above beta: this hysteresis can give out energy"
 
     @property
     def name(self) -> str:
         """Name of the family, as in the registry."""
         return self.family.name
 
+    @property
+    def level(self) -> float:
+        """Break-away level: the largest torque of slow motion in either direction, without other modifiers, N m."""
+        return max(self.family.level(self._side(side)) for side in SIDES)
+
+    @property
+    def presliding_stiffness(self) -> float:
+        """Slope of torque over position when motion begins, N m/rad; 0 of a static map, which has none."""
+        if self.family.is_static:
+            return 0.0
+        position, time_s = 1e-12, 1e6  # so slowly that no damping shows
+        plain = FrictionModel(self.family, self.given)
+        return float(plain.simulate([position / time_s], time_s)[0]) / position
+
     def initial_state(self) -> Array:
         """State at rest with nothing deflected."""
         return np.zeros(kernel.STATE_ROOM)
 
-    def simulate(self, velocity: ArrayLike, dt: ArrayLike, *, applied_torque: ArrayLike = 0.0) -> Array:
+    def simulate(
+        self,
+        velocity: ArrayLike,
+        dt: ArrayLike,
+        *,
+        position: ArrayLike | None = None,
+        load_torque: ArrayLike | None = None,
+        temperature: ArrayLike | None = None,
+        applied_torque: ArrayLike | None = None,
+        out: Array | None = None,
+    ) -> Array:
         """Friction torque of a velocity record, from rest.
 
         Parameters
@@ -69,8 +153,16 @@ class FrictionModel:
             Held over each sample, rad/s.
         dt : float or (n,) array
             Length of the sample(s), s, above zero.
-        applied_torque : float or (n,) array
-            What a static map balances while the velocity is zero, N m.
+        position : float or (n,) array, optional
+            At the end of each sample, rad; needed by a model with ripple.
+        load_torque : float or (n,) array, optional
+            N m, positive where it opposes positive motion; needed by a model that depends on load.
+        temperature : float or (n,) array, optional
+            deg C; the reference temperature when not given.
+        applied_torque : float or (n,) array, optional
+            What a static map balances while the velocity is zero, N m; 0 when not given.
+        out : (n,) array, optional
+            Where to write the torque: contiguous, of float64.
 
         Returns
         -------
@@ -80,20 +172,114 @@ class FrictionModel:
         Raises
         ------
         UsageError
-            A shape does not fit, or a value is not finite.
+            A shape does not fit, a value is not finite, or an input that the model needs is missing.
         """
-        v = _vector("velocity", velocity)
-        steps = _per_sample("dt", dt, v.size)
-        if not np.all(steps > 0.0):
-            raise UsageError(f"dt must be above zero, in s; its smallest value is {steps.min():g}")
-        applied = _per_sample("applied_torque", applied_torque, v.size)
-        torque: Array = kernel.simulate(self.kind, self.values, self.initial_state(), v, steps, applied)
+        inputs = self._inputs(velocity, dt, position, load_torque, temperature, applied_torque)
+        torque = np.empty(inputs[0].size) if out is None else _checked_out(out, (inputs[0].size,))
+        kernel.run(dispatch.tag(self.kind), self.values, self.initial_state(), *inputs, torque)
         return torque
 
-    def steady_state(self, velocity: ArrayLike) -> Array:
-        """Torque (n,) that the model settles on at each constant velocity (n,); 0 at rest."""
-        torque: Array = kernel.steady_curve(self.kind, self.values, _vector("velocity", velocity))
+    def simulate_with_gradient(
+        self,
+        velocity: ArrayLike,
+        dt: ArrayLike,
+        *,
+        free: Sequence[str] | None = None,
+        position: ArrayLike | None = None,
+        load_torque: ArrayLike | None = None,
+        temperature: ArrayLike | None = None,
+        applied_torque: ArrayLike | None = None,
+        out: tuple[Array, Array] | None = None,
+    ) -> tuple[Array, Array]:
+        """`simulate`, and the derivatives of its torque with respect to parameters.
+
+        They are exact for the discrete model, states included (forward sensitivities by automatic
+        differentiation). At a kink, such as the instant of sticking, they are those of the side that was taken.
+
+        Parameters
+        ----------
+        velocity, dt, position, load_torque, temperature, applied_torque
+            See `simulate`.
+        free : sequence of str, optional
+            Names among `free`, which is taken when not given.
+        out : pair of arrays, optional
+            Where to write torque (n,) and gradient (n, m): contiguous, of float64. For a fit, which wants them many
+            times: large new arrays cost more than the model.
+
+        Returns
+        -------
+        torque : (n,) array
+            The bits of `simulate`.
+        gradient : (n, m) array
+            A column for each free parameter, N m over the unit of the parameter.
+
+        Raises
+        ------
+        UsageError
+            As `simulate`; or a name is not in `free`.
+        """
+        names = self.free if free is None else tuple(free)
+        for name in names:
+            if name not in self.free:
+                raise UsageError(f"{self.name} has no free parameter {name!r}; {choices(name, self.free)}")
+        inputs = self._inputs(velocity, dt, position, load_torque, temperature, applied_torque)
+        samples = inputs[0].size
+        if out is None:
+            torque, gradient = np.empty(samples), np.empty((samples, len(names)))
+        else:
+            torque, gradient = _checked_out(out[0], (samples,)), _checked_out(out[1], (samples, len(names)))
+        for first in range(0, max(len(names), 1), WIDTH):
+            chunk = names[first : first + WIDTH]
+            seeds = np.zeros((kernel.PARAMETER_ROOM, WIDTH))
+            for place, (free_name, factor) in enumerate(self._places):
+                if free_name in chunk:
+                    seeds[place, chunk.index(free_name)] = factor
+            state, state_gradient = self.initial_state(), np.zeros((kernel.STATE_ROOM, WIDTH))
+            sensitivity.run(
+                dispatch.tag(self.kind), self.values, seeds, state, state_gradient, *inputs, torque, gradient, first
+            )
+        return torque, gradient
+
+    def steady_state(
+        self, velocity: ArrayLike, *, load_torque: float | None = None, temperature: float | None = None
+    ) -> Array:
+        """Torque that the model settles on at constant velocity.
+
+        Parameters
+        ----------
+        velocity : (n,) array
+            rad/s.
+        load_torque, temperature : float, optional
+            See `simulate`.
+
+        Returns
+        -------
+        (n,) array
+            N m, without ripple; 0 at rest.
+        """
+        v = _vector("velocity", velocity)
+        _, _, _, load, warmth, _ = self._inputs(v[:1], 1.0, 0.0, load_torque, temperature, None)
+        torque = np.empty(v.size)
+        kernel.steady_curve(dispatch.tag(self.kind), self.values, v, load[0], warmth[0], torque)
         return torque
+
+    def dissipated_energy(self, velocity: ArrayLike, dt: ArrayLike, **inputs: Any) -> Array:
+        """Work done against friction from the start to the end of each sample.
+
+        Parameters
+        ----------
+        velocity, dt, **inputs
+            See `simulate`.
+
+        Returns
+        -------
+        (n,) array
+            J, the sum of F v dt. What the bristles of a dynamic model hold of it comes back when they relax;
+            over a cycle that closes velocity and state, all of it has turned into heat.
+        """
+        torque = self.simulate(velocity, dt, **inputs)
+        work: Array = np.cumsum(torque * _vector("velocity", velocity) * np.asarray(dt, dtype=np.float64))
+        return work
 
     def start(self, purpose: Purpose = "feedforward", velocity_epsilon: float | None = None) -> "Runner":
         """Start at rest, for one sample at a time.
@@ -117,24 +303,80 @@ class FrictionModel:
             raise UsageError(f"velocity_epsilon must be finite and above zero, in rad/s, not {epsilon:g}")
         return Runner(self, epsilon)
 
+    def _inputs(
+        self,
+        velocity: ArrayLike,
+        dt: ArrayLike,
+        position: ArrayLike | None,
+        load_torque: ArrayLike | None,
+        temperature: ArrayLike | None,
+        applied_torque: ArrayLike | None,
+    ) -> tuple[Array, Array, Array, Array, Array, Array]:
+        """Check the inputs of a simulation, and make arrays of one element or n of all but the first."""
+        if position is None and self.modifiers.get("ripple"):
+            raise UsageError(f"{self.name} with ripple needs the position, in rad or m")
+        if load_torque is None and "load" in self.modifiers:
+            raise UsageError(f"{self.name} with load dependence needs the load_torque, in N m or N")
+        v = _vector("velocity", velocity)
+        steps = _per_sample("dt", dt, v.size)
+        if not np.all(steps > 0.0):
+            raise UsageError(f"dt must be above zero, in s; its smallest value is {steps.min():g}")
+        return (
+            v,
+            steps,
+            _per_sample("position", 0.0 if position is None else position, v.size),
+            _per_sample("load_torque", 0.0 if load_torque is None else load_torque, v.size),
+            np.array([math.nan]) if temperature is None else _per_sample("temperature", temperature, v.size),
+            _per_sample("applied_torque", 0.0 if applied_torque is None else applied_torque, v.size),
+        )
+
 
 class Runner:
     """A model in motion: its state, advanced by `step`."""
 
-    __slots__ = ("_epsilon", "_kind", "_values", "state")
+    __slots__ = ("_address", "_is_modified", "_state", "_whole")
 
     def __init__(self, model: FrictionModel, epsilon: float) -> None:
-        self._kind = model.kind
-        self._values = model.values
-        self._epsilon = epsilon
-        self.state = model.initial_state()
+        whole = np.concatenate([[model.kind, epsilon], model.values, model.initial_state()])
+        self.__setstate__((whole, bool(model.modifiers)))
 
-    def step(self, velocity: float, dt: float, *, applied_torque: float = 0.0) -> float:
+    def __getstate__(self) -> tuple[Array, bool]:
+        return self._whole.copy(), self._is_modified
+
+    def __setstate__(self, saved: tuple[Array, bool]) -> None:
+        # one array for all, known by its address: each argument costs a tenth of a microsecond, an array two
+        self._whole, self._is_modified = saved
+        self._address = self._whole.ctypes.data
+        self._state = self._whole[-kernel.STATE_ROOM :]
+
+    @property
+    def state(self) -> Array:
+        """The state, a live view: copy it to keep it, assign to its elements to restore it."""
+        return self._state
+
+    def step(
+        self,
+        velocity: float,
+        dt: float,
+        *,
+        position: float = 0.0,
+        load_torque: float = 0.0,
+        temperature: float | None = None,
+        applied_torque: float = 0.0,
+    ) -> float:
         """Advance over ``dt`` seconds with ``velocity`` held and return the torque, N m.
 
-        The values are not checked, for speed: they must be finite and ``dt`` above zero.
+        The inputs are those of `FrictionModel.simulate`. They are not checked, for speed: they must be finite
+        and ``dt`` above zero.
         """
-        return kernel.step(self._kind, self._values, self.state, velocity, velocity, dt, applied_torque, self._epsilon)
+        if not self._is_modified and applied_torque == 0.0:
+            return kernel.step_plain(self._address, velocity, dt)
+        warmth = math.nan if temperature is None else temperature
+        return kernel.step_whole(self._address, velocity, dt, position, load_torque, warmth, applied_torque)
+
+
+def _brief(value: object) -> str:
+    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _vector(name: str, values: ArrayLike) -> Array:
@@ -159,7 +401,17 @@ def _per_sample(name: str, values: ArrayLike, samples: int) -> Array:
     return np.ascontiguousarray(array)
 
 
+def _checked_out(out: Array, shape: tuple[int, ...]) -> Array:
+    if not isinstance(out, np.ndarray) or out.dtype != np.float64 or out.shape != shape:
+        raise UsageError(f"out must be an array of float64 of shape {shape}")
+    if not (out.flags.c_contiguous and out.flags.writeable):
+        raise UsageError("out must be contiguous and writeable")
+    return out
+
+
 def _require_finite(name: str, array: Array) -> None:
+    if not array.size or (math.isfinite(array.min()) and math.isfinite(array.max())):  # fast; NaN comes through both
+        return
     wrong = np.flatnonzero(~np.isfinite(array))
     if wrong.size:
         raise UsageError(f"{name} must be finite; element {wrong[0]} is {array[wrong[0]]} ({wrong.size} in all)")
@@ -167,4 +419,5 @@ def _require_finite(name: str, array: Array) -> None:
 
 def as_dict(model: FrictionModel) -> dict[str, Any]:
     """What a model file says under ``friction``."""
-    return {"model": model.name, "parameters": dict(model.parameters)}
+    content: dict[str, Any] = {"model": model.name, "parameters": dict(model.given)}
+    return {**content, "modifiers": dict(model.modifiers)} if model.modifiers else content

@@ -2,7 +2,8 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 from friction_hil.errors import ParameterError, choices
 
@@ -17,26 +18,35 @@ class InvalidParameterError(ParameterError):
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """A parameter of a friction model.
+    """A parameter of a friction model that is one number.
 
-    ``unit`` is that of a rotary axis; on a linear axis N m becomes N and rad becomes m. ``default`` is a
-    number, the name of the parameter whose value is taken, or None where a value must be given.
+    ``unit`` is that of a rotary axis; on a linear axis N m becomes N and rad becomes m. ``lower`` and ``upper``
+    are bounds, None for none. ``default`` is a number, the name of the parameter whose value is taken, or None
+    where a value must be given.
     """
 
     name: str
     symbol: str
     unit: str
     meaning: str
-    lower: float = 0.0
+    lower: float | None = 0.0
     is_lower_allowed: bool = True
+    upper: float | None = None
+    is_upper_allowed: bool = True
     is_infinity_allowed: bool = False
     default: float | str | None = None
 
     @property
     def bounds(self) -> str:
         """The bounds in words, e.g. ``> 0``."""
-        text = f"{'>=' if self.is_lower_allowed else '>'} {self.lower:g}"
-        return f"{text}, .inf allowed" if self.is_infinity_allowed else text
+        parts = []
+        if self.lower is not None:
+            parts.append(f"{'>=' if self.is_lower_allowed else '>'} {self.lower:g}")
+        if self.upper is not None:
+            parts.append(f"{'<=' if self.is_upper_allowed else '<'} {self.upper:g}")
+        if self.is_infinity_allowed:
+            parts.append(".inf allowed")
+        return ", ".join(parts) or "any number"
 
     def check(self, model: str, value: object) -> float:
         """Return ``value`` as a float.
@@ -46,15 +56,99 @@ class Parameter:
         InvalidParameterError
             It is no number, not finite, or outside the bounds.
         """
+        return self._check(model, self.name, value)
+
+    def _check(self, model: str, name: str, value: object) -> float:
         wanted = f"{self.meaning}, in {self.unit}, {self.bounds}"
         number = _as_number(value)
         if number is None:
-            raise InvalidParameterError(f"{model}: {self.name} is {value!r}, not a number ({wanted})", self.name)
+            raise InvalidParameterError(f"{model}: {name} is {value!r}, not a number ({wanted})", self.name)
         is_finite = math.isfinite(number) or (self.is_infinity_allowed and number == math.inf)
-        is_inside = number > self.lower or (self.is_lower_allowed and number == self.lower)
-        if not (is_finite and is_inside):
-            raise InvalidParameterError(f"{model}: {self.name} = {number:g} is not allowed ({wanted})", self.name)
+        if not (is_finite and self._is_inside(number)):
+            raise InvalidParameterError(f"{model}: {name} = {number:g} is not allowed ({wanted})", self.name)
         return number
+
+    def _is_inside(self, number: float) -> bool:
+        if self.lower is not None and (number < self.lower or (number == self.lower and not self.is_lower_allowed)):
+            return False
+        return self.upper is None or number < self.upper or (number == self.upper and self.is_upper_allowed)
+
+
+@dataclass(frozen=True, slots=True)
+class NumberList(Parameter):
+    """A parameter that is a list of ``least`` to ``most`` numbers, each within the bounds."""
+
+    least: int = 1
+    most: int = 1
+
+    @property
+    def bounds(self) -> str:
+        """The bounds in words."""
+        return f"a list of {self.least} to {self.most} numbers, each {super(NumberList, self).bounds}"
+
+    def check(self, model: str, value: object) -> Any:
+        """Return ``value`` as a list of floats; see `Parameter.check`."""
+        elements = _as_list(value)
+        if elements is None or not self.least <= len(elements) <= self.most:
+            what = f"has {len(elements)} elements" if elements is not None else f"is {value!r}"
+            raise InvalidParameterError(
+                f"{model}: {self.name} {what} ({self.meaning}, in {self.unit}, {self.bounds})", self.name
+            )
+        names = self.element_names(len(elements))
+        return [self._check(model, name, element) for name, element in zip(names, elements, strict=True)]
+
+    def element_names(self, count: int) -> list[str]:
+        """Names of the elements, e.g. ``weight[1]``."""
+        return [f"{self.name}[{i}]" for i in range(count)]
+
+
+@dataclass(frozen=True, slots=True)
+class PointList(Parameter):
+    """A parameter that is a list of up to ``most`` points, each a pair of finite numbers."""
+
+    most: int = 1
+
+    @property
+    def bounds(self) -> str:
+        """The bounds in words."""
+        return f"a list of 1 to {self.most} pairs of numbers"
+
+    def check(self, model: str, value: object) -> Any:
+        """Return ``value`` as a list of pairs of floats; see `Parameter.check`."""
+        wanted = f"{self.meaning}, in {self.unit}, {self.bounds}"
+        elements = _as_list(value)
+        if elements is None or not 1 <= len(elements) <= self.most:
+            what = f"has {len(elements)} elements" if elements is not None else f"is {value!r}"
+            raise InvalidParameterError(f"{model}: {self.name} {what} ({wanted})", self.name)
+        points = []
+        for i, element in enumerate(elements):
+            pair = [_as_number(each) for each in _as_list(element) or ()]
+            if len(pair) != 2 or any(each is None or not math.isfinite(each) for each in pair):
+                raise InvalidParameterError(
+                    f"{model}: {self.name}[{i}] is {element!r}, not a pair of finite numbers ({wanted})", self.name
+                )
+            points.append(pair)
+        return points
+
+
+@dataclass(frozen=True, slots=True)
+class Choice(Parameter):
+    """A parameter that is one of a few ``words``."""
+
+    words: tuple[str, ...] = ()
+
+    @property
+    def bounds(self) -> str:
+        """The words."""
+        return " or ".join(self.words)
+
+    def check(self, model: str, value: object) -> Any:
+        """Return ``value``; see `Parameter.check`."""
+        if value not in self.words:
+            raise InvalidParameterError(
+                f"{model}: {self.name} is {value!r} ({self.meaning}); {choices(str(value), self.words)}", self.name
+            )
+        return value
 
 
 def _as_number(value: object) -> float | None:
@@ -67,7 +161,14 @@ def _as_number(value: object) -> float | None:
         return None
 
 
-def check_all(model: str, known: Sequence[Parameter], given: Mapping[str, object]) -> tuple[float, ...]:
+def _as_list(value: object) -> list[object] | None:
+    """``value`` as a list; None for what is no sequence."""
+    if isinstance(value, (str, bytes, Mapping)) or not hasattr(value, "__len__") or not hasattr(value, "__iter__"):
+        return None
+    return list(value)
+
+
+def check_all(model: str, known: Sequence[Parameter], given: Mapping[str, object]) -> dict[str, Any]:
     """Check the ``given`` values of a model's parameters and fill in defaults, in the order of ``known``.
 
     Raises
@@ -79,12 +180,12 @@ def check_all(model: str, known: Sequence[Parameter], given: Mapping[str, object
     for name in given:
         if name not in by_name:
             raise InvalidParameterError(f"{model} has no parameter {name!r}; {choices(name, by_name)}", name)
-    values: dict[str, float] = {}
+    values: dict[str, Any] = {}
     for parameter in known:
         value = given.get(parameter.name)
-        if value is None and isinstance(parameter.default, str):
+        if value is None and parameter.default in values:
             # the parameter that the default names stands before this one in the table
-            values[parameter.name] = values[parameter.default]
+            values[parameter.name] = values[str(parameter.default)]
             continue
         if value is None:
             value = parameter.default
@@ -95,7 +196,7 @@ def check_all(model: str, known: Sequence[Parameter], given: Mapping[str, object
                 parameter.name,
             )
         values[parameter.name] = parameter.check(model, value)
-    return tuple(values.values())
+    return values
 
 
 def describe_brief(parameter: Parameter) -> str:
@@ -104,6 +205,16 @@ def describe_brief(parameter: Parameter) -> str:
         return parameter.name
     default = parameter.default if isinstance(parameter.default, str) else f"{parameter.default:g}"
     return f"{parameter.name} (={default})"
+
+
+def positive(parameter: Parameter) -> Parameter:
+    """Take a parameter over as one that must be above zero."""
+    return replace(parameter, is_lower_allowed=False)
+
+
+def defaulting(parameter: Parameter, default: float | str) -> Parameter:
+    """Take a parameter over with a default: a number, or the name of a parameter that stands before it."""
+    return replace(parameter, default=default)
 
 
 COULOMB = Parameter("coulomb", "Fc", "N m", "Coulomb level: friction while sliding slowly")

@@ -1,32 +1,68 @@
 """Stribeck friction: a static map whose level falls from break-away to Coulomb as sliding begins."""
 
-from friction_hil.jit import Array, compiled
-from friction_hil.models.curves import direction, sticking, stribeck_level
+from friction_hil.jit import Array, inlined
+from friction_hil.models.curves import direction, modified, sticking, stribeck_level
+from friction_hil.models.elementary import is_differentiated
 from friction_hil.models.family import Family
 from friction_hil.models.parameters import COULOMB, STATIC, STRIBECK_EXPONENT, STRIBECK_VELOCITY, VISCOUS
 
 
-@compiled
+@inlined
 def step(
     p: Array,
     s: Array,
     velocity: float,
     level_velocity: float,
     dt: float,
+    extra: float,
+    scale: float,
     applied_torque: float,
     epsilon: float,
 ) -> float:
-    """Torque of one sample; see `friction_hil.models.kernel.step`."""
+    """Torque of one sample; see `friction_hil.models.kernel`."""
     if velocity == 0.0 and epsilon == 0.0:
-        return sticking(applied_torque, p[1])
-    level = stribeck_level(level_velocity, p[0], p[1], p[2], p[3])
+        return sticking(applied_torque, modified(p[1], extra, scale))
+    level = modified(stribeck_level(level_velocity, p[0], p[1], p[2], p[3]), extra, scale)
     return level * direction(velocity, epsilon) + p[4] * level_velocity
 
 
-@compiled
-def steady(p: Array, velocity: float) -> float:
+@inlined
+def _fill(p: Array, velocity: Array, band: float, exponent: float, applied_torque: float, torque: Array) -> None:
+    coulomb, static, stribeck_velocity, viscous = p[0], p[1], p[2], p[4]
+    stuck = sticking(applied_torque, modified(static, 0.0, 1.0))
+    for k in range(velocity.shape[0]):
+        v = velocity[k]
+        level = modified(stribeck_level(v, coulomb, static, stribeck_velocity, exponent), 0.0, 1.0)
+        sliding = level * direction(v, 0.0) + viscous * v
+        torque[k] = stuck if v == 0.0 or abs(v) < band else sliding
+
+
+@inlined
+def run_with_band(p: Array, velocity: Array, band: float, applied_torque: float, torque: Array) -> None:
+    """Fill ``torque`` with that of every sample; velocities below ``band``, in rad/s, count as standstill.
+
+    With the usual exponent as a constant the compiler sees no power, and makes vector instructions of the loop.
+    """
+    if p[3] == 2.0 and not is_differentiated(p[3]):
+        _fill(p, velocity, band, 2.0, applied_torque, torque)
+    else:
+        _fill(p, velocity, band, p[3], applied_torque, torque)
+
+
+_run_with_band = run_with_band
+
+
+@inlined
+def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, torque: Array) -> None:
+    """Fill ``torque`` with that of every sample: the bits of `step`."""
+    _run_with_band(p, velocity, 0.0, applied_torque, torque)
+
+
+@inlined
+def steady(p: Array, velocity: float, extra: float, scale: float) -> float:
     """Torque at constant ``velocity``; 0 at rest."""
-    return stribeck_level(velocity, p[0], p[1], p[2], p[3]) * direction(velocity, 0.0) + p[4] * velocity
+    level = modified(stribeck_level(velocity, p[0], p[1], p[2], p[3]), extra, scale)
+    return level * direction(velocity, 0.0) + p[4] * velocity
 
 
 FAMILY = Family(
@@ -36,5 +72,6 @@ FAMILY = Family(
     source="Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30(7), 1994",
     parameters=(COULOMB, STATIC, STRIBECK_VELOCITY, STRIBECK_EXPONENT, VISCOUS),
     states=(),
+    example={"coulomb": 0.08, "static": 0.12, "stribeck_velocity": 0.2, "stribeck_exponent": 2.0, "viscous": 2e-3},
     note="some texts print |v|^vs / |vs|^vs in place of the exponential, which is dimensionally wrong",
 )

@@ -109,7 +109,6 @@ def draw_error(circularity: Circularity) -> "Figure":
 
 def draw_friction(circularity: Circularity) -> "Figure":
     """Draw true friction, believed friction and applied compensation over velocity."""
-    from friction_hil.models import create
 
     configuration = circularity.configuration
     angle = circularity.unit
@@ -122,12 +121,12 @@ def draw_friction(circularity: Circularity) -> "Figure":
         rows = (columns["time_s"] >= start) & (columns["time_s"] < stop)
         applied = columns["compensation"][rows]
         fastest = float(np.nanmax(np.abs(columns["velocity_estimate"][rows])))
-        truth: Any = getattr(config.simulation, "friction", None)
+        plant: Any = config.simulation
         side = np.geomspace(1e-4, 1.0, 300) * fastest
         velocity = np.concatenate([-side[::-1], [0.0], side])
         believed = config.model.friction_model
         curves = [
-            (create(truth.model, **truth.parameters), "true friction of the simulated axis", "-", _INK),
+            (plant.friction_model, "true friction of the simulated axis", "-", _INK),
             (believed, "what the compensator believes", "--", "#777777"),
         ]
         for model, label, style, color in curves:

@@ -14,6 +14,8 @@ from friction_hil.reports.circularity_picture import WITH, WITHOUT, draw_error, 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from friction_hil.models import FrictionModel
+
 MARK = '<meta name="generator" content="friction-hil demo'
 
 _STYLE = f"""
@@ -69,7 +71,7 @@ def write_report(
 <h2>Friction over velocity</h2>
 {_picture(draw_friction(circularity), _FRICTION_CAPTION)}
 <h2>What is true, and what the compensator believes</h2>
-<p>The compensator's parameters are wrong on purpose, as those of a real axis always are.</p>
+<p>The compensator's model and parameters are wrong on purpose, as those of a real axis always are.</p>
 {"".join(_parameters(circularity, axis) for axis in circularity.axes)}
 <h2>The drive's own loops, the same in all laps</h2>
 {_loops(circularity)}
@@ -171,18 +173,17 @@ def _loop(circularity: Circularity, loop: Mapping[str, Any], pace: str) -> str:
 
 def _parameters(circularity: Circularity, axis: str) -> str:
     """Parameters of plant and compensator side by side."""
-    from friction_hil.models import create
-
     config = circularity.configuration.axes[axis]
     plant: Any = config.simulation
     is_rotary = circularity.unit == "rad"
-    true_model, model = create(plant.friction.model, **plant.friction.parameters), config.model.friction_model
-    rows = []
-    if true_model.name == model.name:
-        for parameter in model.family.parameters:
-            name = parameter.name
-            unit = parameter.unit if is_rotary else parameter.unit.replace("N m", "N").replace("rad", "m")
-            rows.append((name, unit, true_model.parameters[name], model.parameters[name], parameter.meaning))
+    true_model, model = plant.friction_model, config.model.friction_model
+    rows = [
+        (name, unit if is_rotary else unit.replace("N m", "N").replace("rad", "m"), true, believed, meaning)
+        for (name, unit, true, meaning), (*_, believed, _) in zip(
+            _shared_quantities(true_model), _shared_quantities(model), strict=True
+        )
+        if true is not None and believed is not None
+    ]
     mechanics = config.model.mechanics
     rows.append(
         ("inertia", "kg m²" if is_rotary else "kg", plant.mechanics.inertia, mechanics.inertia, "motor and load")
@@ -199,9 +200,32 @@ def _parameters(circularity: Circularity, axis: str) -> str:
         )
         for name, unit, true, believed, meaning in rows
     ]
-    header = (f"<strong>{axis}</strong>, model {model.name}", "unit", "true", "believed", "difference", "")
-    gain = f"Gain of the compensation on {axis}: {config.compensation.gain:g}."
-    return _table(header, cells, ("", "", "", "", "text")) + f'<p class="note">{gain}</p>'
+    header = (f"<strong>{axis}</strong>", "unit", "true", "believed", "difference", "")
+    notes = (
+        f"True: {true_model}.",
+        f"Believed: {model}.",
+        f"Gain of the compensation on {axis}: {config.compensation.gain:g}.",
+    )
+    paragraphs = "".join(f'<p class="note">{html.escape(note)}</p>' for note in notes)
+    return _table(header, cells, ("", "", "", "", "text")) + paragraphs
+
+
+def _shared_quantities(model: "FrictionModel") -> list[tuple[str, str, float | None, str]]:
+    """Name, unit, value and meaning of what most models have in common; None for what this one has not."""
+    from friction_hil.models.parameters import COULOMB, STATIC, STRIBECK_VELOCITY, VISCOUS
+
+    named = [
+        (each.name, each.unit, model.parameters.get(each.name), each.meaning)
+        for each in (COULOMB, STATIC, STRIBECK_VELOCITY)
+    ]
+    stiffness = ("presliding stiffness", "N m/rad", model.presliding_stiffness or None, "torque over position at rest")
+    viscous = (
+        VISCOUS.name,
+        VISCOUS.unit,
+        model.parameters.get("viscous", model.parameters.get("sigma2")),
+        VISCOUS.meaning,
+    )
+    return [stiffness, *named, viscous]
 
 
 def _loops(circularity: Circularity) -> str:

@@ -2,8 +2,8 @@
 
 from pathlib import Path
 
-from friction_hil.errors import RecordingError, UsageError, choices
 from friction_hil.replay import Replay
+from friction_hil.reports.figures import new_figure, save
 
 
 def draw(replay: Replay, path: Path) -> None:
@@ -13,18 +13,10 @@ def draw(replay: Replay, path: Path) -> None:
     ------
     UsageError
         matplotlib is not installed, or does not know the suffix.
-    RecordingError
+    FrictionHilError
         The file cannot be written.
     """
-    try:
-        from matplotlib.figure import Figure
-    except ImportError:
-        raise UsageError("pictures need matplotlib: pip install 'friction-hil[report]'") from None
-
-    figure = Figure(figsize=(11.0, 8.0), layout="constrained")
-    known = figure.canvas.get_supported_filetypes()
-    if path.suffix.removeprefix(".").lower() not in known:
-        raise UsageError(f"{path}: no picture format has the suffix {path.suffix!r}; {choices(path.suffix, known)}")
+    figure = new_figure(path, 11.0, 8.0)
     first = replay.predictions[0]
     what, speed = ("torque", "rad/s") if first.unit == "N m" else ("force", "m/s")
     axes = figure.subplot_mosaic([["torque", "friction"], ["residual", "friction"]], width_ratios=[3, 2])
@@ -48,7 +40,4 @@ def draw(replay: Replay, path: Path) -> None:
         each.grid(alpha=0.3)
     figure.suptitle(f"{Path(replay.path).name}, axis {replay.axis}")
     figure.legend(*axes["torque"].get_legend_handles_labels(), loc="outside lower left")
-    try:
-        figure.savefig(path, dpi=120)
-    except OSError as error:
-        raise RecordingError(f"{path} cannot be written: {error.strerror}") from None
+    save(figure, path)

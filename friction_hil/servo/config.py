@@ -1,9 +1,12 @@
 """What a simulated servo is: the servo part of an axis's ``simulation`` in the configuration."""
 
 import math
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+if TYPE_CHECKING:
+    from friction_hil.models import FrictionModel
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
@@ -29,7 +32,7 @@ class TrueFriction(_Part):
     """The friction that really acts in the simulated servo."""
 
     model: str = Field("lugre", description="name of a friction model")
-    parameters: dict[str, float] = Field(
+    parameters: dict[str, Any] = Field(
         default_factory=lambda: {
             "sigma0": 2000.0,
             "sigma1": 1.0,
@@ -41,6 +44,9 @@ class TrueFriction(_Part):
         },
         description="its parameters, SI",
     )
+    modifiers: dict[str, Any] = Field(
+        default_factory=dict, description="what changes it: direction, viscous, load, temperature, ripple"
+    )
 
     @model_validator(mode="after")
     def _exists(self) -> "TrueFriction":
@@ -48,7 +54,7 @@ class TrueFriction(_Part):
         from friction_hil.models import create
 
         try:
-            create(self.model, **self.parameters)
+            create(self.model, modifiers=self.modifiers, **self.parameters)
         except UsageError as error:
             raise ValueError(str(error)) from None  # what pydantic gathers, with its place in the file
         return self
@@ -108,9 +114,17 @@ class ServoConfig(_Part):
             )
         return self
 
+    @property
+    def friction_model(self) -> "FrictionModel":
+        """The friction model, made anew at each call."""
+        from friction_hil.models import create
+
+        friction = self.friction
+        return create(friction.model, modifiers=friction.modifiers, axis=self.mechanics.axis, **friction.parameters)
+
     def _least_integration_hz(self) -> float:
         """Rate at which the explicit coupling of inertia and bristle is well inside its stability limit."""
         parameters: dict[str, Any] = self.friction.parameters
-        stiffness = parameters.get("sigma0", 0.0) / self.mechanics.inertia
+        stiffness = self.friction_model.presliding_stiffness / self.mechanics.inertia
         damping = sum(parameters.get(name, 0.0) for name in ("sigma1", "sigma2", "viscous")) / self.mechanics.inertia
         return max(2.0 * math.sqrt(stiffness), damping, 20000.0)

@@ -8,6 +8,7 @@ from friction_hil.jit import Record, compiled
 from friction_hil.models import kernel
 from friction_hil.servo.control import cascade
 
+_BALANCE = 1e-12  # relative difference of torque and friction that counts as none
 BRIDGED_PERIODS = 10.0  # of missing targets
 OFF, QUICK_STOP, CSP, CSV, CST = 0, 2, 8, 9, 10
 
@@ -17,6 +18,7 @@ PLANT = np.dtype(
         ("load_torque", "f8"),
         ("friction_kind", "f8"),
         ("is_friction_static", "f8"),
+        ("stick_velocity", "f8"),
         ("has_brake", "f8"),
         ("step_s", "f8"),
         ("torque_lag_share", "f8"),  # share of the torque step that arrives within one integration step
@@ -163,9 +165,23 @@ def advance(plant: Record, controller: Record, s: Record, steps: int) -> None:
             r.velocity = 0.0
             continue
         drive = r.torque - c.load_torque
-        friction = kernel.step(kind, c.friction, r.friction, r.velocity, r.velocity, c.step_s, drive, 0.0)
+        friction = kernel.step(
+            kind,
+            c.friction,
+            r.friction,
+            r.velocity,
+            r.velocity,
+            c.step_s,
+            r.position,
+            c.load_torque,
+            math.nan,
+            drive,
+            0.0,
+        )
         velocity = r.velocity + gain * (drive - friction)
-        if c.is_friction_static > 0.0 and velocity * r.velocity < 0.0:
-            velocity = 0.0
+        if c.is_friction_static > 0.0:
+            is_balanced = abs(drive - friction) <= _BALANCE * abs(drive)
+            if velocity * r.velocity < 0.0 or (is_balanced and abs(r.velocity) <= c.stick_velocity):
+                velocity = 0.0
         r.velocity = velocity
         r.position += c.step_s * velocity

@@ -5,7 +5,6 @@ import math
 import numpy as np
 
 from friction_hil.errors import UsageError
-from friction_hil.models import create
 from friction_hil.servo import plant
 from friction_hil.servo.config import ServoConfig
 from friction_hil.servo.control import CONTROLLER
@@ -53,7 +52,7 @@ class Servo:
 
     def __init__(self, config: ServoConfig, position: float = 0.0) -> None:
         self.config = config
-        friction = create(config.friction.model, **config.friction.parameters)
+        friction = config.friction_model
         step_s = 1.0 / config.integration_hz
         steps_per_control = round(config.integration_hz / config.loops.rate_hz)
         lag = config.motor.torque_lag_s
@@ -69,6 +68,7 @@ class Servo:
         c["friction_kind"] = friction.kind
         c["is_friction_static"] = friction.family.is_static
         c["friction"] = friction.values
+        c["stick_velocity"] = friction.parameters.get("stick_velocity", 0.0)
         c["step_s"] = step_s
         c["torque_lag_share"] = 1.0 if lag == 0.0 else -math.expm1(-step_s / lag)
         c["counts_per_unit"] = self.counts_per_unit

@@ -285,6 +285,6 @@ def test_the_report_has_everything_inside(tmp_path):
     for row in (
         "inertia kg m² 0.0002 0.00017 −15 %",
         "torque_lag_s s 0.0003 0.000345 +15 %",
-        "sigma0 N m/rad 2000 2000",
+        "presliding stiffness N m/rad 2000 2000",
     ):
         assert row in said

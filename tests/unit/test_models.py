@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 import friction_hil as fh
 from friction_hil.errors import ConfigurationError, UsageError
 from friction_hil.models import InvalidParameterError
+from friction_hil.models.parameters import Choice
 
 LUGRE = {
     "sigma0": 2000.0,
@@ -285,13 +286,15 @@ def test_dahl_has_its_closed_form():
 
 
 def test_registry_lists_what_it_describes():
-    assert fh.models.names() == list(NAMES)
-    for name in NAMES:
+    assert set(NAMES) < set(fh.models.names())
+    assert fh.models.names() == sorted(fh.models.names())
+    for name in fh.models.names():
         family = fh.models.describe(name)
         assert family.name == name
         assert len({p.name for p in family.parameters}) == len(family.parameters)
-        assert all(p.unit and p.meaning for p in family.parameters)
-    with pytest.raises(UsageError, match="did you mean 'lugre'\\? There are: coulomb, dahl, lugre, stribeck"):
+        assert all(p.meaning and (p.unit or isinstance(p, Choice)) for p in family.parameters)
+        assert fh.models.create(name, **family.example).level > 0.0
+    with pytest.raises(UsageError, match="did you mean 'lugre'\\? There are: armstrong, bouc_wen, coulomb"):
         fh.models.create("lugree")
 
 

@@ -1,6 +1,7 @@
 """Verification of the daemon's own recordings: the same bits again, and every single one that is not."""
 
 import struct
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -58,7 +59,7 @@ class Made:
         self.state_width = max(axis.state_width for axis in axes)
         self.metadata = {
             "configuration": self_contained(self.config),
-            "facts": [{"name": f.name, "position_resolution": f.position_resolution} for f in facts],
+            "facts": [asdict(f) for f in facts],
             "fingerprint": fingerprint(),
         }
 

@@ -1,0 +1,288 @@
+"""The picture of a friction model: torque over velocity, over position in a slow cycle, and its ripple."""
+
+import math
+import textwrap
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from friction_hil import models
+from friction_hil.jit import Array
+from friction_hil.models import FrictionModel
+from friction_hil.reports.figures import new_figure, save
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+# Okabe and Ito's: told apart with any colour vision.
+_MAIN, _OTHER, _THIRD = "#0072b2", "#d55e00", "#009e73"
+_INK, _FAINT = "#222222", "#888888"
+
+_STRIBECK_VELOCITIES = 10.0  # so many the velocity axis reaches
+_SLOW = 1e-3  # of the velocity axis
+_SETTLED = 0.9  # of its largest torque: presliding from rest counts as over
+_STROKE = 2.0  # times the distance until then, to either side
+_INNER_TOP, _INNER_SHARE = 0.8, 0.6  # torque at which the inner loop begins, and its share of the way back
+_SAMPLES = 400  # a leg of the cycle
+_TEMPERATURE_STEP = 20.0  # K
+
+
+@dataclass(frozen=True, slots=True)
+class SlowCycle:
+    """A slow motion from rest to one end, to the other and back, with a reversal inside the way back.
+
+    Attributes
+    ----------
+    position, torque : (n,) array
+        rad, N m. The position of a static map is a share of the stroke: such a map has no length of its own.
+    leg : (n,) array of int
+        0 from rest to the first end; 1 to the other end; 2 back as far as the loop inside; 3 and 4 that loop;
+        5 on to the first end.
+    velocity : float
+        rad/s.
+    """
+
+    position: Array
+    torque: Array
+    leg: NDArray[np.int64]
+    velocity: float
+
+
+def draw(model: FrictionModel, path: Path, title: str) -> None:
+    """Draw a model into a file; the suffix says which format.
+
+    Parameters
+    ----------
+    model : FrictionModel
+    path : Path
+    title : str
+        Heading; the parameters follow below it.
+
+    Raises
+    ------
+    UsageError
+        matplotlib is not installed, or does not know the suffix.
+    FrictionHilError
+        The file cannot be written.
+    """
+    painters = [_draw_velocity, _draw_cycle]
+    if model.modifiers.get("ripple"):
+        painters.append(_draw_ripple)
+    figure = new_figure(path, 5.4 * len(painters), 5.0)
+    for axes, paint in zip(figure.subplots(1, len(painters), squeeze=False)[0], painters, strict=True):
+        paint(axes, model)
+        axes.axhline(0.0, color=_FAINT, linewidth=0.6, zorder=0)
+        axes.grid(alpha=0.3)
+        axes.set_ylabel(_words(model, "friction torque [N m]"))
+        for side in ("top", "right"):
+            axes.spines[side].set_visible(False)
+    figure.suptitle(title, fontsize=12, fontweight="bold", color=_INK)
+    figure.supxlabel("\n".join(textwrap.wrap(_caption(model), 78 * len(painters))[:4]), fontsize=8.5, color=_INK)
+    save(figure, path)
+
+
+def velocity_range(model: FrictionModel) -> float:
+    """Velocity up to which the steady torque shows its shape, rad/s.
+
+    Ten Stribeck velocities; past the last point of a table; otherwise where the torque is half as much again as
+    in slow motion.
+    """
+    sides = _sides(model)
+    if "stribeck_velocity" in model.parameters:
+        return _STRIBECK_VELOCITIES * max(float(side["stribeck_velocity"]) for side in sides)
+    if model.name == "table":
+        fastest = max(abs(float(velocity)) for side in sides for velocity, _ in side["points"])
+        return 1.1 * fastest or 1.0
+    velocity = np.geomspace(1e-6, 1e4, 2001)
+    torque = _steady(model, velocity)
+    high = np.flatnonzero(torque >= 1.5 * torque[0])
+    return float(velocity[high[0]]) if high.size and model.level > 0.0 else 1.0
+
+
+def slow_cycle(model: FrictionModel) -> SlowCycle:
+    """Move a model, without its ripple, through the cycle that shows its presliding, or its jump."""
+    velocity = _SLOW * velocity_range(model)
+    if model.family.is_static:
+        band = max(float(side.get("stick_velocity", 0.0)) for side in _sides(model))
+        return _move(model, max(velocity, 2.0 * band), [1.0, -1.0, 0.2, -0.4, 0.2, 1.0])
+    deflection = model.level / model.presliding_stiffness
+    velocity = min(velocity, deflection)  # at least a second for such a distance
+    position = deflection * np.geomspace(1e-2, 1e4, 2001)
+    steps = np.diff(position, prepend=0.0)
+    torque = _torque(model, np.full(steps.size, velocity), steps / velocity)
+    end = _STROKE * float(position[np.argmax(torque >= _SETTLED * torque.max())])
+    whole = _move(model, velocity, [end, -end, end])
+    back = np.flatnonzero(whole.leg == 2)
+    top = float(whole.position[back[np.argmax(whole.torque[back] >= _INNER_TOP * whole.torque[back].max())]])
+    return _move(model, velocity, [end, -end, top, top - _INNER_SHARE * (top + end), top, end])
+
+
+def ripple(model: FrictionModel, position: Array) -> Array:
+    """Torque that the model's ripple adds at each ``position``, N m."""
+    modifiers = {"ripple": model.modifiers.get("ripple", [])}
+    alone = models.create("coulomb", coulomb=0.0, modifiers=modifiers, axis=model.axis)
+    return alone.simulate(np.ones(position.size), 1.0, position=position)
+
+
+def _sides(model: FrictionModel) -> list[dict[str, Any]]:
+    """Parameters as they are, and as they are in each direction."""
+    changes = model.modifiers.get("direction", {}).values()
+    return [model.parameters, *({**model.parameters, **each} for each in changes)]
+
+
+def _steady(model: FrictionModel, velocity: Array, load_torque: float = 0.0, temperature: float | None = None) -> Array:
+    load = load_torque if "load" in model.modifiers else None
+    return model.steady_state(velocity, load_torque=load, temperature=temperature)
+
+
+def _torque(model: FrictionModel, velocity: Array, dt: Array, applied_torque: Array | float = 0.0) -> Array:
+    """Torque of a motion from rest, without load and ripple."""
+    constant = float(ripple(model, np.zeros(1))[0])
+    pushed = np.asarray(applied_torque) + constant
+    return model.simulate(velocity, dt, position=0.0, load_torque=0.0, applied_torque=pushed) - constant
+
+
+def _break_away(model: FrictionModel, sign: float) -> float:
+    """Torque up to which a static map holds, with its sign."""
+    plenty = sign * 1e6 * (1.0 + model.level)
+    return float(_torque(model, np.zeros(1), np.ones(1), plenty)[0])
+
+
+def _move(model: FrictionModel, velocity: float, waypoints: list[float]) -> SlowCycle:
+    """Move at a constant speed from 0 to each of ``waypoints``.
+
+    A static map stands at each reversal until the applied torque, which grows from that of the motion before, has
+    reached the level at which it breaks away.
+    """
+    columns: list[list[Array]] = [[], [], [], [], []]
+    here, before = 0.0, 0.0
+    for leg, there in enumerate(waypoints):
+        sign = math.copysign(1.0, there - here)
+        if model.family.is_static and sign != before:
+            start = float(_steady(model, np.array([before * velocity]))[0])
+            applied = np.linspace(start, _break_away(model, sign), _SAMPLES)
+            rest = np.zeros(_SAMPLES)
+            _append(columns, here + rest, rest, 1.0 + rest, applied, leg + rest)
+        first = here if model.family.is_static else here + (there - here) / _SAMPLES  # a map jumps where it stands
+        moved = np.linspace(first, there, _SAMPLES)
+        same = np.ones(_SAMPLES)
+        dt = abs(there - here) / _SAMPLES / velocity
+        _append(columns, moved, sign * velocity * same, dt * same, 0.0 * same, leg * same)
+        here, before = there, sign
+    position, v, steps, applied, leg_numbers = map(np.concatenate, columns)
+    return SlowCycle(position, _torque(model, v, steps, applied), leg_numbers.astype(np.int64), velocity)
+
+
+def _append(columns: list[list[Array]], *values: Array) -> None:
+    for column, value in zip(columns, values, strict=True):
+        column.append(value)
+
+
+def _draw_velocity(axes: "Axes", model: FrictionModel) -> None:
+    side = np.geomspace(1e-5, 1.0, 500) * velocity_range(model)
+    velocity = np.concatenate([-side[::-1], [np.nan], side])
+    load = 0.5 * model.level
+    curves: list[tuple[str, str, dict[str, float]]] = [("", _MAIN, {})]
+    if "load" in model.modifiers:
+        curves[0] = ("no load", _MAIN, {})
+        curves.append((_words(model, f"load torque {load:.3g} N m"), _OTHER, {"load_torque": load}))
+    if "temperature" in model.modifiers:
+        reference = model.modifiers["temperature"]["reference"]
+        curves[0] = (f"{'no load, ' if curves[0][0] else ''}{reference:g} °C", _MAIN, {})
+        for step, color in ((-_TEMPERATURE_STEP, "#56b4e9"), (_TEMPERATURE_STEP, _THIRD)):
+            curves.append((f"{reference + step:g} °C", color, {"temperature": reference + step}))
+    factor, unit = _readable(float(side[-1]), _words(model, "rad/s"))
+    for label, color, inputs in curves:
+        torque = np.full(velocity.size, np.nan)
+        moving = np.isfinite(velocity)
+        torque[moving] = _steady(model, velocity[moving], **inputs)
+        width, order = (1.8, 3) if color == _MAIN else (1.2, 2)
+        axes.plot(velocity * factor, torque, color=color, linewidth=width, zorder=order, label=label or None)
+    if model.family.is_static:
+        ends = [_break_away(model, -1.0), _break_away(model, 1.0)]
+        label = "at rest: what is applied, up to break-away"
+        axes.plot([0.0, 0.0], ends, color=_MAIN, linewidth=1.2, marker="o", markersize=4.5, label=label)
+    else:
+        edges = _steady(model, -side[:1]), _steady(model, side[:1])
+        axes.plot([0.0, 0.0], [edges[0][0], edges[1][0]], ":", color=_MAIN, label="at rest: what its state holds")
+    _legend(axes, 2)
+    axes.set(xlabel=f"velocity [{unit}]", title="at constant velocity")
+
+
+def _draw_cycle(axes: "Axes", model: FrictionModel) -> None:
+    cycle = slow_cycle(model)
+    factor, unit = 1.0, "share of the stroke"
+    if not model.family.is_static:
+        factor, unit = _readable(float(cycle.position.max()), _words(model, "rad"))
+    styles = (("from rest", _FAINT, "--", (0,)), ("cycle", _MAIN, "-", (1, 2, 5)), ("loop inside", _OTHER, "-", (3, 4)))
+    for label, color, style, legs in styles:
+        for leg in legs:
+            rows = np.flatnonzero(cycle.leg == leg)
+            rows = np.concatenate([rows[:1] - 1, rows]) if rows[0] else rows  # from where the leg before ended
+            position, torque = cycle.position[rows] * factor, cycle.torque[rows]
+            if leg == 0:
+                position, torque = np.insert(position, 0, 0.0), np.insert(torque, 0, 0.0)
+            axes.plot(position, torque, style, color=color, linewidth=1.6, label=label if leg == legs[0] else None)
+            if leg in (1, 5):
+                at = 3 * position.size // 4
+                arrow = {"arrowstyle": "-|>", "color": color, "mutation_scale": 16.0}
+                axes.annotate("", (position[at + 1], torque[at + 1]), (position[at], torque[at]), arrowprops=arrow)
+    _legend(axes, 3)
+    speed, speed_unit = _readable(cycle.velocity, _words(model, "rad/s"))
+    axes.set(xlabel=f"position [{unit}]", title=f"in a slow cycle, {cycle.velocity * speed:.3g} {speed_unit}")
+
+
+def _draw_ripple(axes: "Axes", model: FrictionModel) -> None:
+    lowest = min(float(harmonic["order"]) for harmonic in model.modifiers["ripple"])
+    turn = 2.0 * math.pi if model.axis == "rotary" else 1.0
+    position = np.linspace(0.0, min(turn, 4.0 * turn / lowest), 2001)
+    slow = _SLOW * velocity_range(model)
+    added = ripple(model, position)
+    factor, unit = _readable(float(position[-1]), _words(model, "rad"))
+    for sign, label, color in ((1.0, "forward", _MAIN), (-1.0, "backward", _OTHER)):
+        level = float(_steady(model, np.array([sign * slow]))[0])
+        axes.plot(position * factor, level + added, color=color, linewidth=1.4, label=label)
+    _legend(axes, 2)
+    axes.set(xlabel=f"position [{unit}]", title="slow motion, with ripple")
+
+
+def _legend(axes: "Axes", columns: int) -> None:
+    """Name the curves below the panel, where they hide nothing."""
+    axes.legend(frameon=False, fontsize=9, ncols=columns, loc="upper center", bbox_to_anchor=(0.5, -0.13))
+
+
+def _words(model: FrictionModel, text: str) -> str:
+    """Text of a rotary axis as it reads for the model's own."""
+    if model.axis == "rotary":
+        return text
+    return text.replace("torque", "force").replace("N m", "N").replace("rad", "m")
+
+
+def _readable(largest: float, unit: str) -> tuple[float, str]:
+    """Factor and unit in which ``largest`` (SI) is at least 1."""
+    for factor, prefix in ((1.0, ""), (1e3, "m"), (1e6, "µ")):
+        if largest * factor >= 1.0:
+            return factor, prefix + unit
+    return 1e9, "n" + unit
+
+
+def _caption(model: FrictionModel) -> str:
+    """Parameters with units, of points only their number, and which modifiers there are."""
+    words = []
+    for parameter in model.family.parameters:
+        value = model.parameters[parameter.name]
+        unit = "" if parameter.unit in ("", "1") else f" {_words(model, parameter.unit)}"
+        if isinstance(value, list) and isinstance(value[0], list):
+            words.append(f"{len(value)} {parameter.name}")
+        elif isinstance(value, list):
+            words.append(f"{parameter.name} {', '.join(f'{each:g}' for each in value)}{unit}")
+        else:
+            words.append(
+                f"{parameter.name} {value:g}{unit}" if isinstance(value, float) else f"{parameter.name} {value}"
+            )
+    if model.modifiers:
+        words.append(f"modified by {', '.join(model.modifiers)}")
+    return ";  ".join(words)

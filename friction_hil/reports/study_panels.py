@@ -1,0 +1,162 @@
+"""How the study's pictures are laid out: one panel a model, curves that coincide drawn once, matrices."""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from friction_hil.jit import Array
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# Okabe and Ito's: told apart with any colour vision.
+WITHOUT, WITH = "#d55e00", "#0072b2"
+COLORS = ("#000000", "#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f7f7f")
+INK, FAINT = "#222222", "#bbbbbb"
+_DASHES = ("-", "--", "-.", ":")
+_SAME = 0.01  # of the largest value: closer curves are drawn as one
+
+
+def new_figure(width: float, height: float) -> "Figure":
+    """Make an empty white figure, in inches."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), facecolor="white", layout="constrained")
+
+
+def plain(axes: "Axes") -> None:
+    """Give axes a faint grid and no box."""
+    axes.grid(alpha=0.3)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+
+
+def panels(
+    names: Sequence[str],
+    draw: Callable[["Axes", str], None],
+    labels: tuple[str, str],
+    *,
+    height: float = 2.3,
+    legend: bool = False,
+    title: Callable[[str], str] = lambda name: name,
+) -> "Figure":
+    """Draw one panel a model, all with the same scales.
+
+    Parameters
+    ----------
+    names : sequence of str
+    draw : callable
+        Takes axes and a name.
+    labels : (str, str)
+        Of the x and the y axis, with units.
+    height : float
+        Of a row, in inches.
+    legend : bool
+        Put the legend of the first panel below all.
+    title : callable
+        Takes a name and returns the panel's heading.
+    """
+    columns = min(4, len(names))
+    rows = math.ceil(len(names) / columns)
+    figure = new_figure(10.0 if columns > 2 else 4.5 * columns, height * rows + (0.7 if legend else 0.4))
+    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    for place, name in zip(grid.flat, names, strict=False):
+        draw(place, name)
+        plain(place)
+        place.set_title(title(name), fontsize=10, color=INK)
+    for place in grid.flat[len(names) :]:
+        place.set_axis_off()
+    for column in range(columns):
+        bottom = (len(names) - 1 - column) // columns
+        grid[bottom, column].tick_params(labelbottom=True)
+    figure.supxlabel(labels[0], fontsize=10)
+    figure.supylabel(labels[1], fontsize=10)
+    if legend:
+        handles = grid[0, 0].get_legend_handles_labels()
+        figure.legend(*handles, loc="outside upper center", ncols=len(handles[0]), frameon=False, fontsize=10)
+    return figure
+
+
+def together(
+    lines: Mapping[str, tuple[Array, Array]], labels: tuple[str, str], *, log: bool = False, markers: bool = False
+) -> "Figure":
+    """Draw the lines of all models into one panel; those that coincide share one line and one name."""
+    figure = new_figure(10.0, 4.2)
+    axes = figure.subplots()
+    for k, (names, (x, y)) in enumerate(groups(lines)):
+        style: dict[str, Any] = {
+            "color": COLORS[k % len(COLORS)],
+            "linestyle": _DASHES[k % len(_DASHES)],
+            "linewidth": 1.8,
+        }
+        axes.plot(x, y, label=_wrapped(names), marker="o" if markers else None, markersize=4.0, **style)
+    if log:
+        axes.set_xscale("log")
+    axes.set(xlabel=labels[0], ylabel=labels[1])
+    plain(axes)
+    figure.legend(loc="outside right upper", frameon=False, fontsize=10)
+    return figure
+
+
+def groups(lines: Mapping[str, tuple[Array, Array]]) -> list[tuple[list[str], tuple[Array, Array]]]:
+    """Gather names whose lines coincide."""
+    found: list[tuple[list[str], tuple[Array, Array]]] = []
+    largest = max(float(np.abs(y).max()) for _, y in lines.values())
+    for name, (x, y) in lines.items():
+        for names, (_, other) in found:
+            if other.shape == y.shape and float(np.abs(other - y).max()) <= _SAME * largest:
+                names.append(name)
+                break
+        else:
+            found.append(([name], (x, y)))
+    return found
+
+
+def _wrapped(names: Sequence[str]) -> str:
+    rows = [", ".join(names[k : k + 2]) for k in range(0, len(names), 2)]
+    return ",\n".join(rows)
+
+
+def matrix(
+    names: Sequence[str],
+    value: Callable[[str, str | None], float],
+    write: Callable[[float], str],
+    *,
+    floor: float,
+) -> "Figure":
+    """Draw a table of numbers: a row for each friction that acts, a column for each that compensates.
+
+    The colour compares a number with the one without compensation in its row; ``floor`` is what counts as
+    nothing, so that two small numbers are not told apart.
+    """
+    columns: list[str | None] = [None, *names]
+    values = np.array([[value(name, each) for each in columns] for name in names])
+    ratio = np.log10(np.maximum(values, floor) / np.maximum(values[:, :1], floor))
+    figure = new_figure(min(2.0 + 0.72 * len(columns), 10.0), 1.5 + 0.36 * len(names))
+    axes = figure.subplots()
+    axes.imshow(-ratio, cmap=_two_colours(), vmin=-1.0, vmax=1.0, aspect="auto")
+    for (i, j), number in np.ndenumerate(values):
+        weight = "bold" if names[i] == columns[j] else "normal"
+        axes.text(j, i, write(number), ha="center", va="center", fontsize=9.5, color=INK, fontweight=weight)
+    axes.set_xticks(range(len(columns)), ["none", *names], rotation=35, ha="left", rotation_mode="anchor")
+    axes.set_yticks(range(len(names)), names)
+    axes.tick_params(top=True, labeltop=True, bottom=False, labelbottom=False, length=0, labelsize=10)
+    axes.set_xticks(np.arange(len(columns)) - 0.5, minor=True)
+    axes.set_yticks(np.arange(len(names)) - 0.5, minor=True)
+    axes.grid(which="minor", color="white", linewidth=1.5)
+    axes.tick_params(which="minor", length=0, top=False)
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+    axes.set_ylabel("friction that acts", fontsize=10)
+    axes.set_xlabel("model that compensates", fontsize=10, labelpad=10)
+    axes.xaxis.set_label_position("top")
+    return figure
+
+
+def _two_colours() -> Any:
+    from matplotlib.colors import LinearSegmentedColormap
+
+    return LinearSegmentedColormap.from_list("help", ["#e8965a", "#ffffff", "#7db7dd"])

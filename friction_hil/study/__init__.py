@@ -1,0 +1,10 @@
+"""What friction does to a servo: the textbook experiments, run with every model. Pure: numbers only.
+
+>>> from friction_hil import study
+>>> result = study.run(["coulomb", "lugre"])                    # doctest: +SKIP
+>>> result.facts["lugre"]["presliding_um"]                      # doctest: +SKIP
+"""
+
+from friction_hil.study.run import Study, check_names, run
+
+__all__ = ["Study", "check_names", "run"]

@@ -1,0 +1,81 @@
+"""Experiments in which the motion is given and friction is read: 1 static curves, 2 pulse, 4 strain, 5 lag."""
+
+import numpy as np
+
+from friction_hil.jit import Array
+from friction_hil.models import FrictionModel
+from friction_hil.study.outcome import Outcome, thin
+from friction_hil.study.subjects import REFERENCE, matched
+
+LAG_RATES = (1.0, 10.0, 25.0)  # rad/s
+PULSE_VELOCITY = 2e-3  # m/s
+_LAG_READ_AT = 1.5 * REFERENCE.stribeck_velocity
+_STRAIN_SPEED = 1e-4  # m/s: slow against the Stribeck velocity
+
+
+def static_curve(name: str) -> Outcome:
+    """Friction at constant velocity."""
+    velocity = np.geomspace(1e-5, 0.1, 300)
+    force = matched(name, REFERENCE).steady_state(velocity)
+    facts = {"curve_at_slow_N": float(force[0]), "curve_minimum_N": float(force.min())}
+    return Outcome(facts, {"force": (velocity, force)})
+
+
+def velocity_pulse(name: str) -> Outcome:
+    """Forth, rest, back, rest; each change of velocity takes 0.1 s."""
+    dt = 5e-5
+    corners = np.cumsum([0.0, 0.05, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1])
+    heights = PULSE_VELOCITY * np.array([0, 0, 1, 1, 0, 0, -1, -1, 0, 0])
+    time = dt * np.arange(1, round(corners[-1] / dt) + 1)
+    velocity = np.interp(time, corners, heights)
+    force = matched(name, REFERENCE).simulate(velocity, dt)
+    end_of_pulse, in_rest = (round(float(corners[k] - 1e-3) / dt) for k in (3, 5))
+    sliding = float(force[end_of_pulse])
+    facts = {
+        "pulse_overshoot_N": float(force[: end_of_pulse + 1].max()) - sliding,
+        "pulse_at_rest_N": float(force[in_rest]),
+    }
+    return Outcome(facts, {"force": thin(time, force, 1000), "velocity": thin(time, velocity)})
+
+
+def stress_strain(name: str) -> Outcome:
+    """Friction over a displacement forth and back, with a small loop inside the large one."""
+    dt = 5e-5
+    step = _STRAIN_SPEED * dt
+    turns = 1e-6 * np.array([0.0, 30.0, -30.0, 0.0, -6.0, 0.0, 30.0])
+    lengths = np.round(np.abs(np.diff(turns)) / step).astype(int)
+    velocity = np.repeat(np.sign(np.diff(turns)) * _STRAIN_SPEED, lengths)
+    model = matched(name, REFERENCE)
+    force = model.simulate(velocity, dt)
+    position = np.cumsum(velocity) * dt
+    facts = {}
+    if not model.family.is_static:
+        leaving, closing = (int(lengths[:k].sum()) - 1 for k in (3, 5))
+        facts = {
+            "stiffness_N_per_um": float((force[20] - force[10]) / (position[20] - position[10])) * 1e-6,
+            "small_loop_gap_mN": 1e3 * float(force[closing] - force[leaving]),
+        }
+    return Outcome(facts, {"force": thin(position, force, 1200)})
+
+
+def frictional_lag(name: str) -> Outcome:
+    """Friction over a velocity that swings without changing its sign, at three rates."""
+    facts, lines = {}, {}
+    model = matched(name, REFERENCE)
+    for rate in LAG_RATES:
+        width, line = _lag_loop(model, rate)
+        facts[f"lag_width_{rate:g}_mN"] = 1e3 * width
+        lines[f"{rate:g} rad/s"] = line
+    return Outcome(facts, lines)
+
+
+def _lag_loop(model: FrictionModel, rate: float) -> tuple[float, tuple[Array, Array]]:
+    """Height of the loop at 1.5 Stribeck velocities, and the loop, of the second of two periods."""
+    n = 20_000
+    phase = 2.0 * np.pi * np.arange(1, 2 * n + 1) / n - 0.5 * np.pi  # begins and ends at rest
+    velocity = REFERENCE.stribeck_velocity * (1.0 + np.sin(phase))
+    force = model.simulate(velocity, 2.0 * np.pi / (rate * n))
+    v, f = velocity[n:], force[n:]
+    rising, falling = slice(0, n // 2), slice(n - 1, n // 2, -1)
+    width = np.interp(_LAG_READ_AT, v[rising], f[rising]) - np.interp(_LAG_READ_AT, v[falling], f[falling])
+    return float(width), thin(v, f, 500)

@@ -1,0 +1,174 @@
+"""A mass with friction: pushed by a given force, or in a sampled loop with the daemon's compensator. Compiled."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from friction_hil import compensator as compensation
+from friction_hil.compensator import Compensator, CompensatorSettings
+from friction_hil.jit import Array, Record, compiled
+from friction_hil.models import FrictionModel, kernel
+
+PERIOD_S = 1e-3
+GAIN = 0.9  # about standstill, where too much compensation makes an axis unstable
+_STEPS = 5  # of integration in a period
+_RESOLUTION = 1e-7  # of the encoder, m
+_BALANCE = 1e-12  # relative difference of force and friction that counts as none
+
+MOVED = np.dtype(
+    [
+        ("kind", "f8"),
+        ("friction", "f8", (kernel.PARAMETER_ROOM,)),
+        ("is_static", "f8"),
+        ("stick_velocity", "f8"),
+        ("mass", "f8"),
+        ("damper", "f8"),
+        ("spring", "f8"),
+        ("pull", "f8"),
+        ("proportional", "f8"),
+        ("integral", "f8"),
+        ("derivative", "f8"),
+        ("target", "f8"),
+        ("demand", "f8"),  # velocity that the compensator knows, m/s; NaN: none
+        ("is_sampled", "f8"),  # whether there are encoder, controller and compensator
+        ("is_compensated", "f8"),
+        ("resolution", "f8"),
+        ("period_s", "f8"),
+        ("steps", "f8"),
+    ]
+)
+
+_compensate = compensation.step
+
+
+@compiled
+def _run(moved: Record, friction_state: Array, settings: Record, state: Record, force: Array, trace: Array) -> None:
+    """Fill ``trace`` with position, velocity, friction and compensation, (4, n), one column a period.
+
+    Semi-implicit Euler. A static map stops the mass where its velocity would change sign, and where friction
+    balances the force inside its dead band; friction balances the force from then on, up to break-away.
+    ``force`` has one element a period, or one for all.
+    """
+    c = moved[0]
+    kind, steps = int(c.kind), int(c.steps)
+    dt = c.period_s / steps
+    stride = 1 if force.shape[0] > 1 else 0
+    x, v, friction, integral, command, torque = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for k in range(trace.shape[1]):
+        given = command + force[k * stride]  # a command of the last period acts in this one
+        if c.is_sampled > 0.0:
+            measured = math.floor(x / c.resolution) * c.resolution
+            # it runs where it does not act, too: the controller damps with its velocity estimate
+            torque = c.is_compensated * _compensate(
+                settings, state, float(k), measured, 0.0, c.demand, c.demand, 1.0, 1.0
+            )
+            error = c.target - measured
+            integral += c.period_s * error
+            command = c.proportional * error + c.integral * integral - c.derivative * state[0].velocity + torque
+        trace[3, k] = torque
+        for j in range(steps):
+            applied = given + c.spring * (c.pull * (k * c.period_s + j * dt) - x) - c.damper * v
+            friction = kernel.step(kind, c.friction, friction_state, v, v, dt, 0.0, 0.0, math.nan, applied, 0.0)
+            after = v + dt * (applied - friction) / c.mass
+            if c.is_static > 0.0:
+                is_balanced = abs(applied - friction) <= _BALANCE * abs(applied)
+                if after * v < 0.0 or (is_balanced and abs(v) <= c.stick_velocity):
+                    after = 0.0
+            v = after
+            x += dt * v
+        trace[0, k], trace[1, k], trace[2, k] = x, v, friction
+
+
+@dataclass(frozen=True, slots=True)
+class Loop:
+    """What moves the mass, and what a compensator knows of it.
+
+    Attributes
+    ----------
+    mass : float
+        kg.
+    duration_s : float
+    spring, pull : float
+        Stiffness, N/m, and speed of the far end, m/s, of a spring at the mass.
+    pid : (float, float, float)
+        Proportional, integral and derivative gain of a position controller, N/m, N/(m s), N s/m.
+    target : float
+        Its set-point, m.
+    demand : float
+        Velocity at which the compensator knows the mass is meant to move, m/s; NaN where it only measures.
+    """
+
+    mass: float
+    duration_s: float
+    spring: float = 0.0
+    pull: float = 0.0
+    pid: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    target: float = 0.0
+    demand: float = math.nan
+
+
+def push(friction: FrictionModel, mass: float, force: Array, dt: float, damper: float = 0.0) -> Array:
+    """Position, velocity and friction, (3, n), of a mass at rest that ``force``, (n,), begins to push.
+
+    ``damper``, N s/m, is beside the friction.
+    """
+    moved = _moved(friction, mass=mass, damper=damper, period_s=dt, steps=1)
+    trace = _trace(moved, friction, friction, force, force.size)
+    return trace[:3]
+
+
+def run(friction: FrictionModel, loop: Loop, believed: FrictionModel | None) -> Array:
+    """Position, velocity, friction and compensation, (4, n), one column a period of 1 ms.
+
+    The mass is sampled at the beginning of each period through an encoder; PID controller and compensator work
+    in that period, and what they command acts in the next one, as in the daemon. In between the motion is
+    integrated five times finer.
+
+    Parameters
+    ----------
+    friction : FrictionModel
+        The one that really acts.
+    loop : Loop
+    believed : FrictionModel or None
+        The one that the compensator evaluates; None: no compensation.
+    """
+    moved = _moved(
+        friction,
+        mass=loop.mass,
+        spring=loop.spring,
+        pull=loop.pull,
+        proportional=loop.pid[0],
+        integral=loop.pid[1],
+        derivative=loop.pid[2],
+        target=loop.target,
+        demand=loop.demand,
+        is_sampled=1.0,
+        is_compensated=0.0 if believed is None else 1.0,
+        period_s=PERIOD_S,
+        steps=_STEPS,
+    )
+    n = round(loop.duration_s / PERIOD_S)
+    return _trace(moved, friction, friction if believed is None else believed, np.zeros(1), n)
+
+
+def _moved(friction: FrictionModel, **values: float) -> Record:
+    record = np.zeros(1, MOVED)
+    c = record[0]
+    c["kind"], c["friction"], c["is_static"] = friction.kind, friction.values, friction.family.is_static
+    c["stick_velocity"] = friction.parameters.get("stick_velocity", 0.0)
+    c["resolution"] = _RESOLUTION
+    for name, value in values.items():
+        c[name] = value
+    return record
+
+
+def _trace(moved: Record, friction: FrictionModel, believed: FrictionModel, force: Array, n: int) -> Array:
+    settings = CompensatorSettings(
+        period_s=PERIOD_S, position_resolution=_RESOLUTION, torque_limit=1e3, gain=GAIN, fade_s=PERIOD_S
+    )
+    compensator = Compensator(believed, settings)
+    trace = np.empty((4, n))
+    state = compensator.state.view(compensation.STATE)
+    _run(moved, friction.initial_state(), compensator.record, state, force, trace)
+    return trace
