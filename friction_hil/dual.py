@@ -32,7 +32,7 @@ from numba.extending import (
 )
 from numba.np.arrayobj import populate_array
 
-WIDTH = 8
+WIDTH = 6  # as many parameters as LuGre has with a constant sigma1; more of them take several runs
 
 intrinsic: Any = numba.extending.intrinsic  # for mypy: what it makes has other arguments than what it decorates
 
@@ -318,31 +318,41 @@ def dual_array(_: Any, values: Any, partials: Any) -> Any:
     return DUAL_ARRAY(_VECTOR, _TABLE), generate
 
 
-@intrinsic
-def _join(_: Any, value: Any, partials: Any) -> Any:
-    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return _pack(context, builder, args[0], cgutils.unpack_tuple(builder, args[1]))
-
-    return DUAL(types.float64, types.UniTuple(types.float64, WIDTH)), generate
+def _places(context: Any, builder: Any, kind: Any, row: Any) -> list[Any]:
+    """Pointers to the partials in a row of them."""
+    data = context.make_array(kind)(context, builder, value=row).data
+    return [builder.gep(data, [ir.Constant(_I8, i)]) for i in range(WIDTH)]
 
 
 @intrinsic
-def _partials(_: Any, x: Any) -> Any:
-    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        return cgutils.pack_array(builder, _unpack(context, builder, DUAL, args[0])[1])
+def _join(_: Any, value: Any, row: Any) -> Any:
+    """Dual of a value and a row of partials."""
 
-    return types.UniTuple(types.float64, WIDTH)(DUAL), generate
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        places = _places(context, builder, sig.args[1], args[1])
+        return _pack(context, builder, args[0], [builder.load(place) for place in places])
+
+    return DUAL(types.float64, row), generate
+
+
+@intrinsic
+def _write_partials(_: Any, row: Any, x: Any) -> Any:
+    """Put the partials of ``x`` in a row."""
+
+    def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        _, partials = _unpack(context, builder, DUAL, args[1])
+        assert partials is not None
+        for partial, place in zip(partials, _places(context, builder, sig.args[0], args[0]), strict=True):
+            builder.store(partial, place)
+        return context.get_dummy_value()
+
+    return types.void(row, DUAL), generate
 
 
 @overloaded(operator.getitem)
 def _get(container: Any, k: Any) -> Any:
     if isinstance(container, DualArrayType):
-
-        def of_array(container, k):  # type: ignore[no-untyped-def]
-            d = container.partials[k]
-            return _join(container.values[k], (d[0], d[1], d[2], d[3], d[4], d[5], d[6], d[7]))
-
-        return of_array
+        return lambda container, k: _join(container.values[k], container.partials[k])
     return None
 
 
@@ -352,9 +362,7 @@ def _set(container: Any, k: Any, x: Any) -> Any:
 
         def to_array(container, k, x):  # type: ignore[no-untyped-def]
             container.values[k] = primal(x)
-            partials, row = _partials(x), container.partials[k]
-            for i in range(WIDTH):
-                row[i] = partials[i]
+            _write_partials(container.partials[k], x)
 
         return to_array
     return None

@@ -1,7 +1,7 @@
 """Armstrong's seven-parameter model: frictional lag, rising static friction, and a spring while stuck."""
 
 from friction_hil.jit import Array, inlined
-from friction_hil.models.curves import direction, modified
+from friction_hil.models.curves import modified, sliding
 from friction_hil.models.elementary import buffer, whole
 from friction_hil.models.family import Family
 from friction_hil.models.parameters import COULOMB, STRIBECK_VELOCITY, VISCOUS, Parameter
@@ -177,7 +177,7 @@ def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, t
 @inlined
 def steady(p: Array, velocity: float, extra: float, scale: float) -> float:
     """Torque at constant ``velocity``, with the break-away level just after motion; 0 at rest."""
-    return modified(_level(p, p[2], _fall(p, velocity)), extra, scale) * direction(velocity, 0.0) + p[1] * velocity
+    return sliding(modified(_level(p, p[2], _fall(p, velocity)), extra, scale), p[1], velocity, velocity, 0.0)
 
 
 FAMILY = Family(

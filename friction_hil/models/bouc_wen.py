@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from friction_hil.jit import Array, inlined
-from friction_hil.models.curves import direction, modified
+from friction_hil.models.curves import direction, modified, sliding
 from friction_hil.models.elementary import approach, buffer, is_differentiated, log1p, mean_decay, power
 from friction_hil.models.family import Family
 from friction_hil.models.parameters import VISCOUS, InvalidParameterError, Parameter
@@ -167,7 +167,7 @@ def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, t
 def steady(p: Array, velocity: float, extra: float, scale: float) -> float:
     """Torque at constant ``velocity``; 0 at rest."""
     level = p[0] * _settled(p)
-    return modified(level, extra, scale) * direction(velocity, 0.0) + p[5] * velocity
+    return sliding(modified(level, extra, scale), p[5], velocity, velocity, 0.0)
 
 
 def _check(parameters: Mapping[str, Any]) -> None:

@@ -1,7 +1,7 @@
 """Coulomb friction with break-away and viscous friction: the classical static map."""
 
 from friction_hil.jit import Array, inlined
-from friction_hil.models.curves import direction, modified, sticking
+from friction_hil.models.curves import modified, sliding, sticking
 from friction_hil.models.family import Family
 from friction_hil.models.parameters import COULOMB, STATIC, VISCOUS, defaulting
 
@@ -21,13 +21,23 @@ def step(
     """Torque of one sample; see `friction_hil.models.kernel`."""
     if velocity == 0.0 and epsilon == 0.0:
         return sticking(applied_torque, modified(p[1], extra, scale))
-    return modified(p[0], extra, scale) * direction(velocity, epsilon) + p[2] * level_velocity
+    return sliding(modified(p[0], extra, scale), p[2], velocity, level_velocity, epsilon)
+
+
+@inlined
+def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, torque: Array) -> None:
+    """Fill ``torque`` with that of every sample: the bits of `step`."""
+    level, viscous = modified(p[0], 0.0, 1.0), p[2]
+    stuck = sticking(applied_torque, modified(p[1], 0.0, 1.0))
+    for k in range(velocity.shape[0]):
+        v = velocity[k]
+        torque[k] = stuck if v == 0.0 else sliding(level, viscous, v, v, 0.0)
 
 
 @inlined
 def steady(p: Array, velocity: float, extra: float, scale: float) -> float:
     """Torque at constant ``velocity``; 0 at rest."""
-    return modified(p[0], extra, scale) * direction(velocity, 0.0) + p[2] * velocity
+    return sliding(modified(p[0], extra, scale), p[2], velocity, velocity, 0.0)
 
 
 FAMILY = Family(

@@ -44,6 +44,12 @@ def direction(velocity: float, epsilon: float) -> float:
 
 
 @inlined
+def sliding(level: float, viscous: float, velocity: float, level_velocity: float, epsilon: float) -> float:
+    """Torque of a level and of viscous friction, level sgn v + Fv v, in N m."""
+    return level * direction(velocity, epsilon) + viscous * level_velocity
+
+
+@inlined
 def sticking(applied_torque: float, break_away: float) -> float:
     """Friction at rest: it balances ``applied_torque`` up to the ``break_away`` level, in N m."""
     if applied_torque > break_away:

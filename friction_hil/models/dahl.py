@@ -1,8 +1,17 @@
 """Dahl friction: presliding as a spring that yields, without a Stribeck curve."""
 
 from friction_hil.jit import Array, inlined
-from friction_hil.models.curves import direction, modified
-from friction_hil.models.elementary import approach, buffer, decay, expm1, is_differentiated, log, log1p
+from friction_hil.models.curves import direction, modified, sliding
+from friction_hil.models.elementary import (
+    approach,
+    buffer,
+    decay,
+    expm1,
+    is_differentiated,
+    log,
+    log1p,
+    toward,
+)
 from friction_hil.models.family import Family
 from friction_hil.models.parameters import COULOMB, VISCOUS, Parameter, positive
 
@@ -46,7 +55,7 @@ def step(
     sign = direction(velocity, 0.0)
     before = s[0]
     path = _path(p, level, velocity, dt)
-    after = before + approach(path) * (level * sign - before)
+    after = toward(before, level * sign, approach(path))
     rest = 1.0 - before * sign / level
     if exponent != 1.0 and velocity != 0.0 and rest > 0.0:
         # w^q - q path, less one, in a form that keeps its digits where the exponent is close to 1
@@ -83,7 +92,7 @@ def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, t
             way[k] = approach(_path(p, level, v[k], dt))
         held = s[0]
         for k in range(v.shape[0]):
-            held = held + way[k] * (settled[k] - held)
+            held = toward(held, settled[k], way[k])
             spring[k] = held
         s[0] = held
         for k in range(v.shape[0]):
@@ -93,7 +102,7 @@ def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, t
 @inlined
 def steady(p: Array, velocity: float, extra: float, scale: float) -> float:
     """Torque at constant ``velocity``; 0 at rest."""
-    return modified(p[1], extra, scale) * direction(velocity, 0.0) + p[3] * velocity
+    return sliding(modified(p[1], extra, scale), p[3], velocity, velocity, 0.0)
 
 
 FAMILY = Family(

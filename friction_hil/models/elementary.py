@@ -117,6 +117,11 @@ def expm1(x: float) -> float:
     return math.expm1(x)
 
 
+def toward(start: float, end: float, share: float) -> float:
+    """Value at a ``share`` of the way from ``start`` to ``end``, rounded once after the difference."""
+    return start + share * (end - start)
+
+
 def whole(x: float) -> int:
     """Whole number that ``x`` holds."""
     return int(x)
@@ -160,6 +165,19 @@ def _choose_power(x: Any, y: Any) -> Any:
 
         return of_duals
     return lambda x, y: _power(x, y)
+
+
+@overloaded(toward)
+def _choose_toward(start: Any, end: Any, share: Any) -> Any:
+    if all(isinstance(each, DualType) for each in (start, end, share)):
+
+        def of_duals(start, end, share):  # type: ignore[no-untyped-def]
+            way = end - start
+            slopes = chain(0.0, 1.0, start) + chain(0.0, primal(way), share) + chain(0.0, primal(share), way)
+            return chain(fma(primal(share), primal(way), primal(start)), 1.0, slopes)
+
+        return of_duals
+    return lambda start, end, share: fma(share, end - start, start)
 
 
 @overloaded(whole)

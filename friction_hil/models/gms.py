@@ -5,7 +5,7 @@ from typing import Any
 
 from friction_hil.dual import primal
 from friction_hil.jit import Array, inlined
-from friction_hil.models.curves import direction, gaussian_level, modified
+from friction_hil.models.curves import direction, gaussian_level, modified, sliding
 from friction_hil.models.elementary import approach, buffer, whole
 from friction_hil.models.family import Family, Packed
 from friction_hil.models.parameters import (
@@ -138,7 +138,7 @@ def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, t
 @inlined
 def steady(p: Array, velocity: float, extra: float, scale: float) -> float:
     """Torque at constant ``velocity``; 0 at rest."""
-    return _level_at(p, velocity, extra, scale) * direction(velocity, 0.0) + p[4] * velocity
+    return sliding(_level_at(p, velocity, extra, scale), p[4], velocity, velocity, 0.0)
 
 
 def _check(parameters: Mapping[str, Any]) -> None:

@@ -14,6 +14,8 @@ what load and temperature do to its level.
 
 from typing import Any
 
+import numpy as np
+
 from friction_hil.dual import borrowed_at, primal
 from friction_hil.jit import Array, compiled, compiled_for_one_sample, inlined
 from friction_hil.models import modifiers
@@ -30,6 +32,8 @@ from friction_hil.models.dispatch import (
 from friction_hil.models.elementary import part, whole
 
 HEADER = 3
+_CACHED = 32768  # samples: a quarter of a megabyte
+_MAGNITUDE, _INFINITY = np.int64(0x7FFFFFFFFFFFFFFF), np.int64(0x7FF0000000000000)  # bits of doubles
 PARAMETER_ROOM = 640  # a full table for each direction, and the modifiers
 STATE_ROOM = FAMILY_STATES + 1
 DIRECTION = STATE_ROOM - 1
@@ -160,6 +164,57 @@ def run(
             applied_torque[k * applied_stride],
             0.0,
         )
+
+
+@compiled
+def is_finite(values: Array) -> bool:
+    """Whether no element is infinite or NaN: its exponent's bits are not all set. One pass, in vector registers."""
+    bits = values.view(np.int64)
+    largest = np.int64(0)
+    for k in range(bits.shape[0]):
+        magnitude = bits[k] & _MAGNITUDE
+        largest = magnitude if magnitude > largest else largest
+    return bool(largest < _INFINITY)
+
+
+@compiled
+def window(values: Array, begin: int, end: int) -> Array:
+    """Samples of an input that has one element for all, or one a sample."""
+    return values[begin:end] if values.shape[0] > 1 else values
+
+
+@compiled
+def run_checked(
+    kind: Any,
+    p: Array,
+    s: Array,
+    velocity: Array,
+    dt: Array,
+    position: Array,
+    load_torque: Array,
+    temperature: Array,
+    applied_torque: Array,
+    torque: Array,
+) -> bool:
+    """`run`, and see whether ``velocity`` is finite, part by part, while it is in the cache."""
+    for begin in range(0, velocity.shape[0], _CACHED):
+        end = min(begin + _CACHED, velocity.shape[0])
+        v = velocity[begin:end]
+        run(
+            kind,
+            p,
+            s,
+            v,
+            window(dt, begin, end),
+            window(position, begin, end),
+            window(load_torque, begin, end),
+            window(temperature, begin, end),
+            window(applied_torque, begin, end),
+            torque[begin:end],
+        )
+        if not is_finite(v):
+            return False
+    return True
 
 
 @compiled

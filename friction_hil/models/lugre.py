@@ -1,10 +1,11 @@
 """LuGre friction: bristles that deflect, slip and carry the Stribeck curve."""
 
 import math
+from typing import Any
 
 from friction_hil.jit import Array, inlined
-from friction_hil.models.curves import direction, gaussian_level, modified
-from friction_hil.models.elementary import approach, buffer, decay
+from friction_hil.models.curves import direction, gaussian_level, modified, sliding
+from friction_hil.models.elementary import approach, buffer, decay, toward
 from friction_hil.models.family import Family
 from friction_hil.models.parameters import COULOMB, STATIC, STRIBECK_VELOCITY, Parameter, defaulting, positive
 
@@ -76,7 +77,7 @@ def step(
     """
     level = _level_at(p, level_velocity, extra, scale)
     before = s[0]
-    after = before + _share(p, level, velocity, dt) * (_slipped(p, level, velocity) - before)
+    after = toward(before, _slipped(p, level, velocity), _share(p, level, velocity, dt))
     s[0] = after
     return _torque(p, before, after, _damping(p, level_velocity), level_velocity, dt)
 
@@ -88,32 +89,37 @@ def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, t
     What does not depend on the state is worked out first, each quantity in a loop of its own, which the
     compiler turns into vector instructions; what is left to do one sample after the other is little.
     """
-    level, settled, way = buffer(p, _BLOCK), buffer(p, _BLOCK), buffer(p, _BLOCK)
+    # values of their own, not places in memory that a store could change: what depends on them alone leaves the loops
+    q: Any = (p[0], p[1], p[2], p[3], p[4], p[5], p[6])
+    settled, way = buffer(p, _BLOCK), buffer(p, _BLOCK)
     damped, deflection = buffer(p, _BLOCK), buffer(p, _BLOCK + 1)
+    is_fading = q[6] < math.inf
+    if not is_fading:
+        for k in range(_BLOCK):
+            damped[k] = q[1]
     for begin in range(0, velocity.shape[0], _BLOCK):
         v = velocity[begin : begin + _BLOCK]
         for k in range(v.shape[0]):
-            level[k] = _level_at(p, v[k], 0.0, 1.0)
-        for k in range(v.shape[0]):
-            settled[k] = _slipped(p, level[k], v[k])
-        for k in range(v.shape[0]):
-            way[k] = _share(p, level[k], v[k], dt)
-        for k in range(v.shape[0]):
-            damped[k] = _damping(p, v[k])
+            level = _level_at(q, v[k], 0.0, 1.0)
+            settled[k] = _slipped(q, level, v[k])
+            way[k] = _share(q, level, v[k], dt)
+        if is_fading:
+            for k in range(v.shape[0]):
+                damped[k] = _damping(q, v[k])
         z = s[0]
         deflection[0] = z
         for k in range(v.shape[0]):
-            z = z + way[k] * (settled[k] - z)
+            z = toward(z, settled[k], way[k])
             deflection[k + 1] = z
         s[0] = z
         for k in range(v.shape[0]):
-            torque[begin + k] = _torque(p, deflection[k], deflection[k + 1], damped[k], v[k], dt)
+            torque[begin + k] = _torque(q, deflection[k], deflection[k + 1], damped[k], v[k], dt)
 
 
 @inlined
 def steady(p: Array, velocity: float, extra: float, scale: float) -> float:
     """Torque at constant ``velocity``; 0 at rest."""
-    return _level_at(p, velocity, extra, scale) * direction(velocity, 0.0) + p[2] * velocity
+    return sliding(_level_at(p, velocity, extra, scale), p[2], velocity, velocity, 0.0)
 
 
 FAMILY = Family(

@@ -22,6 +22,8 @@ Purpose = Literal["feedforward", "simulation"]
 # Where nobody tells the velocity noise: slow against any Stribeck velocity, fast against double rounding.
 DEFAULT_VELOCITY_EPSILON = 1e-3
 
+_ZERO, _NAN = np.zeros(1), np.full(1, math.nan)
+
 
 class FrictionModel:
     """A model of the library with values for its parameters; make it with `friction_hil.models.create`.
@@ -176,7 +178,8 @@ class FrictionModel:
         """
         inputs = self._inputs(velocity, dt, position, load_torque, temperature, applied_torque)
         torque = np.empty(inputs[0].size) if out is None else _checked_out(out, (inputs[0].size,))
-        kernel.run(dispatch.tag(self.kind), self.values, self.initial_state(), *inputs, torque)
+        if not kernel.run_checked(dispatch.tag(self.kind), self.values, self.initial_state(), *inputs, torque):
+            _require_finite("velocity", inputs[0])
         return torque
 
     def simulate_with_gradient(
@@ -223,6 +226,7 @@ class FrictionModel:
             if name not in self.free:
                 raise UsageError(f"{self.name} has no free parameter {name!r}; {choices(name, self.free)}")
         inputs = self._inputs(velocity, dt, position, load_torque, temperature, applied_torque)
+        _require_finite("velocity", inputs[0])
         samples = inputs[0].size
         if out is None:
             torque, gradient = np.empty(samples), np.empty((samples, len(names)))
@@ -258,6 +262,7 @@ class FrictionModel:
             N m, without ripple; 0 at rest.
         """
         v = _vector("velocity", velocity)
+        _require_finite("velocity", v)
         _, _, _, load, warmth, _ = self._inputs(v[:1], 1.0, 0.0, load_torque, temperature, None)
         torque = np.empty(v.size)
         kernel.steady_curve(dispatch.tag(self.kind), self.values, v, load[0], warmth[0], torque)
@@ -312,7 +317,7 @@ class FrictionModel:
         temperature: ArrayLike | None,
         applied_torque: ArrayLike | None,
     ) -> tuple[Array, Array, Array, Array, Array, Array]:
-        """Check the inputs of a simulation, and make arrays of one element or n of all but the first."""
+        """Make arrays of a simulation's inputs, of one element or n; only the first may not be finite."""
         if position is None and self.modifiers.get("ripple"):
             raise UsageError(f"{self.name} with ripple needs the position, in rad or m")
         if load_torque is None and "load" in self.modifiers:
@@ -324,10 +329,10 @@ class FrictionModel:
         return (
             v,
             steps,
-            _per_sample("position", 0.0 if position is None else position, v.size),
-            _per_sample("load_torque", 0.0 if load_torque is None else load_torque, v.size),
-            np.array([math.nan]) if temperature is None else _per_sample("temperature", temperature, v.size),
-            _per_sample("applied_torque", 0.0 if applied_torque is None else applied_torque, v.size),
+            _ZERO if position is None else _per_sample("position", position, v.size),
+            _ZERO if load_torque is None else _per_sample("load_torque", load_torque, v.size),
+            _NAN if temperature is None else _per_sample("temperature", temperature, v.size),
+            _ZERO if applied_torque is None else _per_sample("applied_torque", applied_torque, v.size),
         )
 
 
@@ -380,13 +385,13 @@ def _brief(value: object) -> str:
 
 
 def _vector(name: str, values: ArrayLike) -> Array:
+    """``values`` as the kernels take them; whether they are finite is not asked."""
     try:
         array = np.ascontiguousarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise UsageError(f"{name} must be an array of numbers: {error}") from None
     if array.ndim != 1:
         raise UsageError(f"{name} must have one dimension, not shape {array.shape}")
-    _require_finite(name, array)
     return array
 
 
@@ -410,7 +415,7 @@ def _checked_out(out: Array, shape: tuple[int, ...]) -> Array:
 
 
 def _require_finite(name: str, array: Array) -> None:
-    if not array.size or (math.isfinite(array.min()) and math.isfinite(array.max())):  # fast; NaN comes through both
+    if kernel.is_finite(array):
         return
     wrong = np.flatnonzero(~np.isfinite(array))
     if wrong.size:

@@ -8,14 +8,8 @@ from friction_hil.dual import WIDTH, borrowed, dual_array
 from friction_hil.jit import Array, compiled
 from friction_hil.models import kernel
 
-_run = kernel.run
+_run, _window = kernel.run, kernel.window
 _BLOCK = 1024
-
-
-@compiled
-def _window(values: Array, begin: int, end: int) -> Array:
-    """Samples of an input that has one element for all, or one a sample."""
-    return values[begin:end] if values.shape[0] > 1 else values
 
 
 @compiled

@@ -1,7 +1,7 @@
 """Stribeck friction: a static map whose level falls from break-away to Coulomb as sliding begins."""
 
 from friction_hil.jit import Array, inlined
-from friction_hil.models.curves import direction, modified, sticking, stribeck_level
+from friction_hil.models.curves import modified, sliding, sticking, stribeck_level
 from friction_hil.models.elementary import is_differentiated
 from friction_hil.models.family import Family
 from friction_hil.models.parameters import COULOMB, STATIC, STRIBECK_EXPONENT, STRIBECK_VELOCITY, VISCOUS
@@ -23,7 +23,7 @@ def step(
     if velocity == 0.0 and epsilon == 0.0:
         return sticking(applied_torque, modified(p[1], extra, scale))
     level = modified(stribeck_level(level_velocity, p[0], p[1], p[2], p[3]), extra, scale)
-    return level * direction(velocity, epsilon) + p[4] * level_velocity
+    return sliding(level, p[4], velocity, level_velocity, epsilon)
 
 
 @inlined
@@ -33,8 +33,8 @@ def _fill(p: Array, velocity: Array, band: float, exponent: float, applied_torqu
     for k in range(velocity.shape[0]):
         v = velocity[k]
         level = modified(stribeck_level(v, coulomb, static, stribeck_velocity, exponent), 0.0, 1.0)
-        sliding = level * direction(v, 0.0) + viscous * v
-        torque[k] = stuck if v == 0.0 or abs(v) < band else sliding
+        slipping = sliding(level, viscous, v, v, 0.0)
+        torque[k] = stuck if v == 0.0 or abs(v) < band else slipping
 
 
 @inlined
@@ -62,7 +62,7 @@ def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, t
 def steady(p: Array, velocity: float, extra: float, scale: float) -> float:
     """Torque at constant ``velocity``; 0 at rest."""
     level = modified(stribeck_level(velocity, p[0], p[1], p[2], p[3]), extra, scale)
-    return level * direction(velocity, 0.0) + p[4] * velocity
+    return sliding(level, p[4], velocity, velocity, 0.0)
 
 
 FAMILY = Family(
