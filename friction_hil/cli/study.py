@@ -38,7 +38,7 @@ def command(names: str | None, output: Path, as_json: bool) -> int:
     """
     from friction_hil import study
     from friction_hil.reports.circularity_picture import require_matplotlib
-    from friction_hil.reports.study_report import claim, write_report
+    from friction_hil.reports.study.report import claim, write_report
 
     chosen = None if names is None else [name.strip() for name in names.split(",") if name.strip()]
     study.check_names(chosen)
@@ -81,7 +81,7 @@ def _print(result: "Study", report: Path) -> None:
     from rich.markup import escape
     from rich.table import Table
 
-    from friction_hil.reports.study_text import look, summary_columns
+    from friction_hil.reports.study.text import look, summary_columns
 
     columns = summary_columns()
     table = Table("model", box=None, header_style="bold", pad_edge=False)

@@ -1,15 +1,14 @@
 """The circularity test as one HTML file that needs nothing else: pictures, figures, and what was true and believed."""
 
-import base64
 import html
-import io
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from friction_hil import __version__
 from friction_hil.reports.circularity import Circularity, digits, unit_of_figures
 from friction_hil.reports.circularity_picture import WITH, WITHOUT, draw_error, draw_friction
+from friction_hil.reports.page import page, picture, table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -19,19 +18,9 @@ if TYPE_CHECKING:
 MARK = '<meta name="generator" content="friction-hil demo'
 
 _STYLE = f"""
-body {{ font: 16px/1.5 system-ui, sans-serif; color: #222; background: #fff }}
-body {{ max-width: 62rem; margin: 2rem auto; padding: 0 1rem }}
-h1 {{ font-size: 1.6rem; margin-bottom: .3rem }} h2 {{ font-size: 1.2rem; margin-top: 2.2rem }}
-figure {{ margin: 1rem 0 }} img {{ display: block; width: 100%; height: auto; margin: auto }}
-figure.circle img {{ max-width: 46rem }}
-figcaption, .note {{ color: #555; font-size: .92rem }}
-table {{ border-collapse: collapse; margin: .6rem 0; font-variant-numeric: tabular-nums }}
-th, td {{ padding: .25rem .8rem; text-align: right; border-bottom: 1px solid #ddd; font-weight: normal }}
-thead th {{ border-bottom: 2px solid #888; vertical-align: bottom }}
-th:first-child, td.text {{ text-align: left }} td {{ white-space: nowrap }} td.text {{ white-space: normal }}
+figure.circle img {{ display: block; width: 100%; max-width: 46rem; margin: auto }}
 .without {{ color: {WITHOUT}; font-weight: 600 }} .with {{ color: {WITH}; font-weight: 600 }}
-pre {{ white-space: pre-wrap; font-size: .85rem; background: #f5f5f5; padding: .6rem }}
-""".strip()
+""".lstrip()
 
 
 def write_report(
@@ -61,15 +50,15 @@ def write_report(
     body = f"""
 <h1>Friction compensation on a circle of two axes</h1>
 <p><strong>{html.escape(result)}</strong> {_what_ran(circularity, pace)}</p>
-{_picture(circle, _CIRCLE_CAPTION.format(x=first, y=second), "circle")}
+{picture(circle, _CIRCLE_CAPTION.format(x=first, y=second), "circle")}
 <h2>Figures</h2>
 {_figures(circularity)}
 <p class="note">{_left_out(circularity)}</p>
 {_loop(circularity, loop, pace)}
 <h2>Following error over time</h2>
-{_picture(draw_error(circularity), _ERROR_CAPTION)}
+{picture(draw_error(circularity), _ERROR_CAPTION, "wide")}
 <h2>Friction over velocity</h2>
-{_picture(draw_friction(circularity), _FRICTION_CAPTION)}
+{picture(draw_friction(circularity), _FRICTION_CAPTION, "wide")}
 <h2>What is true, and what the compensator believes</h2>
 <p>The compensator's model and parameters are wrong on purpose, as those of a real axis always are.</p>
 {"".join(_parameters(circularity, axis) for axis in circularity.axes)}
@@ -80,10 +69,8 @@ def write_report(
 <p class="note">friction-hil {__version__}. The recording beside this file holds every cycle and the whole
 configuration; <code>friction-hil replay RECORDING --verify</code> runs the compensator again, bit for bit.</p>
 """
-    head = f'<meta charset="utf-8">\n{MARK} {__version__}">\n<meta name="viewport" content="width=device-width">'
-    title = "<title>friction-hil: circularity without and with compensation</title>"
-    document = f'<!doctype html>\n<html lang="en">\n<head>\n{head}\n{title}\n<style>\n{_STYLE}\n</style>\n</head>\n'
-    path.write_text(f"{document}<body>{body}</body>\n</html>\n", encoding="utf-8")
+    title = "friction-hil: circularity without and with compensation"
+    path.write_text(page(title, f'{MARK} {__version__}">', body, _STYLE), encoding="utf-8")
 
 
 _CIRCLE_CAPTION = (
@@ -108,26 +95,6 @@ def _what_ran(circularity: Circularity, pace: str) -> str:
     )
 
 
-def _picture(figure: "Figure", caption: str, kind: str = "wide") -> str:
-    text = io.StringIO()
-    figure.savefig(text, format="svg")
-    data = base64.b64encode(text.getvalue().encode()).decode()
-    escaped = html.escape(caption)
-    source = f"data:image/svg+xml;base64,{data}"
-    return f'<figure class="{kind}"><img alt="{escaped}" src="{source}"><figcaption>{escaped}</figcaption></figure>'
-
-
-def _table(header: Sequence[str], rows: Iterable[Sequence[str]], classes: Sequence[str] = ()) -> str:
-    """Lay out a table; its cells are HTML. ``classes`` are those of the columns after the first."""
-    heads = "".join(f'<th scope="col">{cell}</th>' for cell in header)
-    lines = []
-    for first, *others in rows:
-        marks = [*classes, *[""] * len(others)]
-        cells = "".join(f'<td class="{mark}">{cell}</td>' for cell, mark in zip(others, marks, strict=False))
-        lines.append(f'<tr><th scope="row">{first}</th>{cells}</tr>')
-    return f"<table><thead><tr>{heads}</tr></thead><tbody>{''.join(lines)}</tbody></table>"
-
-
 def _figures(circularity: Circularity) -> str:
     factor, unit = unit_of_figures(circularity)
     before, after = circularity.uncompensated, circularity.compensated
@@ -147,7 +114,7 @@ def _figures(circularity: Circularity) -> str:
         )
     )
     header = ("", "unit", "without", "with compensation", "times smaller")
-    return _table(header, rows, ("", "without", "with", ""))
+    return table(header, rows, ("", "without", "with", ""))
 
 
 def _left_out(circularity: Circularity) -> str:
@@ -207,7 +174,7 @@ def _parameters(circularity: Circularity, axis: str) -> str:
         f"Gain of the compensation on {axis}: {config.compensation.gain:g}.",
     )
     paragraphs = "".join(f'<p class="note">{html.escape(note)}</p>' for note in notes)
-    return _table(header, cells, ("", "", "", "", "text")) + paragraphs
+    return table(header, cells, ("", "", "", "", "text")) + paragraphs
 
 
 def _shared_quantities(model: "FrictionModel") -> list[tuple[str, str, float | None, str]]:
@@ -235,4 +202,4 @@ def _loops(circularity: Circularity) -> str:
     for name, field in fields.items():
         values = (f"{getattr(plant.loops, name):g}" for plant in plants)
         rows.append((name, *values, f"<span class='note'>{html.escape(field.description or '')}</span>"))
-    return _table(("", *circularity.axes, ""), rows, ("", "", "text"))
+    return table(("", *circularity.axes, ""), rows, ("", "", "text"))

@@ -10,7 +10,7 @@ import pytest
 
 from friction_hil import study
 from friction_hil.cli import main
-from friction_hil.reports.study_report import MARK
+from friction_hil.reports.study.report import MARK
 
 COMMAND = [sys.executable, "-m", "friction_hil", "study"]
 

@@ -10,9 +10,9 @@ import pytest
 
 from friction_hil import models, study
 from friction_hil.errors import UsageError
-from friction_hil.reports import study_report
-from friction_hil.reports.study_panels import groups
-from friction_hil.reports.study_text import SECTIONS, look, number, summary_columns
+from friction_hil.reports.study import report as study_report
+from friction_hil.reports.study.panels import groups
+from friction_hil.reports.study.text import SECTIONS, look, number, summary_columns
 from friction_hil.study import closed_loop, mass
 from friction_hil.study.circle import reversal
 from friction_hil.study.given_force import break_away_force, presliding

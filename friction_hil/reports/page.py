@@ -14,6 +14,7 @@ body { font: 16px/1.5 system-ui, sans-serif; color: #222; background: #fff }
 body { max-width: 66rem; margin: 2rem auto; padding: 0 1rem }
 h1 { font-size: 1.6rem; margin-bottom: .3rem } h2 { font-size: 1.25rem; margin-top: 2.6rem }
 figure { margin: 1rem 0 } img { max-width: 100%; height: auto }
+figure.wide img { display: block; width: 100% }
 figcaption, .note { color: #555; font-size: .92rem }
 .scroll { overflow-x: auto }
 table { border-collapse: collapse; margin: .6rem 0; font-variant-numeric: tabular-nums; font-size: .92rem }
@@ -22,11 +23,12 @@ thead th { border-bottom: 2px solid #888; vertical-align: bottom }
 th:first-child, .text { text-align: left } td { white-space: nowrap } td.text { white-space: normal }
 code { font-size: .92em }
 nav { display: flex; flex-wrap: wrap; gap: .2em 1.2em }
+pre { white-space: pre-wrap; font-size: .85rem; background: #f5f5f5; padding: .6rem }
 """.strip()
 
 
-def picture(figure: "Figure", caption: str) -> str:
-    """Put a figure into the page, as SVG, with its caption."""
+def picture(figure: "Figure", caption: str, kind: str = "") -> str:
+    """Put a figure into the page, as SVG, with its caption; ``kind`` is its class, ``wide`` fills the page."""
     from matplotlib import rc_context
 
     text = io.StringIO()
@@ -35,7 +37,7 @@ def picture(figure: "Figure", caption: str) -> str:
     data = base64.b64encode(text.getvalue().encode()).decode()
     escaped = html.escape(caption)
     return (
-        f'<figure><img alt="{escaped}" src="data:image/svg+xml;base64,{data}">'
+        f'<figure class="{kind}"><img alt="{escaped}" src="data:image/svg+xml;base64,{data}">'
         f"<figcaption>{escaped}</figcaption></figure>"
     )
 
@@ -52,8 +54,8 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]], classes: Sequenc
     return f'<div class="scroll"><table>{body}</table></div>'
 
 
-def page(title: str, mark: str, body: str) -> str:
-    """Put the whole document together; ``mark`` is the meta element that says who made it."""
+def page(title: str, mark: str, body: str, style: str = "") -> str:
+    """Put the whole document together; ``mark`` is the meta element that says who made it, ``style`` goes on top."""
     head = f'<meta charset="utf-8">\n{mark}\n<meta name="viewport" content="width=device-width">'
-    start = f"<title>{html.escape(title)}</title>\n<style>\n{STYLE}\n</style>"
+    start = f"<title>{html.escape(title)}</title>\n<style>\n{STYLE}\n{style}</style>"
     return f'<!doctype html>\n<html lang="en">\n<head>\n{head}\n{start}\n</head>\n<body>{body}</body>\n</html>\n'

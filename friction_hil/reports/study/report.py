@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 from friction_hil import __version__
 from friction_hil.errors import UsageError
-from friction_hil.reports import study_pictures as pictures
-from friction_hil.reports.study_html import page, picture, table
-from friction_hil.reports.study_text import HOW_MATCHED, SECTIONS, Section, look, number, summary_columns
+from friction_hil.reports.page import page, picture, table
+from friction_hil.reports.study import pictures
+from friction_hil.reports.study.text import HOW_MATCHED, SECTIONS, Section, look, number, summary_columns
 from friction_hil.study import Study
 from friction_hil.study.circle import LEVELS_AT
 from friction_hil.study.subjects import REFERENCE, Levels, matched, servo_levels
