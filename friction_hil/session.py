@@ -99,7 +99,7 @@ def run_session(
         facts = drives.connect()
         for fact in facts:
             tell(f"{fact.name}: {fact.identity}")
-            for note in fact.notes:
+            for note in (*fact.notes, *configuration.axes[fact.name].model.friction_model.notes):
                 tell(f"{fact.name}: {note}")
         path_time = PathTime(ramp_s(configuration.axes.values()))
         shadows = sorted({shadow.name for axis in configuration.axes.values() for shadow in axis.shadows})

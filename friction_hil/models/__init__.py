@@ -49,8 +49,8 @@ def describe(name: str) -> Family:
     """
     try:
         return FAMILIES[name]
-    except KeyError:
-        raise UsageError(f"no friction model is called {name!r}; {choices(name, FAMILIES)}") from None
+    except (KeyError, TypeError):
+        raise UsageError(f"no friction model is called {name!r}; {choices(str(name), FAMILIES)}") from None
 
 
 def create(

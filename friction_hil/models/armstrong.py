@@ -37,7 +37,7 @@ def _record(s: Array, velocity: float, dt: float, lag: float) -> int:
     The ring takes every sample as long as it then reaches back over the lag. If not, the newest place is overwritten
     until it is far enough from the one before.
     """
-    newest = whole(s[_NEWEST])
+    newest = whole(s[_NEWEST]) & _RING
     length = s[_LENGTHS + newest]
     if _is_far_enough(length, lag):
         newest = (newest + 1) & _RING
@@ -161,7 +161,7 @@ def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, t
     for begin in range(0, velocity.shape[0], _BLOCK):
         v = velocity[begin : begin + _BLOCK]
         if begin > 0 and v.shape[0] == _BLOCK and _is_far_enough(dt, lag):
-            back, share = _past(s, whole(s[_NEWEST]), lag)
+            back, share = _past(s, whole(s[_NEWEST]) & _RING, lag)
             later, earlier = velocity[begin - back :], velocity[begin - back - 1 :]
             for k in range(_BLOCK):
                 fall[k] = _fall(p, _between(later[k], earlier[k], share))

@@ -19,6 +19,7 @@ _EXPONENT = Parameter(
     "exponent", "n", "1", "sharpness of the transition from elastic to sliding", lower=1.0, default=1.0
 )
 _SUBSTEPS = 32
+_LONGEST = 1e6  # path over the settled deflection: far beyond where everything has settled, and finite
 _PATH_PER_SUBSTEP = 0.125
 _BLOCK = 256  # samples; their intermediate results stay in the nearest cache
 
@@ -38,7 +39,8 @@ def _ratio(p: Array) -> float:
 @inlined
 def _path(p: Array, settled: float, velocity: float, dt: float) -> float:
     """Path travelled in ``dt``, A abs(v) dt, over the settled deflection."""
-    return p[1] * abs(velocity) * dt / settled
+    path = p[1] * abs(velocity) * dt / settled
+    return path if path < _LONGEST else _LONGEST + 0.0 * p[1]
 
 
 @inlined

@@ -20,6 +20,7 @@ _BREAKAWAY_RATIO = Parameter(
     is_upper_allowed=False,
 )
 _SUBSTEPS = 32
+_SETTLED = 50.0  # path, over the settled deflection, after which nothing is left to settle in double precision
 _SUBSTEPS_PER_TRANSITION = 8
 
 
@@ -38,6 +39,8 @@ def _deflected(y: float, path: float, ratio: float) -> float:
             return y + path
         path = path - elastic
         y = ratio + 0.0 * y
+    if path > _SETTLED:
+        return 1.0 + 0.0 * y
     width, middle = 1.0 - ratio, 0.5 * (1.0 + ratio)
     longest = width / _SUBSTEPS_PER_TRANSITION
     angle_per_y = math.pi / width

@@ -15,6 +15,7 @@ what load and temperature do to its level.
 from typing import Any
 
 import numpy as np
+from numba import types
 
 from friction_hil.dual import borrowed_at, primal
 from friction_hil.jit import Array, compiled, compiled_for_one_sample, inlined
@@ -98,7 +99,10 @@ def step(
     own = part(p, whole(p[1]) if sign < 0.0 else HEADER)
     extra, scale = _level_extra(m, load_torque, sign), _level_scale(m, temperature)
     torque = family_step(kind, own, s, velocity, level_velocity, dt, extra, scale, pushed, epsilon)
-    return torque + _fast_torque(m, level_velocity) + ripple
+    fast = _fast_torque(m, level_velocity)
+    if is_stuck and epsilon == 0.0 and number(kind) <= LAST_STATIC:
+        fast = 0.0  # friction balances what is applied, and nothing else
+    return torque + fast + ripple
 
 
 @compiled_for_one_sample
@@ -123,6 +127,16 @@ def step_plain(address: int, velocity: float, dt: float) -> float:
     model = borrowed_at(address, WHOLE_ROOM)
     kind, epsilon, p, s = int(model[0]), model[1], part(model, 2 + HEADER), part(model, 2 + PARAMETER_ROOM)
     return family_step(kind, p, s, velocity, velocity, dt, 0.0, 1.0, 0.0, epsilon)
+
+
+def prepare(function: Any, numbers: int) -> None:
+    """Compile `step_plain` or `step_whole` for an address and numbers, once and for all.
+
+    Otherwise a whole number or a numpy scalar would have it compiled anew, in the middle of a loop.
+    """
+    if not function.signatures:
+        function.compile((types.int64, *[types.float64] * numbers))
+        function.disable_compile()
 
 
 @compiled

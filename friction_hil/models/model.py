@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from copy import deepcopy
 from itertools import accumulate, chain
 from typing import Any, Literal
 
@@ -19,7 +20,8 @@ from friction_hil.models.parameters import check_all
 Axis = Literal["rotary", "linear"]
 Purpose = Literal["feedforward", "simulation"]
 
-# Where nobody tells the velocity noise: slow against any Stribeck velocity, fast against double rounding.
+# Where nobody tells the velocity noise: slow against the Stribeck velocity, so that its hump is left
+_EPSILON_SHARE = 0.05
 DEFAULT_VELOCITY_EPSILON = 1e-3
 
 _ZERO, _NAN = np.zeros(1), np.full(1, math.nan)
@@ -62,7 +64,9 @@ class FrictionModel:
     ) -> None:
         self.family = family
         self.axis = axis
-        self.given = dict(parameters)
+        if axis not in ("rotary", "linear"):
+            raise UsageError(f"axis is 'rotary' or 'linear', not {axis!r}")
+        self.given = deepcopy(dict(parameters))
         self.parameters = check_all(family.name, family.parameters, parameters)
         family.check(self.parameters)
         self.modifiers = check_modifiers(family, parameters, modifiers or {})
@@ -80,6 +84,12 @@ class FrictionModel:
         """All parameters for one direction of motion; defaults follow what that direction changes."""
         changes = self.modifiers.get("direction", {}).get(side, {})
         return check_all(self.name, self.family.parameters, {**self.given, **changes})
+
+    @property
+    def _sources(self) -> dict[str, str]:
+        """Parameters whose default is the value of another one."""
+        names = {parameter.name for parameter in self.family.parameters}
+        return {each.name: each.default for each in self.family.parameters if each.default in names}
 
     def _pack(self) -> tuple[Array, list[tuple[str | None, float]]]:
         """Values as `kernel` wants them, and for each place whose value it has, times what."""
@@ -103,6 +113,9 @@ class FrictionModel:
         if name is None:
             return None
         parameter = name.partition("[")[0]
+        source = self._sources.get(parameter)
+        if source is not None and parameter not in {**self.given, **self.modifiers.get("direction", {}).get(side, {})}:
+            return self._name(source, side, own)  # a default that follows another parameter moves with it
         is_own = parameter in self.modifiers.get("direction", {}).get(side, {})
         return f"direction.{side}.{name}" if is_own or own[parameter] != self.parameters[parameter] else name
 
@@ -110,6 +123,13 @@ class FrictionModel:
         sides = [self._side(side) for side in SIDES]
         if any(side.get("static", math.inf) < side.get("coulomb", 0.0) for side in sides):
             yield "static is below coulomb: this axis has no Stribeck hump"
+        if "temperature" in self.modifiers and self.modifiers["temperature"]["coefficient"] != 0.0:
+            yield "it depends on temperature: without one, as in the daemon, the reference counts"
+        stiff = {"sigma0", "stiffness"}
+        if not self.family.is_static and any(
+            stiff & set(each) for each in self.modifiers.get("direction", {}).values()
+        ):
+            yield "stiffness differs between the directions: the torque may jump at a reversal and give out energy"
         if self.name == "bouc_wen" and any(side["gamma"] > side["beta"] for side in sides):
             yield "gamma is above beta: this hysteresis can give out energy"
 
@@ -125,12 +145,18 @@ class FrictionModel:
 
     @property
     def presliding_stiffness(self) -> float:
-        """Slope of torque over position when motion begins, N m/rad; 0 of a static map, which has none."""
+        """Slope of torque over position when motion begins, in the stiffer direction, N m/rad; 0 of a static map."""
         if self.family.is_static:
             return 0.0
-        position, time_s = 1e-12, 1e6  # so slowly that no damping shows
-        plain = FrictionModel(self.family, self.given)
-        return float(plain.simulate([position / time_s], time_s)[0]) / position
+        time_s = 1e6  # so slowly that no damping shows
+        stiffnesses = []
+        for side in SIDES:
+            plain, stiffness = FrictionModel(self.family, self._side(side)), 1e12
+            for _ in range(2):  # the first to learn how far a small part of the level reaches
+                position = 1e-6 * plain.level / stiffness
+                stiffness = float(plain.simulate([position / time_s], time_s)[0]) / position
+            stiffnesses.append(stiffness)
+        return max(stiffnesses)
 
     def initial_state(self) -> Array:
         """State at rest with nothing deflected."""
@@ -178,6 +204,8 @@ class FrictionModel:
         """
         inputs = self._inputs(velocity, dt, position, load_torque, temperature, applied_torque)
         torque = np.empty(inputs[0].size) if out is None else _checked_out(out, (inputs[0].size,))
+        if out is not None and np.may_share_memory(out, inputs[0]):
+            raise UsageError("out must not share memory with the velocity")
         if not kernel.run_checked(dispatch.tag(self.kind), self.values, self.initial_state(), *inputs, torque):
             _require_finite("velocity", inputs[0])
         return torque
@@ -295,7 +323,7 @@ class FrictionModel:
             A feed-forward smooths a static map's jump at zero velocity; a simulation sticks exactly.
         velocity_epsilon : float, optional
             Width of that smoothing, rad/s: two or three times the velocity noise.
-            `DEFAULT_VELOCITY_EPSILON` when not given.
+            A twentieth of the Stribeck velocity when not given, or `DEFAULT_VELOCITY_EPSILON` where there is none.
         """
         if purpose not in ("feedforward", "simulation"):
             raise UsageError(f"purpose is 'feedforward' or 'simulation', not {purpose!r}")
@@ -303,7 +331,8 @@ class FrictionModel:
             if velocity_epsilon is not None:
                 raise UsageError("velocity_epsilon belongs to the purpose 'feedforward'; a simulation sticks exactly")
             return Runner(self, 0.0)
-        epsilon = DEFAULT_VELOCITY_EPSILON if velocity_epsilon is None else float(velocity_epsilon)
+        default = _EPSILON_SHARE * self.parameters.get("stribeck_velocity", DEFAULT_VELOCITY_EPSILON / _EPSILON_SHARE)
+        epsilon = default if velocity_epsilon is None else float(velocity_epsilon)
         if not (np.isfinite(epsilon) and epsilon > 0.0):
             raise UsageError(f"velocity_epsilon must be finite and above zero, in rad/s, not {epsilon:g}")
         return Runner(self, epsilon)
@@ -350,9 +379,12 @@ class Runner:
 
     def __setstate__(self, saved: tuple[Array, bool]) -> None:
         # one array for all, known by its address: each argument costs a tenth of a microsecond, an array two
-        self._whole, self._is_modified = saved
+        whole, self._is_modified = saved
+        self._whole = np.array(whole)  # memory of its own, that may be written to
         self._address = self._whole.ctypes.data
         self._state = self._whole[-kernel.STATE_ROOM :]
+        kernel.prepare(kernel.step_plain, 2)
+        kernel.prepare(kernel.step_whole, 6)
 
     @property
     def state(self) -> Array:

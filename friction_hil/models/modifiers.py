@@ -114,10 +114,12 @@ def check_modifiers(family: Family, given: Mapping[str, Any], modifiers: Mapping
     InvalidParameterError
         ``parameter`` is where the mistake is, e.g. ``direction.positive.coulomb`` or ``ripple[0].order``.
     """
+    if not isinstance(modifiers, Mapping):
+        raise InvalidParameterError(f"modifiers are {modifiers!r}, not a mapping of {', '.join(NAMES)}")
     checked: dict[str, Any] = {}
     for name, content in modifiers.items():
         if name not in NAMES:
-            raise InvalidParameterError(f"there is no modifier {name!r}; {choices(name, NAMES)}", name)
+            raise InvalidParameterError(f"there is no modifier {name!r}; {choices(str(name), NAMES)}", str(name))
         if content is None:
             continue
         if name == "ripple":
@@ -159,7 +161,7 @@ def _check_direction(family: Family, given: Mapping[str, Any], content: object) 
     for side, changes in content.items():
         place = f"direction.{side}"
         if side not in SIDES:
-            raise InvalidParameterError(f"modifier direction has no side {side!r}; {choices(side, SIDES)}", place)
+            raise InvalidParameterError(f"modifier direction has no side {side!r}; {choices(str(side), SIDES)}", place)
         if not isinstance(changes, Mapping):
             raise InvalidParameterError(
                 f"modifier {place} is {changes!r}, not a mapping of parameters of {family.name}", place
@@ -170,6 +172,13 @@ def _check_direction(family: Family, given: Mapping[str, Any], content: object) 
         except InvalidParameterError as error:
             where = f"{place}.{error.parameter}" if error.parameter in changes else place
             raise InvalidParameterError(f"modifier {place}: {error}", where) from None
+        for name in changes:
+            if family.states and isinstance(full[name], list) and len(full[name]) != len(given[name]):
+                raise InvalidParameterError(
+                    f"modifier {place}: {name} has {len(full[name])} elements, not {len(given[name])} as in the other "
+                    "direction: each element keeps its state",
+                    f"{place}.{name}",
+                )
         sides[side] = {name: full[name] for name in changes}
     return sides
 

@@ -179,7 +179,7 @@ def check_all(model: str, known: Sequence[Parameter], given: Mapping[str, object
     by_name = {parameter.name: parameter for parameter in known}
     for name in given:
         if name not in by_name:
-            raise InvalidParameterError(f"{model} has no parameter {name!r}; {choices(name, by_name)}", name)
+            raise InvalidParameterError(f"{model} has no parameter {name!r}; {choices(str(name), by_name)}", str(name))
     values: dict[str, Any] = {}
     for parameter in known:
         value = given.get(parameter.name)

@@ -27,7 +27,7 @@ def step(
     if velocity == 0.0 and epsilon == 0.0:
         return sticking(applied_torque, level)
     growing = p[1] * power(abs(level_velocity), p[2])
-    return level * direction(velocity, epsilon) + growing * direction(level_velocity, epsilon)
+    return level * direction(velocity, epsilon) + growing * direction(level_velocity, 0.0)
 
 
 @inlined

@@ -128,8 +128,12 @@ def step(
     if velocity == 0.0 and epsilon == 0.0:
         level = modified(_level(p, 0.0, direction(applied_torque, 0.0)), extra, scale)
         return sticking(applied_torque, level)
-    level = modified(_level(p, level_velocity, direction(velocity, 0.0)), extra, scale)
-    return level * direction(velocity, epsilon)
+    sign = direction(velocity, 0.0)
+    level = modified(_level(p, level_velocity, sign), extra, scale)
+    if epsilon == 0.0:
+        return level * sign
+    jump = modified(_level(p, 0.0, sign), extra, scale)
+    return jump * direction(velocity, epsilon) + (level - jump) * sign
 
 
 @inlined
@@ -238,5 +242,5 @@ FAMILY = Family(
     example={"points": [[0.02, 0.115], [0.1, 0.105], [0.3, 0.088], [1.0, 0.083], [3.0, 0.087], [10.0, 0.1]]},
     check=_check,
     pack=_pack,
-    level=lambda p: max(abs(torque) for _, torque in p["points"]),
+    level=lambda p: max(side[0][2] for side in _sides(p) if side),
 )
