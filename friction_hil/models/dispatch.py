@@ -126,7 +126,7 @@ def family_run(kind: Any, *arguments: Any) -> None:
 
     Its arguments are p, s, velocity (n,), dt, applied_torque, torque (n,); it fills the last. By tag only.
     """
-    raise NotImplementedError("for compiled code")
+    _each_step(kind, *arguments)
 
 
 @overloaded(family_run)

@@ -224,16 +224,6 @@ def test_all_mistakes_are_told_at_once(path):
             "axes.x.model.friction.modifiers.weather",
             "no modifier 'weather'",
         ),
-        (
-            {"axes__x__model__friction__modifiers": {"ripple": [{"order": 7}, {"order": -1}]}},
-            "axes.x.model.friction.modifiers.ripple[1].order",
-            "order = -1 is not allowed",
-        ),
-        (
-            {"axes__x__model__friction__modifiers": {"direction": {"positive": {"coulom": 0.1}}}},
-            "axes.x.model.friction.modifiers.direction.positive.coulom",
-            "did you mean 'coulomb'",
-        ),
         ({"axes__y": good()["axes"]["x"]}, "axes.y.node", "has this node already"),
         ({"bus": None}, "axes.x.driver", "needs a bus"),
         ({"axes": {}}, "axes", "needs at least 1"),

@@ -129,7 +129,7 @@ def test_a_state_that_makes_no_sense_harms_nothing():
     runner = fh.models.create("armstrong", **fh.models.describe("armstrong").example).start()
     runner.state[:] = 1e9
     for velocity in (1.0, -1.0, 0.0):
-        runner.step(velocity, 1e-3)
+        assert isinstance(runner.step(velocity, 1e-3), float)
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,62 @@
+"""Mistakes in the friction of a model file: each is told with its line, its place and what would be right."""
+
+import pytest
+
+import friction_hil as fh
+from friction_hil.errors import ConfigurationError
+
+TEXT = """version: 1
+axis: linear
+friction:
+  model: gms
+  parameters:
+    stiffness: [100.0, 50.0]
+    weight: [0.4, 0.6]
+    attraction: 1.0
+    coulomb: 1.0
+    static: 1.2
+    stribeck_velocity: 0.1
+  modifiers:
+    direction:
+      positive: {coulomb: 1.1}
+    load: {motoring: 0.1, driven: 0.05}
+    ripple:
+      - {order: 7, cosine: 1.0}
+      - {order: 14, sine: 0.5}
+"""
+
+
+def load(tmp_path, text):
+    path = tmp_path / "axis.yaml"
+    path.write_text(text)
+    return fh.models.load(path)
+
+
+def test_what_is_right_is_loaded_as_it_stands(tmp_path):
+    model = load(tmp_path, TEXT)
+    assert model.axis == "linear"
+    assert model.parameters["weight"] == [0.4, 0.6]
+    assert model.modifiers["ripple"][1] == {"order": 14.0, "cosine": 0.0, "sine": 0.5}
+    assert "direction.positive.coulomb" in model.free
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong", "line", "place", "words"),
+    [
+        ("[0.4, 0.6]", "[0.4, 0.7]", 7, "parameters.weight", "sum to 1.1, not to 1"),
+        ("[0.4, 0.6]", "[1.0]", 7, "parameters.weight", "has 1 elements (share of each element in the level"),
+        ("[100.0, 50.0]", "[100.0, -50.0]", 6, "parameters.stiffness", "stiffness[1] = -50 is not allowed"),
+        ("    attraction: 1.0\n", "", 5, "parameters.attraction", "gms needs attraction"),
+        ("coulomb: 1.1", "coulom: 1.1", 14, "modifiers.direction.positive.coulom", "did you mean 'coulomb'"),
+        ("coulomb: 1.1", "stiffness: [1.0, 2.0, 3.0]", 14, "modifiers.direction.positive", "weight has 2 elements"),
+        ("motoring: 0.1", "motoring: much", 15, "modifiers.load.motoring", "is 'much', not a number"),
+        ("order: 14", "order: -1", 18, "modifiers.ripple[1].order", "order = -1 is not allowed"),
+        ("    load:", "    loads:", 15, "modifiers.loads", "did you mean 'load'"),
+    ],
+)
+def test_a_mistake_is_told_with_its_line(tmp_path, right, wrong, line, place, words):
+    assert right in TEXT
+    with pytest.raises(ConfigurationError) as caught:
+        load(tmp_path, TEXT.replace(right, wrong))
+    assert f"axis.yaml:{line}: friction.{place}" in str(caught.value)
+    assert words in str(caught.value)
