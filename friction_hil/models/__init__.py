@@ -102,15 +102,17 @@ def simulate_many(
 
     torque = np.empty((len(models), np.size(velocity)))
 
-    def simulate(row: int) -> None:
-        models[row].simulate(velocity, dt, out=torque[row], **inputs)
+    rows = iter(range(len(models)))  # each worker takes the next when it is done: models differ in cost
+
+    def simulate(_: int = 0) -> None:
+        for row in rows:
+            models[row].simulate(velocity, dt, out=torque[row], **inputs)
 
     if workers == 1:
-        for row in range(len(models)):
-            simulate(row)
+        simulate()
         return torque
     with ThreadPoolExecutor(workers) as pool:
-        list(pool.map(simulate, range(len(models))))
+        list(pool.map(simulate, range(workers)))
     return torque
 
 

@@ -1,5 +1,7 @@
 """Coulomb friction with break-away and viscous friction: the classical static map."""
 
+import math
+
 from friction_hil.jit import Array, inlined
 from friction_hil.models.curves import modified, sliding, sticking
 from friction_hil.models.family import Family
@@ -25,13 +27,16 @@ def step(
 
 
 @inlined
-def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, torque: Array) -> None:
-    """Fill ``torque`` with that of every sample: the bits of `step`."""
+def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, torque: Array) -> bool:
+    """Fill ``torque`` with that of every sample: the bits of `step`. Return whether every velocity is finite."""
     level, viscous = modified(p[0], 0.0, 1.0), p[2]
     stuck = sticking(applied_torque, modified(p[1], 0.0, 1.0))
+    is_finite = True
     for k in range(velocity.shape[0]):
         v = velocity[k]
+        is_finite &= math.isfinite(v)
         torque[k] = stuck if v == 0.0 else sliding(level, viscous, v, v, 0.0)
+    return is_finite
 
 
 @inlined

@@ -115,23 +115,33 @@ def _choose_steady(kind: Any, *arguments: Any) -> Any:
 
 
 @compiled
-def _each_step(kind: Any, p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, torque: Array) -> None:
+def _each_step(kind: Any, p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, torque: Array) -> bool:
     for k in range(velocity.shape[0]):
         v = velocity[k]
         torque[k] = family_step(kind, p, s, v, v, dt, 0.0, 1.0, applied_torque, 0.0)
+    return False
 
 
-def family_run(kind: Any, *arguments: Any) -> None:
+def family_run(kind: Any, *arguments: Any) -> bool:
     """Whole-array form of the family's ``step`` with an even ``dt``: its own, if it has one that is faster.
 
     Its arguments are p, s, velocity (n,), dt, applied_torque, torque (n,); it fills the last. By tag only.
+    Returns whether it has seen, on its way, that every velocity is finite. A static map, which takes little longer
+    than to read them, looks; a dynamic model does not.
     """
-    _each_step(kind, *arguments)
+    return _each_step(kind, *arguments)
 
 
 @overloaded(family_run)
 def _choose_run(kind: Any, *arguments: Any) -> Any:
     chosen = getattr(_ORDER[kind.count - 1], "run", None)
-    if chosen is not None:
+    if chosen is None:
+        return lambda kind, *arguments: _each_step(kind, *arguments)
+    if kind.count - 1 <= LAST_STATIC:
         return lambda kind, *arguments: chosen(*arguments)
-    return lambda kind, *arguments: _each_step(kind, *arguments)
+
+    def dynamic(kind, *arguments):  # type: ignore[no-untyped-def]
+        chosen(*arguments)
+        return False
+
+    return dynamic

@@ -32,9 +32,9 @@ def step(
 
 
 @inlined
-def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, torque: Array) -> None:
-    """Fill ``torque`` with that of every sample: the bits of `step`."""
-    _run_with_band(p, velocity, p[5], applied_torque, torque)
+def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, torque: Array) -> bool:
+    """Fill ``torque`` with that of every sample: the bits of `step`. Return whether every velocity is finite."""
+    return _run_with_band(p, velocity, p[5], applied_torque, torque)
 
 
 @inlined

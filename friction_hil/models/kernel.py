@@ -12,9 +12,9 @@ motion. Each family has ``step(p, s, velocity, level_velocity, dt, extra, scale,
 what load and temperature do to its level.
 """
 
+import math
 from typing import Any
 
-import numpy as np
 from numba import types
 
 from friction_hil.dual import borrowed_at, primal
@@ -33,8 +33,7 @@ from friction_hil.models.dispatch import (
 from friction_hil.models.elementary import part, whole
 
 HEADER = 3
-_CACHED = 32768  # samples: a quarter of a megabyte
-_MAGNITUDE, _INFINITY = np.int64(0x7FFFFFFFFFFFFFFF), np.int64(0x7FF0000000000000)  # bits of doubles
+_CACHED = 32768  # samples, a quarter of a megabyte: what is read twice is still in the cache
 PARAMETER_ROOM = 640  # a full table for each direction, and the modifiers
 STATE_ROOM = FAMILY_STATES + 1
 DIRECTION = STATE_ROOM - 1
@@ -140,6 +139,39 @@ def prepare(function: Any, numbers: int) -> None:
 
 
 @compiled
+def is_finite(values: Array) -> bool:
+    """Whether no element is infinite or NaN."""
+    wrong = 0
+    for k in range(values.shape[0]):
+        wrong += not math.isfinite(values[k])  # counting goes in vector registers; leaving at the first does not
+    return wrong == 0
+
+
+@compiled
+def is_positive(values: Array) -> bool:
+    """Whether every element is above zero."""
+    wrong = 0
+    for k in range(values.shape[0]):
+        wrong += not values[k] > 0.0
+    return wrong == 0
+
+
+@compiled
+def run_plain(kind: Any, p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, torque: Array) -> bool:
+    """`run` of a model without modifiers, with one ``dt`` and one ``applied_torque``.
+
+    Most need no more, and the rest takes longer to compile than this.
+    """
+    own = part(p, HEADER)
+    for begin in range(0, velocity.shape[0], _CACHED):
+        v = velocity[begin : begin + _CACHED]
+        is_seen = family_run(kind, own, s, v, dt, applied_torque, part(torque, begin))
+        if not (is_seen or is_finite(v)):
+            return False
+    return True
+
+
+@compiled
 def run(
     kind: Any,
     p: Array,
@@ -151,14 +183,13 @@ def run(
     temperature: Array,
     applied_torque: Array,
     torque: Array,
-) -> None:
-    """Fill ``torque`` with that of every sample.
+) -> bool:
+    """Fill ``torque`` with that of every sample; return whether every ``velocity`` is finite, and stop where not.
 
     ``kind`` is the family's tag. The inputs after ``velocity`` have one element, or one a sample.
     """
     if p[0] == 0.0 and dt.shape[0] == 1 and applied_torque.shape[0] == 1:
-        family_run(kind, part(p, HEADER), s, velocity, dt[0], applied_torque[0], torque)
-        return
+        return run_plain(kind, p, s, velocity, dt[0], applied_torque[0], torque)
     dt_stride = 1 if dt.shape[0] > 1 else 0
     position_stride = 1 if position.shape[0] > 1 else 0
     load_stride = 1 if load_torque.shape[0] > 1 else 0
@@ -178,57 +209,7 @@ def run(
             applied_torque[k * applied_stride],
             0.0,
         )
-
-
-@compiled
-def is_finite(values: Array) -> bool:
-    """Whether no element is infinite or NaN: its exponent's bits are not all set. One pass, in vector registers."""
-    bits = values.view(np.int64)
-    largest = np.int64(0)
-    for k in range(bits.shape[0]):
-        magnitude = bits[k] & _MAGNITUDE
-        largest = magnitude if magnitude > largest else largest
-    return bool(largest < _INFINITY)
-
-
-@compiled
-def window(values: Array, begin: int, end: int) -> Array:
-    """Samples of an input that has one element for all, or one a sample."""
-    return values[begin:end] if values.shape[0] > 1 else values
-
-
-@compiled
-def run_checked(
-    kind: Any,
-    p: Array,
-    s: Array,
-    velocity: Array,
-    dt: Array,
-    position: Array,
-    load_torque: Array,
-    temperature: Array,
-    applied_torque: Array,
-    torque: Array,
-) -> bool:
-    """`run`, and see whether ``velocity`` is finite, part by part, while it is in the cache."""
-    for begin in range(0, velocity.shape[0], _CACHED):
-        end = min(begin + _CACHED, velocity.shape[0])
-        v = velocity[begin:end]
-        run(
-            kind,
-            p,
-            s,
-            v,
-            window(dt, begin, end),
-            window(position, begin, end),
-            window(load_torque, begin, end),
-            window(temperature, begin, end),
-            window(applied_torque, begin, end),
-            torque[begin:end],
-        )
-        if not is_finite(v):
-            return False
-    return True
+    return is_finite(velocity)
 
 
 @compiled

@@ -206,8 +206,14 @@ class FrictionModel:
         torque = np.empty(inputs[0].size) if out is None else _checked_out(out, (inputs[0].size,))
         if out is not None and np.may_share_memory(out, inputs[0]):
             raise UsageError("out must not share memory with the velocity")
-        if not kernel.run_checked(dispatch.tag(self.kind), self.values, self.initial_state(), *inputs, torque):
-            _require_finite("velocity", inputs[0])
+        kind, state = dispatch.tag(self.kind), self.initial_state()
+        v, steps, *_, applied = inputs
+        if not self.modifiers and steps.size == 1 and applied.size == 1:
+            is_finite = kernel.run_plain(kind, self.values, state, v, steps[0], applied[0], torque)
+        else:
+            is_finite = kernel.run(kind, self.values, state, *inputs, torque)
+        if not is_finite:
+            _require_finite("velocity", v)
         return torque
 
     def simulate_with_gradient(
@@ -353,7 +359,7 @@ class FrictionModel:
             raise UsageError(f"{self.name} with load dependence needs the load_torque, in N m or N")
         v = _vector("velocity", velocity)
         steps = _per_sample("dt", dt, v.size)
-        if not np.all(steps > 0.0):
+        if not kernel.is_positive(steps):
             raise UsageError(f"dt must be above zero, in s; its smallest value is {steps.min():g}")
         return (
             v,

@@ -1,5 +1,7 @@
 """Power law: friction of harmonic drives and greased gears, which grows like a root of the velocity."""
 
+import math
+
 from friction_hil.jit import Array, inlined
 from friction_hil.models.curves import direction, modified, sticking
 from friction_hil.models.elementary import power
@@ -31,14 +33,17 @@ def step(
 
 
 @inlined
-def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, torque: Array) -> None:
-    """Fill ``torque`` with that of every sample: the bits of `step`."""
+def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, torque: Array) -> bool:
+    """Fill ``torque`` with that of every sample: the bits of `step`. Return whether every velocity is finite."""
     level, factor, exponent = modified(p[0], 0.0, 1.0), p[1], p[2]
     stuck = sticking(applied_torque, level)
+    is_finite = True
     for k in range(velocity.shape[0]):
         v = velocity[k]
+        is_finite &= math.isfinite(v)
         sign = direction(v, 0.0)
         torque[k] = stuck if v == 0.0 else level * sign + factor * power(abs(v), exponent) * sign
+    return is_finite
 
 
 @inlined

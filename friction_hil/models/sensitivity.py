@@ -8,8 +8,14 @@ from friction_hil.dual import WIDTH, borrowed, dual_array
 from friction_hil.jit import Array, compiled
 from friction_hil.models import kernel
 
-_run, _window = kernel.run, kernel.window
+_run = kernel.run
 _BLOCK = 1024
+
+
+@compiled
+def _of_block(values: Array, begin: int, end: int) -> Array:
+    """Samples of an input that has one element for all, or one a sample."""
+    return values[begin:end] if values.shape[0] > 1 else values
 
 
 @compiled
@@ -47,11 +53,11 @@ def run(
             parameters,
             state,
             velocity[begin:end],
-            _window(dt, begin, end),
-            _window(position, begin, end),
-            _window(load_torque, begin, end),
-            _window(temperature, begin, end),
-            _window(applied_torque, begin, end),
+            _of_block(dt, begin, end),
+            _of_block(position, begin, end),
+            _of_block(load_torque, begin, end),
+            _of_block(temperature, begin, end),
+            _of_block(applied_torque, begin, end),
             dual_array(borrowed(torque, begin), borrowed(partials, 0)),
         )
         for k in range(end - begin):

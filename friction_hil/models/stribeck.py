@@ -1,5 +1,7 @@
 """Stribeck friction: a static map whose level falls from break-away to Coulomb as sliding begins."""
 
+import math
+
 from friction_hil.jit import Array, inlined
 from friction_hil.models.curves import modified, sliding, sticking, stribeck_level
 from friction_hil.models.elementary import is_differentiated
@@ -27,35 +29,37 @@ def step(
 
 
 @inlined
-def _fill(p: Array, velocity: Array, band: float, exponent: float, applied_torque: float, torque: Array) -> None:
+def _fill(p: Array, velocity: Array, band: float, exponent: float, applied_torque: float, torque: Array) -> bool:
     coulomb, static, stribeck_velocity, viscous = p[0], p[1], p[2], p[4]
     stuck = sticking(applied_torque, modified(static, 0.0, 1.0))
+    is_finite = True
     for k in range(velocity.shape[0]):
         v = velocity[k]
+        is_finite &= math.isfinite(v)
         level = modified(stribeck_level(v, coulomb, static, stribeck_velocity, exponent), 0.0, 1.0)
         slipping = sliding(level, viscous, v, v, 0.0)
         torque[k] = stuck if v == 0.0 or abs(v) < band else slipping
+    return is_finite
 
 
 @inlined
-def run_with_band(p: Array, velocity: Array, band: float, applied_torque: float, torque: Array) -> None:
+def run_with_band(p: Array, velocity: Array, band: float, applied_torque: float, torque: Array) -> bool:
     """Fill ``torque`` with that of every sample; velocities below ``band``, in rad/s, count as standstill.
 
     With the usual exponent as a constant the compiler sees no power, and makes vector instructions of the loop.
     """
     if p[3] == 2.0 and not is_differentiated(p[3]):
-        _fill(p, velocity, band, 2.0, applied_torque, torque)
-    else:
-        _fill(p, velocity, band, p[3], applied_torque, torque)
+        return _fill(p, velocity, band, 2.0, applied_torque, torque)
+    return _fill(p, velocity, band, p[3], applied_torque, torque)
 
 
 _run_with_band = run_with_band
 
 
 @inlined
-def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, torque: Array) -> None:
-    """Fill ``torque`` with that of every sample: the bits of `step`."""
-    _run_with_band(p, velocity, 0.0, applied_torque, torque)
+def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, torque: Array) -> bool:
+    """Fill ``torque`` with that of every sample: the bits of `step`. Return whether every velocity is finite."""
+    return _run_with_band(p, velocity, 0.0, applied_torque, torque)
 
 
 @inlined

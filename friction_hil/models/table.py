@@ -158,8 +158,8 @@ def _tabulate(p: Array, begin: int, n: int, first: int, start: Array, pieces: Ar
 
 
 @inlined
-def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, torque: Array) -> None:
-    """Fill ``torque`` with that of every sample: the bits of `step`.
+def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, torque: Array) -> bool:
+    """Fill ``torque`` with that of every sample: the bits of `step`. Return whether every velocity is finite.
 
     The curve is worked out once, and a sample looks for its piece only where it has left that of the one before.
     """
@@ -172,8 +172,10 @@ def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, t
         other = _ROOM
         _tabulate(p, _HEAD + 2 * forward, backward, other, start, pieces)
     side = i = 0
+    is_finite = True
     for k in range(velocity.shape[0]):
         v = velocity[k]
+        is_finite &= math.isfinite(v)
         speed = abs(v)
         wanted = other if v < 0.0 else 0
         if side != wanted or speed < start[i] or speed >= start[i + 1]:
@@ -181,6 +183,7 @@ def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, t
             i = side + _place(part(start, side), (backward if side > 0 else forward) + 1, speed)
         level = _curve(pieces[4 * i], pieces[4 * i + 1], pieces[4 * i + 2], pieces[4 * i + 3], speed - start[i])
         torque[k] = stuck if v == 0.0 else modified(level, 0.0, 1.0) * direction(v, 0.0)
+    return is_finite
 
 
 @inlined
