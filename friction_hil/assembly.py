@@ -21,19 +21,26 @@ _LEAST_RAMP_S = 0.1
 
 def make_compensator(config: "AxisConfig", model: "ModelFile", facts: AxisFacts, period_s: float) -> Compensator:
     """Compensator of an axis for one of its models, as the loop and replay both build it."""
-    gravity = model.mechanics.gravity
+    gravity, given = model.mechanics.gravity, config.compensation
     settings = CompensatorSettings(
         period_s=period_s,
         position_resolution=facts.position_resolution,
         lead_s=lead_s(model, facts),
+        inertia=model.mechanics.inertia,
         gravity=(gravity.constant, gravity.sine, gravity.cosine),
         torque_limit=config.limits.torque,
         torque_slew=math.inf if config.limits.torque_slew is None else config.limits.torque_slew,
-        gain=config.compensation.gain,
-        source=config.compensation.source,
-        fade_s=config.compensation.fade_s,
-        uses_drive_velocity=config.compensation.velocity == "drive",
-        smoothing=config.compensation.smoothing,
+        gain=given.gain,
+        gain_negative=given.gain_negative,
+        source=given.source,
+        fade_s=given.fade_s,
+        velocity=given.velocity,
+        smoothing=given.smoothing,
+        acceleration=math.nan if given.acceleration is None else given.acceleration,
+        max_acceleration=math.inf if given.max_acceleration is None else given.max_acceleration,
+        dead_band=given.dead_band,
+        adaptation_s=0.0 if given.adaptation is None else given.adaptation.time_s,
+        adaptation_bound=0.0 if given.adaptation is None else given.adaptation.bound,
     )
     return Compensator(model.friction_model, settings)
 

@@ -75,6 +75,8 @@ class AxisLoop:
         self._trajectory = Trajectory(path, path_time)
         self._controller, self._integral = make_controller(config), 0.0
         self._held = math.nan
+        self._reduction = 1.0
+        self.notice = ""  # what the user should know; whoever tells it empties it
 
         self._shadow_columns = [columns.NAMES.index("exchange_us") + 1 + shadow_names.index(n) for n in self.shadows]
         self.row_width = len(columns.NAMES) + len(shadow_names)
@@ -123,7 +125,7 @@ class AxisLoop:
         for compensator in (self.compensator, *self.shadows.values()):
             state = compensator.state.copy()
             for cycle in range(3):
-                compensator.step(float(cycle), 0.0, 0.0, 0.0, 0.0, True, False)
+                compensator.step(float(cycle), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, True, False)
             compensator.state[:] = state
         cascade(self._controller, 0.0, 0.0, 0.0, 0.0, 0.0, self._period_s, self._limits.torque)
 
@@ -173,8 +175,15 @@ class AxisLoop:
             row[place : place + saved.size] = saved
             place += saved.size
         velocity = feedback.velocity if is_usable else self.compensator.velocity_estimate
-        inputs = (float(cycle), position, velocity, velocity_demand, ahead, is_usable, is_enabled)
+        measured = float(cycle), position, velocity, feedback.torque
+        inputs = (*measured, position_demand, velocity_demand, ahead, is_usable, is_enabled)
         compensation = self.compensator.step(*inputs)
+        if self.compensator.reduction != self._reduction:
+            self._reduction = self.compensator.reduction
+            self.notice = (
+                f"{self.name}: the compensation swings by itself (limit cycle, over-compensation): its gain is now "
+                f"{self._reduction:.0%} of the configured one"
+            )
         fault = self.supervisor.fault(feedback, state, self.compensator.velocity_estimate, position_demand)
         if self.compensator.is_faulty:
             fault = fault or f"{self.name}: the friction model gave a torque that is not finite"

@@ -33,7 +33,7 @@ def _cache_folder() -> str | None:
     """
     package = Path(__file__).parent
     digest = hashlib.sha256()
-    folders = (package, package / "models", package / "servo", package / "study")
+    folders = (package, *(package / name for name in ("compensator", "models", "servo", "study")))
     for path in sorted(path for each in folders for path in each.glob("*.py")):
         digest.update(path.name.encode() + b"\0" + path.read_bytes())
     base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "friction_hil"

@@ -87,6 +87,7 @@ class LoopResult:
     late_p50_us: float = math.nan
     late_p99_us: float = math.nan
     faults: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
 
 
 class Loop:
@@ -205,6 +206,8 @@ class Loop:
         running_s = time_s if settings.dry_run else time_s - self._running_since_s
         for k, axis in enumerate(self._axes):
             fault = self._update(k, axis, cycle, state, running_s)
+            if axis.notice:
+                self._warn(cycle, axis)
             if fault is not None and not self._is_fault_being_reset(k, time_s):
                 self._fault(cycle, fault)
         request = (REQUESTS_AFTER_FAULT if self.result.faults else REQUESTS)[state]
@@ -301,6 +304,12 @@ class Loop:
         if text not in self.result.faults and len(self.result.faults) < 20:
             self.result.faults.append(text)
             self._sink.event(cycle, "fault", text)
+
+    def _warn(self, cycle: int, axis: AxisLoop) -> None:
+        """Note what an axis wants the user to know."""
+        self.result.warnings.append(axis.notice)
+        self._sink.event(cycle, "warning", axis.notice)
+        axis.notice = ""
 
     def _finish(self, cycle: int) -> None:
         """Write zero torque and disable once more whatever happened, leave the bus, sum up."""

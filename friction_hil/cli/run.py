@@ -80,6 +80,7 @@ def command(
         "late_p99_us": result.loop.late_p99_us,
         "missed": result.loop.missed,
         "faults": result.loop.faults,
+        "warnings": result.loop.warnings,
         "axes": result.axes,
         "recording": paths[0] if paths else None,
     }
@@ -94,6 +95,8 @@ def command(
     is_incomplete = bool(report and report.lost and paths)
     if report and is_incomplete:
         click.echo(f"recording: {report.lost} of {report.rows + report.lost} rows were lost", err=True)
+    for warning in result.loop.warnings:
+        click.echo(f"warning: {warning}", err=True)
     for fault in result.loop.faults:
         click.echo(f"fault: {fault}", err=True)
     return 1 if result.loop.faults or is_incomplete else 0

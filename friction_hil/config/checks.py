@@ -96,17 +96,24 @@ def _peak_speed(axis: "AxisConfig") -> float:
 def _compensation_mistakes(axis: "AxisConfig") -> Iterator[Mistake]:
     from friction_hil.compensator import Compensator, CompensatorSettings
 
-    settings = CompensatorSettings(
-        period_s=1e-3,
-        position_resolution=1e-6,
-        torque_limit=axis.limits.torque,
-        uses_drive_velocity=axis.compensation.velocity == "drive",
-        smoothing=axis.compensation.smoothing,
-    )
-    try:
-        Compensator(axis.model.friction_model, settings)
-    except UsageError as error:
-        yield ("compensation", "smoothing"), str(error)
+    given = axis.compensation
+    knows_inertia = axis.model.mechanics.inertia > 0.0
+    if given.velocity == "kalman" and not knows_inertia:
+        yield ("compensation", "velocity"), "kalman needs the inertia, in the mechanics of the model file"
+    elif given.adaptation is not None and not knows_inertia:
+        yield ("compensation", "adaptation"), "needs the inertia, in the mechanics of the model file"
+    elif given.velocity in ("difference", "drive"):
+        settings = CompensatorSettings(
+            period_s=1e-3,
+            position_resolution=1e-6,
+            torque_limit=axis.limits.torque,
+            velocity=given.velocity,
+            smoothing=given.smoothing,
+        )
+        try:
+            Compensator(axis.model.friction_model, settings)
+        except UsageError as error:
+            yield ("compensation", "smoothing"), str(error)
 
 
 def configuration_mistakes(configuration: "Configuration") -> Iterator[Mistake]:

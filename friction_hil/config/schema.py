@@ -74,22 +74,51 @@ class Limits(Section):
     position: tuple[float, float] | None = key("lowest and highest position", POSITION, default=None)
 
 
+class Adaptation(Section):
+    """Slow, bounded adaptation of the friction level to what the torque shows, for each direction."""
+
+    time_s: float = key("time over which it learns, of steady sliding", "s", default=20.0, ge=0.1)
+    bound: float = key("largest relative change of the level", "1", default=0.3, gt=0, lt=1)
+
+
 class Compensation(Section):
     """How the model's torque becomes the compensation."""
 
     enabled: bool = key("false: computed and recorded, never commanded", default=True)
     gain: float = key("share of the model's torque that is applied", "1", default=0.9, ge=0, le=1.5)
+    gain_negative: float | None = key(
+        "the same for negative torque; by default as gain", "1", default=None, ge=0, le=1.5
+    )
     source: Literal["auto", "measured", "demand"] = key(
-        "velocity that the model sees: measured, the drive's demand, or what suits the mode", default="auto"
+        "velocity that the model sees: measured, demanded, or of both what helps and is safe", default="auto"
     )
     fade_s: float = key("time to fade in and out", "s", default=0.5, gt=0)
     baseline_s: float = key("motion without compensation first, to compare with", "s", default=0.0, ge=0)
-    velocity: Literal["position", "drive"] = key(
-        "measured velocity: from the position, or the drive's own", default="position"
+    velocity: Literal["difference", "tracking", "kalman", "drive"] = key(
+        "measured velocity: encoder difference, tracking loop, Kalman observer with the torque, or the drive's own",
+        default="difference",
     )
     smoothing: float = key(
-        "one-pole coefficient on the measured velocity; 1 does not smooth", "1", default=0.5, gt=0, le=1
+        "one-pole coefficient on the difference or the drive's velocity; 1 does not smooth",
+        "1",
+        default=1.0,
+        gt=0,
+        le=1,
     )
+    acceleration: float | None = key(
+        "largest acceleration that the tracking loop follows", f"{VELOCITY} per s", default=None, gt=0
+    )
+    max_acceleration: float | None = key(
+        "a position that would need more is passed over as a glitch", f"{VELOCITY} per s", default=None, gt=0
+    )
+    dead_band: float = key("velocity below which less is applied, in proportion", VELOCITY, default=0.0, ge=0)
+    adaptation: Adaptation | None = key("slow adaptation of the friction level; off by default", default=None)
+
+    @model_validator(mode="after")
+    def _is_complete(self) -> "Compensation":
+        if self.velocity == "tracking" and self.acceleration is None:
+            raise ValueError("velocity: tracking needs acceleration, the largest that is to be followed")
+        return self
 
 
 _RAMP = key("time to reach full speed from rest, and to come to rest", "s", default=1.0, gt=0)

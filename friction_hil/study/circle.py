@@ -63,7 +63,8 @@ def _following_error(name: str, believed: str | None) -> Array:
         # this period's feedback leads to what the drive is told at the beginning of the next
         if compensator is not None:
             ahead = path(time + lead_s)[1]
-            offset = compensator.step(float(k), servo.position, servo.velocity, demand[1], ahead, True, True)
+            feedback = float(k), servo.position, servo.velocity, servo.torque
+            offset = compensator.step(*feedback, demand[0], demand[1], ahead, True, True)
         target = path(time + (1.0 + _DRIVE_DELAY) * PERIOD_S)[0]
         servo.advance(steps)
     return np.roll(error[_SETTLING:], _SETTLING)

@@ -8,7 +8,7 @@ from friction_hil.study.outcome import Outcome, thin
 from friction_hil.study.subjects import REFERENCE, matched, without_viscous
 
 STICK_SLIP = Loop(mass=1.0, duration_s=40.0, spring=2.0, pull=0.1, demand=0.1)
-HUNTING = Loop(mass=1.0, duration_s=100.0, pid=(3.0, 4.0, 6.0), target=1.0)
+HUNTING = Loop(mass=1.0, duration_s=100.0, pid=(3.0, 4.0, 6.0), target=1.0, demand=0.0)
 STICK_SLIP_FROM_S = 20.0
 HUNTING_FROM_S = 60.0
 _STUCK = 1e-3  # m/s: a hundredth of the pull

@@ -20,6 +20,7 @@ MOVED = np.dtype(
     [
         ("kind", "f8"),
         ("friction", "f8", (kernel.PARAMETER_ROOM,)),
+        ("friction_state", "f8", (kernel.STATE_ROOM,)),  # in a record, as in the compensator: compiled once for both
         ("is_static", "f8"),
         ("stick_velocity", "f8"),
         ("mass", "f8"),
@@ -43,7 +44,7 @@ _compensate = compensation.step
 
 
 @compiled
-def _run(moved: Record, friction_state: Array, settings: Record, state: Record, force: Array, trace: Array) -> None:
+def _run(moved: Record, settings: Record, state: Record, force: Array, trace: Array) -> None:
     """Fill ``trace`` with position, velocity, friction and compensation, (4, n), one column a period.
 
     Semi-implicit Euler. A static map stops the mass where its velocity would change sign, and where friction
@@ -61,15 +62,17 @@ def _run(moved: Record, friction_state: Array, settings: Record, state: Record, 
             measured = math.floor(x / c.resolution) * c.resolution
             # it runs where it does not act, too: the controller damps with its velocity estimate
             torque = c.is_compensated * _compensate(
-                settings, state, float(k), measured, 0.0, c.demand, c.demand, 1.0, 1.0
+                settings, state, float(k), measured, 0.0, 0.0, c.target, c.demand, c.demand, 1.0, 1.0
             )
-            error = c.target - measured
-            integral += c.period_s * error
-            command = c.proportional * error + c.integral * integral - c.derivative * state[0].velocity + torque
+            command = torque
+            if math.isfinite(c.target):
+                error = c.target - measured
+                integral += c.period_s * error
+                command += c.proportional * error + c.integral * integral - c.derivative * state[0].motion.velocity
         trace[3, k] = torque
         for j in range(steps):
             applied = given + c.spring * (c.pull * (k * c.period_s + j * dt) - x) - c.damper * v
-            friction = kernel.step(kind, c.friction, friction_state, v, v, dt, 0.0, 0.0, math.nan, applied, 0.0)
+            friction = kernel.step(kind, c.friction, c.friction_state, v, v, dt, 0.0, 0.0, math.nan, applied, 0.0)
             after = v + dt * (applied - friction) / c.mass
             if c.is_static > 0.0:
                 is_balanced = abs(applied - friction) <= _BALANCE * abs(applied)
@@ -94,7 +97,7 @@ class Loop:
     pid : (float, float, float)
         Proportional, integral and derivative gain of a position controller, N/m, N/(m s), N s/m.
     target : float
-        Its set-point, m.
+        Its set-point, m; NaN without a controller.
     demand : float
         Velocity at which the compensator knows the mass is meant to move, m/s; NaN where it only measures.
     """
@@ -104,7 +107,7 @@ class Loop:
     spring: float = 0.0
     pull: float = 0.0
     pid: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    target: float = 0.0
+    target: float = math.nan
     demand: float = math.nan
 
 
@@ -156,6 +159,8 @@ def _moved(friction: FrictionModel, **values: float) -> Record:
     record = np.zeros(1, MOVED)
     c = record[0]
     c["kind"], c["friction"], c["is_static"] = friction.kind, friction.values, friction.family.is_static
+    state = friction.initial_state()
+    c["friction_state"][: state.size] = state
     c["stick_velocity"] = friction.parameters.get("stick_velocity", 0.0)
     c["resolution"] = _RESOLUTION
     for name, value in values.items():
@@ -170,5 +175,5 @@ def _trace(moved: Record, friction: FrictionModel, believed: FrictionModel, forc
     compensator = Compensator(believed, settings)
     trace = np.empty((4, n))
     state = compensator.state.view(compensation.STATE)
-    _run(moved, friction.initial_state(), compensator.record, state, force, trace)
+    _run(moved, compensator.record, state, force, trace)
     return trace

@@ -49,11 +49,14 @@ def test_out_is_filled_and_what_does_not_fit_is_refused():
 @pytest.mark.parametrize("place", [0, 40_000, 99_999])
 def test_a_number_that_is_not_finite_is_found_anywhere_in_a_long_record(place):
     v = np.zeros(100_000)
-    v[place] = -math.inf
     for name in fh.models.names():
         model = fh.models.create(name, **fh.models.describe(name).example)
-        with pytest.raises(UsageError, match=f"velocity must be finite; element {place} is -inf"):
-            model.simulate(v, 1e-3)
+        for wrong in (-math.inf, math.nan):
+            v[place] = wrong
+            with pytest.raises(UsageError, match=f"velocity must be finite; element {place} is {wrong}"):
+                model.simulate(v, 1e-3)
+    with pytest.raises(UsageError, match=f"velocity must be finite; element {place} is nan"):
+        model.simulate(v, np.full(v.size, 1e-3))  # a time for each sample takes another way
 
 
 def test_what_a_modifier_depends_on_must_be_given():

@@ -353,7 +353,7 @@ def test_unknown_benchmark_is_answered_with_what_there_is() -> None:
     command = [sys.executable, "-m", "tools.benchmarks", "latenzy"]
     done = subprocess.run(command, cwd=PROJECT, capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (2, "")
-    assert "did you mean 'latency'? There are: exchange, help, latency" in done.stderr
+    assert "did you mean 'latency'? There are: compensation, exchange, help, latency" in done.stderr
 
 
 def test_ratio_of_a_comparison_is_that_of_single_rounds() -> None:

@@ -10,19 +10,40 @@ from friction_hil.cli.output import option_json
 from friction_hil.errors import FrictionHilError, UsageError, choices
 from tools.benchmarks.report import show
 
+_FOLDER = Path(__file__).parent
 NAMES = sorted(
-    path.stem for path in Path(__file__).parent.glob("*.py") if path.stem not in ("__init__", "__main__", "report")
+    {path.stem for path in _FOLDER.glob("*.py")} - {"__init__", "__main__", "report"}
+    | {path.parent.name for path in _FOLDER.glob("*/__init__.py")}
 )
 
 
-@click.command(epilog=f"Benchmarks: {', '.join(NAMES)}.")
-@click.argument("name")
-@option_json
-def command(name: str, as_json: bool) -> None:
-    """Run the benchmark NAME and print what it measured."""
-    if name not in NAMES:
-        raise UsageError(f"no benchmark is called {name!r}; {choices(name, NAMES)}")
-    show(importlib.import_module(f"tools.benchmarks.{name}").run(), as_json=as_json)
+class Benchmarks(click.Group):
+    """One subcommand a module or package: its own ``command``, or one that prints the rows of its ``run``."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """Names of all benchmarks."""
+        return NAMES
+
+    def get_command(self, ctx: click.Context, name: str) -> click.Command:
+        """Return the command of a benchmark, which is imported for that."""
+        if name not in NAMES:
+            raise UsageError(f"no benchmark is called {name!r}; {choices(name, NAMES)}")
+        module = importlib.import_module(f"tools.benchmarks.{name}")
+        if hasattr(module, "command"):
+            own: click.Command = module.command
+            return own
+
+        @click.command(name, help=module.__doc__)
+        @option_json
+        def print_rows(as_json: bool) -> None:
+            show(module.run(), as_json=as_json)
+
+        return print_rows
+
+
+@click.command(cls=Benchmarks)
+def command() -> None:
+    """Run one of the benchmarks and print what it measured; --json for scripts."""
 
 
 def main() -> int:

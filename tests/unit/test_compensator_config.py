@@ -1,0 +1,99 @@
+"""The compensation of a configuration: defaults, keys, mistakes, and what the compensator is made with."""
+
+import math
+
+import pytest
+
+from friction_hil.assembly import make_compensator
+from friction_hil.drive import AxisFacts
+from friction_hil.errors import ConfigurationError, UsageError
+from tests.servo_drives import PERIOD_S, axis_dict, configuration
+
+
+def configured(*, inertia=2e-4, **compensation):
+    """The axis of a configuration with these keys."""
+    axis = axis_dict(compensation=compensation)
+    axis["model"]["mechanics"] = {"inertia": inertia} if inertia else {}
+    return configuration(x=axis).axes["x"]
+
+
+def made(**compensation):
+    axis = configured(**compensation)
+    return make_compensator(axis, axis.model, AxisFacts("x", "servo", 1e-5, 1e-4, 2.5e-3, 1.5e-3), PERIOD_S)
+
+
+def test_the_defaults():
+    assert configured().compensation.model_dump() == {
+        "enabled": True,
+        "gain": 0.9,
+        "gain_negative": None,
+        "source": "auto",
+        "fade_s": 0.5,
+        "baseline_s": 0.0,
+        "velocity": "difference",
+        "smoothing": 1.0,
+        "acceleration": None,
+        "max_acceleration": None,
+        "dead_band": 0.0,
+        "adaptation": None,
+    }
+    assert configured(adaptation={}).compensation.adaptation.model_dump() == {"time_s": 20.0, "bound": 0.3}
+
+
+def test_what_is_not_given_is_off():
+    settings = made().settings
+    assert settings.gain_negative is None
+    assert (settings.dead_band, settings.adaptation_s, settings.max_acceleration) == (0.0, 0.0, math.inf)
+    assert (settings.velocity, settings.smoothing, settings.inertia) == ("difference", 1.0, 2e-4)
+
+
+@pytest.mark.parametrize(
+    ("given", "field", "expected"),
+    [
+        ({"gain": 0.7}, "gain", 0.7),
+        ({"gain_negative": 0.6}, "gain_negative", 0.6),
+        ({"source": "demand"}, "source", "demand"),
+        ({"fade_s": 2.0}, "fade_s", 2.0),
+        ({"velocity": "kalman"}, "velocity", "kalman"),
+        ({"velocity": "drive", "smoothing": 0.5}, "smoothing", 0.5),
+        ({"velocity": "tracking", "acceleration": 30.0}, "acceleration", 30.0),
+        ({"max_acceleration": 1e3}, "max_acceleration", 1e3),
+        ({"dead_band": 0.02}, "dead_band", 0.02),
+        ({"adaptation": {"time_s": 5.0}}, "adaptation_s", 5.0),
+        ({"adaptation": {"bound": 0.1}}, "adaptation_bound", 0.1),
+    ],
+)
+def test_every_key_reaches_the_compensator(given, field, expected):
+    assert getattr(made(**given).settings, field) == expected
+    assert getattr(made().settings, field) != expected
+
+
+@pytest.mark.parametrize(
+    ("given", "field", "words"),
+    [
+        ({"velocity": "position"}, "compensation.velocity", "difference"),
+        ({"velocity": "tracking"}, "compensation", "tracking needs acceleration"),
+        ({"velocity": "kalman", "inertia": None}, "compensation.velocity", "needs the inertia"),
+        ({"adaptation": {}, "inertia": None}, "compensation.adaptation", "needs the inertia"),
+        ({"velocity": "drive", "smoothing": 0.05}, "compensation.smoothing", "cycles"),
+        ({"gain_negative": -0.1}, "compensation.gain_negative", "at least 0 and at most 1.5"),
+        ({"acceleration": 0.0}, "compensation.acceleration", "above 0"),
+        ({"max_acceleration": math.inf}, "compensation.max_acceleration", "finite"),
+        ({"dead_band": -1.0}, "compensation.dead_band", "at least 0"),
+        ({"adaptation": {"time_s": 0.0}}, "compensation.adaptation.time_s", "0.1"),
+        ({"adaptation": {"bound": 1.0}}, "compensation.adaptation.bound", "1"),
+        ({"adaptation": True}, "compensation.adaptation", ""),
+    ],
+)
+def test_a_mistake_is_told_with_its_place(given, field, words):
+    with pytest.raises(ConfigurationError) as caught:
+        configured(**given)
+    (problem,) = caught.value.problems
+    assert problem.field == f"axes.x.{field}"
+    assert words in problem.message
+
+
+@pytest.mark.parametrize("acceleration", [1e-6, 1e-3])
+def test_an_acceleration_that_makes_the_tracking_too_slow_is_told_when_the_drive_is_known(acceleration):
+    with pytest.raises(UsageError, match="let it follow a greater acceleration"):
+        made(velocity="tracking", acceleration=acceleration)

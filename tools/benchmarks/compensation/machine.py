@@ -1,0 +1,246 @@
+"""The simulated servo: mechanics with true friction, drive loops, encoder, delays and feed-forward. Compiled.
+
+All kernels stand in this one file, because numba's cache notices a change of a kernel's own file only.
+"""
+
+import math
+
+import numpy as np
+
+from friction_hil import compensator as compensation
+from friction_hil.jit import Array, Record, compiled
+from friction_hil.models import kernel
+from friction_hil.servo.control import cascade
+
+MOST_DELAY_CYCLES = 8
+NONE, TRUE_LATE, MEASURED, OURS = range(4)  # where the feed-forward torque comes from
+_UNLIMITED = 1e9  # N m: the benchmark's drives do not saturate
+_BALANCE = 1e-12  # relative difference of torque and friction that counts as none
+
+PLANT = np.dtype(
+    [
+        ("friction_kind", "f8"),
+        ("friction", "f8", (kernel.PARAMETER_ROOM,)),
+        ("is_friction_static", "f8"),
+        ("stick_velocity", "f8"),
+        ("inertia", "f8"),  # of the motor, which friction and encoder sit at
+        ("load_inertia", "f8"),  # 0: one stiff mass
+        ("stiffness", "f8"),  # of the coupling between the two
+        ("damping", "f8"),
+        ("gap", "f8"),  # total backlash of the coupling, rad
+        ("torque_lag_share", "f8"),  # share of a torque step that arrives within one integration step
+        ("step_s", "f8"),  # of the integration
+        ("steps_per_sample", "f8"),  # of the drive
+    ]
+)
+
+PLANT_STATE = np.dtype(
+    [
+        ("position", "f8"),
+        ("velocity", "f8"),
+        ("load_position", "f8"),
+        ("load_velocity", "f8"),
+        ("torque", "f8"),  # acting on the motor, after the lag
+        ("friction_torque", "f8"),
+        ("integral", "f8"),  # of the drive's velocity loop
+        ("friction", "f8", (kernel.STATE_ROOM,)),
+    ]
+)
+
+CYCLE = np.dtype(
+    [
+        ("period_s", "f8"),
+        ("samples", "f8"),  # of the drive, in one period
+        ("delay_cycles", "f8"),  # from sampling the encoder to the torque's acting
+        ("settling_cycles", "f8"),  # not scored
+        ("resolution", "f8"),  # of the encoder, rad
+        ("torque_step", "f8"),  # of the torque feedback, N m
+    ]
+)
+
+FEEDFORWARD = np.dtype(
+    [
+        ("origin", "f8"),
+        ("gain", "f8"),
+        ("smoothing", "f8"),  # of the one-pole filter on the encoder difference
+        ("epsilon", "f8"),
+        ("kind", "f8"),
+        ("friction", "f8", (kernel.PARAMETER_ROOM,)),
+    ]
+)
+
+TRACE = ("position", "velocity", "load_position", "load_velocity", "friction", "compensation")
+
+_compensate = compensation.step
+
+
+@compiled
+def friction_step(
+    kind: int, p: Array, s: Array, velocity: float, dt: float, position: float, applied: float, epsilon: float
+) -> float:
+    """Friction torque of one step; a function of its own, so that the families are compiled once."""
+    return kernel.step(kind, p, s, velocity, velocity, dt, position, 0.0, math.nan, applied, epsilon)
+
+
+@compiled
+def coupling_torque(stiffness: float, damping: float, gap: float, twist: float, rate: float) -> float:
+    """Torque from motor to load, N m, of a spring and damper behind a gap; none while the gap is open."""
+    if gap == 0.0:
+        return stiffness * twist + damping * rate
+    side = math.copysign(1.0, twist)
+    compressed = abs(twist) - 0.5 * gap
+    if compressed <= 0.0:
+        return 0.0
+    return side * max(stiffness * compressed + damping * rate * side, 0.0)  # faces push, and never pull
+
+
+@compiled
+def advance(
+    plant: Record,
+    controller: Record,
+    state: Record,
+    position_demand: Array,
+    velocity_demand: Array,
+    acceleration_demand: Array,
+    first: int,
+    samples: int,
+    feedforward: float,
+    score: Array,
+    trace: Array,
+) -> None:
+    """Run ``samples`` samples of the drive from number ``first`` on, with a ``feedforward`` torque held.
+
+    Semi-implicit Euler. A static friction map stops the motor where its velocity would change sign, and holds it
+    there up to the break-away level; a dynamic model has its own presliding. The demands, (n,), are of the drive's
+    samples. Adds to ``score`` the squared following error, and takes its largest; fills a column of ``trace``,
+    (6, n), a sample, unless it has none.
+    """
+    c, r = plant[0], state[0]
+    kind, steps, dt = int(c.friction_kind), int(c.steps_per_sample), c.step_s
+    gain = dt / c.inertia
+    for i in range(first, first + samples):
+        error = position_demand[i] - r.position
+        score[0] += error * error
+        score[1] = max(score[1], abs(error))
+        if i < trace.shape[1]:
+            trace[0, i], trace[1, i] = r.position, r.velocity
+            trace[2, i], trace[3, i] = r.load_position, r.load_velocity
+            trace[4, i], trace[5, i] = r.friction_torque, feedforward
+        demand, r.integral = cascade(
+            controller,
+            r.integral,
+            error,
+            velocity_demand[i],
+            acceleration_demand[i],
+            r.velocity,
+            steps * dt,
+            _UNLIMITED,
+        )
+        demand += feedforward
+        for _ in range(steps):
+            r.torque += c.torque_lag_share * (demand - r.torque)
+            applied = r.torque
+            if c.load_inertia > 0.0:
+                twist, rate = r.position - r.load_position, r.velocity - r.load_velocity
+                passed_on = coupling_torque(c.stiffness, c.damping, c.gap, twist, rate)
+                applied -= passed_on
+                r.load_velocity += dt * passed_on / c.load_inertia
+                r.load_position += dt * r.load_velocity
+            friction = friction_step(kind, c.friction, r.friction, r.velocity, dt, r.position, applied, 0.0)
+            velocity = r.velocity + gain * (applied - friction)
+            if c.is_friction_static > 0.0:
+                is_balanced = abs(applied - friction) <= _BALANCE * abs(applied)
+                if velocity * r.velocity < 0.0 or (is_balanced and abs(r.velocity) <= c.stick_velocity):
+                    velocity = 0.0
+            r.friction_torque = friction
+            r.velocity = velocity
+            r.position += dt * velocity
+
+
+@compiled
+def run(
+    plant: Record,
+    controller: Record,
+    state: Record,
+    cycle: Record,
+    feedforward: Record,
+    feedforward_state: Array,
+    settings: Record,
+    compensator_state: Record,
+    position_demand: Array,
+    velocity_demand: Array,
+    acceleration_demand: Array,
+    velocity_ahead: Array,
+    score: Array,
+    trace: Array,
+) -> None:
+    """Simulate one case; ``score`` becomes the sum of squares and the peak of the following error.
+
+    At the beginning of each period the encoder is read, and the feed-forward torque worked out that acts
+    ``delay_cycles`` periods later for one period. The drive's own loops see the true motion.
+
+    Parameters
+    ----------
+    plant, controller, state, cycle, feedforward
+        Record arrays of length 1: `PLANT`, `CONTROLLER`, `PLANT_STATE`, `CYCLE`, `FEEDFORWARD`.
+    feedforward_state
+        State of the model in ``feedforward``; changed in place.
+    settings, compensator_state
+        Record and state of a `Compensator`.
+    position_demand, velocity_demand, acceleration_demand
+        (n,) arrays at the drive's samples.
+    velocity_ahead
+        (m,) array: the demanded velocity when the torque of each period will act.
+    score
+        (2,) array.
+    trace
+        (6, n) array, see `TRACE`; (6, 0) for none.
+    """
+    c, f = cycle[0], feedforward[0]
+    samples, delay = int(c.samples), int(c.delay_cycles)
+    pending = np.zeros(MOST_DELAY_CYCLES + 1)  # the first acts in this period
+    seen, velocity = math.floor(state[0].position / c.resolution) * c.resolution, 0.0
+    for k in range(velocity_ahead.shape[0]):
+        i = k * samples
+        position = math.floor(state[0].position / c.resolution) * c.resolution
+        velocity += f.smoothing * ((position - seen) / c.period_s - velocity)
+        seen = position
+        torque = 0.0
+        if f.origin == TRUE_LATE:
+            torque = f.gain * state[0].friction_torque
+        elif f.origin == MEASURED:
+            torque = f.gain * friction_step(
+                int(f.kind), f.friction, feedforward_state, velocity, c.period_s, position, 0.0, f.epsilon
+            )
+        elif f.origin == OURS:
+            torque = _compensate(
+                settings,
+                compensator_state,
+                float(k),
+                position,
+                state[0].velocity,
+                math.floor(state[0].torque / c.torque_step + 0.5) * c.torque_step,
+                position_demand[i],
+                velocity_demand[i],
+                velocity_ahead[k],
+                1.0,
+                1.0,
+            )
+        pending[delay] = torque
+        if k == int(c.settling_cycles):
+            score[:] = 0.0
+        advance(
+            plant,
+            controller,
+            state,
+            position_demand,
+            velocity_demand,
+            acceleration_demand,
+            i,
+            samples,
+            pending[0],
+            score,
+            trace,
+        )
+        for j in range(MOST_DELAY_CYCLES):
+            pending[j] = pending[j + 1]

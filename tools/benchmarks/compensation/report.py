@@ -1,0 +1,121 @@
+"""What a grid's outcomes come to: geometric means and worst cases, as JSON and as tables."""
+
+import math
+from collections.abc import Iterable, Sequence
+from itertools import product
+from typing import Any
+
+from friction_hil.cli.output import console
+from tools.benchmarks.compensation.grid import Grid
+from tools.benchmarks.compensation.methods import METHODS, OURS
+from tools.benchmarks.compensation.simulation import Outcome
+from tools.benchmarks.report import machine
+
+_WORST_SHOWN = 10
+
+
+def geometric_mean(values: Iterable[float]) -> float:
+    """Geometric mean of numbers that are not negative; 0 if one of them is."""
+    logarithms = [math.log(value) if value > 0.0 else -math.inf for value in values]
+    if -math.inf in logarithms:
+        return 0.0
+    return math.exp(math.fsum(logarithms) / len(logarithms))
+
+
+def summary(outcomes: Sequence[Outcome]) -> dict[str, dict[str, dict[str, float]]]:
+    """Geometric mean and worst reduction: ``{method: {"rms": {"geomean", "worst"}, "peak": {..}}}``."""
+    found: dict[str, dict[str, dict[str, float]]] = {}
+    for method in METHODS:
+        found[method] = {}
+        for index, figure in enumerate(("rms", "peak")):
+            values = [outcome.reduction[method][index] for outcome in outcomes]
+            found[method][figure] = {"geomean": geometric_mean(values), "worst": min(values)}
+    return found
+
+
+def as_json(grid: Grid, source: str, outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    """Everything, as the contract of ``tools/bench compensation --json`` has it."""
+    cases = [
+        {
+            "plant": outcome.case.plant,
+            "drive": outcome.case.drive,
+            "motion": grid.motions[outcome.case.motion].name,
+            "condition": outcome.case.condition,
+            "reduction": {method: error._asdict() for method, error in outcome.reduction.items()},
+        }
+        for outcome in outcomes
+    ]
+    by_condition = {
+        name: summary([each for each in outcomes if each.case.condition == name]) for name in grid.conditions
+    }
+    return {"machine": machine(), "grid": source, "cases": cases, "summary": by_condition}
+
+
+def show(grid: Grid, source: str, outcomes: Sequence[Outcome]) -> None:
+    """Print tables for people."""
+    from rich.markup import escape
+
+    out = console()
+    out.print(
+        f"{escape(source)}: how many times lower the following error is than without compensation,\n"
+        "geometric mean of RMS/peak and \\[worst case]"
+    )
+    _print_groups(out, ("condition", "drive"), outcomes)
+    if len(grid.plants) > 1:
+        _print_groups(out, ("plant", "drive"), outcomes)
+    _print_worst(out, grid, outcomes)
+    out.print(machine())
+
+
+def _print_groups(out: Any, headings: tuple[str, str], outcomes: Sequence[Outcome]) -> None:
+    """Print a row for each combination of two fields of the cases, and one for all."""
+    from rich.table import Table
+
+    table = Table()
+    for heading in headings:
+        table.add_column(heading, overflow="fold", min_width=len(heading))
+    for method in METHODS:
+        table.add_column(method.replace("_", "\n"), justify="right", no_wrap=True)
+    values = [list(dict.fromkeys(getattr(each.case, name) for each in outcomes)) for name in headings]
+    for group in product(*values):
+        members = [each for each in outcomes if tuple(getattr(each.case, name) for name in headings) == group]
+        if members:
+            table.add_row(*group, *_cells(members))
+    table.add_section()
+    table.add_row("all", "", *_cells(outcomes))
+    out.print(table)
+
+
+def _cells(outcomes: Sequence[Outcome]) -> list[str]:
+    cells = []
+    for figures in summary(outcomes).values():
+        rms, peak = figures["rms"], figures["peak"]
+        means, worst = (f"{_brief(rms[each])}/{_brief(peak[each])}" for each in ("geomean", "worst"))
+        cells.append(f"{means}\n\\[{worst}]")
+    return cells
+
+
+def _print_worst(out: Any, grid: Grid, outcomes: Sequence[Outcome]) -> None:
+    from rich.table import Table
+
+    table = Table(title=f"worst cases of {OURS}", title_justify="left")
+    for heading in ("plant", "drive", "motion", "condition"):
+        table.add_column(heading, overflow="fold", min_width=len(heading))
+    for heading in ("RMS", "peak", "true late"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for outcome in sorted(outcomes, key=lambda each: min(each.reduction[OURS]))[:_WORST_SHOWN]:
+        case, ours, late = outcome.case, outcome.reduction[OURS], outcome.reduction["true_late"]
+        table.add_row(
+            case.plant,
+            case.drive,
+            grid.motions[case.motion].name,
+            case.condition,
+            _brief(ours.rms),
+            _brief(ours.peak),
+            f"{_brief(late.rms)}/{_brief(late.peak)}",
+        )
+    out.print(table)
+
+
+def _brief(value: float) -> str:
+    return f"{value:.2f}" if value < 3.0 else f"{value:.1f}" if value < 100.0 else f"{value:.0f}"

@@ -1,0 +1,218 @@
+"""The cases of a grid, each simulated with every method and without compensation, on all cores."""
+
+import math
+import os
+import sys
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import cache
+from typing import NamedTuple, TypeVar
+
+import click
+import numpy as np
+
+from friction_hil import compensator as compensation
+from friction_hil.compensator import Compensator
+from friction_hil.errors import FrictionHilError
+from friction_hil.jit import Array, Record
+from friction_hil.models import FrictionModel
+from friction_hil.servo.control import CONTROLLER
+from tools.benchmarks.compensation import machine
+from tools.benchmarks.compensation.grid import Drive, Grid, Plant
+from tools.benchmarks.compensation.methods import METHODS, NONE, feedforward
+
+INTEGRATION_HZ = 80_000.0  # unless a plant needs more
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+class Error(NamedTuple):
+    """RMS and peak of a following error, rad; or how many times lower they are than without compensation."""
+
+    rms: float
+    peak: float
+
+
+class Case(NamedTuple):
+    """One combination of the grid; ``motion`` is the place of the motion in it."""
+
+    plant: str
+    drive: str
+    motion: int
+    condition: str
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """A case, and the reduction by each method."""
+
+    case: Case
+    reduction: dict[str, Error]
+
+
+class Simulation:
+    """A grid ready to run; what cases share is made once."""
+
+    def __init__(self, grid: Grid) -> None:
+        self.grid = grid
+        self.cycles = round(grid.duration_s / grid.period_s)
+        self._course = cache(self._demands)
+
+    def cases(self) -> list[Case]:
+        """All combinations, in the order of the file."""
+        grid = self.grid
+        return [
+            Case(plant, drive, motion, condition)
+            for plant in grid.plants
+            for drive in grid.drives_of(plant)
+            for motion in range(len(grid.motions))
+            for condition in grid.conditions
+        ]
+
+    def run(self, case: Case, method: str, trace: Array | None = None) -> Error:
+        """Simulate a case.
+
+        Parameters
+        ----------
+        case : Case
+        method : str
+            One of `METHODS`, or ``none``.
+        trace : (6, n) array, optional
+            To be filled with `machine.TRACE`, a column a sample of the drive, as many as it has room for.
+        """
+        grid = self.grid
+        plant, drive = grid.plants[case.plant], grid.drives[case.drive]
+        condition = grid.conditions[case.condition]
+        settings = grid.settings(case.plant, case.drive, case.condition)
+        believed = grid.believed(case.plant, case.condition)
+        friction = plant.friction_model
+        compensator = Compensator(believed, settings)
+        cycle = np.zeros(1, machine.CYCLE)
+        cycle[0] = (
+            grid.period_s,
+            round(drive.rate_hz * grid.period_s),
+            condition.delay_cycles,
+            round(grid.settling_s / grid.period_s),
+            settings.position_resolution,
+            plant.rated_torque / 1000.0,
+        )
+        state = np.zeros(1, machine.PLANT_STATE)
+        state[0]["friction"] = friction.initial_state()
+        score = np.zeros(2)
+        machine.run(
+            plant_record(plant, drive),
+            controller_record(plant, drive),
+            state,
+            cycle,
+            feedforward(method, believed, condition.gain, grid.period_s, settings.position_resolution),
+            believed.initial_state(),
+            compensator.record,
+            compensator.state.view(compensation.STATE),
+            *self._course(case.motion, drive.rate_hz),
+            self._velocity(case.motion, grid.lead_s(case.drive, case.condition)),
+            score,
+            np.empty((len(machine.TRACE), 0)) if trace is None else trace,
+        )
+        scored = round(drive.rate_hz * grid.period_s) * (self.cycles - round(grid.settling_s / grid.period_s))
+        rms = math.sqrt(score[0] / scored)
+        return Error(rms, float(score[1])) if math.isfinite(rms) else Error(math.inf, math.inf)
+
+    def _demands(self, motion: int, rate_hz: float) -> tuple[Array, Array, Array]:
+        samples = self.cycles * round(rate_hz * self.grid.period_s)
+        t = np.arange(samples, dtype=np.float64) / rate_hz
+        return self.grid.motions[motion].course(t, self.grid.seed)
+
+    def _velocity(self, motion: int, lead_s: float) -> Array:
+        """Velocity demanded ``lead_s`` after the beginning of each period."""
+        t = np.arange(self.cycles, dtype=np.float64) * self.grid.period_s + lead_s
+        return self.grid.motions[motion].course(t, self.grid.seed)[1]
+
+
+def plant_record(plant: Plant, drive: Drive) -> Record:
+    """Return the `machine.PLANT` record."""
+    friction = plant.friction_model
+    rate_hz = integration_hz(plant, drive.rate_hz, friction)
+    record = np.zeros(1, machine.PLANT)
+    c = record[0]
+    c["friction_kind"], c["friction"] = friction.kind, friction.values
+    c["is_friction_static"] = friction.family.is_static
+    c["stick_velocity"] = friction.parameters.get("stick_velocity", 0.0)
+    c["inertia"] = plant.inertia
+    if plant.compliance is not None:
+        c["load_inertia"] = plant.compliance.load_inertia
+        c["stiffness"], c["damping"] = plant.compliance.stiffness, plant.compliance.damping
+        c["gap"] = plant.backlash
+    c["step_s"] = 1.0 / rate_hz
+    c["steps_per_sample"] = round(rate_hz / drive.rate_hz)
+    c["torque_lag_share"] = 1.0
+    if drive.torque_lag_s > 0.0:
+        c["torque_lag_share"] = -math.expm1(-1.0 / (rate_hz * drive.torque_lag_s))
+    return record
+
+
+def controller_record(plant: Plant, drive: Drive) -> Record:
+    """Return the drive's `CONTROLLER` record: velocity and inertia are fed forward in full."""
+    record = np.zeros(1, CONTROLLER)
+    c = record[0]
+    c["position_gain"], c["velocity_gain"] = drive.position_gain, drive.velocity_gain
+    c["integral_hz"] = drive.integral_hz
+    c["velocity_feedforward"] = 1.0
+    c["inertia"] = plant.total_inertia
+    return record
+
+
+def integration_hz(plant: Plant, rate_hz: float, friction: FrictionModel) -> float:
+    """Rate of the integration: a multiple of ``rate_hz``, well inside the stability limits of the plant."""
+    stiffness, damping = friction.presliding_stiffness, 0.0
+    for name in ("sigma1", "sigma2", "viscous"):
+        damping += friction.parameters.get(name, 0.0)
+    lightest = plant.inertia
+    if plant.compliance is not None:
+        stiffness += plant.compliance.stiffness
+        damping += plant.compliance.damping
+        lightest = min(lightest, plant.compliance.load_inertia)
+    needed = max(INTEGRATION_HZ, 2.0 * math.sqrt(stiffness / lightest), damping / lightest)
+    return rate_hz * math.ceil(needed / rate_hz * (1.0 - 1e-9))
+
+
+def simulate(grid: Grid) -> list[Outcome]:
+    """Run a whole grid on all cores, with a progress bar on a terminal.
+
+    Raises
+    ------
+    FrictionHilError
+        An axis does not follow its demand even without compensation.
+    """
+    simulation = Simulation(grid)
+    cases = simulation.cases()
+    first = next(iter(grid.conditions))
+    # without compensation no condition makes a difference
+    plain = list(dict.fromkeys(case._replace(condition=first) for case in cases))
+    jobs = [(case, NONE) for case in plain] + [(case, method) for case in cases for method in METHODS]
+    errors = dict(zip(jobs, _with_progress(lambda job: simulation.run(*job), jobs), strict=True))
+    for case in plain:
+        if not 0.0 < errors[case, NONE].rms < math.inf:
+            raise FrictionHilError(
+                f"plant {case.plant} with drive {case.drive}, motion {grid.motions[case.motion].name}: the following "
+                f"error without compensation is {errors[case, NONE].rms:g} rad, with which nothing can be compared"
+            )
+    return [
+        Outcome(case, {m: _reduction(errors[case._replace(condition=first), NONE], errors[case, m]) for m in METHODS})
+        for case in cases
+    ]
+
+
+def _reduction(before: Error, after: Error) -> Error:
+    return Error(*(b / a if a > 0.0 else math.inf for b, a in zip(before, after, strict=True)))
+
+
+def _with_progress(work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+    """Do ``work`` on all ``items`` in threads, which the compiled simulation lets run side by side; in their order."""
+    items = list(items)
+    with (
+        ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool,
+        click.progressbar(pool.map(work, items), len(items), "compensation", file=sys.stderr) as results,
+    ):
+        yield from results
