@@ -29,7 +29,7 @@ INPUTS = (
 _PACKED_INPUTS = struct.Struct(f"<{len(INPUTS)}d")
 _UNKNOWN_SHARE = 0.2  # of the friction level is not known to the model, for the Kalman observer
 _UNKNOWN_S = 0.01  # and changes within this time
-_RESTING_COUNTS, _RESTING_DEFLECTIONS = 3.0, 3.0  # counts, or deflections of the presliding spring, that are rest
+_RESTING_COUNTS, _RESTING_DEFLECTIONS = 3.0, 1.5  # counts, or deflections of the presliding spring, that are rest
 _LEAST_ADAPTATION_S = 5.0 * adaptation.FILTER_S  # slower than its own filter
 
 
