@@ -7,6 +7,7 @@ the loop or inlined into another kernel.
 
 import hashlib
 import os
+import re
 import time
 from collections.abc import Callable
 from functools import cache
@@ -22,6 +23,7 @@ Record = NDArray[np.void]  # structured array of length 1: kernels read and chan
 Function = TypeVar("Function", bound=Callable[..., object])
 
 _KEPT_DAYS = 14
+_HAS_KERNELS = re.compile(rb"@(compiled|inlined)|numba")
 
 
 @cache
@@ -29,13 +31,13 @@ def _cache_folder() -> str | None:
     """Folder for compiled code, or None where none can be written.
 
     numba notices a change in the file of a kernel, not in the files of the kernels that it calls; hence the
-    folder's name is a digest of all sources.
+    folder's name is a digest of all sources that have kernels.
     """
-    package = Path(__file__).parent
     digest = hashlib.sha256()
-    folders = (package, *(package / name for name in ("compensator", "models", "servo", "study")))
-    for path in sorted(path for each in folders for path in each.glob("*.py")):
-        digest.update(path.name.encode() + b"\0" + path.read_bytes())
+    for path in sorted(Path(__file__).parent.rglob("*.py")):
+        source = path.read_bytes()
+        if _HAS_KERNELS.search(source):
+            digest.update(path.name.encode() + b"\0" + source)
     base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "friction_hil"
     folder = base / digest.hexdigest()[:16]
     try:
