@@ -5,30 +5,34 @@ sides passes the same filters, once: inertia times the acceleration of the low-p
 of everything else.
 """
 
-import itertools
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from friction_hil.errors import RecordingError, UsageError
+from friction_hil.filtering import (
+    SETTLING_PERIODS,
+    decimation_padding,
+    lowpass,
+    lowpass_padding,
+    settling_samples,
+)
+from friction_hil.filtering import decimate as decimated
 from friction_hil.recordings import Recording
+from friction_hil.recordings.even import even_grid
+from friction_hil.recordings.quality import is_coarse, resolution
 
 if TYPE_CHECKING:
     from friction_hil.config import ModelFile
 
-Array: TypeAlias = NDArray[np.float64]
+Array = NDArray[np.float64]
 
 DEFAULT_LOWPASS_SHARE = 0.1  # of the sampling rate, where velocity must be derived from position
-_LOWPASS_ORDER = 4
-_DECIMATOR = (8, 0.05, 0.8)  # order, ripple in dB and share of the new Nyquist frequency of the Chebyshev filter
-_PADDING_PER_ORDER = 3  # samples by which a zero-phase filter extends a record at both ends
-_TRANSIENT_PERIODS = 5.0  # of the low-pass, left out at both ends: what it makes of the end of a record is not data
-_UNEVEN_SHARE = 0.1  # of the period: larger deviations of a time stamp make a record uneven
-_GAP_PERIODS = 10.0  # beyond which nothing is interpolated
+_KNOWN_SHARE = 0.9  # of the rows: below it a load is not known
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +53,9 @@ class Motion:
         Cut-off of the zero-phase low-pass.
     problems : tuple of str
         What had to be done to the recording.
+    segments : tuple of slice
+        The parts between gaps, in order, which together are all rows: nothing is filtered, differentiated or
+        simulated across their bounds. One for the whole when not given.
     """
 
     time_s: Array
@@ -61,6 +68,11 @@ class Motion:
     rate_hz: float
     lowpass_hz: float | None
     problems: tuple[str, ...]
+    segments: tuple[slice, ...] = ()
+
+    def __post_init__(self) -> None:
+        if not self.segments:
+            object.__setattr__(self, "segments", (slice(0, len(self.time_s)),))
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +119,7 @@ class Replay:
     velocity: Array
     measured: Array
     predictions: tuple[Prediction, ...]
+    segments: tuple[slice, ...]  # the parts between gaps
 
 
 def replay(
@@ -140,24 +153,17 @@ def replay(
     if decimate < 1:
         raise UsageError(f"decimate by a whole number from 1, not {decimate}")
     motion = derive(recording, lowpass_hz)
-    transient = 0 if motion.lowpass_hz is None else _transient(motion.lowpass_hz, motion.rate_hz)
-    shortest = 2 * transient + 1
-    if decimate > 1:
-        shortest += max(decimate, _PADDING_PER_ORDER * _DECIMATOR[0])
-    if len(motion.time_s) <= shortest:
-        raise RecordingError(
-            f"{recording.path}: {len(motion.time_s)} rows without a gap are too few for these filters, which take "
-            f"{shortest} to settle"
-        )
-
-    inner = slice(transient, len(motion.time_s) - transient)
+    problems = [*recording.problems, *motion.problems]
+    inner = _inner(recording.path, motion, decimate, problems)
 
     def reduce(values: Array) -> Array:
-        return _decimated(values[inner], decimate)
+        parts = [decimated(values[part], decimate) for part in inner]
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
+    rows = [slice(part.start + (part.stop - part.start - 1) % decimate, part.stop, decimate) for part in inner]
+    time = _taken(motion.time_s, tuple(rows))
     measured = reduce(motion.torque)
     predictions = []
-    problems = [*recording.problems, *motion.problems]
     for name, model in models.items():
         problems += _missing_inputs(recording, name, model, motion)
         friction, mechanics = map(reduce, predict(model, motion))
@@ -178,11 +184,37 @@ def replay(
         axis=recording.axis,
         rows=len(recording),
         duration_s=recording.duration_s,
-        problems=tuple(problems),
-        time_s=motion.time_s[inner][::-1][::decimate][::-1],
+        problems=_without_repetition(problems),
+        time_s=time,
         velocity=reduce(motion.velocity),
         measured=measured,
         predictions=tuple(predictions),
+        segments=_closed_up(tuple(slice(0, len(range(part.start, part.stop, decimate))) for part in inner)),
+    )
+
+
+def _inner(path: str, motion: Motion, factor: int, problems: list[str]) -> tuple[slice, ...]:
+    """Segments without the ends that the low-pass spoils, those that are long enough for all filters."""
+    transient = 0 if motion.lowpass_hz is None else settling_samples(motion.lowpass_hz, motion.rate_hz)
+    shortest = 2 * transient + 1
+    if factor > 1:
+        shortest += max(factor, decimation_padding())
+    kept = tuple(segment for segment in motion.segments if segment.stop - segment.start > shortest)
+    if not kept:
+        rows = max(segment.stop - segment.start for segment in motion.segments)
+        raise RecordingError(
+            f"{path}: {rows} rows without a gap are too few for these filters, which take {shortest} to settle"
+        )
+    _note_short(motion.segments, kept, "these filters", motion.time_s, problems)
+    return tuple(slice(segment.start + transient, segment.stop - transient) for segment in kept)
+
+
+def _without_repetition(problems: list[str]) -> tuple[str, ...]:
+    """A sentence that another one continues says nothing more."""
+    return tuple(
+        problem
+        for problem in dict.fromkeys(problems)
+        if not any(other != problem and other.startswith(problem) for other in problems)
     )
 
 
@@ -206,123 +238,138 @@ def _missing_inputs(recording: Recording, name: str, model: "ModelFile", motion:
 def predict(model: "ModelFile", motion: Motion) -> tuple[Array, Array]:
     """Torques (n,) that the model says the motion takes for friction and for mechanics, low-passed as it is.
 
-    Where no load was recorded, that of friction is gravity.
+    A dynamic model starts from rest in each segment. Where no load was recorded, that of friction is gravity.
     """
     mechanics = model.mechanics
     gravity = mechanics.gravity
     static = gravity.sine * np.sin(motion.position) + gravity.cosine * np.cos(motion.position) + gravity.constant
-    friction = model.friction_model.simulate(
-        motion.velocity,
-        1.0 / motion.rate_hz,
-        position=motion.position,
-        load_torque=static if motion.load_torque is None else motion.load_torque,
-        temperature=motion.temperature,
-    )
+    load = static if motion.load_torque is None else motion.load_torque
+    friction = np.empty(len(motion.velocity))
+    for part in motion.segments:
+        friction[part] = model.friction_model.simulate(
+            motion.velocity[part],
+            1.0 / motion.rate_hz,
+            position=motion.position[part],
+            load_torque=load[part],
+            temperature=None if motion.temperature is None else motion.temperature[part],
+        )
     static = static + mechanics.offset
     if motion.lowpass_hz is not None:
-        friction = _lowpassed(friction, motion.lowpass_hz, motion.rate_hz)
-        static = _lowpassed(static, motion.lowpass_hz, motion.rate_hz)
+        friction = _lowpassed(friction, motion.segments, motion.lowpass_hz, motion.rate_hz)
+        static = _lowpassed(static, motion.segments, motion.lowpass_hz, motion.rate_hz)
     return friction, mechanics.inertia * motion.acceleration + static
 
 
 def derive(recording: Recording, lowpass_hz: float | None = None) -> Motion:
     """Bring a recording to an even grid, and derive velocity and acceleration; see `replay`."""
+    recording.require("position", "torque")
+    problems: list[str] = []
     has_velocity = "velocity" in recording and lowpass_hz is None
-    names = ["position", "torque", *(["velocity"] if has_velocity else [])]
-    recording.require(*names)
-    names += [name for name in ("load_torque", "temperature") if _is_known(recording, name)]
-    time, columns, problems = _even(recording, names)
-    rate_hz = (len(time) - 1) / (time[-1] - time[0])
+    why = "no velocity"
+    if has_velocity and is_coarse(recording["velocity"]):
+        has_velocity = False
+        why = f"velocity comes in steps of {resolution(recording['velocity']):.4g}, and mostly stands still"
+    held = _known(recording, problems)
+    grid = even_grid(recording, ["position", "torque", *(["velocity"] if has_velocity else [])], held)
+    problems += grid.problems
     if not has_velocity and lowpass_hz is None:
-        lowpass_hz = DEFAULT_LOWPASS_SHARE * rate_hz
-        problems.append(f"no velocity: derived from the position below {lowpass_hz:.4g} Hz")
+        lowpass_hz = DEFAULT_LOWPASS_SHARE * grid.rate_hz
+        problems.append(f"{why}: derived from the position below {lowpass_hz:.4g} Hz")
+    time, columns, segments = grid.time_s, grid.columns, grid.segments
     if lowpass_hz is not None:
-        _check_lowpass(recording.path, lowpass_hz, rate_hz, len(time))
-        columns = {name: _lowpassed(values, lowpass_hz, rate_hz) for name, values in columns.items()}
-    velocity = columns["velocity"] if has_velocity else np.gradient(columns["position"], 1.0 / rate_hz)
+        kept = _long_enough(recording.path, segments, lowpass_hz, grid.rate_hz, time, problems)
+        time, columns = _taken(time, kept), {name: _taken(values, kept) for name, values in columns.items()}
+        segments = _closed_up(kept)
+        for name, values in columns.items():
+            columns[name] = _lowpassed(values, segments, lowpass_hz, grid.rate_hz)
+    velocity = columns["velocity"] if has_velocity else _rate(columns["position"], segments, grid.rate_hz)
     return Motion(
         time_s=time,
         position=columns["position"],
         velocity=velocity,
-        acceleration=np.gradient(velocity, 1.0 / rate_hz),
+        acceleration=_rate(velocity, segments, grid.rate_hz),
         torque=columns["torque"],
         load_torque=columns.get("load_torque"),
         temperature=columns.get("temperature"),
-        rate_hz=rate_hz,
+        rate_hz=grid.rate_hz,
         lowpass_hz=lowpass_hz,
         problems=tuple(problems),
+        segments=segments,
     )
 
 
-def _is_known(recording: Recording, name: str) -> bool:
-    return name in recording and bool(np.all(np.isfinite(recording[name])))
+def _known(recording: Recording, problems: list[str]) -> list[str]:
+    """Which of the slow inputs are known well enough to be taken."""
+    known = []
+    for name in ("load_torque", "temperature"):
+        if name not in recording:
+            continue
+        share = float(np.mean(np.isfinite(recording[name])))
+        if name == "load_torque" and share < _KNOWN_SHARE:
+            problems.append(f"{name} is known in {100.0 * share:.0f} % of the rows: not used")
+        else:
+            known.append(name)
+    return known
 
 
-def _even(recording: Recording, names: list[str]) -> tuple[Array, dict[str, Array], list[str]]:
-    """Time stamps and columns at an even rate: the longest part without a gap, interpolated where needed."""
-    problems: list[str] = []
-    time = recording["time_s"]
-    columns = {name: recording[name] for name in names}
-    for name, values in columns.items():
-        wrong = np.flatnonzero(~np.isfinite(values))
-        if wrong.size:
-            raise RecordingError(
-                f"{recording.path}: {name} is not finite in {wrong.size} rows, the first is row {wrong[0]}; "
-                "cut the recording, or mend it"
-            )
-    forward = np.concatenate([[True], time[1:] > np.maximum.accumulate(time)[:-1]])
-    time, columns = time[forward], {name: values[forward] for name, values in columns.items()}
-    if len(time) < 3:
-        raise RecordingError(f"{recording.path}: {len(time)} rows in order of time are too few")
-    period = float(np.median(np.diff(time)))
-    ends = [0, *(np.flatnonzero(np.diff(time) > _GAP_PERIODS * period) + 1), len(time)]
-    begin, end = max(itertools.pairwise(ends), key=lambda part: part[1] - part[0])
-    if len(ends) > 2:
-        problems.append(f"of {len(ends) - 1} parts between gaps, only the longest is used: {end - begin} rows")
-        time, columns = time[begin:end], {name: values[begin:end] for name, values in columns.items()}
-    if len(time) < 3:
-        raise RecordingError(f"{recording.path}: {len(time)} rows without a gap are too few")
-    even = np.linspace(time[0], time[-1], 1 + round((time[-1] - time[0]) / period))
-    if len(even) == len(time) and np.max(np.abs(even - time)) <= _UNEVEN_SHARE * period:
-        return time, columns, problems
-    problems.append(f"the time stamps are uneven: interpolated at {1.0 / period:.6g} Hz")
-    return even, {name: np.interp(even, time, values) for name, values in columns.items()}, problems
+def _taken(values: Array, segments: tuple[slice, ...]) -> Array:
+    if len(segments) == 1:
+        return values[segments[0]]
+    return np.concatenate([values[segment] for segment in segments])
 
 
-def _check_lowpass(path: str, lowpass_hz: float, rate_hz: float, rows: int) -> None:
+def _closed_up(segments: tuple[slice, ...]) -> tuple[slice, ...]:
+    """The same lengths, one after the other."""
+    ends = np.cumsum([segment.stop - segment.start for segment in segments]).tolist()
+    return tuple(slice(begin, end) for begin, end in zip([0, *ends], ends, strict=False))
+
+
+def _rate(values: Array, segments: tuple[slice, ...], rate_hz: float) -> Array:
+    """Derivative by central differences."""
+    derivative = np.empty(len(values))
+    for segment in segments:
+        derivative[segment] = np.gradient(values[segment], 1.0 / rate_hz)
+    return derivative
+
+
+def _lowpassed(values: Array, segments: tuple[slice, ...], lowpass_hz: float, rate_hz: float) -> Array:
+    if len(segments) == 1:
+        return lowpass(values, lowpass_hz, rate_hz)
+    return np.concatenate([lowpass(values[segment], lowpass_hz, rate_hz) for segment in segments])
+
+
+def _long_enough(
+    path: str,
+    segments: tuple[slice, ...],
+    lowpass_hz: float,
+    rate_hz: float,
+    time: Array,
+    problems: list[str],
+) -> tuple[slice, ...]:
+    """Segments in which a low-pass settles; the others are told."""
     if not 0.0 < lowpass_hz < rate_hz / 2.0:
         raise UsageError(
             f"{path}: a low-pass lies above 0 and below half the sampling rate, {rate_hz / 2.0:.6g} Hz, "
             f"not at {lowpass_hz:g} Hz"
         )
-    slowest_hz = 2.0 * _TRANSIENT_PERIODS * rate_hz / rows
-    if rows <= _PADDING_PER_ORDER * _LOWPASS_ORDER or lowpass_hz < slowest_hz:
+    fewest = max(lowpass_padding() + 1, 2.0 * SETTLING_PERIODS * rate_hz / lowpass_hz)
+    kept = tuple(segment for segment in segments if segment.stop - segment.start >= fewest)
+    if not kept:
+        rows = max(segment.stop - segment.start for segment in segments)
         raise RecordingError(
             f"{path}: {rows} rows without a gap are too few for a low-pass at {lowpass_hz:g} Hz, "
-            f"which takes {_TRANSIENT_PERIODS:g} periods to settle at either end"
+            f"which takes {SETTLING_PERIODS:g} periods to settle at either end"
         )
+    _note_short(segments, kept, f"a low-pass at {lowpass_hz:.4g} Hz", time, problems)
+    return kept
 
 
-def _transient(lowpass_hz: float, rate_hz: float) -> int:
-    """Rows at either end that a low-pass spoils."""
-    return math.ceil(_TRANSIENT_PERIODS * rate_hz / lowpass_hz) - 1
-
-
-def _lowpassed(values: Array, lowpass_hz: float, rate_hz: float) -> Array:
-    from scipy import signal
-
-    sections = signal.butter(_LOWPASS_ORDER, lowpass_hz / (rate_hz / 2.0), output="sos")
-    filtered: Array = signal.sosfiltfilt(sections, values, padlen=_PADDING_PER_ORDER * _LOWPASS_ORDER)
-    return filtered
-
-
-def _decimated(values: Array, factor: int) -> Array:
-    """Each ``factor``-th sample, the last one among them, as MATLAB's ``decimate`` does it."""
-    if factor == 1:
-        return values
-    from scipy import signal
-
-    order, ripple_db, share = _DECIMATOR
-    sections = signal.cheby1(order, ripple_db, share / factor, output="sos")
-    filtered: Array = signal.sosfiltfilt(sections, values, padlen=_PADDING_PER_ORDER * order)
-    return filtered[(len(values) - 1) % factor :: factor]
+def _note_short(
+    segments: tuple[slice, ...], kept: tuple[slice, ...], what: str, time: Array, problems: list[str]
+) -> None:
+    problems += [
+        f"the part from {time[segment.start]:.6g} s to {time[segment.stop - 1]:.6g} s has "
+        f"{segment.stop - segment.start} rows, too few for {what}: left out"
+        for segment in segments
+        if segment not in kept
+    ]

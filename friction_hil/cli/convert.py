@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 @click.argument("source", metavar="IN", type=click.Path(path_type=Path))
 @click.argument("target", metavar="[OUT]", type=click.Path(path_type=Path), required=False)
 @click.option("--info", is_flag=True, help="Say what is in IN; write nothing.")
+@click.option("--config", type=click.Path(path_type=Path), help="Configuration, by which a CAN log is decoded.")
 @click.option("--force", is_flag=True, help="Overwrite OUT if it exists.")
 @recording_options
 @option_json
@@ -25,6 +26,7 @@ def command(
     source: Path,
     target: Path | None,
     info: bool,
+    config: Path | None,
     force: bool,
     axis: str | None,
     columns: dict[str, str],
@@ -33,19 +35,25 @@ def command(
 ) -> None:
     """Convert the recording IN to OUT, by their suffixes.
 
-    Reads .mcap, .csv (a header of names) and .mat (MATLAB 5); writes .csv and .mcap. Values are kept bit for
-    bit. From an MCAP recording of several axes each is written to a CSV file of its own, OUT_x.csv; --axis
-    takes one. Metadata, events and restart points stay behind.
+    Reads .mcap, .csv (a header of names), .parquet, .mf4 and .mdf, .h5 and .hdf5, .mat (MATLAB 5 to 7.3), .npz,
+    .json (a list of rows), and logs of raw CAN frames (candump .log, .asc, .blf; --config says what is in them).
+    Writes all but CAN logs, .mdf and MATLAB 7.3. Parquet, MDF and HDF5 need: pip install "friction-hil[formats]".
+
+    Values are kept bit for bit, units where the format has a place for them. From a recording of several axes each
+    is written to a file of its own, OUT_x.csv; --axis takes one. Metadata, events and restart points stay behind.
+
+    In place of --column, IN.columns.yaml beside IN, or columns.yaml for all files of its folder, may say
+    `columns: {time_s: t, torque: vir*35.15}`.
     """
     if info == (target is not None):
         raise click.UsageError("give OUT, or --info" if target is None else "--info writes nothing: leave OUT away")
 
     from friction_hil import recordings
+    from friction_hil.config import load
 
-    if axis is None:
-        found = recordings.read_all(source, columns=columns, scale=scale)
-    else:
-        found = {axis: recordings.read(source, axis, columns=columns, scale=scale)}
+    options: dict[str, Any] = {"columns": columns, "scale": scale}
+    options["configuration"] = None if config is None else load(config)
+    found = recordings.read_all(source, **options) if axis is None else {axis: recordings.read(source, axis, **options)}
     if target is None:
         _tell(source, found, as_json)
         return
@@ -81,34 +89,42 @@ def _tell(source: Path, found: "dict[str, Recording]", as_json: bool) -> None:
         return
     for name, facts in axes.items():
         _print(name, facts)
-    _warn(found)
+        for problem in facts["problems"]:
+            click.echo(f"{source}: {name}: {problem}", err=True)
 
 
 def _facts(recording: "Recording") -> dict[str, Any]:
     import numpy as np
 
-    from friction_hil.recordings.columns import unit
+    from friction_hil.recordings.columns import TIME, unit
+    from friction_hil.recordings.even import what_to_mend
+    from friction_hil.recordings.quality import resolution, time_facts
 
     kinds = _kinds(recording)
     facts = {}
     for name, values in recording.columns.items():
         finite = values[np.isfinite(values)]
+        ours = " or ".join(dict.fromkeys(filter(None, (unit(name, kind) for kind in kinds))))
         facts[name] = {
-            "unit": " or ".join(dict.fromkeys(filter(None, (unit(name, kind) for kind in kinds)))),
+            "unit": recording.units.get(name, ours),
             "values": int(finite.size),
             "min": float(finite.min()) if finite.size else None,
             "max": float(finite.max()) if finite.size else None,
+            "step": resolution(values),
         }
-    period_s = recording.period_s
+    times = time_facts(recording.columns[TIME])
     return {
         "rows": len(recording),
         "duration_s": recording.duration_s,
-        "rate_hz": 1.0 / period_s if period_s > 0.0 else None,
+        "rate_hz": 1.0 / times.period_s if times.period_s > 0.0 else None,
+        "jitter_s": times.jitter_s,
+        "gaps": len(times.gaps),
+        "longest_gap_s": times.longest_gap_s,
         "columns": facts,
         "events": [{"cycle": event.cycle, "name": event.name, "text": event.text} for event in recording.events],
         "restart_points": len(recording.restarts),
         "metadata": sorted(recording.metadata),
-        "problems": recording.problems,
+        "problems": [*recording.problems, *what_to_mend(recording)],
     }
 
 
@@ -128,12 +144,16 @@ def _print(name: str, facts: dict[str, Any]) -> None:
     rate = f" at {facts['rate_hz']:.6g} Hz" if facts["rate_hz"] else ""
     out = console()
     out.print(f"{name}: {facts['rows']} rows, {facts['duration_s']:.6g} s{rate}", markup=False)
-    table = Table("column", "unit", "values", "min", "max", box=None, header_style="bold", pad_edge=False)
+    gaps = f", {facts['gaps']} gaps up to {facts['longest_gap_s']:.6g} s" if facts["gaps"] else ""
+    if facts["jitter_s"] > 0.0 or gaps:
+        out.print(f"time stamps off by up to {facts['jitter_s']:.3g} s{gaps}", markup=False)
+    table = Table("column", "unit", "values", "min", "max", "step", box=None, header_style="bold", pad_edge=False)
     for number in table.columns[2:]:
         number.justify = "right"
     for column, fact in facts["columns"].items():
         low, high = ("" if fact[key] is None else f"{fact[key]:.6g}" for key in ("min", "max"))
-        table.add_row(Text(column), fact["unit"], str(fact["values"]), low, high)
+        step = "" if fact["step"] is None else f"{fact['step']:.4g}"
+        table.add_row(Text(column), Text(fact["unit"]), str(fact["values"]), low, high, step)
     out.print(table)
     if facts["metadata"]:
         out.print(f"{facts['restart_points']} restart points; metadata: {', '.join(facts['metadata'])}", markup=False)

@@ -1,25 +1,37 @@
-"""The options by which commands choose an axis and columns of recordings."""
+"""The options by which commands choose files, an axis and columns of recordings."""
 
+import glob
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable
+from pathlib import Path
 from typing import Any, TypeVar
 
 import click
+
+from friction_hil.errors import UsageError
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 def _columns(context: click.Context, parameter: click.Parameter, pairs: tuple[str, ...]) -> dict[str, str]:
+    from friction_hil.recordings.mapping import parse_source
+
     columns: dict[str, str] = {}
+    factors: dict[str, float] = context.meta.setdefault(__name__, {})
     for text in pairs:
         name, source = _pair(text, "torque=effort")
         _once(name, columns)
-        columns[name] = source
+        try:
+            columns[name], factor = parse_source(source)
+        except UsageError as error:
+            raise click.BadParameter(str(error)) from None
+        if factor != 1.0:
+            factors[name] = factor
     return columns
 
 
 def _scale(context: click.Context, parameter: click.Parameter, pairs: tuple[str, ...]) -> dict[str, float]:
-    factors: dict[str, float] = {}
+    factors: dict[str, float] = dict(context.meta.get(__name__, {}))
     for text in pairs:
         name, value = _pair(text, "torque=35.15")
         _once(name, factors)
@@ -44,15 +56,18 @@ def _pair(text: str, example: str) -> tuple[str, str]:
     return name, value
 
 
+# Eager ones are processed first: the factors of --column belong to --scale.
 _OPTIONS = (
     click.option("--axis", metavar="NAME", help="Axis to take, where a recording has several."),
     click.option(
         "--column",
         "columns",
         multiple=True,
+        is_eager=True,
         callback=_columns,
-        metavar="NAME=SOURCE",
-        help="Take column NAME from the file's SOURCE, e.g. torque=effort. May be repeated.",
+        metavar="NAME=SOURCE[*FACTOR]",
+        help="Take column NAME from the file's SOURCE, e.g. torque=vir*35.15 or position=encoder*2*pi/4096. "
+        "May be repeated.",
     ),
     click.option(
         "--scale",
@@ -69,3 +84,25 @@ def recording_options(command: Command) -> Command:
     for option in reversed(_OPTIONS):
         command = option(command)
     return command
+
+
+def expanded(words: Iterable[str | Path]) -> list[str]:
+    """Replace each pattern (``*``, ``?``, ``[..]``, ``**``) by the files that it matches, in order of name.
+
+    The shell does that where a pattern is not quoted; a file that is called like a pattern is taken as it is.
+
+    Raises
+    ------
+    UsageError
+        A pattern matches nothing.
+    """
+    found: list[str] = []
+    for word in map(str, words):
+        if not glob.has_magic(word) or Path(word).exists():
+            found.append(word)
+            continue
+        matches = sorted(path for path in glob.glob(word, recursive=True) if Path(path).is_file())
+        if not matches:
+            raise UsageError(f"{word}: no file matches")
+        found += matches
+    return list(dict.fromkeys(found))

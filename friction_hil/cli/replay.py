@@ -1,20 +1,24 @@
 """``friction-hil replay``: recordings through friction models, and the compensator run again."""
 
 import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from friction_hil.cli.output import console, option_json, print_json
-from friction_hil.cli.recording_options import recording_options
+from friction_hil.cli.recording_options import expanded, recording_options
 from friction_hil.errors import UsageError
 
 if TYPE_CHECKING:
-    from friction_hil.config import Configuration, ModelFile
-    from friction_hil.recordings import Recording
-    from friction_hil.replay import Replay
-    from friction_hil.verify import Verification
+    from collections.abc import Callable
+
+    from friction_hil.replay_many import Outcome
+
+
+_WIDE = 1000
 
 
 @click.command("replay")
@@ -24,10 +28,12 @@ if TYPE_CHECKING:
     "model_arguments",
     multiple=True,
     metavar="FILE_OR_NAME",
-    help="Model file, or NAME:coulomb=0.08,viscous=2e-3. May be repeated.",
+    help="Model file, pattern of model files, or NAME:coulomb=0.08,viscous=2e-3. May be repeated.",
 )
 @click.option("--verify", "is_verifying", is_flag=True, help="Run the daemon's compensator again; compare every bit.")
-@click.option("--config", type=click.Path(path_type=Path), help="Configuration in place of the one in the recording.")
+@click.option(
+    "--config", type=click.Path(path_type=Path), help="Configuration: of a CAN log; or in place of the one inside."
+)
 @recording_options
 @click.option("--lowpass", "lowpass_hz", type=float, metavar="HZ", help="Low-pass everything, without delay.")
 @click.option("--decimate", type=click.IntRange(min=1), default=1, metavar="N", help="Keep each N-th sample.")
@@ -48,6 +54,9 @@ def command(
 ) -> int:
     """Predict the torque of each RECORDING with each model, and compare it with the measured torque.
 
+    RECORDING may be a pattern, also a quoted one: 'logs/**/*.mcap'. Files are worked on by all cores; one that
+    cannot be read costs only itself. Reads what `convert` reads, and columns as it does.
+
     Without --model the daemon's own recording is compared with the model that it ran with. Velocity and
     acceleration are derived from the position where there is no velocity, or with --lowpass. relative error =
     norm(measured - predicted) / norm(measured).
@@ -55,122 +64,114 @@ def command(
     --verify feeds the recording through the whole compensator, which must give the recorded compensation again:
     exit status 1 and the first cycle that differs otherwise.
     """
-    from friction_hil import recordings
     from friction_hil.config import load, model_from_argument
+    from friction_hil.replay_many import Task, replay_many
 
-    configuration = None if config is None else load(config)
-    models = {argument: model_from_argument(argument) for argument in model_arguments}
-    results = []
-    for source in sources:
-        if axis is None:
-            found = list(recordings.read_all(source, columns=columns, scale=scale).values())
-        else:
-            found = [recordings.read(source, axis, columns=columns, scale=scale)]
-        for recording in found:
-            verification = _verify(recording, configuration) if is_verifying else None
-            replay = None
-            if models or not is_verifying:
-                from friction_hil.replay import replay as run
-
-                ours = models or _own_model(recording, configuration)
-                replay = run(recording, ours, lowpass_hz=lowpass_hz, decimate=decimate)
-            results.append((recording, replay, verification))
-    pictures = _draw([replay for _, replay, _ in results if replay is not None], output)
-    if as_json:
-        print_json({"recordings": [_as_dict(*result) for result in results]})
-    else:
-        _print(results)
-        for picture in pictures:
-            click.echo(f"picture: {picture}")
-    return 1 if any(verification and not verification.is_verified for *_, verification in results) else 0
-
-
-def _verify(recording: "Recording", configuration: "Configuration | None") -> "Verification":
-    from friction_hil.verify import verify
-
-    return verify(recording, configuration)
-
-
-def _own_model(recording: "Recording", configuration: "Configuration | None") -> "dict[str, ModelFile]":
-    """The model that the daemon ran with, from the configuration inside its recording."""
-    from friction_hil.config import from_dict
-
-    if configuration is None and "configuration" in recording.metadata:
-        inside = f"{recording.path} (configuration inside)"
-        configuration = from_dict(recording.metadata["configuration"], inside)
-    if configuration is None or recording.axis not in configuration.axes:
-        raise UsageError(f"{recording.path}: no model is known for axis {recording.axis!r}; give --model FILE_OR_NAME")
-    model = configuration.axes[recording.axis].model
-    return {f"{model.friction.model} (as recorded)": model}
-
-
-def _draw(replays: "list[Replay]", output: Path | None) -> list[Path]:
-    """One picture a recording and axis; their names follow where there are several."""
-    if output is None:
-        return []
-    if not replays:
+    if output is not None and is_verifying and not model_arguments:
         raise click.UsageError("--output draws models: give --model")
-    from friction_hil.reports.replay_picture import draw
+    files = expanded(sources)
+    models = tuple(name for argument in model_arguments for name in _models(argument))
+    # before hundreds of files are read: mistakes that would be made in each
+    for argument in models:
+        model_from_argument(argument)
+    if config is not None:
+        load(config)
+    tasks = [
+        Task(
+            source=file,
+            models=models,
+            is_verifying=is_verifying,
+            config=None if config is None else str(config),
+            axis=axis,
+            columns=columns,
+            scale=scale,
+            lowpass_hz=lowpass_hz,
+            decimate=decimate,
+            picture=None if output is None else str(output),
+            name=name,
+            is_only=len(files) == 1,
+        )
+        for file, name in zip(files, _short_names(files), strict=True)
+    ]
+    with _progress(len(tasks)) as on_done:
+        outcomes = [outcome for found in replay_many(tasks, on_done=on_done) for outcome in found]
+    if as_json:
+        print_json({"recordings": [outcome.facts for outcome in outcomes]})
+    else:
+        _print(outcomes)
+    for outcome in outcomes:
+        if "error" in outcome.facts:
+            click.echo(f"Error: {outcome.facts['error']}", err=True)
+    return max((outcome.exit_status for outcome in outcomes), default=0)
 
-    pictures = []
-    for replay in replays:
-        names = f"{output.stem}_{Path(replay.path).stem}_{replay.axis}"
-        picture = output if len(replays) == 1 else output.with_stem(names)
-        draw(replay, picture)
-        pictures.append(picture)
-    return pictures
+
+def _models(argument: str) -> list[str]:
+    """A pattern of model files as their names, everything else as it is."""
+    try:
+        return expanded([argument])
+    except UsageError:
+        return [argument]  # no file: model_from_argument says what would be right
 
 
-def _as_dict(recording: "Recording", replay: "Replay | None", verification: "Verification | None") -> dict[str, Any]:
-    result: dict[str, Any] = {
-        "path": recording.path,
-        "axis": recording.axis,
-        "rows": len(recording),
-        "duration_s": recording.duration_s,
-        "problems": replay.problems if replay else recording.problems,
-        "verified": verification and verification.is_verified,
-        "models": [],
-    }
-    if verification:
-        result["verification"] = {
-            "rows": verification.rows,
-            "tolerance": verification.tolerance,
-            "differences": verification.differences,
-            "reason": verification.reason,
-        }
-    if replay:
-        result["models"] = [
-            {"model": each.model, "rmse": each.rmse, "relative_error": each.relative_error, "unit": each.unit}
-            for each in replay.predictions
-        ]
-    return result
+def _short_names(files: Sequence[str]) -> list[str]:
+    """Stems of files, numbered where several are called the same."""
+    names: list[str] = []
+    for file in files:
+        stem = name = Path(file).stem
+        count = 1
+        while name in names:
+            count += 1
+            name = f"{stem}_{count}"
+        names.append(name)
+    return names
 
 
-def _print(results: "list[tuple[Recording, Replay | None, Verification | None]]") -> None:
+@contextmanager
+def _progress(files: int) -> "Iterator[Callable[[], None]]":
+    """A progress bar where somebody watches and there is more than one file."""
+    errors = console(stderr=True)
+    if files < 2 or not errors.is_terminal:
+        yield lambda: None
+        return
+    from rich.progress import Progress
+
+    with Progress(console=errors, transient=True) as progress:
+        bar = progress.add_task("replay", total=files)
+        yield lambda: progress.advance(bar)
+
+
+def _print(outcomes: "Sequence[Outcome]") -> None:
     from rich.table import Table
     from rich.text import Text
 
     out, errors = console(), console(stderr=True)
     table = Table("recording", "axis", "model", "rmse", "relative error", box=None, header_style="bold", pad_edge=False)
-    for recording, replay, verification in results:
-        name = Path(recording.path).name
-        for problem in replay.problems if replay else recording.problems:
-            errors.print(f"{name}: {recording.axis}: {problem}", markup=False, soft_wrap=True)
-        for each in replay.predictions if replay else ():
-            rmse, share = f"{each.rmse:.4g} {each.unit}", each.relative_error
+    for outcome in outcomes:
+        facts = outcome.facts
+        name = Path(facts["path"]).name
+        for problem in facts["problems"]:
+            errors.print(f"{name}: {facts['axis']}: {problem}", markup=False, soft_wrap=True)
+        for each in facts["models"]:
+            rmse, share = f"{each['rmse']:.4g} {each['unit']}", each["relative_error"]
             relative = f"{100.0 * share:.3f} %" if math.isfinite(share) else "undefined: measured torque is 0"
-            table.add_row(Text(name), recording.axis, Text(each.model), rmse, relative)
-        if verification:
-            out.print(_verdict(name, verification), markup=False, soft_wrap=True)
+            table.add_row(Text(name), facts["axis"], Text(each["model"]), rmse, relative)
+        if "verification" in facts:
+            out.print(_verdict(name, facts), markup=False, soft_wrap=True)
     if table.row_count:
+        if not out.is_terminal:
+            out.width = _WIDE  # into a file or a pipe: no name is cut short
         out.print(table)
+    for outcome in outcomes:
+        if outcome.picture is not None:
+            click.echo(f"picture: {outcome.picture}")
 
 
-def _verdict(name: str, verification: "Verification") -> str:
-    where = f"{name}: {verification.axis}"
-    how = "bit for bit" if verification.tolerance == 0.0 else f"to {verification.tolerance:.3g}"
-    if verification.differences:
-        how += f" (recorded elsewhere: {'; '.join(verification.differences)})"
-    if verification.is_verified:
-        return f"{where}: verified: {verification.rows} rows come out again {how}"
-    return f"{where}: NOT verified {how}: {verification.reason}"
+def _verdict(name: str, facts: dict[str, Any]) -> str:
+    verification = facts["verification"]
+    where = f"{name}: {facts['axis']}"
+    how = "bit for bit" if verification["tolerance"] == 0.0 else f"to {verification['tolerance']:.3g}"
+    if verification["differences"]:
+        how += f" (recorded elsewhere: {'; '.join(verification['differences'])})"
+    if facts["verified"]:
+        return f"{where}: verified: {verification['rows']} rows come out again {how}"
+    return f"{where}: NOT verified {how}: {verification['reason']}"

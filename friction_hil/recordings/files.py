@@ -1,18 +1,41 @@
 """Reading and writing of recordings by the suffix of the file."""
 
-from collections.abc import Callable, Mapping
+import importlib
+from collections.abc import Collection, Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from friction_hil.errors import RecordingError, UsageError, choices
+from friction_hil.recordings.mapping import Mapped, mapping_beside
 from friction_hil.recordings.recording import Recording, check, rename
+from friction_hil.recordings.source import Source
 
-Select = Callable[[list[str]], list[str]]
-"""From the names of the axes in a file, those to read."""
+if TYPE_CHECKING:
+    from friction_hil.config import Configuration
+
+_MODULES = {
+    ".mcap": "mcap_reader",
+    ".csv": "csv_file",
+    ".parquet": "parquet_file",
+    ".mf4": "mdf_file",
+    ".mdf": "mdf_file",
+    ".h5": "hdf5_file",
+    ".hdf5": "hdf5_file",
+    ".mat": "mat_file",
+    ".npz": "npz_file",
+    ".json": "json_file",
+    ".log": "can_log",
+    ".asc": "can_log",
+    ".blf": "can_log",
+}
+_READ_ONLY = (".mdf", ".log", ".asc", ".blf")
+_WRITERS = {suffix: name for suffix, name in _MODULES.items() if suffix not in _READ_ONLY} | {".mcap": "mcap_writer"}
+"""Module of each suffix: `read(source)` gives recordings; `write(path, recording, overwrite=)` takes one."""
 
 
-def formats() -> tuple[str, ...]:
-    """Suffixes of the files that can be read."""
-    return (".csv", ".mat", ".mcap")
+def formats(*, to_write: bool = False) -> tuple[str, ...]:
+    """Suffixes of the files that can be read, or written."""
+    return tuple(sorted(_WRITERS if to_write else _MODULES))
 
 
 def read(
@@ -21,27 +44,35 @@ def read(
     *,
     columns: Mapping[str, str] | None = None,
     scale: Mapping[str, float] | None = None,
+    only: Collection[str] | None = None,
+    configuration: "Configuration | None" = None,
 ) -> Recording:
-    """Read one axis of a recording: MCAP, CSV with a header, or MATLAB 5 .mat.
+    """Read one axis of a recording; `formats` has the suffixes.
 
     Parameters
     ----------
     path : path
-        The file; its suffix says what it is.
+        The file; its suffix says what it is. Beside it may lie ``NAME.columns.yaml``, or ``columns.yaml`` for
+        all files of the folder, with the same as ``columns`` and ``scale``, which go before it.
     axis : str, optional
-        Name of the axis; needed where the file has several. A CSV or .mat file has one, without a name: it
+        Name of the axis; needed where the file has several. A file of columns has one, without a name: it
         is called this, or else after the file.
     columns : dict, optional
         Our name of a column to the file's: ``{"time_s": "t", "torque": "effort"}``.
     scale : dict, optional
         Our name of a column to the factor that makes it SI: ``{"torque": 35.15}``.
+    only : sequence of str, optional
+        Our names of the columns to load, as far as they are there; all when not given.
+    configuration : Configuration, optional
+        Of the machine; a CAN log is decoded by it.
 
     Raises
     ------
     RecordingError
         The file cannot be read, or has no finite ``time_s``.
     UsageError
-        The suffix is unknown, the file has several axes or not this one, or a mapped column is not there.
+        The suffix is unknown, the file has several axes or not this one, a mapped column is not there, or a
+        package is not installed.
     """
 
     def one(names: list[str]) -> list[str]:
@@ -51,21 +82,30 @@ def read(
             raise UsageError(f"{path} has no axis {axis!r}; {choices(axis, names)}")
         return names if axis is None else [axis]
 
-    (recording,) = _read(Path(path), one, axis, columns or {}, scale or {}).values()
+    mapped = mapping_beside(Path(path)).overridden(columns or {}, scale or {})
+    source = Source(Path(path), axis, _wanted(only, mapped), one, configuration)
+    (recording,) = _read(source, mapped).values()
     return recording
 
 
 def read_all(
-    path: str | Path, *, columns: Mapping[str, str] | None = None, scale: Mapping[str, float] | None = None
+    path: str | Path,
+    *,
+    columns: Mapping[str, str] | None = None,
+    scale: Mapping[str, float] | None = None,
+    only: Collection[str] | None = None,
+    configuration: "Configuration | None" = None,
 ) -> dict[str, Recording]:
     """Read every axis of a recording, by name; otherwise as `read`."""
-    return _read(Path(path), lambda names: names, None, columns or {}, scale or {})
+    mapped = mapping_beside(Path(path)).overridden(columns or {}, scale or {})
+    return _read(Source(Path(path), None, _wanted(only, mapped), configuration=configuration), mapped)
 
 
 def write(path: str | Path, recording: Recording, *, overwrite: bool = False) -> None:
-    """Write one axis as MCAP or CSV, by the suffix.
+    """Write one axis, by the suffix; ``formats(to_write=True)`` has them.
 
-    Values are kept bit for bit; metadata, events and restart points are not written.
+    Values are kept bit for bit, units where the format has a place for them; metadata, events and restart points
+    are not written.
 
     Parameters
     ----------
@@ -79,58 +119,39 @@ def write(path: str | Path, recording: Recording, *, overwrite: bool = False) ->
     Raises
     ------
     RecordingError
-        The file exists or cannot be written, or MCAP cannot hold a column's name.
+        The file exists or cannot be written, or the format cannot hold a column's name.
     UsageError
-        The suffix is not one that can be written.
+        The suffix is not one that can be written, or a package is not installed.
     """
     path = Path(path)
-    suffix = _suffix(path, (".csv", ".mcap"))
+    module = _module(path, _WRITERS)
     try:
-        if suffix == ".csv":
-            from friction_hil.recordings.csv_file import write_csv
-
-            write_csv(path, recording, overwrite=overwrite)
-        else:
-            from friction_hil.recordings.mcap_writer import write_mcap
-
-            write_mcap(path, recording, overwrite=overwrite)
+        module.write(path, recording, overwrite=overwrite)
     except FileExistsError:
         raise RecordingError(f"{path} exists already; --force replaces it") from None
     except OSError as error:
-        raise RecordingError(f"{path} cannot be written: {error.strerror}") from None
+        raise RecordingError(f"{path} cannot be written: {error.strerror or error}") from None
 
 
-def _read(
-    path: Path, select: Select, axis: str | None, columns: Mapping[str, str], scale: Mapping[str, float]
-) -> dict[str, Recording]:
-    suffix = _suffix(path, formats())
+def _wanted(only: Collection[str] | None, mapped: Mapped) -> frozenset[str] | None:
+    return None if only is None else frozenset(source for name in only for source in mapped.sources(name))
+
+
+def _read(source: Source, mapped: Mapped) -> dict[str, Recording]:
+    module = _module(source.path, _MODULES)
     try:
-        if suffix == ".mcap":
-            from friction_hil.recordings.mcap_reader import read_mcap
-
-            recordings = read_mcap(path, select)
-        else:
-            recordings = [_read_single(path, suffix, axis or path.stem)]
+        recordings: list[Recording] = module.read(source)
     except OSError as error:
-        raise RecordingError(f"{path} cannot be read: {error.strerror or error}") from None
+        raise RecordingError(f"{source.path} cannot be read: {error.strerror or error}") from None
     for recording in recordings:
-        rename(recording, columns, scale)
+        fitting = mapped.fitting({*recording.columns, *recording.others})
+        rename(recording, fitting.columns, fitting.scale)
         check(recording)
     return {recording.axis: recording for recording in recordings}
 
 
-def _read_single(path: Path, suffix: str, axis: str) -> Recording:
-    if suffix == ".csv":
-        from friction_hil.recordings.csv_file import read_csv
-
-        return read_csv(path, axis)
-    from friction_hil.recordings.mat_file import read_mat
-
-    return read_mat(path, axis)
-
-
-def _suffix(path: Path, known: tuple[str, ...]) -> str:
+def _module(path: Path, known: Mapping[str, str]) -> Any:
     suffix = path.suffix.lower()
     if suffix not in known:
         raise UsageError(f"{path}: the suffix {suffix!r} is not known here; {choices(suffix, known)}")
-    return suffix
+    return importlib.import_module(f"friction_hil.recordings.{known[suffix]}")

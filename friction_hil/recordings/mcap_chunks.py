@@ -1,7 +1,7 @@
 """Walk over the bytes of an MCAP file: whole chunks at once, whatever state the file is in.
 
 The library's readers make an object of each message and raise at the first damage. Here a run of messages of
-equal size is one numpy array, and damage ends in a sentence.
+equal size is one numpy array, of which only the columns asked for are kept, and damage ends in a sentence.
 """
 
 import io
@@ -9,7 +9,8 @@ import json
 import os
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -18,7 +19,7 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, DataEnd, Metadata, Schema
+from mcap.records import Channel, DataEnd, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
@@ -30,8 +31,67 @@ _MESSAGE_HEADER = 22  # channel, sequence, two times
 _CHUNK_LIMIT = 1 << 30  # bytes; a larger claim is damage, and must not become an allocation
 _OPCODES = frozenset(Opcode) | frozenset(range(0x80, 0x100))  # the upper half is private, to be skipped
 _BAD_RECORD = (McapError, ValueError, OverflowError, struct.error)
+_CHUNK_HEADER = struct.Struct("<QQQII")  # two times, size and CRC of the content, length of the compression's name
+_ZSTD = zstandard.ZstdDecompressor()
+_FIRST_ROWS = 4096
+_MOST_GROWTH = 256
 
 Run = NDArray[Any]
+
+
+class Rows:
+    """The rows of one channel, by columns.
+
+    Attributes
+    ----------
+    others : int
+        Messages of another width than the channel's schema says.
+    """
+
+    def __init__(self, width: int, wanted: Sequence[int]) -> None:
+        self._width = width
+        self._wanted = None if len(wanted) == width else list(wanted)  # all of them need no selection
+        self._values = np.empty((len(wanted), _FIRST_ROWS))
+        self._count = 0
+        self.others = 0
+
+    def append(self, run: Run, share: float) -> None:
+        """Take (n, width) rows; with them the ``share`` of the file has been read.
+
+        The rows to come are estimated from it: to touch new memory costs more than all else here.
+        """
+        rows, width = run.shape
+        if width != self._width:
+            self.others += rows
+            return
+        end = self._count + rows
+        if end > self._values.shape[1]:
+            # room that is never written to takes no memory
+            room = int(end * min(max(1.2 / max(share, 1e-9), 1.25), _MOST_GROWTH))
+            larger = np.empty((len(self._values), room))
+            larger[:, : self._count] = self._values[:, : self._count]
+            self._values = larger
+        self._values[:, self._count : end] = (run if self._wanted is None else run[:, self._wanted]).T
+        self._count = end
+
+    @property
+    def columns(self) -> list[NDArray[np.float64]]:
+        """The wanted columns (n,)."""
+        return list(self._values[:, : self._count])
+
+
+@dataclass(frozen=True, slots=True)
+class _Chunk:
+    start_ns: int
+    end_ns: int
+    size: int
+    crc: int
+    compression: str
+    data: memoryview
+
+
+Choose = Callable[[Channel, "Schema | None"], Rows | None]
+"""Where the messages of a channel go; None: they are kept as they are."""
 
 
 class McapContent:
@@ -43,16 +103,21 @@ class McapContent:
         By their number.
     metadata : dict
         Our records decoded from JSON, others as they are.
+    rows : dict of Rows
+        By channel, those for which ``choose`` made some.
     runs : dict of list of arrays
-        By channel: (n, words) float64 blocks, the CDR bodies of n messages, in the order of the file.
+        By channel, the others: (n, words) float64 blocks, the CDR bodies of n messages, in the order of the file.
     odd : dict of list of bytes
         By channel: the messages whose body is not made of 8-byte words, in the order of the file.
     problems : list of str
         What is damaged, and what was lost by it.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, choose: Choose) -> None:
         self.path = path
+        self._choose = choose
+        self._share = 0.0  # of the file that has been read
+        self.rows: dict[int, Rows] = {}
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
         self.metadata: dict[str, Any] = {}
@@ -64,6 +129,8 @@ class McapContent:
         self._first_log_time: int | None = None
         with path.open("rb") as file:
             self._read(file)
+        for channel in tuple(self.runs):
+            self._rows_of(channel)
 
     def _read(self, file: BinaryIO) -> None:
         magic = file.read(len(MCAP0_MAGIC))
@@ -102,6 +169,7 @@ class McapContent:
                 self._note_end(f"is damaged at byte {at}", f"the {size - at} bytes from there are lost")
                 return
             body = file.read(length)
+            self._share = (at + length) / size
             if opcode == Opcode.FOOTER:
                 if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
                     self._note_end("was cut off at its end", "")
@@ -119,7 +187,7 @@ class McapContent:
     def _take(self, opcode: int, body: bytes) -> None:
         if opcode == Opcode.CHUNK:
             self._chunks += 1
-            self._take_chunk(Chunk.read(_stream(body)))
+            self._take_chunk(_parse_chunk(body))
         elif opcode == Opcode.SCHEMA:
             schema = Schema.read(_stream(body))
             self.schemas.setdefault(schema.id, schema)
@@ -134,17 +202,17 @@ class McapContent:
         elif opcode == Opcode.MESSAGE:
             raise RecordingError(f"{self.path} is not chunked, which is needed; `mcap recover` rewrites it")
 
-    def _take_chunk(self, chunk: Chunk) -> None:
+    def _take_chunk(self, chunk: _Chunk) -> None:
         try:
             data = _decompress(chunk)
-            if chunk.uncompressed_crc not in (0, zlib.crc32(data)):
+            if chunk.crc not in (0, zlib.crc32(data)):
                 raise ValueError("its checksum does not agree")
         except _BAD_RECORD as error:
-            span = self._span(chunk.message_start_time, chunk.message_end_time)
+            span = self._span(chunk.start_ns, chunk.end_ns)
             self.problems.append(f"chunk {self._chunks} is damaged ({error}): the rows {span} are lost")
             return
         if self._first_log_time is None:
-            self._first_log_time = chunk.message_start_time
+            self._first_log_time = chunk.start_ns
         self._walk(data)
 
     def _walk(self, data: bytes) -> None:
@@ -178,8 +246,26 @@ class McapContent:
         if np.any(records["encoding"] & 0xFFFF != layout.ENCODING_WORD):
             raise ValueError("its messages are not little-endian CDR")
         for channel, which in _by_channel(records["channel"]):
-            self.runs.setdefault(channel, []).append(records["words"][which].copy())
+            rows = self._rows_of(channel)
+            if rows is None:
+                self.runs.setdefault(channel, []).append(records["words"][which].copy())
+            else:
+                rows.append(records["words"][which], self._share)
         return count * kind.itemsize
+
+    def _rows_of(self, channel: int) -> Rows | None:
+        """Where the rows of a channel go; None for other messages, and as long as the channel is not known.
+
+        A channel is repeated at the end of the file: what a damaged chunk said about it becomes known there.
+        """
+        if channel not in self.rows and channel in self.channels:
+            about = self.channels[channel]
+            chosen = self._choose(about, self.schemas.get(about.schema_id))
+            if chosen is not None:
+                self.rows[channel] = chosen
+                for run in self.runs.pop(channel, []):
+                    chosen.append(run, self._share)
+        return self.rows.get(channel)
 
     def _span(self, start_ns: int, end_ns: int) -> str:
         about = self.metadata.get(layout.RECORDING_METADATA)
@@ -190,7 +276,10 @@ class McapContent:
 
 def _by_channel(channels: NDArray[np.uint16]) -> list[tuple[int, slice | NDArray[np.bool_]]]:
     """For each channel the messages that are its own; slices, which copy nothing, where channels take turns."""
-    again = np.flatnonzero(channels[1:] == channels[0])
+    same = channels == channels[0]
+    if same.all():
+        return [(int(channels[0]), slice(None))]
+    again = np.flatnonzero(same[1:])
     turn = int(again[0]) + 1 if again.size else len(channels)
     first = channels[:turn].tolist()
     if len(set(first)) == turn and np.array_equal(channels[turn:], channels[:-turn]):
@@ -202,8 +291,20 @@ def _stream(body: bytes) -> ReadDataStream:
     return ReadDataStream(io.BytesIO(body))
 
 
-def _decompress(chunk: Chunk) -> bytes:
-    size = chunk.uncompressed_size
+def _parse_chunk(body: bytes) -> _Chunk:
+    start_ns, end_ns, size, crc, length = _CHUNK_HEADER.unpack_from(body)
+    at = _CHUNK_HEADER.size + length
+    if at + 8 > len(body):
+        raise ValueError("the name of its compression is longer than the record")
+    compression = body[_CHUNK_HEADER.size : at].decode()
+    (length,) = struct.unpack_from("<Q", body, at)
+    if length > len(body) - at - 8:
+        raise ValueError(f"it claims {length} bytes of data and has {len(body) - at - 8}")
+    return _Chunk(start_ns, end_ns, size, crc, compression, memoryview(body)[at + 8 : at + 8 + length])
+
+
+def _decompress(chunk: _Chunk) -> bytes:
+    size = chunk.size
     if size > _CHUNK_LIMIT:
         raise ValueError(f"it claims {size} bytes")
     if chunk.compression == "zstd":
@@ -211,7 +312,7 @@ def _decompress(chunk: Chunk) -> bytes:
             claimed = zstandard.get_frame_parameters(chunk.data).content_size
             if claimed not in (size, zstandard.CONTENTSIZE_UNKNOWN):
                 raise ValueError(f"it claims {claimed} bytes, its record {size}")
-            return zstandard.ZstdDecompressor().decompress(chunk.data, max_output_size=size)
+            return _ZSTD.decompress(chunk.data, max_output_size=size)
         except zstandard.ZstdError as error:
             raise ValueError(str(error)) from None
     if chunk.compression == "lz4":

@@ -4,6 +4,7 @@ One channel ``/AXIS`` an axis holds its rows: a flat ROS 2 message of float64 fi
 ``/AXIS/state`` holds the state of its compensator at restart points, ``/events`` what happened.
 """
 
+import functools
 import re
 import struct
 from collections.abc import Sequence
@@ -99,6 +100,7 @@ def read_event(message: bytes) -> tuple[float, str, str]:
     return struct.unpack_from("<d", body)[0], texts[0], texts[1]
 
 
+@functools.cache
 def message_records(words: int) -> np.dtype[np.void]:
     """Message records, one after the other, whose CDR body is ``words`` times 8 bytes."""
     return np.dtype(

@@ -1,31 +1,24 @@
 """Read recordings from MCAP: our own, and any flat float64 ROS 2 messages."""
 
 from collections.abc import Callable
-from pathlib import Path
 
 import numpy as np
-from mcap.records import Channel
+from mcap.records import Channel, Schema
 from mcap.well_known import MessageEncoding, SchemaEncoding
 
 from friction_hil.errors import RecordingError, UsageError
 from friction_hil.recordings import mcap_format as layout
 from friction_hil.recordings.columns import CYCLE
-from friction_hil.recordings.mcap_chunks import McapContent
+from friction_hil.recordings.mcap_chunks import McapContent, Rows
 from friction_hil.recordings.recording import Array, Event, Recording
+from friction_hil.recordings.source import Source
 
 
-def read_mcap(path: Path, select: Callable[[list[str]], list[str]]) -> list[Recording]:
+def read(source: Source) -> list[Recording]:
     """Read axes of an MCAP file.
 
     A file that was cut off is read up to its last whole chunk, damaged chunks are left out; ``problems`` says
     what was lost.
-
-    Parameters
-    ----------
-    path : path
-        The file.
-    select : function
-        From the names of all axes in the file, those to read.
 
     Raises
     ------
@@ -34,32 +27,50 @@ def read_mcap(path: Path, select: Callable[[list[str]], list[str]]) -> list[Reco
     OSError
         It cannot be opened.
     """
-    content = McapContent(path)
+
+    def choose(channel: Channel, schema: Schema | None) -> Rows | None:
+        fields = _fields(channel, schema)
+        if fields is None:
+            return None
+        is_other = source.axis is not None and _axis(channel) != source.axis
+        return Rows(len(fields), [] if is_other else [i for i, name in enumerate(fields) if source.wants(name)])
+
+    content = McapContent(source.path, choose)
     axes = _axes(content)
     if not axes:
-        raise RecordingError(f"{path}: no channel holds flat float64 ROS 2 messages; {_what_is_there(content)}")
+        raise RecordingError(f"{source.path}: no channel holds flat float64 ROS 2 messages; {_what_is_there(content)}")
     events = _events(content)
     recordings = []
-    for axis in _select(content, list(axes), select):
+    for axis in _select(content, list(axes), source.select):
         channel, fields = axes[axis]
         problems = list(content.problems)
-        recording = Recording(str(path), axis, {}, dict(content.metadata), problems, events=events)
-        recording.columns = _columns(content, channel, fields, recording.problems)
+        recording = Recording(str(source.path), axis, {}, dict(content.metadata), problems, events=events)
+        names, recording.others = source.split(fields)
+        recording.columns = _columns(content, channel, names, recording.problems)
         recording.restarts = _restarts(content, channel, recording)
         recordings.append(recording)
     return recordings
+
+
+def _axis(channel: Channel) -> str:
+    return str(channel.topic).strip("/")
+
+
+def _fields(channel: Channel, schema: Schema | None) -> list[str] | None:
+    """Fields of the rows on a channel; None where it carries something else."""
+    if schema is None or schema.encoding != SchemaEncoding.ROS2 or channel.message_encoding != MessageEncoding.CDR:
+        return None
+    fields = layout.row_fields(schema.data.decode("utf-8", "replace"))
+    return fields if fields and len(set(fields)) == len(fields) else None
 
 
 def _axes(content: McapContent) -> dict[str, tuple[Channel, list[str]]]:
     """Channel and fields of each axis, by name."""
     axes = {}
     for channel in content.channels.values():
-        schema = content.schemas.get(channel.schema_id)
-        if schema is None or schema.encoding != SchemaEncoding.ROS2 or channel.message_encoding != MessageEncoding.CDR:
-            continue
-        fields = layout.row_fields(schema.data.decode("utf-8", "replace"))
-        if fields and len(set(fields)) == len(fields):
-            axes[channel.topic.strip("/")] = channel, fields
+        fields = _fields(channel, content.schemas.get(channel.schema_id))
+        if fields is not None:
+            axes[_axis(channel)] = channel, fields
     return axes
 
 
@@ -72,18 +83,14 @@ def _select(content: McapContent, names: list[str], select: Callable[[list[str]]
         raise RecordingError(f"{error}; {'; '.join(content.problems)}") from None
 
 
-def _columns(content: McapContent, channel: Channel, fields: list[str], problems: list[str]) -> dict[str, Array]:
-    runs = content.runs.get(channel.id, [])
-    blocks = [run for run in runs if run.shape[1] == len(fields)]
-    others = sum(map(len, runs)) - sum(map(len, blocks)) + len(content.odd.get(channel.id, []))
+def _columns(content: McapContent, channel: Channel, names: list[str], problems: list[str]) -> dict[str, Array]:
+    rows = content.rows.get(channel.id)
+    others = len(content.odd.get(channel.id, [])) + (0 if rows is None else rows.others)
     if others:
         problems.append(f"{others} rows of {channel.topic} have another size than its schema says: left out")
-    values = np.empty((len(fields), sum(map(len, blocks))))
-    row = 0
-    for block in blocks:
-        values[:, row : row + len(block)] = block.T
-        row += len(block)
-    return dict(zip(fields, values, strict=True))
+    if rows is None:
+        return {name: np.empty(0) for name in names}
+    return dict(zip(names, rows.columns, strict=True))
 
 
 def _restarts(content: McapContent, channel: Channel, recording: Recording) -> list[tuple[int, Array]]:

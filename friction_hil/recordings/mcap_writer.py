@@ -193,7 +193,7 @@ class McapWriter:
         self._on_flush()
 
 
-def write_mcap(path: Path, recording: Recording, *, overwrite: bool) -> None:
+def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
     """Write the columns of one axis; ``time_s`` = 0 is 1970, or later where time stamps are negative.
 
     Raises

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from friction_hil.errors import RecordingError, UsageError, choices
 from friction_hil.recordings.columns import CYCLE, SPARSE, TIME
+from friction_hil.recordings.quality import all_finite, rows_text
+from friction_hil.recordings.units import unit_problem
 
 Array = NDArray[np.float64]
-
-_NAMED_ROWS = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +45,10 @@ class Recording:
         row; ordered.
     events : list of Event
         Faults and changes of settings.
+    units : dict
+        Units of columns, as the file has them; not every format carries them.
+    others : tuple of str
+        Columns that are in the file and were not asked for.
     """
 
     path: str
@@ -54,6 +58,8 @@ class Recording:
     problems: list[str] = field(default_factory=list)
     restarts: list[tuple[int, Array]] = field(default_factory=list)
     events: list[Event] = field(default_factory=list)
+    units: dict[str, str] = field(default_factory=dict)
+    others: tuple[str, ...] = ()
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values()))) if self.columns else 0
@@ -64,7 +70,10 @@ class Recording:
 
     def __contains__(self, name: object) -> bool:
         """Whether the column is there and holds at least one value."""
-        return name in self.columns and not bool(np.isnan(self.columns[str(name)]).all())
+        if name not in self.columns:
+            return False
+        values = self.columns[str(name)]
+        return not bool(np.isnan(values[:1]).all() and np.isnan(values).all())
 
     @property
     def period_s(self) -> float:
@@ -81,7 +90,7 @@ class Recording:
         missing = [name for name in names if name not in self]
         if not missing:
             return
-        there = ", ".join(name for name in self.columns if name in self) or "none"
+        there = ", ".join([*(name for name in self.columns if name in self), *self.others]) or "none"
         raise RecordingError(
             f"{self.path}: no column {', '.join(missing)}. There are: {there}. "
             f"A column of another name is mapped with {' '.join(f'--column {name}=NAME' for name in missing)}"
@@ -98,16 +107,22 @@ def rename(recording: Recording, columns: Mapping[str, str], scale: Mapping[str,
     UsageError
         A column to be mapped or scaled is not there, or a factor is not finite, zero or too large.
     """
-    there = recording.columns
+    there, others = recording.columns, set(recording.others)
     for name, source in columns.items():
-        if source not in there:
-            raise UsageError(f"{recording.path}: --column {name}={source}: {choices(source, there)}")
+        if source not in there and source not in others:
+            raise UsageError(f"{recording.path}: --column {name}={source}: {choices(source, {*there, *others})}")
+    taken = {name: source for name, source in columns.items() if source in there}
     sources = set(columns.values())
-    kept = {name: values for name, values in there.items() if name not in sources and name not in columns}
-    recording.columns = {name: there[source] for name, source in columns.items()} | kept
+    kept = {name: name for name in there if name not in sources and name not in columns}
+    recording.columns = {name: there[source] for name, source in (taken | kept).items()}
+    recording.units = {
+        name: recording.units[source] for name, source in (taken | kept).items() if source in recording.units
+    }
     for name, factor in scale.items():
         if name not in recording.columns:
-            raise UsageError(f"{recording.path}: --scale {name}: {choices(name, recording.columns)}")
+            if name in others or name in columns:
+                continue
+            raise UsageError(f"{recording.path}: --scale {name}: {choices(name, {*recording.columns, *others})}")
         if not np.isfinite(factor) or factor == 0.0:
             raise UsageError(f"--scale {name}={factor:g}: a factor is finite and not zero")
         values = recording.columns[name]
@@ -116,6 +131,7 @@ def rename(recording: Recording, columns: Mapping[str, str], scale: Mapping[str,
         if np.isinf(scaled[np.isfinite(values)]).any():
             raise UsageError(f"{recording.path}: --scale {name}={factor:g}: what results is too large for a number")
         recording.columns[name] = scaled
+        recording.units.pop(name, None)  # SI now
 
 
 def check(recording: Recording) -> None:
@@ -130,24 +146,33 @@ def check(recording: Recording) -> None:
         raise RecordingError(f"{recording.path}: there are no rows{_because(recording.problems)}")
     recording.require(TIME)
     time = recording.columns[TIME]
-    wrong = np.flatnonzero(~np.isfinite(time))
-    if wrong.size:
-        raise RecordingError(f"{recording.path}: {TIME} is not finite in {_rows(wrong, len(time))}")
-    steps = np.diff(time)
-    for what, rows in (("goes backward", steps < 0.0), ("stands still", steps == 0.0)):
-        if rows.any():
-            recording.problems.append(f"{TIME} {what} at {_rows(np.flatnonzero(rows) + 1, len(time))}")
+    if not all_finite(time):
+        wrong = np.flatnonzero(~np.isfinite(time))
+        raise RecordingError(f"{recording.path}: {TIME} is not finite in {rows_text(wrong, len(time))}")
+    if not bool((time[1:] > time[:-1]).all()):
+        steps = np.diff(time)
+        for what, rows in (("goes backward", steps < 0.0), ("stands still", steps == 0.0)):
+            if rows.any():
+                recording.problems.append(f"{TIME} {what} at {rows_text(np.flatnonzero(rows) + 1, len(time))}")
     for name, values in recording.columns.items():
+        if all_finite(values):
+            continue
         is_absent = name in SPARSE or bool(np.isnan(values).all())
         wrong = np.flatnonzero(np.isinf(values) if is_absent else ~np.isfinite(values))
         if wrong.size:
-            recording.problems.append(f"{name} is not finite in {_rows(wrong, len(values))}")
+            recording.problems.append(f"{name} is not finite in {rows_text(wrong, len(values))}")
+    for name, unit in recording.units.items():
+        problem = unit_problem(name, unit)
+        if problem:
+            recording.problems.append(problem)
     if CYCLE in recording:
         _note_gaps(recording)
 
 
 def _note_gaps(recording: Recording) -> None:
     cycle = recording.columns[CYCLE]
+    if cycle[-1] - cycle[0] == len(cycle) - 1 and bool((cycle[1:] > cycle[:-1]).all()):
+        return
     steps = np.diff(cycle)
     gaps = np.flatnonzero(steps > 1.0)
     if gaps.size:
@@ -156,11 +181,6 @@ def _note_gaps(recording: Recording) -> None:
             f"{missing} cycles are missing in {gaps.size} gap{'s' * (gaps.size > 1)}, "
             f"the first after cycle {cycle[gaps[0]]:.0f}"
         )
-
-
-def _rows(rows: NDArray[np.intp], total: int) -> str:
-    named = ", ".join(str(row) for row in rows[:_NAMED_ROWS])
-    return f"{rows.size} of {total} rows (row {named}{', ...' if rows.size > _NAMED_ROWS else ''})"
 
 
 def _because(problems: Iterable[str]) -> str:

@@ -2,8 +2,12 @@
 
 from pathlib import Path
 
-from friction_hil.replay import Replay
+import numpy as np
+
+from friction_hil.replay import Array, Replay
 from friction_hil.reports.figures import new_figure, save
+
+_MOST_POINTS = 100_000  # in a line: far more than a picture can show
 
 
 def draw(replay: Replay, path: Path) -> None:
@@ -19,16 +23,25 @@ def draw(replay: Replay, path: Path) -> None:
     figure = new_figure(path, 11.0, 8.0)
     first = replay.predictions[0]
     what, speed = ("torque", "rad/s") if first.unit == "N m" else ("force", "m/s")
+
+    def line(values: Array) -> Array:
+        """A value for each point of a line, broken between the parts of the record."""
+        pieces = [np.append(values[part][::every], np.nan) for part in replay.segments]
+        return np.concatenate(pieces)
+
+    every = 1 + len(replay.time_s) // _MOST_POINTS
+    time, velocity, measured = map(line, (replay.time_s, replay.velocity, replay.measured))
     axes = figure.subplot_mosaic([["torque", "friction"], ["residual", "friction"]], width_ratios=[3, 2])
     axes["residual"].sharex(axes["torque"])
-    axes["torque"].plot(replay.time_s, replay.measured, color="0.6", linewidth=1.2, label="measured")
-    axes["friction"].plot(replay.velocity, replay.measured - first.mechanics, ".", color="0.6", markersize=2.0)
+    axes["torque"].plot(time, measured, color="0.6", linewidth=1.2, label="measured")
+    axes["friction"].plot(velocity, measured - line(first.mechanics), ".", color="0.6", markersize=2.0)
     for i, prediction in enumerate(replay.predictions):
         color = f"C{i}"
         label = f"{prediction.model}: relative error {100.0 * prediction.relative_error:.2f} %"
-        axes["torque"].plot(replay.time_s, prediction.torque, color=color, linewidth=0.8, label=label)
-        axes["residual"].plot(replay.time_s, replay.measured - prediction.torque, color=color, linewidth=0.8)
-        axes["friction"].plot(replay.velocity, prediction.friction, ".", color=color, markersize=2.0)
+        torque = line(prediction.torque)
+        axes["torque"].plot(time, torque, color=color, linewidth=0.8, label=label)
+        axes["residual"].plot(time, measured - torque, color=color, linewidth=0.8)
+        axes["friction"].plot(velocity, line(prediction.friction), ".", color=color, markersize=2.0)
     axes["torque"].set(ylabel=f"{what} [{first.unit}]")
     axes["residual"].set(ylabel=f"measured - predicted [{first.unit}]", xlabel="time [s]")
     axes["friction"].set(

@@ -87,7 +87,7 @@ def test_existing_files_are_replaced_only_by_force(
     [
         (["bench.csv"], 2, "give OUT, or --info"),
         (["bench.csv", "x.csv", "--info"], 2, "leave OUT away"),
-        (["bench.csv", "x.txt"], 2, "There are: .csv, .mcap"),
+        (["bench.csv", "x.txt"], 2, "There are: .csv, .h5,"),
         (["none.csv", "x.mcap"], 1, "No such file or directory"),
         (["bench.csv", "x.mcap", "--column", "torque"], 2, "has not the form 'torque=effort'"),
         (["bench.csv", "x.mcap", "--column", "torque=efort"], 2, "There are: position, time_s, torque"),
@@ -129,7 +129,9 @@ def test_info_as_json(two_axes: Path, capsys: pytest.CaptureFixture[str]) -> Non
     facts = content["axes"]["y"]
     assert list(content["axes"]) == ["y"]
     assert (facts["rows"], facts["rate_hz"], facts["restart_points"]) == (3, pytest.approx(400.0), 2)
-    assert facts["columns"]["position"] == {"unit": "rad or m", "values": 3, "min": -5 / 3, "max": 0.0}
+    assert facts["columns"]["position"] == {"unit": "rad or m", "values": 3, "min": -5 / 3, "max": 0.0, "step": None}
+    assert (facts["gaps"], facts["longest_gap_s"]) == (0, 0.0)
+    assert facts["jitter_s"] == pytest.approx(1.5e-3)
     assert facts["events"] == [{"cycle": 5.0, "name": "fault", "text": "[red] x: too fast"}]
     assert facts["problems"] == ["3 cycles are missing in 1 gap, the first after cycle 1"]
 

@@ -80,8 +80,8 @@ def test_binary_file_called_csv(tmp_path: Path) -> None:
 def test_files_that_are_not_there_or_not_known(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"nothing\.csv cannot be read: No such file or directory"):
         fh.recordings.read(tmp_path / "nothing.csv")
-    with pytest.raises(UsageError, match=r"There are: \.csv, \.mat, \.mcap"):
-        fh.recordings.read(tmp_path / "x.parquet")
+    with pytest.raises(UsageError, match=r"There are: \.asc, \.blf, \.csv, .*\.parquet"):
+        fh.recordings.read(tmp_path / "x.parket")
     with pytest.raises(RecordingError, match="cannot be read"):
         fh.recordings.read(tmp_path / "nothing.mat")
 
@@ -169,8 +169,8 @@ def test_existing_file_is_kept(tmp_path: Path) -> None:
         assert len(fh.recordings.read(path)) == 1
     with pytest.raises(RecordingError, match="cannot be written: No such file or directory"):
         fh.recordings.write(tmp_path / "no" / "x.csv", first)
-    with pytest.raises(UsageError, match=r"There are: \.csv, \.mcap"):
-        fh.recordings.write(tmp_path / "x.mat", first)
+    with pytest.raises(UsageError, match=r"There are: \.csv, \.h5, .*\.parquet"):
+        fh.recordings.write(tmp_path / "x.log", first)
 
 
 def test_mat_vectors_are_columns(tmp_path: Path) -> None:

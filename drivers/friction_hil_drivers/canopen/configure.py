@@ -58,7 +58,7 @@ def configure(
     _check_mode(access, mode, notes)
     if options.eds is not None:
         _check_eds(options, access, (*FEEDBACK[0], *FEEDBACK[1], *COMMANDS[mode]))
-    units = _read_units(access, options, axis.model.axis)
+    units = read_units(access, options, axis.model.axis)
     state = profile.drive_state(access.read(objects.STATUSWORD))
     if state.is_powered and not dry_run:
         raise DriveError(
@@ -142,7 +142,14 @@ def _check_mode(access: ObjectAccess, mode: Mode, notes: list[str]) -> None:
         raise DriveError(f"{access.axis}: {access.where} does not support mode {mode.name.lower()}; it supports {able}")
 
 
-def _read_units(access: ObjectAccess, options: CanopenOptions, kind: str) -> Units:
+def read_units(access: ObjectAccess, options: CanopenOptions, kind: str) -> Units:
+    """Scales of a drive: as the options give them, else as the drive tells them.
+
+    Raises
+    ------
+    DriveError
+        Neither does, or the unit is not known here.
+    """
     counts = options.counts_per_unit
     if counts is None:
         increments = access.find(objects.ENCODER_INCREMENTS)

@@ -15,6 +15,7 @@ from friction_hil.errors import BusError, DriveError
 from friction_hil_drivers.canopen import objects, profile
 from friction_hil_drivers.canopen.axis import CanopenAxis, Handler
 from friction_hil_drivers.canopen.bus import bus_name, open_bus
+from friction_hil_drivers.canopen.bus_log import read_bus_log
 from friction_hil_drivers.canopen.configure import configure
 from friction_hil_drivers.canopen.eds import load_eds
 from friction_hil_drivers.canopen.exclusive import AxisLock
@@ -39,6 +40,7 @@ class CanopenDrives:
     """The drives of some axes, as the loop needs them; see `friction_hil.drive.Drives`."""
 
     Options = CanopenOptions
+    read_bus_log = staticmethod(read_bus_log)
 
     def __init__(
         self,

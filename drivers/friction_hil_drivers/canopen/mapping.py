@@ -33,6 +33,13 @@ class Pdo:
     layout: struct.Struct
 
 
+def pdo_layout(entries: Sequence[Object], widths: Sequence[int]) -> struct.Struct:
+    """Layout of the bytes of a PDO that carries ``entries``, with their widths in bits on this drive."""
+    signed = (DataType.INTEGER8, DataType.INTEGER16, DataType.INTEGER32)
+    formats = [integer_format(bits, entry.type in signed) for entry, bits in zip(entries, widths, strict=True)]
+    return struct.Struct("<" + "".join(formats))
+
+
 def map_pdo(
     access: ObjectAccess,
     *,
@@ -61,15 +68,14 @@ def map_pdo(
     timer = Object(parameter, f"event timer of {name}", DataType.UNSIGNED16, objects.PDO_EVENT_TIMER)
     count = Object(mapping, f"number of objects in {name}", DataType.UNSIGNED8, 0)
 
-    formats, words = [], []
+    widths, words = [], []
     for entry in entries:
         bits = access.width(entry)
         if bits is None:
             raise DriveError(f"{access.axis}: {access.where} lacks object {entry}, which belongs into {name}")
-        is_signed = entry.type in (DataType.INTEGER8, DataType.INTEGER16, DataType.INTEGER32)
-        formats.append(integer_format(bits, is_signed))
+        widths.append(bits)
         words.append(entry.index << 16 | entry.subindex << 8 | bits)
-    layout = struct.Struct("<" + "".join(formats))
+    layout = pdo_layout(entries, widths)
     if layout.size > 8:
         listed = ", ".join(map(str, entries))
         raise DriveError(f"{access.axis}: {listed} need {layout.size} bytes on this drive; {name} carries 8")

@@ -1,0 +1,33 @@
+"""Read logs of raw CAN frames, by what the drivers of a configuration know about their frames."""
+
+from friction_hil.drive import load_driver
+from friction_hil.errors import UsageError
+from friction_hil.recordings.recording import Recording
+from friction_hil.recordings.source import Source
+
+
+def read(source: Source) -> list[Recording]:
+    """Decode the axes of the configuration; see the driver's ``read_bus_log``.
+
+    Raises
+    ------
+    RecordingError
+        There is no frame of any axis in it.
+    UsageError
+        There is no configuration, or no driver in it that decodes logs.
+    OSError
+        The file cannot be opened.
+    """
+    configuration = source.configuration
+    if configuration is None:
+        raise UsageError(f"{source.path}: raw CAN frames need the configuration of the machine: --config machine.yaml")
+    recordings: list[Recording] = []
+    for driver in dict.fromkeys(axis.driver for axis in configuration.axes.values()):
+        read_bus_log = getattr(load_driver(driver), "read_bus_log", None)
+        if read_bus_log is not None:
+            own = {name: axis for name, axis in configuration.axes.items() if axis.driver == driver}
+            recordings += read_bus_log(source.path, own)
+    if not recordings:
+        raise UsageError(f"{source.path}: no driver of the configuration decodes CAN logs")
+    names = source.select([recording.axis for recording in recordings])
+    return [recording for recording in recordings if recording.axis in names]

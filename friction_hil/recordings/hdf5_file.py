@@ -1,0 +1,140 @@
+"""Read and write HDF5 through h5py: a dataset each, or the fields of a compound dataset; units as attributes."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from friction_hil.errors import RecordingError
+from friction_hil.recordings.recording import Recording
+from friction_hil.recordings.source import (
+    Source,
+    as_column,
+    commonest_length,
+    damaged,
+    is_column,
+    needs_extra,
+    open_new,
+)
+from friction_hil.recordings.units import known_unit
+
+_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+_UNIT_ATTRIBUTES = ("unit", "units", "Unit", "Units")
+_MATLAB_INTERNAL = "#"
+
+
+def read(source: Source) -> list[Recording]:
+    """Read every numeric vector of the file, also those in groups, and MATLAB 7.3.
+
+    A column is called as its dataset where only one is called so, else by its whole path. Where vectors differ
+    in length, those of the commonest length are the columns.
+
+    Raises
+    ------
+    RecordingError
+        The file was cut off, is no HDF5 file or has no vector.
+    UsageError
+        h5py is not installed.
+    OSError
+        It cannot be opened.
+    """
+    h5py = _library(source.path)
+    with source.path.open("rb") as opened:
+        try:
+            with h5py.File(opened, "r") as file:
+                return [_read(source, h5py, file)]
+        except RecordingError:
+            raise
+        except Exception as error:  # noqa: BLE001 - the library raises whatever damaged bytes lead it to
+            raise _damaged(source.path, error) from None
+
+
+def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
+    """Write each column as a float64 dataset with its unit as attribute ``unit``.
+
+    Raises
+    ------
+    RecordingError
+        A column's name has a slash, which separates groups.
+    UsageError
+        h5py is not installed.
+    OSError
+        The file exists, unless ``overwrite``, or cannot be written.
+    """
+    h5py = _library(path)
+    for name in recording.columns:
+        if "/" in name or name == "." or "\0" in name:
+            raise RecordingError(f"{path}: HDF5 cannot hold a column {name!r}; rename with --column new_name='{name}'")
+    with open_new(path, overwrite=overwrite) as opened, h5py.File(opened, "w", track_order=True) as file:
+        for name, values in recording.columns.items():
+            dataset = file.create_dataset(name, data=values)
+            unit = known_unit(recording, name)
+            if unit:
+                dataset.attrs["unit"] = unit
+
+
+def _library(path: Path) -> Any:
+    try:
+        import h5py
+    except ImportError:
+        raise needs_extra(path, "h5py") from None
+    return h5py
+
+
+def _read(source: Source, h5py: Any, file: Any) -> Recording:
+    recording = Recording(str(source.path), source.name, {})
+    found: dict[str, tuple[Any, str | None]] = {}  # dataset, and its field if it is compound
+
+    def visit(path: str, item: Any) -> None:
+        if not isinstance(item, h5py.Dataset) or path.startswith(_MATLAB_INTERNAL):
+            return
+        if item.dtype.names:
+            if item.ndim == 1:
+                found.update({f"{path}/{name}": (item, name) for name in item.dtype.names})
+        elif is_column(item) and item.size > 1:
+            found[path] = item, None
+
+    file.visititems(visit)
+    lasts = [path.rpartition("/")[2] for path in found]
+    names = {path if lasts.count(last) > 1 else last: path for path, last in zip(found, lasts, strict=True)}
+    sizes = {name: int(found[path][0].size) for name, path in names.items()}
+    if not sizes:
+        raise RecordingError(f"{source.path}: there is no vector of numbers in it, which a column would be")
+    wanted, recording.others = source.split(commonest_length(sizes, recording.problems))
+    for name in wanted:
+        dataset, field = found[names[name]]
+        values = dataset[field] if field else _whole(dataset)
+        if values.dtype.kind not in "fiub":
+            recording.problems.append(f"{name} holds {values.dtype}, no numbers: left out")
+            continue
+        recording.columns[name] = as_column(values)
+        unit = next((dataset.attrs[key] for key in _UNIT_ATTRIBUTES if key in dataset.attrs), "")
+        if unit is not None and not field and len(text := _text(unit)):
+            recording.units[name] = text
+    return recording
+
+
+def _whole(dataset: Any) -> Any:
+    """All values, read straight into float64."""
+    if dataset.dtype != np.float64:
+        return dataset[()]
+    values = np.empty(dataset.shape)
+    dataset.read_direct(values)
+    return values
+
+
+def _text(value: Any) -> str:
+    return value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value)
+
+
+def _damaged(path: Path, error: Exception) -> RecordingError:
+    with path.open("rb") as file:
+        start = file.read(1024)
+    if not start:
+        return RecordingError(f"{path} is empty")
+    is_hdf5 = _SIGNATURE in (start[:8], start[512:520])
+    if is_hdf5 and "truncated" in str(error):
+        return RecordingError(
+            f"{path} was cut off at byte {path.stat().st_size}: HDF5 does not open such a file, and all rows are lost"
+        )
+    return damaged(path, "is damaged" if is_hdf5 else "is no HDF5 file", error)

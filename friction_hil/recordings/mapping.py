@@ -1,0 +1,125 @@
+"""How a file's columns become ours: names and factors, from the command line or a small YAML beside the file.
+
+``bench.csv.columns.yaml`` beside ``bench.csv``, or ``columns.yaml`` for every file of its folder::
+
+    columns:
+      time_s: t
+      position: encoder*2*pi/4096
+      torque: vir*35.1507
+"""
+
+import math
+import re
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from friction_hil.errors import ConfigurationError, Problem, UsageError
+
+_NUMBER = r"(?:pi|(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)"
+_FACTORS = re.compile(rf"(?P<source>.*?)(?P<factors>(?:\s*[*/]\s*-?{_NUMBER})+)\s*")
+_FACTOR = re.compile(rf"([*/])\s*(-?)({_NUMBER})")
+_FOR_ALL = "columns.yaml"
+
+
+@dataclass(frozen=True, slots=True)
+class Mapped:
+    """Columns by our names: what each is called in the file, and the factor that makes it SI.
+
+    Those in ``optional`` come from a file for the whole folder, and count only where the source is there: a folder
+    may hold recordings of several origins.
+    """
+
+    columns: dict[str, str] = field(default_factory=dict)
+    scale: dict[str, float] = field(default_factory=dict)
+    optional: frozenset[str] = frozenset()
+
+    def overridden(self, columns: Mapping[str, str], scale: Mapping[str, float]) -> "Mapped":
+        """Let other columns and factors go before these; a column named anew loses its factor here."""
+        kept = {name: factor for name, factor in self.scale.items() if name not in columns}
+        return Mapped(self.columns | dict(columns), kept | dict(scale), self.optional - set(columns))
+
+    def fitting(self, there: Collection[str]) -> "Mapped":
+        """Leave out what is optional and not there."""
+        absent = {name for name in self.optional if self.columns[name] not in there}
+        return Mapped(
+            {name: source for name, source in self.columns.items() if name not in absent},
+            {name: factor for name, factor in self.scale.items() if name not in absent},
+        )
+
+    def sources(self, name: str) -> tuple[str, ...]:
+        """What our column may be called in the file."""
+        source = self.columns.get(name, name)
+        return (source, name) if name in self.optional else (source,)
+
+
+def parse_source(text: str) -> tuple[str, float]:
+    """Name and factor of ``NAME*FACTOR``, e.g. ``vir*35.1507`` or ``encoder*2*pi/4096``; 1 where there is none.
+
+    Raises
+    ------
+    UsageError
+        The factor is not finite, or zero.
+    """
+    found = _FACTORS.fullmatch(text)
+    if found is None or not found["source"].strip():
+        return text.strip(), 1.0
+    factor = 1.0
+    for operator, sign, number in _FACTOR.findall(found["factors"]):
+        value = math.pi if number == "pi" else float(number)
+        value = -value if sign else value
+        if value == 0.0 or not math.isfinite(value):
+            raise UsageError(f"{text!r}: a factor is finite and not zero")
+        factor = factor * value if operator == "*" else factor / value
+    if factor == 0.0 or not math.isfinite(factor):
+        raise UsageError(f"{text!r}: a factor is finite and not zero")
+    return found["source"].strip(), factor
+
+
+def mapping_beside(path: Path) -> Mapped:
+    """Read the mapping file of a recording; empty where there is none.
+
+    Raises
+    ------
+    ConfigurationError
+        It has mistakes; each with its line.
+    """
+    own, for_all = path.with_name(f"{path.name}.columns.yaml"), path.with_name(_FOR_ALL)
+    if own.is_file():
+        return _read(own)
+    if for_all.is_file():
+        found = _read(for_all)
+        return Mapped(found.columns, found.scale, frozenset(found.columns))
+    return Mapped()
+
+
+def _read(path: Path) -> Mapped:
+    from friction_hil.config import yaml_text
+
+    document = yaml_text.read(path)
+    if document.problems:
+        raise ConfigurationError(document.problems)
+    content: Any = document.value
+
+    def wrong(field_name: str, message: str, *steps: str) -> ConfigurationError:
+        return ConfigurationError([Problem(str(path), document.line(steps), field_name, message)])
+
+    if not isinstance(content, dict) or not isinstance(content.get("columns"), dict):
+        raise wrong("columns", "is missing; write `columns: {torque: effort*0.5}`")
+    for key in content:
+        if key != "columns":
+            raise wrong(str(key), "is not known here; there is: columns", str(key))
+    columns, scale = {}, {}
+    for name, text in content["columns"].items():
+        if not isinstance(text, str):
+            raise wrong(
+                f"columns.{name}", f"is a column's name, with a factor if need be, not {text!r}", "columns", name
+            )
+        try:
+            columns[name], factor = parse_source(text)
+        except UsageError as error:
+            raise wrong(f"columns.{name}", str(error), "columns", name) from None
+        if factor != 1.0:
+            scale[name] = factor
+    return Mapped(columns, scale)

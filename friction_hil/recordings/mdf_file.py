@@ -1,0 +1,152 @@
+"""Read and write MDF 4 (ASAM) through asammdf: a channel each, with its unit; read also MDF 3."""
+
+import gc
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from friction_hil.errors import RecordingError
+from friction_hil.recordings.columns import TIME
+from friction_hil.recordings.recording import Array, Recording
+from friction_hil.recordings.source import Source, as_column, needs_extra
+from friction_hil.recordings.units import known_unit
+
+_MAGIC = (b"MDF     ", b"UnFinMF ")
+_SMALLEST = 168  # bytes of the identification and the header of MDF 4; those of MDF 3 are more
+
+
+def read(source: Source) -> list[Recording]:
+    """Read every channel that holds a number a sample; the time of the groups is ``time_s``.
+
+    Groups with the same time stamps are one table. Otherwise the rows are those of all groups, in order of time,
+    and NaN where a channel has no sample.
+
+    Raises
+    ------
+    RecordingError
+        The file was cut off or is no MDF file, or has no channel.
+    UsageError
+        asammdf is not installed.
+    OSError
+        It cannot be opened.
+    """
+    library = _library(source.path)
+    size = source.path.stat().st_size
+    with source.path.open("rb") as file:
+        start = file.read(8)
+    if not start:
+        raise RecordingError(f"{source.path} is empty")
+    if start not in _MAGIC or size < _SMALLEST:
+        is_mdf = start in _MAGIC
+        raise RecordingError(f"{source.path} {f'was cut off at byte {size}' if is_mdf else 'is no MDF file'}")
+    recording = Recording(str(source.path), source.name, {})
+    failure = ""
+    try:
+        with library.MDF(str(source.path)) as mdf:
+            _take(recording, source, mdf)
+    except RecordingError:
+        raise
+    except Exception as error:  # noqa: BLE001 - the library raises whatever damaged bytes lead it to
+        failure = " ".join(str(error).split()) or type(error).__name__
+    if failure:
+        _collect_in_silence()
+        raise RecordingError(f"{source.path} was cut off, at byte {size}, or is damaged: its rows are lost ({failure})")
+    return [recording]
+
+
+def _collect_in_silence() -> None:
+    """Collect readers that gave up half-way: whenever else it happens, they complain on stderr."""
+    hook, sys.unraisablehook = sys.unraisablehook, lambda _: None
+    gc.collect()
+    sys.unraisablehook = hook
+
+
+def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
+    """Write one channel group whose time is ``time_s``.
+
+    Raises
+    ------
+    UsageError
+        asammdf is not installed.
+    OSError
+        The file exists, unless ``overwrite``, or cannot be written.
+    """
+    library = _library(path)
+    time = recording[TIME]
+    signals = [
+        library.Signal(values, time, name=name, unit=known_unit(recording, name))
+        for name, values in recording.columns.items()
+        if name != TIME
+    ]
+    with path.open("ab" if overwrite else "xb"):
+        pass  # the library asks nobody before it overwrites, and says little where it cannot write
+    with library.MDF(version="4.10") as mdf:
+        mdf.append(signals, common_timebase=True)
+        saved = Path(mdf.save(str(path), overwrite=True))
+    if saved != path:  # the library has its own mind about the suffix
+        saved.replace(path)
+
+
+def _library(path: Path) -> Any:
+    try:
+        import asammdf
+    except ImportError:
+        raise needs_extra(path, "asammdf") from None
+    return asammdf
+
+
+def _take(recording: Recording, source: Source, mdf: Any) -> None:
+    """Fill the columns."""
+    there: dict[str, tuple[int, int]] = {}
+    rows: dict[int, int] = {}
+    for number, group in enumerate(mdf.groups):
+        rows[number] = int(group.channel_group.cycles_nr)
+        master = mdf.masters_db.get(number)
+        names = [channel.name for channel in group.channels]
+        for index, name in enumerate(names):
+            if index != master and rows[number]:
+                there[name if name not in there else f"{name}@{number}"] = number, index
+    if not there:
+        raise RecordingError(f"{source.path}: there is no channel with samples in it")
+    wanted, recording.others = source.split(there)
+    signals = mdf.select([(None, *there[name]) for name in wanted], copy_master=False) if wanted else []
+    groups: dict[int, Array] = {}
+    for name, signal in zip(wanted, signals, strict=True):
+        number = there[name][0]
+        if number in groups:
+            continue
+        groups[number] = as_column(signal.timestamps)
+        if len(groups[number]) < rows[number]:
+            recording.problems.append(
+                f"group {number} has {len(groups[number])} of {rows[number]} samples: the file was cut off, the others "
+                "are lost"
+            )
+    if not groups:
+        number = next(iter(there.values()))[0]
+        groups[number] = as_column(mdf.get_master(number))
+    is_common = all(np.array_equal(time, next(iter(groups.values()))) for time in groups.values())
+    time = next(iter(groups.values())) if is_common else np.unique(np.concatenate(list(groups.values())))
+    if not is_common:
+        recording.problems.append(
+            f"{len(groups)} groups of channels have time stamps of their own: merged, NaN where a channel has no sample"
+        )
+    recording.columns[TIME] = time
+    for name, signal in zip(wanted, signals, strict=True):
+        values = np.asarray(signal.samples)
+        if values.dtype.kind not in "fiub" or values.ndim != 1:
+            recording.problems.append(f"{name} holds {values.dtype} of shape {values.shape}, no numbers: left out")
+            continue
+        valid = getattr(signal, "invalidation_bits", None)
+        column = as_column(values)
+        if valid is not None and np.any(valid):
+            column[np.asarray(valid, dtype=bool)] = np.nan
+        own = groups[there[name][0]]
+        if not is_common:
+            merged = np.full(len(time), np.nan)
+            merged[np.searchsorted(time, own[: len(column)])] = column
+            column = merged
+        recording.columns[name] = column
+        if signal.unit:
+            recording.units[name] = str(signal.unit)

@@ -1,0 +1,88 @@
+"""Read and write NPZ, numpy's archive of arrays: a vector is a column."""
+
+import io
+import zipfile
+from pathlib import Path
+
+import numpy as np
+
+from friction_hil.errors import RecordingError
+from friction_hil.recordings.recording import Recording
+from friction_hil.recordings.source import Source, as_column, commonest_length, damaged, is_column, open_new
+
+_LOCAL_MAGIC = b"PK\x03\x04"
+
+
+def read(source: Source) -> list[Recording]:
+    """Read the numeric vectors; arrays of objects are not read, since they could run code.
+
+    Raises
+    ------
+    RecordingError
+        The file was cut off, is no NPZ file or has no vector.
+    OSError
+        It cannot be opened.
+    """
+    recording = Recording(str(source.path), source.name, {})
+    with source.path.open("rb") as file:
+        try:
+            archive = zipfile.ZipFile(file)
+        except zipfile.BadZipFile as error:
+            raise _damaged(source.path, error) from None
+        members = {name.removesuffix(".npy"): name for name in archive.namelist() if name.endswith(".npy")}
+        columns = {}
+        wanted, recording.others = source.split(members)
+        for name in wanted:
+            try:
+                values = _array(archive, members[name])
+            except (ValueError, OSError, EOFError, zipfile.BadZipFile, zipfile.error, NotImplementedError) as error:
+                recording.problems.append(f"{name} is damaged ({' '.join(str(error).split())}): left out")
+                continue
+            if is_column(values) and values.size > 1:
+                columns[name] = values
+            elif values.size > 1:
+                recording.problems.append(f"{name} is {values.dtype} of shape {values.shape}, no column: left out")
+    if not columns and not recording.problems and not recording.others:
+        raise RecordingError(f"{source.path}: there is no vector of numbers in it, which a column would be")
+    if columns:
+        for name in commonest_length({name: values.size for name, values in columns.items()}, recording.problems):
+            recording.columns[name] = as_column(columns[name])
+    return [recording]
+
+
+def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
+    """Write each column as an array of its name, not compressed.
+
+    Raises
+    ------
+    RecordingError
+        A column's name is not one that an archive can hold.
+    OSError
+        The file exists, unless ``overwrite``, or cannot be written.
+    """
+    for name in recording.columns:
+        if "\0" in name or "\\" in name or name.endswith("/"):
+            raise RecordingError(f"{path}: NPZ cannot hold a column {name!r}; rename with --column new_name='{name}'")
+    with open_new(path, overwrite=overwrite) as file, zipfile.ZipFile(file, "w", allowZip64=True) as archive:
+        # not np.savez, which takes names as keyword arguments: `file` would be no column
+        for name, values in recording.columns.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, values, allow_pickle=False)
+
+
+def _array(archive: zipfile.ZipFile, member: str) -> np.ndarray:
+    # one read and one checksum over the whole, in place of numpy's, piece by piece
+    return np.lib.format.read_array(io.BytesIO(archive.read(member)), allow_pickle=False)
+
+
+def _damaged(path: Path, error: Exception) -> RecordingError:
+    with path.open("rb") as file:
+        start = file.read(4)
+    if not start:
+        return RecordingError(f"{path} is empty")
+    if _LOCAL_MAGIC.startswith(start):
+        return RecordingError(
+            f"{path} was cut off at byte {path.stat().st_size}: the directory at the end of an NPZ file is missing, "
+            "and without it all rows are lost"
+        )
+    return damaged(path, "is no NPZ file", error)

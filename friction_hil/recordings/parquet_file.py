@@ -1,0 +1,115 @@
+"""Read and write Parquet through pyarrow: a column each, its unit in the field's metadata."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from friction_hil.errors import RecordingError
+from friction_hil.recordings.recording import Recording
+from friction_hil.recordings.source import Source, as_column, damaged, needs_extra, open_new
+from friction_hil.recordings.units import known_unit
+
+_UNIT_KEYS = (b"unit", b"units")
+_SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+
+
+def read(source: Source) -> list[Recording]:
+    """Read the numeric columns; missing values are NaN, times are seconds since the first.
+
+    Raises
+    ------
+    RecordingError
+        The file was cut off or is no Parquet file.
+    UsageError
+        pyarrow is not installed.
+    OSError
+        It cannot be opened.
+    """
+    arrow, parquet = _library(source.path)
+    recording = Recording(str(source.path), source.name, {})
+    with source.path.open("rb") as file:
+        try:
+            content = parquet.ParquetFile(file)
+            schema = content.schema_arrow
+            fields = {field.name: field for field in schema}
+            names, recording.others = source.split(fields)
+            table = content.read(columns=names)
+            for name in names:
+                values = _values(arrow, table.column(name))
+                if values is None:
+                    recording.problems.append(f"{name} holds {fields[name].type}, no numbers: left out")
+                    continue
+                recording.columns[name] = values
+                metadata = fields[name].metadata or {}
+                unit = next((metadata[key] for key in _UNIT_KEYS if key in metadata), b"")
+                if unit:
+                    recording.units[name] = unit.decode("utf-8", "replace")
+        except (arrow.ArrowException, ValueError, OSError) as error:
+            raise _damaged(source.path, error) from None
+    return [recording]
+
+
+def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
+    """Write the columns as float64, with their units.
+
+    Raises
+    ------
+    UsageError
+        pyarrow is not installed.
+    OSError
+        The file exists, unless ``overwrite``, or cannot be written.
+    """
+    arrow, parquet = _library(path)
+    fields = []
+    for name in recording.columns:
+        unit = known_unit(recording, name)
+        fields.append(arrow.field(name, arrow.float64(), metadata={"unit": unit} if unit else None))
+    table = arrow.table(list(recording.columns.values()), schema=arrow.schema(fields))
+    with open_new(path, overwrite=overwrite) as file:
+        parquet.write_table(table, file)
+
+
+def _library(path: Path) -> tuple[Any, Any]:
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError:
+        raise needs_extra(path, "pyarrow") from None
+    return pyarrow, pyarrow.parquet
+
+
+def _values(arrow: Any, column: Any) -> Any:
+    """A column as float64; None where it holds no numbers."""
+    kind = column.type
+    types = arrow.types
+    if types.is_float64(kind) and column.null_count == 0:
+        return as_column(column.to_numpy())
+    if types.is_timestamp(kind) or types.is_duration(kind):
+        # nulls become the smallest integer in numpy, hence the detour by a mask
+        whole = column.cast(arrow.int64())
+        valid = whole.is_valid().to_numpy()
+        ticks = whole.fill_null(0).to_numpy()
+        origin = ticks[valid][0] if valid.any() and types.is_timestamp(kind) else 0
+        return np.where(valid, (ticks - origin) * _SECONDS[kind.unit], np.nan)
+    if types.is_boolean(kind):
+        column = column.cast(arrow.int8())
+    elif not (types.is_integer(kind) or types.is_floating(kind) or types.is_decimal(kind)):
+        return None
+    return as_column(column.cast(arrow.float64(), safe=False).to_numpy())
+
+
+def _damaged(path: Path, error: Exception) -> RecordingError:
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        is_parquet = file.read(4) == b"PAR1"
+        file.seek(max(0, size - 4))
+        is_whole = file.read(4) == b"PAR1" and size > 8
+    if not size:
+        return RecordingError(f"{path} is empty")
+    if is_parquet and not is_whole:
+        return RecordingError(
+            f"{path} was cut off at byte {size}: the table of contents at the end of a Parquet file is missing, "
+            "and without it all rows are lost"
+        )
+    return damaged(path, "is damaged" if is_parquet else "is no Parquet file", error)

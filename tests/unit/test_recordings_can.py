@@ -1,0 +1,215 @@
+"""Logs of raw CAN frames: written by python-can, from frames of the driver's own encoder, and read back."""
+
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen.axis import CanopenAxis
+from friction_hil_drivers.canopen.configure import ConfiguredDrive
+from friction_hil_drivers.canopen.mapping import COMMANDS, FEEDBACK, Pdo, pdo_layout
+from friction_hil_drivers.canopen.objects import Object
+from friction_hil_drivers.canopen.units import Units
+
+import friction_hil as fh
+from friction_hil.cli import main
+from friction_hil.config import Configuration, load
+from friction_hil.drive import AxisFacts, Command, DriveState, Feedback, Mode, Request
+from friction_hil.errors import FrictionHilError, RecordingError, UsageError
+
+ROOT = Path(__file__).parents[2]
+CYCLES = 60
+PERIOD = 1e-3
+UNITS = Units(counts_per_unit=65536 / (2.0 * np.pi), velocity_per_unit=65536 / (2.0 * np.pi), rated_torque=0.5)
+WRITERS = {".log": can.CanutilsLogWriter, ".asc": can.ASCWriter, ".blf": can.BLFWriter}
+FACTS = AxisFacts("x", "", 1e-4, 1e-3, 0.0, 0.0)
+
+
+@pytest.fixture(params=["csp", "csv", "cst"])
+def mode(request: pytest.FixtureRequest) -> Mode:
+    return Mode[request.param.upper()]
+
+
+@pytest.fixture
+def configuration(tmp_path: Path, mode: Mode) -> Configuration:
+    return load(machine(tmp_path, mode))
+
+
+def machine(folder: Path, mode: Mode, *keys: str) -> Path:
+    """The example configuration of one axis in some mode, with further keys of the axis."""
+    text = (ROOT / "config" / "single_axis_csp.yaml").read_text()
+    text = text.replace("mode: csp", f"mode: {mode.name.lower()}")
+    if mode is not Mode.CSP:
+        gains = "position_gain: 50.0" + (", velocity_gain: 0.01" if mode is Mode.CST else "")
+        text = text.replace("    trajectory:", f"    controller: {{{gains}}}\n    trajectory:")
+    for key in keys:
+        name = key.partition(":")[0]
+        text = "\n".join(f"    {key}" if line.startswith(f"    {name}:") else line for line in text.splitlines())
+    path = folder / "machine.yaml"
+    path.write_text(text)
+    (folder / "models").mkdir(exist_ok=True)
+    (folder / "models" / "lugre_axis.yaml").write_text((ROOT / "config" / "models" / "lugre_axis.yaml").read_text())
+    return path
+
+
+def drive(mode: Mode) -> CanopenAxis:
+    """The driver's encoder and decoder of node 1."""
+
+    def pdo(cob_id: int, entries: tuple[Object, ...]) -> Pdo:
+        return Pdo(cob_id, entries, pdo_layout(entries, [entry.type.bits for entry in entries]))
+
+    tpdos = tuple(pdo(objects.TPDO_BASES[i] + 1, entries) for i, entries in enumerate(FEEDBACK))
+    rpdo = pdo(objects.RPDO_BASES[0] + 1, COMMANDS[mode])
+    return CanopenAxis(ConfiguredDrive(FACTS, UNITS, mode, tpdos, rpdo, ""), 1, 0.1)
+
+
+def message(identifier: int, data: bytes, time: float) -> can.Message:
+    return can.Message(timestamp=1e9 + time, arbitration_id=identifier, data=data, is_extended_id=False)
+
+
+def told(index: int, subindex: int, value: int) -> can.Message:
+    """What a drive answers when the daemon asks for an object."""
+    return message(0x581, struct.pack("<BHBI", 0x43, index, subindex, value), 0.0)
+
+
+def session(mode: Mode, *, start: int = 2**31 - 700) -> tuple[list[can.Message], list[tuple[Feedback, Command]]]:
+    """Frames of some cycles, and what the driver itself makes of them."""
+    axis = drive(mode)
+    frames = [told(0x608F, 1, 65536), told(0x608F, 2, 1), told(0x6076, 0, 500)]
+    truth = []
+    for cycle in range(CYCLES):
+        at = 1.0 + cycle * PERIOD
+        counts = (start + cycle * 37 + 2**31) % 2**32 - 2**31  # through the end of the counter
+        feedback, command = Feedback(), Command(Request.ENABLE, 0.1 * cycle, -0.2 * cycle, 0.003 * cycle)
+        data = [
+            axis.tpdos[0].layout.pack(0x27, counts, 5 * cycle - 100),
+            axis.tpdos[1].layout.pack(-11 * cycle, mode),
+        ]
+        axis.expect(0)
+        for pdo, content in zip(axis.tpdos, data, strict=True):
+            axis.handlers[pdo.cob_id](content)
+        axis.fill(feedback, 0)
+        identifier, content = axis.command_frame(command)
+        frames.append(message(0x080, b"", at))
+        frames += [message(pdo.cob_id, d, at + 1e-4) for pdo, d in zip(axis.tpdos, data, strict=True)]
+        frames.append(message(identifier, content, at + 3e-4))
+        frames.append(message(0x701, b"\x05", at + 4e-4))
+        truth.append((feedback, command))
+    return frames, truth
+
+
+def write(path: Path, frames: list[can.Message]) -> Path:
+    writer = WRITERS[path.suffix](str(path))
+    for frame in frames:
+        writer.on_message_received(frame)
+    writer.stop()
+    return path
+
+
+@pytest.mark.parametrize("suffix", WRITERS)
+def test_a_log_says_what_the_driver_saw(suffix: str, tmp_path: Path, mode: Mode, configuration: Configuration) -> None:
+    frames, truth = session(mode)
+    read = fh.recordings.read(write(tmp_path / f"x{suffix}", frames), configuration=configuration)
+    assert (read.axis, len(read), read.problems) == ("x", CYCLES, [])
+    np.testing.assert_allclose(read["time_s"], np.arange(CYCLES) * PERIOD, atol=2e-6)
+    np.testing.assert_array_equal(read["cycle"], np.arange(CYCLES))
+    for name in ("position", "velocity", "torque"):
+        np.testing.assert_allclose(read[name], [getattr(feedback, name) for feedback, _ in truth], rtol=1e-12)
+    assert set(read["drive_state"]) == {DriveState.OPERATION_ENABLED}
+    np.testing.assert_allclose(read["command"], [command.torque for _, command in truth], atol=0.26e-3)
+    if mode is Mode.CSP:
+        np.testing.assert_allclose(read["position_demand"], [c.position for _, c in truth], atol=1e-4)
+    if mode is Mode.CSV:
+        np.testing.assert_allclose(read["velocity_demand"], [c.velocity for _, c in truth], atol=1e-4)
+
+
+@pytest.mark.parametrize("suffix", WRITERS)
+def test_a_log_cut_anywhere_is_told(suffix: str, tmp_path: Path) -> None:
+    configuration = load(machine(tmp_path, Mode.CSP))
+    path = write(tmp_path / f"x{suffix}", session(Mode.CSP)[0])
+    whole = fh.recordings.read(path, configuration=configuration)
+    data = path.read_bytes()
+    for cut in range(0, len(data) - 1, len(data) // 40):
+        path.write_bytes(data[:cut])
+        try:
+            read = fh.recordings.read(path, configuration=configuration)
+        except FrictionHilError as error:
+            sentence = str(error)
+        else:
+            sentence = "; ".join(read.problems)
+            for name in ("position", "torque"):
+                np.testing.assert_array_equal(read[name], whole[name][: len(read)])
+        # a line that ends where the cut is lacks nothing that could be seen
+        assert "cut off" in sentence or "no frame of an axis" in sentence or data[cut - 1 : cut] == b"\n", cut
+
+
+def lines(path: Path) -> Iterator[str]:
+    yield from path.read_text().splitlines(keepends=True)
+
+
+def test_lines_that_are_no_frames_cost_only_themselves(tmp_path: Path) -> None:
+    configuration = load(machine(tmp_path, Mode.CSP))
+    path = write(tmp_path / "x.log", session(Mode.CSP)[0])
+    content = list(lines(path))
+    content[20:20] = ["# a remark\n", "(1.0) can0 zzz#00\n"]
+    path.write_text("".join(content))
+    read = fh.recordings.read(path, configuration=configuration)
+    assert len(read) == CYCLES
+    assert read.problems == ["2 lines are no frames (line 21, 22): left out"]
+
+
+def test_lost_frames_are_holes(tmp_path: Path) -> None:
+    configuration = load(machine(tmp_path, Mode.CSP))
+    frames = session(Mode.CSP)[0]
+    at = [i for i, frame in enumerate(frames) if frame.arbitration_id == 0x080]
+    lost = {at[5] + 1, at[9] + 2, at[12] + 3, at[20] + 1}  # TPDO 1, TPDO 2, RPDO, TPDO 1
+    short = frames[at[30] + 1]
+    short.data, short.dlc = short.data[:6], 6
+    read = fh.recordings.read(
+        write(tmp_path / "x.log", [frame for i, frame in enumerate(frames) if i not in lost]),
+        configuration=configuration,
+    )
+    assert np.setdiff1d(np.arange(CYCLES), read["cycle"]).tolist() == [5, 20, 30]
+    assert np.flatnonzero(np.isnan(read.columns["velocity"])).tolist() == [8]
+    assert "1 of 58 frames of TPDO 1 have fewer bytes than its objects, 8: left out" in read.problems[0]
+    assert "3 cycles are missing in 3 gaps, the first after cycle 4" in read.problems
+    assert "velocity is not finite in 1 of 57 rows (row 8)" in read.problems
+
+
+def test_without_sync_a_cycle_begins_with_its_first_frame(tmp_path: Path) -> None:
+    configuration = load(machine(tmp_path, Mode.CSP))
+    frames = [frame for frame in session(Mode.CSP)[0] if frame.arbitration_id != 0x080]
+    read = fh.recordings.read(write(tmp_path / "x.log", frames), configuration=configuration)
+    assert len(read) == CYCLES
+    assert "cycle" not in read.columns
+    assert np.isfinite(read["velocity"]).all()
+
+
+def test_scales_come_from_the_configuration_first(tmp_path: Path) -> None:
+    frames = [frame for frame in session(Mode.CSP)[0] if frame.arbitration_id != 0x581]
+    path = write(tmp_path / "x.log", frames)
+    with pytest.raises(RecordingError, match=r"node 1 in .*x\.log does not tell its encoder .* give counts_per_unit"):
+        fh.recordings.read(path, configuration=load(machine(tmp_path, Mode.CSP)))
+    with pytest.raises(RecordingError, match=r"does not tell its rated torque .* give rated_torque"):
+        fh.recordings.read(path, configuration=load(machine(tmp_path, Mode.CSP, "counts_per_unit: 100.0")))
+    keys = ("counts_per_unit: 100.0", "rated_torque: 2.0", "is_inverted: true")
+    read = fh.recordings.read(path, configuration=load(machine(tmp_path, Mode.CSP, *keys)))
+    assert read["torque"][0] == 100 * 2e-3
+    assert read["velocity"][1] == 11 / 100.0
+
+
+def test_a_log_needs_a_configuration(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write(tmp_path / "x.log", session(Mode.CSP)[0])
+    with pytest.raises(UsageError, match=r"need the configuration of the machine: --config machine\.yaml"):
+        fh.recordings.read(path)
+    config = machine(tmp_path, Mode.CSP, "node: 7")
+    with pytest.raises(RecordingError, match=r"Wanted: 187h \(x\); there are: 080h, 181h, 201h, 281h, 581h, 701h"):
+        fh.recordings.read(path, configuration=load(config))
+    config = machine(tmp_path, Mode.CSP)
+    assert main(["convert", str(path), str(tmp_path / "x.csv"), "--config", str(config)]) == 0
+    assert f"{CYCLES} rows of" in capsys.readouterr().out
+    assert main(["replay", str(path), "--config", str(config)]) == 0
+    assert "lugre (as recorded)" in capsys.readouterr().out

@@ -1,0 +1,352 @@
+"""Every format: what is written comes back bit for bit, a file cut off anywhere is told, foreign files are read."""
+
+import json
+import warnings
+from datetime import datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+import friction_hil as fh
+from friction_hil.errors import ConfigurationError, FrictionHilError, RecordingError, UsageError
+from friction_hil.recordings.mapping import parse_source
+from friction_hil.recordings.recording import Recording
+
+BAM = Path(__file__).parents[3] / "shared" / "data" / "bam_xl330"
+SUFFIXES = fh.recordings.formats(to_write=True)
+KEEPS_UNITS = (".parquet", ".h5", ".hdf5", ".mf4")
+
+
+def some(rows: int = 50) -> Recording:
+    random = np.random.default_rng(1)
+    columns = {name: random.normal(size=rows) for name in ("position", "torque", "gear_2")}
+    columns["position"][rows // 2] = np.nan
+    units = {"torque": "N m", "gear_2": "widget"}
+    return Recording("some", "x", {"time_s": np.arange(rows) / 3.0, **columns}, units=units)
+
+
+def attempt(path: Path) -> Recording | str:
+    """What is read, or the sentence why not."""
+    try:
+        return fh.recordings.read(path)
+    except FrictionHilError as error:
+        return str(error)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+@settings(max_examples=10, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@given(
+    values=arrays(
+        np.float64,
+        st.tuples(st.integers(2, 6), st.just(3)),
+        elements=st.floats(allow_infinity=False) | st.just(np.nan),
+    ),
+    names=st.lists(st.from_regex(r"[a-z](_?[a-z0-9]){1,9}", fullmatch=True), min_size=3, max_size=3, unique=True),
+)
+def test_every_bit_comes_back(suffix: str, tmp_path: Path, values: np.ndarray, names: list[str]) -> None:
+    path = tmp_path / f"x{suffix}"
+    time = np.arange(len(values)) * 1e-3
+    written = Recording("x", "x", {"time_s": time, **{f"u_{name}": values[:, i] for i, name in enumerate(names)}})
+    fh.recordings.write(path, written, overwrite=True)
+    read = fh.recordings.read(path)
+    assert set(read.columns) == set(written.columns)
+    for name, column in written.columns.items():
+        known = ~np.isnan(column)
+        np.testing.assert_array_equal(np.isnan(read.columns[name]), ~known)
+        assert read.columns[name][known].tobytes() == column[known].tobytes()
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_only_the_columns_asked_for_are_read(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"x{suffix}"
+    fh.recordings.write(path, some())
+    read = fh.recordings.read(path, columns={"angle": "position"}, only=["time_s", "angle", "speed"])
+    assert set(read.columns) == {"time_s", "angle"}
+    assert set(read.others) == {"torque", "gear_2"}
+    with pytest.raises(RecordingError, match=r"no column load_torque\. There are: .*gear_2"):
+        read.require("load_torque")
+    with pytest.raises(UsageError, match="did you mean 'torque'"):
+        fh.recordings.read(path, columns={"effort": "torqu"}, only=["time_s"])
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_units_are_kept_where_there_is_a_place_for_them(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"x{suffix}"
+    fh.recordings.write(path, some())
+    units = fh.recordings.read(path).units
+    if suffix in KEEPS_UNITS:
+        assert {"torque": "N m", "gear_2": "widget"}.items() <= units.items()
+        assert fh.recordings.read(path, columns={"load_torque": "torque"}).units["load_torque"] == "N m"
+        assert "torque" not in fh.recordings.read(path, scale={"torque": 2.0}).units
+    else:
+        assert units == {}
+
+
+def test_a_unit_that_is_not_ours_is_told(tmp_path: Path) -> None:
+    wrong = some()
+    wrong.units = {"position": "deg", "torque": "N·m", "gear_2": "deg"}
+    fh.recordings.write(tmp_path / "x.parquet", wrong)
+    told = [problem for problem in fh.recordings.read(tmp_path / "x.parquet").problems if "deg" in problem]
+    assert told == ["position is in deg in the file and is taken for rad or m: --column position=position*pi/180"]
+    mended = fh.recordings.read(tmp_path / "x.parquet", scale={"position": np.pi / 180.0})
+    assert not any("deg" in problem for problem in mended.problems)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_cut_anywhere_it_is_told_and_no_row_is_wrong(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"x{suffix}"
+    whole = some(40)
+    fh.recordings.write(path, whole)
+    data = path.read_bytes()
+    cuts = range(0, len(data) - 1, max(1, len(data) // 25))
+    for cut in cuts:
+        path.write_bytes(data[:cut])
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            read = attempt(path)
+        if isinstance(read, str):
+            assert str(path) in read
+            continue
+        if suffix == ".csv" and data[cut - 1 : cut] == b"\n":  # nothing shows that lines are missing
+            assert read.problems == [] or "not finite" in read.problems[0]
+        else:
+            assert any("cut off" in problem for problem in read.problems), (cut, read.problems)
+        for name, column in read.columns.items():
+            np.testing.assert_array_equal(column, whole.columns[name][: len(column)])
+
+
+@pytest.mark.parametrize("suffix", [each for each in fh.recordings.formats() if each not in (".log", ".asc", ".blf")])
+@settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@given(noise=st.binary(max_size=300), keep=st.integers(0, 200))
+def test_other_bytes_end_in_a_sentence(suffix: str, tmp_path: Path, noise: bytes, keep: int) -> None:
+    path = tmp_path / f"x{suffix}"
+    start = b""
+    if suffix in SUFFIXES:
+        fh.recordings.write(path, some(8), overwrite=True)
+        start = path.read_bytes()[:keep]
+    path.write_bytes(start + noise)
+    read = attempt(path)
+    assert isinstance(read, Recording) or str(path) in read
+
+
+def test_csv_that_a_crash_left_behind(tmp_path: Path) -> None:
+    path = tmp_path / "x.csv"
+    path.write_bytes(b"time_s,torque\n0,1\n1,2\n2,37\0\0\0\0")
+    read = fh.recordings.read(path)
+    assert read["torque"].tolist() == [1.0, 2.0]
+    assert read.problems == [
+        "the file ends in 4 zero bytes, as a crash leaves them: left out",
+        "line 4 has no line end, so the file may have been cut off in it: that row is left out",
+    ]
+
+
+def test_mat_before_the_cut_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "x.mat"
+    fh.recordings.write(path, some(40))
+    path.write_bytes(path.read_bytes()[:-20])
+    read = fh.recordings.read(path)
+    assert list(read.columns) == ["time_s", "position", "torque"]
+    assert "the file was cut off in the variable at byte" in read.problems[0]
+
+
+def test_names_that_a_format_cannot_have(tmp_path: Path) -> None:
+    for name, suffix in (("Speed (rpm)", ".mat"), ("a/b", ".h5"), ("a\\b", ".npz"), ("_x", ".mat")):
+        odd = Recording("", "x", {"time_s": np.arange(3.0), name: np.ones(3)})
+        with pytest.raises(RecordingError, match="rename with --column"):
+            fh.recordings.write(tmp_path / f"x{suffix}", odd)
+        assert not (tmp_path / f"x{suffix}").exists()
+
+
+def test_infinity_has_no_place_in_json(tmp_path: Path) -> None:
+    odd = Recording("", "x", {"time_s": np.arange(3.0), "torque": np.array([0.0, np.inf, 1.0])})
+    with pytest.raises(RecordingError, match="torque is infinite in row 1"):
+        fh.recordings.write(tmp_path / "x.json", odd)
+
+
+@pytest.mark.parametrize("package", ["pyarrow", "h5py", "asammdf"])
+def test_a_package_that_is_not_installed(package: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    suffix = {"pyarrow": ".parquet", "h5py": ".h5", "asammdf": ".mf4"}[package]
+    fh.recordings.write(tmp_path / f"x{suffix}", some())
+    monkeypatch.setitem(__import__("sys").modules, package, None)
+    with pytest.raises(UsageError, match=rf'{package} is needed .*pip install "friction-hil\[formats\]"'):
+        fh.recordings.read(tmp_path / f"x{suffix}")
+    with pytest.raises(UsageError, match=package):
+        fh.recordings.write(tmp_path / f"y{suffix}", some())
+
+
+def test_csv_is_the_same_with_and_without_pyarrow(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fh.recordings.write(tmp_path / "x.csv", some())
+    fast = fh.recordings.read(tmp_path / "x.csv")
+    monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
+    slow = fh.recordings.read(tmp_path / "x.csv")
+    for name, column in fast.columns.items():
+        assert column.tobytes() == slow.columns[name].tobytes()
+
+
+def test_parquet_of_other_programs(tmp_path: Path) -> None:
+    pa = pytest.importorskip("pyarrow")
+    from pyarrow import parquet
+
+    start = datetime(2026, 1, 2)
+    content: dict[str, Any] = {
+        "when": [start + timedelta(milliseconds=i) for i in range(4)],
+        "counts": pa.array([1, None, 3, 4], pa.int32()),
+        "on": [True, False, True, True],
+        "single": pa.array([0.5, 1.5, 2.5, 3.5], pa.float32()),
+        "note": ["a", "b", "c", "d"],
+    }
+    parquet.write_table(pa.table(content), tmp_path / "x.parquet")
+    read = fh.recordings.read(tmp_path / "x.parquet", columns={"time_s": "when"})
+    np.testing.assert_allclose(read["time_s"], [0.0, 1e-3, 2e-3, 3e-3])
+    np.testing.assert_array_equal(read["counts"], [1.0, np.nan, 3.0, 4.0])
+    np.testing.assert_array_equal(read["on"], [1.0, 0.0, 1.0, 1.0])
+    np.testing.assert_array_equal(read["single"], [0.5, 1.5, 2.5, 3.5])
+    assert "note holds string, no numbers: left out" in read.problems
+
+
+def test_hdf5_of_other_programs(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "x.h5", "w") as file:
+        file["x/time"] = np.arange(4.0)
+        file["x/effort"] = np.arange(4, dtype=np.int16)[None, :]
+        file["x/effort"].attrs["units"] = "Nm"
+        file["y/effort"] = np.ones(4)
+        file["calibration"] = np.arange(9.0)
+        file["gain"] = 3.0
+        file["log"] = np.array([(0.0, 1), (1.0, 2), (2.0, 3), (3.0, 4)], dtype=[("s", "f8"), ("speed", "i4")])
+    read = fh.recordings.read(tmp_path / "x.h5", columns={"time_s": "time", "torque": "x/effort"})
+    assert set(read.columns) == {"time_s", "torque", "y/effort", "s", "speed"}
+    assert read["torque"].tolist() == [0.0, 1.0, 2.0, 3.0]
+    assert read["speed"].tolist() == [1.0, 2.0, 3.0, 4.0]
+    assert read.units["torque"] == "Nm"
+    assert read.problems == ["calibration has 9 values, the other columns 4: left out"]
+
+
+def test_matlab_7_3_is_hdf5(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    path = tmp_path / "x.mat"
+    with h5py.File(path, "w", userblock_size=512) as file:
+        file["time_s"], file["torque"] = np.arange(5.0)[None, :], np.ones((1, 5))
+        file["#refs#/a"] = np.arange(5.0)
+    with path.open("r+b") as opened:
+        opened.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
+    read = fh.recordings.read(path)
+    assert set(read.columns) == {"time_s", "torque"}
+    path.write_bytes(path.read_bytes()[:1500])
+    with pytest.raises(RecordingError, match=r"which is HDF5: .*cut off at byte 1500"):
+        fh.recordings.read(path)
+
+
+def test_mdf_with_groups_of_their_own_times(tmp_path: Path) -> None:
+    asammdf = pytest.importorskip("asammdf")
+    fast, slow = np.arange(10) * 0.1, np.arange(3) * 0.3 + 0.05
+    with asammdf.MDF(version="4.10") as mdf:
+        mdf.append([asammdf.Signal(fast * 2.0, fast, name="pos", unit="rad")])
+        mdf.append([asammdf.Signal(slow * 3.0, slow, name="effort", unit="Nm")])
+        mdf.save(str(tmp_path / "x.mf4"))
+    read = fh.recordings.read(tmp_path / "x.mf4", columns={"position": "pos", "torque": "effort"})
+    np.testing.assert_allclose(read["time_s"], np.sort(np.concatenate([fast, slow])))
+    known = np.isfinite(read["torque"])
+    np.testing.assert_allclose(read["torque"][known], slow * 3.0)
+    np.testing.assert_allclose(read["position"][~known], fast * 2.0)
+    assert read.problems[0].startswith("2 groups of channels have time stamps of their own: merged")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ({"a": 1}, "a list of rows belongs here"),
+        ([], "a list of rows belongs here"),
+        ([{"time_s": 0}, 7], "row 1 is not an object of fields but 7"),
+        ({"rows": [{"t": 0.0}, {"t": 1.0}]}, r"no column time_s\. There are: t"),
+    ],
+)
+def test_json_that_is_no_recording(tmp_path: Path, content: Any, message: str) -> None:
+    (tmp_path / "x.json").write_text(json.dumps(content))
+    with pytest.raises(RecordingError, match=message):
+        fh.recordings.read(tmp_path / "x.json")
+
+
+def test_json_of_other_programs(tmp_path: Path) -> None:
+    rows = [{"time_s": 0.0, "on": True, "note": "a"}, {"time_s": 1, "torque": None, "on": False}]
+    (tmp_path / "x.json").write_text(json.dumps({"mass": 0.5, "short": rows[:1], "entries": rows}))
+    read = fh.recordings.read(tmp_path / "x.json")
+    assert read.metadata == {"mass": 0.5}
+    assert read["on"].tolist() == [1.0, 0.0]
+    assert np.isnan(read.columns["torque"]).all()
+    assert read.problems == [
+        "the list 'short' is shorter than 'entries': left out",
+        'note is no number in row 0 but "a": left out',
+    ]
+    (tmp_path / "x.json").write_text('[\n{"time_s": 0.0},\n{"time_s": oops},\n{"time_s": 2.0}\n]')
+    with pytest.raises(RecordingError, match=r"x\.json:3: is no JSON: .*column 12"):
+        fh.recordings.read(tmp_path / "x.json")
+
+
+@pytest.mark.skipif(not BAM.exists(), reason="the shared data are not here")
+def test_bam_is_read_as_it_is() -> None:
+    for path in sorted(BAM.glob("*.json")):
+        read = fh.recordings.read(path, columns={"time_s": "timestamp", "velocity": "speed"})
+        rows = json.loads(path.read_text())["entries"]
+        assert len(read) == len(rows)
+        assert read["position"][-1] == rows[-1]["position"]
+        assert read.metadata["mass"] == 0.49
+
+
+@pytest.mark.parametrize(
+    ("text", "source", "factor"),
+    [
+        ("vir*35.1507", "vir", 35.1507),
+        ("encoder*2*pi/4096", "encoder", 2.0 * np.pi / 4096.0),
+        ("a * -1e-3", "a", -1e-3),
+        ("plain", "plain", 1.0),
+        ("x/effort", "x/effort", 1.0),
+        ("Speed (rpm)*pi/30", "Speed (rpm)", np.pi / 30.0),
+        ("x/effort/2", "x/effort", 0.5),
+    ],
+)
+def test_a_source_with_a_factor(text: str, source: str, factor: float) -> None:
+    assert parse_source(text) == (source, pytest.approx(factor, rel=1e-15))
+
+
+@pytest.mark.parametrize("text", ["a*0", "a/0", "a*1e999", "a*1e-200*1e-200"])
+def test_a_factor_that_is_none(text: str) -> None:
+    with pytest.raises(UsageError, match="finite and not zero"):
+        parse_source(text)
+
+
+def test_a_mapping_lies_beside_the_file(tmp_path: Path) -> None:
+    (tmp_path / "x.csv").write_text("t,qm,effort\n0,1,2\n1,3,4\n")
+    beside = tmp_path / "x.csv.columns.yaml"
+    beside.write_text("columns:\n  time_s: t\n  torque: effort*0.5\n")
+    read = fh.recordings.read(tmp_path / "x.csv")
+    assert read["torque"].tolist() == [1.0, 2.0]
+    again = fh.recordings.read(tmp_path / "x.csv", columns={"torque": "qm"})  # goes before it, without its factor
+    assert again["torque"].tolist() == [1.0, 3.0]
+    beside.rename(tmp_path / "columns.yaml")
+    assert fh.recordings.read(tmp_path / "x.csv")["torque"].tolist() == [1.0, 2.0]
+    (tmp_path / "y.csv").write_text("time_s,torque\n0,7\n")  # of another origin: nothing to map
+    assert fh.recordings.read(tmp_path / "y.csv", only=["time_s", "torque"])["torque"].tolist() == [7.0]
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "message"),
+    [
+        ("column: {}\n", 1, "columns: is missing"),
+        ("columns:\n  torque: 7\n", 2, "columns.torque: is a column's name"),
+        ("columns:\n  time_s: t\n  torque: a*0\n", 3, "finite and not zero"),
+        ("columns: {torque: a}\nscale: 3\n", 2, "scale: is not known here"),
+    ],
+)
+def test_mistakes_in_a_mapping_have_their_line(tmp_path: Path, text: str, line: int, message: str) -> None:
+    (tmp_path / "x.csv").write_text("t\n0\n")
+    (tmp_path / "x.csv.columns.yaml").write_text(text)
+    with pytest.raises(ConfigurationError) as caught:
+        fh.recordings.read(tmp_path / "x.csv")
+    assert f"x.csv.columns.yaml:{line}: " in str(caught.value)
+    assert message in str(caught.value)
