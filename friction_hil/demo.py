@@ -71,7 +71,7 @@ def run_demo(folder: Path, pace: str, tell: Tell) -> Demo:
     RecordingError
         Too much was missed to judge.
     """
-    from friction_hil.reports.circularity_picture import require_matplotlib
+    from friction_hil.reports.figures import require_matplotlib
 
     require_matplotlib()
     claim(folder)

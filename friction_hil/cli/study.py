@@ -37,7 +37,7 @@ def command(names: str | None, output: Path, as_json: bool) -> int:
     status 1 if a number is not finite.
     """
     from friction_hil import study
-    from friction_hil.reports.circularity_picture import require_matplotlib
+    from friction_hil.reports.figures import require_matplotlib
     from friction_hil.reports.study.report import claim, write_report
 
     chosen = None if names is None else [name.strip() for name in names.split(",") if name.strip()]

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from friction_hil.errors import UsageError
 from friction_hil.reports.circularity import Circularity, Laps, digits, readable, unit_of_figures
 
 if TYPE_CHECKING:
@@ -17,14 +16,6 @@ WITHOUT, WITH = "#d55e00", "#0072b2"
 _INK, _FAINT = "#222222", "#c8c8c8"
 _RING = 0.2  # of the drawn radius, between two rings of the scale
 _RINGS = 3  # the largest error reaches the last of them
-
-
-def require_matplotlib() -> None:
-    """Raise UsageError where there is no matplotlib; does not import it."""
-    from importlib.util import find_spec
-
-    if find_spec("matplotlib") is None:
-        raise UsageError("the report needs matplotlib: pip install 'friction-hil[report]'")
 
 
 def division(largest: float) -> float:

@@ -9,6 +9,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+def require_matplotlib() -> None:
+    """Raise UsageError where there is no matplotlib; does not import it."""
+    from importlib.util import find_spec
+
+    if find_spec("matplotlib") is None:
+        raise UsageError("the report needs matplotlib: pip install 'friction-hil[report]'")
+
+
 def new_figure(path: Path, width: float, height: float) -> "Figure":
     """Make an empty figure for a file, before any work is done for it.
 

@@ -1,0 +1,249 @@
+"""``friction-hil identify``: friction, inertia, offset and gravity of an axis from its recordings."""
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from friction_hil.cli.output import console, option_json, print_json
+from friction_hil.cli.recording_options import expanded, recording_options
+from friction_hil.errors import UsageError
+
+if TYPE_CHECKING:
+    from friction_hil.identification import Identification
+    from friction_hil.recordings import Recording
+
+_SHOWN = 12  # candidates in the table; JSON has all
+
+
+def _pairs(context: click.Context, parameter: click.Parameter, words: tuple[str, ...]) -> dict[str, float]:
+    values: dict[str, float] = {}
+    for word in words:
+        name, sign, text = word.partition("=")
+        try:
+            number = float(text)
+        except ValueError:
+            number = math.nan
+        if not (name and sign) or math.isnan(number):
+            raise click.BadParameter(f"{word!r} has not the form 'name=1.5'")
+        if name in values:
+            raise click.BadParameter(f"{name!r} is given twice")
+        values[name] = number
+    return values
+
+
+@click.command("identify")
+@click.argument("sources", metavar="RECORDING...", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--models", default="all", metavar="all|NAME,NAME", help="Families of friction models to try.")
+@click.option(
+    "--validate",
+    "kept_apart",
+    multiple=True,
+    type=click.Path(path_type=Path),
+    metavar="RECORDING",
+    help="Recording that candidates are judged on, and none is fitted to. May be repeated.",
+)
+@click.option(
+    "--fix", "held", multiple=True, callback=_pairs, metavar="NAME=VALUE", help="Hold a parameter. May be repeated."
+)
+@click.option("--linear", "is_linear", is_flag=True, help="The axis is a linear one: m, N, kg. Else rad, N m, kg m^2.")
+@click.option(
+    "--gravity",
+    type=click.Choice(["auto", "none", "constant", "pendulum"]),
+    default="auto",
+    show_default=True,
+    help="constant: a vertical axis; pendulum: sine and cosine of the position; auto: a pendulum where it shows.",
+)
+@recording_options
+@click.option(
+    "--lowpass", "lowpass_hz", type=float, metavar="HZ", help="Derive velocity from the position below HZ, no delay."
+)
+@click.option(
+    "--decimate",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Compare each N-th sample, behind a filter; 10, or less in a short recording. Models run at the full rate.",
+)
+@click.option(
+    "--loss",
+    type=click.Choice(["squares", "huber"]),
+    default="squares",
+    show_default=True,
+    help="huber: what is far off counts less.",
+)
+@click.option(
+    "--controller",
+    callback=_pairs,
+    multiple=True,
+    metavar="NAME=VALUE",
+    help="position_gain (1/s) and velocity_gain (torque per velocity) of the loop that made the motion: "
+    "simulate it free, from position_demand.",
+)
+@click.option("--seed", type=int, default=0, show_default=True, help="Of the random starts.")
+@click.option("--output", type=click.Path(path_type=Path), metavar="MODEL.yaml", help="Write the chosen model.")
+@click.option(
+    "--report", type=click.Path(path_type=Path), metavar="FILE.html", help="Write pictures, parameters and candidates."
+)
+@option_json
+def command(
+    sources: tuple[Path, ...],
+    models: str,
+    kept_apart: tuple[Path, ...],
+    held: dict[str, float],
+    is_linear: bool,
+    gravity: Any,
+    axis: str | None,
+    columns: dict[str, str],
+    scale: dict[str, float],
+    lowpass_hz: float | None,
+    decimate: int | None,
+    loss: str,
+    controller: dict[str, float],
+    seed: int,
+    output: Path | None,
+    report: Path | None,
+    as_json: bool,
+) -> int:
+    """Find the friction model of an axis, its parameters with errors, inertia, offset and gravity.
+
+    Every family of models is fitted, plain and with parameters for each direction, and the best ones with further
+    modifiers. Each candidate is judged by data it was not fitted to: the recordings of --validate, or else strokes
+    of some speeds, or blocks of time, held out in turn. The simplest one within a standard error of the best is chosen.
+    """
+    from friction_hil.identification import Settings, identify
+
+    names = () if models == "all" else tuple(name.strip() for name in models.split(","))
+    settings = Settings(
+        families=names,
+        axis="linear" if is_linear else "rotary",
+        gravity=gravity,
+        held=held,
+        is_robust=loss == "huber",
+        seed=seed,
+        lowpass_hz=lowpass_hz,
+        decimation=decimate,
+    )
+    if output is not None and output.suffix not in (".yaml", ".yml"):
+        raise click.UsageError(f"--output {output}: a model file ends in .yaml")
+    if report is not None:
+        from friction_hil.reports.figures import require_matplotlib
+
+        require_matplotlib()
+        if report.suffix not in (".html", ".htm"):
+            raise click.UsageError(f"--report {report}: a report ends in .html")
+    recordings = _read(sources, axis, columns, scale)
+    validation = _read(kept_apart, axis, columns, scale)
+    status = console(stderr=True)
+    with status.status("reading") as line:
+        result = identify(
+            recordings, settings, validation=validation, progress=lambda name: line.update(f"fitting {name}")
+        )
+    free = _free_run(result, controller)
+    if output is not None:
+        _write(result, output)
+    if report is not None:
+        from friction_hil.reports.identification_report import write_report
+
+        write_report(report, result, free)
+    if as_json:
+        from friction_hil.identification import export
+
+        print_json({**export.as_json(result), "free_run": free, "output": output, "report": report})
+    else:
+        _print(result, free, {"model file": output, "report": report})
+    return 0
+
+
+def _read(
+    sources: tuple[Path, ...], axis: str | None, columns: dict[str, str], scale: dict[str, float]
+) -> "list[Recording]":
+    from friction_hil import recordings
+
+    found = []
+    for source in expanded(sources):
+        if axis is not None:
+            found.append(recordings.read(source, axis, columns=columns, scale=scale))
+            continue
+        several = recordings.read_all(source, columns=columns, scale=scale)
+        if len(several) > 1:
+            raise UsageError(f"{source}: has the axes {', '.join(several)}; choose one with --axis")
+        found += several.values()
+    return found
+
+
+def _free_run(result: "Identification", controller: dict[str, float]) -> dict[str, Any]:
+    """Error of a free simulation of the chosen model, or why there is none."""
+    known = {"position_gain", "velocity_gain"}
+    if set(controller) - known:
+        raise UsageError(
+            f"--controller takes position_gain and velocity_gain, not {', '.join(set(controller) - known)}"
+        )
+    if not controller:
+        return {"relative_error": None, "reason": "nothing is known of the controller: give --controller"}
+    if set(controller) != known:
+        raise UsageError(f"--controller needs {', '.join(sorted(known - set(controller)))}, too")
+    from friction_hil.identification import free_run
+    from friction_hil.identification.export import model_file
+
+    record = result.records[0]
+    if record.demand is None:
+        return {"relative_error": None, "reason": f"{record.path} has no position_demand"}
+    loop = free_run.cascade(record.demand, controller["position_gain"], controller["velocity_gain"])
+    run = free_run.simulate_axis(
+        model_file(result),
+        loop,
+        len(record.demand),
+        record.dt,
+        position=float(record.position[0]),
+        velocity=float(record.velocity[0]),
+    )
+    return {"relative_error": run.relative_error(record.torque, record.begin), "reason": None}
+
+
+def _write(result: "Identification", output: Path) -> None:
+    from friction_hil.config import dump
+    from friction_hil.identification.export import as_model_file, model_file
+
+    model_file(result)  # what is written can be read
+    output.write_text(dump(as_model_file(result)), encoding="utf-8")
+
+
+def _print(result: "Identification", free: dict[str, Any], files: dict[str, Path | None]) -> None:
+    from rich.table import Table
+    from rich.text import Text
+
+    out, errors = console(), console(stderr=True)
+    for problem in dict.fromkeys(each for record in result.records for each in record.problems):
+        errors.print(problem, markup=False, soft_wrap=True)
+    for note in result.notes:
+        errors.print(note, markup=False, soft_wrap=True)
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    for head in ("model", "free", "error", "blocks", "speeds", "others"):
+        table.add_column(head, no_wrap=True)
+    for each in result.fits[:_SHOWN]:
+        given = (each.train, each.cross_validation, each.across_speeds, each.validation)
+        shares = ["-" if error is None else f"{100.0 * error.relative_error:.3f} %" for error in given]
+        table.add_row(Text(each.label), str(each.count), *shares)
+    out.print("Relative error of the torque: on the data, on blocks of it held out, on speeds held out, on other data.")
+    out.print(table)
+    out.print()
+    best = result.best
+    values = Table("parameter", "value", "standard error", box=None, header_style="bold", pad_edge=False)
+    for name, value in best.values.items():
+        error = best.inference.standard_errors.get(name, math.nan)
+        values.add_row(Text(name), f"{value:.6g}", f"{error:.2g}" if math.isfinite(error) else "-")
+    out.print(values)
+    out.print()
+    out.print(f"Chosen: {best.label}. {result.reason[0].upper()}{result.reason[1:]}.", markup=False, soft_wrap=True)
+    for flag in best.flags:
+        out.print(f"- {flag}", markup=False, soft_wrap=True)
+    if free["relative_error"] is None:
+        out.print(f"No free simulation: {free['reason']}.", markup=False, soft_wrap=True)
+    else:
+        out.print(
+            f"Free simulation: relative error of the torque {100.0 * free['relative_error']:.2f} %.", markup=False
+        )
+    for what, path in files.items():
+        if path is not None:
+            out.print(f"{what}: {path}", markup=False, soft_wrap=True)

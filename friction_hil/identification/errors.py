@@ -1,0 +1,118 @@
+"""Prediction errors: of a fit, of blocks held out of it, and of other recordings."""
+
+import itertools
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from friction_hil.identification.data import Data, Mask
+from friction_hil.identification.problem import Estimate, Problem
+from friction_hil.jit import Array
+
+BLOCKS = 6
+SPEED_GROUPS = 4
+_LEAST_STROKE = 10  # rows
+_RECORDINGS_AS_BLOCKS = 4  # from so many recordings on, each is held out as a whole
+_MARGIN = 5  # rows on either side of a block, which share samples with it through the filters
+
+
+@dataclass(frozen=True, slots=True)
+class PredictionError:
+    """Error of predicted torque.
+
+    Attributes
+    ----------
+    rmse : float
+        N m or N.
+    relative_error : float
+        norm(measured - predicted) / norm(measured); NaN where nothing was measured but zeros.
+    blocks : tuple of float
+        Mean square error of each block or recording.
+    """
+
+    rmse: float
+    relative_error: float
+    blocks: tuple[float, ...] = ()
+
+
+def prediction_error(measured: Array, predicted: Array, blocks: Sequence[Mask] = ()) -> PredictionError:
+    """Compare (k,) arrays; ``blocks`` select rows."""
+    square = (measured - predicted) ** 2
+    norm = float(np.linalg.norm(measured))
+    return PredictionError(
+        rmse=float(np.sqrt(np.mean(square))),
+        relative_error=math.sqrt(float(np.sum(square))) / norm if norm > 0.0 else math.nan,
+        blocks=tuple(float(np.mean(square[block])) for block in blocks),
+    )
+
+
+def blocks(data: Data) -> list[Mask]:
+    """Rows (masks) of each block: contiguous in time, or whole recordings where there are several."""
+    paths = [record.path for record in data.records]
+    masks = []
+    if len(set(paths)) >= _RECORDINGS_AS_BLOCKS:
+        for path in dict.fromkeys(paths):
+            mask = np.zeros(len(data), dtype=bool)
+            for each, part in zip(paths, data.parts, strict=True):
+                mask[part] |= each == path
+            masks.append(mask)
+        return masks
+    edges = np.linspace(0, len(data), BLOCKS + 1).round().astype(int)
+    for begin, end in itertools.pairwise(edges):
+        mask = np.zeros(len(data), dtype=bool)
+        mask[begin:end] = True
+        masks.append(mask)
+    return masks
+
+
+def speed_groups(data: Data) -> list[Mask]:
+    """Rows (masks) of groups of strokes, a stroke being what lies between two reversals, ordered by their top speed.
+
+    A record often repeats one motion: each block of it is like the others, and a model flexible enough to
+    memorise that motion predicts them all. Strokes of one speed held out are predicted from those of others.
+    Empty where there are too few strokes.
+    """
+    velocity = data.motion("velocity")
+    number = np.zeros(len(velocity), dtype=int)
+    number[1:] = np.diff(np.sign(velocity)) != 0.0
+    for part in data.parts:
+        number[part.start] = 1
+    stroke = np.cumsum(number) - 1
+    lengths = np.bincount(stroke)
+    if np.count_nonzero(lengths >= _LEAST_STROKE) < 2 * SPEED_GROUPS:
+        return []
+    tops = np.zeros(len(lengths))
+    np.maximum.at(tops, stroke, np.abs(velocity))
+    order = np.argsort(tops, kind="stable")
+    middles = np.cumsum(lengths[order]) - 0.5 * lengths[order]
+    group = np.empty(len(lengths), dtype=int)
+    group[order] = np.minimum(middles * SPEED_GROUPS / len(data), SPEED_GROUPS - 1).astype(int)
+    masks = [group[stroke] == i for i in range(SPEED_GROUPS)]
+    return masks if all(np.count_nonzero(mask) > _LEAST_STROKE for mask in masks) else []
+
+
+def cross_validate(problem: Problem, estimate: Estimate, masks: Sequence[Mask]) -> PredictionError:
+    """Hold out the rows of one mask after the other, fit to the rest, and predict them.
+
+    The models run through the whole record: what is held out is the torque, not the motion.
+    """
+    data = problem.data
+    predicted = np.empty(len(data))
+    pinned = [name for name in estimate.at_bound if name in problem.keys]
+    robust = None if np.all(estimate.weights == 1.0) else estimate.weights
+    for mask in masks:
+        near = np.convolve(mask, np.ones(2 * _MARGIN + 1), mode="same") > 0.0
+        rows = ~near
+        at, torque = problem.refit(estimate.coordinates, rows=rows, weights=robust, pinned=pinned)
+        linear = problem.linear(torque, rows=rows, weights=robust, pinned=pinned)
+        predicted[mask] = problem.predict(at, linear, torque)[mask]
+    return prediction_error(data.torque, predicted, masks)
+
+
+def validate(problem: Problem, estimate: Estimate) -> PredictionError:
+    """Error of an estimate on the data of another problem of the same structure."""
+    linear: Mapping[str, float] = {name: estimate.values[name] for name in problem.keys}
+    predicted = problem.predict(estimate.coordinates, linear)
+    return prediction_error(problem.data.torque, predicted, blocks(problem.data))

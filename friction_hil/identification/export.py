@@ -1,0 +1,136 @@
+"""What an identification leaves behind: the model file, and the JSON object of the contract."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from friction_hil import __version__
+from friction_hil.config import ModelFile
+from friction_hil.identification.errors import PredictionError
+from friction_hil.identification.fits import Fit
+from friction_hil.identification.identify import Identification
+
+_DIGITS = 10  # significant ones in a model file: far beyond any standard error, and readable
+
+
+def model_file(identification: Identification, fit: Fit | None = None) -> ModelFile:
+    """Model file of a fit, the chosen one by default, with its provenance.
+
+    Raises
+    ------
+    ConfigurationError
+        The values do not go together; they do if the fit was one.
+    """
+    return ModelFile.model_validate(as_model_file(identification, fit))
+
+
+def as_model_file(identification: Identification, fit: Fit | None = None) -> dict[str, Any]:
+    """`model_file` as plain values, for YAML."""
+    fit = identification.best if fit is None else fit
+    parameters, modifiers = fit.friction
+    mechanics = fit.mechanics
+    friction: dict[str, Any] = {"model": fit.structure.family, "parameters": _plain(parameters)}
+    if modifiers:
+        friction["modifiers"] = _plain(modifiers)
+    return {
+        "version": 1,
+        "axis": identification.settings.axis,
+        "friction": friction,
+        "mechanics": _mechanics(mechanics),
+        "fit": _provenance(identification, fit),
+    }
+
+
+def _mechanics(mechanics: dict[str, float]) -> dict[str, Any]:
+    gravity = {name: mechanics[f"gravity.{name}"] for name in ("constant", "sine", "cosine")}
+    return dict(_plain({"inertia": mechanics["inertia"], "offset": mechanics["offset"], "gravity": gravity}))
+
+
+def _provenance(identification: Identification, fit: Fit) -> dict[str, Any]:
+    settings, records = identification.settings, identification.records
+    curves = fit.curves
+    content: dict[str, Any] = {
+        "software": f"friction_hil {__version__}",
+        "recordings": _recordings(identification.records),
+        "rows": len(curves.measured),
+        "lowpass_hz": records[0].lowpass_hz,
+        "decimation": records[0].decimation,
+        "loss": "huber" if settings.is_robust else "squares",
+        "held": dict(settings.held),
+        "chosen": identification.reason,
+        "train": _error(fit.train),
+        "cross_validation": _error(fit.cross_validation),
+        "standard_errors": {name: error for name, error in standard_errors(fit).items() if error is not None},
+        "correlations": [list(pair) for pair in fit.inference.pairs()],
+        "range": {
+            "velocity": [float(np.min(curves.velocity)), float(np.max(curves.velocity))],
+            "position": [float(np.min(curves.position)), float(np.max(curves.position))],
+            "acceleration": [float(np.min(curves.acceleration)), float(np.max(curves.acceleration))],
+        },
+        "flags": list(fit.flags),
+    }
+    if fit.across_speeds is not None:
+        content["across_speeds"] = _error(fit.across_speeds)
+    if fit.validation is not None:
+        content["validation"] = {**_error(fit.validation), "recordings": _recordings(identification.validation)}
+    return dict(_plain(content))
+
+
+def _recordings(records: Any) -> list[dict[str, Any]]:
+    rows: dict[str, int] = {}
+    for record in records:
+        rows[record.path] = record.rows
+    return [{"path": path, "rows": count} for path, count in rows.items()]
+
+
+def standard_errors(fit: Fit) -> dict[str, float | None]:
+    """Standard error of each parameter that was looked for; None where it has none: at a bound, or not determined."""
+    errors = fit.inference.standard_errors
+    return {name: errors[name] if name in errors and math.isfinite(errors[name]) else None for name in fit.values}
+
+
+def _error(error: PredictionError) -> dict[str, float]:
+    return {"rmse": error.rmse, "relative_error": error.relative_error}
+
+
+def _plain(value: Any) -> Any:
+    """Values as YAML and the model file take them: floats of ten digits, lists, dicts."""
+    if isinstance(value, dict):
+        return {str(key): _plain(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(each) for each in value]
+    if isinstance(value, float | np.floating):
+        number = float(value)
+        return float(f"{number:.{_DIGITS}g}") if math.isfinite(number) else number
+    return value
+
+
+def as_json(identification: Identification) -> dict[str, Any]:
+    """The object that ``identify --json`` prints."""
+    return {
+        "best": identification.best.label,
+        "reason": identification.reason,
+        "recordings": _recordings(identification.records),
+        "problems": list(dict.fromkeys(problem for record in identification.records for problem in record.problems)),
+        "notes": list(identification.notes),
+        "fits": [_fit(each) for each in identification.fits],
+    }
+
+
+def _fit(fit: Fit) -> dict[str, Any]:
+    parameters, modifiers = fit.friction
+    return {
+        "model": fit.structure.family,
+        "label": fit.label,
+        "parameters": parameters,
+        "modifiers": modifiers,
+        "standard_errors": standard_errors(fit),
+        "correlations": {"names": fit.inference.names, "matrix": fit.inference.correlations},
+        "mechanics": _mechanics(fit.mechanics),
+        "train": _error(fit.train),
+        "cross_validation": _error(fit.cross_validation),
+        "across_speeds": None if fit.across_speeds is None else _error(fit.across_speeds),
+        "validation": None if fit.validation is None else _error(fit.validation),
+        "flags": list(fit.flags),
+    }

@@ -1,0 +1,127 @@
+"""Free simulation: the identified axis in its closed loop, from the reference alone. Pure.
+
+A prediction error compares torques along the motion that was measured; a free run lets the model make the motion
+too, so that what it gets wrong adds up. It needs to know what commanded the torque.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from friction_hil.config import ModelFile
+from friction_hil.errors import UsageError
+from friction_hil.jit import Array
+
+Controller = Callable[[int, float, float], float]  # sample, position, velocity -> torque
+
+_BALANCE = 1e-12  # relative difference of torque and friction that counts as none
+_STEPS = 4  # of integration in a sample
+_FAR = 1e12  # rad or m
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FreeRun:
+    """A simulated motion; arrays (n,), SI.
+
+    Attributes
+    ----------
+    position, velocity : array
+        At the begin of each sample, which is when the controller reads them.
+    torque : array
+        Commanded from then on.
+    """
+
+    position: Array
+    velocity: Array
+    torque: Array
+
+    def relative_error(self, measured: Array, begin: int = 0) -> float:
+        """norm(measured - torque) / norm(measured) from a row on, measured torque (n,)."""
+        difference = measured[begin:] - self.torque[begin:]
+        return float(np.linalg.norm(difference) / np.linalg.norm(measured[begin:]))
+
+
+def cascade(demand: Array, position_gain: float, velocity_gain: float) -> Controller:
+    """Position P over velocity P: torque = velocity_gain (position_gain (demand - position) - velocity).
+
+    Parameters
+    ----------
+    demand : (n,) array
+        Position demand, rad or m.
+    position_gain : float
+        1/s.
+    velocity_gain : float
+        N m s/rad or N s/m.
+    """
+    demands = demand.tolist()
+
+    def torque(sample: int, position: float, velocity: float) -> float:
+        return float(velocity_gain * (position_gain * (demands[sample] - position) - velocity))
+
+    return torque
+
+
+def simulate_axis(
+    model: ModelFile,
+    controller: Controller,
+    samples: int,
+    dt: float,
+    *,
+    position: float = 0.0,
+    velocity: float = 0.0,
+    steps: int = _STEPS,
+) -> FreeRun:
+    """Let a controller move the axis that a model file describes.
+
+    inertia dv/dt = torque - offset - gravity(q) - friction, by semi-implicit Euler, the torque held over a sample.
+    A static map sticks exactly: the axis stops where its velocity would change sign, and stands while friction
+    balances what is applied. Delay and lag of the torque are not simulated.
+
+    Parameters
+    ----------
+    model : ModelFile
+        With an inertia above zero.
+    controller : callable
+        Takes the number of the sample, position and velocity; returns the torque.
+    samples : int
+    dt : float
+        Sampling period, s.
+    position, velocity : float
+        At the beginning, rad and rad/s, or m and m/s.
+    steps : int
+        Of integration in a sample.
+
+    Raises
+    ------
+    UsageError
+        The model has no inertia, or the motion grows without bound.
+    """
+    mechanics = model.mechanics
+    inertia, offset, gravity = mechanics.inertia, mechanics.offset, mechanics.gravity
+    if not inertia > 0.0:
+        raise UsageError("a free run needs a model with an inertia above zero in its mechanics")
+    friction = model.friction_model
+    runner = friction.start("simulation")
+    is_static = friction.family.is_static
+    h = dt / steps
+    q, v = float(position), float(velocity)
+    trace = np.empty((3, samples))
+    for k in range(samples):
+        torque = controller(k, q, v)
+        trace[0, k], trace[1, k], trace[2, k] = q, v, torque
+        for _ in range(steps):
+            load = gravity.constant + gravity.sine * math.sin(q) + gravity.cosine * math.cos(q)
+            applied = torque - offset - load
+            resistance = runner.step(v, h, position=q, load_torque=load, applied_torque=applied)
+            after = v + h * (applied - resistance) / inertia
+            if is_static:
+                stands = v == 0.0 and abs(applied - resistance) <= _BALANCE * abs(applied)
+                if after * v < 0.0 or stands:
+                    after = 0.0
+            v = after
+            q += h * v
+        if not abs(q) < _FAR:
+            raise UsageError(f"the free run grows without bound after {k} samples: controller and model do not fit")
+    return FreeRun(trace[0], trace[1], trace[2])

@@ -1,0 +1,134 @@
+"""Pictures of an identification: torque over time and velocity, what is left over everything, hysteresis loops."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from friction_hil.identification.fits import Curves
+from friction_hil.jit import Array
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# Okabe and Ito's: told apart with any colour vision, and in grey.
+MEASURED, PREDICTED, RESIDUAL = "#999999", "#0072b2", "#d55e00"
+_MOST_POINTS = 20_000  # in a picture: far more than it can show
+_BINS = 24
+_LEAST_IN_BIN = 5
+_LOOPS = 6  # parts of a record, each from one reversal to the next but one
+
+
+def draw_time(curves: Curves, unit: str) -> "Figure":
+    """Draw measured and predicted torque over time, with what is left below."""
+    figure = _figure(11.0, 5.5)
+    upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[2, 1])
+    time, measured, predicted = (_broken(curves, each) for each in (curves.time_s, curves.measured, curves.predicted))
+    upper.plot(time, measured, color=MEASURED, linewidth=1.6, label="measured")
+    upper.plot(time, predicted, color=PREDICTED, linewidth=0.9, label="predicted")
+    lower.plot(time, measured - predicted, color=RESIDUAL, linewidth=0.8)
+    upper.set(ylabel=f"torque [{unit}]")
+    lower.set(ylabel=f"residual [{unit}]", xlabel="time [s]")
+    upper.legend(loc="upper right", ncols=2)
+    return _gridded(figure)
+
+
+def draw_velocity(curves: Curves, unit: str, speed_unit: str) -> "Figure":
+    """Draw friction over velocity: measured torque less the mechanics, and the model."""
+    figure = _figure(11.0, 4.6)
+    left, right = figure.subplots(1, 2)
+    every = _every(curves)
+    velocity, measured = curves.velocity[every], (curves.friction + curves.residual)[every]
+    low = float(np.quantile(np.abs(curves.velocity), 0.25))
+    for axes, limit in ((left, None), (right, low)):
+        _points(axes, velocity, measured, MEASURED)
+        _points(axes, velocity, curves.friction[every], PREDICTED)
+        axes.set(xlabel=f"velocity [{speed_unit}]", ylabel=f"friction [{unit}]")
+        if limit:
+            axes.set_xlim(-limit, limit)
+            axes.set_title("the slowest quarter")
+    return _gridded(figure)
+
+
+def draw_residuals(curves: Curves, unit: str, speed_unit: str, place_unit: str) -> "Figure":
+    """Draw what is left over velocity, position and time, with means that show what the model misses."""
+    figure = _figure(11.0, 4.0)
+    every = _every(curves)
+    quantities = (
+        (curves.velocity, f"velocity [{speed_unit}]"),
+        (curves.position, f"position [{place_unit}]"),
+        (curves.time_s, "time [s]"),
+    )
+    all_axes = figure.subplots(1, 3, sharey=True)
+    for axes, (values, label) in zip(all_axes, quantities, strict=True):
+        _points(axes, values[every], curves.residual[every], MEASURED)
+        axes.plot(*_means(values, curves.residual), color=RESIDUAL, marker="o", markersize=3.0)
+        axes.set(xlabel=label)
+    all_axes[0].set(ylabel=f"residual [{unit}]")
+    return _gridded(figure)
+
+
+def draw_loops(curves: Curves, unit: str, place_unit: str) -> "Figure":
+    """Draw friction over position from one reversal to the next but one, where it turns round."""
+    figure = _figure(11.0, 4.6)
+    measured = curves.friction + curves.residual
+    loops = _loops(curves)
+    all_axes: Any = figure.subplots(1, max(len(loops), 1), sharey=True, squeeze=False)[0]
+    for axes, part in zip(all_axes, loops, strict=False):
+        axes.plot(curves.position[part], measured[part], color=MEASURED, linewidth=1.4)
+        axes.plot(curves.position[part], curves.friction[part], color=PREDICTED, linewidth=1.0)
+        axes.set(xlabel=f"position [{place_unit}]")
+        axes.tick_params(axis="x", labelrotation=45)
+    all_axes[0].set(ylabel=f"friction [{unit}]")
+    return _gridded(figure)
+
+
+def _figure(width: float, height: float) -> "Figure":
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(width, height), facecolor="white", layout="constrained")
+
+
+def _gridded(figure: "Figure") -> "Figure":
+    for axes in figure.axes:
+        axes.grid(alpha=0.3)
+    return figure
+
+
+def _points(axes: "Axes", x: Array, y: Array, color: str) -> None:
+    axes.plot(x, y, ".", color=color, markersize=2.0, rasterized=True)  # thousands of them as shapes are megabytes
+
+
+def _every(curves: Curves) -> slice:
+    return slice(None, None, 1 + len(curves.time_s) // _MOST_POINTS)
+
+
+def _broken(curves: Curves, values: Array) -> Array:
+    """A value for each point of a line, broken between recordings."""
+    every = 1 + len(values) // _MOST_POINTS
+    ends = np.flatnonzero(np.diff(curves.recording)) + 1
+    pieces = [np.append(piece[::every], np.nan) for piece in np.split(values, ends)]
+    return np.concatenate(pieces)
+
+
+def _means(values: Array, residual: Array) -> tuple[Array, Array]:
+    """Means of the residual in equally large ranges of values; of those that hold enough."""
+    low, high = float(values.min()), float(values.max())
+    place = np.clip(((values - low) / ((high - low) or 1.0) * _BINS).astype(int), 0, _BINS - 1)
+    count = np.bincount(place, minlength=_BINS)
+    is_known = count >= _LEAST_IN_BIN
+    sums = np.bincount(place, residual, _BINS)
+    centres = low + (np.arange(_BINS) + 0.5) * (high - low) / _BINS
+    return centres[is_known], sums[is_known] / count[is_known]
+
+
+def _loops(curves: Curves) -> list[slice]:
+    """Parts that go to and fro, spread over the range of travels."""
+    moving = np.abs(curves.velocity) > 1e-3 * np.max(np.abs(curves.velocity))
+    rows = np.flatnonzero(moving)
+    turns = rows[np.flatnonzero(np.diff(np.sign(curves.velocity[rows])) != 0) + 1]
+    parts = [slice(int(a), int(b) + 1) for a, b in zip(turns, turns[2:], strict=False)]
+    parts = [part for part in parts if curves.recording[part.start] == curves.recording[part.stop - 1]]
+    parts.sort(key=lambda part: float(np.ptp(curves.position[part])))
+    chosen = sorted({round(k) for k in np.linspace(0, len(parts) - 1, _LOOPS)}) if parts else []
+    return [parts[k] for k in chosen]

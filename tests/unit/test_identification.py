@@ -1,0 +1,367 @@
+"""Identification against recordings whose truth is known: every family, noise, units, what the data do not show."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import friction_hil as fh
+from friction_hil.errors import RecordingError, UsageError
+from friction_hil.identification import Identification, Settings, identify
+from friction_hil.identification.export import as_json, as_model_file, model_file
+from friction_hil.recordings import Recording
+
+MECHANICS = {"inertia": 0.02, "offset": 0.05}
+TRUTH: dict[str, dict[str, Any]] = {
+    "coulomb": {"coulomb": 0.3, "viscous": 0.05},
+    "stribeck": {"coulomb": 0.3, "static": 0.45, "stribeck_velocity": 0.3, "viscous": 0.05},
+    "power_law": {"coulomb": 0.3, "factor": 0.1, "exponent": 0.6},
+    "dahl": {"sigma0": 40.0, "coulomb": 0.3, "viscous": 0.05},
+    "lugre": {
+        "sigma0": 40.0,
+        "sigma1": 0.3,
+        "sigma2": 0.05,
+        "coulomb": 0.3,
+        "static": 0.45,
+        "stribeck_velocity": 0.3,
+        "damping_velocity": 0.3,
+    },
+    "elasto_plastic": {
+        "sigma0": 40.0,
+        "sigma1": 0.3,
+        "sigma2": 0.05,
+        "coulomb": 0.3,
+        "static": 0.45,
+        "stribeck_velocity": 0.3,
+        "damping_velocity": 0.3,
+        "breakaway_ratio": 0.6,
+    },
+    "bouc_wen": {"stiffness": 40.0, "beta": 80.0, "gamma": 50.0, "exponent": 1.2, "viscous": 0.05},
+    "gms": {
+        "stiffness": [60.0, 20.0, 8.0, 3.0],
+        "weight": [0.25] * 4,
+        "attraction": 4.0,
+        "coulomb": 0.3,
+        "static": 0.45,
+        "stribeck_velocity": 0.3,
+        "viscous": 0.05,
+    },
+    "armstrong": {
+        "coulomb": 0.3,
+        "static_released": 0.4,
+        "static_rested": 0.5,
+        "stribeck_velocity": 0.3,
+        "lag_s": 0.013,
+        "rise_s": 0.2,
+        "stiffness": 40.0,
+        "viscous": 0.05,
+    },
+}
+ROUGH = {"elasto_plastic", "armstrong"}  # their torque has corners in its parameters, where a search may rest
+PERIOD_S = 2e-3
+
+
+def motion(seconds: float = 16.0, dwell: bool = False) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Time, position and velocity: small and large cycles at several rates, fast enough for every parameter to show."""
+    time = np.arange(round(seconds / PERIOD_S)) * PERIOD_S
+    swings = ((0.4, 0.37, 0.3), (0.12, 1.3, 1.1), (0.01, 7.7, 0.5), (0.004, 19.0, 2.0))
+    velocity = sum(a * 2 * np.pi * f * np.cos(2 * np.pi * f * time + p) for a, f, p in swings)
+    velocity = velocity * (0.1 + np.abs(np.sin(2 * np.pi * 0.11 * time)))  # from presliding to full speed
+    if dwell:
+        velocity = np.where(np.sin(2 * np.pi * 0.6 * time + 0.7) > 0.5, 0.0, velocity)
+    return time, np.cumsum(velocity) * PERIOD_S, velocity
+
+
+def recorded(family: str, noise: float = 0.0, seed: int = 1, **changes: Any) -> Recording:
+    """The torque that a model and MECHANICS need for `motion`, with white noise of so much N m."""
+    modifiers = changes.pop("modifiers", None)
+    time, position, velocity = motion(dwell=family == "armstrong")
+    model = fh.models.create(family, modifiers=modifiers, **{**TRUTH[family], **changes})
+    torque = model.simulate(velocity, PERIOD_S, position=position)
+    torque = torque + MECHANICS["inertia"] * np.gradient(velocity, PERIOD_S) + MECHANICS["offset"]
+    torque = torque + noise * np.random.default_rng(seed).normal(size=len(time))
+    return Recording("made.csv", "x", {"time_s": time, "position": position, "velocity": velocity, "torque": torque})
+
+
+def found(*recordings: Recording, **settings: Any) -> Identification:
+    return identify(recordings, Settings(**{"gravity": "none", "has_modifiers": False, **settings}))
+
+
+def plain(result: Identification, family: str) -> Any:
+    (fit,) = (each for each in result.fits if each.label == family)
+    return fit
+
+
+@pytest.mark.parametrize("family", sorted(set(TRUTH) - ROUGH))
+def test_truth_is_found_again_without_noise(family: str) -> None:
+    fit = plain(found(recorded(family), families=(family,)), family)
+    parameters, modifiers = fit.friction
+    assert modifiers == {}
+    stiffness = parameters.get("stiffness")
+    if isinstance(stiffness, list):  # elements of one weight have no order
+        parameters["stiffness"] = sorted(stiffness, reverse=True)
+    for name, value in TRUTH[family].items():
+        assert parameters[name] == pytest.approx(value, rel=1e-6), name
+    assert fit.mechanics["inertia"] == pytest.approx(MECHANICS["inertia"], rel=1e-6)
+    assert fit.mechanics["offset"] == pytest.approx(MECHANICS["offset"], rel=1e-6)
+    assert fit.train.relative_error < 1e-7
+
+
+@pytest.mark.parametrize("family", sorted(ROUGH))
+def test_rough_families_come_close_to_their_truth(family: str) -> None:
+    fit = plain(found(recorded(family), families=(family,)), family)
+    assert fit.train.relative_error < 0.03
+    assert fit.mechanics["inertia"] == pytest.approx(MECHANICS["inertia"], rel=0.02)
+    stiffness = "stiffness" if family == "armstrong" else "sigma0"
+    assert fit.values[stiffness] == pytest.approx(TRUTH[family][stiffness], rel=0.1)
+
+
+def test_noise_leaves_parameters_within_their_stated_errors() -> None:
+    """25 recordings of LuGre: 95 % intervals hold the truth about as often, and are no wider than they must be."""
+    truth = {**TRUTH["lugre"], **MECHANICS}
+    names = [name for name in truth if name != "damping_velocity"]
+    values, errors = [], []
+    for seed in range(25):
+        fit = plain(found(recorded("lugre", noise=0.02, seed=seed), families=("lugre",)), "lugre")
+        values.append([fit.values[name] for name in names])
+        errors.append([fit.inference.standard_errors[name] for name in names])
+    off = np.array(values) - [truth[name] for name in names]
+    held = np.mean(np.abs(off) < 1.96 * np.array(errors))
+    assert 0.88 < held < 0.99
+    ratio = np.median(errors, axis=0) / np.std(off, axis=0)
+    assert np.all((ratio > 0.6) & (ratio < 1.6)), dict(zip(names, ratio, strict=True))
+
+
+def test_directions_are_found_and_chosen() -> None:
+    sides = {"positive": {"coulomb": 0.4, "viscous": 0.03}, "negative": {"coulomb": 0.25, "viscous": 0.08}}
+    time, position, velocity = motion()
+    model = fh.models.create("coulomb", coulomb=0.3, modifiers={"direction": sides})
+    torque = model.simulate(velocity, PERIOD_S) + 0.02 * np.gradient(velocity, PERIOD_S)
+    torque += 0.002 * np.random.default_rng(0).normal(size=len(time))
+    columns = {"time_s": time, "position": position, "velocity": velocity, "torque": torque}
+    result = found(Recording("made.csv", "x", columns), families=("coulomb",))
+    assert result.best.label == "coulomb + direction"
+    _, modifiers = result.best.friction
+    for side, wanted in sides.items():
+        assert modifiers["direction"][side] == pytest.approx(wanted, rel=0.01)
+    assert any("offset" in flag and flag.startswith("collinear") for flag in result.best.flags)
+
+
+def test_simple_truth_is_not_made_complicated() -> None:
+    result = found(recorded("coulomb", noise=0.02), families=("coulomb", "stribeck", "dahl", "power_law", "table"))
+    assert result.best.label == "coulomb"
+    assert "coulomb" in result.reason
+
+
+def test_stribeck_truth_beats_coulomb_and_says_why() -> None:
+    result = found(recorded("stribeck", noise=0.01), families=("coulomb", "stribeck"))
+    assert result.best.label == "stribeck"
+    assert "strokes of other speeds" in result.reason
+
+
+def test_level_below_coulomb_is_allowed() -> None:
+    fit = plain(found(recorded("stribeck", static=0.2), families=("stribeck",)), "stribeck")
+    assert fit.values["static"] == pytest.approx(0.2, rel=1e-6)
+
+
+def test_karnopp_is_stribeck_and_says_so() -> None:
+    recording = recorded("stribeck", noise=0.01)
+    one = plain(found(recording, families=("karnopp",)), "karnopp")
+    other = plain(found(recording, families=("stribeck",)), "stribeck")
+    assert one.values["static"] == pytest.approx(other.values["static"], rel=0.02)
+    assert any("stick_velocity" in flag for flag in one.flags)
+
+
+def test_units_only_scale_the_answer() -> None:
+    """The same recording in other units of torque and position: parameters follow, errors do not change."""
+    one = recorded("dahl", noise=0.01)
+    other = Recording("made.csv", "x", dict(one.columns))
+    other.columns["torque"] = 1e3 * one["torque"]
+    for name in ("position", "velocity"):
+        other.columns[name] = 1e-2 * one[name]
+    a, b = (plain(found(each, families=("dahl",)), "dahl") for each in (one, other))
+    assert b.train.relative_error == pytest.approx(a.train.relative_error, rel=1e-6)
+    for name, factor in {"coulomb": 1e3, "sigma0": 1e5, "viscous": 1e5, "inertia": 1e5, "offset": 1e3}.items():
+        assert b.values[name] == pytest.approx(factor * a.values[name], rel=1e-4), name
+        errors = [each.inference.standard_errors[name] for each in (a, b)]
+        assert errors[1] == pytest.approx(factor * errors[0], rel=1e-3), name
+
+
+def test_clock_does_not_matter() -> None:
+    one = recorded("stribeck", noise=0.01)
+    other = Recording("made.csv", "x", {**one.columns, "time_s": one["time_s"] + 1e6})
+    a, b = (plain(found(each, families=("stribeck",)), "stribeck") for each in (one, other))
+    assert b.values == pytest.approx(a.values, rel=1e-5)
+
+
+def test_same_seed_same_answer() -> None:
+    a, b = (found(recorded("lugre", noise=0.02), families=("lugre",), seed=3).best for _ in range(2))
+    assert a.values == b.values
+
+
+def test_outliers_count_less_with_the_robust_loss() -> None:
+    recording = recorded("coulomb", noise=0.005)
+    wrong = np.random.default_rng(5).choice(len(recording), len(recording) // 50, replace=False)
+    recording.columns["torque"][wrong] += 5.0
+    squares, huber = (
+        plain(found(recording, families=("coulomb",), is_robust=is_robust, decimation=1), "coulomb")
+        for is_robust in (False, True)
+    )
+    off = [abs(fit.values["offset"] - MECHANICS["offset"]) for fit in (squares, huber)]
+    assert off[1] < 0.1 * off[0]
+
+
+def test_pendulum_is_recognised() -> None:
+    recording = recorded("coulomb", noise=0.01)
+    recording.columns["torque"] += 0.5 * np.sin(recording["position"]) - 0.2 * np.cos(recording["position"])
+    best = identify([recording], Settings(families=("coulomb",), has_modifiers=False)).best
+    assert best.mechanics["gravity.sine"] == pytest.approx(0.5, rel=0.02)
+    assert best.mechanics["gravity.cosine"] == pytest.approx(-0.2, abs=0.02)
+    level = identify([recorded("coulomb", noise=0.01)], Settings(families=("coulomb",), has_modifiers=False)).best
+    assert level.mechanics["gravity.sine"] == 0.0
+
+
+def test_vertical_axis_has_constant_gravity() -> None:
+    recording = recorded("coulomb")
+    recording.columns["torque"] += 2.0
+    fit = plain(found(recording, families=("coulomb",), gravity="constant"), "coulomb")
+    assert fit.mechanics["gravity.constant"] == pytest.approx(2.0 + MECHANICS["offset"], rel=1e-6)
+    assert fit.mechanics["offset"] == 0.0
+
+
+def test_load_that_raises_friction_is_found() -> None:
+    time, position, velocity = motion()
+    load = 0.8 * np.sin(2.0 * np.pi * 0.23 * time)
+    model = fh.models.create("coulomb", coulomb=0.3, viscous=0.05, modifiers={"load": {"motoring": 0.3, "driven": 0.1}})
+    torque = model.simulate(velocity, PERIOD_S, load_torque=load) + 0.02 * np.gradient(velocity, PERIOD_S)
+    torque += 0.005 * np.random.default_rng(2).normal(size=len(time))
+    columns = {"time_s": time, "position": position, "velocity": velocity, "torque": torque, "load_torque": load}
+    result = found(Recording("made.csv", "x", columns), families=("coulomb",), has_modifiers=True)
+    assert "load" in result.best.structure.modifiers
+    _, modifiers = result.best.friction
+    assert modifiers["load"] == pytest.approx({"motoring": 0.3, "driven": 0.1}, rel=0.05)
+
+
+def test_ripple_is_found_at_its_order() -> None:
+    recording = recorded("coulomb", noise=0.005)
+    recording.columns["torque"] += 0.05 * np.cos(30.0 * recording["position"])
+    result = found(recording, families=("coulomb",), has_modifiers=True)
+    _, modifiers = result.best.friction
+    sizes = {each["order"]: np.hypot(each["cosine"], each["sine"]) for each in modifiers["ripple"]}
+    order = max(sizes, key=lambda order: sizes[order])
+    assert order == pytest.approx(30.0, rel=0.02)
+    assert sizes[order] == pytest.approx(0.05, rel=0.1)
+
+
+def test_held_values_stay_and_the_rest_is_found() -> None:
+    held = {"inertia": 0.021, "sigma0": 42.0}
+    fit = plain(found(recorded("dahl"), families=("dahl",), held=held), "dahl")
+    assert fit.mechanics["inertia"] == 0.021
+    assert fit.friction[0]["sigma0"] == 42.0
+    assert set(fit.inference.names) == {"coulomb", "viscous", "offset"}
+
+
+def test_constant_speed_alone_cannot_tell_level_from_viscous() -> None:
+    time = np.arange(4000) * PERIOD_S
+    velocity = 0.5 * np.sign(np.sin(2.0 * np.pi * 0.25 * time + 0.1))
+    torque = 0.3 * np.sign(velocity) + 0.05 * velocity + 0.01 * np.random.default_rng(0).normal(size=len(time))
+    columns = {"time_s": time, "position": np.cumsum(velocity) * PERIOD_S, "velocity": velocity, "torque": torque}
+    fit = plain(found(Recording("made.csv", "x", columns), families=("coulomb",)), "coulomb")
+    told = [flag for flag in fit.flags if flag.startswith("collinear") and "coulomb" in flag and "viscous" in flag]
+    assert told
+    assert "wider range" in told[0]
+
+
+def test_presliding_that_is_never_seen_is_told() -> None:
+    """Sliding in one direction alone shows no stiffness."""
+    time = np.arange(6000) * PERIOD_S
+    velocity = 1.0 + 0.6 * np.sin(2.0 * np.pi * 0.5 * time)
+    model = fh.models.create("dahl", sigma0=1e4, coulomb=0.3, viscous=0.05)
+    torque = model.simulate(velocity, PERIOD_S) + 0.02 * np.gradient(velocity, PERIOD_S)
+    torque += 0.01 * np.random.default_rng(0).normal(size=len(time))
+    columns = {"time_s": time, "position": np.cumsum(velocity) * PERIOD_S, "velocity": velocity, "torque": torque}
+    fit = plain(found(Recording("made.csv", "x", columns), families=("dahl",)), "dahl")
+    told = [flag for flag in fit.flags if "sigma0" in flag and not flag.startswith("collinear")]
+    assert told
+    assert "presliding" in told[0]
+
+
+def test_validation_recording_decides() -> None:
+    true, other = recorded("stribeck", noise=0.01), recorded("stribeck", noise=0.01, seed=9)
+    result = identify([true], Settings(families=("coulomb", "stribeck"), gravity="none"), validation=[other])
+    assert result.best.structure.family == "stribeck"
+    assert result.best.validation is not None
+    assert result.best.validation.relative_error == pytest.approx(result.best.train.relative_error, rel=0.3)
+    assert "validation" in result.reason
+
+
+def test_several_recordings_are_one_fit() -> None:
+    parts = [recorded("stribeck", noise=0.01, seed=seed) for seed in range(2)]
+    fit = plain(found(*parts, families=("stribeck",)), "stribeck")
+    alone = plain(found(parts[0], families=("stribeck",)), "stribeck")
+    assert len(fit.curves.measured) == 2 * len(alone.curves.measured)
+    assert fit.inference.standard_errors["static"] < 0.85 * alone.inference.standard_errors["static"]
+
+
+def test_model_file_predicts_what_was_fitted() -> None:
+    """What is written gives the error that was stated, through replay, which knows nothing of identification."""
+    from friction_hil.replay import replay
+
+    recording = recorded("lugre", noise=0.02)
+    result = found(recording, families=("lugre",), decimation=1)
+    (prediction,) = replay(recording, {"found": model_file(result)}).predictions
+    assert prediction.relative_error == pytest.approx(result.best.train.relative_error, rel=1e-6)
+    content = as_model_file(result)
+    assert content["fit"]["recordings"] == [{"path": "made.csv", "rows": len(recording)}]
+    assert content["fit"]["train"]["relative_error"] == pytest.approx(prediction.relative_error, rel=1e-6)
+
+
+def test_json_has_what_the_contract_names() -> None:
+    result = found(recorded("coulomb", noise=0.01), families=("coulomb",))
+    document = as_json(result)
+    assert document["best"] == result.best.label
+    names = {"model", "parameters", "modifiers", "standard_errors", "correlations", "mechanics", "train"}
+    assert all(names | {"cross_validation", "validation", "flags"} <= set(fit) for fit in document["fits"])
+
+
+def test_curves_add_up() -> None:
+    curves = found(recorded("dahl", noise=0.01), families=("dahl",)).best.curves
+    np.testing.assert_allclose(curves.residual, curves.measured - curves.predicted, atol=1e-12)
+    assert len(curves.time_s) == len(curves.velocity) == len(curves.position) == len(curves.measured)
+    mechanics = curves.predicted - curves.friction
+    np.testing.assert_allclose(mechanics - mechanics.mean(), MECHANICS["inertia"] * curves.acceleration, atol=0.01)
+
+
+@pytest.mark.parametrize(
+    ("change", "settings", "error", "message"),
+    [
+        ({"torque": None}, {}, RecordingError, "no column torque"),
+        ({"position": None}, {}, RecordingError, "no column position"),
+        ({"torque": 0.0}, {}, RecordingError, "torque is zero in every row"),
+        ({"velocity": 0.0}, {}, RecordingError, "does not move"),
+        ({}, {"families": ("lugree",)}, UsageError, "did you mean 'lugre'"),
+        ({}, {"held": {"coulom": 1.0}}, UsageError, "did you mean 'coulomb'"),
+        ({}, {"held": {"coulomb": -1.0}}, UsageError, "coulomb"),
+        ({}, {"lowpass_hz": 300.0}, UsageError, "half the sampling rate, 250 Hz"),
+        ({}, {"lowpass_hz": 0.5}, RecordingError, "too few"),
+        ({}, {"decimation": 0}, UsageError, "whole number from 1"),
+    ],
+)
+def test_mistakes_are_told(
+    change: dict[str, float | None], settings: dict[str, Any], error: type[Exception], message: str
+) -> None:
+    recording = recorded("coulomb")
+    for name, value in change.items():
+        if value is None:
+            del recording.columns[name]
+        else:
+            recording.columns[name] = np.full(len(recording), value)
+    with pytest.raises(error, match=message):
+        found(recording, **{"families": ("coulomb",), **settings})
+
+
+def test_short_recording_is_refused() -> None:
+    recording = recorded("coulomb")
+    recording.columns = {name: values[:40] for name, values in recording.columns.items()}
+    with pytest.raises(RecordingError, match="40 rows without a gap are too few"):
+        found(recording, families=("coulomb",))
