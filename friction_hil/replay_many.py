@@ -1,4 +1,4 @@
-"""Many recordings through many models: one task a file, on all cores.
+"""Many recordings through many models: one task a file, on all cores or on a cluster.
 
 A task is plain values, and so is its outcome: the same map runs in this process, in a pool, or elsewhere.
 """
@@ -30,7 +30,8 @@ class Task:
     """One file to be replayed; see ``friction-hil replay`` for the options.
 
     ``models`` are arguments of ``--model``: where there are none, the recording's own is taken. ``picture`` is
-    where to draw; ``name`` and the axis are added to it unless the file ``is_only`` and has one axis.
+    where to draw; ``name`` and the axis are added to it unless the file ``is_only`` and has one axis. ``folder`` is
+    where relative paths of files start that are read; the current directory when empty.
     """
 
     source: str
@@ -45,6 +46,7 @@ class Task:
     picture: str | None = None
     name: str = ""
     is_only: bool = True
+    folder: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,23 +68,39 @@ class Outcome:
     picture: str | None = None
 
 
-def replay_many(tasks: Sequence[Task], *, on_done: Callable[[], None] = lambda: None) -> list[list[Outcome]]:
-    """Run tasks on all cores, and give their outcomes in the order of the tasks.
+def replay_many(
+    tasks: Sequence[Task],
+    *,
+    scheduler: str | None = None,
+    on_done: Callable[[], None] = lambda: None,
+    on_note: Callable[[str], None] = lambda _: None,
+) -> list[list[Outcome]]:
+    """Run tasks on all cores or on a cluster, and give their outcomes in the order of the tasks.
 
     Parameters
     ----------
     tasks : sequence of Task
         One a file.
+    scheduler : str, optional
+        Address of a Dask scheduler, ``tcp://host:port``, whose workers do the work; the results are the same.
     on_done : callable
         Called when a file is done.
+    on_note : callable
+        Called with a sentence where the work has to wait for workers.
 
     Raises
     ------
     FrictionHilError
-        A worker process died.
+        A worker process of this machine died, or the cluster cannot do the work; see `run_on_cluster`.
     """
     outcomes: list[list[Outcome]] = [[] for _ in tasks]
-    for place, found in _map(tasks):
+    if scheduler is None:
+        results = _map(tasks)
+    else:
+        from friction_hil.cluster import run_on_cluster
+
+        results = run_on_cluster(tasks, scheduler, on_note=on_note)
+    for place, found in results:
         outcomes[place] = found
         on_done()
     return outcomes
@@ -119,10 +137,11 @@ def run(task: Task) -> list[Outcome]:
         found = _read(task)
         return [_replay(task, recording, is_only=task.is_only and len(found) == 1) for recording in found]
     except FrictionHilError as error:
-        return [_failed(task.source, task.axis, error)]
+        return [failed(task.source, task.axis, error)]
 
 
-def _failed(path: str, axis: str | None, error: FrictionHilError) -> Outcome:
+def failed(path: str, axis: str | None, error: FrictionHilError) -> Outcome:
+    """Make the outcome of a file, or an axis of it, that could not be replayed."""
     facts: dict[str, Any] = {
         "path": path,
         "axis": axis,
@@ -143,11 +162,16 @@ def _read(task: Task) -> "list[Recording]":
         "columns": task.columns,
         "scale": task.scale,
         "only": None if task.is_verifying else _NEEDED,
-        "configuration": None if task.config is None else load(task.config),
+        "configuration": None if task.config is None else load(os.path.join(task.folder, task.config)),
     }
+    path = os.path.join(task.folder, task.source)
     if task.axis is None:
-        return list(recordings.read_all(task.source, **options).values())
-    return [recordings.read(task.source, task.axis, **options)]
+        found = list(recordings.read_all(path, **options).values())
+    else:
+        found = [recordings.read(path, task.axis, **options)]
+    for recording in found:
+        recording.path = str(Path(task.source))  # as the user wrote it, wherever this process runs
+    return found
 
 
 def _replay(task: Task, recording: "Recording", *, is_only: bool) -> Outcome:
@@ -156,7 +180,7 @@ def _replay(task: Task, recording: "Recording", *, is_only: bool) -> Outcome:
     verification = replay = None
     drawn = None
     try:
-        configuration = None if task.config is None else load(task.config)
+        configuration = None if task.config is None else load(os.path.join(task.folder, task.config))
         if task.is_verifying:
             from friction_hil.verify import verify
 
@@ -164,7 +188,7 @@ def _replay(task: Task, recording: "Recording", *, is_only: bool) -> Outcome:
         if task.models or not task.is_verifying:
             from friction_hil.replay import replay as predict
 
-            models = {argument: model_from_argument(argument) for argument in task.models}
+            models = {argument: model_from_argument(_model_place(task, argument)) for argument in task.models}
             models = models or _own_model(recording, configuration)
             replay = predict(recording, models, lowpass_hz=task.lowpass_hz, decimate=task.decimate)
             if task.picture is not None:
@@ -176,9 +200,14 @@ def _replay(task: Task, recording: "Recording", *, is_only: bool) -> Outcome:
                 draw(replay, picture)
                 drawn = str(picture)
     except FrictionHilError as error:
-        return _failed(recording.path, recording.axis, error)
+        return failed(recording.path, recording.axis, error)
     is_bad = verification is not None and not verification.is_verified
     return Outcome(_facts(recording, replay, verification), int(is_bad), drawn)
+
+
+def _model_place(task: Task, argument: str) -> str:
+    path = os.path.join(task.folder, argument)
+    return path if os.path.isfile(path) else argument  # an argument may also be NAME:coulomb=0.08
 
 
 def _own_model(recording: "Recording", configuration: "Configuration | None") -> "dict[str, ModelFile]":

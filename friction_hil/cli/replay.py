@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -38,6 +39,12 @@ _WIDE = 1000
 @click.option("--lowpass", "lowpass_hz", type=float, metavar="HZ", help="Low-pass everything, without delay.")
 @click.option("--decimate", type=click.IntRange(min=1), default=1, metavar="N", help="Keep each N-th sample.")
 @click.option("--output", type=click.Path(path_type=Path), metavar="PICTURE", help="Draw into PICTURE (.png, .svg).")
+@click.option(
+    "--scheduler",
+    metavar="ADDRESS",
+    help="Work on the Dask cluster with this scheduler, e.g. tcp://10.0.0.5:8786, in place of this machine's cores. "
+    "Its workers read the files: they must reach them by the same paths.",
+)
 @option_json
 def command(
     sources: tuple[Path, ...],
@@ -50,6 +57,7 @@ def command(
     lowpass_hz: float | None,
     decimate: int,
     output: Path | None,
+    scheduler: str | None,
     as_json: bool,
 ) -> int:
     """Predict the torque of each RECORDING with each model, and compare it with the measured torque.
@@ -94,7 +102,8 @@ def command(
         for file, name in zip(files, _short_names(files), strict=True)
     ]
     with _progress(len(tasks)) as on_done:
-        outcomes = [outcome for found in replay_many(tasks, on_done=on_done) for outcome in found]
+        found = replay_many(tasks, scheduler=scheduler, on_done=on_done, on_note=partial(click.echo, err=True))
+    outcomes = [outcome for each in found for outcome in each]
     if as_json:
         print_json({"recordings": [outcome.facts for outcome in outcomes]})
     else:

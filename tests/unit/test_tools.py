@@ -10,6 +10,9 @@ from pathlib import Path
 
 import pytest
 
+from friction_hil.errors import FrictionHilError
+from friction_hil.recordings import formats, read, write
+from tools.benchmarks import models, recordings
 from tools.benchmarks.report import Row, compare, percentile, show
 
 PROJECT = Path(__file__).parents[2]
@@ -353,7 +356,36 @@ def test_unknown_benchmark_is_answered_with_what_there_is() -> None:
     command = [sys.executable, "-m", "tools.benchmarks", "latenzy"]
     done = subprocess.run(command, cwd=PROJECT, capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (2, "")
-    assert "did you mean 'latency'? There are: compensation, exchange, help, latency" in done.stderr
+    assert "did you mean 'latency'? There are: compensation, exchange, help, latency, models" in done.stderr
+    assert ", recordings\n" in done.stderr
+
+
+def test_benchmark_of_recordings_has_every_format(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(models, "ROUNDS", 1)
+    monkeypatch.setattr(recordings, "ROWS", 300)
+    monkeypatch.setattr(recordings, "TEXT_ROWS", 200)
+    show(recordings.run(), as_json=True)
+    result = json.loads(capsys.readouterr().out)
+    assert set(result) == {"machine", "rows"}
+    for row in result["rows"]:
+        assert set(row) == {"name", "value", "unit", "reference", "ratio"}
+        assert all(row[number] > 0.0 for number in ("value", "reference", "ratio")), row
+    names = [row["name"] for row in result["rows"]]
+    measured = {name.partition(",")[0] for name in names if name.startswith(".")}
+    assert {".hdf5", *measured} == set(formats(to_write=True))  # .hdf5 and .h5 are one format
+    assert [row["unit"] for row in result["rows"][-3:]] == ["M rows/s", "M rows/s", "M samples/s"]
+
+
+def test_benchmark_of_recordings_compares_equal_work(tmp_path: Path) -> None:
+    path = tmp_path / "x.npz"
+    write(path, recordings.recording(50))
+    ours = read(path).columns
+    recordings.check(path, ours, recordings.npz(path))
+    other = ours | {"torque": ours["torque"] + 1e-15}
+    with pytest.raises(FrictionHilError, match="other columns or values"):
+        recordings.check(path, ours, other)
 
 
 def test_ratio_of_a_comparison_is_that_of_single_rounds() -> None:
