@@ -7,7 +7,7 @@ import click
 
 from friction_hil.cli.output import console, option_json, print_json
 from friction_hil.cli.recording_options import recording_options
-from friction_hil.errors import RecordingError
+from friction_hil.errors import RecordingError, UsageError
 
 if TYPE_CHECKING:
     from friction_hil.recordings import Recording
@@ -44,10 +44,15 @@ def command(
 
     In place of --column, IN.columns.yaml beside IN, or columns.yaml for all files of its folder, may say
     `columns: {time_s: t, torque: vir*35.15}`.
+
+    A model file of a trained network becomes ONNX, for controllers that run it: net.yaml net.onnx.
     """
     if info == (target is not None):
         raise click.UsageError("give OUT, or --info" if target is None else "--info writes nothing: leave OUT away")
 
+    if target is not None and target.suffix.lower() == ".onnx":
+        _write_onnx(source, target, force)
+        return
     from friction_hil import recordings
     from friction_hil.config import load
 
@@ -159,3 +164,12 @@ def _print(name: str, facts: dict[str, Any]) -> None:
         out.print(f"{facts['restart_points']} restart points; metadata: {', '.join(facts['metadata'])}", markup=False)
     for event in facts["events"]:
         out.print(f"cycle {event['cycle']:.0f}: {event['name']}: {event['text']}", markup=False)
+
+
+def _write_onnx(source: Path, target: Path, force: bool) -> None:
+    from friction_hil import models, onnx_file
+
+    model = models.load(source)
+    if target.exists() and not force:
+        raise UsageError(f"{target} exists already; --force replaces it")
+    onnx_file.write(model, target)

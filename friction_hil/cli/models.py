@@ -63,7 +63,7 @@ def _find(name: str) -> "tuple[Family, ModelFile | None]":
     from friction_hil import models
     from friction_hil.config import model_from_argument
 
-    if name in models.names():
+    if name in models.names() or name == models.NETWORK_ALONE.name:
         return models.describe(name), None
     try:
         own = model_from_argument(name)
@@ -72,7 +72,7 @@ def _find(name: str) -> "tuple[Family, ModelFile | None]":
         raise ConfigurationError(problems) from None
     except UsageError as error:
         raise UsageError(str(error).removeprefix(_OPTION)) from None
-    return models.describe(own.friction.model), own
+    return own.friction_model.family, own
 
 
 def _draw(family: "Family", own: "ModelFile | None", name: str, picture: Path) -> None:
@@ -192,6 +192,7 @@ def _described(family: "Family", own: "ModelFile | None" = None) -> dict[str, An
         "file": own.source_path,
         "axis": own.axis,
         "modifiers": model.modifiers,
+        "network": None if model.network is None else model.network.as_dict(),
         "notes": list(model.notes),
     }
 
@@ -218,9 +219,17 @@ def _print(family: "Family", own: "ModelFile | None", name: str) -> None:
     for line in family.formula.split(";  "):
         _say(out, line, indent=2)
     click.echo()
-    _print_table(out, _parameter_table(family, model))
-    click.echo()
-    if model is None:
+    if family.parameters:
+        _print_table(out, _parameter_table(family, model))
+        click.echo()
+    if model is not None and model.network is not None:
+        network, speed = model.network, _unit("[rad/s]", model).strip("[]")
+        _say(
+            out,
+            f"Network: {network}, trained at {network.period_s:g} s up to {network.speed_limit:g} {speed}; beyond, "
+            f"{network.beyond}.",
+        )
+    if model is None and family.parameters:
         _say(out, "What has no default must be given. On a linear axis N m is N, and rad is m.")
     if family.states:
         _say(out, f"State: {'; '.join(_unit(each, model) for each in family.states)}")
@@ -230,6 +239,8 @@ def _print(family: "Family", own: "ModelFile | None", name: str) -> None:
         _say(out, f"Note: {note}")
     _say(out, f"Source: {family.source}")
 
+    if not family.parameters or (model is not None and model.network is not None):
+        return  # weights are nothing to read
     content: dict[str, Any] = {"model": family.name, "parameters": dict(family.example)}
     if own is not None:  # as it was given: a default may be that of a direction
         content["parameters"] = own.friction.parameters

@@ -125,6 +125,8 @@ class Compensator:
                 f"adaptation_s = {settings.adaptation_s:g} must be 0, for none, or at least "
                 f"{_LEAST_ADAPTATION_S:g} s, several times its filter"
             )
+        if model.network is not None:
+            model.network.require(True, True, settings.period_s)
         self.model = model
         self.settings = settings
         self.estimator = _estimator(model, settings)

@@ -18,13 +18,18 @@ from friction_hil.jit import Array
 from friction_hil.models.dispatch import FAMILIES
 from friction_hil.models.family import Family
 from friction_hil.models.model import Axis, FrictionModel, Runner
+from friction_hil.models.network_model import NETWORK_ALONE, Network, Structure
 from friction_hil.models.parameters import InvalidParameterError, describe_brief
 
 __all__ = [
+    "NETWORK_ALONE",
+    "Axis",
     "Family",
     "FrictionModel",
     "InvalidParameterError",
+    "Network",
     "Runner",
+    "Structure",
     "create",
     "describe",
     "describe_brief",
@@ -47,6 +52,8 @@ def describe(name: str) -> Family:
     UsageError
         No model has that name; the message lists those that exist.
     """
+    if name == NETWORK_ALONE.name:
+        return NETWORK_ALONE
     try:
         return FAMILIES[name]
     except (KeyError, TypeError):
@@ -77,6 +84,10 @@ def create(
     InvalidParameterError
         A parameter is unknown, missing, not finite or outside its bounds.
     """
+    if name == NETWORK_ALONE.name:
+        raise UsageError(
+            "a network comes from a model file, which 'friction-hil train' writes: friction_hil.models.load"
+        )
     return FrictionModel(describe(name), parameters, modifiers, axis)
 
 

@@ -76,7 +76,9 @@ def _back(z: float, target: float, yielding: float, slope: float, path: float) -
         return after, path
     # the linear equation dz/dx = rate - slope (z - z0) reaches zero after the path `crossing`
     bend = slope * z / rate
-    crossing = 0.0 - z / rate * (log1p(bend) / bend if bend != 0.0 else 1.0 - 0.5 * bend)
+    # the series where the quotient's derivative would cancel
+    share = log1p(bend) / bend if abs(bend) > 1e-5 else 1.0 - bend * (0.5 - bend * (1.0 / 3.0 - 0.25 * bend))
+    crossing = 0.0 - z / rate * share
     return 0.0 * z, crossing if crossing < path else path
 
 

@@ -204,11 +204,14 @@ def _choose_buffer(parameters: Any, length: Any) -> Any:
     return lambda parameters, length: np.empty(length)
 
 
+_SMALL = 1e-5  # where the next term of the series is below the last bit
+
+
 @compiled
 def mean_decay(x: float) -> float:
     """Mean of e^-t for t from 0 to ``x``, of either sign: (1 - e^-x) / x."""
-    if x > 0.0:
+    if x > _SMALL:
         return approach(x) / x
-    if x < 0.0:
+    if x < -_SMALL:
         return approach(-x) / (-x * decay(-x))
-    return 1.0 - 0.5 * x
+    return 1.0 - x * (0.5 - x * (1.0 / 6.0 - x / 24.0))  # the derivative of the quotient would cancel

@@ -2,12 +2,12 @@
 
 A model's parameters are one flat array, ``p``::
 
-    0                whether there are modifiers
-    1, 2             where the parameters for negative motion begin, and the modifiers
-    3 ...            the model's own parameters, in the order of its family's `pack`
+    0                whether there are modifiers, or a network
+    1, 2, 3          where the parameters for negative motion begin, the modifiers, and the network (0: none)
+    4 ...            the model's own parameters, in the order of its family's `pack`
 
-and its state another, ``s``: the family's own states from 0 on and, in the last place, the direction of the last
-motion. Each family has ``step(p, s, velocity, level_velocity, dt, extra, scale, applied_torque, epsilon)`` and
+and its state another, ``s``: the family's own states from 0 on, the direction of the last motion, and the state of
+the network. Each family has ``step(p, s, velocity, level_velocity, dt, extra, scale, applied_torque, epsilon)`` and
 ``steady(p, velocity, extra, scale)``, with ``p`` beginning at its own parameters; ``extra`` and ``scale`` are
 what load and temperature do to its level.
 """
@@ -17,9 +17,9 @@ from typing import Any
 
 from numba import types
 
-from friction_hil.dual import borrowed_at, primal
+from friction_hil.dual import DualArrayType, borrowed_at, overloaded, primal
 from friction_hil.jit import Array, compiled, compiled_for_one_sample, inlined
-from friction_hil.models import modifiers
+from friction_hil.models import modifiers, network
 from friction_hil.models.curves import direction
 from friction_hil.models.dispatch import (
     FAMILY_STATES,
@@ -32,15 +32,34 @@ from friction_hil.models.dispatch import (
 )
 from friction_hil.models.elementary import part, whole
 
-HEADER = 3
+HEADER = 4
 _CACHED = 32768  # samples, a quarter of a megabyte: what is read twice is still in the cache
-PARAMETER_ROOM = 640  # a full table for each direction, and the modifiers
-STATE_ROOM = FAMILY_STATES + 1
-DIRECTION = STATE_ROOM - 1
+PARAMETER_ROOM = 2048  # a full table for each direction, the modifiers, and what is left for a network
+DIRECTION = FAMILY_STATES
+NETWORK = DIRECTION + 1
+STATE_ROOM = NETWORK + network.STATE_ROOM
 WHOLE_ROOM = 2 + PARAMETER_ROOM + STATE_ROOM
 
 _level_extra, _level_scale = modifiers.level_extra, modifiers.level_scale
 _fast_torque, _ripple_torque = modifiers.fast_torque, modifiers.ripple_torque
+_network_step = network.step_apart
+
+
+def _learned_torque(p: Array, s: Array, *inputs: Any) -> float:
+    """Torque of the network, N m; 0 without one, and to automatic differentiation, which has no use for it."""
+    raise NotImplementedError  # compiled code only
+
+
+@overloaded(_learned_torque)
+def _choose_learned_torque(p: Any, s: Any, *inputs: Any) -> Any:
+    if isinstance(p, DualArrayType):
+        return lambda p, s, *inputs: 0.0
+
+    def of_network(p, s, *inputs):  # type: ignore[no-untyped-def]
+        begin = int(p[3])
+        return _network_step(part(p, begin), part(s, NETWORK), *inputs) if begin > 0 else 0.0
+
+    return of_network
 
 
 @inlined
@@ -101,7 +120,8 @@ def step(
     fast = _fast_torque(m, level_velocity)
     if is_stuck and epsilon == 0.0 and number(kind) <= LAST_STATIC:
         fast = 0.0  # friction balances what is applied, and nothing else
-    return torque + fast + ripple
+    learned = _learned_torque(p, s, velocity, level_velocity, dt, position, load_torque, temperature)
+    return torque + fast + ripple + learned
 
 
 @compiled_for_one_sample

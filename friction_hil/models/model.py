@@ -12,9 +12,10 @@ from numpy.typing import ArrayLike
 from friction_hil.dual import WIDTH
 from friction_hil.errors import UsageError, choices
 from friction_hil.jit import Array
-from friction_hil.models import dispatch, kernel, sensitivity
+from friction_hil.models import dispatch, kernel, network, sensitivity
 from friction_hil.models.family import Family
 from friction_hil.models.modifiers import SIDES, check_modifiers, pack_modifiers
+from friction_hil.models.network_model import NETWORK_ALONE, Network
 from friction_hil.models.parameters import check_all
 
 Axis = Literal["rotary", "linear"]
@@ -43,6 +44,8 @@ class FrictionModel:
         Every parameter by name, defaults filled in, SI.
     modifiers : dict
         Modifiers by name, defaults filled in; see `friction_hil.models.modifiers`.
+    network : Network or None
+        Trained network whose torque is added; of the family `NETWORK_ALONE`, there is nothing else.
     free : tuple of str
         Names of all numbers that have a gradient, e.g. ``coulomb``, ``weight[1]``, ``load.motoring``.
     kind : int
@@ -53,7 +56,19 @@ class FrictionModel:
         What is unusual but allowed.
     """
 
-    __slots__ = ("_places", "axis", "family", "free", "given", "kind", "modifiers", "notes", "parameters", "values")
+    __slots__ = (
+        "_places",
+        "axis",
+        "family",
+        "free",
+        "given",
+        "kind",
+        "modifiers",
+        "network",
+        "notes",
+        "parameters",
+        "values",
+    )
 
     def __init__(
         self,
@@ -61,8 +76,10 @@ class FrictionModel:
         parameters: Mapping[str, Any],
         modifiers: Mapping[str, Any] | None = None,
         axis: Axis = "rotary",
+        trained: Network | None = None,
     ) -> None:
         self.family = family
+        self.network = trained
         self.axis = axis
         if axis not in ("rotary", "linear"):
             raise UsageError(f"axis is 'rotary' or 'linear', not {axis!r}")
@@ -70,14 +87,20 @@ class FrictionModel:
         self.parameters = check_all(family.name, family.parameters, parameters)
         family.check(self.parameters)
         self.modifiers = check_modifiers(family, parameters, modifiers or {})
-        self.kind = dispatch.KINDS[family.name]
+        self.kind = dispatch.KINDS.get(family.name, dispatch.COULOMB)  # of a network alone: of nothing
         self.values, self._places = self._pack()
         self.free = tuple(dict.fromkeys(name for name, _ in self._places if name is not None))
         self.notes = tuple(self._notes())
 
+    @property
+    def _has_more(self) -> bool:
+        """Whether there is more than the family itself."""
+        return bool(self.modifiers) or self.network is not None
+
     def __repr__(self) -> str:
         words = [f"{name}={_brief(value)}" for name, value in self.parameters.items()]
         words += [f"modifiers={self.modifiers}"] if self.modifiers else []
+        words += [f"network={self.network}"] if self.network is not None else []
         return f"{self.family.name}({', '.join(words)})"
 
     def _side(self, side: str) -> dict[str, Any]:
@@ -103,9 +126,17 @@ class FrictionModel:
             places += zip(names, pack.factors or [1.0] * len(names), strict=True)
         begins = [kernel.HEADER, *(kernel.HEADER + end for end in accumulate(map(len, packs)))]
         changes = pack_modifiers(self.modifiers, 2.0 * math.pi if self.axis == "linear" else 1.0)
-        content = [float(bool(self.modifiers)), begins[len(packs) - 1], begins[-1], *chain(*packs), *changes.values]
+        content = [*chain(*packs), *changes.values]
+        end = kernel.HEADER + len(content)
         values = np.zeros(kernel.PARAMETER_ROOM)
-        values[: len(content)] = content
+        values[:4] = self._has_more, begins[len(packs) - 1], begins[-1], 0.0 if self.network is None else end
+        values[kernel.HEADER : end] = content
+        if self.network is not None:
+            learned = self.network.values
+            room = kernel.PARAMETER_ROOM - end
+            if learned.size > room:
+                raise UsageError(f"the network takes {learned.size} numbers; beside {self.family.name} fit {room}")
+            values[end : end + learned.size] = learned
         return values, [*places, *((name, 1.0) for name in changes.names)]
 
     def _name(self, name: str | None, side: str, own: Mapping[str, Any]) -> str | None:
@@ -141,13 +172,15 @@ class FrictionModel:
     @property
     def level(self) -> float:
         """Break-away level: the largest torque of slow motion in either direction, without other modifiers, N m."""
-        return max(self.family.level(self._side(side)) for side in SIDES)
+        own = max(self.family.level(self._side(side)) for side in SIDES)
+        return own if self.network is None else max(own, self.network.level)
 
     @property
     def presliding_stiffness(self) -> float:
         """Slope of torque over position when motion begins, in the stiffer direction, N m/rad; 0 of a static map."""
-        if self.family.is_static:
-            return 0.0
+        learned = 0.0 if self.network is None else self.network.presliding_stiffness
+        if self.family.is_static or self.family is NETWORK_ALONE:
+            return learned
         time_s = 1e6  # so slowly that no damping shows
         stiffnesses = []
         for side in SIDES:
@@ -156,7 +189,7 @@ class FrictionModel:
                 position = 1e-6 * plain.level / stiffness
                 stiffness = float(plain.simulate([position / time_s], time_s)[0]) / position
             stiffnesses.append(stiffness)
-        return max(stiffnesses)
+        return max(stiffnesses) + learned
 
     def initial_state(self) -> Array:
         """State at rest with nothing deflected."""
@@ -207,8 +240,12 @@ class FrictionModel:
         if out is not None and np.may_share_memory(out, inputs[0]):
             raise UsageError("out must not share memory with the velocity")
         kind, state = dispatch.tag(self.kind), self.initial_state()
-        v, steps, *_, applied = inputs
-        if not self.modifiers and steps.size == 1 and applied.size == 1:
+        v, steps, where, load, warmth, applied = inputs
+        if self.network is not None and self.family is NETWORK_ALONE and not self.modifiers and steps.size == 1:
+            _require_finite("velocity", v)
+            network.run(self.network.values, state, v, steps[0], where, load, warmth, torque)
+            return torque
+        if not self._has_more and steps.size == 1 and applied.size == 1:
             is_finite = kernel.run_plain(kind, self.values, state, v, steps[0], applied[0], torque)
         else:
             is_finite = kernel.run(kind, self.values, state, *inputs, torque)
@@ -255,6 +292,8 @@ class FrictionModel:
         UsageError
             As `simulate`; or a name is not in `free`.
         """
+        if self.network is not None:
+            raise UsageError("a model with a network has no gradient here: a network is trained, not fitted")
         names = self.free if free is None else tuple(free)
         for name in names:
             if name not in self.free:
@@ -300,6 +339,8 @@ class FrictionModel:
         _, _, _, load, warmth, _ = self._inputs(v[:1], 1.0, 0.0, load_torque, temperature, None)
         torque = np.empty(v.size)
         kernel.steady_curve(dispatch.tag(self.kind), self.values, v, load[0], warmth[0], torque)
+        if self.network is not None:
+            network.add_steady_curve(self.network.values, v, load[0], warmth[0], torque)
         return torque
 
     def dissipated_energy(self, velocity: ArrayLike, dt: ArrayLike, **inputs: Any) -> Array:
@@ -361,6 +402,8 @@ class FrictionModel:
         steps = _per_sample("dt", dt, v.size)
         if not kernel.is_positive(steps):
             raise UsageError(f"dt must be above zero, in s; its smallest value is {steps.min():g}")
+        if self.network is not None:
+            self.network.require(position is not None, load_torque is not None, float(steps[0]))
         return (
             v,
             steps,
@@ -378,7 +421,7 @@ class Runner:
 
     def __init__(self, model: FrictionModel, epsilon: float) -> None:
         whole = np.concatenate([[model.kind, epsilon], model.values, model.initial_state()])
-        self.__setstate__((whole, bool(model.modifiers)))
+        self.__setstate__((whole, model._has_more))
 
     def __getstate__(self) -> tuple[Array, bool]:
         return self._whole.copy(), self._is_modified

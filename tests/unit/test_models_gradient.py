@@ -283,3 +283,17 @@ def test_levels_act_alike_in_every_model_that_slides(data):
     scale = level_of(model.name, model.parameters) + np.abs(torque)
     assert np.all(np.abs(euler - torque) <= 1e-9 * scale)
     assert again(model).free == model.free
+
+
+def test_bouc_wen_where_the_way_back_is_almost_straight():
+    """gamma within a hair of beta: the law of the way back is linear but for 1e-16, and so are its derivatives."""
+    example = dict(fh.models.describe("bouc_wen").example)
+    beta = example["beta"]
+    velocity = 0.3 * np.sin(0.02 * np.arange(2000))
+
+    def gradient(gamma):
+        model = fh.models.create("bouc_wen", **{**example, "gamma": gamma})
+        return model.simulate_with_gradient(velocity, 1e-3, free=("beta", "gamma"))[1]
+
+    apart, hair = gradient(beta * (1.0 - 1e-6)), gradient(beta * (1.0 - 3e-16))
+    np.testing.assert_allclose(hair, apart, rtol=1e-4, atol=1e-6 * np.abs(apart).max())

@@ -1,0 +1,382 @@
+"""The forward step of a friction network: loop, replay and training call it.
+
+A network is one flat array ``p``: the places named below, then its weights, in this order::
+
+    bias of the first layer (width), its weights of the inputs (inputs x width) and of what is fed back
+    (feedbacks x width)
+    bias of the second layer (second) and its weights (width x second), where there is one
+    for every output: bias, weights of the last layer, linear path
+    gated only: bias and weights (inputs) of the direct path, then for the gate of each state a bias and weights
+    (`VELOCITY_FEATURES`) of the squares of the first inputs
+
+Its state is another, ``s``: what is fed back (gated: the states y; narx: past torques, scaled, latest first), the
+velocity features of past samples (narx), and room for intermediate results, which means nothing between steps.
+
+With x the inputs, y what is fed back and T(x, y), B(x, y) outputs of one or two tanh layers with a linear path beside
+them, the torque over `TORQUE_SCALE` is
+
+====== =====================================================================================================
+static T(x)
+narx   T(x, y), y the past torques
+gated  c + l . x + sum of y+ + B(x, y) times sum of (y+ - y) TRAINED_DT / dt, with
+       y+ = y + [1 - exp(-kappa abs(v) dt)] (T(x, y) - y) for every state; y and T have as many components as
+       there are states; ln kappa = RATE_MIDDLE + RATE_HALF tanh(r + q . x^2), x^2 of the four velocity features
+====== =====================================================================================================
+
+cut off at `BOUND`, as is every T. A gated network is Dahl's and LuGre's form with the right-hand side learned: its
+state stands still at rest, does not depend on the sampling period, and y+ is a weighted mean of y and a bounded T.
+B is the damping of the bristles: with l . x alone the error is five times as large. It multiplies the state's rate,
+rather than standing beside the states, because that is what does not depend on the sampling period; and kappa, the
+stiffness over the level in LuGre's model, changes with the velocity for the same reason.
+"""
+
+import math
+
+import numpy as np
+
+from friction_hil.dual import fma
+from friction_hil.jit import Array, compiled, inlined
+from friction_hil.models.elementary import approach, part, toward, whole
+from friction_hil.models.lanes import LANES, add_scaled
+
+STATIC, GATED, NARX = range(3)
+MAX_HARMONICS = 8
+VELOCITY_FEATURES = 4
+SPARE = LANES - 1  # places behind the units of the layers, for vectors that reach beyond them
+GATE_WEIGHTS = 1 + VELOCITY_FEATURES
+
+STRUCTURE = 0
+INPUTS = 1  # how many numbers x has
+FEEDBACKS = 2  # states of a gated network, past torques of a narx
+LAGS = 3  # past samples whose velocity features are inputs
+WIDTH = 4  # tanh units of the first layer
+SECOND = 5  # and of the second, or 0
+HARMONICS = 6
+HAS_POSITION = 7
+HAS_LOAD = 8
+HAS_TEMPERATURE = 9
+TRAINED_DT = 10  # s
+TORQUE_SCALE = 11  # N m
+BOUND = 12  # of T, of every state and of the torque, in units of TORQUE_SCALE
+SPEED_LIMIT = 13  # top speed of the training, rad/s; features stay there beyond it
+SPEEDS = 14  # three speeds at which friction changes, rad/s
+FEATURE_FACTORS = 17  # two, which make the asinh features 1 at the speed limit
+MIDDLES = 19  # of position, load and temperature
+HALF_RANGES = 22  # of the same, above zero
+RATE_MIDDLE, RATE_HALF = 25, 26  # of ln kappa, kappa in rad^-1: its bounds are exp(RATE_MIDDLE +- RATE_HALF)
+ORDERS = 27  # of the harmonics, per rad
+IS_RESIDUAL = ORDERS + MAX_HARMONICS  # beside a model: fades out beyond the speed limit
+HEADER = IS_RESIDUAL + 1
+STATE_ROOM = 256  # for the largest structure
+_SETTLING_STEPS, _LONG_S = 200, 1e9
+_FADED = 1.5  # speed limits at which a residual has faded out
+
+
+@inlined
+def tanh(x: float) -> float:
+    """Hyperbolic tangent, to 3 units in the last place, without branches and without a C library."""
+    gone = approach(2.0 * abs(x))  # 1 - e^(-2 abs(x))
+    return math.copysign(gone / (2.0 - gone), x)
+
+
+@inlined
+def limited(x: float, bound: float) -> float:
+    """``x``, or the nearer one of +-``bound``."""
+    return min(max(x, -bound), bound)
+
+
+_tanh, _limited = tanh, limited
+
+
+@inlined
+def velocity_features(p: Array, velocity: float, x: Array) -> None:
+    """Fill the first four of ``x``: friction lives on a logarithmic scale of velocity."""
+    v = _limited(velocity, p[SPEED_LIMIT])
+    x[0] = v / p[SPEED_LIMIT]
+    x[1] = p[FEATURE_FACTORS] * math.asinh(v / p[SPEEDS])
+    x[2] = p[FEATURE_FACTORS + 1] * math.asinh(v / p[SPEEDS + 1])
+    x[3] = _tanh(v / p[SPEEDS + 2])
+
+
+@inlined
+def other_features(p: Array, position: float, load_torque: float, temperature: float, x: Array) -> None:
+    """Fill ``x`` with those of the other inputs that the network has; a temperature of NaN is the middle one."""
+    place = 0
+    if p[HAS_POSITION] != 0.0:
+        x[place] = _limited((position - p[MIDDLES]) / p[HALF_RANGES], 1.0)
+        place += 1
+    if p[HAS_LOAD] != 0.0:
+        x[place] = _limited((load_torque - p[MIDDLES + 1]) / p[HALF_RANGES + 1], 1.0)
+        place += 1
+    if p[HAS_TEMPERATURE] != 0.0:
+        relative = _limited((temperature - p[MIDDLES + 2]) / p[HALF_RANGES + 2], 1.0)
+        x[place] = 0.0 if math.isnan(temperature) else relative
+        place += 1
+    for k in range(whole(p[HARMONICS])):
+        angle = p[ORDERS + k] * position
+        x[place] = math.cos(angle)
+        x[place + 1] = math.sin(angle)
+        place += 2
+
+
+@inlined
+def add_product(weights: Array, inputs: Array, count: int, sums: Array, width: int) -> None:
+    """Add to ``sums`` (width,) the product of ``weights`` (count, width) with ``inputs`` (count,).
+
+    What stands within `SPARE` places behind the sums is lost, and as many behind the weights are read.
+    """
+    for i in range(count):
+        value = inputs[i]
+        for j in range(0, width, LANES):
+            add_scaled(sums, j, weights, i * width + j, value)
+
+
+@inlined
+def squash(sums: Array, width: int) -> None:
+    """Replace ``sums`` by their hyperbolic tangents, and `SPARE` places behind them as well."""
+    for j in range((width + SPARE) // LANES * LANES):
+        sums[j] = _tanh(sums[j])
+
+
+_add_product, _squash = add_product, squash
+
+
+@inlined
+def layers(p: Array, x: Array, fed_back: Array, h: Array) -> int:
+    """Fill ``h`` with the outputs of the first and second layer; return where the weights of the outputs begin."""
+    width, second, inputs = whole(p[WIDTH]), whole(p[SECOND]), whole(p[INPUTS])
+    feedbacks = whole(p[FEEDBACKS])
+    for j in range(width):
+        h[j] = p[HEADER + j]
+    begin = HEADER + width
+    _add_product(part(p, begin), x, inputs, h, width)
+    begin += inputs * width
+    _add_product(part(p, begin), fed_back, feedbacks, h, width)
+    begin += feedbacks * width
+    _squash(h, width)
+    if second > 0:
+        above = part(h, width)
+        for j in range(second):
+            above[j] = p[begin + j]
+        begin += second
+        _add_product(part(p, begin), h, width, above, second)
+        begin += width * second
+        _squash(above, second)
+    return begin
+
+
+@inlined
+def output(p: Array, begin: int, x: Array, fed_back: Array, h: Array) -> float:
+    """T of the output whose weights begin there, not yet cut off."""
+    width, second, inputs = whole(p[WIDTH]), whole(p[SECOND]), whole(p[INPUTS])
+    last = part(h, width if second > 0 else 0)
+    count = second if second > 0 else width
+    linear = begin + 1 + count
+    even, odd = p[begin], 0.0  # two sums, because each addition waits for the one before it
+    for i in range(inputs):
+        even = fma(p[linear + i], x[i], even)
+    if p[STRUCTURE] == NARX:
+        for i in range(whole(p[FEEDBACKS])):
+            odd = fma(p[linear + inputs + i], fed_back[i], odd)
+    for j in range(0, count - 1, 2):
+        even = fma(p[begin + 1 + j], last[j], even)
+        odd = fma(p[begin + 2 + j], last[j + 1], odd)
+    if count % 2 == 1:
+        even = fma(p[begin + count], last[count - 1], even)
+    return even + odd
+
+
+@inlined
+def output_weights(p: Array) -> int:
+    """How many weights each output has."""
+    width, second = whole(p[WIDTH]), whole(p[SECOND])
+    return (
+        1 + (second if second > 0 else width) + whole(p[INPUTS]) + (whole(p[FEEDBACKS]) if p[STRUCTURE] == NARX else 0)
+    )
+
+
+_layers, _output, _output_weights = layers, output, output_weights
+
+
+@inlined
+def rate_bend(p: Array, begin: int, x: Array) -> float:
+    """Where the gate whose weights begin there is between its bounds, -1 to 1."""
+    total = p[begin]
+    for i in range(VELOCITY_FEATURES):
+        total = fma(p[begin + 1 + i], x[i] * x[i], total)
+    return _tanh(total)
+
+
+@inlined
+def rate(p: Array, bend: float) -> float:
+    """Rate kappa of a gate, rad^-1."""
+    return math.exp(fma(p[RATE_HALF], bend, p[RATE_MIDDLE]))
+
+
+_rate_bend, _rate = rate_bend, rate
+
+
+@inlined
+def advance(
+    p: Array, x: Array, path: float, tempo: float, fed_back: Array, after: Array, aims: Array, h: Array
+) -> float:
+    """Torque over its scale, from inputs and what is fed back.
+
+    Parameters
+    ----------
+    p
+        Network.
+    x : (inputs,) array
+    path, tempo : float
+        abs(v) dt, rad, and TRAINED_DT / dt.
+    fed_back, after : (feedbacks,) array
+        Before and after the step. May be the same array.
+    aims : (1 + feedbacks,) array
+        Filled with T of every output, cut off, and B.
+    h : (width + second + SPARE,) array
+        Filled with the outputs of the layers.
+    """
+    begin = _layers(p, x, fed_back, h)
+    feedbacks, bound = whole(p[FEEDBACKS]), p[BOUND]
+    if p[STRUCTURE] != GATED:
+        total = _limited(_output(p, begin, x, fed_back, h), bound)
+        aims[0] = total
+        if feedbacks > 0:
+            for i in range(feedbacks - 1, 0, -1):
+                after[i] = fed_back[i - 1]
+            after[0] = total
+        return total
+    stride = _output_weights(p)
+    for i in range(feedbacks):
+        aims[i] = _limited(_output(p, begin + i * stride, x, fed_back, h), bound)
+    begin += feedbacks * stride
+    damping = _output(p, begin, x, fed_back, h)
+    aims[feedbacks] = damping
+    begin += stride
+    inputs = whole(p[INPUTS])
+    total = p[begin]
+    for i in range(inputs):
+        total = fma(p[begin + 1 + i], x[i], total)
+    begin += 1 + inputs
+    for i in range(feedbacks):
+        before = fed_back[i]
+        after[i] = toward(before, aims[i], approach(_rate(p, _rate_bend(p, begin + i * GATE_WEIGHTS, x)) * path))
+        total += after[i] + damping * ((after[i] - before) * tempo)
+    return _limited(total, bound)
+
+
+_velocity_features, _other_features, _advance = velocity_features, other_features, advance
+
+
+@inlined
+def share_inside(p: Array, speed: float) -> float:
+    """Share of a residual: 1 up to the speed limit, then less, 0 in the end."""
+    return min(max((_FADED - speed / p[SPEED_LIMIT]) / (_FADED - 1.0), 0.0), 1.0)
+
+
+@inlined
+def seen_velocity(p: Array, velocity: float, level_velocity: float) -> float:
+    """Velocity of the inputs: as fast as the one, in the direction of the other.
+
+    Where the level has stayed behind, on the other side, it creeps with the slowest of the characteristic speeds.
+    """
+    speed = math.copysign(1.0, velocity) * level_velocity
+    return math.copysign(max(speed, min(abs(velocity), p[SPEEDS + 2])), velocity)
+
+
+_share_inside, _seen_velocity = share_inside, seen_velocity
+
+
+@inlined
+def step(
+    p: Array,
+    s: Array,
+    velocity: float,
+    level_velocity: float,
+    dt: float,
+    position: float,
+    load_torque: float,
+    temperature: float,
+) -> float:
+    """Advance the state over one sample, over which ``velocity`` is held, and return the friction torque, N m.
+
+    Parameters
+    ----------
+    p, s
+        Network and state; the state is changed in place.
+    velocity, level_velocity
+        rad/s. The one that drives the state and decides the direction, and the one that says how fast: the same,
+        except in a compensator; see `friction_hil.models.kernel`.
+    dt, position, load_torque, temperature
+        s, rad, N m, deg C. What is no input of the network is not looked at. A narx ignores ``dt``.
+    """
+    path = abs(velocity) * dt
+    velocity = _seen_velocity(p, velocity, level_velocity)
+    feedbacks, lags, inputs = whole(p[FEEDBACKS]), whole(p[LAGS]), whole(p[INPUTS])
+    past = part(s, feedbacks)
+    x = part(past, VELOCITY_FEATURES * lags)
+    aims = part(x, inputs)
+    h = part(aims, 1 + feedbacks)
+    _velocity_features(p, velocity, x)
+    remembered = VELOCITY_FEATURES * lags
+    for i in range(remembered):
+        x[VELOCITY_FEATURES + i] = past[i]
+    _other_features(p, position, load_torque, temperature, part(x, VELOCITY_FEATURES + remembered))
+    torque = p[TORQUE_SCALE] * _advance(p, x, path, p[TRAINED_DT] / dt, s, s, aims, h)
+    for i in range(remembered - 1, -1, -1):
+        past[i] = x[i]
+    if p[IS_RESIDUAL] != 0.0:
+        torque *= _share_inside(p, abs(velocity))
+    return torque
+
+
+_step = step
+
+
+@compiled
+def step_apart(
+    p: Array,
+    s: Array,
+    velocity: float,
+    level_velocity: float,
+    dt: float,
+    position: float,
+    load_torque: float,
+    temperature: float,
+) -> float:
+    """`step`, compiled by itself: what is compiled for every family would take minutes with it inside."""
+    return _step(p, s, velocity, level_velocity, dt, position, load_torque, temperature)
+
+
+@compiled
+def run(
+    p: Array,
+    s: Array,
+    velocity: Array,
+    dt: float,
+    position: Array,
+    load_torque: Array,
+    temperature: Array,
+    torque: Array,
+) -> None:
+    """Fill ``torque`` with that of every sample; the inputs after ``dt`` have one element, or one a sample."""
+    position_stride = 1 if position.shape[0] > 1 else 0
+    load_stride = 1 if load_torque.shape[0] > 1 else 0
+    temperature_stride = 1 if temperature.shape[0] > 1 else 0
+    for k in range(velocity.shape[0]):
+        where, load = position[k * position_stride], load_torque[k * load_stride]
+        torque[k] = _step(p, s, velocity[k], velocity[k], dt, where, load, temperature[k * temperature_stride])
+
+
+@compiled
+def add_steady_curve(p: Array, velocity: Array, load_torque: float, temperature: float, torque: Array) -> None:
+    """Add to ``torque`` (n,) what the network settles on at every constant ``velocity``, at position 0; 0 at rest."""
+    s = np.zeros(STATE_ROOM)
+    for k in range(velocity.shape[0]):
+        if velocity[k] == 0.0:
+            continue
+        s[:] = 0.0
+        settled = 0.0
+        for _ in range(_SETTLING_STEPS):
+            settled = _step(p, s, velocity[k], velocity[k], _LONG_S, 0.0, load_torque, temperature)
+        torque[k] += settled

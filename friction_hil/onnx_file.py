@@ -1,0 +1,205 @@
+"""A trained network as ONNX, for drives and controllers that run it: one sample, in double precision.
+
+Inputs are ``velocity``, ``dt`` and what else the network has among its inputs, each of shape (1,), SI, and
+``state``, zero at first; outputs are ``torque`` (1,) and ``next_state``, which is the ``state`` of the next sample.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from friction_hil.errors import FrictionHilError, UsageError
+from friction_hil.jit import Array
+from friction_hil.models import FrictionModel, Network, network
+
+_OPSET, _IR_VERSION = 17, 8  # old enough for controllers
+
+
+def write(model: FrictionModel, path: Path) -> None:
+    """Write the step of a network.
+
+    Parameters
+    ----------
+    model : FrictionModel
+        Of a network that stands alone.
+    path : Path
+
+    Raises
+    ------
+    UsageError
+        The package onnx is missing, or the model is no network, or stands beside another or under modifiers.
+    FrictionHilError
+        The file cannot be written.
+    """
+    try:
+        import onnx
+    except ImportError:
+        raise UsageError("ONNX needs another package: pip install 'friction-hil[onnx]'") from None
+    if model.network is None or model.network.is_residual or model.modifiers:
+        raise UsageError("only a network that stands alone, without modifiers, can be written as ONNX")
+    graph = _graph(model.network)
+    whole = onnx.helper.make_model(
+        graph, opset_imports=[onnx.helper.make_opsetid("", _OPSET)], producer_name="friction_hil"
+    )
+    whole.ir_version = _IR_VERSION
+    onnx.checker.check_model(whole)
+    try:
+        path.write_bytes(whole.SerializeToString())
+    except OSError as error:
+        raise FrictionHilError(f"{path} cannot be written: {error.strerror}") from None
+
+
+class _Graph:
+    """Operations of a graph, each named by its number."""
+
+    def __init__(self) -> None:
+        self.nodes: list[Any] = []
+        self.constants: list[Any] = []
+
+    def number(self, values: Any, kind: Any = np.float64) -> str:
+        """Name of a constant."""
+        from onnx import numpy_helper
+
+        name = f"c{len(self.constants)}"
+        self.constants.append(numpy_helper.from_array(np.atleast_1d(np.asarray(values, dtype=kind)), name))
+        return name
+
+    def do(self, operation: str, *inputs: str, name: str | None = None, **attributes: Any) -> str:
+        """Name of the result of an operation."""
+        from onnx import helper
+
+        result = f"r{len(self.nodes)}" if name is None else name
+        self.nodes.append(helper.make_node(operation, list(inputs), [result], **attributes))
+        return result
+
+    def limited(self, x: str, bound: float) -> str:
+        """``x``, or the nearer one of +-``bound``."""
+        return self.do("Max", self.do("Min", x, self.number(bound)), self.number(-bound))
+
+    def affine(self, x: str, factor: Any, offset: Any = 0.0) -> str:
+        """Factor x + offset."""
+        return self.do("Add", self.do("Mul", x, self.number(factor)), self.number(offset))
+
+    def product(self, x: str, matrix: Array) -> str:
+        """Vector (n,) times matrix (n, m): (m,)."""
+        return self.do("MatMul", x, self.number(matrix))
+
+    def part(self, x: str, begin: int, end: int) -> str:
+        """Elements of a vector from ``begin`` to before ``end``."""
+        places = (self.number([begin], np.int64), self.number([end], np.int64))
+        return self.do("Slice", x, *places)
+
+    def asinh(self, x: str) -> str:
+        """Inverse hyperbolic sine; runtimes have their own in single precision only."""
+        size = self.do("Abs", x)
+        root = self.do("Sqrt", self.affine(self.do("Mul", x, x), 1.0, 1.0))
+        return self.do("Mul", self.do("Sign", x), self.do("Log", self.do("Add", size, root)))
+
+
+class _Weights:
+    """The weights of a network, taken one group after the other, in the order of `friction_hil.models.network`."""
+
+    def __init__(self, weights: Array) -> None:
+        self._weights, self._at = weights, 0
+
+    def take(self, *shape: int) -> Array:
+        """Next ``shape`` of them."""
+        count = int(np.prod(shape))
+        self._at += count
+        return self._weights[self._at - count : self._at].reshape(shape)
+
+
+def _graph(trained: Network) -> Any:
+    from onnx import TensorProto, helper
+
+    structure, p, g = trained.structure, trained.values, _Graph()
+    weights = _Weights(trained.weights)
+    fed, remembered = structure.states, network.VELOCITY_FEATURES * structure.lags
+    inputs = ["velocity", "dt"]
+    y = g.part("state", 0, fed) if fed else ""
+    past = g.part("state", fed, fed + remembered) if remembered else ""
+    x = _inputs(g, p, trained, past, inputs)
+    last = _layers(g, weights, trained, x, y)
+
+    def output(is_fed: bool = False) -> str:
+        total = g.do("Add", g.number(weights.take(1)), g.product(last, weights.take(structure.hidden[-1], 1)))
+        total = g.do("Add", total, g.product(x, weights.take(structure.inputs, 1)))
+        return g.do("Add", total, g.product(y, weights.take(fed, 1))) if is_fed else total
+
+    states: list[str] = []
+    if structure.kind == "gated":
+        total, after = _gated(g, p, trained, weights, x, y, output)
+        states = [after]
+    else:
+        total = g.limited(output(structure.kind == "narx"), trained.bound)
+        if fed:
+            states = [total, *([g.part(y, 0, fed - 1)] if fed > 1 else [])]
+    if remembered:
+        states.append(g.part(x, 0, remembered))
+    g.do("Mul", g.limited(total, trained.bound), g.number(trained.torque_scale), name="torque")
+    outputs = [helper.make_tensor_value_info("torque", TensorProto.DOUBLE, [1])]
+    given = [helper.make_tensor_value_info(name, TensorProto.DOUBLE, [1]) for name in inputs]
+    if fed + remembered:
+        g.do("Concat", *states, axis=0, name="next_state")
+        given.append(helper.make_tensor_value_info("state", TensorProto.DOUBLE, [fed + remembered]))
+        outputs.append(helper.make_tensor_value_info("next_state", TensorProto.DOUBLE, [fed + remembered]))
+    return helper.make_graph(g.nodes, "friction", given, outputs, initializer=g.constants)
+
+
+def _inputs(g: _Graph, p: Array, trained: Network, past: str, names: list[str]) -> str:
+    """Vector x; adds to the names of the graph's inputs."""
+    structure, limit = trained.structure, trained.speed_limit
+    v = g.limited("velocity", limit)
+    parts = [g.affine(v, 1.0 / limit)]
+    for place in range(2):
+        factor = float(p[network.FEATURE_FACTORS + place])
+        parts.append(g.affine(g.asinh(g.affine(v, 1.0 / trained.speeds[place])), factor))
+    parts.append(g.do("Tanh", g.affine(v, 1.0 / trained.speeds[2])))
+    if past:
+        parts.append(past)
+    has = (structure.has_position, structure.has_load, structure.has_temperature)
+    for place, name in enumerate(("position", "load_torque", "temperature")):
+        if has[place]:
+            names.append(name)
+            middle, half = p[network.MIDDLES + place], p[network.HALF_RANGES + place]
+            parts.append(g.limited(g.affine(name, 1.0 / half, -middle / half), 1.0))
+    if structure.orders and not structure.has_position:
+        names.append("position")
+    for order in structure.orders:
+        angle = g.affine("position", order)
+        parts += [g.do("Sin", g.affine(angle, 1.0, 0.5 * np.pi)), g.do("Sin", angle)]
+    return g.do("Concat", *parts, axis=0)
+
+
+def _layers(g: _Graph, weights: _Weights, trained: Network, x: str, y: str) -> str:
+    """Outputs of the last tanh layer."""
+    structure = trained.structure
+    width, fed = structure.hidden[0], structure.states
+    sums = g.do("Add", g.number(weights.take(width)), g.product(x, weights.take(structure.inputs, width)))
+    if fed:
+        sums = g.do("Add", sums, g.product(y, weights.take(fed, width)))
+    last = g.do("Tanh", sums)
+    if len(structure.hidden) == 2:
+        bias = g.number(weights.take(structure.hidden[1]))
+        last = g.do("Tanh", g.do("Add", bias, g.product(last, weights.take(*structure.hidden))))
+    return last
+
+
+def _gated(g: _Graph, p: Array, trained: Network, weights: _Weights, x: str, y: str, output: Any) -> tuple[str, str]:
+    """Torque over its scale, not yet cut off, and the states after the sample."""
+    fed = trained.structure.states
+    aims = g.do("Concat", *(g.limited(output(), trained.bound) for _ in range(fed)), axis=0)
+    damping = output()
+    direct = g.do("Add", g.number(weights.take(1)), g.product(x, weights.take(trained.structure.inputs, 1)))
+    features = g.part(x, 0, network.VELOCITY_FEATURES)
+    gates = weights.take(fed, network.GATE_WEIGHTS)
+    bend = g.do("Tanh", g.do("Add", g.number(gates[:, 0]), g.product(g.do("Mul", features, features), gates[:, 1:].T)))
+    rate = g.do("Exp", g.affine(bend, p[network.RATE_HALF], p[network.RATE_MIDDLE]))
+    path = g.do("Mul", g.do("Abs", "velocity"), "dt")
+    share = g.affine(g.do("Exp", g.affine(g.do("Mul", rate, path), -1.0)), -1.0, 1.0)
+    after = g.do("Add", y, g.do("Mul", share, g.do("Sub", aims, y)))
+    tempo = g.do("Div", g.number(trained.period_s), "dt")
+    ones = np.ones((fed, 1))
+    moved = g.do("Mul", damping, g.do("Mul", tempo, g.product(g.do("Sub", after, y), ones)))
+    return g.do("Add", g.do("Add", direct, g.product(after, ones)), moved), after

@@ -1,0 +1,87 @@
+"""Whether a trained network may run: what it does at rest, for ten minutes, with and without a dithering encoder."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from friction_hil.jit import Array
+from friction_hil.models import Structure, network
+
+REST_S = 600.0
+_PARTS = 60  # of the rest, each looked at by itself
+_STEADY = 1e-3  # of the torque scale: what counts as no change
+_DITHER = 1e-3  # of the speed limit
+_APPROACHES = (1.0, -0.03)  # velocities before the rest, of the speed limit
+
+
+def simulate(
+    structure: Structure,
+    p: Array,
+    velocity: Array,
+    dt: float,
+    *,
+    position: Array | None = None,
+    load_torque: Array | None = None,
+    temperature: Array | None = None,
+    state: Array | None = None,
+) -> Array:
+    """Torque of a velocity record in free run, N m, from rest or from a ``state`` that is changed in place."""
+    torque = np.empty(len(velocity))
+    zero, unknown = np.zeros(1), np.full(1, math.nan)
+    network.run(
+        p,
+        np.zeros(structure.state_room) if state is None else state,
+        np.ascontiguousarray(velocity, dtype=np.float64),
+        dt,
+        zero if position is None else position,
+        zero if load_torque is None else load_torque,
+        unknown if temperature is None else temperature,
+        torque,
+    )
+    return torque
+
+
+@dataclass(frozen=True, slots=True)
+class Rest:
+    """What a network does in ten minutes of rest, the worst of several ways to come to rest.
+
+    Attributes
+    ----------
+    rise : float
+        Largest growth of the absolute torque over what it was when the rest began, N m.
+    late_change : float
+        How far the torque still moves, from its least to its greatest, in the last tenth of the time, N m.
+    dither_growth : float
+        By how much the torque under a dithering velocity is larger in the last tenth of the time than in the first,
+        N m.
+    is_steady : bool
+        Whether the torque holds or decays, without drift and limit cycle.
+    """
+
+    rise: float
+    late_change: float
+    dither_growth: float
+    is_steady: bool
+
+
+def at_rest(structure: Structure, p: Array, dt: float, *, seconds: float = REST_S) -> Rest:
+    """Let the network come to rest and stay there."""
+    samples = max(_PARTS, round(seconds / dt))
+    limit, scale = p[network.SPEED_LIMIT], p[network.TORQUE_SCALE]
+    still = np.zeros(samples)
+    dither = _DITHER * limit * np.random.default_rng(0).choice([-1.0, 0.0, 1.0], samples)
+    tenth = samples // 10
+    rise = late = growth = 0.0
+    for share in _APPROACHES:
+        state = np.zeros(structure.state_room)
+        arrival = simulate(structure, p, share * limit * np.linspace(1.0, 0.0, 200), dt, state=state)
+        shaken = simulate(structure, p, dither, dt, state=state.copy())
+        held = simulate(structure, p, still, dt, state=state)
+        # a narx still has the motion among its inputs when the rest begins
+        begin = max(abs(float(arrival[-1])), float(np.max(np.abs(held[: structure.lags + 1]))))
+        rise = max(rise, float(np.max(np.abs(held))) - begin)
+        late = max(late, float(np.ptp(held[-tenth:])))
+        growth = max(growth, float(np.max(np.abs(shaken[-tenth:])) - np.max(np.abs(shaken[:tenth]))))
+    is_steady = bool(max(rise, late, growth) <= _STEADY * scale)
+    return Rest(rise, late, growth, is_steady)

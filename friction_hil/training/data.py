@@ -1,0 +1,118 @@
+"""What a network is trained on: friction seen in recordings, or friction that a model of the library has."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from friction_hil.errors import UsageError
+from friction_hil.identification import filters
+from friction_hil.jit import Array
+from friction_hil.training.excitation import excitation
+from friction_hil.training.layout import Samples, join
+
+if TYPE_CHECKING:
+    from friction_hil.config import Mechanics
+    from friction_hil.identification.data import Record
+    from friction_hil.models import FrictionModel
+
+_BLOCKS = 20  # of a record, of which each fourth is held out
+_HELD_OUT = 4
+_TOP_STRIBECK = 10.0  # Stribeck velocities up to which a model is learned unless a speed is given
+
+
+def of_model(
+    model: "FrictionModel", *, period_s: float, samples: int, top_speed: float | None = None, seed: int = 0
+) -> Samples:
+    """Samples of a model of the library along a designed excitation.
+
+    Parameters
+    ----------
+    model : FrictionModel
+    period_s : float
+    samples : int
+    top_speed : float, optional
+        rad/s; ten Stribeck velocities when not given.
+    seed : int
+
+    Raises
+    ------
+    UsageError
+        Neither a top speed nor a Stribeck velocity is known, or the model depends on load.
+    """
+    if top_speed is None:
+        stribeck_velocity = model.parameters.get("stribeck_velocity")
+        if stribeck_velocity is None:
+            raise UsageError(f"{model.name} has no stribeck_velocity to tell the range of speeds by: give --speed")
+        top_speed = _TOP_STRIBECK * stribeck_velocity
+    if "load" in model.modifiers:
+        raise UsageError("a model that depends on load cannot be learned from motion alone: train on recordings")
+    velocity = excitation(top_speed, period_s, samples, seed=seed)
+    position = np.cumsum(velocity) * period_s
+    torque = model.simulate(velocity, period_s, position=position)
+    return Samples(period_s, velocity, torque, position=position)
+
+
+def of_records(records: "Sequence[Record]", mechanics: "Mechanics", base: "FrictionModel | None") -> Samples:
+    """Samples of friction in recordings: measured torque less inertia, offset, gravity, and a model beside the network.
+
+    Everything has passed the low-pass of the recordings.
+
+    Raises
+    ------
+    UsageError
+        The recordings have different sampling periods.
+    """
+    return join([_of_record(record, mechanics, base) for record in records])
+
+
+def _of_record(record: "Record", mechanics: "Mechanics", base: "FrictionModel | None") -> Samples:
+    gravity = mechanics.gravity
+    load = gravity.constant + gravity.sine * np.sin(record.position) + gravity.cosine * np.cos(record.position)
+    load_torque = load if record.load_torque is None else record.load_torque
+    torque = record.torque - mechanics.offset - load
+    if base is not None:
+        torque = torque - base.simulate(
+            record.velocity,
+            record.dt,
+            position=record.position,
+            load_torque=load_torque,
+            temperature=record.temperature,
+        )
+    if record.lowpass_hz is not None:
+        torque = filters.lowpass(torque, record.lowpass_hz, record.rate_hz)
+    torque = torque - mechanics.inertia * record.acceleration
+    weight = np.ones(len(torque))
+    weight[: record.begin] = weight[record.end :] = 0.0  # what the filters make of the ends is run through only
+    return Samples(
+        record.dt,
+        record.velocity,
+        torque,
+        position=record.position,
+        load_torque=load_torque,
+        temperature=np.zeros(0) if record.temperature is None else record.temperature,
+        weight=weight,
+    )
+
+
+def total_torque(records: "Sequence[Record]") -> Array:
+    """Measured torque of records one after the other, low-passed as everything."""
+    return np.concatenate(
+        [
+            each.torque if each.lowpass_hz is None else filters.lowpass(each.torque, each.lowpass_hz, each.rate_hz)
+            for each in records
+        ]
+    )
+
+
+def held_out(samples: Samples) -> tuple[Samples, Samples]:
+    """Divide samples into those to train on and those to judge by: each fourth of twenty blocks is held out.
+
+    Both are the whole motion, so that states are what they were, with other weights.
+    """
+    block = np.arange(len(samples)) * _BLOCKS // len(samples)
+    is_held = block % _HELD_OUT == _HELD_OUT - 1
+    return (
+        samples.weighted(np.where(is_held, 0.0, samples.weight)),
+        samples.weighted(np.where(is_held, samples.weight, 0.0)),
+    )

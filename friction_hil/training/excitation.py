@@ -1,0 +1,128 @@
+"""Velocity signals that show friction from presliding to top speed: what a network has not seen it does not know."""
+
+import math
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from friction_hil.errors import UsageError
+from friction_hil.jit import Array
+
+_DECADES = 3.0  # of amplitude below the top speed
+_SEGMENT_S = (0.25, 0.8)
+_EDGES_S = (0.002, 0.2)
+_RAMPS_S = (0.005, 0.4)
+_RESTS_S = (0.01, 0.3)
+_HERTZ = (0.5, 30.0)
+_EDGE_SHARE = 0.1  # of a multi-sine, over which it fades in and out
+_KINDS = ("multisine", "ramps", "multisine", "pulses")
+
+Draw = Callable[[float, float], float]
+
+
+def excitation(top_speed: float, dt: float, samples: int, *, slowest: float | None = None, seed: int = 0) -> Array:
+    """Design a training signal: multi-sines, ramps with reversals, and pulses with rests, in many short segments.
+
+    Amplitudes, rates and frequencies are spread over decades, so that presliding, creeping and fast motion are met
+    at slow and at sudden changes. Every segment begins and ends at rest.
+
+    Parameters
+    ----------
+    top_speed : float
+        Largest velocity, rad/s.
+    dt : float
+        Sampling period, s.
+    samples : int
+    slowest : float, optional
+        Smallest amplitude, rad/s; a thousandth of ``top_speed`` when not given.
+    seed : int
+        The same seed gives the same bits.
+
+    Returns
+    -------
+    (samples,) array
+        rad/s, held over each sample.
+
+    Raises
+    ------
+    UsageError
+        A number is not finite, not above zero, or ``slowest`` is not below ``top_speed``.
+    """
+    slowest = top_speed / 10.0**_DECADES if slowest is None else slowest
+    if not (0.0 < slowest < top_speed < math.inf and 0.0 < dt < math.inf and samples > 0):
+        raise UsageError(
+            "an excitation needs 0 < slowest < top_speed, a period and a number of samples above zero, all finite, "
+            f"not {slowest}, {top_speed}, {dt}, {samples}"
+        )
+    random = np.random.default_rng(seed)
+    mean_length = max(2, round(sum(_SEGMENT_S) / 2.0 / dt))
+    count = -(-samples // mean_length)
+    # one amplitude from each of as many equal parts of the logarithmic range, the fast half twice as often
+    shares = np.sqrt((np.arange(count) + random.uniform(size=count)) / count)
+    amplitudes = slowest * (top_speed / slowest) ** random.permutation(shares)
+    amplitudes[0] = top_speed
+    draw = partial(_log_uniform, random)
+    parts: list[Array] = []
+    length = 0
+    while length < samples:
+        number = len(parts)
+        amplitude = float(amplitudes[number % count])
+        one = _segment(_KINDS[number % len(_KINDS)], amplitude, slowest, dt, random, draw)
+        parts.append(one)
+        length += one.size
+    return np.concatenate(parts)[:samples]
+
+
+def _log_uniform(random: np.random.Generator, low: float, high: float) -> float:
+    return float(low * (high / low) ** random.uniform())
+
+
+def _segment(kind: str, amplitude: float, slowest: float, dt: float, random: np.random.Generator, draw: Draw) -> Array:
+    length = max(2, round(random.uniform(*_SEGMENT_S) / dt))
+    if kind == "multisine":
+        return _multisine(amplitude, length, dt, random, draw)
+    if kind == "ramps":
+        return _ramps(amplitude, slowest, length, dt, random, draw)
+    return _pulses(amplitude, slowest, length, dt, random, draw)
+
+
+def _multisine(amplitude: float, length: int, dt: float, random: np.random.Generator, draw: Draw) -> Array:
+    """Three to six sines with random phases, their sum as high as ``amplitude``."""
+    t = np.arange(length) * dt
+    fastest = min(_HERTZ[1], 0.1 / dt)
+    slow = min(_HERTZ[0], fastest)
+    sines = [
+        random.uniform(0.3, 1.0) * np.sin(2.0 * math.pi * draw(slow, fastest) * t + random.uniform(0.0, 2.0 * math.pi))
+        for _ in range(random.integers(3, 7))
+    ]
+    total = np.sum(sines, axis=0)
+    edge = np.clip(np.minimum(np.arange(length), np.arange(length)[::-1]) / (_EDGE_SHARE * length), 0.0, 1.0)
+    total *= 0.5 - 0.5 * np.cos(math.pi * edge)
+    return np.asarray(total * (amplitude / max(float(np.max(np.abs(total))), 1e-12)))
+
+
+def _ramps(amplitude: float, slowest: float, length: int, dt: float, random: np.random.Generator, draw: Draw) -> Array:
+    """Straight lines between random velocities of changing sign, from rest and back to it."""
+    times, levels = [0.0], [0.0]
+    sign = 1.0 if random.uniform() < 0.5 else -1.0
+    while times[-1] < length * dt:
+        times.append(times[-1] + draw(*_RAMPS_S))
+        levels.append(sign * draw(min(slowest, 0.5 * amplitude), amplitude))
+        sign = -sign if random.uniform() < 0.7 else sign
+    times.append(times[-1] + draw(*_RAMPS_S))
+    levels.append(0.0)
+    return np.asarray(np.interp(np.arange(round(times[-1] / dt) + 1) * dt, times, levels))
+
+
+def _pulses(amplitude: float, slowest: float, length: int, dt: float, random: np.random.Generator, draw: Draw) -> Array:
+    """Pulses with rounded edges of any steepness, and rests between them."""
+    parts: list[Array] = []
+    while sum(part.size for part in parts) < length:
+        rise = np.arange(1, max(2, round(draw(*_EDGES_S) / dt)))
+        edge = 0.5 - 0.5 * np.cos(math.pi * rise / (rise.size + 1))
+        height = draw(max(slowest, 0.1 * amplitude), amplitude) if amplitude > slowest else amplitude
+        height *= 1.0 if random.uniform() < 0.5 else -1.0
+        flat = np.ones(round(draw(*_RESTS_S) / dt))
+        parts += [height * np.concatenate([edge, flat, edge[::-1]]), np.zeros(max(1, round(draw(*_RESTS_S) / dt)))]
+    return np.concatenate(parts)

@@ -1,0 +1,93 @@
+"""What a training leaves behind: the model file, and the JSON object of the contract."""
+
+import dataclasses
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from friction_hil import __version__
+from friction_hil.models import NETWORK_ALONE, FrictionModel, Network
+from friction_hil.training.train import Trained
+
+if TYPE_CHECKING:
+    from friction_hil.config import ModelFile
+
+_SLOW_SPEEDS = 32  # at which the level is looked for
+
+
+def network_of(trained: Trained, base: FrictionModel | None = None) -> Network:
+    """The trained network, with the level of all friction that it and the model beside it show in slow motion."""
+    network = Network.of_values(trained.parameters, 1.0, is_residual=base is not None)
+    model = model_of(network, base)
+    slow = np.geomspace(0.1 * network.speeds[2], network.speeds[1], _SLOW_SPEEDS)
+    torque = model.steady_state(np.concatenate([slow, -slow]), load_torque=0.0)
+    return dataclasses.replace(network, level=max(float(np.max(np.abs(torque))), 1e-3 * network.torque_scale))
+
+
+def model_of(network: Network, base: FrictionModel | None = None) -> FrictionModel:
+    """Friction model of a network, alone or beside a model."""
+    if base is None:
+        return FrictionModel(NETWORK_ALONE, {}, trained=network)
+    return FrictionModel(base.family, base.given, base.modifiers, base.axis, network)
+
+
+def as_model_file(
+    trained: Trained, network: Network, known: "ModelFile", *, is_residual: bool, sources: dict[str, Any]
+) -> dict[str, Any]:
+    """Model file as plain values, for YAML.
+
+    Parameters
+    ----------
+    trained : Trained
+    network : Network
+    known : ModelFile
+        Axis, mechanics, and for a residual the friction beside the network.
+    is_residual : bool
+    sources : dict
+        What it was trained on, for the provenance.
+    """
+    content = network.as_dict()
+    content = {name: _plain(value) for name, value in content.items()}
+    if is_residual:
+        friction = known.friction
+        content["base"] = {"model": friction.model, "parameters": friction.parameters}
+        content["base"] |= {"modifiers": friction.modifiers} if friction.modifiers else {}
+    return {
+        "version": 1,
+        "axis": known.axis,
+        "friction": {"model": "network", "network": content},
+        "mechanics": known.mechanics.model_dump(),
+        "fit": {
+            "software": f"friction_hil {__version__}",
+            **sources,
+            "train": dataclasses.asdict(trained.train),
+            "validation": dataclasses.asdict(trained.validation),
+            "weights": int(network.weights.size),
+            "iterations": trained.iterations,
+            "seed": trained.seed,
+            "range": {"velocity": [-network.speed_limit, network.speed_limit]},
+            "flags": list(trained.flags),
+        },
+    }
+
+
+def _plain(value: Any) -> Any:
+    """Numbers with ten digits: far more than training knows."""
+    if isinstance(value, list):
+        return [_plain(each) for each in value]
+    return float(f"{value:.10g}") if isinstance(value, float) else value
+
+
+def as_json(trained: Trained, seconds: float) -> dict[str, Any]:
+    """The object that ``train --json`` prints."""
+    return {
+        "structure": trained.structure.kind,
+        "hidden": list(trained.structure.hidden),
+        "weights": trained.structure.weights,
+        "train": dataclasses.asdict(trained.train),
+        "validation": dataclasses.asdict(trained.validation),
+        "iterations": trained.iterations,
+        "seconds": seconds,
+        "seed": trained.seed,
+        "flags": list(trained.flags),
+    }

@@ -1,0 +1,135 @@
+"""What a network looks like, the samples it is trained on, and its parameter array before training."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from friction_hil.errors import UsageError
+from friction_hil.jit import Array
+from friction_hil.models import network
+from friction_hil.models.network_model import KINDS, Structure
+
+_OUTPUT_MARGIN = 1.5  # how far the output may go beyond the largest torque of the training
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """One or more records with one sampling period, one after the other.
+
+    Attributes
+    ----------
+    dt : float
+        s.
+    velocity, torque : (n,) array
+        rad/s, held over each sample, and N m at its end.
+    position, load_torque, temperature : (n,) array
+        rad, N m, deg C; zeros where not given, NaN for an unknown temperature.
+    starts : (n,) array
+        1 where a record begins, else 0.
+    weight : (n,) array
+        What the squared error of each sample counts for. 0 for what is only run through, such as a held-out block.
+    """
+
+    dt: float
+    velocity: Array
+    torque: Array
+    position: Array = field(default_factory=lambda: np.zeros(0))
+    load_torque: Array = field(default_factory=lambda: np.zeros(0))
+    temperature: Array = field(default_factory=lambda: np.zeros(0))
+    starts: Array = field(default_factory=lambda: np.zeros(0))
+    weight: Array = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        count = np.size(self.velocity)
+        if count == 0 or not (math.isfinite(self.dt) and self.dt > 0.0):
+            raise UsageError(f"samples need a period above zero and at least one sample, not {self.dt} s and {count}")
+        first = np.zeros(count)
+        first[0] = 1.0
+        defaults = {
+            "position": np.zeros(count),
+            "load_torque": np.zeros(count),
+            "temperature": np.full(count, np.nan),
+            "starts": first,
+            "weight": np.ones(count),
+        }
+        for name in ("velocity", "torque", *defaults):
+            values = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
+            values = defaults[name] if values.size == 0 and name in defaults else values
+            if values.shape != (count,):
+                raise UsageError(f"{name} has shape {values.shape}, velocity ({count},): they must be the same")
+            if name != "temperature" and not np.isfinite(values).all():
+                place = int(np.flatnonzero(~np.isfinite(values))[0])
+                raise UsageError(f"{name} of sample {place} is {values[place]}, not a finite number")
+            object.__setattr__(self, name, values)
+        self.starts[0] = 1.0
+
+    def __len__(self) -> int:
+        return self.velocity.size
+
+    def weighted(self, weight: Array) -> "Samples":
+        """Return the same samples with other weights."""
+        return replace(self, weight=weight)
+
+
+def join(records: Iterable[Samples]) -> Samples:
+    """Put records one after the other.
+
+    Raises
+    ------
+    UsageError
+        There is none, or their periods differ.
+    """
+    all_of = list(records)
+    if not all_of or any(abs(each.dt / all_of[0].dt - 1.0) > 1e-6 for each in all_of):
+        raise UsageError("records for one training need the same sampling period: resample the others")
+    names = ("velocity", "torque", "position", "load_torque", "temperature", "starts", "weight")
+    return Samples(all_of[0].dt, *(np.concatenate([getattr(each, name) for each in all_of]) for name in names))
+
+
+def empty(structure: Structure, samples: Samples, speed_factor: float = 1.0) -> Array:
+    """Return the parameter array of a network with all weights zero, its scales found from ``samples``.
+
+    ``speed_factor`` moves the speeds at which the velocity is compressed.
+    """
+    p = np.zeros(network.HEADER + structure.weights)
+    p[network.STRUCTURE] = KINDS[structure.kind]
+    p[network.INPUTS], p[network.FEEDBACKS], p[network.LAGS] = structure.inputs, structure.states, structure.lags
+    p[network.WIDTH] = structure.hidden[0]
+    p[network.SECOND] = structure.hidden[1] if len(structure.hidden) == 2 else 0
+    p[network.HARMONICS] = len(structure.orders)
+    p[network.HAS_POSITION], p[network.HAS_LOAD] = structure.has_position, structure.has_load
+    p[network.HAS_TEMPERATURE] = structure.has_temperature
+    p[network.TRAINED_DT] = samples.dt
+    used = samples.weight > 0.0
+    torque, speed = samples.torque[used], np.abs(samples.velocity[used])
+    p[network.TORQUE_SCALE] = float(np.std(torque)) or 1.0
+    p[network.BOUND] = _OUTPUT_MARGIN * max(float(np.max(np.abs(torque))) / p[network.TORQUE_SCALE], 1.0)
+    p[network.SPEED_LIMIT] = limit = float(np.max(speed)) or 1.0
+    p[network.SPEEDS : network.SPEEDS + 3] = speeds = characteristic_speeds(speed) * speed_factor
+    p[network.FEATURE_FACTORS : network.FEATURE_FACTORS + 2] = 1.0 / np.arcsinh(limit / speeds[:2])
+    for place, values in enumerate((samples.position, samples.load_torque, samples.temperature)):
+        known = values[used & np.isfinite(values)]
+        low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
+        p[network.MIDDLES + place] = 0.5 * (low + high)
+        p[network.HALF_RANGES + place] = 0.5 * (high - low) or 1.0
+    lowest, highest = np.log(rate_bounds(samples))
+    p[network.RATE_MIDDLE], p[network.RATE_HALF] = 0.5 * (lowest + highest), 0.5 * (highest - lowest)
+    p[network.ORDERS : network.ORDERS + len(structure.orders)] = structure.orders
+    return p
+
+
+def characteristic_speeds(speed: Array) -> NDArray[np.float64]:
+    """Return three speeds at which the velocity is compressed, from those that occur, rad/s."""
+    moving = speed[speed > 1e-9 * np.max(speed)] if np.max(speed) > 0.0 else np.ones(1)
+    low, middle, high = np.quantile(moving, (0.02, 0.1, 0.4))
+    return np.asarray(np.maximum(np.array([middle, high, low]), 1e-4 * np.max(moving)))
+
+
+def rate_bounds(samples: Samples) -> tuple[float, float]:
+    """Return bounds of a gate's rate, rad^-1, from the paths that the motion of the samples makes."""
+    path = np.abs(samples.velocity) * samples.dt
+    moving = path[path > 1e-9 * path.max()] if path.max() > 0.0 else np.ones(1)
+    return 1.0 / float(moving.sum() + moving.max()), 3.0 / float(np.quantile(moving, 0.1))

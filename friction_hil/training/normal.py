@@ -1,0 +1,121 @@
+"""Normal equations of a tall and thin Jacobian, summed block by block, and their solution.
+
+Compiled here, in one thread, rather than left to a BLAS: two threads of a BLAS take twice as long for matrices of
+this shape, and which one takes what changes the bits of the sum. These operations are correctly rounded and their
+order is fixed. Against one thread of OpenBLAS they take about 0.8 times as long.
+"""
+
+from typing import Any
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+
+from friction_hil.dual import intrinsic
+from friction_hil.jit import Array, compiled
+from friction_hil.models import lanes
+from friction_hil.models.lanes import cgutils
+
+ROWS, COLUMNS = 4, 8  # of the tile of the result that stays in registers while the rows of a block go by
+
+_F8 = ir.DoubleType()
+_VECTOR = ir.VectorType(_F8, COLUMNS)
+
+
+@intrinsic
+def _add_tile(_: Any, block: Any, rows: Any, i: Any, j: Any, matrix: Any) -> Any:
+    """Add to ``matrix[i : i + ROWS, j : j + COLUMNS]`` the products of those columns of ``block``, summed over rows.
+
+    In vector instructions by name, because the compiler does not find them in a loop over numbers.
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        source, count, first, second, target = args
+        sources = context.make_array(signature.args[0])(context, builder, value=source)
+        targets = context.make_array(signature.args[4])(context, builder, value=target)
+        row_bytes = cgutils.unpack_tuple(builder, sources.strides)[0]
+        target_bytes = cgutils.unpack_tuple(builder, targets.strides)[0]
+        vectors, zero = _VECTOR.as_pointer(), ir.Constant(_VECTOR, [0.0] * COLUMNS)
+        sums = [cgutils.alloca_once_value(builder, zero) for _ in range(ROWS)]
+        for place in sums:
+            builder.store(zero, place)
+        with cgutils.for_range(builder, count) as loop:
+            row = cgutils.pointer_add(builder, sources.data, builder.mul(loop.index, row_bytes))
+            right = builder.load(builder.bitcast(builder.gep(row, [second]), vectors), align=8)
+            for a, place in enumerate(sums):
+                one = builder.load(builder.gep(row, [builder.add(first, ir.Constant(first.type, a))]))
+                left = lanes.spread(builder, _VECTOR, one)
+                builder.store(lanes.fma(builder, left, right, builder.load(place)), place)
+        for a, place in enumerate(sums):
+            down = builder.mul(builder.add(first, ir.Constant(first.type, a)), target_bytes)
+            into = builder.gep(cgutils.pointer_add(builder, targets.data, down), [second])
+            into = builder.bitcast(into, vectors)
+            builder.store(builder.fadd(builder.load(into, align=8), builder.load(place)), into, align=8)
+        return context.get_dummy_value()
+
+    return types.void(block, types.int64, types.int64, types.int64, matrix), generate
+
+
+@compiled
+def add_products(block: Array, rows: int, columns: int, matrix: Array) -> None:
+    """Add the products of the columns of ``block`` to the lower triangle of ``matrix``.
+
+    Parameters
+    ----------
+    block : (most rows, room) array
+        Room is ``columns`` rounded up to a multiple of `COLUMNS`, with zeros in the places left over.
+    rows, columns : int
+        How many of each count.
+    matrix : (room, room) array
+        Changed in place; what is above its diagonal is of no use.
+    """
+    for i in range(0, columns, ROWS):
+        for j in range(0, i + ROWS, COLUMNS):
+            _add_tile(block, rows, i, j, matrix)
+
+
+@compiled
+def room(columns: int) -> int:
+    """``columns`` rounded up to a multiple of `COLUMNS`."""
+    return (columns + COLUMNS - 1) // COLUMNS * COLUMNS
+
+
+@compiled
+def solve(matrix: Array, right: Array, solution: Array, factor: Array) -> bool:
+    """Solve a symmetric positive definite system by Cholesky's decomposition.
+
+    Parameters
+    ----------
+    matrix : (m, m) array
+        Its lower triangle is read.
+    right, solution : (m,) array
+    factor : (m, m) array
+        Room; filled with the lower triangular factor.
+
+    Returns
+    -------
+    bool
+        Whether the matrix is positive definite. If it is not, ``solution`` means nothing.
+    """
+    size = right.shape[0]
+    for i in range(size):
+        total = right[i]
+        for j in range(i + 1):
+            rest = matrix[i, j]
+            for k in range(j):
+                rest -= factor[i, k] * factor[j, k]
+            if i == j:
+                if not rest > 0.0:
+                    return False
+                factor[i, i] = np.sqrt(rest)
+            else:
+                factor[i, j] = rest / factor[j, j]
+        for k in range(i):
+            total -= factor[i, k] * solution[k]
+        solution[i] = total / factor[i, i]
+    for i in range(size - 1, -1, -1):
+        total = solution[i]
+        for k in range(i + 1, size):
+            total -= factor[k, i] * solution[k]
+        solution[i] = total / factor[i, i]
+    return True

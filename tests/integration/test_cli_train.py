@@ -1,0 +1,105 @@
+"""``friction-hil train`` as users type it: networks that learn, files that load, Ctrl-C, mistakes."""
+
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import friction_hil as fh
+
+LUGRE = "lugre:sigma0=900,sigma1=0.6,sigma2=4e-3,coulomb=0.11,static=0.17,stribeck_velocity=0.12,damping_velocity=0.12"
+EMPS = Path(__file__).resolve().parents[3] / "shared" / "data" / "emps" / "DATA_EMPS.mat"
+
+
+def train(*arguments, **options):
+    command = [sys.executable, "-m", "friction_hil", "train", *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False, **options)
+
+
+def test_a_network_learns_a_model_and_runs_where_a_model_runs(tmp_path):
+    net, report = tmp_path / "net.yaml", tmp_path / "net.html"
+    done = train("--from-model", LUGRE, "--samples", 6000, "--hidden", 6, "--output", net, "--report", report, "--json")
+    assert done.returncode == 0, done.stderr
+    said = json.loads(done.stdout)
+    assert said["structure"] == "gated"
+    assert said["validation"]["free_run"] < 0.05
+    assert said["unseen"]["multi-sines, ramps and pulses"] < 0.05
+
+    model = fh.models.load(net)
+    t = np.arange(8000) * 1e-3
+    velocity = 0.4 * np.sin(3.0 * t) * np.sin(0.7 * t)
+    name, _, rest = LUGRE.partition(":")
+    true = fh.models.create(name, **{k: float(v) for k, v in (part.split("=") for part in rest.split(","))})
+    wanted = true.simulate(velocity, 1e-3)
+    assert np.sqrt(np.mean((model.simulate(velocity, 1e-3) - wanted) ** 2)) < 0.1 * np.std(wanted)
+    assert 0.1 < model.level < 0.25
+
+    text = report.read_text(encoding="utf-8")
+    assert text.count("<figure") == 5
+    assert "http" not in text.replace("http://www.w3.org", "")
+
+    recording = tmp_path / "log.csv"
+    rows = np.column_stack([t, np.cumsum(velocity) * 1e-3, velocity, wanted])
+    np.savetxt(recording, rows, delimiter=",", header="time_s,position,velocity,torque", comments="")
+    command = [sys.executable, "-m", "friction_hil", "replay", str(recording), "--model", str(net), "--json"]
+    replayed = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    assert json.loads(replayed.stdout)["recordings"][0]["models"][0]["relative_error"] < 0.1
+
+
+def test_ctrl_c_keeps_the_best_network_so_far(tmp_path):
+    net = tmp_path / "net.yaml"
+    command = [sys.executable, "-m", "friction_hil", "train", "--from-model", LUGRE, "--output", str(net), "--json"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stderr is not None
+        assert process.stderr.readline().startswith("start 1, trial")
+        process.send_signal(signal.SIGINT)
+        out, _ = process.communicate(timeout=120)
+    assert process.returncode == 0
+    said = json.loads(out)
+    assert "stopped before the search was over" in said["flags"]
+    assert said["iterations"] < 25
+    assert fh.models.load(net).network is not None
+
+
+@pytest.mark.skipif(not EMPS.exists(), reason="the shared recording of the EMPS axis is not here")
+def test_a_residual_of_the_emps_axis_beats_the_physical_model_on_held_out_blocks(tmp_path):
+    columns = [f"--column={each}" for each in ("time_s=t", "position=qm", "torque=vir*35.150651")]
+    net = tmp_path / "net.yaml"
+    done = train(
+        EMPS, "--linear", *columns, "--structure", "residual", "--inputs", "position", "--json", "--output", net
+    )
+    assert done.returncode == 0, done.stderr
+    said = json.loads(done.stdout)
+    assert said["weights"] <= 50
+    own, physical = said["relative_errors"].values()
+    assert own < 0.95 * physical < 0.03
+    model = fh.models.load(net)
+    assert model.name == "lugre"
+    assert model.network.is_residual
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ([], "one of them"),
+        (["log.csv", "--from-model", LUGRE], "one of them"),
+        (["--from-model", "luger:a=1"], "lugre"),
+        (["--from-model", LUGRE, "--hidden", "ten"], "whole numbers"),
+        (["--from-model", LUGRE, "--hidden", "0"], "1 to 64 units"),
+        (["--from-model", LUGRE, "--inputs", "speed"], "no input 'speed'"),
+        (["--from-model", LUGRE, "--structure", "lstm"], "gated"),
+        (["--from-model", LUGRE, "--structure", "residual"], "recordings"),
+        (["--from-model", LUGRE, "--output", "net.txt"], ".yaml"),
+        (["--from-model", "coulomb:coulomb=0.1"], "--speed"),
+        (["nowhere.csv"], "nowhere.csv"),
+    ],
+)
+def test_a_mistake_is_one_sentence(arguments, words, tmp_path):
+    done = train(*arguments, cwd=tmp_path)
+    assert done.returncode in (1, 2)
+    assert words in done.stderr
+    assert "Traceback" not in done.stderr

@@ -1,0 +1,237 @@
+"""Networks as friction models: one step everywhere, bounded, at rest, beyond their range, in a model file."""
+
+import math
+import pickle
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import friction_hil as fh
+from friction_hil.compensator import Compensator, CompensatorSettings
+from friction_hil.models import InvalidParameterError
+from tests.compensators import columns
+from tests.networks import STRUCTURES, alone, beside, model_file, random_network
+
+every_structure = pytest.mark.parametrize("name", list(STRUCTURES))
+COUNT = STRUCTURES["gated"].weights
+INPUTS = {"position": 0.3, "load_torque": 0.05, "temperature": 30.0}
+
+
+def motion(samples=3000, seed=1):
+    return 0.02 * np.cumsum(np.random.default_rng(seed).standard_normal(samples))
+
+
+@every_structure
+def test_a_step_and_a_whole_array_are_the_same_bits(name):
+    model, velocity = alone(random_network(name)), motion(500)
+    runner = model.start()
+    stepped = [runner.step(v, 1e-3, **INPUTS) for v in velocity]
+    np.testing.assert_array_equal(model.simulate(velocity, 1e-3, **INPUTS), stepped)
+
+
+def test_a_runner_goes_on_after_pickling():
+    runner = alone(random_network()).start()
+    for v in motion(100):
+        runner.step(v, 1e-3)
+    other = pickle.loads(pickle.dumps(runner))
+    assert [runner.step(v, 1e-3) for v in motion(50, 2)] == [other.step(v, 1e-3) for v in motion(50, 2)]
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.sampled_from(sorted(STRUCTURES)), st.integers(0, 99), st.floats(0.1, 50.0), st.floats(1e-6, 1.0))
+def test_no_weights_and_no_input_take_it_beyond_its_bound(name, seed, size, dt):
+    network = random_network(name, seed, size)
+    velocity = np.random.default_rng(seed).choice([0.0, 1e-9, -0.02, 3.0, -1e3, 1e12], 300)
+    dt = network.period_s if name == "narx" else dt
+    torque = alone(network).simulate(velocity, dt, **INPUTS)
+    assert np.abs(torque).max() <= network.bound * network.torque_scale * (1.0 + 1e-12)
+
+
+@pytest.mark.parametrize("name", ["gated", "gated_2", "every_input"])
+def test_at_rest_a_gated_network_keeps_its_state(name):
+    model, velocity = alone(random_network(name)), np.zeros(5000)
+    velocity[:200] = motion(200) + 0.1
+    torque = model.simulate(velocity, 1e-3, **INPUTS)
+    assert len(set(torque[200:])) == 1
+    assert torque[-1] != 0.0
+
+
+@pytest.mark.parametrize("name", ["gated", "gated_2"])
+def test_a_gated_network_hardly_depends_on_the_period(name):
+    """A velocity that is held for 4 ms, in one step or in four."""
+    model, held = alone(random_network(name)), 0.05 * np.sin(np.arange(500) * 0.05)
+    coarse = model.simulate(held, 4e-3)
+    fine = model.simulate(held.repeat(4), 1e-3)[3::4]
+    assert np.abs(fine - coarse).max() < 0.02 * np.ptp(coarse)
+
+
+def test_steady_state_is_where_a_long_motion_ends():
+    model = alone(random_network())
+    speeds = np.array([-1.5, -0.02, 0.3])
+    ends = [model.simulate(np.full(4000, speed), 1e-2)[-1] for speed in speeds]
+    np.testing.assert_allclose(model.steady_state(speeds), ends, rtol=1e-9)
+    assert model.steady_state([0.0])[0] == 0.0
+
+
+def test_presliding_stiffness_is_the_slope_of_a_creeping_motion():
+    network = random_network()
+    creeping = alone(network).simulate(np.full(4, network.speeds[2]), 1e-6)
+    assert alone(network).presliding_stiffness == pytest.approx(
+        np.diff(creeping)[0] / (network.speeds[2] * 1e-6), rel=0.05
+    )
+    assert alone(random_network("static")).presliding_stiffness == 0.0
+
+
+# --- beside a model
+
+
+def test_a_residual_adds_to_its_model_and_fades_out_beyond_its_range():
+    network = random_network(is_residual=True)
+    lugre = fh.models.create("lugre", **fh.models.describe("lugre").example)
+    for speed, share in ((1.9, 1.0), (2.5, 0.5), (3.0, 0.0), (30.0, 0.0)):
+        velocity = np.full(2000, speed)
+        plain, both = lugre.simulate(velocity, 1e-3)[-1], beside(network).simulate(velocity, 1e-3)[-1]
+        learned = alone(random_network()).simulate(np.full(2000, min(speed, 2.0)), 1e-3)[-1]
+        assert both - plain == pytest.approx(share * learned, rel=1e-3, abs=1e-12)
+
+
+def test_alone_it_stays_beyond_its_range_what_it_is_at_its_end():
+    model = alone(random_network("static"))
+    ends = model.simulate([2.0, 2.1, 1e3, 1e9], 1e-3)
+    assert len(set(ends)) == 1
+
+
+def test_modifiers_of_the_model_beside_it_stay_what_they_are():
+    network = random_network(is_residual=True)
+    modifiers = {"ripple": [{"order": 3, "cosine": 0.01, "sine": 0.02}], "load": {"motoring": 0.1}}
+    velocity, inputs = motion(400), {"position": np.cumsum(motion(400)) * 1e-3, "load_torque": 0.2}
+    with_both = beside(network, "gms", modifiers).simulate(velocity, 1e-3, **inputs)
+    family = fh.models.describe("gms")
+    without = fh.models.create("gms", modifiers=modifiers, **family.example).simulate(velocity, 1e-3, **inputs)
+    learned = alone(random_network(is_residual=True)).simulate(velocity, 1e-3)
+    np.testing.assert_allclose(with_both, without + learned, atol=1e-12)
+
+
+def test_what_a_network_needs_is_asked_for():
+    model = alone(random_network("every_input"))
+    with pytest.raises(fh.errors.UsageError, match="position"):
+        model.simulate([0.1], 1e-3)
+    with pytest.raises(fh.errors.UsageError, match="load_torque"):
+        model.simulate([0.1], 1e-3, position=0.0)
+    with pytest.raises(fh.errors.UsageError, match="trained, not fitted"):
+        model.simulate_with_gradient([0.1], 1e-3)
+
+
+# --- in the compensator
+
+
+@pytest.mark.parametrize("make", [alone, beside])
+@pytest.mark.parametrize("velocity", ["difference", "kalman"])
+def test_a_compensator_replays_a_network_step_for_step(make, velocity):
+    settings_of = CompensatorSettings(
+        period_s=1e-3, position_resolution=1e-5, torque_limit=0.3, inertia=2e-4, velocity=velocity
+    )
+    one, other = (Compensator(make(random_network()), settings_of) for _ in range(2))
+    position = 1e-3 * np.cumsum(motion(600))
+    rows = columns(600, position=np.round(position / 1e-5) * 1e-5, velocity_demand=0.1, velocity_demand_ahead=0.1)
+    torque, _ = one.replay(rows)
+    np.testing.assert_array_equal(torque, [other.step(*row) for row in np.transpose(rows).tolist()])
+    assert np.abs(torque).max() > 0.01
+
+
+def test_the_level_behind_the_intent_does_not_turn_the_direction():
+    """With the measured velocity on the other side, the features creep on the side of the intent."""
+    from friction_hil.models import network
+
+    p = random_network().values
+    assert network.seen_velocity(p, 0.5, 0.3) == 0.3
+    assert network.seen_velocity(p, 0.5, -0.3) == 0.003
+    assert network.seen_velocity(p, -0.5, 0.3) == -0.003
+    assert network.seen_velocity(p, 1e-4, 0.0) == 1e-4
+    assert network.seen_velocity(p, 0.0, 0.0) == 0.0
+
+
+# --- in a model file
+
+
+@every_structure
+def test_a_model_file_gives_back_the_same_network(name, tmp_path):
+    network = random_network(name)
+    path = tmp_path / "net.yaml"
+    path.write_text(yaml.safe_dump(model_file(network), sort_keys=False))
+    model = fh.models.load(path)
+    np.testing.assert_array_equal(model.values, alone(network).values)
+    assert model.level == 0.12
+
+
+def test_a_residual_comes_with_its_model(tmp_path):
+    example = dict(fh.models.describe("lugre").example)
+    content = model_file(random_network())
+    content["friction"]["network"]["base"] = {"model": "lugre", "parameters": example}
+    path = tmp_path / "net.yaml"
+    path.write_text(yaml.safe_dump(content))
+    np.testing.assert_array_equal(fh.models.load(path).values, beside(random_network(is_residual=True)).values)
+
+
+def without(name):
+    def change(content):
+        del content["friction"]["network"][name]
+
+    return change
+
+
+def setting(name, value):
+    def change(content):
+        content["friction"]["network"][name] = value
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "place", "words"),
+    [
+        (without("weights"), "friction.network.weights", "is missing"),
+        (setting("weights", [0.1] * 7), "friction.network.weights", "7 numbers; this structure has"),
+        (setting("weights", [1e5] * COUNT), "friction.network.weights", "within"),
+        (setting("weights", [".nan"] * COUNT), "friction.network.weights", "number"),
+        (setting("structure", "lstm"), "friction.network.structure", "gated"),
+        (setting("hidden", [0]), "friction.network", "1 to 64 units"),
+        (setting("hidden", [4, 4, 4]), "friction.network", "one or two layers"),
+        (setting("states", 0), "friction.network", "1 to 4 states"),
+        (setting("speeds", [0.1, 0.2]), "friction.network.speeds", "three"),
+        (setting("speed_limit", -1.0), "friction.network.speed_limit", "above zero"),
+        (setting("inputs", ["position"]), "friction.network.ranges", "position"),
+        (setting("color", "red"), "friction.network.color", "no key here"),
+        (lambda c: c["friction"].pop("network"), "friction.network", "is missing"),
+        (lambda c: c["friction"].update(parameters={"a": 1.0}), "friction.parameters", "a network has none"),
+        (lambda c: c["friction"].update(modifiers={"load": {"motoring": 0.1}}), "friction.modifiers.load", "no levels"),
+        (lambda c: c["friction"].update(model="lugre"), "friction.network", "belongs to the model network"),
+    ],
+)
+def test_a_mistake_in_the_file_is_told_with_its_place(change, place, words, tmp_path):
+    content = model_file(random_network())
+    change(content)
+    path = tmp_path / "net.yaml"
+    path.write_text(yaml.safe_dump(content))
+    with pytest.raises(fh.errors.ConfigurationError) as caught:
+        fh.models.load(path)
+    assert any(problem.field.startswith(place) and words in problem.message for problem in caught.value.problems)
+    assert all(problem.line for problem in caught.value.problems)
+
+
+@pytest.mark.parametrize(
+    ("changes", "parameter"),
+    [
+        ({"level": math.nan}, "level"),
+        ({"bound": 0.0}, "bound"),
+        ({"speeds": (0.1, math.inf, 0.2)}, "speeds"),
+        ({"weights": np.full(COUNT, math.nan)}, "weights"),
+    ],
+)
+def test_numbers_that_are_not_finite_are_refused(changes, parameter):
+    with pytest.raises(InvalidParameterError) as caught:
+        random_network(**changes)
+    assert caught.value.parameter == parameter

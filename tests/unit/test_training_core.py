@@ -1,0 +1,352 @@
+"""The numerical core of training: steps, exact derivatives, normal equations, Levenberg-Marquardt."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import least_squares
+
+from friction_hil.errors import UsageError
+from friction_hil.models import Structure, network
+from friction_hil.training import constraints, jacobian, levenberg, normal
+from friction_hil.training.checks import at_rest, simulate
+from friction_hil.training.excitation import excitation
+from friction_hil.training.layout import Samples, empty, join
+from friction_hil.training.objective import Objective, Record
+
+DT = 1e-3
+STRUCTURES = {
+    "gated": Structure(hidden=(5,)),
+    "gated, two states": Structure(hidden=(4,), states=2),
+    "gated, two layers": Structure(hidden=(5, 3), has_position=True, orders=(7.0,)),
+    "narx": Structure("narx", (5,), 2, 1),
+    "narx, two layers": Structure("narx", (3, 6), 1, 2, has_load=True),
+    "static": Structure("static", (6,), 0, has_position=True, has_load=True, has_temperature=True),
+    "static, two layers": Structure("static", (4, 3), 0),
+}
+each_structure = pytest.mark.parametrize("structure", STRUCTURES.values(), ids=STRUCTURES.keys())
+finite = st.floats(allow_nan=False, allow_infinity=False)
+
+
+def samples(count=400, seed=3, dt=DT):
+    random = np.random.default_rng(seed)
+    velocity = excitation(1.2, dt, count, seed=seed)
+    return Samples(
+        dt,
+        velocity,
+        torque=0.1 * np.tanh(velocity / 0.01) + 0.02 * velocity + 0.001 * random.standard_normal(count),
+        position=np.cumsum(velocity) * dt,
+        load_torque=0.3 * random.standard_normal(count),
+        temperature=np.where(random.uniform(size=count) < 0.1, np.nan, random.uniform(20.0, 40.0, count)),
+    )
+
+
+def random_network(structure, data, seed=0, size=0.4):
+    p = empty(structure, data)
+    p[network.HEADER :] = size * np.random.default_rng(seed).standard_normal(structure.weights)
+    return p
+
+
+def jacobian_of(p, record, is_free):
+    data, weights = record.samples, p.size - network.HEADER
+    record.run(p, is_free)
+    rows = np.zeros((len(data), weights + network.SPARE))
+    sensitivities = np.zeros((max(1, int(p[network.FEEDBACKS])), weights + network.SPARE))
+    common = (data.starts, record.inputs, record.path, record.tempo, record.trace)
+    jacobian.fill_rows(p, *common, is_free, 0, len(data), sensitivities, rows, weights)
+    return rows[:, :weights]
+
+
+# --- the step and its derivative
+
+
+@each_structure
+def test_training_runs_the_very_step(structure):
+    data = samples()
+    p = random_network(structure, data)
+    record = Record(p, data)
+    record.run(p, is_free=True)
+    others = {"position": data.position, "load_torque": data.load_torque, "temperature": data.temperature}
+    torque = simulate(structure, p, data.velocity, DT, **others)
+    np.testing.assert_array_equal(torque, p[network.TORQUE_SCALE] * record.trace[:, -1])
+    assert np.ptp(torque) > 0.0
+
+
+def test_a_gated_network_is_the_formula():
+    """An independent calculation in numpy of what the head of `network` says."""
+    structure, data = STRUCTURES["gated"], samples(60)
+    p = random_network(structure, data)
+    w, width = p[network.HEADER :], 5
+    first, bias = w[width : width * 6].reshape(5, width), w[:width]
+    aim, damping = w[30:40], w[40:50]
+    direct, gate = w[50:55], w[55:60]
+    assert structure.weights == 60
+    expected, y = [], 0.0
+    for v in data.velocity:
+        limit, speeds = p[network.SPEED_LIMIT], p[network.SPEEDS : network.SPEEDS + 3]
+        x = np.array(
+            [v / limit, *(np.arcsinh(v / speeds[:2]) / np.arcsinh(limit / speeds[:2])), np.tanh(v / speeds[2])]
+        )
+        h = np.tanh(bias + np.append(x, y) @ first)
+        goal = np.clip(aim[0] + aim[1:6] @ h + aim[6:] @ x, -p[network.BOUND], p[network.BOUND])
+        kappa = np.exp(p[network.RATE_MIDDLE] + p[network.RATE_HALF] * np.tanh(gate[0] + gate[1:] @ x**2))
+        after = y + (1.0 - np.exp(-kappa * abs(v) * DT)) * (goal - y)
+        total = direct[0] + direct[1:] @ x + after + (damping[0] + damping[1:6] @ h + damping[6:] @ x) * (after - y)
+        expected.append(p[network.TORQUE_SCALE] * np.clip(total, -p[network.BOUND], p[network.BOUND]))
+        y = after
+    np.testing.assert_allclose(simulate(structure, p, data.velocity, DT), expected, rtol=1e-10, atol=1e-14)
+
+
+@each_structure
+@pytest.mark.parametrize("is_free", [True, False])
+def test_the_jacobian_is_exact(structure, is_free):
+    """Against central differences of fourth order; the period differs from the one of the scales."""
+    if structure.kind == "gated" and not is_free:
+        pytest.skip("a gated network is trained in free run alone")
+    p = random_network(structure, samples())
+    data = join([samples(150, dt=0.8 * DT), samples(100, seed=5, dt=0.8 * DT)])
+    record = Record(p, data)
+    exact = jacobian_of(p, record, is_free)
+
+    def torque(place, change):
+        q = p.copy()
+        q[network.HEADER + place] += change
+        record.run(q, is_free)
+        return record.trace[:, -1].copy()
+
+    for place in range(structure.weights):
+        step = 1e-4
+        near, far = (torque(place, k * step) - torque(place, -k * step) for k in (1, 2))
+        numeric = (8.0 * near - far) / (12.0 * step)
+        np.testing.assert_allclose(exact[:, place], numeric, atol=1e-8 * (1.0 + np.max(np.abs(numeric))), rtol=0.0)
+
+
+@each_structure
+def test_the_gradient_over_what_is_searched_is_that_of_the_cost(structure):
+    data = samples()
+    record = Record(empty(structure, data), data)
+    constraint = constraints.Constraint(structure, 0.3)  # so that feedback is at its bound
+    objective = Objective(empty(structure, data), record, constraint, 1e-3, is_free=True)
+    at = 0.4 * np.random.default_rng(1).standard_normal(structure.weights)
+    objective.cost(at)
+    matrix, gradient = objective.linear()
+    np.testing.assert_allclose(matrix, matrix.T, atol=1e-14)
+    for direction in np.random.default_rng(2).standard_normal((5, structure.weights)):
+        slope = (objective.cost(at + 1e-6 * direction) - objective.cost(at - 1e-6 * direction)) / 2e-6
+        assert 2.0 * gradient @ direction == pytest.approx(slope, rel=1e-5)
+
+
+def test_weights_leave_samples_out():
+    structure, data = STRUCTURES["gated"], samples()
+    p = random_network(structure, data)
+    weight = (np.arange(len(data)) % 100 < 60).astype(float)
+    record = Record(p, data.weighted(weight))
+    room = normal.room(structure.weights + 1)
+    matrix = np.zeros((room, room))
+    mean = record.run(p, is_free=True)
+    record.normal_equations(p, True, matrix)
+    kept = np.column_stack([jacobian_of(p, record, True), record.trace[:, -1] - record.target])[weight > 0.0]
+    size = structure.weights + 1
+    np.testing.assert_allclose(np.tril(matrix[:size, :size]), np.tril(kept.T @ kept) / len(kept), atol=1e-12)
+    assert mean == pytest.approx(matrix[size - 1, size - 1], rel=1e-12)
+
+
+# --- safety
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    st.sampled_from(sorted(STRUCTURES)),
+    st.lists(st.tuples(finite, finite, finite, finite), min_size=1, max_size=30),
+    st.integers(0, 99),
+)
+def test_the_torque_is_bounded_whatever_comes_in(name, inputs, seed):
+    structure = STRUCTURES[name]
+    p = random_network(structure, samples(), seed, size=30.0)
+    columns = [np.array(column) for column in zip(*inputs, strict=True)]
+    others = dict(zip(("position", "load_torque", "temperature"), columns[1:], strict=True))
+    torque = simulate(structure, p, columns[0], DT, **others)
+    assert np.all(np.abs(torque) <= p[network.BOUND] * p[network.TORQUE_SCALE] * (1.0 + 1e-12))
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.sampled_from(["gated", "gated, two states", "gated, two layers"]), st.integers(0, 10_000))
+def test_a_gated_network_forgets_how_it_began(name, seed):
+    """Two states come closer in every moving sample: the largest difference never grows."""
+    structure, data = STRUCTURES[name], samples(300, seed=seed % 7)
+    constraint = constraints.Constraint(structure, 0.8)
+    p = random_network(structure, data)
+    searched = 3.0 * np.random.default_rng(seed).standard_normal(structure.weights)
+    p[network.HEADER :] = constraint.apply(searched)[0]
+    assert constraint.feedback_gain(p[network.HEADER :]) < 0.8
+    states = [np.zeros(structure.state_room) for _ in range(2)]
+    states[0][: structure.states], states[1][: structure.states] = p[network.BOUND], -0.5 * p[network.BOUND]
+    apart = math.inf
+    for k in range(len(data)):
+        one = slice(k, k + 1)
+        for state in states:
+            simulate(structure, p, data.velocity[one], DT, position=data.position[one], state=state)
+        now = float(np.max(np.abs(states[0] - states[1])[: structure.states]))
+        assert now <= apart * (1.0 + 1e-12) + 1e-15
+        apart = now
+    assert apart < 1.5 * p[network.BOUND]
+
+
+def test_at_rest_the_torque_of_a_gated_network_holds_for_ten_minutes():
+    structure, data = STRUCTURES["gated"], samples()
+    p = random_network(structure, data)
+    state = np.zeros(structure.state_room)
+    simulate(structure, p, data.velocity, DT, state=state)
+    held = simulate(structure, p, np.zeros(600_000), DT, state=state)
+    assert held[0] != 0.0
+    assert np.all(held == held[0])
+    assert at_rest(structure, p, DT).is_steady
+
+
+def test_a_limit_cycle_at_rest_is_seen():
+    structure, data = Structure("narx", (2,), 2), samples()
+    p = empty(structure, data)
+    p[-2:] = 1.9 * math.cos(0.1), -0.97  # poles at a radius of 0.985, then
+    assert at_rest(structure, p, DT, seconds=5.0).is_steady
+    p[network.HEADER + 10 :] = 0.0
+    p[-2:] = 2.0 * math.cos(0.1), -1.0  # on the unit circle: what it was given before goes on for ever
+    p[-6:-2] = 0.5
+    rest = at_rest(structure, p, DT, seconds=5.0)
+    assert not rest.is_steady
+    assert rest.late_change > 0.0
+
+
+# --- normal equations and search
+
+
+@pytest.mark.parametrize(("rows", "columns"), [(1, 1), (7, 5), (64, 82), (33, 41)])
+def test_products_are_those_of_numpy(rows, columns):
+    random = np.random.default_rng(rows)
+    room = normal.room(columns)
+    block, matrix = np.zeros((rows, room)), np.ones((room, room))
+    block[:, :columns] = random.standard_normal((rows, columns))
+    normal.add_products(block, rows, columns, matrix)
+    np.testing.assert_allclose(np.tril(matrix), np.tril(1.0 + block.T @ block), rtol=1e-13, atol=1e-13)
+
+
+def test_cholesky_solves_and_says_when_it_cannot():
+    random = np.random.default_rng(0)
+    tall = random.standard_normal((30, 12))
+    matrix, right = tall.T @ tall, random.standard_normal(12)
+    solution, room = np.empty(12), np.empty((12, 12))
+    assert normal.solve(matrix, right, solution, room)
+    np.testing.assert_allclose(solution, np.linalg.solve(matrix, right), rtol=1e-9)
+    assert not normal.solve(matrix - 100.0 * np.eye(12), right, solution, room)
+    assert not normal.solve(np.full((12, 12), np.nan), right, solution, room)
+
+
+def osborne(at):
+    t = np.arange(33) * 10.0
+    model = at[0] + at[1] * np.exp(-at[3] * t) + at[2] * np.exp(-at[4] * t)
+    slopes = np.column_stack(
+        [
+            np.ones(33),
+            np.exp(-at[3] * t),
+            np.exp(-at[4] * t),
+            -at[1] * t * np.exp(-at[3] * t),
+            -at[2] * t * np.exp(-at[4] * t),
+        ]
+    )
+    return model, slopes
+
+
+def test_the_search_finds_what_scipy_finds():
+    """Osborne's first problem: two exponentials, scales of 1 and of 0.01 in one vector."""
+    truth, start = np.array([0.3754, 1.9358, -1.4647, 0.01287, 0.02212]), np.array([0.5, 1.5, -1.0, 0.01, 0.02])
+    data = osborne(truth)[0] + 1e-3 * np.random.default_rng(0).standard_normal(33)
+    last = []
+
+    def cost(at):
+        last[:] = [osborne(at)[0] - data, osborne(at)[1]]
+        return float(last[0] @ last[0])
+
+    solution = levenberg.minimise(
+        cost, lambda: (last[1].T @ last[1], last[1].T @ last[0]), start, iterations=200, tolerance=1e-14
+    )
+    reference = least_squares(
+        lambda at: osborne(at)[0] - data, start, jac=lambda at: osborne(at)[1], method="lm", xtol=1e-14, ftol=1e-14
+    )
+    assert solution.is_converged
+    assert solution.cost == pytest.approx(2.0 * reference.cost, rel=1e-10)
+    np.testing.assert_allclose(solution.at, reference.x, rtol=1e-4)
+
+
+def test_the_search_is_not_changed_by_the_units_of_its_numbers():
+    start, units = np.array([0.5, 1.5, -1.0, 0.01, 0.02]), np.array([1e4, 1e-3, 1.0, 1e2, 1e-5])
+    data = osborne(np.array([0.3754, 1.9358, -1.4647, 0.01287, 0.02212]))[0]
+    costs = []
+    for unit in (np.ones(5), units):
+        last = []
+
+        def cost(at, unit=unit, last=last):
+            model, slopes = osborne(at * unit)
+            last[:] = [model - data, slopes * unit]
+            return float(last[0] @ last[0])
+
+        def linear(last=last):
+            return last[1].T @ last[1], last[1].T @ last[0]
+
+        costs.append(levenberg.minimise(cost, linear, start / unit, iterations=6).cost)
+    assert costs[1] == pytest.approx(costs[0], rel=1e-6)
+
+
+# --- what is refused
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        ({"kind": "gatd"}, "did you mean 'gated'"),
+        ({"hidden": (3, 3, 3)}, "one or two layers"),
+        ({"kind": "static"}, "no states"),
+        ({"lags": 1}, "narx alone"),
+        ({"orders": (math.nan,)}, "orders"),
+    ],
+)
+def test_a_wrong_structure_is_refused(arguments, complaint):
+    with pytest.raises(UsageError, match=complaint):
+        Structure(**arguments)
+
+
+def test_wrong_samples_are_refused():
+    with pytest.raises(UsageError, match="torque of sample 1 is nan"):
+        Samples(DT, np.zeros(3), np.array([0.0, math.nan, 0.0]))
+    with pytest.raises(UsageError, match="shape"):
+        Samples(DT, np.zeros(3), np.zeros(2))
+    with pytest.raises(UsageError, match="same sampling period"):
+        join([samples(10), samples(10, dt=2 * DT)])
+
+
+# --- excitation
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.floats(1e-3, 1e3), st.sampled_from([2.5e-4, 1e-3, 1e-2]), st.integers(2000, 6000), st.integers(0, 1000))
+def test_an_excitation_covers_its_range(top, dt, count, seed):
+    velocity = excitation(top, dt, count, seed=seed)
+    assert velocity.shape == (count,)
+    assert np.max(np.abs(velocity)) <= top * (1.0 + 1e-12)
+    np.testing.assert_array_equal(velocity, excitation(top, dt, count, seed=seed))
+    assert velocity.max() > 0.0 > velocity.min()
+
+
+def test_an_excitation_has_every_decade_and_rests():
+    speed = np.abs(excitation(1.2, DT, 20_000, seed=4))
+    for low in (1e-3, 1e-2, 1e-1):
+        assert np.mean((speed > low) & (speed <= 10.0 * low)) > 0.05
+    assert np.mean(speed == 0.0) > 0.02
+    assert np.max(speed) > 0.9
+
+
+def test_a_wrong_range_is_refused():
+    with pytest.raises(UsageError, match="slowest < top_speed"):
+        excitation(1.0, DT, 100, slowest=2.0)
+    with pytest.raises(UsageError, match="finite"):
+        excitation(math.inf, DT, 100)

@@ -1,0 +1,47 @@
+/* A gated friction network as a plain C loop: what tools/bench neural measures our compiled network against.
+ *
+ * One hidden layer, one state, velocity as the only input; p as friction_hil.training.network describes it.
+ */
+
+#include <math.h>
+
+enum { INPUTS = 4, MOST_UNITS = 64, HEADER = 35 };
+
+static inline double limited(double x, double bound) { return fmin(fmax(x, -bound), bound); }
+
+void gated(const double *restrict p, const double *restrict velocity, long n, double dt, double *restrict torque)
+{
+    const int width = (int)p[4];
+    const double scale = p[11], bound = p[12], tempo = p[10] / dt;
+    const double *bias = p + HEADER, *first = bias + width, *aim = first + (INPUTS + 1) * width;
+    const double *damping = aim + 1 + width + INPUTS, *direct = damping + 1 + width + INPUTS, *gate = direct + 1 + INPUTS;
+    double y = 0.0, h[MOST_UNITS];
+    for (long k = 0; k < n; k++) {
+        const double v = limited(velocity[k], p[13]);
+        const double x[INPUTS + 1] = {v / p[13], p[17] * asinh(v / p[14]), p[18] * asinh(v / p[15]), tanh(v / p[16]), y};
+        for (int j = 0; j < width; j++)
+            h[j] = bias[j];
+        for (int i = 0; i <= INPUTS; i++)
+            for (int j = 0; j < width; j++)
+                h[j] += first[i * width + j] * x[i];
+        for (int j = 0; j < width; j++)
+            h[j] = tanh(h[j]);
+        double goal = aim[0], rate_of_change = damping[0], total = direct[0], bend = gate[0];
+        for (int j = 0; j < width; j++) {
+            goal += aim[1 + j] * h[j];
+            rate_of_change += damping[1 + j] * h[j];
+        }
+        for (int i = 0; i < INPUTS; i++) {
+            goal += aim[1 + width + i] * x[i];
+            rate_of_change += damping[1 + width + i] * x[i];
+            total += direct[1 + i] * x[i];
+            bend += gate[1 + i] * x[i] * x[i];
+        }
+        goal = limited(goal, bound);
+        const double kappa = exp(p[25] + p[26] * tanh(bend));
+        const double after = y - expm1(-kappa * fabs(velocity[k]) * dt) * (goal - y);
+        total += after + rate_of_change * (after - y) * tempo;
+        y = after;
+        torque[k] = scale * limited(total, bound);
+    }
+}

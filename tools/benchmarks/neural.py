@@ -1,0 +1,246 @@
+"""What the training of a friction network costs, against BLAS, C, pyrenn and scipy, in turns with them.
+
+The plant is the LuGre set of the reference page, 20,000 samples at 1 kHz; see `friction_hil.training`. pyrenn (PyPI)
+is only looked for: install it beside the project to see its row.
+"""
+
+import ctypes
+import importlib
+import math
+import shutil
+import subprocess
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import numpy as np
+from scipy.optimize import least_squares
+
+import friction_hil as fh
+from friction_hil.errors import FrictionHilError
+from friction_hil.jit import Array
+from friction_hil.models import Structure, network
+from friction_hil.training import levenberg, normal
+from friction_hil.training.checks import simulate
+from friction_hil.training.constraints import CONTRACTIONS, Constraint
+from friction_hil.training.excitation import excitation
+from friction_hil.training.jacobian import fill_rows
+from friction_hil.training.layout import Samples, empty
+from friction_hil.training.objective import Objective, Record
+from friction_hil.training.train import Options, first_weights, train
+from tools.benchmarks.report import Row, against, compare, note
+
+DT, SAMPLES, TOP_SPEED = 1e-3, 20_000, 1.2
+ROUNDS = 11
+SEEDS = range(10)
+GATED, NARX = Structure(hidden=(8,)), Structure("narx", (9,), 1, 1)
+STEP_NETWORK = Structure(hidden=(10,))
+PYRENN_S = 60.0
+SOURCE = Path(__file__).with_suffix(".c")
+COMMAND = ("gcc", "-O3", "-march=native", "-shared", "-fPIC")
+
+
+def plant() -> Any:
+    """Make the LuGre model of the reference page."""
+    levels = {"coulomb": 0.11, "static": 0.17, "stribeck_velocity": 0.12, "damping_velocity": 0.12}
+    return fh.models.create("lugre", sigma0=900.0, sigma1=0.6, sigma2=4e-3, **levels)
+
+
+def samples(seed: int, count: int = SAMPLES, dt: float = DT) -> Samples:
+    """Torque of the plant for a designed signal."""
+    velocity = excitation(TOP_SPEED, dt, count, seed=seed)
+    return Samples(dt, velocity, plant().simulate(velocity, dt))
+
+
+def run() -> list[Row]:
+    """Measure everything.
+
+    Raises
+    ------
+    FrictionHilError
+        There is no gcc here, or it failed.
+    """
+    note(f"medians of {ROUNDS} rounds in turns, processor time; errors are NRMSE in free run")
+    return [*iterations(), *whole_array(), single_step(), *time_to_error(), *errors()]
+
+
+def in_turns(work: dict[str, Callable[[], object]]) -> dict[str, list[float]]:
+    """Do all the work in every round; return what each part took, ms. The first round compiles."""
+    times: dict[str, list[float]] = {name: [] for name in work}
+    for number in range(ROUNDS + 1):
+        for name, do in work.items():
+            began = time.process_time_ns()
+            do()
+            if number:
+                times[name].append((time.process_time_ns() - began) / 1e6)
+    return times
+
+
+def iterations() -> list[Row]:
+    """Time one iteration of Levenberg-Marquardt against the product J' J of a BLAS."""
+    data, rows = samples(0), []
+    for structure in (GATED, NARX):
+        p = empty(structure, data)
+        at = first_weights(p, structure, data, np.random.default_rng(0))
+        objective = Objective(
+            p, Record(p, data), Constraint(structure, CONTRACTIONS[structure.kind]), 1e-9, is_free=True
+        )
+        jacobian = np.random.default_rng(0).standard_normal((SAMPLES, structure.weights))
+        step, factor = np.empty(structure.weights), np.empty((structure.weights, structure.weights))
+
+        def iteration(
+            objective: Objective = objective, at: Array = at, step: Array = step, factor: Array = factor
+        ) -> None:
+            objective.cost(at)
+            matrix, gradient = objective.linear()
+            normal.solve(matrix + 1e-3 * np.diag(np.diag(matrix)), -gradient, step, factor)
+
+        def product(jacobian: Array = jacobian) -> Array:
+            return np.asarray(jacobian.T @ jacobian)
+
+        times = in_turns({"iteration": iteration, "product": product})
+        size = f"{structure.weights} weights, {SAMPLES} samples"
+        name = f"{structure.kind}: one LM iteration, {size} (J'J by BLAS; target 2)"
+        rows.append(compare(name, "ms", times["iteration"], times["product"]))
+    return rows
+
+
+def whole_array() -> list[Row]:
+    """Time the free run over a record against a plain C loop of the same network."""
+    if shutil.which("gcc") is None:
+        raise FrictionHilError("there is no gcc here to compile the C loop with: sudo apt install gcc")
+    with tempfile.TemporaryDirectory() as folder:
+        library = Path(folder) / "neural.so"
+        done = subprocess.run([*COMMAND, "-o", library, SOURCE, "-lm"], capture_output=True, text=True)
+        if done.returncode:
+            raise FrictionHilError(f"gcc could not compile {SOURCE.name}: {done.stderr.strip()}")
+        function = ctypes.CDLL(str(library)).gated
+    array = np.ctypeslib.ndpointer(np.float64, ndim=1, flags="C")
+    function.argtypes, function.restype = (array, array, ctypes.c_long, ctypes.c_double, array), None
+    data = samples(0, 100_000)
+    p = empty(STEP_NETWORK, data)
+    p[network.HEADER :] = 0.2 * np.random.default_rng(0).standard_normal(STEP_NETWORK.weights)
+    plain = np.empty(len(data))
+    ours = simulate(STEP_NETWORK, p, data.velocity, DT)
+    function(p, data.velocity, len(data), DT, plain)
+    if not np.allclose(ours, plain, rtol=1e-9, atol=1e-12):
+        raise FrictionHilError("the C loop and the network disagree")
+    times = in_turns(
+        {
+            "ours": lambda: simulate(STEP_NETWORK, p, data.velocity, DT),
+            "C": lambda: function(p, data.velocity, len(data), DT, plain),
+        }
+    )
+    per_sample = {name: [1e6 * taken / len(data) for taken in series] for name, series in times.items()}
+    return [compare("gated 4-10-1: free run a sample (C; target 1.2)", "ns", per_sample["ours"], per_sample["C"])]
+
+
+def single_step() -> Row:
+    """Time one step from Python."""
+    from friction_hil.jit import compiled_for_one_sample
+
+    inner = network.step
+
+    @compiled_for_one_sample
+    def step(p: Array, s: Array, velocity: float) -> float:
+        return inner(p, s, velocity, DT, 0.0, 0.0, 0.0)
+
+    data = samples(0, 5000)
+    p, s = empty(STEP_NETWORK, data), np.zeros(STEP_NETWORK.state_room)
+    velocities = data.velocity.tolist()
+
+    def steps() -> None:
+        for velocity in velocities:
+            step(p, s, velocity)
+
+    taken = median(in_turns({"steps": steps})["steps"])
+    return against(3.0, "one step of a 4-10-1 network from Python (target)", "us", 1e3 * taken / len(velocities))
+
+
+def time_to_error() -> list[Row]:
+    """Time from the same start to the same error: ours, scipy's LM with the same Jacobian, and pyrenn."""
+    data, structure = samples(0), GATED
+    p = empty(structure, data)
+    start, constraint = first_weights(p, structure, data, np.random.default_rng(1)), Constraint(structure, 0.8)
+    record, goal = Record(p, data), 0.01
+    spread = float(np.std(record.target))
+
+    def ours() -> float:
+        objective, began = Objective(p, record, constraint, 0.0, is_free=True), time.process_time()
+        levenberg.minimise(
+            objective.cost,
+            objective.linear,
+            start,
+            iterations=300,
+            goes_on=lambda progress: math.sqrt(progress.cost) / spread > goal,
+        )
+        return time.process_time() - began
+
+    class Reached(Exception):  # noqa: N818 - it is good news
+        pass
+
+    objective = Objective(p, record, constraint, 0.0, is_free=True)
+
+    def residual(at: Array) -> Array:
+        if math.sqrt(objective.cost(at)) / spread <= goal:
+            raise Reached
+        return np.asarray(record.trace[:, -1] - record.target)
+
+    def jacobian(at: Array) -> Array:
+        objective.cost(at)
+        rows = np.zeros((SAMPLES, structure.weights + network.SPARE))
+        carried = np.zeros((1, structure.weights + network.SPARE))
+        common = (data.starts, record.inputs, record.path, record.tempo, record.trace)
+        fill_rows(objective.p, *common, True, 0, SAMPLES, carried, rows, structure.weights)
+        return np.asarray(rows[:, : structure.weights] @ constraint.apply(at)[1])
+
+    def scipy_lm() -> float:
+        began = time.process_time()
+        try:
+            least_squares(residual, start, jac=jacobian, method="lm", x_scale="jac", max_nfev=300)
+        except Reached:
+            return time.process_time() - began
+        note("scipy did not reach the error")
+        return time.process_time() - began
+
+    ours()
+    rows = [compare(f"to a training error of {goal:g} (scipy lm)", "s", [ours()], [scipy_lm()])]
+    try:
+        pyrenn: Any = importlib.import_module("pyrenn")
+    except ModuleNotFoundError:
+        note("pyrenn is not installed: its row is left out")
+        return rows
+    np.random.seed(0)  # pyrenn draws from it
+    net, scaled = pyrenn.CreateNN([1, 8, 1], dIn=[0, 1], dOut=[1]), data.torque / np.std(data.torque)
+    began = time.process_time()
+    while time.process_time() - began < PYRENN_S:
+        net = pyrenn.train_LM(data.velocity[None], scaled[None], net, k_max=1)
+    taken = time.process_time() - began
+    reached = float(np.sqrt(np.mean((pyrenn.NNOut(data.velocity[None], net) - scaled) ** 2)))
+    goal = reached
+    return [*rows, compare(f"to pyrenn's error of {reached:.3g} (pyrenn)", "s", [ours()], [taken])]
+
+
+def errors() -> list[Row]:
+    """Train with ten seeds; free-run error on signals made of other seeds, at three periods."""
+    found: dict[float, list[float]] = {DT: [], 0.5 * DT: [], 4.0 * DT: []}
+    seconds = []
+    for seed in SEEDS:
+        began = time.process_time()
+        result = train(GATED, samples(seed), samples(seed + 100, 8000), seed=seed, options=Options())
+        seconds.append(time.process_time() - began)
+        for dt, series in found.items():
+            test = samples(seed + 200, round(20.0 / dt), dt)
+            series.append(Record(result.parameters, test).error(result.parameters, is_free=True))
+    return [
+        against(0.008, "gated, unseen, median of 10 seeds (target)", "NRMSE", median(found[DT])),
+        against(0.015, "gated, unseen, worst of 10 seeds (target)", "NRMSE", max(found[DT])),
+        *(
+            against(0.02, f"gated at {dt / DT:g} times the period, worst of 10 (target)", "NRMSE", max(found[dt]))
+            for dt in (0.5 * DT, 4.0 * DT)
+        ),
+        Row("gated: training with all its starts, median", median(seconds), "s"),
+    ]
