@@ -11,7 +11,7 @@ from friction_hil.drive import AxisFacts
 from friction_hil.jit import Record
 from friction_hil.safety import Limits
 from friction_hil.servo.control import CONTROLLER
-from friction_hil.servo.trajectory import Path, circle_path, sine_path, still_path, triangle_path
+from friction_hil.servo.trajectory import Path, circle_path, sine_path, still_path, sweeps_path, triangle_path
 
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig, ModelFile
@@ -61,8 +61,14 @@ def ramp_s(axes: "Iterable[AxisConfig]") -> float:
     return max([_LEAST_RAMP_S, *(getattr(axis.trajectory, "ramp_s", _LEAST_RAMP_S) for axis in axes)])
 
 
-def make_path(config: "AxisConfig") -> Path:
-    """Path of the configured trajectory."""
+def make_path(config: "AxisConfig", position_resolution: float) -> Path:
+    """Path of the configured trajectory; an experiment begins with a few counts of the encoder.
+
+    Raises
+    ------
+    UsageError
+        The encoder is too coarse for an experiment.
+    """
     motion = config.trajectory
     if motion.kind == "circle":
         return circle_path(motion.radius, motion.frequency, motion.phase)
@@ -70,6 +76,15 @@ def make_path(config: "AxisConfig") -> Path:
         return sine_path(motion.amplitude, motion.frequency, motion.phase)
     if motion.kind == "triangle":
         return triangle_path(motion.amplitude, motion.frequency, motion.rounding)
+    if motion.kind == "experiment":
+        from friction_hil.identification import experiment  # what identifies is no part of the loop otherwise
+
+        acceleration = math.inf if motion.acceleration is None else motion.acceleration
+        return sweeps_path(
+            experiment.plan(
+                motion.velocity, motion.travel, position_resolution, motion.duration_s, acceleration=acceleration
+            )
+        )
     return still_path
 
 

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 _MOVING = (LoopState.RUNNING, LoopState.STOPPING)
 _COLUMNS = struct.Struct(f"={len(columns.NAMES)}d")
 _PATH_MARGIN = 0.01
+_EXTENT_HZ = 1000.0  # at which an experiment is looked at
 _STANDSTILL_SHARE = 1e-3  # of the velocity limit counts as standing
 
 
@@ -70,12 +71,18 @@ class AxisLoop:
         self._total = SlewLimiter(self._limits.torque, self._limits.torque_slew, period_s)
         self.standstill = max(_STANDSTILL_SHARE * self._limits.velocity, 2.0 * facts.position_resolution / period_s)
         self._has_setpoint = config.trajectory.kind != "none"
-        path = make_path(config)
-        self._extent = extent(path, 1.0 / getattr(config.trajectory, "frequency", 1.0))
+        path = make_path(config, facts.position_resolution)
+        motion = config.trajectory
+        if motion.kind == "experiment":
+            self._extent = extent(path, motion.duration_s, round(_EXTENT_HZ * motion.duration_s))
+        else:
+            self._extent = extent(path, 1.0 / getattr(motion, "frequency", 1.0))
         self._trajectory = Trajectory(path, path_time)
         self._controller, self._integral = make_controller(config), 0.0
         self._held = math.nan
         self._reduction = 1.0
+        self._network = self.compensator.model.network
+        self._trained_speed = math.inf if self._network is None else self._network.speed_limit
         self.notice = ""  # what the user should know; whoever tells it empties it
 
         self._shadow_columns = [columns.NAMES.index("exchange_us") + 1 + shadow_names.index(n) for n in self.shadows]
@@ -184,6 +191,12 @@ class AxisLoop:
                 f"{self.name}: the compensation swings by itself (limit cycle, over-compensation): its gain is now "
                 f"{self._reduction:.0%} of the configured one"
             )
+        elif self._network is not None and abs(self.compensator.velocity_estimate) > self._trained_speed:
+            self.notice = (
+                f"{self.name}: faster than the {self._trained_speed:g} {self._unit}/s that the network was trained "
+                f"for; beyond, {self._network.beyond}"
+            )
+            self._trained_speed = math.inf  # told once
         fault = self.supervisor.fault(feedback, state, self.compensator.velocity_estimate, position_demand)
         if self.compensator.is_faulty:
             fault = fault or f"{self.name}: the friction model gave a torque that is not finite"

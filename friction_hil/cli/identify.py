@@ -55,6 +55,40 @@ def _pairs(context: click.Context, parameter: click.Parameter, words: tuple[str,
     show_default=True,
     help="constant: a vertical axis; pendulum: sine and cosine of the position; auto: a pendulum where it shows.",
 )
+@click.option(
+    "--unknown-gain",
+    "has_unknown_gain",
+    is_flag=True,
+    help="The column torque is a signal of unknown gain (volts, amperes, duty): find gain and back-EMF, the scale "
+    "being that of what --fix holds, e.g. gravity.sine=MASS*9.81*LENGTH worked out, or inertia.",
+)
+@click.option(
+    "--min-speed",
+    "least_speed",
+    type=click.FloatRange(min=0.0),
+    default=0.0,
+    metavar="SPEED",
+    help="Rows at which the axis is slower do not count, rad/s or m/s: at rest friction is whatever holds it.",
+)
+@click.option(
+    "--group-by",
+    metavar="ENTRY",
+    help="Hold recordings out together whose metadata have the same ENTRY, e.g. trajectory.",
+)
+@click.option(
+    "--torque-is",
+    "torque",
+    type=click.Choice(["mean", "instant"]),
+    default="mean",
+    show_default=True,
+    help="What the drive reports in a cycle: the mean since the last one, or the torque of the instant.",
+)
+@click.option(
+    "--refine/--no-refine",
+    "is_refined",
+    default=None,
+    help="Fit a chosen dynamic model once more, with all that the encoder tells; by default where presliding shows.",
+)
 @recording_options
 @click.option(
     "--lowpass", "lowpass_hz", type=float, metavar="HZ", help="Derive velocity from the position below HZ, no delay."
@@ -93,6 +127,11 @@ def command(
     held: dict[str, float],
     is_linear: bool,
     gravity: Any,
+    has_unknown_gain: bool,
+    least_speed: float,
+    group_by: str | None,
+    torque: Any,
+    is_refined: bool | None,
     axis: str | None,
     columns: dict[str, str],
     scale: dict[str, float],
@@ -120,6 +159,11 @@ def command(
         gravity=gravity,
         held=held,
         is_robust=loss == "huber",
+        has_unknown_gain=has_unknown_gain,
+        least_speed=least_speed,
+        group_by=group_by,
+        torque=torque,
+        refine=is_refined,
         seed=seed,
         lowpass_hz=lowpass_hz,
         decimation=decimate,
@@ -132,8 +176,10 @@ def command(
         require_matplotlib()
         if report.suffix not in (".html", ".htm"):
             raise click.UsageError(f"--report {report}: a report ends in .html")
-    recordings = _read(sources, axis, columns, scale)
-    validation = _read(kept_apart, axis, columns, scale)
+    if has_unknown_gain and controller:
+        raise click.UsageError("--controller takes a measured torque: not with --unknown-gain")
+    recordings = read_recordings(sources, axis, columns, scale)
+    validation = read_recordings(kept_apart, axis, columns, scale)
     status = console(stderr=True)
     with status.status("reading") as line:
         result = identify(
@@ -155,9 +201,10 @@ def command(
     return 0
 
 
-def _read(
+def read_recordings(
     sources: tuple[Path, ...], axis: str | None, columns: dict[str, str], scale: dict[str, float]
 ) -> "list[Recording]":
+    """Read the recordings of one axis from files and patterns of files."""
     from friction_hil import recordings
 
     found = []

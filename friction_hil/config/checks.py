@@ -90,6 +90,8 @@ def _peak_speed(axis: "AxisConfig") -> float:
         return math.tau * trajectory.frequency * trajectory.amplitude
     if trajectory.kind == "triangle":
         return 4.0 * trajectory.frequency * trajectory.amplitude
+    if trajectory.kind == "experiment":
+        return trajectory.velocity
     return 0.0
 
 

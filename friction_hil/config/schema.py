@@ -153,6 +153,17 @@ class Triangle(Section):
     rounding: float = key("share of a quarter period over which a corner is rounded", "1", default=0.1, gt=0, le=0.5)
 
 
+class Experiment(Section):
+    """Swelling sines from presliding to full speed, back to the start, then rest: the motion for `identify`."""
+
+    kind: Literal["experiment"]
+    velocity: float = key("highest speed, where travel leaves room for it", VELOCITY, gt=0)
+    travel: float = key("largest distance from the start, to either side", POSITION, gt=0)
+    acceleration: float | None = key("highest acceleration", f"{VELOCITY} per s", default=None, gt=0)
+    duration_s: float = key("length", "s", default=60.0, ge=10)
+    ramp_s: float = _RAMP
+
+
 class Hold(Section):
     """Stay where the axis is."""
 
@@ -165,7 +176,7 @@ class NoTrajectory(Section):
     kind: Literal["none"]
 
 
-Trajectory = Annotated[Circle | Sine | Triangle | Hold | NoTrajectory, Field(discriminator="kind")]
+Trajectory = Annotated[Circle | Sine | Triangle | Experiment | Hold | NoTrajectory, Field(discriminator="kind")]
 
 
 class Controller(Section):
@@ -197,7 +208,7 @@ class AxisConfig(Section):
     model: ModelFile = key("friction model of the axis: a model file (a path), or its content")
     compensation: Compensation = key("how the model's torque is applied", default=Compensation())
     shadows: tuple[Shadow, ...] = key("further models, recorded for comparison, never commanded", default=())
-    trajectory: Trajectory = key("motion: kind circle, sine, triangle, hold or none")
+    trajectory: Trajectory = key("motion: kind circle, sine, triangle, experiment, hold or none")
     controller: Controller | None = key("the daemon's own controller (modes cst and csv)", default=None)
     simulation: SerializeAsAny[BaseModel] | None = key("the drive that 'simulate' puts on the bus", default=None)
     options: SerializeAsAny[BaseModel] = Field(json_schema_extra={"is_key": False})

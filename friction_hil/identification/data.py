@@ -1,14 +1,15 @@
 """Recordings as regression sees them: motion on an even grid, and one filter for both sides of the equation."""
 
 import itertools
-from collections.abc import Sequence
-from dataclasses import dataclass
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from friction_hil import filtering
-from friction_hil.errors import RecordingError, UsageError
+from friction_hil.errors import RecordingError, UsageError, choices
 from friction_hil.identification import filters
 from friction_hil.jit import Array
 from friction_hil.recordings import Recording
@@ -55,6 +56,10 @@ class Record:
         Position as it was measured.
     resolution : float or None
         Step in which it came; None where it is not quantised.
+    group : str
+        Recordings of one group are held out together; empty for a group of its own.
+    is_moving : array of bool or None
+        Rows of the regression that count, of those that the filters leave; None for all.
     """
 
     path: str
@@ -76,6 +81,8 @@ class Record:
     problems: tuple[str, ...]
     encoder: Array
     resolution: float | None
+    group: str = field(default="", kw_only=True)
+    is_moving: Mask | None = field(default=None, kw_only=True)
 
     @property
     def dt(self) -> float:
@@ -95,7 +102,8 @@ class Record:
 
     def reduce_smooth(self, values: Array) -> Array:
         """`reduce` of what comes from the low-passed position."""
-        return filters.decimate(values[self.begin : self.end], self.decimation)
+        reduced = filters.decimate(values[self.begin : self.end], self.decimation)
+        return reduced if self.is_moving is None else reduced[self.is_moving]
 
     def reduced_torque(self) -> Array:
         """Measured torque in the rows of the regression."""
@@ -104,7 +112,8 @@ class Record:
     def reduced_time(self) -> Array:
         """Time stamps of the rows of the regression."""
         time = self.time_s[self.begin : self.end]
-        return time if self.decimation == 1 else time[filtering.decimated_rows(len(time), self.decimation)]
+        time = time if self.decimation == 1 else time[filtering.decimated_rows(len(time), self.decimation)]
+        return time if self.is_moving is None else time[self.is_moving]
 
     @property
     def _is_lowpass_idle(self) -> bool:
@@ -113,7 +122,14 @@ class Record:
         return filtering.DECIMATOR_SHARE * self.rate_hz / (2.0 * self.decimation) <= 0.5 * self.lowpass_hz
 
 
-def prepare(recording: Recording, *, lowpass_hz: float | None = None, decimation: int | None = None) -> list[Record]:
+def prepare(
+    recording: Recording,
+    *,
+    lowpass_hz: float | None = None,
+    decimation: int | None = None,
+    least_speed: float = 0.0,
+    group_by: str | None = None,
+) -> list[Record]:
     """Make a recording ready for regression.
 
     Parameters
@@ -125,6 +141,11 @@ def prepare(recording: Recording, *, lowpass_hz: float | None = None, decimation
         recorded velocity is taken, or where there is none, a tenth of the sampling rate.
     decimation : int, optional
         Keep each n-th row for the regression; the models run at the full rate. 10, or less in a short recording.
+    least_speed : float
+        Rows at which the axis is slower do not count: friction at rest is whatever holds the axis, which no map of
+        the velocity knows, nor a spring in presliding where the position is too coarse to see it.
+    group_by : str, optional
+        Entry of the metadata whose value names the group of the recording.
 
     Returns
     -------
@@ -172,7 +193,32 @@ def prepare(recording: Recording, *, lowpass_hz: float | None = None, decimation
     if len(kept) < len(grid.segments):
         rows = sum(part.stop - part.start for part in grid.segments if part not in kept)
         problems.append(f"parts of fewer than {fewest} rows are too short for the filters: {rows} rows left out")
-    return [_record(recording, grid, part, lowpass_hz, factor, settling, tuple(problems)) for part in kept]
+    group = _group(recording, group_by)
+    records = [_record(recording, grid, part, lowpass_hz, factor, settling, tuple(problems)) for part in kept]
+    records = [replace(each, group=group) for each in records]
+    return records if least_speed == 0.0 else _moving(records, least_speed)
+
+
+def _group(recording: Recording, group_by: str | None) -> str:
+    if group_by is None:
+        return ""
+    if group_by not in recording.metadata:
+        there = choices(group_by, map(str, recording.metadata)) if recording.metadata else "it has none"
+        raise UsageError(f"{recording.path}: nothing called {group_by!r} beside the rows to group by; {there}")
+    return f"{group_by} {recording.metadata[group_by]}"
+
+
+def _moving(records: Sequence[Record], least_speed: float) -> list[Record]:
+    """Let only rows count at which the axis moves; a record without any is left out."""
+    if not (0.0 < least_speed < math.inf):
+        raise UsageError(f"the least speed that counts is a number above 0, not {least_speed:g}")
+    found = []
+    masks = [np.abs(record.reduce_smooth(record.velocity)) >= least_speed for record in records]
+    for record, is_moving in zip(records, masks, strict=True):
+        note = f"slower than {least_speed:g}: {np.count_nonzero(~is_moving)} of {len(is_moving)} rows do not count"
+        if is_moving.any():
+            found.append(replace(record, is_moving=is_moving, problems=(*record.problems, note)))
+    return found
 
 
 def _record(
@@ -222,6 +268,9 @@ class Data:
     Parameters
     ----------
     records : sequence of Record
+    known : mapping, optional
+        Torque per unit of linear parameters that are known while the gain of the drive is not: together they are the
+        column ``drive.inverse_gain``.
 
     Attributes
     ----------
@@ -232,12 +281,13 @@ class Data:
         Measured torque, reduced.
     """
 
-    def __init__(self, records: Sequence[Record]) -> None:
+    def __init__(self, records: Sequence[Record], known: Mapping[str, float] | None = None) -> None:
         self.records = tuple(records)
+        self.known = dict(known or {})
         reduced = [record.reduced_torque() for record in self.records]
         ends = np.cumsum([0, *map(len, reduced)])
         self.parts = tuple(slice(int(a), int(b)) for a, b in itertools.pairwise(ends))
-        self.torque: Array = np.concatenate(reduced)
+        self.torque: Array = np.concatenate([np.empty(0), *reduced])
         self._columns: dict[str, Array] = {}
 
     def __len__(self) -> int:
@@ -249,7 +299,11 @@ class Data:
 
     def column(self, name: str) -> Array:
         """Torque per unit of a linear parameter, reduced (k,); remembered by its name."""
-        if name not in self._columns:
+        if name == "drive.inverse_gain" and name not in self._columns:
+            self._columns[name] = sum(
+                (value * self.column(each) for each, value in self.known.items()), start=np.zeros(len(self))
+            )
+        elif name not in self._columns:
             parts = []
             for record in self.records:
                 if name == "inertia":
@@ -276,7 +330,7 @@ def linear_column(key: str, record: Record) -> Array:
     ----------
     key : str
         ``offset``, ``gravity.constant``, ``gravity.sine``, ``gravity.cosine``, ``viscous``, ``viscous.positive`` and
-        ``viscous.negative`` (in one direction alone), ``viscous.quadratic``, ``viscous.cubic``, or
+        ``viscous.negative`` (in one direction alone), ``viscous.quadratic``, ``viscous.cubic``, ``drive.back_emf``, or
         ``ripple.cosine@K`` and ``ripple.sine@K`` with K the angle per position, rad/rad or rad/m.
     """
     v, q = record.velocity, record.position
@@ -288,7 +342,7 @@ def linear_column(key: str, record: Record) -> Array:
             return np.sin(q)
         case "gravity.cosine":
             return np.cos(q)
-        case "viscous":
+        case "viscous" | "drive.back_emf":
             return v
         case "viscous.positive":
             return np.maximum(v, 0.0)

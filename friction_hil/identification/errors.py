@@ -49,14 +49,14 @@ def prediction_error(measured: Array, predicted: Array, blocks: Sequence[Mask] =
 
 
 def blocks(data: Data) -> list[Mask]:
-    """Rows (masks) of each block: contiguous in time, or whole recordings where there are several."""
-    paths = [record.path for record in data.records]
+    """Rows (masks) of each block: contiguous in time, or, of several recordings, each or each group."""
+    owners = [record.group or record.path for record in data.records]
     masks = []
-    if len(set(paths)) >= _RECORDINGS_AS_BLOCKS:
-        for path in dict.fromkeys(paths):
+    if is_grouped(data) or len(set(owners)) >= _RECORDINGS_AS_BLOCKS:
+        for owner in dict.fromkeys(owners):
             mask = np.zeros(len(data), dtype=bool)
-            for each, part in zip(paths, data.parts, strict=True):
-                mask[part] |= each == path
+            for each, part in zip(owners, data.parts, strict=True):
+                mask[part] |= each == owner
             masks.append(mask)
         return masks
     edges = np.linspace(0, len(data), BLOCKS + 1).round().astype(int)
@@ -67,13 +67,20 @@ def blocks(data: Data) -> list[Mask]:
     return masks
 
 
+def is_grouped(data: Data) -> bool:
+    """Whether somebody has said which recordings are to be held out together."""
+    return len({record.group for record in data.records if record.group}) > 1
+
+
 def speed_groups(data: Data) -> list[Mask]:
     """Rows (masks) of groups of strokes, a stroke being what lies between two reversals, ordered by their top speed.
 
     A record often repeats one motion: each block of it is like the others, and a model flexible enough to
     memorise that motion predicts them all. Strokes of one speed held out are predicted from those of others.
-    Empty where there are too few strokes.
+    Empty where there are too few strokes, or where the recordings are grouped already.
     """
+    if is_grouped(data):
+        return []
     velocity = data.motion("velocity")
     number = np.zeros(len(velocity), dtype=int)
     number[1:] = np.diff(np.sign(velocity)) != 0.0

@@ -56,6 +56,7 @@ def _provenance(identification: Identification, fit: Fit) -> dict[str, Any]:
         "rows": len(curves.measured),
         "lowpass_hz": records[0].lowpass_hz,
         "decimation": records[0].decimation,
+        "refined": fit.is_refined,
         "loss": "huber" if settings.is_robust else "squares",
         "held": dict(settings.held),
         "chosen": identification.reason,
@@ -70,6 +71,8 @@ def _provenance(identification: Identification, fit: Fit) -> dict[str, Any]:
         },
         "flags": list(fit.flags),
     }
+    if fit.drive:
+        content["drive"] = _drive(fit)
     if fit.across_speeds is not None:
         content["across_speeds"] = _error(fit.across_speeds)
     if fit.validation is not None:
@@ -88,6 +91,11 @@ def standard_errors(fit: Fit) -> dict[str, float | None]:
     """Standard error of each parameter that was looked for; None where it has none: at a bound, or not determined."""
     errors = fit.inference.standard_errors
     return {name: errors[name] if name in errors and math.isfinite(errors[name]) else None for name in fit.values}
+
+
+def _drive(fit: Fit) -> dict[str, float]:
+    """``gain`` in N m per unit of the signal, ``back_emf`` in N m s/rad, of a drive whose gain was looked for."""
+    return {name.removeprefix("drive."): value for name, value in fit.drive.items()}
 
 
 def _error(error: PredictionError) -> dict[str, float]:
@@ -123,11 +131,13 @@ def _fit(fit: Fit) -> dict[str, Any]:
     return {
         "model": fit.structure.family,
         "label": fit.label,
+        "refined": fit.is_refined,
         "parameters": parameters,
         "modifiers": modifiers,
         "standard_errors": standard_errors(fit),
         "correlations": {"names": fit.inference.names, "matrix": fit.inference.correlations},
         "mechanics": _mechanics(fit.mechanics),
+        "drive": _drive(fit) or None,
         "train": _error(fit.train),
         "cross_validation": _error(fit.cross_validation),
         "across_speeds": None if fit.across_speeds is None else _error(fit.across_speeds),

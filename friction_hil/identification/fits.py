@@ -1,7 +1,7 @@
 """One candidate fitted: parameters with their uncertainty, errors inside and outside the data, curves to draw."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,8 @@ from friction_hil.identification.errors import (
     validate,
 )
 from friction_hil.identification.inference import Inference, flags, infer
-from friction_hil.identification.problem import Estimate, Problem
+from friction_hil.identification.problem import BACK_EMF, INVERSE_GAIN, Estimate, Problem
+from friction_hil.identification.refine import refine
 from friction_hil.identification.structures import Scales, Structure
 from friction_hil.jit import Array
 
@@ -75,6 +76,9 @@ class Fit:
     coordinates : array
         Where the search ended.
     curves : Curves
+    estimate : Estimate
+    is_refined : bool
+        Whether it was fitted once more by `refined`.
     """
 
     structure: Structure
@@ -88,6 +92,8 @@ class Fit:
     flags: tuple[str, ...]
     coordinates: Array
     curves: Curves
+    estimate: Estimate
+    is_refined: bool = False
 
     @property
     def label(self) -> str:
@@ -105,9 +111,15 @@ class Fit:
         return self.validation or self.across_speeds or self.cross_validation
 
     @property
+    def drive(self) -> dict[str, float]:
+        """Gain and back-EMF of a drive whose gain was looked for."""
+        return {name: value for name, value in self.values.items() if name.startswith("drive.")}
+
+    @property
     def friction(self) -> tuple[dict[str, Any], dict[str, Any]]:
         """Parameters and modifiers as in a model file."""
-        own = {name: value for name, value in self.values.items() if name not in MECHANICS}
+        other = (*MECHANICS, *self.drive)
+        own = {name: value for name, value in self.values.items() if name not in other}
         parameters, modifiers = structures.nested({**self.structure.constants, **own})
         return parameters, modifiers
 
@@ -159,10 +171,47 @@ def fit(
         at = [min(first, key=lambda solution: solution.cost).at]
     estimate = problem.estimate(at[0], is_robust=is_robust, evaluations=_EVALUATIONS)
     inference = infer(estimate, problem.data.parts)
+    return _fit(problem, estimate, inference, validation, notes)
+
+
+def refined(
+    base: Fit,
+    problem: Problem,
+    originals: Data,
+    scales: Scales,
+    *,
+    replicas: int,
+    seed: int = 0,
+    validation: Problem | None = None,
+    notes: Sequence[str] = (),
+) -> Fit:
+    """Fit a structure once more on fine records: see `friction_hil.identification.refine`.
+
+    Parameters
+    ----------
+    base : Fit
+        To the ordinary records, ``originals``.
+    problem : Problem
+        The same structure on what `friction_hil.identification.fine.fine_data` makes of them.
+    originals : Data
+    scales : Scales
+    replicas, seed : int
+        Of the repeated experiments.
+    validation, notes
+        See `fit`.
+    """
+    estimate, inference, further = refine(problem, originals, base.coordinates, scales, replicas=replicas, seed=seed)
+    return replace(_fit(problem, estimate, inference, validation, (*notes, *further)), is_refined=True)
+
+
+def _fit(
+    problem: Problem, estimate: Estimate, inference: Inference, validation: Problem | None, notes: Sequence[str]
+) -> Fit:
+    structure = problem.structure
     return Fit(
         structure=structure,
         values=estimate.values,
-        mechanics={name: estimate.values.get(name, problem.held.get(name, 0.0)) for name in MECHANICS},
+        mechanics=_mechanics(problem, estimate),
         inference=inference,
         train=prediction_error(problem.data.torque, problem.data.torque - estimate.residual),
         cross_validation=cross_validate(problem, estimate, blocks(problem.data)),
@@ -171,7 +220,15 @@ def fit(
         flags=(*notes, *flags(estimate, inference)),
         coordinates=estimate.coordinates,
         curves=_curves(problem.data, estimate),
+        estimate=estimate,
     )
+
+
+def _mechanics(problem: Problem, estimate: Estimate) -> dict[str, float]:
+    """Mechanics that were found or held, in the units of the measured torque."""
+    scale = estimate.values.get(INVERSE_GAIN, 1.0)
+    held = {**problem.held, **{name: scale * value for name, value in problem.data.known.items()}}
+    return {name: estimate.values.get(name, held.get(name, 0.0)) for name in MECHANICS}
 
 
 def _from_plain(structure: Structure, values: Mapping[str, float]) -> dict[str, float]:
@@ -187,7 +244,7 @@ def _from_plain(structure: Structure, values: Mapping[str, float]) -> dict[str, 
 def _curves(data: Data, estimate: Estimate) -> Curves:
     predicted = data.torque - estimate.residual
     friction = predicted.copy()
-    for name in MECHANICS:
+    for name in (*MECHANICS, INVERSE_GAIN, BACK_EMF):
         if estimate.values.get(name):
             friction -= estimate.values[name] * data.column(name)
     numbers = np.concatenate([np.full(part.stop - part.start, i) for i, part in enumerate(data.parts)])

@@ -2,18 +2,22 @@
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 
 from friction_hil import models
 from friction_hil.errors import RecordingError, UsageError, choices
-from friction_hil.identification import modifiers, structures
-from friction_hil.identification.data import Data, Record, prepare
-from friction_hil.identification.fits import MECHANICS, Fit, fit
+from friction_hil.identification import drive, modifiers, structures
+from friction_hil.identification.choice import choose, is_better
+from friction_hil.identification.data import LEAST_ROWS, Data, Record, prepare
+from friction_hil.identification.errors import is_grouped
+from friction_hil.identification.fine import fine_data, is_fine, shows_presliding
+from friction_hil.identification.fits import MECHANICS, Fit, fit, refined
 from friction_hil.identification.inference import VAGUE
-from friction_hil.identification.problem import Problem
+from friction_hil.identification.problem import BACK_EMF, INVERSE_GAIN, Problem
+from friction_hil.identification.refine import REPLICAS, is_dynamic
 from friction_hil.identification.scales import scales as size_up
 from friction_hil.identification.structures import EQUAL_IN_FEEDFORWARD, EXTENDS, Structure
 from friction_hil.jit import Array
@@ -48,10 +52,25 @@ class Settings:
         Huber's loss in place of squares.
     has_modifiers : bool
         Whether further modifiers than direction are tried.
+    has_unknown_gain : bool
+        The column ``torque`` is a signal in a unit of its own (V, A), and torque = gain signal - back_emf velocity:
+        both are looked for, and what is held of inertia and gravity sets the scale
+        (`friction_hil.identification.drive`).
+    least_speed, group_by
+        See `friction_hil.identification.data.prepare`; groups are held out in turn.
     seed : int
         Of the random starts.
     lowpass_hz, decimation
         See `friction_hil.identification.data.prepare`.
+    refine : bool, optional
+        Whether the chosen model, if it is dynamic, is fitted once more with all that the encoder tells
+        (`friction_hil.identification.refine`). By default where all recordings show presliding: position in known
+        steps, sampled at 500 Hz or more, and swings faster than 8 Hz.
+    torque : str
+        What a measured torque is, which the refinement needs to know: ``mean`` over the period that ends at the
+        sample, or that of the ``instant``.
+    replicas : int
+        Experiments that the refinement repeats on the computer.
     """
 
     families: tuple[str, ...] = ()
@@ -60,9 +79,15 @@ class Settings:
     held: Mapping[str, float] = field(default_factory=dict)
     is_robust: bool = False
     has_modifiers: bool = True
+    has_unknown_gain: bool = False
+    least_speed: float = 0.0
+    group_by: str | None = None
     seed: int = 0
     lowpass_hz: float | None = None
     decimation: int | None = None
+    refine: bool | None = None
+    torque: Literal["mean", "instant"] = "mean"
+    replicas: int = REPLICAS
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,10 +163,13 @@ class _Search:
     ) -> None:
         self.settings, self.progress = settings, progress
         self.families = _families(settings)
-        self.data = Data(self._prepared(recordings))
+        self.known = drive.known_torque(settings.held) if settings.has_unknown_gain else {}
+        self.data = Data(self._prepared(recordings), self.known)
+        if len(self.data) < LEAST_ROWS:
+            raise RecordingError(f"the axis moves in {len(self.data)} rows only; {LEAST_ROWS} are the least")
         kept = self._prepared(validation)
-        self.validation = Data(kept) if kept else None
-        self.held = {name: value for name, value in settings.held.items() if name in MECHANICS}
+        self.validation = Data(kept, self.known) if kept else None
+        self.held = {} if self.known else {name: x for name, x in settings.held.items() if name in MECHANICS}
         self.notes: list[str] = []
         self._offset: float | None = None
         if not settings.families:
@@ -154,8 +182,18 @@ class _Search:
         self._check_held()
 
     def _prepared(self, recordings: Sequence[Recording]) -> list[Record]:
-        lowpass_hz, decimation = self.settings.lowpass_hz, self.settings.decimation
-        return [part for each in recordings for part in prepare(each, lowpass_hz=lowpass_hz, decimation=decimation)]
+        settings = self.settings
+        return [
+            part
+            for each in recordings
+            for part in prepare(
+                each,
+                lowpass_hz=settings.lowpass_hz,
+                decimation=settings.decimation,
+                least_speed=settings.least_speed,
+                group_by=settings.group_by,
+            )
+        ]
 
     def run(self) -> Identification:
         """Fit all candidates and choose."""
@@ -163,8 +201,18 @@ class _Search:
         if self.settings.has_modifiers:
             fits += self._modified(fits)
         fits += self._pruned(fits)
-        best, reason = choose(fits)
+        if self.known:
+            fits = drive.usable(fits)
+        best, reason = choose(fits, "groups of recordings" if is_grouped(self.data) else "blocks")
         others = sorted((each for each in fits if each is not best), key=lambda each: each.held_out.rmse)
+        if not self.known and is_dynamic(best.structure) and shows_presliding(self.data.records, self.settings.refine):
+            best = self._refined(best)
+            reason += (
+                "; its parameters are those of a further fit, with the position to a count and the model in several "
+                "steps a sample, since the recording shows presliding"
+            )
+        if self.known:  # only now: one number for all of a fit, but not the same one for all fits
+            best, *others = (drive.in_torque(each, self.data.parts) for each in (best, *others))
         kept = () if self.validation is None else self.validation.records
         return Identification((best, *others), reason, self.data.records, kept, self.settings, tuple(self.notes))
 
@@ -185,7 +233,7 @@ class _Search:
             family, self.scales, self.settings.axis, self.data.records[0].dt, is_directed=is_directed
         )
         for name, value in self.settings.held.items():
-            if name in MECHANICS:
+            if name in (*MECHANICS, BACK_EMF):
                 continue
             sides = [f"direction.{side}.{name}" for side in SIDES]
             if all(side in structure.names for side in sides):
@@ -193,6 +241,8 @@ class _Search:
                     structure = structure.hold(side, value)
             elif name in _names(structure):
                 structure = structure.hold(name, value)
+        if self.known and BACK_EMF not in self.known:
+            structure = drive.without_viscous(structure)
         return structure
 
     def fit(self, structure: Structure, warm: Mapping[str, float] | None = None) -> Fit:
@@ -220,13 +270,44 @@ class _Search:
             notes=notes,
         )
 
+    def _refined(self, base: Fit) -> Fit:
+        """The chosen fit once more, on fine records."""
+        self.progress(f"{base.label}, once more with all that the encoder tells")
+
+        def problem(data: Data) -> Problem:
+            loads = self._loads_of(data, base.mechanics) if "load" in base.structure.modifiers else None
+            return Problem(data, base.structure, mechanics, held, loads)
+
+        mechanics, held, notes = self._mechanics(base.structure)
+        is_mean, check = self.settings.torque == "mean", None
+        if self.validation is not None:
+            records = self.validation.records
+            check = problem(fine_data(records, is_mean=is_mean) if all(map(is_fine, records)) else self.validation)
+        return refined(
+            base,
+            problem(fine_data(self.data.records, is_mean=is_mean)),
+            self.data,
+            self.scales,
+            replicas=self.settings.replicas,
+            seed=self.settings.seed,
+            validation=check,
+            notes=notes,
+        )
+
     def _mechanics(self, structure: Structure) -> tuple[list[str], dict[str, float], list[str]]:
         """Linear parameters of the mechanics that go with a structure, those that are held, and what is odd."""
         level = "gravity.constant" if "gravity.constant" in self.gravity else "offset"
-        names = list(dict.fromkeys(["inertia", level, *self.gravity]))
+        names = self._linear("inertia", level, *self.gravity)
         held = dict(self.held)
         notes: list[str] = []
-        if "direction" in structure.modifiers and level not in held:
+        if self.known:
+            notes += drive.notes(structure, self.known)
+        if "load" in structure.modifiers and self._is_load_found:
+            notes.append(
+                "collinear: load.motoring and load.driven with gravity, which is found here; one value stands for both"
+            )
+        if "direction" in structure.modifiers and level in names:
+            names.remove(level)
             held[level] = (
                 self._constant_torque if abs(self._constant_torque) > _LARGE_OFFSET * self.scales.level else 0.0
             )
@@ -240,8 +321,9 @@ class _Search:
     def _constant_torque(self) -> float:
         """Offset of a plain Coulomb fit."""
         if self._offset is None:
+            swinging = [name for name in self.gravity if name != "gravity.constant"]
             plain = fit(
-                Problem(self.data, self._coulomb(), ["inertia", "offset", *_swinging(self.gravity)], self.held),
+                Problem(self.data, self._coulomb(), self._linear("inertia", "offset", *swinging), self.held),
                 self.scales,
             )
             self._offset = plain.mechanics["offset"]
@@ -262,10 +344,10 @@ class _Search:
             return ()
         structure = self._coulomb()
         without, swinging = (
-            fit(Problem(self.data, structure, ["inertia", "offset", *gravity], self.held), self.scales)
+            fit(Problem(self.data, structure, self._linear("inertia", "offset", *gravity), self.held), self.scales)
             for gravity in ((), pendulum)
         )
-        if not _is_better(swinging, without):
+        if not is_better(swinging, without):
             return ()
         self.notes.append("gravity: sine and cosine of the position predict held-out blocks better than none")
         return pendulum
@@ -277,21 +359,41 @@ class _Search:
         for each in sorted(fits, key=lambda each: each.held_out.rmse):
             if EXTENDS.get(each.structure.family) not in self.families:  # else its special case stands for it
                 best.setdefault(each.structure.family, each)
-        for base in list(best.values())[:_EXTENDED]:
+        bases = list(best.values())[:_EXTENDED]
+        is_plain = {each.structure.family for each in bases if not each.structure.modifiers}
+        for each in fits:  # what the load does is easily mistaken for directions, or for the hump of a larger family
+            family = each.structure.family
+            if each.structure.modifiers or family in is_plain:
+                continue
+            if family == "coulomb" or any(family == base.structure.family for base in bases):
+                found += self._plain_with_load(each)
+        for base in bases:
             now = base
             for _ in range(_ROUNDS):
                 self.loads = self._loads_of(self.data, now.mechanics)
-                more = list(modifiers.excited(now.structure, self.data, self.scales, now.curves.residual, self.loads))
+                left, is_found = now.curves.residual, self._is_load_found
+                more = modifiers.excited(
+                    now.structure, self.data, self.scales, left, self.loads, is_load_found=is_found
+                )
                 tried = [
                     self._with_load(each, now) if "load" in each.modifiers else self.fit(each, now.values)
                     for each in more
                 ]
-                better = [each for each in tried if _is_better(each, now)]
+                better = [each for each in tried if is_better(each, now)]
                 found += tried
                 if not better:
                     break
                 now = min(better, key=lambda each: each.held_out.rmse)
         return found
+
+    def _plain_with_load(self, plain: Fit) -> list[Fit]:
+        """The fit with load dependence, where the load changes."""
+        loads = self.loads = self._loads_of(self.data, plain.mechanics)
+        if loads is None:
+            return []
+        is_found, left = self._is_load_found, plain.curves.residual
+        more = modifiers.excited(plain.structure, self.data, self.scales, left, loads, is_load_found=is_found)
+        return [self._with_load(each, plain) for each in more if "load" in each.modifiers]
 
     def _pruned(self, fits: list[Fit]) -> list[Fit]:
         """The best fits without what the data do not show."""
@@ -303,10 +405,11 @@ class _Search:
             ]
             if not vague or EXTENDS.get(each.structure.family) in self.families:
                 continue
-            structure = each.structure
-            for name in vague:
-                structure = structure.hold(name, 0.0)
-            found.append(self.fit(replace(structure, without=tuple(vague)), each.values))
+            structure = each.structure.drop(vague)
+            if any(other.label == structure.label for other in fits):
+                continue
+            self.loads = self._loads_of(self.data, each.mechanics)
+            found.append(self.fit(structure, {**each.values, **each.mechanics}))
             if len(found) == _EXTENDED:
                 break
         return found
@@ -317,14 +420,30 @@ class _Search:
         for _ in range(_LOAD_ROUNDS):
             self.loads = self._loads_of(self.data, fitted.mechanics)
             fitted = self.fit(structure, {**fitted.values, **fitted.mechanics})
-            if all(record.load_torque is not None for record in self.data.records):
+            if not self._is_load_found:
                 break
         return fitted
+
+    def _linear(self, *mechanics: str) -> list[str]:
+        """Linear parameters that are looked for, instead of those of the mechanics where the gain is unknown."""
+        names = [name for name in dict.fromkeys(mechanics) if name not in self.held]
+        if self.known:
+            names = [INVERSE_GAIN, *(name for name in (*names, BACK_EMF) if name not in self.known)]
+        return names
+
+    @property
+    def _is_load_found(self) -> bool:
+        """Whether the load is that of a gravity which is looked for, or known in other units than the signal."""
+        if self.known:
+            return True
+        if all(record.load_torque is not None for record in self.data.records):
+            return False
+        return any(name not in self.held for name in self.gravity)
 
     def _loads_of(self, data: Data, mechanics: Mapping[str, float] | None) -> list[Array] | None:
         """Load torque of each record: recorded, or that of gravity; None where there is neither."""
         recorded = [record.load_torque for record in data.records if record.load_torque is not None]
-        if len(recorded) == len(data.records):
+        if len(recorded) == len(data.records) and not self.known:
             return recorded
         names = [name for name in MECHANICS if name.startswith("gravity.")]
         factors = [0.0 if mechanics is None else mechanics.get(name, 0.0) for name in names]
@@ -335,13 +454,15 @@ class _Search:
 
     def _check_held(self) -> None:
         """Refuse a held name that no candidate has."""
-        known = set(MECHANICS)
+        known = {*MECHANICS, BACK_EMF} if self.known else set(MECHANICS)
         for family in self.families:
             for is_directed in (False, True):
                 structure = structures.build(
                     family, self.scales, self.settings.axis, self.data.records[0].dt, is_directed=is_directed
                 )
                 known |= _names(structure)
+                if self.known:
+                    drive.check_held(structure, self.settings.held)
         for name, value in self.settings.held.items():
             if name not in known:
                 raise UsageError(f"no candidate has a parameter {name!r} to hold; {choices(name, known)}")
@@ -356,10 +477,6 @@ def _names(structure: Structure) -> set[str]:
     return own | tied | set(structure.linear)
 
 
-def _swinging(gravity: Sequence[str]) -> list[str]:
-    return [name for name in gravity if name != "gravity.constant"]
-
-
 def _families(settings: Settings) -> tuple[str, ...]:
     if not settings.families:
         return structures.families()
@@ -369,63 +486,3 @@ def _families(settings: Settings) -> tuple[str, ...]:
         if name not in known:
             raise UsageError(f"no recording can be fitted with {name!r}; {choices(name, known)}")
     return tuple(dict.fromkeys(settings.families))
-
-
-def _limit(fit: Fit) -> float:
-    """Mean square error of held-out blocks plus its standard error."""
-    errors = np.array(fit.held_out.blocks)
-    error = float(np.std(errors, ddof=1)) / math.sqrt(len(errors)) if len(errors) > 1 else 0.0
-    return float(np.mean(errors)) + error
-
-
-def _is_better(fit: Fit, base: Fit) -> bool:
-    """Whether a fit predicts held-out blocks better, block by block, by more than one standard error."""
-    gain = np.array(base.held_out.blocks) - np.array(fit.held_out.blocks)
-    error = float(np.std(gain, ddof=1)) / math.sqrt(len(gain)) if len(gain) > 1 else 0.0
-    return float(np.mean(gain)) > error
-
-
-def is_determined(fit: Fit) -> bool:
-    """Whether each parameter that was searched for is larger than its standard error."""
-    errors = fit.inference.standard_errors
-    return all(
-        errors[each.name] <= abs(fit.values[each.name]) for each in fit.structure.coordinates if each.name in errors
-    )
-
-
-def choose(fits: Sequence[Fit]) -> tuple[Fit, str]:
-    """The fit with the fewest parameters within one standard error of the one that predicts best, and the reason.
-
-    One whose parameters the data determine goes before one whose they do not: where any size of a parameter fits
-    alike, it need not elsewhere.
-
-    Source: L. Breiman, J. Friedman, R. Olshen, C. Stone, Classification and Regression Trees, 1984, section 3.4.3.
-    """
-    usable = [each for each in fits if math.isfinite(each.held_out.rmse)]
-    if not usable:
-        raise RecordingError("no candidate could be fitted to the recording")
-    lowest = min(usable, key=lambda each: each.held_out.rmse)
-    limit = _limit(lowest)
-    near = [each for each in usable if np.mean(each.held_out.blocks) <= limit] or [lowest]
-    sound = [each for each in near if is_determined(each)]
-    chosen = min(sound or near, key=lambda each: (each.count, each.held_out.rmse))
-    if lowest.validation is not None:
-        where = "the validation recordings"
-    elif lowest.across_speeds is not None:
-        where = "strokes of other speeds than it was fitted to"
-    else:
-        where = "blocks held out in turn"
-    if len(usable) == 1:
-        return chosen, f"{chosen.label} is the only candidate; it predicts {where} to {_percent(chosen)}"
-    shown = "whose parameters the data determine" if sound else "though the data do not determine its parameters"
-    first = f"of {len(usable)} candidates {lowest.label} predicts {where} best ({_percent(lowest)})"
-    if chosen is lowest:
-        return chosen, f"{first}, and no simpler one within one standard error of it does as well"
-    return chosen, (
-        f"{first}; {chosen.label} ({_percent(chosen)}) is the simplest within one standard error of it {shown}: "
-        f"{chosen.count} parameters, not {lowest.count}"
-    )
-
-
-def _percent(fit: Fit) -> str:
-    return f"{100.0 * fit.held_out.relative_error:.2f} %"

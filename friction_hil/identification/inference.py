@@ -56,8 +56,11 @@ class Inference:
         return sorted(found, key=lambda pair: -abs(pair[2]))
 
 
-def infer(estimate: Estimate, parts: Sequence[slice]) -> Inference:
-    """Uncertainty of an estimate from the residuals of records, which are the ``parts`` of its rows."""
+def infer(estimate: Estimate, parts: Sequence[slice], *, lags: int | None = None) -> Inference:
+    """Uncertainty of an estimate from the residuals of records, which are the ``parts`` of its rows.
+
+    Over how many rows residuals are correlated, ``lags``, is read off them where it is not given.
+    """
     names = estimate.names
     weights = estimate.weights[:, None]
     jacobian = estimate.jacobian * weights
@@ -73,7 +76,7 @@ def infer(estimate: Estimate, parts: Sequence[slice]) -> Inference:
     inverse = (vectors[is_kept].T / singular[is_kept] ** 2) @ vectors[is_kept]
     # a parameter with a share in a direction that nothing in the data sees has no error to speak of
     is_determined = is_seen & (np.sum(vectors[~is_kept] ** 2, axis=0) < _RANK)
-    lags = _lags(residual, parts)
+    lags = _lags(residual, parts) if lags is None else lags
     scores = jacobian / size * residual[:, None]
     middle = np.zeros((count, count))
     for part in parts:

@@ -21,14 +21,27 @@ _STATIC_CURVES = ("table", "power_law")  # they bend by themselves
 
 
 def excited(
-    structure: Structure, data: Data, scales: Scales, residual: Array, loads: Sequence[Array] | None
+    structure: Structure,
+    data: Data,
+    scales: Scales,
+    residual: Array,
+    loads: Sequence[Array] | None,
+    *,
+    is_load_found: bool = False,
 ) -> Iterator[Structure]:
-    """Structures with one modifier more, where the data are such that it could show."""
+    """Structures with one modifier more, where the data are such that it could show.
+
+    A load that is found itself, gravity, makes up the difference between friction that grows with it while the motor
+    drives and while it is driven: sign(v) |load| changes sign with load v, so that half the difference times the
+    load has no sign of its own. Then one value stands for both.
+    """
     has = set(structure.modifiers)
     if "viscous" not in has and structure.family not in _STATIC_CURVES:
         yield _with(structure, "viscous", linear={"viscous.quadratic": "viscous.quadratic"})
     if "load" not in has and loads is not None and _ripples(loads) > _LEAST_LOAD * scales.level:
-        coordinates = [Coordinate((f"load.{name}",), 0.0, 10.0, False) for name in ("motoring", "driven")]
+        names = ("load.motoring", "load.driven")
+        owners = [names] if is_load_found else [(name,) for name in names]
+        coordinates = [Coordinate(owner, 0.0, 10.0, False) for owner in owners]
         yield _with(structure, "load", coordinates=coordinates)
     warmth = [record.temperature for record in data.records if record.temperature is not None]
     if "temperature" not in has and len(warmth) == len(data.records):

@@ -19,7 +19,9 @@ from friction_hil.jit import Array
 
 # Linear parameters that stay at or above zero: what would drive the axis is no friction, and a torque that bends
 # down with the speed (which power_law can) must not turn around beyond the speeds that were seen.
-_POSITIVE = ("inertia", "viscous", "sigma2", "quadratic")
+_POSITIVE = ("inertia", "viscous", "sigma2", "quadratic", "back_emf")
+# Of a drive whose torque is a signal times an unknown gain: see `friction_hil.identification.drive`.
+GAIN, INVERSE_GAIN, BACK_EMF = "drive.gain", "drive.inverse_gain", "drive.back_emf"
 _LONGEST_STEP = 2.0  # of a logarithm: a factor of seven
 _REMEMBERED = 6  # evaluations
 _RANK = 1e-9  # of a column's norm: what is left of one that the columns before it make up

@@ -6,7 +6,7 @@ and constants.
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -168,6 +168,17 @@ class Structure:
             else:
                 kept.append(each)
         return replace(self, coordinates=tuple(kept), constants={**held, name: value})
+
+    def drop(self, names: Sequence[str]) -> "Structure":
+        """The structure with some of its parameters held at 0; a modifier whose only parameter is one goes with it."""
+        structure = self
+        for name in names:
+            structure = structure.hold(name, 0.0)
+        gone = {name.partition(".")[0] for name in names if "." in name}
+        constants = {name: x for name, x in structure.constants.items() if name.partition(".")[0] not in gone}
+        modifiers = tuple(name for name in structure.modifiers if name not in gone)
+        kept = tuple(name for name in names if "." not in name)
+        return replace(structure, constants=constants, modifiers=modifiers, without=kept)
 
 
 def nested(values: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:

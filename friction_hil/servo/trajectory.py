@@ -1,12 +1,16 @@
 """Set-points of the axes: closed paths, run through with a time of their own that starts and stops gently."""
 
 import math
-from collections.abc import Callable
+from bisect import bisect_right
+from collections.abc import Callable, Sequence
+from itertools import accumulate
 from typing import NamedTuple
 
 TWO_PI = 2.0 * math.pi
 
 Path = Callable[[float], tuple[float, float, float]]
+
+_LEAST_FADE_S = 0.5
 
 
 def sine_path(amplitude: float, frequency: float, phase: float) -> Path:
@@ -49,6 +53,56 @@ def triangle_path(amplitude: float, frequency: float, rounding: float) -> Path:
         return side * end * position, side * bend * to_corner, -side * end * bend
 
     return path
+
+
+class Sweep(NamedTuple):
+    """A sine whose amplitude goes from ``smallest`` to ``largest``, geometrically, and back."""
+
+    frequency: float  # Hz
+    smallest: float  # rad or m
+    largest: float  # rad or m
+    duration_s: float  # whole periods
+
+
+def sweeps_path(sweeps: Sequence[Sweep]) -> Path:
+    """One sweep after another, then standstill; position and velocity, zero at both ends of each, are continuous."""
+    ends = list(accumulate(sweep.duration_s for sweep in sweeps))
+
+    def path(s: float) -> tuple[float, float, float]:
+        number = bisect_right(ends, s)
+        if s <= 0.0 or number == len(ends):
+            return 0.0, 0.0, 0.0
+        sweep = sweeps[number]
+        return _swelling(sweep, s - (ends[number] - sweep.duration_s))
+
+    return path
+
+
+def _swelling(sweep: Sweep, s: float) -> tuple[float, float, float]:
+    """Amplitude a(s) fades in and out and swells in between; a sin(2 pi f s) and its derivatives."""
+    frequency, smallest, largest, duration = sweep
+    rate = math.pi / duration
+    swell, swell1, swell2 = (
+        math.sin(rate * s) ** 2,
+        rate * math.sin(2.0 * rate * s),
+        2.0 * rate * rate * math.cos(2.0 * rate * s),
+    )
+    decades = math.log(largest / smallest)
+    inner = smallest * math.exp(decades * swell)
+    inner1 = inner * decades * swell1
+    inner2 = inner * ((decades * swell1) ** 2 + decades * swell2)
+    fade_s = min(max(_LEAST_FADE_S, 0.25 / frequency), 0.5 * duration)  # never quicker than the sine itself
+    side, since = (1.0, s) if s <= 0.5 * duration else (-1.0, duration - s)
+    x = min(max(since / fade_s, 0.0), 1.0)
+    edge = x * x * (3.0 - 2.0 * x)
+    edge1 = side * 6.0 * x * (1.0 - x) / fade_s
+    edge2 = 6.0 * (1.0 - 2.0 * x) / (fade_s * fade_s) if x < 1.0 else 0.0
+    a = inner * edge
+    a1 = inner1 * edge + inner * edge1
+    a2 = inner2 * edge + 2.0 * inner1 * edge1 + inner * edge2
+    omega = TWO_PI * frequency
+    sine, cosine = math.sin(omega * s), math.cos(omega * s)
+    return a * sine, a1 * sine + a * omega * cosine, (a2 - a * omega * omega) * sine + 2.0 * a1 * omega * cosine
 
 
 def still_path(s: float) -> tuple[float, float, float]:
@@ -144,9 +198,9 @@ class Trajectory:
         return Setpoint(self._offset + position, velocity * rate, acceleration * rate * rate + velocity * change)
 
 
-def extent(path: Path, duration_s: float) -> tuple[float, float, float]:
+def extent(path: Path, duration_s: float, count: int = 2048) -> tuple[float, float, float]:
     """Lowest and highest position, seen from the start of the path, and highest speed, over ``duration_s``."""
-    samples = [path(duration_s * k / 2048) for k in range(2049)]
+    samples = [path(duration_s * k / count) for k in range(count + 1)]
     start = samples[0][0]
     positions = [sample[0] - start for sample in samples]
     return min(positions), max(positions), max(abs(sample[1]) for sample in samples)

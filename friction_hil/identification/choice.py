@@ -1,0 +1,69 @@
+"""Choice among fits by what they predict of data that were held out."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from friction_hil.errors import RecordingError
+from friction_hil.identification.fits import Fit
+
+
+def _limit(fit: Fit) -> float:
+    """Mean square error of held-out blocks plus its standard error."""
+    errors = np.array(fit.held_out.blocks)
+    error = float(np.std(errors, ddof=1)) / math.sqrt(len(errors)) if len(errors) > 1 else 0.0
+    return float(np.mean(errors)) + error
+
+
+def is_better(fit: Fit, base: Fit) -> bool:
+    """Whether a fit predicts held-out blocks better, block by block, by more than one standard error."""
+    gain = np.array(base.held_out.blocks) - np.array(fit.held_out.blocks)
+    error = float(np.std(gain, ddof=1)) / math.sqrt(len(gain)) if len(gain) > 1 else 0.0
+    return float(np.mean(gain)) > error
+
+
+def is_determined(fit: Fit) -> bool:
+    """Whether each parameter that was searched for is larger than its standard error."""
+    errors = fit.inference.standard_errors
+    return all(
+        errors[each.name] <= abs(fit.values[each.name]) for each in fit.structure.coordinates if each.name in errors
+    )
+
+
+def choose(fits: Sequence[Fit], blocks: str = "blocks") -> tuple[Fit, str]:
+    """The fit with the fewest parameters within one standard error of the one that predicts best, and the reason.
+
+    One whose parameters the data determine goes before one whose they do not: where any size of a parameter fits
+    alike, it need not elsewhere. ``blocks`` says what `friction_hil.identification.errors.blocks` are.
+
+    Source: L. Breiman, J. Friedman, R. Olshen, C. Stone, Classification and Regression Trees, 1984, section 3.4.3.
+    """
+    usable = [each for each in fits if math.isfinite(each.held_out.rmse)]
+    if not usable:
+        raise RecordingError("no candidate could be fitted to the recording")
+    lowest = min(usable, key=lambda each: each.held_out.rmse)
+    limit = _limit(lowest)
+    near = [each for each in usable if np.mean(each.held_out.blocks) <= limit] or [lowest]
+    sound = [each for each in near if is_determined(each)]
+    chosen = min(sound or near, key=lambda each: (each.count, each.held_out.rmse))
+    if lowest.validation is not None:
+        where = "the validation recordings"
+    elif lowest.across_speeds is not None:
+        where = "strokes of other speeds than it was fitted to"
+    else:
+        where = f"{blocks} held out in turn"
+    if len(usable) == 1:
+        return chosen, f"{chosen.label} is the only candidate; it predicts {where} to {_percent(chosen)}"
+    shown = "whose parameters the data determine" if sound else "though the data do not determine its parameters"
+    first = f"of {len(usable)} candidates {lowest.label} predicts {where} best ({_percent(lowest)})"
+    if chosen is lowest:
+        return chosen, f"{first}, and no simpler one within one standard error of it does as well"
+    return chosen, (
+        f"{first}; {chosen.label} ({_percent(chosen)}) is the simplest within one standard error of it {shown}: "
+        f"{chosen.count} parameters, not {lowest.count}"
+    )
+
+
+def _percent(fit: Fit) -> str:
+    return f"{100.0 * fit.held_out.relative_error:.2f} %"
