@@ -45,7 +45,7 @@ COMMAND = ("gcc", "-O3", "-march=native", "-shared", "-fPIC")
 
 def plant() -> Any:
     """Make the LuGre model of the reference page."""
-    levels = {"coulomb": 0.11, "static": 0.17, "stribeck_velocity": 0.12, "damping_velocity": 0.12}
+    levels: dict[str, Any] = {"coulomb": 0.11, "static": 0.17, "stribeck_velocity": 0.12, "damping_velocity": 0.12}
     return fh.models.create("lugre", sigma0=900.0, sigma1=0.6, sigma2=4e-3, **levels)
 
 
@@ -146,7 +146,7 @@ def single_step() -> Row:
 
     @compiled_for_one_sample
     def step(p: Array, s: Array, velocity: float) -> float:
-        return inner(p, s, velocity, DT, 0.0, 0.0, 0.0)
+        return inner(p, s, velocity, velocity, DT, 0.0, 0.0, 0.0)
 
     data = samples(0, 5000)
     p, s = empty(STEP_NETWORK, data), np.zeros(STEP_NETWORK.state_room)
