@@ -204,13 +204,15 @@ class _Search:
         if self.known:
             fits = drive.usable(fits)
         best, reason = choose(fits, "groups of recordings" if is_grouped(self.data) else "blocks")
-        others = sorted((each for each in fits if each is not best), key=lambda each: each.held_out.rmse)
         if not self.known and is_dynamic(best.structure) and shows_presliding(self.data.records, self.settings.refine):
-            best = self._refined(best)
+            once_more = [self._refined(each) for each in _to_refine(best, fits)]
+            fits = [each for each in fits if each.label not in {other.label for other in once_more}] + once_more
+            best, further = choose(once_more)
             reason += (
-                "; its parameters are those of a further fit, with the position to a count and the model in several "
-                "steps a sample, since the recording shows presliding"
+                "; fitted once more with the position to a count and the model in several steps a sample, since the "
+                f"recording shows presliding, {further}"
             )
+        others = sorted((each for each in fits if each is not best), key=lambda each: each.held_out.rmse)
         if self.known:  # only now: one number for all of a fit, but not the same one for all fits
             best, *others = (drive.in_torque(each, self.data.parts) for each in (best, *others))
         kept = () if self.validation is None else self.validation.records
@@ -468,6 +470,13 @@ class _Search:
                 raise UsageError(f"no candidate has a parameter {name!r} to hold; {choices(name, known)}")
             if math.isnan(value):
                 raise UsageError(f"a value to hold is a number; {name} is {value}")
+
+
+def _to_refine(best: Fit, fits: Sequence[Fit]) -> list[Fit]:
+    """The chosen fit and the simplest of its family: what ordinary records leave, a modifier may seem to explain."""
+    family = [each for each in fits if each.structure.family == best.structure.family]
+    plain = min(family, key=lambda each: (len(each.structure.modifiers), len(each.structure.without)))
+    return [best] if plain is best else [best, plain]
 
 
 def _names(structure: Structure) -> set[str]:

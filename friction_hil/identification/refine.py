@@ -75,7 +75,20 @@ def refine(
         estimate = problem.estimate(estimate.coordinates, weights=weights)
     inference = infer(estimate, problem.data.parts, lags=round(_LAG_S * ROWS_HZ))
     shifts = _shifts(problem, originals, estimate, replicas, seed)
-    return _corrected(problem, estimate, inference, shifts)
+    corrected, inference, notes = _corrected(problem, estimate, inference, shifts)
+    return corrected, inference, [_convention(problem.data), *notes]
+
+
+def _convention(data: Data) -> str:
+    """What was taken for granted of the torque: nothing in a recording tells it, and damping hangs on it."""
+    record = data.records[0]
+    assert isinstance(record, FineRecord)
+    taken = "the mean over the period before the sample" if record.is_mean else "that of the instant"
+    other = "instant" if record.is_mean else "mean"
+    return (
+        f"torque is taken to be {taken}; if it is not (--torque-is {other}), damping of presliding is wrong by its "
+        f"stiffness times half a period, {0.5 / record.sample_hz:.3g} s"
+    )
 
 
 def _inside(problem: Problem, at: Array, scales: Scales) -> Array:
