@@ -36,8 +36,8 @@ import numpy as np
 
 from friction_hil.dual import fma
 from friction_hil.jit import Array, compiled, inlined
-from friction_hil.models.elementary import approach, part, toward, whole
-from friction_hil.models.lanes import LANES, add_scaled
+from friction_hil.models.elementary import approach, decay, part, toward, whole
+from friction_hil.models.lanes import LANES, add_products
 
 STATIC, GATED, NARX = range(3)
 MAX_HARMONICS = 8
@@ -69,6 +69,7 @@ IS_RESIDUAL = ORDERS + MAX_HARMONICS  # beside a model: fades out beyond the spe
 HEADER = IS_RESIDUAL + 1
 STATE_ROOM = 256  # for the largest structure
 _SETTLING_STEPS, _LONG_S = 200, 1e9
+_FARTHEST = 1e15  # rad: beyond, a float has no angle
 _FADED = 1.5  # speed limits at which a residual has faded out
 
 
@@ -113,7 +114,7 @@ def other_features(p: Array, position: float, load_torque: float, temperature: f
         x[place] = 0.0 if math.isnan(temperature) else relative
         place += 1
     for k in range(whole(p[HARMONICS])):
-        angle = p[ORDERS + k] * position
+        angle = _limited(p[ORDERS + k] * position, _FARTHEST)  # the cosine of infinity is no number
         x[place] = math.cos(angle)
         x[place + 1] = math.sin(angle)
         place += 2
@@ -125,10 +126,8 @@ def add_product(weights: Array, inputs: Array, count: int, sums: Array, width: i
 
     What stands within `SPARE` places behind the sums is lost, and as many behind the weights are read.
     """
-    for i in range(count):
-        value = inputs[i]
-        for j in range(0, width, LANES):
-            add_scaled(sums, j, weights, i * width + j, value)
+    for j in range(0, width, LANES):
+        add_products(sums, j, weights, j, width, inputs, count)
 
 
 @inlined
@@ -210,10 +209,36 @@ def rate_bend(p: Array, begin: int, x: Array) -> float:
 @inlined
 def rate(p: Array, bend: float) -> float:
     """Rate kappa of a gate, rad^-1."""
-    return math.exp(fma(p[RATE_HALF], bend, p[RATE_MIDDLE]))
+    return decay(-fma(p[RATE_HALF], bend, p[RATE_MIDDLE]))
 
 
 _rate_bend, _rate = rate_bend, rate
+
+
+@inlined
+def outputs(p: Array, x: Array, fed_back: Array, aims: Array, h: Array) -> tuple[float, int]:
+    """Fill ``aims`` and ``h`` of a gated network as `advance` does.
+
+    Returns
+    -------
+    tuple
+        What its direct path gives, and where the weights of the gates begin.
+    """
+    begin = _layers(p, x, fed_back, h)
+    feedbacks, stride = whole(p[FEEDBACKS]), _output_weights(p)
+    for i in range(feedbacks):
+        aims[i] = _limited(_output(p, begin + i * stride, x, fed_back, h), p[BOUND])
+    begin += feedbacks * stride
+    aims[feedbacks] = _output(p, begin, x, fed_back, h)
+    begin += stride
+    inputs = whole(p[INPUTS])
+    total = p[begin]
+    for i in range(inputs):
+        total = fma(p[begin + 1 + i], x[i], total)
+    return total, begin + 1 + inputs
+
+
+_outputs = outputs
 
 
 @inlined
@@ -236,28 +261,17 @@ def advance(
     h : (width + second + SPARE,) array
         Filled with the outputs of the layers.
     """
-    begin = _layers(p, x, fed_back, h)
     feedbacks, bound = whole(p[FEEDBACKS]), p[BOUND]
     if p[STRUCTURE] != GATED:
-        total = _limited(_output(p, begin, x, fed_back, h), bound)
+        total = _limited(_output(p, _layers(p, x, fed_back, h), x, fed_back, h), bound)
         aims[0] = total
         if feedbacks > 0:
             for i in range(feedbacks - 1, 0, -1):
                 after[i] = fed_back[i - 1]
             after[0] = total
         return total
-    stride = _output_weights(p)
-    for i in range(feedbacks):
-        aims[i] = _limited(_output(p, begin + i * stride, x, fed_back, h), bound)
-    begin += feedbacks * stride
-    damping = _output(p, begin, x, fed_back, h)
-    aims[feedbacks] = damping
-    begin += stride
-    inputs = whole(p[INPUTS])
-    total = p[begin]
-    for i in range(inputs):
-        total = fma(p[begin + 1 + i], x[i], total)
-    begin += 1 + inputs
+    total, begin = _outputs(p, x, fed_back, aims, h)
+    damping = aims[feedbacks]
     for i in range(feedbacks):
         before = fed_back[i]
         after[i] = toward(before, aims[i], approach(_rate(p, _rate_bend(p, begin + i * GATE_WEIGHTS, x)) * path))

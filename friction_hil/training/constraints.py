@@ -36,7 +36,7 @@ class Constraint:
     contraction: float = 0.8
 
     @property
-    def _feedback(self) -> NDArray[np.intp]:
+    def feedback(self) -> NDArray[np.intp]:
         """Places of all weights of what is fed back: in the first layer, and of a narx in its linear path."""
         begin, end = self.structure.feedback_weights
         places = np.arange(begin, end)
@@ -84,7 +84,7 @@ class Constraint:
         """Return the weights of the network, and their derivative over ``w`` (weights, weights)."""
         weights, slopes = w.copy(), np.eye(w.size)
         if self.structure.states:
-            places = self._feedback
+            places = self.feedback
             gain, gradient = self._gain(w)
             excess = (gain / self.contraction) ** _SHARPNESS
             scale = (1.0 + excess) ** (-1.0 / _SHARPNESS)

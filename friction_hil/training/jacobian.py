@@ -7,10 +7,11 @@ time for every sample, and it needs no more memory than a block of rows.
 
 import numpy as np
 
+from friction_hil.dual import fma
 from friction_hil.jit import Array, compiled
 from friction_hil.models import network
-from friction_hil.models.elementary import approach, part, whole
-from friction_hil.models.lanes import LANES, add_scaled, put_scaled, put_sum
+from friction_hil.models.elementary import approach, part, toward, whole
+from friction_hil.models.lanes import LANES, add_scaled, put_scaled
 from friction_hil.models.network import (
     BOUND,
     FEEDBACKS,
@@ -27,12 +28,23 @@ from friction_hil.models.network import (
     VELOCITY_FEATURES,
     WIDTH,
 )
+from friction_hil.training.gated import (
+    gated_row,
+    layer_slopes,
+    one_state_row,
+    plan_rows,
+    plan_width,
+    put_over_fed_back,
+    row_room,
+    units_room,
+)
 from friction_hil.training.normal import add_products
 
-BLOCK = 64  # rows of the Jacobian at a time: they stay in the nearest caches until their products are summed
+BLOCK = 32  # rows of the Jacobian at a time: they stay in the nearest cache until their products are summed
+GATE_BLOCK = 256  # samples whose gates are calculated together
 
-_advance, _output_weights = network.advance, network.output_weights
-_rate, _rate_bend = network.rate, network.rate_bend
+_advance, _outputs = network.advance, network.outputs
+_limited, _rate, _tanh = network.limited, network.rate, network.tanh
 _velocity_features, _other_features = network.velocity_features, network.other_features
 
 
@@ -52,65 +64,89 @@ def fill_inputs(
 
 
 @compiled
-def _units_room(p: Array) -> int:
-    return whole(p[WIDTH]) + whole(p[SECOND]) + SPARE
+def trace_width(p: Array) -> int:
+    """Return the length of a row of what `run` writes down.
+
+    Layers, aims, what was fed back; gated: for every state its share of the way, and the slope of that share over the
+    sum in the gate; torque.
+    """
+    feedbacks = whole(p[FEEDBACKS])
+    return units_room(p) + 1 + (4 if p[STRUCTURE] == GATED else 2) * feedbacks + 1
 
 
 @compiled
-def trace_width(p: Array) -> int:
-    """Return the length of a row of what `run` writes down: layers, aims, what was fed back, torque."""
-    feedbacks = whole(p[FEEDBACKS])
-    return _units_room(p) + 1 + 2 * feedbacks + 1
+def _fill_gates(p: Array, begin: int, squares: Array, path: Array, first: int, end: int, gates: Array) -> None:
+    """Fill ``gates`` (2, at least end - first) with the shares of the way and their slopes in these samples.
+
+    In loops of their own, because the compiler then takes several samples at a time: half of the exponentials of a
+    network are here, and none of them waits for the sample before it.
+    """
+    bias, w0, w1, w2, w3 = p[begin], p[begin + 1], p[begin + 2], p[begin + 3], p[begin + 4]
+    half = p[RATE_HALF]
+    x0, x1, x2, x3 = squares[0], squares[1], squares[2], squares[3]
+    shares, slopes = gates[0], gates[1]
+    for k in range(end - first):
+        m = first + k
+        bend = _tanh(fma(w3, x3[m], fma(w2, x2[m], fma(w1, x1[m], fma(w0, x0[m], bias)))))
+        way = _rate(p, bend) * path[m]
+        share = approach(way)
+        shares[k] = share
+        slopes[k] = way * (1.0 - share) * (half * (1.0 - bend * bend))
 
 
 @compiled
 def run(
-    p: Array, starts: Array, x: Array, path: Array, tempo: float, measured: Array, is_free: bool, trace: Array
+    p: Array,
+    starts: Array,
+    x: Array,
+    squares: Array,
+    path: Array,
+    tempo: float,
+    measured: Array,
+    is_free: bool,
+    trace: Array,
 ) -> None:
     """Run over a record and write every step down in ``trace`` (n, trace_width).
 
     Where ``is_free`` the network is fed its own past outputs, otherwise those that were ``measured`` (n,), in
-    units of the torque scale.
+    units of the torque scale. ``squares`` (velocity features, n) are those of the first inputs.
     """
-    feedbacks, units = whole(p[FEEDBACKS]), _units_room(p)
-    aims = 1 + feedbacks
-    last = units + aims + feedbacks
+    feedbacks, units, n = whole(p[FEEDBACKS]), units_room(p), path.shape[0]
+    aims, width, inputs = units + 1 + feedbacks, trace.shape[1], x.shape[1]
+    is_gated = p[STRUCTURE] == GATED
+    gates = np.empty((feedbacks if is_gated else 0, 2, GATE_BLOCK))
+    first_gate = p.shape[0] - feedbacks * GATE_WEIGHTS
     state = np.zeros(max(feedbacks, 1))
     flat_x, flat_trace = x.reshape(-1), trace.reshape(-1)  # rows of a table would be counted as references
-    for k in range(path.shape[0]):
-        row = part(flat_trace, k * trace.shape[1])
-        if starts[k] != 0.0:
-            state[:] = 0.0
-        elif not is_free and feedbacks > 0:
-            if p[STRUCTURE] == NARX:
-                state[0] = measured[k - 1]
-            else:
-                for i in range(feedbacks):
-                    state[i] += (measured[k - 1] - trace[k - 1, last]) / feedbacks
-        for i in range(feedbacks):
-            row[units + aims + i] = state[i]
-        row[last] = _advance(p, part(flat_x, k * x.shape[1]), path[k], tempo, state, state, part(row, units), row)
-
-
-@compiled
-def _layer_slopes(p: Array, h: Array, begin: int, slopes: Array) -> None:
-    """Fill ``slopes`` (width + second) with those of an output over the sums that go into every unit.
-
-    ``begin`` is where the output's weights of the last layer begin.
-    """
-    width, second = whole(p[WIDTH]), whole(p[SECOND])
-    if second == 0:
-        for j in range(width):
-            slopes[j] = p[begin + j] * (1.0 - h[j] * h[j])
-        return
-    for j in range(second):
-        slopes[width + j] = p[begin + j] * (1.0 - h[width + j] * h[width + j])
-    weights = HEADER + width * (1 + whole(p[INPUTS]) + whole(p[FEEDBACKS])) + second
-    for i in range(width):
-        total = 0.0
-        for j in range(second):
-            total += p[weights + i * second + j] * slopes[width + j]
-        slopes[i] = total * (1.0 - h[i] * h[i])
+    for begin in range(0, n, GATE_BLOCK):
+        end = min(begin + GATE_BLOCK, n)
+        for i in range(gates.shape[0]):
+            _fill_gates(p, first_gate + i * GATE_WEIGHTS, squares, path, begin, end, gates[i])
+        for k in range(begin, end):
+            row, inputs_k = part(flat_trace, k * width), part(flat_x, k * inputs)
+            if starts[k] != 0.0:
+                state[:] = 0.0
+            elif not is_free and feedbacks > 0:
+                if not is_gated:
+                    state[0] = measured[k - 1]
+                else:
+                    for i in range(feedbacks):
+                        state[i] += (measured[k - 1] - flat_trace[k * width - 1]) / feedbacks
+            for i in range(feedbacks):
+                row[aims + i] = state[i]
+            if not is_gated:
+                row[width - 1] = _advance(p, inputs_k, path[k], tempo, state, state, part(row, units), row)
+                continue
+            aims_k = part(row, units)  # from here on as in `network.advance`, but for the gates
+            total, _ = _outputs(p, inputs_k, state, aims_k, row)
+            damping = aims_k[feedbacks]
+            for i in range(feedbacks):
+                before, share = state[i], gates[i, 0, k - begin]
+                state[i] = toward(before, aims_k[i], share)
+                total += state[i] + damping * ((state[i] - before) * tempo)
+                row[aims + feedbacks + i] = share
+                row[aims + 2 * feedbacks + i] = gates[i, 1, k - begin]
+            row[width - 1] = _limited(total, p[BOUND])
 
 
 @compiled
@@ -125,35 +161,25 @@ def _put_products(inputs: Array, count: int, slopes: Array, width: int, row: Arr
 
 @compiled
 def _output_gradient(
-    p: Array, x: Array, fed_back: Array, h: Array, slopes: Array, place: int, row: Array, over_fed_back: Array
+    p: Array, x: Array, fed_back: Array, h: Array, slopes: Array, row: Array, over_fed_back: Array
 ) -> None:
-    """Fill ``row`` (weights + SPARE) with the slopes of output number ``place``, and ``over_fed_back`` with the others.
-
-    Places of other outputs in ``row`` stay zero.
-    """
+    """Fill ``row`` (weights + SPARE) with the slopes of the only output, and ``over_fed_back`` with the others."""
     width, second, inputs = whole(p[WIDTH]), whole(p[SECOND]), whole(p[INPUTS])
     feedbacks = whole(p[FEEDBACKS])
     begin = width * (1 + inputs + feedbacks) + (second * (1 + width) if second > 0 else 0)
-    begin += place * _output_weights(p)
-    _layer_slopes(p, h, HEADER + begin + 1, slopes)
+    layer_slopes(p, h, HEADER + begin + 1, 1.0, slopes)
     for j in range(width):
         row[j] = slopes[j]
     to = part(row, width)
     _put_products(x, inputs, slopes, width, to)
     to = part(to, inputs * width)
     _put_products(fed_back, feedbacks, slopes, width, to)
-    for i in range(feedbacks):
-        weights = HEADER + (1 + inputs + i) * width
-        even, odd = 0.0, 0.0
-        for j in range(0, width - 1, 2):
-            even += p[weights + j] * slopes[j]
-            odd += p[weights + j + 1] * slopes[j + 1]
-        over_fed_back[i] = even + odd + (p[weights + width - 1] * slopes[width - 1] if width % 2 == 1 else 0.0)
+    put_over_fed_back(p, slopes, over_fed_back)
     if second > 0:
-        to = part(to, feedbacks * width)
+        to, above = part(to, feedbacks * width), part(slopes, width + SPARE)
         for j in range(second):
-            to[j] = slopes[width + j]
-        _put_products(h, width, part(slopes, width), second, part(to, second))
+            to[j] = above[j]
+        _put_products(h, width, above, second, part(to, second))
     last = part(h, width if second > 0 else 0)
     count = second if second > 0 else width
     to = part(row, begin)
@@ -183,14 +209,14 @@ def _fed_back_row(
     weights: int,
 ) -> None:
     """Fill ``row`` with the derivative of the torque of a static or narx network; advance its sensitivities ``s``."""
-    units, feedbacks = _units_room(p), whole(p[FEEDBACKS])
+    units, feedbacks = units_room(p), whole(p[FEEDBACKS])
     fed_back = part(step, units + 1 + feedbacks)
     stride = weights + SPARE
     if abs(step[units]) >= p[BOUND]:
         for w in range(weights):
             row[w] = 0.0
     else:
-        _output_gradient(p, x, fed_back, step, slopes, 0, gradient, over)
+        _output_gradient(p, x, fed_back, step, slopes, gradient, over)
         for w in range(weights):
             row[w] = gradient[w]
         if is_free:
@@ -203,84 +229,6 @@ def _fed_back_row(
                 s[i * stride + w] = s[(i - 1) * stride + w]
         for w in range(weights):
             s[w] = row[w]
-
-
-@compiled
-def _gated_row(
-    p: Array,
-    x: Array,
-    path: float,
-    tempo: float,
-    step: Array,
-    slopes: Array,
-    s: Array,
-    over: Array,
-    gradient: Array,
-    after: Array,
-    row: Array,
-    weights: int,
-) -> None:
-    """Fill ``row`` with the derivative of the torque of a gated network; advance its sensitivities ``s``.
-
-    ``gradient`` (1 + feedbacks, weights + SPARE) and ``after`` (feedbacks, weights + SPARE) are room, zeros at first.
-    """
-    units, feedbacks = _units_room(p), whole(p[FEEDBACKS])
-    aims, fed_back = part(step, units), part(step, units + 1 + feedbacks)
-    inputs = whole(p[INPUTS])
-    gates = weights - feedbacks * GATE_WEIGHTS
-    stride = weights + SPARE
-    bends, ways = part(over, feedbacks), part(over, 2 * feedbacks)
-    if path > 0.0:
-        damping = aims[feedbacks] * tempo
-        last_gradient = part(gradient, feedbacks * stride)
-        _output_gradient(p, x, fed_back, step, slopes, feedbacks, last_gradient, over)
-        gained = 0.0
-        for i in range(feedbacks):
-            bends[i] = _rate_bend(p, HEADER + gates + i * GATE_WEIGHTS, x)
-            ways[i] = approach(_rate(p, bends[i]) * path)
-            gained += tempo * ways[i] * (aims[i] - fed_back[i])
-        for w in range(0, weights, LANES):
-            put_scaled(row, w, last_gradient, w, gained)
-        for j in range(feedbacks):
-            for w in range(0, weights, LANES):
-                add_scaled(row, w, s, j * stride + w, gained * over[j])
-        for i in range(feedbacks):
-            way, here = ways[i], part(gradient, i * stride)
-            after_i, s_i = part(after, i * stride), part(s, i * stride)
-            own, new = 1.0 - way, 0.0
-            if abs(aims[i]) < p[BOUND]:
-                _output_gradient(p, x, fed_back, step, slopes, i, here, over)
-                own, new = 1.0 - way + way * over[i], way
-            for w in range(0, weights, LANES):
-                put_sum(after_i, w, s_i, own, here, new)
-            for j in range(feedbacks):
-                if j != i:
-                    for w in range(0, weights, LANES):
-                        add_scaled(after_i, w, s, j * stride + w, new * over[j])
-            turn = _rate(p, bends[i]) * path * (1.0 - way) * (aims[i] - fed_back[i])
-            turn *= p[RATE_HALF] * (1.0 - bends[i] * bends[i])
-            place = gates + i * GATE_WEIGHTS
-            for j in range(GATE_WEIGHTS):
-                value = turn * (x[j - 1] * x[j - 1] if j > 0 else 1.0)
-                after_i[place + j] += value
-            for w in range(0, weights, LANES):
-                add_scaled(row, w, s_i, w, -damping)
-                add_scaled(row, w, after_i, w, 1.0 + damping)
-        for w in range(feedbacks * stride):
-            s[w] = after[w]
-    else:  # at rest the state stands still, and so does its derivative
-        for w in range(weights):
-            row[w] = s[w]
-        for i in range(1, feedbacks):
-            for w in range(weights):
-                row[w] += s[i * stride + w]
-    direct = gates - 1 - inputs
-    row[direct] += 1.0
-    for i in range(inputs):
-        row[direct + 1 + i] += x[i]
-    if abs(step[units + 1 + 2 * feedbacks]) >= p[BOUND]:
-        for w in range(weights):
-            row[w] = 0.0
 
 
 @compiled
@@ -300,22 +248,35 @@ def fill_rows(
 ) -> None:
     """Fill ``rows`` (end - begin, at least weights + SPARE) with the derivative of the torque in these samples.
 
-    ``s`` (at least 1, weights + SPARE) are the sensitivities of what is fed back, carried from block to block.
+    ``s`` (at least 1, row_room) are the sensitivities of what is fed back, carried from block to block.
     """
-    feedbacks, units = whole(p[FEEDBACKS]), _units_room(p)
-    slopes, over = np.empty(units), np.empty(max(3 * feedbacks, 1))
-    gradient, after = np.zeros((1 + feedbacks) * (weights + SPARE)), np.zeros(max(feedbacks, 1) * (weights + SPARE))
+    feedbacks, units = whole(p[FEEDBACKS]), units_room(p)
     sensitivity = s.reshape(-1)
     flat_x, flat_trace, flat_rows = x.reshape(-1), trace.reshape(-1), rows.reshape(-1)
+    if p[STRUCTURE] == GATED:
+        stride, room = plan_width(p), row_room(p)
+        plan, after, wide = np.zeros(BLOCK * stride), np.zeros(feedbacks * room), np.zeros(room)
+        for first in range(begin, end, BLOCK):
+            last = min(first + BLOCK, end)
+            plan_rows(p, x, path, tempo, trace, first, last, plan)
+            for k in range(first, last):
+                if starts[k] != 0.0:
+                    s[:] = 0.0
+                step, row = part(flat_trace, k * trace.shape[1]), part(flat_rows, (k - begin) * rows.shape[1])
+                plan_k = part(plan, (k - first) * stride)
+                if feedbacks == 1 and path[k] > 0.0 and abs(step[units + 5]) < p[BOUND]:
+                    one_state_row(p, step, plan_k, sensitivity, row)
+                else:
+                    gated_row(p, path[k], step, plan_k, sensitivity, after, wide, row)
+        return
+    slopes, over = np.zeros(units + SPARE), np.empty(max(feedbacks, 1))
+    gradient = np.zeros(weights + SPARE)
     for k in range(begin, end):
         if starts[k] != 0.0:
             s[:] = 0.0
         inputs, step = part(flat_x, k * x.shape[1]), part(flat_trace, k * trace.shape[1])
         row = part(flat_rows, (k - begin) * rows.shape[1])
-        if p[STRUCTURE] == GATED:
-            _gated_row(p, inputs, path[k], tempo, step, slopes, sensitivity, over, gradient, after, row, weights)
-        else:
-            _fed_back_row(p, inputs, step, is_free, slopes, sensitivity, over, gradient, row, weights)
+        _fed_back_row(p, inputs, step, is_free, slopes, sensitivity, over, gradient, row, weights)
 
 
 @compiled
@@ -339,8 +300,9 @@ def normal_equations(
     triangle has J' J, J' e in row ``weights``, and e' e at the end of that row.
     """
     last = trace.shape[1] - 1
-    s = np.zeros((max(whole(p[FEEDBACKS]), 1), weights + SPARE))
+    s = np.zeros((max(whole(p[FEEDBACKS]), 1), row_room(p)))
     rows = np.zeros((BLOCK + 1, matrix.shape[1]))  # one more, for vectors that reach beyond a row
+    flat_rows, room = rows.reshape(-1), rows.shape[1]
     matrix[:] = 0.0
     for begin in range(0, path.shape[0], BLOCK):
         end = min(begin + BLOCK, path.shape[0])
@@ -349,9 +311,11 @@ def normal_equations(
         for k in range(begin, end):
             if weight[k] > 0.0:
                 share = np.sqrt(weight[k])
-                for w in range(weights):
-                    rows[used, w] = share * rows[k - begin, w]
-                rows[used, weights] = share * (trace[k, last] - target[k])
+                for w in range(0, weights, LANES):
+                    put_scaled(flat_rows, used * room + w, flat_rows, (k - begin) * room + w, share)
+                for w in range(weights, room):
+                    flat_rows[used * room + w] = 0.0
+                flat_rows[used * room + weights] = share * (trace[k, last] - target[k])
                 used += 1
         add_products(rows, used, weights + 1, matrix)
 

@@ -27,6 +27,7 @@ class Record:
         self.inputs = np.empty((len(samples), int(p[network.INPUTS])))
         others = (samples.position, samples.load_torque, samples.temperature)
         jacobian.fill_inputs(p, samples.starts, samples.velocity, *others, self.inputs)
+        self._squares = np.ascontiguousarray(self.inputs[:, : network.VELOCITY_FEATURES].T) ** 2
         self.path = np.abs(samples.velocity) * samples.dt
         self.tempo = float(p[network.TRAINED_DT]) / samples.dt
         self.target = samples.torque / p[network.TORQUE_SCALE]
@@ -37,7 +38,8 @@ class Record:
 
     def run(self, p: Array, is_free: bool) -> float:
         """Run the network; return the weighted mean of its squared error, in units of the torque scale squared."""
-        jacobian.run(p, self.samples.starts, self.inputs, self.path, self.tempo, self.target, is_free, self.trace)
+        motion = (self.samples.starts, self.inputs, self._squares, self.path, self.tempo)
+        jacobian.run(p, *motion, self.target, is_free, self.trace)
         return jacobian.squared_error(self.trace, self.target, self.weight)
 
     def error(self, p: Array, is_free: bool) -> float:
@@ -86,7 +88,10 @@ class Objective:
         lower = np.tril(self._matrix[: self._weights, : self._weights])
         matrix = lower + np.tril(lower, -1).T
         gradient = self._matrix[self._weights, : self._weights]
-        slopes = self._slopes
-        over_searched = slopes.T @ matrix @ slopes
+        places = self._constraint.feedback  # the only rows where the slopes are not those of the identity
+        change = self._slopes[places]
+        change[np.arange(places.size), places] -= 1.0
+        turned = matrix[:, places] @ change  # too small for a BLAS to wake a second thread, which takes far longer
+        over_searched = matrix + turned + turned.T + change.T @ (matrix[np.ix_(places, places)] @ change)
         over_searched[np.diag_indices_from(matrix)] += self._decay
-        return over_searched, slopes.T @ gradient + self._decay * self._searched
+        return over_searched, gradient + change.T @ gradient[places] + self._decay * self._searched

@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 
 from friction_hil.errors import UsageError
 from friction_hil.models import Structure, network
-from friction_hil.training import constraints, jacobian, levenberg, normal
+from friction_hil.training import constraints, gated, jacobian, levenberg, normal
 from friction_hil.training.checks import at_rest, simulate
 from friction_hil.training.excitation import excitation
 from friction_hil.training.layout import Samples, empty, join
@@ -53,7 +53,7 @@ def jacobian_of(p, record, is_free):
     data, weights = record.samples, p.size - network.HEADER
     record.run(p, is_free)
     rows = np.zeros((len(data), weights + network.SPARE))
-    sensitivities = np.zeros((max(1, int(p[network.FEEDBACKS])), weights + network.SPARE))
+    sensitivities = np.zeros((max(1, int(p[network.FEEDBACKS])), gated.row_room(p)))
     common = (data.starts, record.inputs, record.path, record.tempo, record.trace)
     jacobian.fill_rows(p, *common, is_free, 0, len(data), sensitivities, rows, weights)
     return rows[:, :weights]

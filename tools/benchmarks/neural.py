@@ -27,6 +27,7 @@ from friction_hil.training import levenberg, normal
 from friction_hil.training.checks import simulate
 from friction_hil.training.constraints import CONTRACTIONS, Constraint
 from friction_hil.training.excitation import excitation
+from friction_hil.training.gated import row_room
 from friction_hil.training.jacobian import fill_rows
 from friction_hil.training.layout import Samples, empty
 from friction_hil.training.objective import Objective, Record
@@ -192,7 +193,7 @@ def time_to_error() -> list[Row]:
     def jacobian(at: Array) -> Array:
         objective.cost(at)
         rows = np.zeros((SAMPLES, structure.weights + network.SPARE))
-        carried = np.zeros((1, structure.weights + network.SPARE))
+        carried = np.zeros((1, row_room(objective.p)))
         common = (data.starts, record.inputs, record.path, record.tempo, record.trace)
         fill_rows(objective.p, *common, True, 0, SAMPLES, carried, rows, structure.weights)
         return np.asarray(rows[:, : structure.weights] @ constraint.apply(at)[1])
