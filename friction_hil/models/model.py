@@ -13,6 +13,7 @@ from friction_hil.dual import WIDTH
 from friction_hil.errors import UsageError, choices
 from friction_hil.jit import Array
 from friction_hil.models import dispatch, kernel, network, sensitivity
+from friction_hil.models.arrays import checked_out, per_sample, require_finite, vector
 from friction_hil.models.family import Family
 from friction_hil.models.modifiers import SIDES, check_modifiers, pack_modifiers
 from friction_hil.models.network_model import NETWORK_ALONE, Network
@@ -236,13 +237,13 @@ class FrictionModel:
             A shape does not fit, a value is not finite, or an input that the model needs is missing.
         """
         inputs = self._inputs(velocity, dt, position, load_torque, temperature, applied_torque)
-        torque = np.empty(inputs[0].size) if out is None else _checked_out(out, (inputs[0].size,))
+        torque = np.empty(inputs[0].size) if out is None else checked_out(out, (inputs[0].size,))
         if out is not None and np.may_share_memory(out, inputs[0]):
             raise UsageError("out must not share memory with the velocity")
         kind, state = dispatch.tag(self.kind), self.initial_state()
         v, steps, where, load, warmth, applied = inputs
         if self.network is not None and self.family is NETWORK_ALONE and not self.modifiers and steps.size == 1:
-            _require_finite("velocity", v)
+            require_finite("velocity", v)
             network.run(self.network.values, state, v, steps[0], where, load, warmth, torque)
             return torque
         if not self._has_more and steps.size == 1 and applied.size == 1:
@@ -250,7 +251,7 @@ class FrictionModel:
         else:
             is_finite = kernel.run(kind, self.values, state, *inputs, torque)
         if not is_finite:
-            _require_finite("velocity", v)
+            require_finite("velocity", v)
         return torque
 
     def simulate_with_gradient(
@@ -299,12 +300,12 @@ class FrictionModel:
             if name not in self.free:
                 raise UsageError(f"{self.name} has no free parameter {name!r}; {choices(name, self.free)}")
         inputs = self._inputs(velocity, dt, position, load_torque, temperature, applied_torque)
-        _require_finite("velocity", inputs[0])
+        require_finite("velocity", inputs[0])
         samples = inputs[0].size
         if out is None:
             torque, gradient = np.empty(samples), np.empty((samples, len(names)))
         else:
-            torque, gradient = _checked_out(out[0], (samples,)), _checked_out(out[1], (samples, len(names)))
+            torque, gradient = checked_out(out[0], (samples,)), checked_out(out[1], (samples, len(names)))
         for first in range(0, max(len(names), 1), WIDTH):
             chunk = names[first : first + WIDTH]
             seeds = np.zeros((kernel.PARAMETER_ROOM, WIDTH))
@@ -334,8 +335,8 @@ class FrictionModel:
         (n,) array
             N m, without ripple; 0 at rest.
         """
-        v = _vector("velocity", velocity)
-        _require_finite("velocity", v)
+        v = vector("velocity", velocity)
+        require_finite("velocity", v)
         _, _, _, load, warmth, _ = self._inputs(v[:1], 1.0, 0.0, load_torque, temperature, None)
         torque = np.empty(v.size)
         kernel.steady_curve(dispatch.tag(self.kind), self.values, v, load[0], warmth[0], torque)
@@ -358,7 +359,7 @@ class FrictionModel:
             over a cycle that closes velocity and state, all of it has turned into heat.
         """
         torque = self.simulate(velocity, dt, **inputs)
-        work: Array = np.cumsum(torque * _vector("velocity", velocity) * np.asarray(dt, dtype=np.float64))
+        work: Array = np.cumsum(torque * vector("velocity", velocity) * np.asarray(dt, dtype=np.float64))
         return work
 
     def start(self, purpose: Purpose = "feedforward", velocity_epsilon: float | None = None) -> "Runner":
@@ -398,8 +399,8 @@ class FrictionModel:
             raise UsageError(f"{self.name} with ripple needs the position, in rad or m")
         if load_torque is None and "load" in self.modifiers:
             raise UsageError(f"{self.name} with load dependence needs the load_torque, in N m or N")
-        v = _vector("velocity", velocity)
-        steps = _per_sample("dt", dt, v.size)
+        v = vector("velocity", velocity)
+        steps = per_sample("dt", dt, v.size)
         if not kernel.is_positive(steps):
             raise UsageError(f"dt must be above zero, in s; its smallest value is {steps.min():g}")
         if self.network is not None:
@@ -407,10 +408,10 @@ class FrictionModel:
         return (
             v,
             steps,
-            _ZERO if position is None else _per_sample("position", position, v.size),
-            _ZERO if load_torque is None else _per_sample("load_torque", load_torque, v.size),
-            _NAN if temperature is None else _per_sample("temperature", temperature, v.size),
-            _ZERO if applied_torque is None else _per_sample("applied_torque", applied_torque, v.size),
+            _ZERO if position is None else per_sample("position", position, v.size),
+            _ZERO if load_torque is None else per_sample("load_torque", load_torque, v.size),
+            _NAN if temperature is None else per_sample("temperature", temperature, v.size),
+            _ZERO if applied_torque is None else per_sample("applied_torque", applied_torque, v.size),
         )
 
 
@@ -463,44 +464,6 @@ class Runner:
 
 def _brief(value: object) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _vector(name: str, values: ArrayLike) -> Array:
-    """``values`` as the kernels take them; whether they are finite is not asked."""
-    try:
-        array = np.ascontiguousarray(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise UsageError(f"{name} must be an array of numbers: {error}") from None
-    if array.ndim != 1:
-        raise UsageError(f"{name} must have one dimension, not shape {array.shape}")
-    return array
-
-
-def _per_sample(name: str, values: ArrayLike, samples: int) -> Array:
-    try:
-        array = np.atleast_1d(np.asarray(values, dtype=np.float64))
-    except (TypeError, ValueError) as error:
-        raise UsageError(f"{name} must be a number or an array of numbers: {error}") from None
-    if array.shape not in ((1,), (samples,)):
-        raise UsageError(f"{name} must be a number or have shape ({samples},), not {array.shape}")
-    _require_finite(name, array)
-    return np.ascontiguousarray(array)
-
-
-def _checked_out(out: Array, shape: tuple[int, ...]) -> Array:
-    if not isinstance(out, np.ndarray) or out.dtype != np.float64 or out.shape != shape:
-        raise UsageError(f"out must be an array of float64 of shape {shape}")
-    if not (out.flags.c_contiguous and out.flags.writeable):
-        raise UsageError("out must be contiguous and writeable")
-    return out
-
-
-def _require_finite(name: str, array: Array) -> None:
-    if kernel.is_finite(array):
-        return
-    wrong = np.flatnonzero(~np.isfinite(array))
-    if wrong.size:
-        raise UsageError(f"{name} must be finite; element {wrong[0]} is {array[wrong[0]]} ({wrong.size} in all)")
 
 
 def as_dict(model: FrictionModel) -> dict[str, Any]:
