@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from friction_hil.errors import UsageError, choices
-from friction_hil.jit import Array, Record, compiled, inlined
+from friction_hil.jit import Array, Record, inlined
 
 KINDS = ("difference", "tracking", "kalman", "drive")
 MAX_GAP_CYCLES = 10  # after a longer gap the estimate starts anew
@@ -228,14 +228,6 @@ def unwrap(count: int, raw: int, bits: int) -> int:
     """
     half = 1 << (bits - 1)
     return count + ((raw - count + half) & (2 * half - 1)) - half
-
-
-@compiled
-def unwrap_int64(count: int, raw: int, bits: int) -> int:
-    """`unwrap` for kernels, up to 64 bits; the continuous count itself wraps at 64."""
-    unused = np.int64(64 - bits)
-    before = np.int64(count)  # a uint64 keeps its bits: mixed with int64 it would become a float
-    return before + (((np.int64(raw) - before) << unused) >> unused)  # type: ignore[return-value]
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,8 @@
 import math
 from dataclasses import dataclass
 
+from friction_hil.velocity import unwrap
+
 PER_MILLE = 1000.0
 _I32 = 1 << 32
 
@@ -68,5 +70,5 @@ class Unwrapper:
 
     def total(self, counts: int) -> int:
         """Counts without wraps, given that fewer than 2^31 passed since the last call."""
-        self._total = counts if self._total is None else self._total + wrap(counts - self._total)
+        self._total = counts if self._total is None else unwrap(self._total, counts, 32)
         return self._total
