@@ -68,6 +68,7 @@ class Feedback:
     is_fresh: bool = False  # every frame of this cycle arrived in time
     error: str = ""  # the drive's own error code in words, as last heard
     message: str = ""  # what is wrong beside the state: a lost heartbeat, a reboot, an emergency
+    missing: str = ""  # why nothing fresh came, where the driver knows
 
 
 @dataclass(slots=True)
@@ -133,8 +134,15 @@ class Drives(Protocol):
         """Begin the cyclic phase."""
         ...
 
-    def receive(self, feedback: Sequence[Feedback], deadline_ns: int) -> None:
-        """Start a cycle on the bus and fill ``feedback``; return when all arrived or at the deadline."""
+    def receive(self, feedback: Sequence[Feedback], end_ns: int) -> None:
+        """Start a cycle on the bus and fill ``feedback``; return when all arrived, or when it is too late for it.
+
+        Parameters
+        ----------
+        feedback : sequence of Feedback
+        end_ns : int
+            When the next cycle begins; how long before that is too late the driver knows.
+        """
         ...
 
     def send(self, commands: Sequence[Command]) -> None:

@@ -20,7 +20,6 @@ from friction_hil.servo.trajectory import PathTime
 _TIME, _CYCLE = columns.NAMES.index(columns.TIME), columns.NAMES.index(columns.CYCLE)
 _LATE = columns.NAMES.index("late_us")
 _EXCHANGE = columns.NAMES.index("exchange_us")
-_RECEIVE_SHARE = 0.75  # of the period; what has not arrived by then is too late for this cycle
 _FIRST_FEEDBACK_S = 1.0
 _FAULT_RESET_S = 1.0
 _HISTOGRAM_US = 20000
@@ -199,7 +198,7 @@ class Loop:
         clock, settings = self._clock, self._settings
         time_s = cycle * settings.period_s
         began_ns = clock.now_ns()
-        self._drives.receive(self._feedback, deadline_ns + round(_RECEIVE_SHARE * settings.period_s * 1e9))
+        self._drives.receive(self._feedback, deadline_ns + round(settings.period_s * 1e9))
         if not self._is_first_feedback_here(cycle, time_s):
             return
         state = self._course.state

@@ -146,7 +146,8 @@ class Supervisor:
         if feedback.message:
             return f"{name}: {feedback.message}"
         if self._stale_cycles > self._max_stale_cycles:
-            return f"{name}: no usable feedback for more than {self._max_stale_cycles} cycles"
+            text = f"{name}: no usable feedback for more than {self._max_stale_cycles} cycles"
+            return f"{text}: {feedback.missing}" if feedback.missing else text
         if feedback.state in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE):
             text = f"{name}: the drive is in fault: {feedback.error or 'it does not say why'}"
             return f"{text}; --reset-fault leaves it" if state in _NOT_YET_ENABLED else text

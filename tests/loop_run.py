@@ -38,10 +38,10 @@ class Drives(ServoDrives):
         self.commands = [[] for _ in self.names]
         self.closed = 0
 
-    def receive(self, feedback, deadline_ns):
+    def receive(self, feedback, end_ns):
         if self.before is not None:
             self.before(self)
-        super().receive(feedback, deadline_ns)
+        super().receive(feedback, end_ns)
 
     def send(self, commands):
         for kept, command in zip(self.commands, commands, strict=True):

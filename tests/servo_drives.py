@@ -84,7 +84,7 @@ class ServoDrives:
     def start(self) -> None:
         pass
 
-    def receive(self, feedback, deadline_ns) -> None:
+    def receive(self, feedback, end_ns) -> None:
         for k, servo in enumerate(self.servos):
             servo.advance(round(self.period_s * servo.steps_per_second))
             self._activate(k, servo)

@@ -6,7 +6,7 @@
 """
 
 from friction_hil.config.json_schema import json_schema
-from friction_hil.config.load import from_dict, load, load_model_file, model_from_argument, self_contained
+from friction_hil.config.load import from_dict, load, load_model_file, model_from_argument, read_section, self_contained
 from friction_hil.config.model_file import Friction, Gravity, Mechanics, ModelFile
 from friction_hil.config.schema import (
     AxisConfig,
@@ -55,5 +55,6 @@ __all__ = [
     "load",
     "load_model_file",
     "model_from_argument",
+    "read_section",
     "self_contained",
 ]

@@ -62,10 +62,21 @@ def load_model_file(path: str | Path) -> ModelFile:
     ConfigurationError
         It cannot be read or has mistakes; ``problems`` has each with its line.
     """
-    document = yaml_text.read(path)
-    model_file = _validate(ModelFile, document.value, _Origins(document), list(document.problems))
+    model_file = read_section(path, ModelFile)
     model_file._source_path = Path(path).absolute()
     return model_file
+
+
+def read_section(path: str | Path, model: type[Model]) -> Model:
+    """Read a YAML file that has the keys of ``model``; drivers keep descriptions of drives in such files.
+
+    Raises
+    ------
+    ConfigurationError
+        It cannot be read or has mistakes; ``problems`` has each with its line.
+    """
+    document = yaml_text.read(path)
+    return _validate(model, document.value, _Origins(document), list(document.problems))
 
 
 def model_from_argument(argument: str) -> ModelFile:

@@ -140,10 +140,7 @@ class CanopenAxis:
     def _next_controlword(self, request: Request) -> int:
         if request is not Request.RESET_FAULT:
             return profile.next_controlword(self._state, request)
-        # the drive looks for a rising edge
-        if self._state is DriveState.FAULT and not self._controlword & profile.FAULT_RESET:
-            return profile.FAULT_RESET
-        return profile.DISABLE_VOLTAGE
+        return profile.reset_controlword(self._state, self._controlword)
 
     def _on_emergency(self, data: bytes) -> bool:
         if len(data) >= _EMERGENCY.size:  # some drives send shorter ones

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from friction_hil.config import AxisConfig, Configuration
 
 _LISTEN_S = 0.1
+_COMMAND_SHARE = 0.25  # of a period is left for computing and sending what acts from the next SYNC on
 _STEPPED_TIMEOUT_S = 10.0
 _STEPPED_TIMEOUTS = 3  # in a row; in simulated time nothing else would ever end a run without drives
 _NOTIFIER_TIMEOUT_S = 0.02
@@ -128,8 +129,9 @@ class CanopenDrives:
             axis.begin(now)
         self._beat(now)
 
-    def receive(self, feedback: Sequence[Feedback], deadline_ns: int) -> None:
-        """Send SYNC and collect the feedback of every drive until it is complete, or until the deadline."""
+    def receive(self, feedback: Sequence[Feedback], end_ns: int) -> None:
+        """Send SYNC and collect the feedback of every drive until it is complete, or too late for this cycle."""
+        deadline_ns = end_ns - round(_COMMAND_SHARE * self._configuration.period_s * 1e9)
         clock, axes, bus = self._clock, self._axes, self._open_bus
         while (frame := bus.receive(0.0)) is not None:
             self._dispatch(frame)

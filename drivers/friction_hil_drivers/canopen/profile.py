@@ -90,6 +90,11 @@ def next_controlword(state: DriveState, request: Request) -> int:
     return _STEPS[request].get(state, DISABLE_VOLTAGE)
 
 
+def reset_controlword(state: DriveState, before: int) -> int:
+    """Controlword that takes a drive out of fault, once: the drive looks for a rising edge after ``before``."""
+    return FAULT_RESET if state is DriveState.FAULT and not before & FAULT_RESET else DISABLE_VOLTAGE
+
+
 def supported_modes(bits: int) -> tuple[Mode, ...]:
     """Cyclic synchronous modes among the bits of object 6502h: mode n has bit n - 1."""
     return tuple(mode for mode in Mode if bits >> (mode - 1) & 1)

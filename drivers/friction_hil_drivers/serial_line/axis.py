@@ -1,0 +1,171 @@
+"""One drive in the cyclic phase: its process image read as feedback, commands put into it. No line, no clock."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from friction_hil.drive import Command, DriveState, Feedback, Request
+from friction_hil.errors import UsageError
+from friction_hil.velocity import unwrap
+from friction_hil_drivers.canopen import profile
+from friction_hil_drivers.serial_line.description import Description
+from friction_hil_drivers.serial_line.protocol import COMMANDS, Image
+from friction_hil_drivers.serial_line.sequences import Sequencer, parting_writes, state_of, state_signals
+from friction_hil_drivers.serial_line.units import LINEAR, NEEDS, ROTARY, UNITS, AxisUnits
+
+_STATUS_LOSS_S = 0.5  # without having heard the state that long, nobody knows it
+
+
+@dataclass(frozen=True, slots=True)
+class Scales:
+    """SI value of one in the drive's numbers, by signal; negative where the axis is turned round."""
+
+    of: Mapping[str, float]
+    position_bits: int | None  # width of the position counter, which wraps
+
+
+def make_scales(axis: str, description: Description, units: AxisUnits, *, kind: str, is_inverted: bool) -> Scales:
+    """Scales of a drive on one axis.
+
+    Raises
+    ------
+    UsageError
+        A unit needs something that the configuration does not give, or is none of this kind of axis.
+    """
+    scales = {}
+    for name, signal in description.units().items():
+        if name not in (*COMMANDS, "position", "velocity", "torque"):
+            continue
+        if signal.unit in (ROTARY if kind == "linear" else LINEAR):
+            raise UsageError(f"{axis}: {description.name} tells {name} in {signal.unit}, but the axis is {kind}")
+        scale = signal.scale * UNITS[signal.unit](units)
+        if not math.isfinite(scale):
+            raise UsageError(
+                f"{axis}: {description.name} tells {name} in {signal.unit}: give {NEEDS[signal.unit]} of the axis"
+            )
+        scales[name] = -scale if is_inverted else scale
+    return Scales(scales, description.units()["position"].counter_bits)
+
+
+class SerialAxis:
+    """Decodes and encodes the process image of one drive.
+
+    Parameters
+    ----------
+    name : str
+    description : Description
+    scales : Scales
+    image : Image
+        Filled and read by the exchanges on the line.
+    commands : sequence of str
+        Signals that are commanded in each cycle.
+    period_s : float
+    """
+
+    def __init__(
+        self,
+        name: str,
+        description: Description,
+        scales: Scales,
+        image: Image,
+        commands: tuple[str, ...],
+        period_s: float,
+    ) -> None:
+        self.name = name
+        self.image = image
+        self.sequencer = Sequencer(description)
+        self.state = DriveState.UNKNOWN
+        self._description = description
+        self._scales = scales.of
+        self._position_bits = scales.position_bits
+        self._commands = commands
+        self._period_s = period_s
+        self._fast = tuple(n for n in ("position", "velocity") if n in scales.of)
+        self._counts: int | None = None
+        self._position = self._velocity = 0.0
+        self._position_s = math.nan
+        self._state_s = math.nan
+        self.state_signals = state_signals(description)
+
+    def begin(self) -> None:
+        """Forget what is fresh: a new cycle."""
+        self.image.fresh.clear()
+
+    def fill(self, feedback: Feedback, time_s: float, trouble: str) -> None:
+        """Tell what the image says; without position and velocity of this cycle they stay what they were.
+
+        Parameters
+        ----------
+        feedback : Feedback
+        time_s : float
+            Of this cycle.
+        trouble : str
+            What went wrong on the line last.
+        """
+        values, fresh = self.image.values, self.image.fresh
+        is_fresh = all(name in fresh for name in self._fast)
+        if is_fresh:
+            position = self._unwrapped(values["position"]) * self._scales["position"]
+            if "velocity" in self._scales:
+                self._velocity = values["velocity"] * self._scales["velocity"]
+            elif time_s > self._position_s:
+                self._velocity = (position - self._position) / (time_s - self._position_s)
+            self._position, self._position_s = position, time_s
+        if not fresh.isdisjoint(self.state_signals):
+            self.read_state()
+            self._state_s = time_s
+        elif math.isnan(self._state_s):
+            self._state_s = time_s
+        feedback.position = self._position
+        feedback.velocity = self._velocity
+        feedback.torque = values.get("torque", 0.0) * self._scales.get("torque", 0.0)
+        feedback.state = self.state
+        feedback.is_fresh = is_fresh
+        feedback.error = self._error(values.get("error", 0.0))
+        feedback.missing = "" if is_fresh else trouble
+        feedback.message = self.sequencer.trouble
+        if time_s - self._state_s > _STATUS_LOSS_S:
+            feedback.message = f"the drive has not told its state for more than {_STATUS_LOSS_S:g} s: {trouble}"
+
+    def read_state(self) -> DriveState:
+        """State that the image tells."""
+        self.state = state_of(self._description, self.image.values)
+        return self.state
+
+    def parting(self) -> list[Mapping[str, float]]:
+        """All there is to write so that the drive is disabled."""
+        return parting_writes(self._description)
+
+    def _unwrapped(self, number: float) -> float:
+        if self._position_bits is None:
+            return number
+        raw = int(number)
+        self._counts = raw if self._counts is None else unwrap(self._counts, raw, self._position_bits)
+        return float(self._counts)
+
+    def _error(self, number: float) -> str:
+        if not number:
+            return ""
+        code = int(number)
+        if code in self._description.errors:
+            return f"{code} ({code:X}h) {self._description.errors[code]}"
+        return profile.error_text(code) if self._description.state_machine == "cia402" else f"error {code} ({code:X}h)"
+
+    def hold(self) -> None:
+        """Prepare commands that move nothing: zero, and the position that was read."""
+        for name in self._commands:
+            self.image.values[name] = self.image.values["position"] if name == "position_command" else 0.0
+
+    def take(self, command: Command, time_s: float) -> Mapping[str, float]:
+        """Put a command into the image; values to write beside it, for the state that is wanted."""
+        values = self.image.values
+        for name in self._commands:
+            wanted = {
+                "position_command": command.position,
+                "velocity_command": command.velocity,
+                "torque_command": command.torque,
+            }[name]
+            values[name] = wanted / self._scales[name]
+        if command.request is Request.LISTEN:
+            return {}
+        return self.sequencer.next_write(command.request, self.state, time_s)

@@ -1,0 +1,191 @@
+"""Requests and replies on one line, one after the other, in small steps that never wait.
+
+A reply belongs to the request before it, and no serial protocol here numbers them: a late reply looks like the
+present one. So after a request that was not answered in time nothing is sent until its reply has come, and was
+dropped, or cannot come any more.
+"""
+
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Sequence
+
+from friction_hil_drivers.serial_line.line import Line, LineGoneError
+from friction_hil_drivers.serial_line.protocol import Exchange, Image, ReplyError
+from friction_hil_drivers.serial_line.wire import character_s
+
+_SHORT_SILENCE_NS = 2_000_000  # USB adapters hand over what they have each millisecond
+_REOPEN_NS = 200_000_000
+_SHOWN = 60  # characters
+
+
+class Conversation:
+    """All that is said on a line.
+
+    Parameters
+    ----------
+    line : Line
+    images : sequence of Image
+        Of all axes on the line.
+    silence_chars : float
+        Silence that has to pass between frames, in characters.
+    now_ns : callable
+        Monotonic time, ns.
+
+    Attributes
+    ----------
+    trouble : str
+        What went wrong last, in words.
+    lost, late, refused, noise : int
+        Requests without a reply in time; replies that came late; replies that were none; bytes that nobody had
+        asked for.
+    refusals : int
+        Commands in a row that the drive refused.
+    """
+
+    def __init__(
+        self,
+        line: Line,
+        images: Sequence[Image],
+        silence_chars: float,
+        now_ns: Callable[[], int] = time.monotonic_ns,
+    ) -> None:
+        self.line = line
+        self._images = tuple(images)
+        self._now_ns = now_ns
+        serial = not line.options.is_tcp
+        self._character_ns = character_s(line.options) * 1e9 if serial else 0.0
+        self._silence_ns = round(silence_chars * self._character_ns)
+        self._reply_limit_ns = round(line.options.reply_limit_s * 1e9)
+        self._settle_ns = max(self._silence_ns, _SHORT_SILENCE_NS)
+        self._queue: deque[tuple[Exchange, Callable[[], None] | None]] = deque()
+        self._awaited: tuple[Exchange, Callable[[], None] | None] | None = None
+        self._is_given_up = False  # the reply that is awaited will be dropped
+        self._is_settling = False  # what comes belongs to a broken reply
+        self._received = bytearray()
+        self._sent_ns = self._heard_ns = self._quiet_until_ns = 0
+        self._next_reopen_ns = 0
+        self.trouble = ""
+        self.lost = self.late = self.refused = self.noise = self.refusals = 0
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether all has been asked and answered, or the line is gone."""
+        return not self._queue and self._awaited is None
+
+    @property
+    def is_all_sent(self) -> bool:
+        """Whether every request has been sent, answered or not."""
+        return not self._queue
+
+    @property
+    def due_ns(self) -> int | None:
+        """When `step` has something to do although nothing arrives; None: it has not."""
+        if not self.line.is_open:
+            return None
+        if self._is_settling:
+            return self._heard_ns + self._settle_ns
+        if self._awaited is not None:
+            return self._sent_ns + self._reply_limit_ns if self._is_given_up else None
+        return self._quiet_until_ns if self._queue else None
+
+    def ask(self, exchanges: Iterable[Exchange], done: Callable[[], None] | None = None) -> None:
+        """Queue requests; ``done`` is called when the last of them has been answered (sent, if no reply is due)."""
+        self._queue.extend((exchange, None) for exchange in exchanges)
+        if done is not None and self._queue:
+            self._queue[-1] = (self._queue[-1][0], done)
+
+    def step(self) -> None:
+        """Do what can be done now."""
+        if not self.line.is_open:
+            self._reopen()
+            return
+        try:
+            if data := self.line.read():
+                self._received += data
+                self._heard_ns = self._now_ns()
+            while self._hear() and self._say():
+                pass
+        except LineGoneError as gone:
+            self.trouble = str(gone)
+            self._forget()
+
+    def _hear(self) -> bool:
+        """Deal with what came; whether the line is free for the next request."""
+        now = self._now_ns()
+        if self._is_settling:
+            self._received.clear()
+            self._is_settling = now < self._heard_ns + self._settle_ns
+        elif self._awaited is not None:
+            self._await(*self._awaited, now)
+        return self._awaited is None and not self._is_settling and now >= self._quiet_until_ns
+
+    def _await(self, exchange: Exchange, done: Callable[[], None] | None, now: int) -> None:
+        try:
+            is_complete = bool(self._received) and exchange.take(self._received)
+        except ReplyError as error:
+            self.refused += 1
+            self.refusals += bool(error.is_complete and exchange.writes)
+            self.trouble = f"{exchange.what}: {error}"
+            self._is_settling = not error.is_complete
+            self._end_exchange(now)
+            return
+        if is_complete:
+            if exchange.writes:
+                self.refusals = 0
+            self.late += self._is_given_up
+            if done is not None and not self._is_given_up:
+                done()
+        if is_complete or (self._is_given_up and now >= self._sent_ns + self._reply_limit_ns):
+            self._end_exchange(now)
+
+    def _end_exchange(self, now: int) -> None:
+        if self._is_given_up:
+            for image in self._images:
+                image.fresh.clear()  # of an earlier cycle
+        self._awaited, self._is_given_up = None, False
+        self._quiet_until_ns = now + self._silence_ns
+
+    def _say(self) -> bool:
+        """Send the next request; whether another one may follow at once."""
+        if not self._queue:
+            return False
+        if self._received:
+            self.noise += len(self._received)
+            self.trouble = f"not asked for: {_shown(self._received)}"
+            self._received.clear()
+        exchange, done = self._queue.popleft()
+        data = exchange.encode()
+        self.line.write(data)
+        self._sent_ns = self._now_ns()
+        if exchange.reply_size:
+            self._awaited = exchange, done
+            return False
+        self._quiet_until_ns = self._sent_ns + round(len(data) * self._character_ns) + self._silence_ns
+        if done is not None:
+            done()
+        return True
+
+    def give_up(self) -> None:
+        """End a cycle: what has not been asked is not asked any more, and what is not answered is lost."""
+        self._queue.clear()
+        if self._awaited is not None and not self._is_given_up:
+            self._is_given_up = True
+            self.lost += 1
+            self.trouble = f"{self._awaited[0].what}: no reply in time"
+
+    def _forget(self) -> None:
+        self._queue.clear()
+        self._received.clear()
+        self._awaited, self._is_given_up, self._is_settling = None, False, False
+        self._next_reopen_ns = self._now_ns() + _REOPEN_NS
+
+    def _reopen(self) -> None:
+        self._queue.clear()  # what was to be said now is not to be said later
+        now = self._now_ns()
+        if now >= self._next_reopen_ns:
+            self._next_reopen_ns = now + _REOPEN_NS
+            self.line.reopen()
+
+
+def _shown(data: bytes | bytearray) -> str:
+    return repr(bytes(data[:_SHOWN])) + (" ..." if len(data) > _SHOWN else "")

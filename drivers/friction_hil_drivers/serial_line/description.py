@@ -1,0 +1,208 @@
+"""A drive described rather than programmed: its signals, states and sequences, read from a YAML file."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Literal, Self, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+from friction_hil.config import read_section
+from friction_hil.drive import DriveState
+from friction_hil.errors import UsageError, choices
+from friction_hil_drivers.serial_line import protocol
+from friction_hil_drivers.serial_line.units import POSITIONS, TORQUES, UNITS, VELOCITIES
+
+STATES = {state.name.lower(): state for state in DriveState}
+_UNITS_OF = {
+    "position": POSITIONS,
+    "velocity": VELOCITIES,
+    "torque": TORQUES,
+    "position_command": POSITIONS,
+    "velocity_command": VELOCITIES,
+    "torque_command": TORQUES,
+}
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+StateName = Literal[
+    "not_ready",
+    "switch_on_disabled",
+    "ready_to_switch_on",
+    "switched_on",
+    "operation_enabled",
+    "quick_stop_active",
+    "fault_reaction_active",
+    "fault",
+]
+
+
+class Part(BaseModel):
+    """A group of keys of a description."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class Signal(Part):
+    """A value of the drive; a protocol adds where it is found."""
+
+    unit: str = Field("", description="unit of the number times its scale")
+    scale: Finite = Field(1.0, description="unit's value of one in the drive's number, e.g. 0.1 for tenths")
+
+    @property
+    def counter_bits(self) -> int | None:
+        """Width of the drive's number where that is an integer that wraps."""
+        return None
+
+    @field_validator("unit")
+    @classmethod
+    def _is_known(cls, unit: str) -> str:
+        if unit not in UNITS:
+            raise ValueError(f"no such unit: {choices(unit, UNITS)}")
+        return unit
+
+    @field_validator("scale")
+    @classmethod
+    def _is_not_zero(cls, scale: float) -> float:
+        if scale == 0.0:
+            raise ValueError("must not be zero")
+        return scale
+
+
+class Rule(Part):
+    """The drive is in ``state`` where the signal, under the mask, has the value."""
+
+    state: StateName
+    signal: str = "status"
+    mask: int | None = Field(None, ge=1, description="bits that count; all when not given")
+    value: int | None = Field(None, description="what they must be")
+    value_not: int | None = Field(None, description="what they must not be")
+
+    @model_validator(mode="after")
+    def _has_one(self) -> Self:
+        if (self.value is None) == (self.value_not is None):
+            raise ValueError("needs either value or value_not")
+        return self
+
+    def fits(self, number: float) -> bool:
+        """Whether the drive's number says so."""
+        bits = int(number) if self.mask is None else int(number) & self.mask
+        return bits == self.value if self.value is not None else bits != self.value_not
+
+
+class Step(Part):
+    """Values to write, and the state that has to follow before the next step."""
+
+    write: dict[str, Finite] = Field(min_length=1, description="the drive's own numbers by signal")
+    until: StateName | None = Field(None, description="written again each cycle until the drive is in this state")
+    timeout_s: Positive = Field(1.0, description="after which the drive is said not to follow")
+
+
+class ModeDescription(Part):
+    """How the drive is commanded in one mode."""
+
+    commands: tuple[str, ...] = Field(min_length=1, description="signals written in each cycle")
+    prepare: tuple[Step, ...] = Field((), description="written once, while the drive is still disabled")
+
+
+class WatchdogDescription(Part):
+    """How the drive is told to watch the daemon: after this time without a command it drops its torque."""
+
+    signal: str = Field(description="takes the time")
+    enable: tuple[Step, ...] = Field((), description="written after it")
+
+
+class Description(Part):
+    """What all descriptions have; a protocol's own adds to it."""
+
+    version: Literal[1]
+    name: str
+    sources: tuple[str, ...] = Field(min_length=1, description="where all this was read")
+    inferred: tuple[str, ...] = Field((), description="signals whose place no manual says; told at the start")
+    state_machine: Literal["cia402", "own"] = Field(
+        "own", description="cia402: signals control and status are its control- and statusword"
+    )
+    states: tuple[Rule, ...] = Field((), description="own: the first rule that fits tells the state")
+    modes: dict[Literal["csp", "csv", "cst"], ModeDescription] = Field(min_length=1)
+    prepare: tuple[Step, ...] = Field((), description="written once at the start, whatever the mode")
+    enable: tuple[Step, ...] = ()
+    disable: tuple[Step, ...] = ()
+    quick_stop: tuple[Step, ...] = Field((), description="as disable when not given")
+    reset_fault: tuple[Step, ...] = ()
+    watchdog: WatchdogDescription | None = None
+    errors: dict[int, str] = Field({}, description="what the numbers of the signal error mean")
+
+    def units(self) -> dict[str, Signal]:
+        """Signals by name; each protocol has its own."""
+        raise NotImplementedError
+
+    @property
+    def sequences(self) -> dict[str, tuple[Step, ...]]:
+        """All steps there are, by the key under which they stand."""
+        found = {key: getattr(self, key) for key in ("prepare", "enable", "disable", "quick_stop", "reset_fault")}
+        found |= {f"modes.{mode}.prepare": part.prepare for mode, part in self.modes.items()}
+        if self.watchdog is not None:
+            found["watchdog.enable"] = self.watchdog.enable
+        return found
+
+    @model_validator(mode="after")
+    def _is_consistent(self) -> Self:
+        mistakes = list(self._mistakes())
+        if mistakes:
+            raise ValueError("; ".join(mistakes))
+        return self
+
+    def _mistakes(self) -> Iterator[str]:
+        signals = self.units()
+        used = [(f"states[{k}]", rule.signal) for k, rule in enumerate(self.states)]
+        used += [(key, name) for key, steps in self.sequences.items() for step in steps for name in step.write]
+        used += [(f"modes.{mode}", name) for mode, part in self.modes.items() for name in part.commands]
+        used += [("inferred", name) for name in self.inferred]
+        if self.watchdog is not None:
+            used.append(("watchdog", self.watchdog.signal))
+        for where, name in used:
+            if name not in signals:
+                yield f"{where} names the signal {name!r}; {choices(name, signals)}"
+        for name, units in _UNITS_OF.items():
+            if name in signals and signals[name].unit not in units:
+                yield f"{name} is in {signals[name].unit or 'no unit'}; it may be in {', '.join(units)}"
+        if "position" not in signals:
+            yield "there is no signal position"
+        for mode, part in self.modes.items():
+            for name in part.commands:
+                if name in signals and name not in protocol.COMMANDS:
+                    yield f"modes.{mode} commands {name}; what can be commanded is {', '.join(protocol.COMMANDS)}"
+            if "torque_command" not in part.commands:
+                yield f"modes.{mode} has no torque_command: then nothing could be compensated"
+        if self.state_machine == "cia402":
+            yield from (f"cia402 needs the signal {n}" for n in ("control", "status") if n not in signals)
+            if self.states or self.enable or self.disable or self.quick_stop or self.reset_fault:
+                yield "cia402 brings its own states and sequences"
+        elif not (self.states and self.enable and self.disable):
+            yield "states, enable and disable are needed, or state_machine: cia402"
+
+
+Kind = TypeVar("Kind", bound=Description)
+
+
+def ready(directory: Path) -> dict[str, Path]:
+    """Descriptions that come with a driver, by name."""
+    return {path.stem: path for path in sorted(directory.glob("*.yaml"))}
+
+
+def load_description(given: Path, directory: Path, kind: type[Kind]) -> Kind:
+    """Read a description: a file, or one of those in ``directory`` by its name.
+
+    Raises
+    ------
+    ConfigurationError
+        The file has mistakes; each with its line.
+    UsageError
+        There is none of that name; the message lists those that there are.
+    """
+    if given.suffix in (".yaml", ".yml"):
+        return read_section(given, kind)
+    known = ready(directory)
+    if given.name not in known:
+        raise UsageError(
+            f"no drive is described as {given.name!r}; {choices(given.name, known)}. A file of your own ends in .yaml"
+        )
+    return read_section(known[given.name], kind)

@@ -1,0 +1,208 @@
+"""Bytes in and out of a serial port or a TCP connection. Nothing here blocks once the line is open."""
+
+import contextlib
+import errno
+import os
+import select
+import socket
+from pathlib import Path
+from typing import Any
+
+import serial
+from serial.rs485 import RS485Settings
+
+from friction_hil.errors import BusError, UsageError
+from friction_hil_drivers.serial_line.options import TCP, LineOptions
+
+_CONNECT_S = 2.0
+_AT_ONCE = 4096  # bytes
+_PARITY = {"none": serial.PARITY_NONE, "even": serial.PARITY_EVEN, "odd": serial.PARITY_ODD}
+_GOOD_LATENCY_MS = 1
+
+
+class LineGoneError(Exception):
+    """The adapter was pulled out, or the peer closed the connection."""
+
+
+class Line:
+    """A serial port, or a TCP connection in its place.
+
+    Parameters
+    ----------
+    options : LineOptions
+        Where it is and how it is set.
+    """
+
+    def __init__(self, options: LineOptions) -> None:
+        self.options = options
+        self._port: Any = None  # serial.Serial
+        self._socket: socket.socket | None = None
+        self._connecting: socket.socket | None = None
+        self.descriptor = -1  # of the open line, for select; -1 where it is gone
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the line is there."""
+        return self.descriptor >= 0
+
+    def open(self) -> None:
+        """Open the line; a TCP connection may take two seconds.
+
+        Raises
+        ------
+        BusError
+            There is no such port, it belongs to somebody else, or nobody listens.
+        """
+        if self.options.is_tcp:
+            address = tcp_address(self.options.port)
+            try:
+                self._take_socket(socket.create_connection(address, _CONNECT_S))
+            except OSError as error:
+                raise BusError(
+                    f"{self.options.port}: no connection: {_reason(error)}; is it listening there?"
+                ) from error
+        else:
+            self._open_port()
+
+    def _open_port(self) -> None:
+        options = self.options
+        try:
+            port = serial.Serial(
+                options.port,
+                options.baud,
+                parity=_PARITY[options.parity],
+                stopbits=options.stop_bits,
+                timeout=0,
+                exclusive=True,
+            )
+        except (OSError, ValueError) as error:  # serial.SerialException is an OSError
+            raise BusError(f"{options.port} cannot be opened: {_serial_reason(options.port, error)}") from error
+        if options.is_rs485:
+            try:
+                port.rs485_mode = RS485Settings()
+            except (OSError, ValueError) as error:
+                port.close()
+                raise BusError(
+                    f"{options.port} cannot switch the direction of an RS-485 line ({error}): adapters that do it by "
+                    "themselves need is_rs485: false"
+                ) from error
+        self._port, self.descriptor = port, port.fileno()
+
+    def _take_socket(self, connection: socket.socket) -> None:
+        connection.setblocking(False)
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._socket, self.descriptor = connection, connection.fileno()
+
+    def notes(self) -> list[str]:
+        """What slows the line down, for people."""
+        name = Path(self.options.port).resolve().name
+        with contextlib.suppress(OSError, ValueError):
+            latency_ms = int(Path(f"/sys/bus/usb-serial/devices/{name}/latency_timer").read_text())
+            if latency_ms > _GOOD_LATENCY_MS:
+                return [
+                    f"the USB adapter {name} holds short replies back for {latency_ms} ms; as root: "
+                    f"echo 1 > /sys/bus/usb-serial/devices/{name}/latency_timer"
+                ]
+        return []
+
+    def read(self) -> bytes:
+        """Return what has arrived, nothing where that is nothing.
+
+        Raises
+        ------
+        LineGoneError
+            There is no line any more.
+        """
+        try:
+            data = os.read(self.descriptor, _AT_ONCE)
+        except BlockingIOError:
+            return b""
+        except OSError as error:
+            raise self._lose(_reason(error)) from error
+        if not data and self._socket is not None:
+            raise self._lose("the peer closed the connection")
+        return data
+
+    def write(self, data: bytes) -> None:
+        """Send ``data``.
+
+        Raises
+        ------
+        LineGoneError
+            There is no line any more, or it takes no more bytes: whoever should read them does not.
+        """
+        try:
+            if os.write(self.descriptor, data) == len(data):
+                return
+            reason = "it takes no more bytes"
+        except OSError as error:
+            reason = _reason(error)
+        raise self._lose(reason)
+
+    def _lose(self, reason: str) -> LineGoneError:
+        self.close()
+        return LineGoneError(f"{self.options.port} is gone: {reason}")
+
+    def reopen(self) -> bool:
+        """Try, without waiting, to get a line back that is gone; whether it is there."""
+        if self.is_open:
+            return True
+        if not self.options.is_tcp:
+            if os.path.exists(self.options.port):
+                with contextlib.suppress(BusError):
+                    self._open_port()
+            return self.is_open
+        if self._connecting is None:
+            self._connecting = socket.socket()
+            self._connecting.setblocking(False)
+            if self._connecting.connect_ex(tcp_address(self.options.port)) not in (0, errno.EINPROGRESS):
+                self._connecting.close()
+                self._connecting = None
+        elif select.select([], [self._connecting], [], 0.0)[1]:
+            connection, self._connecting = self._connecting, None
+            if connection.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR) == 0:
+                self._take_socket(connection)
+            else:
+                connection.close()
+        return self.is_open
+
+    def close(self) -> None:
+        """Give the line back. Safe to call twice."""
+        self.descriptor = -1
+        for part in (self._port, self._socket, self._connecting):
+            if part is not None:
+                with contextlib.suppress(OSError):
+                    part.close()
+        self._port = self._socket = self._connecting = None
+
+
+def tcp_address(port: str) -> tuple[str, int]:
+    """Host and port number of ``tcp://HOST:PORT``.
+
+    Raises
+    ------
+    UsageError
+        It is not of that form.
+    """
+    host, _, number = port.removeprefix(TCP).rpartition(":")
+    if not host or not number.isdigit() or not 0 < int(number) < 0x10000:
+        raise UsageError(f"line.port: {port!r} is no {TCP}HOST:PORT, e.g. {TCP}192.168.0.5:502")
+    return host.strip("[]"), int(number)
+
+
+def _reason(error: OSError) -> str:
+    return error.strerror or str(error) or type(error).__name__
+
+
+def _serial_reason(port: str, error: Exception) -> str:
+    number = getattr(error, "errno", None)
+    if number == errno.EACCES:
+        return "permission denied: add the user to the group dialout (and log in again)"
+    if number == errno.ENOENT:
+        from serial.tools.list_ports import comports
+
+        there = ", ".join(info.device for info in comports()) or "none"
+        return f"there is no such port; serial ports of this machine: {there}"
+    if "exclusively lock" in str(error):
+        return "another process has it: two masters must not talk on one line"
+    return str(error)

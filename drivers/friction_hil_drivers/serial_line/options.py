@@ -1,0 +1,89 @@
+"""The keys of an axis that all serial drivers have, and the serial line itself."""
+
+import math
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from friction_hil_drivers.serial_line.units import AxisUnits
+
+if TYPE_CHECKING:
+    from friction_hil.config import AxisConfig, BusConfig
+
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+TCP = "tcp://"
+
+
+class LineOptions(BaseModel):
+    """A serial line, or a TCP connection that stands for one. Axes on one line say the same of it."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    port: str = Field(min_length=1, description="device (/dev/ttyUSB0) or tcp://HOST:PORT")
+    baud: int = Field(115200, ge=300, le=20_000_000, description="bits per second")
+    parity: Literal["none", "even", "odd"] = Field("none", description="parity bit")
+    stop_bits: Literal[1, 2] = Field(1, description="stop bits")
+    is_rs485: bool = Field(False, description="let the kernel switch the direction of an RS-485 line by RTS")
+    turnaround_s: NotNegative = Field(
+        0.0, le=0.1, description="what the drive takes to answer, beside the time on the wire, s"
+    )
+    reply_limit_s: Positive = Field(
+        0.05, le=5.0, description="after this time a reply that did not come will not come any more, s"
+    )
+
+    @property
+    def is_tcp(self) -> bool:
+        """Whether it is a TCP connection."""
+        return self.port.startswith(TCP)
+
+    @property
+    def bits_per_character(self) -> int:
+        """Bits that a byte takes on the wire."""
+        return 9 + (self.parity != "none") + self.stop_bits
+
+
+class SerialOptions(BaseModel):
+    """Options of an axis on a serial line."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    line: LineOptions
+    description: Path = Field(description="the drive: a ready description by its name, or a YAML file")
+    counts_per_unit: Positive | None = Field(None, description="position counts per rad of the motor (per m)")
+    rated_torque: Positive | None = Field(None, description="torque at 100 %, N m (N on a linear axis)")
+    torque_constant: Positive | None = Field(None, description="N m (N) per ampere, where the drive speaks of current")
+    is_inverted: bool = Field(False, description="turn the sign of position, velocity and torque")
+    watchdog_s: Positive | None = Field(
+        None, le=10.0, description="time after which the drive drops its torque; 20 periods, at least 0.1 s, by default"
+    )
+    is_watchdog_required: bool = Field(True, description="refuse a drive that cannot watch the daemon")
+
+    @property
+    def units(self) -> AxisUnits:
+        """The axis's own units, as far as they are given."""
+        given = (self.counts_per_unit, self.rated_torque, self.torque_constant)
+        return AxisUnits(*(math.nan if value is None else value for value in given))
+
+    @property
+    def address(self) -> str:
+        """What tells this axis from the others on its line."""
+        raise NotImplementedError
+
+    @classmethod
+    def check(cls, axes: "Mapping[str, AxisConfig]", bus: "BusConfig | None") -> Iterator[tuple[str, str, str]]:
+        """Mistakes that concern several axes: (axis, field, message)."""
+        lines: dict[str, tuple[str, LineOptions]] = {}
+        owners: dict[tuple[str, str], str] = {}
+        for name, axis in axes.items():
+            options = axis.options
+            assert isinstance(options, SerialOptions)
+            first, line = lines.setdefault(options.line.port, (name, options.line))
+            if line != options.line:
+                yield name, "line", f"{line.port} is described otherwise for axis {first!r}"
+            place = options.line.port, options.address
+            if place in owners:
+                yield name, "line", f"{options.address} on {line.port} is axis {owners[place]!r} already"
+            owners.setdefault(place, name)

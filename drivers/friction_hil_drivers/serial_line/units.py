@@ -1,0 +1,76 @@
+"""Conversion between the numbers on the line and SI units of the axis. Pure."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+_TURN = 2.0 * math.pi
+
+
+@dataclass(frozen=True, slots=True)
+class AxisUnits:
+    """What the configuration knows of an axis's own units; NaN where it does not say.
+
+    Attributes
+    ----------
+    counts_per_unit : float
+        Position counts per rad (m).
+    rated_torque : float
+        Torque at 100 %, N m (N).
+    torque_constant : float
+        N m (N) per ampere.
+    """
+
+    counts_per_unit: float = math.nan
+    rated_torque: float = math.nan
+    torque_constant: float = math.nan
+
+
+# Unit of a signal -> SI value of one, for an axis. NaN: the configuration has to say something first.
+UNITS: dict[str, Callable[[AxisUnits], float]] = {
+    "count": lambda a: 1.0 / a.counts_per_unit,
+    "count/s": lambda a: 1.0 / a.counts_per_unit,
+    "rad": lambda a: 1.0,
+    "rad/s": lambda a: 1.0,
+    "turn": lambda a: _TURN,
+    "turn/s": lambda a: _TURN,
+    "deg": lambda a: _TURN / 360.0,
+    "deg/s": lambda a: _TURN / 360.0,
+    "rpm": lambda a: _TURN / 60.0,
+    "m": lambda a: 1.0,
+    "m/s": lambda a: 1.0,
+    "mm": lambda a: 1e-3,
+    "mm/s": lambda a: 1e-3,
+    "N m": lambda a: 1.0,
+    "N": lambda a: 1.0,
+    "A": lambda a: a.torque_constant,
+    "per_mille": lambda a: a.rated_torque / 1000.0,
+    "percent": lambda a: a.rated_torque / 100.0,
+    "s": lambda a: 1.0,
+    "": lambda a: 1.0,
+}
+NEEDS = {
+    "count": "counts_per_unit",
+    "count/s": "counts_per_unit",
+    "A": "torque_constant",
+    "per_mille": "rated_torque",
+    "percent": "rated_torque",
+}
+POSITIONS = ("count", "rad", "turn", "deg", "m", "mm")
+VELOCITIES = ("count/s", "rad/s", "turn/s", "deg/s", "rpm", "m/s", "mm/s")
+TORQUES = ("N m", "N", "A", "per_mille", "percent")
+ROTARY = ("rad", "rad/s", "turn", "turn/s", "deg", "deg/s", "rpm", "N m")
+LINEAR = ("m", "m/s", "mm", "mm/s", "N")
+
+
+def saturated(value: float, low: float, high: float) -> float:
+    """Nearest value within the bounds.
+
+    Raises
+    ------
+    ValueError
+        It is not finite: no number stands for that.
+    """
+    if not math.isfinite(value):
+        raise ValueError(f"{value} cannot be sent to a drive")
+    return min(max(value, low), high)

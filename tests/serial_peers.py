@@ -1,0 +1,118 @@
+"""A line without wire for tests of what serial drives share: time is a number, the peer a function of bytes."""
+
+from collections.abc import Callable
+
+from friction_hil_drivers.serial_line.line import LineGoneError
+from friction_hil_drivers.serial_line.options import LineOptions
+from friction_hil_drivers.serial_line.protocol import Image, ReplyError
+
+MS = 1_000_000
+
+
+class Time:
+    """A clock that stands still between `pass_ms`."""
+
+    def __init__(self) -> None:
+        self.ns = 1_000_000_000
+
+    def __call__(self) -> int:
+        return self.ns
+
+    def pass_ms(self, ms: float) -> None:
+        self.ns += round(ms * MS)
+
+
+class BenchLine:
+    """In place of a `Line`: ``answer`` gets what is written and returns what is there to be read at once."""
+
+    def __init__(self, answer: Callable[[bytes], bytes], **options: object) -> None:
+        self.options = LineOptions.model_validate({"port": "/dev/bench", "baud": 100000, **options})
+        self.answer = answer
+        self.sent: list[bytes] = []
+        self.arrived = b""
+        self.is_open = True
+        self.is_back = False
+        self.descriptor = 3
+
+    def read(self) -> bytes:
+        if not self.is_open:
+            raise LineGoneError("/dev/bench is gone")
+        data, self.arrived = self.arrived, b""
+        return data
+
+    def write(self, data: bytes) -> None:
+        if not self.is_open:
+            raise LineGoneError("/dev/bench is gone")
+        self.sent.append(data)
+        self.arrived += self.answer(data)
+
+    def pull_out(self) -> None:
+        """From now on every use fails, until `is_back`."""
+
+        def gone(*_: object) -> bytes:
+            self.is_open = False
+            raise LineGoneError("/dev/bench is gone: unplugged")
+
+        self.read = gone  # type: ignore[method-assign]
+
+    def reopen(self) -> bool:
+        if self.is_back:
+            self.is_open = True
+            del self.read  # type: ignore[method-assign]
+        return self.is_open
+
+    def close(self) -> None:
+        self.is_open = False
+
+
+class Ask:
+    """A made-up exchange: ``NAME?`` is answered by a number and a semicolon; ``!`` is a refusal."""
+
+    def __init__(self, image: Image, name: str) -> None:
+        self.image = image
+        self.name = name
+        self.what = f"reading {name}"
+        self.reads: tuple[str, ...] = (name,)
+        self.writes: tuple[str, ...] = ()
+        self.request_size, self.reply_size = len(name) + 1, 8
+
+    def encode(self) -> bytes:
+        return f"{self.name}?".encode()
+
+    def take(self, received: bytearray) -> bool:
+        head, mark, rest = bytes(received).partition(b";")
+        if not mark:
+            return False
+        received[:] = rest
+        if head == b"!":
+            raise ReplyError("the drive refuses", is_complete=True)
+        try:
+            number = float(head)
+        except ValueError:
+            raise ReplyError(f"{head!r} is no number") from None
+        self.image.put(self.name, number)
+        return True
+
+
+class Tell:
+    """A made-up command: ``NAME=NUMBER;``, answered by ``;`` where ``is_answered``."""
+
+    def __init__(self, image: Image, name: str, *, is_answered: bool = False) -> None:
+        self.image = image
+        self.name = name
+        self.what = f"writing {name}"
+        self.reads: tuple[str, ...] = ()
+        self.writes: tuple[str, ...] = (name,)
+        self.request_size, self.reply_size = 12, int(is_answered)
+
+    def encode(self) -> bytes:
+        return f"{self.name}={self.image.values[self.name]:g};".encode()
+
+    def take(self, received: bytearray) -> bool:
+        head, mark, rest = bytes(received).partition(b";")
+        if not mark:
+            return False
+        received[:] = rest
+        if head:
+            raise ReplyError("the drive refuses", is_complete=head == b"!")
+        return True

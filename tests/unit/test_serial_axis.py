@@ -1,0 +1,289 @@
+"""An axis on a serial line: feedback from its process image, commands in its numbers, the way through its states."""
+
+import math
+
+import pytest
+from friction_hil_drivers.serial_line.axis import SerialAxis, make_scales
+from friction_hil_drivers.serial_line.description import Description, Signal
+from friction_hil_drivers.serial_line.protocol import Image
+from friction_hil_drivers.serial_line.units import AxisUnits
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from friction_hil.drive import Command, DriveState, Feedback, Request
+from friction_hil.errors import UsageError
+
+PERIOD_S = 1e-3
+UNITS = AxisUnits(counts_per_unit=1000.0, rated_torque=0.5, torque_constant=0.1)
+ENABLED, FAULT, DISABLED = DriveState.OPERATION_ENABLED, DriveState.FAULT, DriveState.SWITCH_ON_DISABLED
+
+
+class Counter(Signal):
+    """A signal that is a 16-bit counter."""
+
+    @property
+    def counter_bits(self):
+        return 16
+
+
+class Bench(Description):
+    """A description without any protocol."""
+
+    signals: dict[str, Signal]
+
+    def units(self):
+        return {**self.signals, "position": Counter(**self.signals["position"].model_dump())}
+
+
+OWN = {
+    "version": 1,
+    "name": "a drive",
+    "sources": ["its manual"],
+    "signals": {
+        "position": {"unit": "count"},
+        "velocity": {"unit": "rpm", "scale": 0.1},
+        "torque": {"unit": "A", "scale": 0.01},
+        "status": {},
+        "error": {},
+        "torque_command": {"unit": "per_mille"},
+        "power": {},
+        "reset": {},
+    },
+    "states": [
+        {"state": "fault", "signal": "error", "value_not": 0},
+        {"state": "operation_enabled", "mask": 1, "value": 1},
+        {"state": "switch_on_disabled", "mask": 1, "value": 0},
+    ],
+    "modes": {"cst": {"commands": ["torque_command"]}},
+    "enable": [{"write": {"power": 2}}, {"write": {"power": 1}, "until": "operation_enabled", "timeout_s": 0.5}],
+    "disable": [{"write": {"power": 0}, "until": "switch_on_disabled"}],
+    "reset_fault": [{"write": {"reset": 1}}],
+    "errors": {7: "over-temperature"},
+}
+CIA402 = {
+    "version": 1,
+    "name": "a drive",
+    "sources": ["its manual"],
+    "signals": {
+        "position": {"unit": "count"},
+        "status": {},
+        "control": {},
+        "torque_command": {"unit": "per_mille"},
+    },
+    "state_machine": "cia402",
+    "modes": {"cst": {"commands": ["torque_command"]}},
+}
+
+
+def make(data=OWN, *, is_inverted=False, units=UNITS, kind="rotary"):
+    description = Bench.model_validate(data)
+    scales = make_scales("x", description, units, kind=kind, is_inverted=is_inverted)
+    image = Image()
+    return SerialAxis("x", description, scales, image, ("torque_command",), PERIOD_S), image
+
+
+def hear(axis, image, time_s=0.0, trouble="", **values):
+    axis.begin()
+    for name, value in values.items():
+        image.put(name, value)
+    feedback = Feedback()
+    axis.fill(feedback, time_s, trouble)
+    return feedback
+
+
+def write(axis, request, time_s=0.0, torque=0.0):
+    return dict(axis.take(Command(request, torque=torque), time_s))
+
+
+# --- numbers
+
+
+def test_numbers_of_the_drive_become_si_and_back():
+    axis, image = make()
+    feedback = hear(axis, image, position=500, velocity=600, torque=-150, status=1, error=0)
+    assert feedback.position == pytest.approx(0.5)
+    assert feedback.velocity == pytest.approx(60.0 * 2.0 * math.pi / 60.0)
+    assert feedback.torque == pytest.approx(-1.5 * 0.1)
+    assert feedback.state is ENABLED
+    assert feedback.is_fresh
+    write(axis, Request.ENABLE, torque=0.05)
+    assert image.values["torque_command"] == pytest.approx(100.0)
+
+
+def test_an_inverted_axis_turns_everything_round():
+    axis, image = make(is_inverted=True)
+    feedback = hear(axis, image, position=500, velocity=600, torque=-150, status=1, error=0)
+    assert (feedback.position, feedback.velocity < 0.0, feedback.torque > 0.0) == (pytest.approx(-0.5), True, True)
+    write(axis, Request.ENABLE, torque=0.05)
+    assert image.values["torque_command"] == pytest.approx(-100.0)
+
+
+@given(st.lists(st.integers(-30000, 30000), min_size=1, max_size=30))
+def test_a_counter_that_wraps_is_followed(steps):
+    axis, image = make()
+    total = 0
+    hear(axis, image, position=0, velocity=0)
+    for step in steps:
+        total += step
+        wrapped = (total + 0x8000) % 0x10000 - 0x8000
+        assert hear(axis, image, position=wrapped, velocity=0).position == pytest.approx(total / 1000.0)
+
+
+def test_without_a_velocity_it_is_the_difference_of_positions():
+    axis, image = make(CIA402)
+    assert hear(axis, image, 0.0, position=0, status=0x40).velocity == 0.0
+    assert hear(axis, image, 1e-3, position=20, status=0x40).velocity == pytest.approx(20.0)
+    assert hear(axis, image, 3e-3, position=30, status=0x40).velocity == pytest.approx(5.0), "after a lost cycle"
+
+
+@pytest.mark.parametrize("missing", ["counts_per_unit", "rated_torque", "torque_constant"])
+def test_what_a_unit_needs_must_be_given(missing):
+    given_units = {"counts_per_unit": 1000.0, "rated_torque": 0.5, "torque_constant": 0.1}
+    del given_units[missing]
+    with pytest.raises(UsageError, match=f"give {missing} of the axis"):
+        make(units=AxisUnits(**given_units))
+
+
+def test_a_rotary_unit_on_a_linear_axis_is_refused():
+    with pytest.raises(UsageError, match="velocity in rpm, but the axis is linear"):
+        make(kind="linear")
+
+
+# --- what did not come
+
+
+def test_a_cycle_without_position_keeps_the_last_and_says_why():
+    axis, image = make()
+    hear(axis, image, 0.0, position=500, velocity=600, status=1, error=0)
+    feedback = hear(axis, image, 1e-3, "reading 3 registers: no reply in time", velocity=900)
+    assert not feedback.is_fresh
+    assert feedback.position == pytest.approx(0.5)
+    assert feedback.velocity == pytest.approx(2.0 * math.pi), "a velocity alone is not taken: the two belong together"
+    assert feedback.missing == "reading 3 registers: no reply in time"
+
+
+def test_a_state_that_is_not_told_for_long_is_an_error():
+    axis, image = make()
+    hear(axis, image, 0.0, position=0, velocity=0, status=1, error=0)
+    assert not hear(axis, image, 0.49, position=0, velocity=0).message
+    feedback = hear(axis, image, 0.51, "exception 2", position=0, velocity=0)
+    assert "has not told its state for more than 0.5 s: exception 2" in feedback.message
+
+
+def test_a_state_is_unknown_until_all_that_tells_it_was_heard():
+    axis, image = make()
+    assert hear(axis, image, position=0, velocity=0, status=1).state is DriveState.UNKNOWN
+    assert hear(axis, image, position=0, velocity=0, error=0).state is ENABLED
+
+
+def test_a_fault_is_told_in_words():
+    axis, image = make()
+    feedback = hear(axis, image, position=0, velocity=0, status=1, error=7)
+    assert feedback.state is FAULT
+    assert feedback.error == "7 (7h) over-temperature"
+    assert "3210h DC link over-voltage" in hear(*make(CIA402), position=0, status=8, error=0x3210).error
+
+
+# --- the way through the states
+
+
+def test_a_sequence_goes_on_when_a_step_was_taken_and_the_state_followed():
+    axis, image = make()
+    hear(axis, image, position=0, velocity=0, status=0, error=0)
+    assert write(axis, Request.ENABLE) == {"power": 2.0}
+    assert write(axis, Request.ENABLE) == {"power": 2.0}, "until it is acknowledged"
+    axis.sequencer.acknowledge()
+    assert write(axis, Request.ENABLE) == {"power": 1.0}
+    axis.sequencer.acknowledge()
+    assert write(axis, Request.ENABLE) == {"power": 1.0}, "until the state follows"
+    hear(axis, image, position=0, velocity=0, status=1, error=0)
+    assert write(axis, Request.ENABLE) == {}
+    assert write(axis, Request.DISABLE) == {"power": 0.0}
+
+
+def test_a_drive_that_does_not_follow_is_an_error_after_the_steps_time():
+    axis, image = make()
+    hear(axis, image, position=0, velocity=0, status=0, error=0)
+    write(axis, Request.ENABLE, 0.0)
+    axis.sequencer.acknowledge()
+    write(axis, Request.ENABLE, 0.1)
+    axis.sequencer.acknowledge()
+    assert write(axis, Request.ENABLE, 0.55) == {"power": 1.0}
+    assert not hear(axis, image, 0.56, position=0, velocity=0, status=0).message
+    write(axis, Request.ENABLE, 0.65)
+    message = hear(axis, image, 0.66, position=0, velocity=0, status=0).message
+    assert message == (
+        "the drive does not follow: power = 1 should lead to operation enabled within 0.5 s; "
+        "it is in switch on disabled"
+    )
+
+
+def test_quick_stop_is_disable_where_the_description_has_none():
+    axis, image = make()
+    hear(axis, image, position=0, velocity=0, status=1, error=0)
+    assert write(axis, Request.QUICK_STOP) == {"power": 0.0}
+
+
+def test_a_fault_is_reset_by_its_own_sequence_only():
+    axis, image = make()
+    hear(axis, image, position=0, velocity=0, status=0, error=7)
+    for request in (Request.ENABLE, Request.DISABLE, Request.QUICK_STOP):
+        assert "reset" not in write(axis, request)
+    assert write(axis, Request.RESET_FAULT) == {"reset": 1.0}
+
+
+def test_cia402_is_enabled_by_controlwords_and_left_alone_when_it_is_there():
+    axis, image = make(CIA402)
+    words = []
+    for status in (0x40, 0x21, 0x23):
+        hear(axis, image, position=0, status=status)
+        words.append(write(axis, Request.ENABLE)["control"])
+        axis.sequencer.acknowledge()
+    assert words == [0x06, 0x07, 0x0F]
+    hear(axis, image, position=0, status=0x27)
+    assert write(axis, Request.ENABLE) == {}
+    assert write(axis, Request.QUICK_STOP) == {"control": 0x02}
+    hear(axis, image, position=0, status=0x07)
+    assert write(axis, Request.DISABLE) == {"control": 0x00}
+
+
+def test_a_controlword_that_was_not_acknowledged_is_written_again():
+    axis, image = make(CIA402)
+    hear(axis, image, position=0, status=0x40)
+    assert [write(axis, Request.DISABLE) for _ in range(3)] == [{"control": 0x00}] * 3
+    axis.sequencer.acknowledge()
+    assert write(axis, Request.DISABLE) == {}
+
+
+def test_fault_reset_is_an_edge():
+    axis, image = make(CIA402)
+    hear(axis, image, position=0, status=0x08)
+    words = []
+    for _ in range(4):
+        words.append(write(axis, Request.RESET_FAULT)["control"])
+        axis.sequencer.acknowledge()
+    assert words == [0x80, 0x00, 0x80, 0x00]
+
+
+# --- descriptions that cannot be
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"enable": [{"write": {"powr": 1}}]}, "names the signal 'powr'; did you mean 'power'"),
+        ({"states": []}, "states, enable and disable are needed"),
+        ({"inferred": ["torc"]}, "inferred names the signal 'torc'"),
+        ({"modes": {"cst": {"commands": ["power"]}}}, "modes.cst commands power; what can be commanded is"),
+        ({"state_machine": "cia402"}, "cia402 needs the signal control"),
+        ({"watchdog": {"signal": "dog"}}, "watchdog names the signal 'dog'"),
+        ({"states": [{"state": "fault", "value": 1, "value_not": 2}]}, "either value or value_not"),
+        ({"signals": {**OWN["signals"], "velocity": {"unit": "A"}}}, "velocity is in A; it may be in"),
+        ({"signals": {**OWN["signals"], "velocity": {"unit": "rmp"}}}, "no such unit: did you mean 'rpm'"),
+        ({"signals": {**OWN["signals"], "velocity": {"unit": "rpm", "scale": 0}}}, "must not be zero"),
+    ],
+)
+def test_a_description_that_contradicts_itself_is_refused(change, message):
+    with pytest.raises(ValidationError, match=message):
+        Bench.model_validate({**OWN, **change})

@@ -1,0 +1,198 @@
+"""What is said on a serial line, and when: one request at a time, and no reply taken for another one's."""
+
+import pytest
+from friction_hil_drivers.serial_line.conversation import Conversation
+from friction_hil_drivers.serial_line.protocol import Image
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.serial_peers import MS, Ask, BenchLine, Tell, Time
+
+SILENCE_CHARS = 3.5
+CHARACTER_MS = 0.1  # 10 bits at 100 kbaud
+SILENCE_MS = SILENCE_CHARS * CHARACTER_MS
+REPLY_LIMIT_MS = 50.0
+
+
+class Bench:
+    """A conversation whose peer answers by a table."""
+
+    def __init__(self, **answers):
+        self.answers = answers
+        self.time = Time()
+        self.image = Image()
+        self.line = BenchLine(lambda data: self.answers.get(data.decode(), b""))
+        self.talk = Conversation(self.line, [self.image], SILENCE_CHARS, self.time)
+
+    def ask(self, name="position", done=None):
+        exchange = Ask(self.image, name)
+        self.talk.ask((exchange,), done)
+        return exchange
+
+    def go(self, ms=10.0, each=0.1):
+        """Let time pass, working whenever there is something to do."""
+        end = self.time.ns + round(ms * MS)
+        while self.time.ns < end:
+            self.talk.step()
+            self.time.pass_ms(each)
+
+    def cycle(self, name="position"):
+        """One cycle: ask, let 5 ms pass, give up; the value if it came."""
+        self.image.fresh.clear()
+        self.ask(name)
+        self.go(5.0)
+        self.talk.give_up()
+        return self.image.values[name] if name in self.image.fresh else None
+
+
+def test_requests_go_one_after_the_other_with_silence_between():
+    bench = Bench(**{"position?": b"12;", "velocity?": b"-3;"})
+    bench.ask("position")
+    bench.ask("velocity")
+    bench.talk.step()
+    bench.talk.step()
+    assert bench.line.sent == [b"position?"]
+    bench.time.pass_ms(SILENCE_MS - 0.01)
+    bench.talk.step()
+    assert bench.line.sent == [b"position?"]
+    assert bench.talk.due_ns == bench.time.ns + 10_000
+    bench.time.pass_ms(0.01)
+    bench.talk.step()
+    assert bench.line.sent == [b"position?", b"velocity?"]
+    bench.talk.step()
+    assert bench.talk.is_finished
+    assert bench.image.values == {"position": 12.0, "velocity": -3.0}
+    assert bench.image.fresh == {"position", "velocity"}
+
+
+def test_a_command_without_a_reply_takes_its_time_on_the_wire():
+    bench = Bench(**{"position?": b"12;"})
+    bench.image.values["torque_command"] = 0.25
+    bench.talk.ask((Tell(bench.image, "torque_command"), Ask(bench.image, "position")))
+    bench.talk.step()
+    sent_ms = len(b"torque_command=0.25;") * CHARACTER_MS
+    bench.time.pass_ms(sent_ms + SILENCE_MS - 0.01)
+    bench.talk.step()
+    assert bench.line.sent == [b"torque_command=0.25;"]
+    bench.time.pass_ms(0.01)
+    bench.talk.step()
+    assert bench.line.sent[1:] == [b"position?"]
+
+
+def test_a_reply_in_pieces_is_put_together():
+    bench = Bench()
+    bench.ask()
+    for piece in (b"1", b"2", b".", b"5", b";"):
+        bench.go(0.3)
+        assert "position" not in bench.image.fresh
+        bench.line.arrived += piece
+    bench.go(0.3)
+    assert bench.image.values["position"] == 12.5
+
+
+def test_a_late_reply_is_never_taken_for_the_present_one():
+    bench = Bench()
+    assert bench.cycle() is None  # nobody answers
+    bench.ask()
+    bench.go(1.0)
+    assert bench.line.sent == [b"position?"], "nothing is sent while the reply before may still come"
+    bench.line.arrived += b"1;"  # of the first cycle
+    bench.answers["position?"] = b"2;"
+    bench.go(5.0)
+    bench.talk.give_up()
+    assert bench.line.sent == [b"position?"] * 2
+    assert bench.image.values["position"] == 2.0
+    assert (bench.talk.lost, bench.talk.late) == (1, 1)
+
+
+def test_a_late_reply_does_not_even_look_fresh():
+    bench = Bench()
+    assert bench.cycle() is None
+    bench.line.arrived += b"1;"
+    bench.image.fresh.clear()
+    bench.go(1.0)
+    assert not bench.image.fresh
+
+
+def test_a_reply_that_never_comes_is_waited_for_no_longer_than_its_limit():
+    bench = Bench()
+    assert bench.cycle() is None
+    bench.answers["position?"] = b"7;"
+    cycles = 0
+    while bench.cycle() is None:
+        cycles += 1
+    assert cycles == pytest.approx(REPLY_LIMIT_MS / 5.0, abs=1.5)
+    assert bench.talk.late == 0
+    assert "no reply in time" in bench.talk.trouble
+
+
+@given(st.binary(max_size=30))
+def test_noise_before_a_request_is_dropped_and_counted(noise):
+    bench = Bench(**{"position?": b"12;"})
+    bench.line.arrived = noise
+    assert bench.cycle() == 12.0
+    assert bench.talk.noise == len(noise)
+
+
+def test_after_a_broken_reply_the_line_must_fall_silent():
+    bench = Bench(**{"position?": b"1x;9;"})  # the rest of it looks like a reply
+    assert bench.cycle() is None
+    assert bench.talk.refused == 1
+    assert "reading position: b'1x' is no number" in bench.talk.trouble
+    bench.answers["position?"] = b"12;"
+    assert bench.cycle() == 12.0
+
+
+def test_a_refusal_is_complete_and_the_next_request_follows_at_once():
+    bench = Bench(**{"position?": b"!;", "velocity?": b"3;"})
+    bench.ask("position")
+    bench.ask("velocity")
+    bench.go(1.0)
+    assert bench.image.values == {"velocity": 3.0}
+    assert "the drive refuses" in bench.talk.trouble
+
+
+def test_refused_commands_are_counted_until_one_is_taken():
+    bench = Bench(**{"torque_command=0;": b"!;"})
+    bench.image.values["torque_command"] = 0.0
+    tell = Tell(bench.image, "torque_command", is_answered=True)
+    for count in range(1, 4):
+        bench.talk.ask((tell,))
+        bench.go(2.0)
+        assert bench.talk.refusals == count
+    bench.answers["torque_command=0;"] = b";"
+    bench.talk.ask((tell,))
+    bench.go(2.0)
+    assert bench.talk.refusals == 0
+
+
+def test_done_is_called_for_an_answer_in_time_and_for_no_other():
+    calls = []
+    bench = Bench()
+    bench.ask(done=lambda: calls.append("first"))
+    bench.go(5.0)
+    bench.talk.give_up()
+    bench.line.arrived += b"1;"
+    bench.go(1.0)
+    assert calls == []
+    bench.answers["position?"] = b"2;"
+    bench.ask(done=lambda: calls.append("second"))
+    bench.go(5.0)
+    assert calls == ["second"]
+
+
+def test_a_line_that_is_gone_is_said_and_used_again_when_it_is_back():
+    bench = Bench(**{"position?": b"12;"})
+    assert bench.cycle() == 12.0
+    bench.line.pull_out()
+    for _ in range(5):
+        assert bench.cycle() is None
+        assert bench.talk.is_finished, "nobody waits for a line that is gone"
+    assert "gone" in bench.talk.trouble
+    asked = len(bench.line.sent)
+    bench.line.is_back = True
+    for _ in range(100):
+        if bench.cycle() is not None:
+            break
+    assert bench.image.fresh == {"position"}
+    assert len(bench.line.sent) == asked + 1, "what was to be asked meanwhile is not asked later"
