@@ -1,5 +1,7 @@
 """Read and write HDF5 through h5py: a dataset each, or the fields of a compound dataset; units as attributes."""
 
+import math
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -83,44 +85,56 @@ def _library(path: Path) -> Any:
 
 def _read(source: Source, h5py: Any, file: Any) -> Recording:
     recording = Recording(str(source.path), source.name, {})
-    found: dict[str, tuple[Any, str | None]] = {}  # dataset, and its field if it is compound
-
-    def visit(path: str, item: Any) -> None:
-        if not isinstance(item, h5py.Dataset) or path.startswith(_MATLAB_INTERNAL):
-            return
-        if item.dtype.names:
-            if item.ndim == 1:
-                found.update({f"{path}/{name}": (item, name) for name in item.dtype.names})
-        elif is_column(item) and item.size > 1:
-            found[path] = item, None
-
-    file.visititems(visit)
-    lasts = [path.rpartition("/")[2] for path in found]
-    names = {path if lasts.count(last) > 1 else last: path for path, last in zip(found, lasts, strict=True)}
-    sizes = {name: int(found[path][0].size) for name, path in names.items()}
+    found = _vectors(h5py, file)
+    last = {path: path.rpartition("/")[2] for path in found}
+    times = Counter(last.values())
+    names = {path if times[last[path]] > 1 else last[path]: path for path in found}
+    sizes = {name: math.prod(found[path][0].shape) for name, path in names.items()}
     if not sizes:
         raise RecordingError(f"{source.path}: there is no vector of numbers in it, which a column would be")
     wanted, recording.others = source.split(commonest_length(sizes, recording.problems))
-    for name in wanted:
+    # One block for all columns: the system gives large ones in large pages, which cost least to touch first.
+    block = np.empty((len(wanted), sizes[wanted[0]])) if wanted else ()
+    for name, room in zip(wanted, block, strict=True):
         dataset, field = found[names[name]]
-        values = dataset[field] if field else _whole(dataset)
-        if values.dtype.kind not in "fiub":
-            recording.problems.append(f"{name} holds {values.dtype}, no numbers: left out")
-            continue
-        recording.columns[name] = as_column(values)
-        unit = next((dataset.attrs[key] for key in _UNIT_ATTRIBUTES if key in dataset.attrs), "")
-        if unit is not None and not field and len(text := _text(unit)):
-            recording.units[name] = text
+        if field is None and dataset.dtype == np.float64:
+            dataset.read(h5py.h5s.ALL, h5py.h5s.ALL, room)
+            recording.columns[name] = room
+        else:
+            values = h5py.Dataset(dataset)[field or ()]
+            if values.dtype.kind not in "fiub":
+                recording.problems.append(f"{name} holds {values.dtype}, no numbers: left out")
+                continue
+            recording.columns[name] = as_column(values)
+        if field is None and h5py.h5a.get_num_attrs(dataset):
+            attributes = h5py.Dataset(dataset).attrs
+            unit = next((_text(attributes[key]) for key in _UNIT_ATTRIBUTES if key in attributes), "")
+            if unit:
+                recording.units[name] = unit
     return recording
 
 
-def _whole(dataset: Any) -> Any:
-    """All values, read straight into float64."""
-    if dataset.dtype != np.float64:
-        return dataset[()]
-    values = np.empty(dataset.shape)
-    dataset.read_direct(values)
-    return values
+def _vectors(h5py: Any, file: Any) -> dict[str, tuple[Any, str | None]]:
+    """Dataset of each vector by its path, and its field if it is compound.
+
+    The datasets are h5py's low-level ones: to make its others takes longer than to read their values.
+    """
+    found: dict[str, tuple[Any, str | None]] = {}
+
+    def visit(name: bytes, info: Any) -> None:
+        path = name.decode("utf-8", "replace")
+        if info.type != h5py.h5o.TYPE_DATASET or path.startswith(_MATLAB_INTERNAL):
+            return
+        dataset = h5py.h5d.open(file.id, name)
+        fields = dataset.dtype.names
+        if fields:
+            if dataset.rank == 1:
+                found.update({f"{path}/{field}": (dataset, field) for field in fields})
+        elif is_column(dataset) and max(dataset.shape) > 1:
+            found[path] = dataset, None
+
+    h5py.h5o.visit(file.id, visit, info=True)
+    return found
 
 
 def _text(value: Any) -> str:

@@ -1,5 +1,6 @@
 """What a reader is asked for, and what readers and writers of files share."""
 
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -72,8 +73,8 @@ def damaged(path: Path, what: str, error: Exception) -> RecordingError:
 
 def is_column(values: Any) -> bool:
     """Whether an array is a real vector, which a column would be: (n,), (n, 1) or (1, n)."""
-    shape = getattr(values, "shape", ())
-    return values.dtype.kind in "fiub" and len(shape) > 0 and int(np.prod(shape)) == max(shape)
+    shape = getattr(values, "shape", None) or ()  # HDF5 has datasets of no shape
+    return values.dtype.kind in "fiub" and len(shape) > 0 and math.prod(shape) == max(shape)
 
 
 def as_column(values: Any) -> Array:

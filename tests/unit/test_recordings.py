@@ -1,5 +1,6 @@
 """Recordings in CSV and .mat, the choice of axes and columns, and the checks that every format goes through."""
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -181,6 +182,31 @@ def test_mat_vectors_are_columns(tmp_path: Path) -> None:
     assert list(read.columns) == ["time_s", "torque"]
     np.testing.assert_array_equal(read["torque"], [1.0, 2.0, 3.0])
     assert read.problems == ["short has 2 values, the other columns 3: left out"]
+
+
+@given(
+    names=st.lists(st.from_regex(r"[a-z]\w{0,30}", fullmatch=True).filter(str.isascii), max_size=4, unique=True),
+    data=st.data(),
+)
+def test_mat_is_read_without_scipy_as_with_it(
+    tmp_path_factory: pytest.TempPathFactory, names: list[str], data: st.DataObject
+) -> None:
+    """Only what is compressed has to go through scipy."""
+    shapes = st.sampled_from([(4, 1), (1, 4), (3, 1), (2, 2), (1, 1), (0, 0)])
+    content = {name: data.draw(arrays(np.float64, shapes, elements=st.floats())) for name in names}
+    content |= {name: np.arange(4.0)[:, None] for name in ("time_s", "A", "B", "C", "D")}  # the commonest length
+    paths = [tmp_path_factory.mktemp(name) / "x.mat" for name in ("plain", "compressed")]
+    for path, is_compressed in zip(paths, (False, True), strict=True):
+        savemat(path, content, do_compression=is_compressed)
+    compressed = fh.recordings.read(paths[1])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(sys.modules, "scipy.io", None)
+        plain = fh.recordings.read(paths[0])
+    assert plain.problems == compressed.problems
+    assert list(plain.columns) == list(compressed.columns)
+    for name, values in plain.columns.items():
+        assert values.flags.c_contiguous
+        assert values.tobytes() == compressed[name].tobytes() == content[name].tobytes()
 
 
 def test_mat_that_cannot_be_read(tmp_path: Path) -> None:

@@ -227,6 +227,23 @@ def test_hdf5_of_other_programs(tmp_path: Path) -> None:
     assert read.problems == ["calibration has 9 values, the other columns 4: left out"]
 
 
+def test_hdf5_with_what_is_no_column_and_open_elsewhere(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    with h5py.File(tmp_path / "x.h5", "w") as file:
+        file["time_s"], file["big"] = np.arange(3.0), np.arange(3, dtype=">f8")[:, None]
+        file.create_dataset("torque", data=np.arange(3.0), chunks=(2,), compression="gzip")
+        file["torque"].attrs["gain"] = 2.0
+        file["nothing"], file["text"], file["type"] = h5py.Empty("f8"), ["a", "b", "c"], np.dtype("f8")
+        file["soft"] = h5py.SoftLink("/torque")
+        file.create_group("empty")
+        file.flush()
+        read = fh.recordings.read(tmp_path / "x.h5")
+    assert {name: values.tolist() for name, values in read.columns.items()} == {
+        name: [0.0, 1.0, 2.0] for name in ("time_s", "big", "torque")
+    }
+    assert (read.problems, read.units) == ([], {})
+
+
 def test_matlab_7_3_is_hdf5(tmp_path: Path) -> None:
     h5py = pytest.importorskip("h5py")
     path = tmp_path / "x.mat"

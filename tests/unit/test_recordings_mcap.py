@@ -2,6 +2,7 @@
 
 import json
 import struct
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,7 @@ from mcap_ros2.decoder import DecoderFactory
 
 import friction_hil as fh
 from friction_hil.errors import RecordingError, UsageError
+from friction_hil.recordings import mcap_chunks
 from friction_hil.recordings import mcap_format as layout
 from friction_hil.recordings.columns import NAMES
 from friction_hil.recordings.mcap_writer import McapWriter
@@ -227,6 +229,72 @@ def test_foreign_flat_messages_are_read(tmp_path: Path, compression: Compression
     )
     read = fh.recordings.read(tmp_path / "x.mcap")
     assert (read.axis, read["position"].tolist()) == ("joint", [2.0])
+
+
+TOPICS = {"a": ["time_s", "u"], "b": ["time_s", "v"], "c": ["time_s", "u", "v", "w"]}
+
+
+@given(
+    turns=st.lists(
+        st.tuples(st.lists(st.sampled_from("abc?"), min_size=1, max_size=4), st.integers(1, 60)), max_size=5
+    ),
+    chunk_size=st.sampled_from([200, 3000, 1 << 20]),
+    only=st.sampled_from([None, ("time_s", "v"), ("w", "time_s", "u", "v")]),
+)
+def test_messages_in_any_order_come_back(
+    tmp_path_factory: pytest.TempPathFactory,
+    turns: list[tuple[str, int]],
+    chunk_size: int,
+    only: tuple[str, ...] | None,
+) -> None:
+    """Channels take turns, some of equal width, with what is no row between them."""
+    path = tmp_path_factory.mktemp("order") / "x.mcap"
+    sent: dict[str, list[list[float]]] = {topic: [] for topic in TOPICS}
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=chunk_size)
+        writer.start()
+        schemas = {name: "".join(f"float64 {field}\n" for field in fields) for name, fields in TOPICS.items()}
+        channels = {
+            name: writer.register_channel(f"/{name}", "cdr", writer.register_schema(name, "ros2msg", text.encode()))
+            for name, text in (schemas | {"?": "string text\n"}).items()
+        }
+        order = ["a", "b", "c", *(topic for topics, count in turns for topic in topics * count)]
+        for number, topic in enumerate(order):
+            row = [float(number), *(number + 0.1 * i for i in range(len(TOPICS.get(topic, [])) - 1))]
+            body = bytes(number % 5) if topic == "?" else struct.pack(f"<{len(row)}d", *row)
+            writer.add_message(channels[topic], number, b"\0\1\0\0" + body, number)
+            if topic != "?":
+                sent[topic].append(row)
+        writer.finish()
+    read = fh.recordings.read_all(path, only=only)
+    assert set(read) == set(TOPICS)
+    for topic, fields in TOPICS.items():
+        expected = dict(zip(fields, np.array(sent[topic]).T.tolist(), strict=True))
+        wanted = {name: expected[name] for name in fields if only is None or name in only}
+        assert {name: values.tolist() for name, values in read[topic].columns.items()} == wanted
+        assert read[topic].problems == []
+
+
+def test_a_record_as_long_as_the_messages_before_it(tmp_path: Path) -> None:
+    with (tmp_path / "x.mcap").open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("pkg/msg/Joint", "ros2msg", FLAT.encode())
+        channel = writer.register_channel("/joint", "cdr", schema)
+        for turn in range(3):
+            for _ in range(4):
+                writer.add_message(channel, 5, b"\0\1\0\0" + BODY, 5)
+            # numbers 2 * 2, topic 4 + 23, encoding 4 + 3, metadata 4 bytes: as message headers 22, encoding 4, body 16
+            writer.register_channel(f"/{turn}{'x' * 21}", "cdr", schema)
+        writer.finish()
+    read = fh.recordings.read(tmp_path / "x.mcap", "joint")
+    assert read["position"].tolist() == [2.0] * 12
+    assert not [problem for problem in read.problems if "damaged" in problem]
+
+
+@given(st.binary(), st.binary())
+def test_the_quick_checksum_is_that_of_zlib(start: bytes, rest: bytes) -> None:
+    assert mcap_chunks.crc32(rest, mcap_chunks.crc32(start)) == zlib.crc32(start + rest)
 
 
 def test_foreign_files_that_are_not_ours_to_read(tmp_path: Path) -> None:

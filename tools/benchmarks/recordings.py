@@ -185,9 +185,12 @@ def written(folder: Path) -> dict[str, Path]:
 
 
 def check(path: Path, ours: Columns, theirs: Columns) -> None:
-    """Make sure that both do the same work."""
+    """Make sure that both do the same work: the same values, as arrays of float64 that lie in one piece."""
     if ours.keys() != theirs.keys() or any(not np.array_equal(ours[name], theirs[name]) for name in ours):
         raise FrictionHilError(f"{path.name}: the library reads other columns or values than friction_hil")
+    for name, values in [*ours.items(), *theirs.items()]:
+        if values.dtype != np.float64 or not values.flags.c_contiguous:
+            raise FrictionHilError(f"{path.name}: {name} is no float64 array in one piece: {values.dtype}")
 
 
 def lugre() -> Row:
