@@ -15,6 +15,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 import zstandard
+from isal.isal_zlib import crc32  # takes a quarter of the time of zlib's
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
@@ -36,11 +37,6 @@ _FIRST_ROWS = 4096
 _MOST_GROWTH = 256
 _FEWEST_AHEAD = 16  # messages
 _MESSAGE = int(Opcode.MESSAGE)  # numpy takes long to find out what an enumeration is
-
-try:
-    from isal.isal_zlib import crc32  # comes with asammdf; takes a quarter of the time of zlib's
-except ImportError:
-    from zlib import crc32
 
 Run = NDArray[Any]
 

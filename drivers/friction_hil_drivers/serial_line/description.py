@@ -188,8 +188,19 @@ def ready(directory: Path) -> dict[str, Path]:
     return {path.stem: path for path in sorted(directory.glob("*.yaml"))}
 
 
-def load_description(given: Path, directory: Path, kind: type[Kind]) -> Kind:
+def load_description(given: str, beside: Path | None, directory: Path, kind: type[Kind]) -> Kind:
     """Read a description: a file, or one of those in ``directory`` by its name.
+
+    Parameters
+    ----------
+    given : str
+        Path of a file, ending in .yaml, or a name.
+    beside : Path, optional
+        The configuration that says so: a relative path starts from its directory.
+    directory : Path
+        Where the ready ones are.
+    kind : type
+        The protocol's own.
 
     Raises
     ------
@@ -198,11 +209,11 @@ def load_description(given: Path, directory: Path, kind: type[Kind]) -> Kind:
     UsageError
         There is none of that name; the message lists those that there are.
     """
-    if given.suffix in (".yaml", ".yml"):
-        return read_section(given, kind)
+    if given.endswith((".yaml", ".yml")):
+        return read_section(Path(given) if beside is None else beside.parent / given, kind)
     known = ready(directory)
-    if given.name not in known:
+    if given not in known:
         raise UsageError(
-            f"no drive is described as {given.name!r}; {choices(given.name, known)}. A file of your own ends in .yaml"
+            f"no drive is described as {given!r}; {choices(given, known)}. The name of a file of your own ends in .yaml"
         )
-    return read_section(known[given.name], kind)
+    return read_section(known[given], kind)

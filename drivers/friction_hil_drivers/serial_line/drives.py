@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, Generic, TypeVar
+from typing import TYPE_CHECKING, ClassVar
 
 from friction_hil.drive import AxisFacts, Clock, Command, Feedback, Request
 from friction_hil.errors import BusError, DriveError
@@ -28,6 +28,7 @@ from friction_hil_drivers.serial_line.protocol import (
     Image,
     LineProtocol,
     Plan,
+    ProtocolFactory,
     Wanted,
 )
 from friction_hil_drivers.serial_line.sequences import state_signals
@@ -35,9 +36,6 @@ from friction_hil_drivers.serial_line.wire import character_s, check_rate, excha
 
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig, Configuration
-
-DescriptionT = TypeVar("DescriptionT", bound=Description)
-OptionsT = TypeVar("OptionsT", bound=SerialOptions)
 
 _COMPUTATION_S = 3e-4  # of a period is kept for what comes after the feedback, at most a tenth of it
 _STEPPED_TIMEOUT_S = 10.0
@@ -59,14 +57,29 @@ class _Lane:
     listening: Plan
     plan: Plan  # the same as listening in a dry run
     turn: int = 0
+    is_step_sent: bool = False  # in the cycle before, in the place of a turn
+    first: int = 0  # axis that may send a step first
     steps: dict[tuple[str, tuple[str, ...]], Exchange] = field(default_factory=dict)
 
     def questions(self, plan: Plan) -> tuple[Exchange, ...]:
         """Exchanges of the next cycle before its computation."""
-        if not plan.turns:
+        if not plan.turns or self.is_step_sent:
             return plan.poll
         self.turn = (self.turn + 1) % len(plan.turns)
         return *plan.poll, plan.turns[self.turn]
+
+    def send(self, steps: Mapping[str, Mapping[str, float]]) -> None:
+        """Ask for a step, of one axis and in every second cycle (one has to hear what it did), and for the push."""
+        may_step = not (self.is_step_sent and self.plan.turns)
+        self.is_step_sent = False
+        for axis in (*self.axes[self.first :], *self.axes[: self.first]):
+            if may_step and (step := steps[axis.name]):
+                axis.image.values.update(step)
+                self.conversation.ask((self.write(axis.name, step),), axis.sequencer.acknowledge)
+                self.first = (self.axes.index(axis) + 1) % len(self.axes)
+                self.is_step_sent = True
+                break
+        self.conversation.ask(self.plan.push)
 
     def write(self, axis: str, names: Iterable[str]) -> Exchange:
         """Exchange for a step; each is made once."""
@@ -76,14 +89,12 @@ class _Lane:
         return self.steps[key]
 
 
-class SerialDrives(Generic[DescriptionT, OptionsT]):
-    """The drives of some axes; see `friction_hil.drive.Drives`.
-
-    A protocol's own class gives the class attributes and `make_protocol`.
-    """
+class SerialDrives:
+    """The drives of some axes; see `friction_hil.drive.Drives`. A protocol sets the class's attributes."""
 
     description_type: ClassVar[type[Description]]
-    descriptions: ClassVar[Path]
+    descriptions: ClassVar[Path]  # directory of the ready ones
+    protocol: ClassVar[ProtocolFactory]
 
     def __init__(
         self, configuration: "Configuration", axes: "Mapping[str, AxisConfig]", clock: Clock, *, dry_run: bool
@@ -100,19 +111,11 @@ class SerialDrives(Generic[DescriptionT, OptionsT]):
         self._is_started = False
         self._timeouts = 0
 
-    def make_protocol(
-        self,
-        descriptions: Mapping[str, DescriptionT],
-        options: Mapping[str, OptionsT],
-        images: Mapping[str, Image],
-    ) -> LineProtocol:
-        """Protocol of one line, for the axes there by name."""
-        raise NotImplementedError
-
     def connect(self) -> Sequence[AxisFacts]:
         """Open the lines and prepare every drive; nothing is enabled. See `friction_hil.drive.Drives.connect`."""
+        source = self._configuration.source_path
         descriptions = {
-            name: load_description(_options(axis).description, self.descriptions, self.description_type)
+            name: load_description(_options(axis).description, source, self.descriptions, self.description_type)
             for name, axis in self._configs.items()
         }
         ports: dict[str, list[str]] = {}
@@ -134,7 +137,7 @@ class SerialDrives(Generic[DescriptionT, OptionsT]):
         configs = {name: self._configs[name] for name in descriptions}
         options = {name: _options(config) for name, config in configs.items()}
         images = {name: Image() for name in configs}
-        protocol = self.make_protocol(descriptions, options, images)  # type: ignore[arg-type]
+        protocol = type(self).protocol(descriptions, options, images)
         axes, wanted, heard = [], {}, {}
         for name, config in configs.items():
             description = descriptions[name]
@@ -330,11 +333,7 @@ class SerialDrives(Generic[DescriptionT, OptionsT]):
         if not self._is_commanding:
             return
         for lane in self._lanes:
-            for axis in lane.axes:
-                if step := steps[axis.name]:
-                    axis.image.values.update(step)
-                    lane.conversation.ask((lane.write(axis.name, step),), axis.sequencer.acknowledge)
-            lane.conversation.ask(lane.plan.push)
+            lane.send(steps)
         conversations = [lane.conversation for lane in self._lanes]
         # the last reply is awaited at the start of the next cycle
         limit_ns = time.monotonic_ns() + round(self._period_s * 1e9)

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
@@ -51,7 +50,7 @@ class SerialOptions(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     line: LineOptions
-    description: Path = Field(description="the drive: a ready description by its name, or a YAML file")
+    description: str = Field(min_length=1, description="the drive: a ready description by its name, or a YAML file")
     counts_per_unit: Positive | None = Field(None, description="position counts per rad of the motor (per m)")
     rated_torque: Positive | None = Field(None, description="torque at 100 %, N m (N on a linear axis)")
     torque_constant: Positive | None = Field(None, description="N m (N) per ampere, where the drive speaks of current")

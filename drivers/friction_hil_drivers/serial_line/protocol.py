@@ -3,7 +3,7 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Any, Protocol
 
 # Signals that the driver itself understands; a description may have others, for its sequences.
 FAST = ("position", "velocity")  # read in every cycle
@@ -120,4 +120,14 @@ class LineProtocol(Protocol):
 
     def write(self, axis: str, names: Sequence[str]) -> Exchange:
         """Exchange that writes some signals of an axis that can be written together (a single one always can)."""
+        ...
+
+
+class ProtocolFactory(Protocol):
+    """Makes a line's protocol; all mappings are by axis."""
+
+    def __call__(
+        self, descriptions: Mapping[str, Any], options: Mapping[str, Any], images: Mapping[str, Image], /
+    ) -> LineProtocol:
+        """Make it."""
         ...

@@ -17,11 +17,11 @@ def exchange_s(exchange: Exchange, line: LineOptions, silence_chars: float) -> f
     return characters * character_s(line) + (line.turnaround_s if frames == 2 else 0.0)
 
 
-def cycle_s(plan: Plan, step: Exchange | None, line: LineOptions, silence_chars: float) -> float:
-    """Least time of the longest cycle, s: with the longest of the turns, and a step of a sequence."""
-    total = sum(exchange_s(exchange, line, silence_chars) for exchange in (*plan.poll, *plan.push))
-    total += max((exchange_s(exchange, line, silence_chars) for exchange in plan.turns), default=0.0)
-    return total + (exchange_s(step, line, silence_chars) if step is not None else 0.0)
+def longest_cycle(plan: Plan, step: Exchange | None, line: LineOptions, silence_chars: float) -> list[Exchange]:
+    """Exchanges of the longest cycle: poll, push, and the longest of the turns or of the sequences' steps."""
+    others = [*plan.turns, *([] if step is None else [step])]
+    longest = max(others, key=lambda exchange: exchange_s(exchange, line, silence_chars), default=None)
+    return [*plan.poll, *([] if longest is None else [longest]), *plan.push]
 
 
 def check_rate(plan: Plan, step: Exchange | None, line: LineOptions, silence_chars: float, period_s: float) -> str:
@@ -32,18 +32,12 @@ def check_rate(plan: Plan, step: Exchange | None, line: LineOptions, silence_cha
     UsageError
         A cycle is longer than the period; the message has the arithmetic.
     """
-    needed = cycle_s(plan, step, line, silence_chars)
+    times = [(each, exchange_s(each, line, silence_chars)) for each in longest_cycle(plan, step, line, silence_chars)]
+    needed = sum(time for _, time in times)
     if needed <= period_s:
         return f"a cycle takes {needed * 1e3:.3g} ms of {period_s * 1e3:g} ms on {line.port}"
-    parts = [*plan.poll, *plan.push]
-    if plan.turns:
-        parts.append(max(plan.turns, key=lambda exchange: exchange_s(exchange, line, silence_chars)))
-    if step is not None:
-        parts.append(step)
     listed = "; ".join(
-        f"{part.what}: {part.request_size} + {part.reply_size} characters, "
-        f"{exchange_s(part, line, silence_chars) * 1e3:.3g} ms"
-        for part in parts
+        f"{each.what}: {each.request_size} + {each.reply_size} characters, {time * 1e3:.3g} ms" for each, time in times
     )
     raise UsageError(
         f"a period of {period_s * 1e3:g} ms is too short for {line.port} at {line.baud} baud: a cycle takes "

@@ -1,0 +1,249 @@
+"""Lines of text as exchanges: requests made from a process image, replies put into it."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from friction_hil.errors import UsageError
+from friction_hil_drivers.ascii.description import AsciiDescription, covering
+from friction_hil_drivers.ascii.messages import CompiledMessage, Language, take_line
+from friction_hil_drivers.ascii.options import AsciiOptions
+from friction_hil_drivers.serial_line.protocol import Exchange, Image, Plan, ReplyError, Wanted
+
+_SHOWN = 60  # characters
+
+
+class AsciiExchange:
+    """One request, or several that set the same signals to different numbers, and the reply; see `Exchange`.
+
+    Parameters
+    ----------
+    axis : str
+        For people.
+    language : Language
+    messages : sequence of CompiledMessage
+        With the same signals and the same replies; the first whose fixed numbers are those of the image is sent.
+    image : Image
+    """
+
+    def __init__(self, axis: str, language: Language, messages: Sequence[CompiledMessage], image: Image) -> None:
+        self._axis = axis
+        self._language = language
+        self._messages = tuple(messages)
+        self._first = self._messages[0]
+        self._is_fixed = any(message.sets for message in self._messages)
+        self._image = image
+        self._sent = b""
+        self._is_echo_due = False
+        self.writes = self._first.writes
+        self.reads = self._first.reads
+        parts = [f"read {' and '.join(self.reads)}"] if self.reads else []
+        parts += [f"write {' and '.join(self.writes)}"] if self.writes else []
+        self.what = f"{', '.join(parts)} of {axis}"
+        longest = max(message.request.size for message in self._messages)
+        self.request_size = language.sealed_size(longest, language.request_end)
+        replies = self._first.replies
+        self.reply_size = self.request_size if language.has_echo else 0
+        if replies:
+            self.reply_size += language.sealed_size(max(form.size for form in replies), language.reply_end)
+
+    def encode(self) -> bytes:
+        """Make the request, from the image's values where it writes.
+
+        Raises
+        ------
+        ValueError
+            A value is missing, not finite, or not one of those that can be written.
+        """
+        values = self._image.values
+        message = self._chosen(values) if self._is_fixed else self._first
+        language = self._language
+        self._sent = language.sealed(message.request.write(values), language.request_end)
+        self._is_echo_due = language.has_echo
+        return self._sent
+
+    def _chosen(self, values: Mapping[str, float]) -> CompiledMessage:
+        for message in self._messages:
+            if all(values.get(name) == number for name, number in message.sets.items()):
+                return message
+        given = ", ".join(f"{name} = {values.get(name)}" for name in self.writes)
+        known = "; ".join(", ".join(f"{n} = {v:g}" for n, v in message.sets.items()) for message in self._messages)
+        raise ValueError(f"{self._axis}: {given} cannot be written; what can be is {known}")
+
+    def take(self, received: bytearray) -> bool:
+        """Remove the reply from ``received`` and put what it tells into the image; whether it was complete.
+
+        Raises
+        ------
+        ReplyError
+            It is an error reply, or no reply to this request; nothing was put into the image.
+        """
+        if self._is_echo_due and not self._take_echo(received):
+            return False
+        if not self._first.replies:
+            return True
+        try:
+            line = take_line(received, self._language.reply_end)
+        except ValueError as error:
+            raise ReplyError(str(error)) from error
+        if line is None:
+            return False
+        for name, number in self._understood(line).items():
+            self._image.put(name, number)
+        return True
+
+    def _take_echo(self, received: bytearray) -> bool:
+        # the other half of a line end like \r\n, of which the drive's reply before has left one
+        while received and received[0] in b"\r\n\0":
+            del received[0]
+        if not received.startswith(self._sent):
+            if self._sent.startswith(received):
+                return False
+            raise ReplyError(f"{_shown(received)} came in place of the echo of {_shown(self._sent)}")
+        del received[: len(self._sent)]
+        self._is_echo_due = False
+        return True
+
+    def _understood(self, line: bytes) -> Mapping[str, float]:
+        """Numbers in a reply by signal."""
+        language = self._language
+        try:
+            text = line if language.checker is None else language.checker.remove(line)
+            meaning = language.meaning(text)
+            if meaning is None:
+                for form in self._first.replies:
+                    numbers = form.read(text)
+                    if numbers is not None:
+                        return dict(zip(form.names, numbers, strict=True))
+        except ValueError as error:
+            raise ReplyError(f"{_shown(line)} came in reply to {_shown(self._sent)}: {error}") from error
+        if meaning is None:
+            right = " or ".join(form.template for form in self._first.replies)
+            raise ReplyError(f"{_shown(line)} came in reply to {_shown(self._sent)}; right would be {right}")
+        # an error of a set-point to which nothing is replied comes unasked: the reply proper then follows
+        raise ReplyError(
+            f"{_shown(line)} came in reply to {_shown(self._sent)}, or to what was sent before: {meaning}"
+            if not language.is_answering_all
+            else f"{_shown(line)} came in reply to {_shown(self._sent)}: {meaning}",
+            is_complete=language.is_answering_all,
+        )
+
+
+def _shown(data: bytes | bytearray) -> str:
+    text = repr(bytes(data[:_SHOWN]))[2:-1]
+    return f"'{text}'" + (" ..." if len(data) > _SHOWN else "")
+
+
+@dataclass(frozen=True, slots=True)
+class _Axis:
+    language: Language
+    image: Image
+    name: str
+
+    def exchange(self, messages: Sequence[CompiledMessage]) -> AsciiExchange:
+        return AsciiExchange(self.name, self.language, messages, self.image)
+
+    def writing(self, names: Iterable[str]) -> list[CompiledMessage]:
+        """Messages that write just these."""
+        wanted = set(names)
+        return [message for message in self.language.messages if set(message.writes) == wanted]
+
+    def reading(self, names: Iterable[str], along: Iterable[str] = ()) -> list[CompiledMessage]:
+        """Messages that read all of these without writing, as few as there can be, best with some others along.
+
+        Raises
+        ------
+        UsageError
+            None of them reads one of these.
+        """
+        rest, others, chosen = set(names), set(along), []
+        plain = [message for message in self.language.messages if message.reads and not message.writes]
+        while rest:
+            best = max(plain, key=lambda m: (len(rest & set(m.reads)), len(others & set(m.reads))), default=None)
+            if best is None or rest.isdisjoint(best.reads):
+                missing = " and ".join(sorted(rest))
+                raise UsageError(f"{self.name}: no message of its description reads {missing} without writing")
+            chosen.append(best)
+            rest.difference_update(best.reads)
+        return chosen
+
+
+class AsciiLine:
+    """Lines of text as they are spoken on one serial line; see `LineProtocol`.
+
+    Parameters
+    ----------
+    descriptions : mapping of str to AsciiDescription
+        By axis, all on this line.
+    options : mapping of str to AsciiOptions
+    images : mapping of str to Image
+    """
+
+    silence_chars = 0.0  # line ends part the lines
+
+    def __init__(
+        self,
+        descriptions: Mapping[str, AsciiDescription],
+        options: Mapping[str, AsciiOptions],
+        images: Mapping[str, Image],
+    ) -> None:
+        self._axes = {
+            name: _Axis(Language(description, description.axis_name(options[name].axis)), images[name], name)
+            for name, description in descriptions.items()
+        }
+
+    def plan(self, wanted: Mapping[str, Wanted]) -> Plan:
+        """Put a cycle together from as few exchanges as there can be, for the axes by name.
+
+        Raises
+        ------
+        UsageError
+            No message reads or writes what is wanted.
+        """
+        poll: list[Exchange] = []
+        turns: list[Exchange] = []
+        push: list[Exchange] = []
+        for name, want in wanted.items():
+            axis, fast, slow = self._axes[name], set(want.fast), set(want.slow)
+            for messages in self._commanding(axis, want.commands):
+                # what reads feedback in the same breath has to be asked before the computation
+                (push if fast.isdisjoint(messages[0].reads) else poll).append(axis.exchange(messages))
+                fast.difference_update(messages[0].reads)
+                slow.difference_update(messages[0].reads)
+            often = axis.reading(fast, slow)
+            slow.difference_update(*(message.reads for message in often))
+            poll += [axis.exchange((message,)) for message in often]
+            turns += [axis.exchange((message,)) for message in axis.reading(slow)]
+        return Plan(tuple(poll), tuple(turns), tuple(push))
+
+    def _commanding(self, axis: _Axis, commands: tuple[str, ...]) -> list[list[CompiledMessage]]:
+        """Messages that write the commands together, each with its alternatives."""
+        ways = covering(commands, (message.writes for message in axis.language.messages))
+        if ways is None:
+            raise UsageError(f"{axis.name}: no messages of its description write just {', '.join(commands)}")
+        return [axis.writing(way) for way in ways]
+
+    def read(self, axis: str, names: Sequence[str]) -> AsciiExchange:
+        """Exchange that reads some signals of an axis that one message has.
+
+        Raises
+        ------
+        UsageError
+            None has them.
+        """
+        chosen = self._axes[axis].reading(names)
+        if len(chosen) != 1:
+            raise UsageError(f"{axis}: no message of its description reads {' and '.join(names)} at once")
+        return self._axes[axis].exchange(chosen)
+
+    def write(self, axis: str, names: Sequence[str]) -> AsciiExchange:
+        """Exchange that writes some signals of an axis, those and no others, by one message.
+
+        Raises
+        ------
+        UsageError
+            None writes just these.
+        """
+        messages = self._axes[axis].writing(names)
+        if not messages:
+            raise UsageError(f"{axis}: no message of its description writes just {' and '.join(names)}")
+        return self._axes[axis].exchange(messages)

@@ -1,0 +1,208 @@
+"""Description of a drive that speaks in lines of text: its signals, and the messages in which they travel."""
+
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Literal
+
+from pydantic import Field, field_validator
+
+from friction_hil.errors import choices
+from friction_hil_drivers.ascii.checksum import Checksum
+from friction_hil_drivers.ascii.template import FLOAT, NumberField, fields, parse
+from friction_hil_drivers.serial_line.description import Description, Finite, Part, Signal
+from friction_hil_drivers.serial_line.protocol import FAST, SLOW
+
+LineEnd = Literal["\n", "\r", "\r\n"]
+_REPEATED_GROUP = re.compile(r"\)[*+{]")
+
+
+class AsciiSignal(Signal):
+    """A value of the drive, and how its number is written."""
+
+    bits: Literal[8, 16, 32, 64] | None = Field(
+        None, description="width of an integer (int, hex): bounds it; a position wraps there"
+    )
+    is_signed: bool = Field(True, description="of an integer")
+    digits: int = Field(6, ge=0, le=12, description="of a float: digits after the point that are written")
+    whole_digits: int = Field(
+        6, ge=1, le=12, description="of a float: digits before the point at most; larger numbers are not written"
+    )
+
+    @property
+    def counter_bits(self) -> int | None:
+        """Width of the drive's number where that is an integer that wraps."""
+        return self.bits
+
+
+class Message(Part):
+    """A request and its reply. What it writes are the fields of the request, what it reads those of the reply."""
+
+    request: str = Field(description="template, e.g. v {axis} {velocity_command:float}")
+    reply: str | tuple[str, ...] | None = Field(
+        None,
+        description="template, or several that may come; empty: none comes; the acknowledgement when not given",
+    )
+    sets: dict[str, Finite] = Field(
+        {}, description="signals that the request sets to a fixed number: writing that number sends it"
+    )
+    feeds_watchdog: bool = Field(False, description="the drive's watchdog counts it as a sign of life")
+
+    @field_validator("request")
+    @classmethod
+    def _request_is_template(cls, request: str) -> str:
+        parse(request)
+        if not request.strip():
+            raise ValueError("is empty")
+        return request
+
+    @field_validator("reply")
+    @classmethod
+    def _replies_are_templates(cls, reply: str | tuple[str, ...] | None) -> str | tuple[str, ...] | None:
+        forms = (reply,) if isinstance(reply, str) else reply or ()
+        found = [sorted(field.name for field in fields(parse(form))) for form in forms]
+        if any(names != found[0] for names in found):
+            raise ValueError("all its forms must have the same fields")
+        return reply
+
+    @property
+    def forms(self) -> tuple[str, ...] | None:
+        """Templates of its reply; None where the description's acknowledgement is."""
+        return (self.reply,) if isinstance(self.reply, str) else self.reply
+
+    @property
+    def writes(self) -> tuple[str, ...]:
+        """Signals that it writes."""
+        return *(field.name for field in fields(parse(self.request))), *self.sets
+
+    @property
+    def reads(self) -> tuple[str, ...]:
+        """Signals that it reads."""
+        return tuple(field.name for field in fields(parse(self.forms[0]))) if self.forms else ()
+
+    @property
+    def number_fields(self) -> Iterator[NumberField]:
+        """All fields in it."""
+        for template in (self.request, *(self.forms or ())):
+            yield from fields(parse(template))
+
+
+class AsciiDescription(Description):
+    """A drive that speaks in lines of text."""
+
+    protocol: Literal["ascii"]
+    signals: dict[str, AsciiSignal]
+    messages: dict[str, Message] = Field(min_length=1)
+    axis: str = Field("", description="stands for {axis} where the configuration gives nothing")
+    request_end: LineEnd = Field("\n", description="ends a request")
+    reply_end: LineEnd = Field("\r\n", description="ends a reply")
+    echo: bool = Field(False, description="the drive repeats each request before it replies")
+    checksum: Checksum | None = Field(None, description="behind each line; none when not given")
+    acknowledge: str = Field("", description="reply to a message without a reply of its own; empty: none comes")
+    error_replies: dict[str, str] = Field(
+        {}, description="replies that tell an error: regular expression of the whole line, and what it means"
+    )
+    refusal: str = Field("", description="reply of the simulated drive to what it does not understand; empty: none")
+
+    @field_validator("acknowledge", "refusal")
+    @classmethod
+    def _is_text(cls, text: str) -> str:
+        if fields(parse(text)):
+            raise ValueError("must not have fields")
+        return text
+
+    @field_validator("error_replies")
+    @classmethod
+    def _are_expressions(cls, replies: dict[str, str]) -> dict[str, str]:
+        for expression in replies:
+            try:
+                re.compile(expression.encode("ascii"))
+            except (re.error, UnicodeEncodeError) as error:
+                raise ValueError(f"{expression!r} is no regular expression of ASCII text: {error}") from error
+            if _REPEATED_GROUP.search(expression):
+                raise ValueError(f"{expression!r} repeats a group: matching it could take for ever")
+        return replies
+
+    def axis_name(self, given: str | None) -> str:
+        """What stands for ``{axis}``."""
+        return self.axis if given is None else given
+
+    def units(self) -> dict[str, Signal]:
+        """Signals by name."""
+        return {**self.signals}
+
+    def replies(self, message: Message) -> tuple[str, ...]:
+        """Templates of what is replied to a message; nothing where no reply comes."""
+        forms = (self.acknowledge,) if message.forms is None else message.forms
+        return tuple(form for form in forms if form)
+
+    @property
+    def is_answering_all(self) -> bool:
+        """Whether every request gets a reply, so that none can come unasked."""
+        return all(self.replies(message) for message in self.messages.values())
+
+    def _mistakes(self) -> Iterator[str]:
+        yield from super()._mistakes()
+        yield from self._mistakes_in_fields()
+        yield from self._mistakes_in_reach()
+
+    def _mistakes_in_fields(self) -> Iterator[str]:
+        told: set[str] = set()
+        for key, message in self.messages.items():
+            for name in message.sets:
+                if name not in self.signals:
+                    yield f"messages.{key} sets the signal {name!r}; {choices(name, self.signals)}"
+            for field in message.number_fields:
+                signal = self.signals.get(field.name)
+                if signal is None:
+                    yield f"messages.{key} has the signal {field.name!r}; {choices(field.name, self.signals)}"
+                elif (field.type == FLOAT) == (signal.bits is not None) and field.name not in told:
+                    told.add(field.name)
+                    is_float = field.type == FLOAT
+                    advice = "is a float: it has no bits" if is_float else f"is of type {field.type}: give its bits"
+                    yield f"{field.name} in messages.{key} {advice}"
+        ways: dict[frozenset[str], Message] = {}
+        for key, message in self.messages.items():
+            other = ways.setdefault(frozenset(message.writes), message)
+            if message.writes and self.replies(other) != self.replies(message):
+                yield f"messages.{key} writes what another one writes, but its reply is another"
+
+    def _mistakes_in_reach(self) -> Iterator[str]:
+        used = {name for message in self.messages.values() for name in (*message.writes, *message.reads)}
+        yield from (f"no message has the signal {name}" for name in self.signals if name not in used)
+        plain = [message for message in self.messages.values() if not message.writes]
+        readable = {name for message in plain for name in message.reads}
+        heard = {*FAST, *SLOW, *(rule.signal for rule in self.states)} & used
+        yield from (f"no message reads {name} without writing something" for name in sorted(heard - readable))
+        for key, step in self._steps():
+            if not any(set(message.writes) == set(step) for message in self.messages.values()):
+                yield f"{key} writes {' and '.join(step)}, but no message writes just that"
+            elif not self._can_take(step):
+                yield f"{key} writes {step}, but messages can only set other numbers"
+        for mode, part in self.modes.items():
+            if covering(part.commands, (message.writes for message in self.messages.values())) is None:
+                yield f"modes.{mode}: no messages write just {', '.join(part.commands)}"
+
+    def _steps(self) -> Iterator[tuple[str, Mapping[str, float | None]]]:
+        """What is written at once, by the key under which that stands; None: any number."""
+        for key, steps in self.sequences.items():
+            yield from ((key, step.write) for step in steps)
+        if self.watchdog is not None:
+            yield "watchdog", {self.watchdog.signal: None}
+        if self.state_machine == "cia402":
+            yield "cia402", {"control": None}
+
+    def _can_take(self, step: Mapping[str, float | None]) -> bool:
+        return any(
+            set(message.writes) == set(step) and all(step[name] == number for name, number in message.sets.items())
+            for message in self.messages.values()
+        )
+
+
+def covering(wanted: Iterable[str], ways: Iterable[tuple[str, ...]]) -> list[tuple[str, ...]] | None:
+    """Choose ways that have all of ``wanted`` once and nothing else, the largest first; None where there are none."""
+    rest, chosen = set(wanted), []
+    for way in sorted(ways, key=len, reverse=True):
+        if way and rest.issuperset(way):
+            chosen.append(way)
+            rest.difference_update(way)
+    return None if rest else chosen

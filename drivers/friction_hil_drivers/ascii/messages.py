@@ -1,0 +1,91 @@
+"""The messages of a description compiled for one axis, for either end of the line."""
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from friction_hil_drivers.ascii.checksum import Checker
+from friction_hil_drivers.ascii.description import AsciiDescription
+from friction_hil_drivers.ascii.template import LineFormat
+
+LONGEST_LINE = 256  # characters; what is longer is noise
+_BLANKS = b"\r\n\0"  # of other line ends, and of adapters that are switched on
+
+
+@dataclass(frozen=True, slots=True)
+class CompiledMessage:
+    """A message as one axis has it."""
+
+    request: LineFormat
+    replies: tuple[LineFormat, ...]  # any of them may come; none: no reply
+    writes: tuple[str, ...]
+    reads: tuple[str, ...]
+    sets: Mapping[str, float]
+    feeds_watchdog: bool
+
+
+class Language:
+    """All that can be said to one axis and by it.
+
+    Parameters
+    ----------
+    description : AsciiDescription
+    axis : str, optional
+        Stands for ``{axis}``; any name fits when not given.
+    """
+
+    def __init__(self, description: AsciiDescription, axis: str | None) -> None:
+        signals = description.signals
+        self.messages = tuple(
+            CompiledMessage(
+                LineFormat(message.request, signals, axis),
+                tuple(LineFormat(form, signals, axis) for form in description.replies(message)),
+                message.writes,
+                message.reads,
+                message.sets,
+                message.feeds_watchdog,
+            )
+            for message in description.messages.values()
+        )
+        self.checker = None if description.checksum is None else Checker(description.checksum)
+        self.request_end = description.request_end.encode()
+        self.reply_end = description.reply_end.encode()
+        self.has_echo = description.echo
+        self.is_answering_all = description.is_answering_all
+        self._meanings = [(re.compile(form.encode()), text) for form, text in description.error_replies.items()]
+        self._is_error = re.compile(b"|".join(b"(?:%s)" % form.pattern for form, _ in self._meanings)).fullmatch
+
+    def meaning(self, line: bytes) -> str | None:
+        """What an error reply means; None where it is none."""
+        if not self._meanings or self._is_error(line) is None:
+            return None
+        return next(text for form, text in self._meanings if form.fullmatch(line))
+
+    def sealed(self, line: bytes, end: bytes) -> bytes:
+        """Line with all that belongs behind it."""
+        return (line if self.checker is None else self.checker.append(line)) + end
+
+    def sealed_size(self, size: int, end: bytes) -> int:
+        """Characters of a line of ``size``, with all that belongs behind it."""
+        return size + (0 if self.checker is None else self.checker.size) + len(end)
+
+
+def take_line(received: bytearray, end: bytes) -> bytes | None:
+    """Remove the first line that is not empty, without its end; None where it is not complete.
+
+    Raises
+    ------
+    ValueError
+        No line is that long; all of it was removed.
+    """
+    while True:
+        length = received.find(end, 0, LONGEST_LINE + len(end))
+        if length < 0:
+            if len(received) < LONGEST_LINE + len(end):
+                return None
+            received.clear()
+            raise ValueError(f"no line ends within {LONGEST_LINE} characters")
+        line = bytes(received[:length]).strip(_BLANKS)
+        del received[: length + len(end)]
+        if line:
+            return line

@@ -1,0 +1,241 @@
+"""A line of text with numbers in it: the template in a description, compiled to write numbers and to read them.
+
+A field in braces stands for a number, ``v {axis} {velocity_command:float}``; ``{axis}`` alone for the name of the
+axis. Numbers are written without exponents: the readers of many drives know none.
+"""
+
+import math
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from friction_hil_drivers.serial_line.units import saturated
+
+if TYPE_CHECKING:
+    from friction_hil_drivers.ascii.description import AsciiSignal
+
+AXIS = "axis"
+FLOAT, INTEGER, HEXADECIMAL = "float", "int", "hex"
+_TYPES = (FLOAT, INTEGER, HEXADECIMAL)
+_BRACES = re.compile(r"\{([^{}]*)\}")
+_WRAPPING = ("position", "position_command")
+# Bounded, and no two parts that can share a character: the time to match is linear.
+_FLOAT = rb"[-+]?(?:[0-9]{1,40}(?:\.[0-9]{0,40})?|\.[0-9]{1,40})(?:[eE][-+]?[0-9]{1,3})?"
+_INTEGER = rb"[-+]?[0-9]{1,20}"
+_HEXADECIMAL = rb"[0-9A-Fa-f]{1,16}"
+
+
+@dataclass(frozen=True, slots=True)
+class NumberField:
+    """A number in a line: the signal it belongs to, and how it is written."""
+
+    name: str
+    type: str
+
+
+Part = str | NumberField  # text as it is, with {axis} still in it, or a number
+
+
+def parse(template: str) -> tuple[Part, ...]:
+    """Take a template apart.
+
+    Raises
+    ------
+    ValueError
+        It is none; the message says what would be right.
+    """
+    if not template.isascii() or not template.isprintable():
+        raise ValueError("must be printable ASCII; line ends are given by request_end and reply_end")
+    parts: list[Part] = []
+    for index, piece in enumerate(_BRACES.split(template)):
+        if index % 2 == 0 or piece == AXIS:
+            text = piece if index % 2 == 0 else f"{{{AXIS}}}"
+            if parts and isinstance(parts[-1], str):
+                parts[-1] += text
+            elif text:
+                parts.append(text)
+            continue
+        name, _, kind = piece.partition(":")
+        if kind not in _TYPES:
+            raise ValueError(f"{{{piece}}} is no field: {{{AXIS}}} or {{SIGNAL:TYPE}}, TYPE one of {', '.join(_TYPES)}")
+        if parts and isinstance(parts[-1], NumberField):
+            raise ValueError(f"{{{piece}}} follows a number at once; nobody could tell where one ends")
+        parts.append(NumberField(name, kind))
+    names = [part.name for part in parts if isinstance(part, NumberField)]
+    for name in names:
+        if names.count(name) > 1:
+            raise ValueError(f"{name} stands in it twice")
+    if any("{" in part.replace(f"{{{AXIS}}}", "") or "}" in part.replace(f"{{{AXIS}}}", "") for part in _texts(parts)):
+        raise ValueError("has a brace without its other half")
+    return tuple(parts)
+
+
+def fields(parts: tuple[Part, ...]) -> tuple[NumberField, ...]:
+    """Numbers in a template, in their order."""
+    return tuple(part for part in parts if isinstance(part, NumberField))
+
+
+def _texts(parts: list[Part]) -> list[str]:
+    return [part for part in parts if isinstance(part, str)]
+
+
+class LineFormat:
+    """A template compiled for one axis.
+
+    Parameters
+    ----------
+    template : str
+    signals : mapping of str to AsciiSignal
+        How the numbers of each signal are written.
+    axis : str, optional
+        Stands for ``{axis}``; any name fits when not given, and nothing can be written.
+
+    Attributes
+    ----------
+    template : str
+        As given.
+    names : tuple of str
+        Signals in it, in their order.
+    size : int
+        Characters of the longest line that can be written; of a line that is read, the longest with floats of no
+        more than the signal's ``whole_digits`` before the point and its ``digits`` after it.
+    """
+
+    def __init__(self, template: str, signals: "Mapping[str, AsciiSignal]", axis: str | None) -> None:
+        parts = parse(template)
+        self.template = template
+        self.names = tuple(field.name for field in fields(parts))
+        self.size = 0
+        written, pattern = b"", rb" *"
+        self._writers: list[tuple[str, Callable[[float], float]]] = []
+        self._readers: list[Callable[[bytes], float]] = []
+        for index, part in enumerate(parts):
+            if isinstance(part, str):
+                text = part.replace(f"{{{AXIS}}}", axis or "")
+                if index == 0 and axis == "":
+                    text = text.lstrip()  # "{axis} g" of a drive that is alone and has no name
+                self.size += len(text)
+                written += text.encode().replace(b"%", b"%%")
+                pattern += _text_pattern(part, axis)
+                continue
+            signal = signals[part.name]
+            form, convert, size = _writer(part, signal)
+            written += form
+            self.size += size
+            self._writers.append((part.name, convert))
+            expression, read = _reader(part, signal)
+            pattern += b"(" + expression + b")"
+            self._readers.append(read)
+        self._written = written
+        self._match = re.compile(pattern + rb" *").fullmatch
+
+    def write(self, values: Mapping[str, float]) -> bytes:
+        """Line with the numbers of ``values``, rounded, saturated and (integer positions) wrapped.
+
+        Raises
+        ------
+        ValueError
+            A value is missing or not finite.
+        """
+        try:
+            return self._written % tuple([convert(values[name]) for name, convert in self._writers])
+        except KeyError as error:
+            raise ValueError(f"there is no value of {error.args[0]} to be sent yet") from error
+
+    def read(self, line: bytes) -> list[float] | None:
+        """Numbers in ``line``, in the order of `names`; None where it is another line.
+
+        Raises
+        ------
+        ValueError
+            A number is beyond what its signal can hold.
+        """
+        found = self._match(line)
+        if found is None:
+            return None
+        return [read(text) for read, text in zip(self._readers, found.groups(), strict=True)]
+
+
+def _text_pattern(text: str, axis: str | None) -> bytes:
+    """Expression for the text between numbers; where there is a space, several may come."""
+    pieces = []
+    for index, piece in enumerate(text.split(f"{{{AXIS}}}")):
+        if index:
+            pieces.append(rb"[!-~]{0,16}" if axis is None else re.escape(axis.encode()))
+        words = piece.split(" ")
+        pieces.append(rb" {1,8}".join(re.escape(word.encode()) for word in words))
+    expression = b"".join(pieces)
+    if axis == "" and text.startswith(f"{{{AXIS}}}"):
+        expression = expression.removeprefix(rb" {1,8}")
+    return expression
+
+
+def _writer(field: NumberField, signal: "AsciiSignal") -> tuple[bytes, Callable[[float], float], int]:
+    """How a number is written: %-format, conversion before it, most characters."""
+    if field.type == FLOAT:
+        digits = signal.digits
+        end = 10.0**signal.whole_digits
+        limit = min(end - 10.0**-digits, math.nextafter(end, 0.0))  # the difference may be lost in 16 digits
+        size = 1 + signal.whole_digits + (digits + 1 if digits else 0)
+        return b"%%.%df" % digits, lambda value: saturated(value, -limit, limit), size
+    low, high = _bounds(signal)
+    span = high - low + 1
+    if field.name in _WRAPPING:
+
+        def convert(value: float) -> int:
+            return (_rounded(value) - low) % span + low
+    else:
+
+        def convert(value: float) -> int:
+            return _rounded(saturated(value, low, high))
+
+    if field.type == INTEGER:
+        return b"%d", convert, max(len(str(low)), len(str(high)))
+    width = len(f"{span - 1:X}")
+    return b"%%0%dX" % width, lambda value: convert(value) % span, width
+
+
+def _rounded(value: float) -> int:
+    if not math.isfinite(value):
+        raise ValueError(f"{value} cannot be sent to a drive")
+    return round(value)
+
+
+def _reader(field: NumberField, signal: "AsciiSignal") -> tuple[bytes, Callable[[bytes], float]]:
+    """How a number is read: expression, conversion of what it found."""
+    name = field.name
+    if field.type == FLOAT:
+
+        def read_float(text: bytes) -> float:
+            value = float(text)
+            if not math.isfinite(value):
+                raise ValueError(f"{text.decode()} is too large for {name}")
+            return value
+
+        return _FLOAT, read_float
+    low, high = _bounds(signal)
+    if field.type == HEXADECIMAL:
+        span = high - low + 1
+
+        def read_hexadecimal(text: bytes) -> float:
+            value = int(text, 16)
+            if value >= span:
+                raise ValueError(f"{text.decode()} has more bits than {name}")
+            return float((value - low) % span + low)
+
+        return _HEXADECIMAL, read_hexadecimal
+
+    def read_integer(text: bytes) -> float:
+        value = int(text)
+        if not low <= value <= high:
+            raise ValueError(f"{text.decode()} is none of the numbers {low} to {high} of {name}")
+        return float(value)
+
+    return _INTEGER, read_integer
+
+
+def _bounds(signal: "AsciiSignal") -> tuple[int, int]:
+    assert signal.bits is not None  # the description sees to it
+    half = 1 << signal.bits - 1
+    return (-half, half - 1) if signal.is_signed else (0, 2 * half - 1)

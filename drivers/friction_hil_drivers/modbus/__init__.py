@@ -1,0 +1,1 @@
+"""Drives with Modbus RTU or TCP, described by their register map."""

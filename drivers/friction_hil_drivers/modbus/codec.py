@@ -1,0 +1,272 @@
+"""Modbus as it is spoken on one line: requests made of commands, replies put into process images."""
+
+from collections.abc import Callable, Mapping, Sequence
+from itertools import zip_longest
+
+from pymodbus.pdu import ModbusPDU
+from pymodbus.pdu.bit_message import (
+    ReadCoilsRequest,
+    ReadCoilsResponse,
+    ReadDiscreteInputsRequest,
+    WriteMultipleCoilsRequest,
+    WriteSingleCoilRequest,
+)
+from pymodbus.pdu.register_message import (
+    ReadHoldingRegistersRequest,
+    ReadHoldingRegistersResponse,
+    ReadInputRegistersRequest,
+    ReadWriteMultipleRegistersRequest,
+    WriteMultipleRegistersRequest,
+    WriteSingleRegisterRequest,
+)
+
+from friction_hil_drivers.modbus.description import ModbusDescription
+from friction_hil_drivers.modbus.framing import REFUSED, Framing, RtuFraming, TcpFraming
+from friction_hil_drivers.modbus.options import ModbusOptions
+from friction_hil_drivers.modbus.registers import BIT_TABLES, Block
+from friction_hil_drivers.serial_line.protocol import Image, Plan, ReplyError, Wanted
+from friction_hil_drivers.serial_line.wire import character_s
+
+_SILENCE_CHARS = 3.5
+_READ_REQUESTS: dict[str, type[ModbusPDU]] = {
+    "holding": ReadHoldingRegistersRequest,
+    "input": ReadInputRegistersRequest,
+    "coil": ReadCoilsRequest,
+    "discrete": ReadDiscreteInputsRequest,
+}
+# Modbus Application Protocol Specification V1.1b3, section 7
+EXCEPTIONS = {
+    1: "illegal function: it does not have this one",
+    2: "illegal data address: not all of these registers exist",
+    3: "illegal data value: it does not accept this value or this number of registers",
+    4: "server device failure",
+    5: "acknowledge: it will take a long time",
+    6: "server device busy",
+    7: "negative acknowledge",
+    8: "memory parity error",
+    10: "gateway path unavailable",
+    11: "gateway target device failed to respond",
+}
+
+
+class Request:
+    """A request to one drive and its reply; see `friction_hil_drivers.serial_line.protocol.Exchange`.
+
+    Parameters
+    ----------
+    framing : Framing
+        Of the line.
+    unit : int
+        Address of the drive.
+    image : Image
+        Filled by the reply; the numbers to write are in it.
+    read, write : Block or None
+        What is read, what is written; both in one exchange are function 23.
+    write_functions : sequence of int
+        Functions for writing that the drive has.
+    """
+
+    def __init__(
+        self,
+        framing: Framing,
+        unit: int,
+        image: Image,
+        *,
+        read: Block | None = None,
+        write: Block | None = None,
+        write_functions: Sequence[int] = (),
+    ) -> None:
+        self._framing = framing
+        self._unit = unit
+        self._image = image
+        self._read = read
+        self._write = write
+        self.reads = read.names if read is not None else ()
+        self.writes = write.names if write is not None else ()
+        self._is_bits = read is not None and read.table in BIT_TABLES
+        if write is None:
+            assert read is not None
+            fixed = _pdu(_READ_REQUESTS[read.table](address=read.address, count=read.count))
+            self._make: Callable[[list[int]], bytes] = lambda words: fixed
+            self.what = f"read {read} of unit {unit}"
+        elif read is None:
+            self._make = _writer(write, write_functions)
+            self.what = f"write {write} of unit {unit}"
+        else:
+            self._make = _both(read, write)
+            self.what = f"write {write} and read {read} of unit {unit}"
+        pdu = self._make([0] * (0 if write is None else write.count))
+        self._head = self._reply_head(pdu)
+        if read is None:
+            self._reply_length = 5  # function, address, and the value or the number of registers
+        else:
+            self._reply_length = len(self._head) + self._head[1]
+        self.request_size = len(pdu) + framing.overhead
+        self.reply_size = self._reply_length + framing.overhead
+
+    def encode(self) -> bytes:
+        """Make the request, from the image's numbers where it writes.
+
+        Raises
+        ------
+        ValueError
+            A number is not finite.
+        """
+        words: list[int] = []
+        if self._write is not None:
+            block, values = self._write, self._image.values
+            words = [0] * block.count
+            for place in block.places:
+                try:
+                    words[place.address - block.address : place.end - block.address] = place.words(values[place.name])
+                except ValueError as error:
+                    raise ValueError(f"{self.what}: {place.name}: {error}") from None
+        pdu = self._make(words)
+        self._head = self._reply_head(pdu)
+        return self._framing.frame(self._unit, pdu)
+
+    def _reply_head(self, pdu: bytes) -> bytes:
+        """How a reply that is none of refusal begins; with a write alone, what it repeats of the request."""
+        if self._read is None:
+            return pdu[:5]
+        size = (self._read.count + 7) // 8 if self._is_bits else 2 * self._read.count
+        return bytes((pdu[0], size))
+
+    def take(self, received: bytearray) -> bool:
+        """Remove the reply from ``received`` and put what it says into the image; whether it was there.
+
+        Raises
+        ------
+        ReplyError
+            It is no reply to this request, or the drive refuses.
+        """
+        pdu = self._framing.cut(received, self._unit, self._head, self._reply_length)
+        if pdu is None:
+            return False
+        if pdu[0] & REFUSED:
+            text = EXCEPTIONS.get(pdu[1], "not one of the standard ones")
+            raise ReplyError(f"unit {self._unit} refuses: {text} (exception {pdu[1]})", is_complete=True)
+        if self._read is not None:
+            words = self._words(pdu[1:])
+            for place in self._read.places:
+                self._image.put(place.name, place.number(self._read.words_of(place, words)))
+        return True
+
+    def _words(self, data: bytes) -> Sequence[int]:
+        response = ReadCoilsResponse() if self._is_bits else ReadHoldingRegistersResponse()
+        response.decode(data)
+        return response.bits if self._is_bits else response.registers
+
+
+def _pdu(request: ModbusPDU) -> bytes:
+    return bytes((request.function_code,)) + request.encode()
+
+
+def _writer(block: Block, functions: Sequence[int]) -> Callable[[list[int]], bytes]:
+    is_single = block.count == 1
+    if block.table == "coil":
+        if is_single and 5 in functions:
+            return lambda words: _pdu(WriteSingleCoilRequest(address=block.address, bits=[bool(words[0])]))
+        return lambda words: _pdu(WriteMultipleCoilsRequest(address=block.address, bits=[bool(w) for w in words]))
+    if is_single and 6 in functions:
+        return lambda words: _pdu(WriteSingleRegisterRequest(address=block.address, registers=words))
+    return lambda words: _pdu(WriteMultipleRegistersRequest(address=block.address, registers=words))
+
+
+def _both(read: Block, write: Block) -> Callable[[list[int]], bytes]:
+    return lambda words: _pdu(ReadWriteMultipleRegistersRequest(read.address, read.count, write.address, words))
+
+
+class ModbusLine:
+    """Modbus to the axes on one line; see `friction_hil_drivers.serial_line.protocol.LineProtocol`.
+
+    Parameters
+    ----------
+    descriptions, options, images : mapping
+        Of the axes on this line, by name.
+    """
+
+    def __init__(
+        self,
+        descriptions: Mapping[str, ModbusDescription],
+        options: Mapping[str, ModbusOptions],
+        images: Mapping[str, Image],
+    ) -> None:
+        self._descriptions = descriptions
+        self._options = options
+        self._images = images
+        line = next(iter(options.values())).line
+        self._framing: Framing = TcpFraming() if line.is_tcp else RtuFraming()
+        silence_s = max(description.silence_s for description in descriptions.values())
+        self.silence_chars = 0.0 if line.is_tcp else max(_SILENCE_CHARS, silence_s / character_s(line))
+
+    def plan(self, wanted: Mapping[str, Wanted]) -> Plan:
+        """Put a cycle together from as few requests as there can be, for the axes by name.
+
+        Slow signals are read with the fast ones where that costs no request. Where the drive has function 23, all
+        commands are written in the poll: those that find no read to ride with, in requests of their own after it,
+        so that commands of one computation stay together.
+        """
+        poll: list[Request] = []
+        turns: list[Request] = []
+        push: list[Request] = []
+        for axis, needs in wanted.items():
+            description = self._descriptions[axis]
+            fast, slow = _reads(description, needs)
+            writes = description.write_blocks(needs.commands)
+            turns += [self._request(axis, read=block) for block in slow]
+            joining = [block for block in fast if block.table == "holding"] if description.read_write_multiple else []
+            if writes and joining and all(block.table == "holding" for block in writes[: len(joining)]):
+                poll += [self._request(axis, read=r, write=w) for r, w in zip_longest(joining, writes)]
+                poll += [self._request(axis, read=block) for block in fast if block not in joining]
+            else:
+                poll += [self._request(axis, read=block) for block in fast]
+                push += [self._request(axis, write=block) for block in writes]
+        return Plan(tuple(poll), tuple(turns), tuple(push))
+
+    def read(self, axis: str, names: Sequence[str]) -> Request:
+        """Request that reads some signals of an axis.
+
+        Raises
+        ------
+        ValueError
+            One request cannot read them all.
+        """
+        return self._request(axis, read=_only(self._descriptions[axis].read_blocks(tuple(names)), "read", names))
+
+    def write(self, axis: str, names: Sequence[str]) -> Request:
+        """Request that writes some signals of an axis.
+
+        Raises
+        ------
+        ValueError
+            One request cannot write them all.
+        """
+        return self._request(axis, write=_only(self._descriptions[axis].write_blocks(tuple(names)), "write", names))
+
+    def _request(self, axis: str, read: Block | None = None, write: Block | None = None) -> Request:
+        return Request(
+            self._framing,
+            self._options[axis].unit,
+            self._images[axis],
+            read=read,
+            write=write,
+            write_functions=self._descriptions[axis].write_functions,
+        )
+
+
+def _reads(description: ModbusDescription, needs: Wanted) -> tuple[list[Block], list[Block]]:
+    """Blocks to be read in every cycle, and those to be read in turns."""
+    slow_names = tuple(name for name in needs.slow if name not in needs.fast)
+    together = description.read_blocks((*needs.fast, *slow_names))
+    fast = [block for block in together if not set(block.names).isdisjoint(needs.fast)]
+    if len(fast) > len(description.read_blocks(needs.fast)):  # what is slow took the room in a block
+        return description.read_blocks(needs.fast), description.read_blocks(slow_names)
+    return fast, [block for block in together if block not in fast]
+
+
+def _only(blocks: Sequence[Block], verb: str, names: Sequence[str]) -> Block:
+    if len(blocks) != 1:
+        listed = "; ".join(map(str, blocks))
+        raise ValueError(f"one request cannot {verb} {', '.join(names)}: they lie in {listed or 'nothing'}")
+    return blocks[0]

@@ -1,0 +1,139 @@
+"""A drive as a register map, read from a YAML file."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from friction_hil_drivers.modbus.registers import (
+    BIT_TABLES,
+    WIDTHS,
+    WRITABLE_TABLES,
+    Block,
+    Kind,
+    Order,
+    Place,
+    Table,
+    merged,
+)
+from friction_hil_drivers.serial_line.description import Description, Signal
+
+DESCRIPTIONS = Path(__file__).parent / "descriptions"
+_LAST_ADDRESS = 0xFFFF
+
+
+class ModbusSignal(Signal):
+    """A value of the drive and the registers that hold it."""
+
+    address: Annotated[int, Field(ge=0, le=_LAST_ADDRESS)] = Field(
+        description="of the first register, as on the wire: from 0 (40001 of older manuals is address 0)"
+    )
+    function: Table = Field("holding", description="holding or input registers, coils or discrete inputs")
+    type: Kind = Field("int16", description="type of the number; bool for coils and discrete inputs")
+    word_order: Order | None = Field(None, description="as for the file, where this signal differs")
+    byte_order: Order | None = Field(None, description="as for the file, where this signal differs")
+
+    @property
+    def counter_bits(self) -> int | None:
+        """Width of the drive's number where that is an integer that wraps."""
+        return None if self.type in ("float32", "bool") else 16 * WIDTHS[self.type]
+
+
+class ModbusDescription(Description):
+    """A drive that speaks Modbus."""
+
+    protocol: Literal["modbus"]
+    signals: dict[str, ModbusSignal]
+    word_order: Order | None = Field(None, description="big: the high word of 32 bits has the lower address")
+    byte_order: Order = Field("big", description="inside a register; big is Modbus")
+    write_functions: tuple[Literal[5, 6, 15, 16], ...] = Field(
+        (6, 16), min_length=1, description="functions for writing that the drive has"
+    )
+    read_write_multiple: bool = Field(False, description="the drive has function 23: write and read in one exchange")
+    max_read_registers: int = Field(125, ge=2, le=125, description="in one request")
+    max_write_registers: int = Field(121, ge=2, le=121, description="in one request")
+    max_gap_registers: int = Field(
+        0, ge=0, le=120, description="unused registers that may be read over; 0 where the drive refuses them"
+    )
+    alignment: Literal[1, 2] = Field(1, description="2: every access begins at an even address and has an even length")
+    silence_s: Annotated[float, Field(ge=0.0, le=0.1)] = Field(
+        0.0, description="silence before and after each frame where 3.5 characters do not suffice, s"
+    )
+
+    def units(self) -> dict[str, Signal]:
+        """Signals by name."""
+        return dict(self.signals)
+
+    def place(self, name: str) -> Place:
+        """Where a signal is found."""
+        signal = self.signals[name]
+        word_order = signal.word_order or self.word_order or "big"
+        return Place(
+            name, signal.function, signal.address, signal.type, word_order, signal.byte_order or self.byte_order
+        )
+
+    def read_blocks(self, names: tuple[str, ...]) -> list[Block]:
+        """Fewest blocks of registers that hold the signals."""
+        return merged(
+            map(self.place, names),
+            max_gap=self.max_gap_registers,
+            max_count=self.max_read_registers,
+            alignment=self.alignment,
+        )
+
+    def write_blocks(self, names: tuple[str, ...]) -> list[Block]:
+        """Fewest blocks of registers that are written when the signals are; nothing else lies in them."""
+        places = [self.place(name) for name in names]
+        blocks: list[Block] = []
+        for table, joining in (("holding", 16), ("coil", 15)):
+            there = [place for place in places if place.table == table]
+            most = self.max_write_registers if joining in self.write_functions else 1
+            blocks += merged(there, max_gap=0, max_count=most, alignment=self.alignment)
+        return blocks
+
+    @property
+    def written(self) -> dict[str, None]:
+        """Signals that are ever written, in order."""
+        names = [name for part in self.modes.values() for name in part.commands]
+        names += [name for steps in self.sequences.values() for step in steps for name in step.write]
+        names += [self.watchdog.signal] if self.watchdog is not None else []
+        names += ["control"] if self.state_machine == "cia402" else []
+        return dict.fromkeys(name for name in names if name in self.signals)
+
+    def _mistakes(self) -> Iterator[str]:
+        yield from super()._mistakes()
+        for name, signal in self.signals.items():
+            if (signal.type == "bool") != (signal.function in BIT_TABLES):
+                yield f"{name} is {signal.type} in {signal.function}: coils and discrete inputs, only they, are bool"
+            if signal.address + WIDTHS[signal.type] - 1 > _LAST_ADDRESS:
+                yield f"{name} does not end before address FFFFh"
+            if WIDTHS[signal.type] == 2 and (signal.word_order or self.word_order) is None:
+                yield f"{name} has 32 bits: give word_order (which word comes first differs between drives)"
+        yield from self._writing_mistakes()
+        yield from self._joint_mistakes()
+
+    def _writing_mistakes(self) -> Iterator[str]:
+        places = [self.place(name) for name in self.signals]
+        for name in self.written:
+            place = self.place(name)
+            if place.table not in WRITABLE_TABLES:
+                yield f"{name} is written, so it can be a holding register or a coil, not {place.table}"
+                continue
+            width = place.end - place.address
+            joining, single = (15, 5) if place.table == "coil" else (16, 6)
+            is_wide = width > 1 or self.alignment > 1
+            if joining not in self.write_functions and (is_wide or single not in self.write_functions):
+                needed = f"{joining}" if is_wide else f"{single} or {joining}"
+                yield f"{name} is written, which takes function {needed}; write_functions has not"
+            start, end = place.address - place.address % self.alignment, place.end + -place.end % self.alignment
+            for other in places:
+                if other.name != name and other.table == place.table and other.address < end and start < other.end:
+                    yield f"writing {name} ({place.address:04X}h) would overwrite {other.name} ({other.address:04X}h)"
+
+    def _joint_mistakes(self) -> Iterator[str]:
+        for key, steps in self.sequences.items():
+            for k, step in enumerate(steps):
+                if all(name in self.signals for name in step.write) and len(self.write_blocks(tuple(step.write))) > 1:
+                    names = ", ".join(step.write)
+                    yield f"{key}[{k}] writes {names}, which do not lie side by side: make a step of each"

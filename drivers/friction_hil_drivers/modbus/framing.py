@@ -1,0 +1,156 @@
+"""Frames around Modbus requests and replies: RTU and TCP.
+
+pymodbus's framers make the frames and check the CRC. They are not used to find a reply among what came: for that
+they would have to know which one is due, and theirs drop bytes of a good reply behind noise.
+"""
+
+from typing import Protocol
+
+from pymodbus.framer import FramerRTU, FramerSocket
+from pymodbus.pdu import DecodePDU
+
+from friction_hil_drivers.serial_line.protocol import ReplyError
+
+REFUSED = 0x80  # this bit of the function code marks an exception
+_CRC = 2
+_REFUSAL_SIZE = 5  # unit, function, code, CRC
+_HEADER = 7  # transaction, protocol, length, unit
+_LONGEST_BODY = 254  # of a TCP frame: unit and PDU
+_SHOWN = 24
+
+
+class Framing(Protocol):
+    """How requests and replies are framed on a line."""
+
+    overhead: int  # characters beside the PDU
+
+    def frame(self, unit: int, pdu: bytes) -> bytes:
+        """Frame of a request."""
+        ...
+
+    def cut(self, received: bytearray, unit: int, head: bytes, size: int) -> bytes | None:
+        """Remove the reply to the request framed last; its PDU, or None while it is not complete.
+
+        Parameters
+        ----------
+        received : bytearray
+            What came so far.
+        unit : int
+            Whom the request went to.
+        head : bytes
+            How the PDU that is due begins.
+        size : int
+            Its length.
+
+        Raises
+        ------
+        ReplyError
+            What came is no reply to this request.
+        """
+        ...
+
+
+class RtuFraming:
+    """Frames on a serial line: unit, PDU, CRC."""
+
+    overhead = 1 + _CRC
+
+    def __init__(self) -> None:
+        self._framer = FramerRTU(DecodePDU(False))
+        self._sent = b""
+
+    def frame(self, unit: int, pdu: bytes) -> bytes:
+        """Frame of a request."""
+        self._sent = self._framer.encode(pdu, unit, 0)
+        return self._sent
+
+    def cut(self, received: bytearray, unit: int, head: bytes, size: int) -> bytes | None:
+        """Remove the reply, and noise before it; see `Framing.cut`."""
+        start = bytes((unit,)) + head
+        refused = head[0] | REFUSED
+        is_begun = False
+        for k, first in enumerate(received):
+            if first != unit:
+                continue
+            rest = received[k : k + size + self.overhead]
+            if start.startswith(rest[: len(start)]):
+                is_ours, whole = True, size + self.overhead
+            elif rest[1] & REFUSED:  # not always with the function asked for: Kinco refuses 3 with 81h
+                is_ours, whole = rest[1] == refused, _REFUSAL_SIZE
+            else:
+                continue
+            if len(rest) >= whole and _has_crc(rest[:whole]):
+                del received[: k + whole]
+                return bytes(rest[1 : whole - _CRC])
+            if is_ours:
+                if len(rest) >= whole:
+                    raise _wrong(received, "its CRC is wrong")
+                is_begun = True
+                break
+        if _has_crc(received):
+            raise _wrong(received, self._stranger(received, unit, head[0]))
+        if not is_begun and len(received) >= size + self.overhead:
+            raise _wrong(received, f"no reply of unit {unit} to function {head[0]} is in it")
+        return None
+
+    def _stranger(self, frame: bytearray, unit: int, function: int) -> str:
+        if frame == self._sent:
+            return "that is the request itself: the line echoes what is sent; switch the echo of the adapter off"
+        if frame[0] != unit:
+            return f"unit {frame[0]} answered in place of unit {unit}"
+        if frame[1] != function:
+            return f"function {frame[1]} was answered in place of {function}"
+        return "another number or address of registers was answered than asked for"
+
+
+class TcpFraming:
+    """Frames on a TCP connection: a header with a transaction number and the unit, then the PDU."""
+
+    overhead = _HEADER
+
+    def __init__(self) -> None:
+        self._framer = FramerSocket(DecodePDU(False))
+        self._transaction = 0
+
+    def frame(self, unit: int, pdu: bytes) -> bytes:
+        """Frame of a request, with the next transaction number."""
+        self._transaction = self._transaction % 0xFFFF + 1
+        return self._framer.encode(pdu, unit, self._transaction)
+
+    def cut(self, received: bytearray, unit: int, head: bytes, size: int) -> bytes | None:
+        """Remove the reply, and those to earlier requests before it; see `Framing.cut`."""
+        while len(received) >= _HEADER:
+            transaction, protocol, length = (int.from_bytes(received[k : k + 2], "big") for k in (0, 2, 4))
+            if protocol or not 2 < length <= _LONGEST_BODY:
+                raise _wrong(received, "that is no header of Modbus TCP")
+            end = _HEADER - 1 + length
+            if len(received) < end:
+                return None
+            frame = bytes(received[:end])
+            del received[:end]
+            if transaction != self._transaction:  # the reply to a request that was given up
+                continue
+            if frame[6] != unit:
+                raise ReplyError(f"unit {frame[6]} answered in place of unit {unit}", is_complete=True)
+            pdu = frame[_HEADER:]
+            if not pdu[0] & REFUSED and (len(pdu) != size or not pdu.startswith(head)):
+                raise ReplyError(f"that is no reply to function {head[0]}: {_shown(frame)}", is_complete=True)
+            return pdu
+        return None
+
+
+def _has_crc(frame: bytearray) -> bool:
+    """Whether it is a frame with a right CRC, whatever is in it."""
+    if len(frame) < _REFUSAL_SIZE:
+        return False
+    return FramerRTU.check_CRC(bytes(frame[:-_CRC]), int.from_bytes(frame[-_CRC:], "big"))
+
+
+def _wrong(received: bytearray, why: str) -> ReplyError:
+    error = ReplyError(f"{why}: {_shown(received)}")
+    received.clear()
+    return error
+
+
+def _shown(data: bytes | bytearray) -> str:
+    return data[:_SHOWN].hex(" ") + (" ..." if len(data) > _SHOWN else "")

@@ -1,0 +1,292 @@
+"""One simulated servo behind the signals of a description, in the drive's own numbers."""
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from friction_hil.drive import DriveState, Mode
+from friction_hil.errors import DriveError, UsageError
+from friction_hil_drivers.serial_line.description import Description
+from friction_hil_drivers.serial_line.protocol import COMMANDS
+from friction_hil_drivers.serial_line.simulated.states import matches, state_machine
+from friction_hil_drivers.serial_line.units import NEEDS, UNITS, AxisUnits
+
+if TYPE_CHECKING:
+    from friction_hil.servo.servo import Servo
+
+_NO_MODE = 0
+_PIECE_S = 1e-3  # at least so often the drive looks after itself
+_ENABLED, _STOPPING, _OFF = DriveState.OPERATION_ENABLED, DriveState.QUICK_STOP_ACTIVE, DriveState.NOT_READY
+
+
+class RefusedError(Exception):
+    """A real drive would refuse this value. The message says what it takes."""
+
+
+class SimulatedDrive:
+    """Signals, states and watchdog of a drive, and the servo that it drives.
+
+    The numbers of positions do not wrap: the protocol's responder wraps what it sends to the width that the drive
+    has, and unwraps what it receives to what is nearest to the present position.
+
+    Parameters
+    ----------
+    name : str
+        Name of the axis, for messages.
+    description : Description
+        What the drive is.
+    servo : Servo
+        What it drives; its set-point period is the master's.
+    mode : Mode
+        How it is commanded. A torque command is the whole torque in CST and an offset otherwise.
+    units : AxisUnits
+        Where they are NaN, counts and rated torque are the servo's.
+    sync_steps : int or None
+        Integration steps that pass at each `sample`, and at no other time; None: time comes from `advance_to`.
+
+    Raises
+    ------
+    UsageError
+        A signal is in a unit that the configuration does not explain, or a state cannot be told.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        description: Description,
+        servo: "Servo",
+        mode: Mode,
+        units: AxisUnits,
+        sync_steps: int | None = None,
+    ) -> None:
+        self.description = description
+        self.servo = servo
+        self.is_on = True  # has its supply
+        self.samples = 0
+        self._mode = mode
+        self._sync_steps = sync_steps
+        self._si = _scales(name, description, servo, units)
+        part = description.modes.get(mode.name.lower())  # type: ignore[call-overload]
+        if part is None:
+            raise UsageError(
+                f"{name}: {description.name} has no mode {mode.name.lower()}; it has {', '.join(description.modes)}"
+            )
+        self._commands = frozenset(part.commands)
+        self._takes = _accepted_numbers(description)
+        watchdog = description.watchdog
+        self._watchdog = None if watchdog is None else watchdog.signal
+        self._watchdog_needs: dict[str, float] = {}
+        for step in () if watchdog is None else watchdog.enable:
+            self._watchdog_needs |= step.write
+
+        motor, inertia = servo.config.motor, servo.config.mechanics.inertia
+        self._deceleration = 0.5 * motor.rated_torque / inertia
+        self._per_second = servo.steps_per_second
+        self._piece = max(1, round(_PIECE_S * self._per_second))
+        self._steps = 0  # integration steps done
+        self._states = state_machine(description)
+        self.switch_on()
+
+    # Time
+
+    @property
+    def time_s(self) -> float:
+        """Time of the servo since the start, s."""
+        return self._steps / self._per_second
+
+    def sample(self) -> None:
+        """Let one period pass with pace sync: a request that reads the position has come.
+
+        To be called once for the request, before what it writes takes effect and before what it reads is read.
+        """
+        self.samples += 1
+        if self._sync_steps is not None:
+            self._advance(self._sync_steps)
+
+    def advance_to(self, now_ns: int) -> None:
+        """Let time pass until ``now_ns`` after the start, unless it is counted in samples.
+
+        Raises
+        ------
+        DriveError
+            The simulated servo left all bounds.
+        """
+        if self._sync_steps is None:
+            self._advance(now_ns * self._per_second // 1_000_000_000 - self._steps)
+
+    def _advance(self, steps: int) -> None:
+        while steps > 0:
+            piece = min(steps, self._piece)
+            if self._is_watched:
+                piece = min(piece, max(1, self._silent_at - self._steps))
+            self.servo.advance(piece)
+            self._steps += piece
+            steps -= piece
+            if self._is_watched and self._steps >= self._silent_at:
+                self.fail()
+            elif self.state is _STOPPING and self._states.after_stop is not _STOPPING and self._has_stopped:
+                self._enter(self._states.after_stop)
+        if not math.isfinite(self.servo.true_position):
+            raise DriveError("the simulated servo diverged: look at mechanics, friction and loops under simulation")
+
+    # Signals
+
+    def read(self, name: str) -> float:
+        """Number of a signal now, not rounded: live, or what was last written (0 before).
+
+        With pace real it is that of the moment up to which the drive was advanced: when the request was complete.
+        """
+        if name == "position":
+            return self.servo.position / self._si[name]
+        if name == "velocity":
+            return self.servo.velocity / self._si[name]
+        if name == "torque":
+            return self.servo.torque / self._si[name]
+        shown = self._states.shown(self.state)
+        return shown[name] if name in shown else self._values.get(name, 0.0)
+
+    def write(self, name: str, number: float) -> None:
+        """Take a command, a value of a sequence or the time of the watchdog.
+
+        What is written while the drive has no supply is lost. Commands have an effect from the moment at which the
+        drive is enabled on, once all those of its mode came; until then it holds its position, or gives no torque.
+
+        Raises
+        ------
+        RefusedError
+            It is nothing that can be written, or not with this number.
+        """
+        if name not in self._takes:
+            raise RefusedError(f"{name} cannot be written")
+        accepted = self._takes[name]
+        if not math.isfinite(number) or (name == self._watchdog and number * self._si[name] < 0.0):
+            raise RefusedError(f"{name} cannot be {number:g}")
+        if accepted and not any(matches({name: known}, {name: number}) for known in accepted):
+            raise RefusedError(f"{name} cannot be {number:g}; it takes {', '.join(f'{n:g}' for n in accepted)}")
+        if not self.is_on:
+            return
+        self._values[name] = number
+        if name in COMMANDS:
+            self.fed()
+            self._command(name, number)
+        if name == self._watchdog or name in self._watchdog_needs:
+            self._set_watchdog()
+        wanted = self._states.wanted(name, self._values, self.state)
+        if wanted is not self.state:
+            self._enter(wanted)
+
+    def fed(self) -> None:
+        """Feed the watchdog: a set-point came, or a request where the drive counts those."""
+        self._silent_at = self._steps + self._patience
+
+    def fail(self) -> None:
+        """Enter the fault state, without power, until the fault is reset."""
+        self._states.fail()
+        self._enter(self._states.fault)
+
+    # Supply
+
+    def switch_off(self) -> None:
+        """Take the supply away: no power, and nothing is kept; the mechanics goes on moving."""
+        self.is_on = False
+        self._enter(_OFF)
+
+    def switch_on(self) -> None:
+        """Be as after power-on."""
+        self.is_on = True
+        self._values: dict[str, float] = {}
+        self._targets: dict[str, float] = {}  # commands that came since the drive was enabled, SI
+        self._pending: set[str] = set()  # those of them that the servo does not follow yet
+        self._patience = 0  # integration steps without a command that the watchdog waits; 0: it is off
+        self._silent_at = 0
+        self._states.forget()
+        self._enter(self._states.disabled)
+
+    # What follows from all this
+
+    @property
+    def _is_watched(self) -> bool:
+        return self._patience > 0 and self.state is _ENABLED
+
+    @property
+    def _has_stopped(self) -> bool:
+        is_standing = self.servo.velocity_demand == 0.0 and self.servo.is_at_rest
+        return is_standing or self._steps >= self._give_up_at
+
+    def _set_watchdog(self) -> None:
+        assert self._watchdog is not None
+        time_s = self._values.get(self._watchdog, 0.0) * self._si[self._watchdog]
+        is_armed = time_s > 0.0 and matches(self._watchdog_needs, self._values)
+        self._patience = max(1, round(time_s * self._per_second)) if is_armed else 0
+        self.fed()
+
+    def _enter(self, state: DriveState) -> None:
+        self.state = state
+        self._targets = {}
+        self._pending = set()
+        if state is _ENABLED:
+            self.fed()
+            self.servo.command(self._mode, self.servo.position if self._mode is Mode.CSP else 0.0)
+        elif state is _STOPPING:
+            self.servo.quick_stop(self._deceleration)
+            # a blocked or driven axis must not stay powered for ever: twice the ramp's time is patience enough
+            ramp_s = abs(self.servo.velocity_demand) / self._deceleration
+            self._give_up_at = self._steps + round((0.5 + 2.0 * min(ramp_s, 30.0)) * self._per_second)
+        else:
+            self.servo.command(_NO_MODE, 0.0)
+
+    def _command(self, name: str, number: float) -> None:
+        """Hand the commands to the servo once all have come, whether in one request or in several."""
+        if self.state is not _ENABLED or name not in self._commands:
+            return
+        self._targets[name] = number * self._si[name]
+        is_repeated = name in self._pending  # the master does not write all of them
+        self._pending.add(name)
+        if not is_repeated and self._pending != self._commands:
+            return
+        self._pending = {name} if is_repeated else set()
+        torque = self._targets.get("torque_command", 0.0)
+        velocity = self._targets.get("velocity_command", 0.0)
+        if self._mode is Mode.CSP:
+            position = self._targets.get("position_command", self.servo.position_demand)
+            self.servo.command(self._mode, position, velocity, torque)
+        elif self._mode is Mode.CSV:
+            self.servo.command(self._mode, velocity, 0.0, torque)
+        else:
+            self.servo.command(self._mode, torque)
+
+
+def _scales(name: str, description: Description, servo: "Servo", units: AxisUnits) -> dict[str, float]:
+    """SI value of one, by signal; of those signals that the drive itself understands."""
+    if math.isnan(units.counts_per_unit):
+        units = dataclasses.replace(units, counts_per_unit=servo.counts_per_unit)
+    if math.isnan(units.rated_torque):
+        units = dataclasses.replace(units, rated_torque=servo.config.motor.rated_torque)
+    signals = description.units()
+    used = {"position", "velocity", "torque", *COMMANDS} & signals.keys()
+    if description.watchdog is not None:
+        used.add(description.watchdog.signal)
+    scales = {key: UNITS[signals[key].unit](units) * signals[key].scale for key in used}
+    for key, scale in scales.items():
+        if math.isnan(scale):
+            unit = signals[key].unit
+            raise UsageError(f"{name}: {description.name} has its {key} in {unit}: {NEEDS[unit]} must be given")
+    return scales
+
+
+def _accepted_numbers(description: Description) -> Mapping[str, frozenset[float]]:
+    """What can be written, and which numbers; none listed: all."""
+    found: dict[str, set[float]] = {}
+    for steps in description.sequences.values():
+        for step in steps:
+            for name, number in step.write.items():
+                found.setdefault(name, set()).add(number)
+    accepted = {name: frozenset(numbers) for name, numbers in found.items()}
+    everything: frozenset[float] = frozenset()
+    free = [name for name in COMMANDS if name in description.units()]
+    if description.watchdog is not None:
+        free.append(description.watchdog.signal)
+    if description.state_machine == "cia402":
+        free.append("control")
+    return accepted | dict.fromkeys(free, everything)

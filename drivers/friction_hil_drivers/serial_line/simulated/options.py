@@ -1,0 +1,35 @@
+"""What the simulated drive of an axis on a serial line is: the keys of its ``simulation``."""
+
+from typing import Annotated
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from friction_hil.servo.config import ServoConfig
+
+Probability = Annotated[float, Field(ge=0.0, le=1.0, allow_inf_nan=False)]
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+
+
+class LineFaults(BaseModel):
+    """What goes wrong on the line, on purpose. Simulated axes on one line say the same of it."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    drop: Probability = Field(0.0, description="share of replies that never come")
+    delay: Probability = Field(0.0, description="share of replies that come late by delay_s")
+    delay_s: Positive = Field(
+        0.01, le=10.0, description="how late, s; with pace sync a late reply comes after the next request"
+    )
+    corrupt: Probability = Field(0.0, description="share of replies with a flipped bit")
+    split: Probability = Field(0.0, description="share of replies that come in two pieces")
+    noise: Probability = Field(0.0, description="share of replies with stray bytes before them")
+    reboot_at_s: tuple[Positive, ...] = Field(
+        (), description="times after the start at which the drives of the line lose their supply for a moment, s"
+    )
+    seed: int = Field(0, ge=0, description="of the random numbers behind all this")
+
+
+class SerialSimulation(ServoConfig):
+    """A simulated servo, and the line on which its drive is."""
+
+    line: LineFaults = LineFaults()

@@ -1,0 +1,254 @@
+"""Simulated serial lines: wire time, turn-around and faults between a port and the drives behind it."""
+
+import heapq
+import itertools
+import select
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+from friction_hil_drivers.serial_line.options import LineOptions
+from friction_hil_drivers.serial_line.simulated.drive import SimulatedDrive
+from friction_hil_drivers.serial_line.simulated.faults import Faults
+from friction_hil_drivers.serial_line.simulated.options import LineFaults
+from friction_hil_drivers.serial_line.simulated.port import Port
+from friction_hil_drivers.serial_line.wire import character_s
+
+SPLIT_NS = 1_000_000  # between the pieces of a reply: what a USB adapter makes of it
+BOOT_S = 0.3
+_IDLE_NS = 250_000  # between requests time passes this often, so that little is left to integrate at the next one
+_STEP_NS = 100_000
+_SYNC_TIMEOUT_S = 0.1
+_S = 1e9  # ns
+
+
+class Responder(Protocol):
+    """A protocol as the drives of one line speak it."""
+
+    def take(self, received: bytearray) -> bytes | None:
+        """Remove one whole request and return its reply; ``b""``: none is due; None: more has to come first."""
+        ...
+
+    def forget(self) -> None:
+        """Take notice that the line was silent: what came before is no beginning of a request."""
+        ...
+
+
+class SimulatedLine:
+    """One line: requests arrive in the time of their characters, replies leave likewise.
+
+    Both directions are counted by themselves, as with a master that keeps the turns of a half-duplex line. With pace
+    sync nothing takes any time.
+
+    Parameters
+    ----------
+    port : Port
+        Where the master is.
+    responder : Responder
+        What answers, for all drives of the line.
+    drives : sequence of SimulatedDrive
+        They are advanced to the moment at which a request is complete before the responder sees it.
+    options : LineOptions
+        A TCP connection has no characters that take time, only the drives' turn-around.
+    faults : LineFaults
+        What goes wrong.
+    silence_chars : float
+        Characters' time between a request and its reply; what is left of a request after such a silence is dropped.
+        0: a request ends by itself.
+    is_real : bool
+        Pace real.
+    """
+
+    def __init__(
+        self,
+        port: Port,
+        responder: Responder,
+        drives: Sequence[SimulatedDrive],
+        options: LineOptions,
+        faults: LineFaults,
+        *,
+        silence_chars: float,
+        is_real: bool,
+    ) -> None:
+        self.port = port
+        self.expected_ns: int | None = None  # when the next cycle is likely to begin
+        self._responder = responder
+        self._drives = tuple(drives)
+        self._is_real = is_real
+        self._character_ns = 0.0 if options.is_tcp else character_s(options) * _S
+        self._silence_ns = round(silence_chars * self._character_ns)
+        self._reply_ns = self._silence_ns + round(options.turnaround_s * _S)
+        self._faults = Faults(faults)
+        self._delay_ns = round(faults.delay_s * _S)
+        self._reboots = deque(sorted(faults.reboot_at_s))
+        self._boot_s: float | None = None  # until then the drives have no supply
+        self._arriving: deque[tuple[int, int, bytes]] = deque()  # complete at, begun at, characters
+        self._received = bytearray()
+        self._heard_ns = 0  # the last character was complete
+        self._departing: list[tuple[int, int, bytes]] = []  # heap: complete at, number, characters
+        self._numbers = itertools.count()
+        self._said_ns = 0  # the last character of a reply is out
+        self._late: list[bytes] = []  # with pace sync: until the next request
+
+    @property
+    def due_ns(self) -> int | None:
+        """When `work` has to be called next; None: not before something comes."""
+        moments = [queue[0][0] for queue in (self._arriving, self._departing) if queue]
+        return min(moments, default=None)
+
+    def hear(self, now_ns: int) -> None:
+        """Take what has come to the port by now."""
+        data = self.port.read()
+        if data is None:
+            self._arriving.clear()
+            self._departing.clear()
+            self._late.clear()
+            self._forget()
+        elif data:
+            begun_ns = max(now_ns, self._heard_ns)
+            self._heard_ns = begun_ns + (round(len(data) * self._character_ns) if self._is_real else 0)
+            self._arriving.append((self._heard_ns, now_ns, data))
+
+    def work(self, now_ns: int, period_ns: int = 0) -> None:
+        """Do what is due by now: answer requests that are complete, deliver replies."""
+        while self._arriving and self._arriving[0][0] <= now_ns:
+            complete_ns, heard_ns, data = self._arriving.popleft()
+            samples = self._samples
+            self._answer(data, complete_ns)
+            if self._samples != samples:
+                self.expected_ns = heard_ns + period_ns
+        while self._departing and self._departing[0][0] <= now_ns:
+            self.port.write(heapq.heappop(self._departing)[2])
+        if self._silence_ns and self._received and not self._arriving and now_ns > self._heard_ns + self._silence_ns:
+            self._forget()
+
+    def idle(self) -> None:
+        """Take notice, with pace sync, that nothing has come for long: the line was silent."""
+        if self._silence_ns and self._received:
+            self._forget()
+
+    def advance_to(self, now_ns: int) -> None:
+        """Let time pass for the drives, up to ``now_ns`` after the start."""
+        for drive in self._drives:
+            drive.advance_to(now_ns)
+        if self._reboots or self._boot_s is not None:
+            self._watch_supply()
+
+    @property
+    def _samples(self) -> int:
+        return sum(drive.samples for drive in self._drives)
+
+    def _answer(self, data: bytes, complete_ns: int) -> None:
+        self.advance_to(complete_ns)
+        self._received += data
+        while self._received and (reply := self._responder.take(self._received)) is not None:
+            for piece in self._late:
+                self.port.write(piece)
+            self._late.clear()
+            if reply and self._boot_s is None:
+                self._send(reply, complete_ns)
+            if not self._is_real:
+                self.advance_to(complete_ns)  # time has passed by the request
+
+    def _send(self, reply: bytes, complete_ns: int) -> None:
+        spoiled = self._faults.spoil(reply)
+        if not self._is_real:
+            if spoiled.is_late:
+                self._late += spoiled.pieces
+            else:
+                for piece in spoiled.pieces:
+                    self.port.write(piece)
+            return
+        begin_ns = max(complete_ns + self._reply_ns, self._said_ns)
+        if spoiled.is_late:
+            begin_ns += self._delay_ns
+        for piece in spoiled.pieces:
+            end_ns = begin_ns + round(len(piece) * self._character_ns)
+            heapq.heappush(self._departing, (end_ns, next(self._numbers), piece))
+            begin_ns = end_ns + SPLIT_NS
+            if not spoiled.is_late:
+                self._said_ns = end_ns
+
+    def _forget(self) -> None:
+        self._received.clear()
+        self._responder.forget()
+
+    def _watch_supply(self) -> None:
+        """Take the drives' supply away when it is time, and give it back."""
+        now_s = max(drive.time_s for drive in self._drives)
+        if self._reboots and now_s >= self._reboots[0]:
+            self._reboots.popleft()
+            self._boot_s = now_s + BOOT_S
+            self._departing.clear()
+            self._late.clear()
+            for drive in self._drives:
+                drive.switch_off()
+        elif self._boot_s is not None and now_s >= self._boot_s:
+            self._boot_s = None
+            for drive in self._drives:
+                drive.switch_on()
+
+
+def serve(
+    lines: Sequence[SimulatedLine],
+    is_stopping: Callable[[], bool],
+    *,
+    period_ns: int,
+    spin_ns: int,
+    now_ns: Callable[[], int] = time.monotonic_ns,
+) -> None:
+    """Serve lines in step with a clock until ``is_stopping()`` is true.
+
+    Parameters
+    ----------
+    lines : sequence of SimulatedLine
+        All that one thread serves.
+    is_stopping : callable
+        Asked again and again.
+    period_ns : int
+        Period of the master, ns.
+    spin_ns : int
+        Busy waiting before each moment at which something is due, and around the one at which the next cycle is
+        likely to begin, so that the answer does not wait for this process to wake up, ns.
+    now_ns : callable
+        The clock, ns.
+    """
+    start_ns = now_ns()
+    now = advanced = 0
+    while not is_stopping():
+        wait_ns = min(_patience_ns(line, now, spin_ns) for line in lines)
+        descriptors = [descriptor for line in lines for descriptor in line.port.descriptors]
+        ready = select.select(descriptors, (), (), wait_ns * 1e-9)[0]
+        now = now_ns() - start_ns
+        for line in lines:
+            if ready and not set(ready).isdisjoint(line.port.descriptors):
+                line.hear(now)
+            line.work(now, period_ns)
+        if now - advanced >= _STEP_NS:
+            advanced = now
+            for line in lines:
+                line.advance_to(now)
+
+
+def serve_in_steps(lines: Sequence[SimulatedLine], is_stopping: Callable[[], bool]) -> None:
+    """Serve lines with pace sync: all that happens is a function of the requests."""
+    while not is_stopping():
+        descriptors = [descriptor for line in lines for descriptor in line.port.descriptors]
+        ready = set(select.select(descriptors, (), (), _SYNC_TIMEOUT_S)[0])
+        for line in lines:
+            if not ready.isdisjoint(line.port.descriptors):
+                line.hear(0)
+                line.work(0)
+            elif not ready:
+                line.idle()
+
+
+def _patience_ns(line: SimulatedLine, now_ns: int, spin_ns: int) -> int:
+    """How long the process may sleep before something is due on a line."""
+    moments = [_IDLE_NS]
+    if line.due_ns is not None:
+        moments.append(line.due_ns - now_ns - spin_ns)
+    if line.expected_ns is not None and line.expected_ns >= now_ns - spin_ns:
+        moments.append(line.expected_ns - now_ns - spin_ns)
+    return max(0, min(moments))

@@ -1,0 +1,293 @@
+"""State machines of simulated drives: what a written number asks for, and which numbers show a state. Pure."""
+
+import itertools
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Protocol
+
+from friction_hil.drive import DriveState
+from friction_hil.errors import UsageError
+from friction_hil_drivers.canopen import profile
+from friction_hil_drivers.canopen.simulated.power import requested_state
+from friction_hil_drivers.serial_line.description import STATES, Description, Rule, Step
+
+_DISABLED, _ENABLED = DriveState.SWITCH_ON_DISABLED, DriveState.OPERATION_ENABLED
+_STOPPING, _FAULT = DriveState.QUICK_STOP_ACTIVE, DriveState.FAULT
+_UNPOWERED = (_DISABLED, DriveState.READY_TO_SWITCH_ON, DriveState.SWITCHED_ON, DriveState.NOT_READY)
+_COMMUNICATION_ERROR = 0x8100
+_SIGNS_OF_SILENCE = ("watchdog", "heartbeat", "communication", "time")
+_ANY_BITS = 0xFF  # that are tried where a number merely has to differ
+
+
+class StateMachine(Protocol):
+    """What of a drive depends on its kind of device control."""
+
+    disabled: DriveState  # without power and ready to be enabled, as after power-on
+    fault: DriveState
+    after_stop: DriveState  # once the quick stop has brought the axis to rest
+
+    def wanted(self, name: str, values: Mapping[str, float], state: DriveState) -> DriveState:
+        """State that the drive takes from ``state``, now that the signal ``name`` was written.
+
+        Parameters
+        ----------
+        name : str
+            What was written.
+        values : mapping of str to float
+            Signals as last written, that one too.
+        state : DriveState
+            Where the drive is.
+        """
+        ...
+
+    def shown(self, state: DriveState) -> Mapping[str, float]:
+        """Numbers of the signals that tell the state."""
+        ...
+
+    def fail(self) -> None:
+        """Take notice that a fault begins: only what is written from now on leads out of it."""
+        ...
+
+    def forget(self) -> None:
+        """Begin anew, as after power-on."""
+        ...
+
+
+def state_machine(description: Description) -> StateMachine:
+    """Make the state machine that a description speaks of.
+
+    Raises
+    ------
+    UsageError
+        A sequence waits for a state that no number of the drive can tell.
+    """
+    return Cia402States(description) if description.state_machine == "cia402" else DescribedStates(description)
+
+
+class Cia402States:
+    """Control- and statusword of CiA 402; the quick stop ends in Switch On Disabled (605Ah = 2)."""
+
+    disabled, fault, after_stop = _DISABLED, _FAULT, _DISABLED
+
+    def __init__(self, description: Description) -> None:
+        self._before = 0
+        error = _error_number(description) if description.errors else _COMMUNICATION_ERROR
+        self._shown = {
+            state: {"status": float(_statusword(state)), "error": float(error if state is _FAULT else 0)}
+            for state in DriveState
+        }
+
+    def wanted(self, name: str, values: Mapping[str, float], state: DriveState) -> DriveState:
+        """See `StateMachine`."""
+        if name != "control":
+            return state
+        word, before = int(values["control"]), self._before
+        self._before = word
+        if state is _FAULT:
+            return _DISABLED if word & ~before & profile.FAULT_RESET else state
+        for _ in range(2):  # from Ready To Switch On one word leads through two transitions
+            following = requested_state(state, word)
+            if state is not _STOPPING or following is not _ENABLED:
+                state = following
+        return state
+
+    def shown(self, state: DriveState) -> Mapping[str, float]:
+        """See `StateMachine`."""
+        return self._shown[state]
+
+    def fail(self) -> None:
+        """See `StateMachine`; a reset bit that is set already is no rising edge."""
+
+    def forget(self) -> None:
+        """See `StateMachine`."""
+        self._before = 0
+
+
+class DescribedStates:
+    """States that follow from the steps of a description's sequences and show as its rules want it.
+
+    A step acts once all its signals have its values, the step before having been done. Sequences act where they
+    make sense: ``reset_fault`` in a fault, ``quick_stop`` under power, the others anywhere but in a fault.
+    """
+
+    def __init__(self, description: Description) -> None:
+        d = description
+        self._sequences = {
+            name: steps
+            for name, steps in (
+                ("reset_fault", d.reset_fault),
+                ("disable", d.disable),
+                ("quick_stop", () if _writes(d.quick_stop) == _writes(d.disable) else d.quick_stop),
+                ("enable", d.enable),
+            )
+            if steps
+        }
+        self._done: dict[str, int] = {}  # the step of each sequence that was done last
+        told = {STATES[rule.state] for rule in d.states}
+        ends = [STATES[step.until] for step in d.disable if step.until is not None]
+        self.disabled = ends[-1] if ends else next((state for state in _UNPOWERED if state in told), _DISABLED)
+        self.fault = _FAULT if _FAULT in told else self.disabled
+        self.after_stop = self.disabled
+
+        error = _error_number(d)
+        needed = {self.disabled, self.fault, _ENABLED} | ({_STOPPING} & told)
+        needed |= {STATES[step.until] for steps in self._sequences.values() for step in steps if step.until}
+        self._shown: dict[DriveState, Mapping[str, float]] = {}
+        for state in sorted(needed):
+            preferred = {"error": (error,)} if state is _FAULT else {}
+            numbers = telling_numbers(d.states, state, preferred)
+            if numbers is None:
+                raise UsageError(
+                    f"the description {d.name!r} waits for the state {state.name.lower()}, but by its rules (states) "
+                    "no numbers of the drive tell it"
+                )
+            self._shown[state] = {"error": float(error if state is _FAULT else 0)} | numbers
+
+    def wanted(self, name: str, values: Mapping[str, float], state: DriveState) -> DriveState:
+        """See `StateMachine`."""
+        found = state
+        for key, steps in self._sequences.items():
+            if not _makes_sense(key, state):
+                continue
+            place = self._matching(key, steps, name, values, state)
+            if place is None:
+                continue
+            is_repeated = self._done.get(key) == place
+            self._done[key] = place
+            target = self._target(key, place)
+            if key == "quick_stop" and target is not None:
+                if state is _ENABLED:
+                    self.after_stop, target = target, _STOPPING
+                elif is_repeated:
+                    target = None
+            if found is state and target is not None:
+                found = target
+        return found
+
+    def shown(self, state: DriveState) -> Mapping[str, float]:
+        """See `StateMachine`."""
+        return self._shown.get(state) or self._shown[_ENABLED if state.is_powered else self.disabled]
+
+    def fail(self) -> None:
+        """See `StateMachine`."""
+        self._done.clear()
+
+    def forget(self) -> None:
+        """See `StateMachine`."""
+        self._done.clear()
+
+    def _matching(
+        self, key: str, steps: Sequence[Step], name: str, values: Mapping[str, float], state: DriveState
+    ) -> int | None:
+        """Which step the values as last written are; the one that is due before all others."""
+        last = self._done.get(key, -1)
+        for place in sorted(range(len(steps)), key=lambda place: (place != last + 1, place)):
+            if name not in steps[place].write or not matches(steps[place].write, values):
+                continue
+            if place == 0 or last in (place - 1, place) or self._is_at(steps[place - 1], state):
+                return place
+        return None
+
+    def _is_at(self, step: Step, state: DriveState) -> bool:
+        return step.until is not None and STATES[step.until] is state
+
+    def _target(self, key: str, place: int) -> DriveState | None:
+        """State in which a step ends; where the last one does not say it, the one that the sequence is for."""
+        steps = self._sequences[key]
+        until = steps[place].until
+        if until is not None:
+            return STATES[until]
+        if place < len(steps) - 1:
+            return None
+        return _ENABLED if key == "enable" else self.disabled
+
+
+def matches(wanted: Mapping[str, float], values: Mapping[str, float]) -> bool:
+    """Whether all wanted numbers were written, as exactly as 32-bit floats on the line can say it."""
+    return all(
+        name in values and math.isclose(values[name], number, rel_tol=1e-6, abs_tol=1e-9)
+        for name, number in wanted.items()
+    )
+
+
+def telling_numbers(
+    rules: Sequence[Rule], state: DriveState, preferred: Mapping[str, Iterable[int]]
+) -> dict[str, float] | None:
+    """Numbers of the rules' signals from which the first rule that fits tells ``state``; None: there are none.
+
+    Parameters
+    ----------
+    rules : sequence of Rule
+        As in a description.
+    state : DriveState
+        What is to be told.
+    preferred : mapping of str to iterable of int
+        By signal: numbers to be taken before others, where they do.
+    """
+    signals = {rule.signal for rule in rules}
+    for place, rule in enumerate(rules):
+        if STATES[rule.state] is not state:
+            continue
+        # a rule looks at one signal, so that each signal's number can be found by itself
+        demands = [*((before, False) for before in rules[:place]), (rule, True)]
+        numbers = {
+            signal: _number([demand for demand in demands if demand[0].signal == signal], preferred.get(signal, ()))
+            for signal in signals
+        }
+        if None not in numbers.values():
+            return {signal: float(number) for signal, number in numbers.items() if number is not None}
+    return None
+
+
+def _number(demands: Sequence[tuple[Rule, bool]], preferred: Iterable[int]) -> int | None:
+    """Number that some rules fit and others do not."""
+    for number in (*preferred, 0):
+        if _meets(number, demands):
+            return number
+    base, fixed, free = 0, 0, 0
+    for rule, is_wanted in demands:
+        mask = -1 if rule.mask is None else rule.mask
+        if (rule.value is not None) is is_wanted:  # the bits have to be these
+            value = rule.value if rule.value is not None else rule.value_not
+            assert value is not None
+            base, fixed = base & ~mask | value & mask, fixed | mask
+        else:  # they have to be others
+            free |= _ANY_BITS if rule.mask is None else rule.mask
+    bits = [1 << place for place in range(free.bit_length()) if free & ~fixed & 1 << place]
+    # one flipped bit is enough for each rule that must differ
+    for count in range(len(demands) + 1):
+        for flips in itertools.combinations(bits, count):
+            if _meets(base ^ sum(flips), demands):
+                return base ^ sum(flips)
+    return None
+
+
+def _meets(number: int, demands: Sequence[tuple[Rule, bool]]) -> bool:
+    return all(rule.fits(number) is is_wanted for rule, is_wanted in demands)
+
+
+def _makes_sense(key: str, state: DriveState) -> bool:
+    if key == "reset_fault":
+        return state is _FAULT
+    if key == "quick_stop":
+        return state in (_ENABLED, _STOPPING)
+    return state is not _FAULT
+
+
+def _writes(steps: Sequence[Step]) -> list[dict[str, float]]:
+    return [step.write for step in steps]
+
+
+def _statusword(state: DriveState) -> int:
+    word = profile.STATE_BITS.get(state, 0) | profile.VOLTAGE_ENABLED | profile.REMOTE
+    return word | profile.FOLLOWS_COMMAND if state is _ENABLED else word
+
+
+def _error_number(description: Description) -> int:
+    """Number by which the drive says that its master fell silent, as far as the description knows it."""
+    errors = description.errors
+    for sign in _SIGNS_OF_SILENCE:
+        for number, text in errors.items():
+            if number and sign in text.lower():
+                return number
+    return next((number for number in errors if number), 1)

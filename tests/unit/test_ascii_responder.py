@@ -1,0 +1,323 @@
+"""Simulated drives that speak text: what they answer, byte by byte, and driver and drive talking to each other."""
+
+import math
+from typing import Any
+
+import pytest
+from friction_hil_drivers.ascii import DESCRIPTIONS
+from friction_hil_drivers.ascii.codec import AsciiLine
+from friction_hil_drivers.ascii.description import AsciiDescription
+from friction_hil_drivers.ascii.options import AsciiOptions
+from friction_hil_drivers.ascii.simulated import AsciiResponder
+from friction_hil_drivers.serial_line.description import ready
+from friction_hil_drivers.serial_line.protocol import Exchange, Image, Wanted
+from friction_hil_drivers.serial_line.sequences import Sequencer, state_of
+from friction_hil_drivers.serial_line.simulated.drive import SimulatedDrive
+from friction_hil_drivers.serial_line.units import AxisUnits
+from hypothesis import given
+from hypothesis import strategies as st
+
+from friction_hil.config import read_section
+from friction_hil.drive import DriveState, Mode, Request
+from friction_hil.servo.config import ServoConfig
+from friction_hil.servo.servo import Servo
+
+STEPS_PER_MS = 80
+COULOMB, INERTIA = 0.01, 2e-4
+SERVO = ServoConfig.model_validate(
+    {
+        "friction": {"model": "coulomb", "parameters": {"coulomb": COULOMB}},
+        "encoder": {"counts": 65536},
+        "mechanics": {"inertia": INERTIA},
+    }
+)
+READY = {name: read_section(path, AsciiDescription) for name, path in ready(DESCRIPTIONS).items()}
+ODRIVE, COPLEY = READY["odrive"], READY["copley_ascii"]
+PLAIN_ODRIVE = ODRIVE.model_copy(update={"checksum": None})
+COUNTER = AsciiDescription.model_validate(
+    PLAIN_ODRIVE.model_dump()
+    | {
+        "signals": PLAIN_ODRIVE.model_dump()["signals"]
+        | {name: {"unit": "count", "bits": 16} for name in ("position", "position_command")},
+        "messages": PLAIN_ODRIVE.model_dump()["messages"]
+        | {
+            "feedback": {"request": "f {axis}", "reply": "{position:int} {velocity:float}"},
+            "command_position": {"request": "p {axis} {position_command:hex} 0 {torque_command:float}"},
+        },
+    }
+)
+
+
+def options(axis: str) -> AsciiOptions:
+    return AsciiOptions.model_validate({"line": {"port": "/dev/ttyS0"}, "description": "any", "axis": axis})
+
+
+def simulated(description: AsciiDescription, mode: Mode = Mode.CST) -> SimulatedDrive:
+    units = AxisUnits(torque_constant=0.1)
+    return SimulatedDrive("x", description, Servo(SERVO), mode, units, STEPS_PER_MS)
+
+
+def on_line(
+    description: AsciiDescription, *axes: str, mode: Mode = Mode.CST
+) -> tuple[AsciiResponder, dict[str, SimulatedDrive]]:
+    drives = {axis: simulated(description, mode) for axis in axes}
+    descriptions = dict.fromkeys(axes, description)
+    return AsciiResponder(drives, descriptions, {axis: options(axis) for axis in axes}), drives
+
+
+def answers(responder: AsciiResponder, data: bytes) -> list[bytes]:
+    """All replies to what comes in one piece."""
+    received, replies = bytearray(data), []
+    while (reply := responder.take(received)) is not None:
+        replies.append(reply)
+    return replies
+
+
+# The ODrive, as its manual and the sources of its firmware say
+
+
+def test_feedback_is_two_numbers_with_six_digits_in_turns() -> None:
+    responder, drives = on_line(PLAIN_ODRIVE, "0")
+    (reply,) = answers(responder, b"f 0\n")
+    turns = drives["0"].servo.position / (2.0 * math.pi)
+    assert reply == b"%.6f %.6f\r\n" % (turns, 0.0)
+    assert drives["0"].samples == 1
+
+
+def test_set_points_and_settings_get_no_reply() -> None:
+    responder, drives = on_line(PLAIN_ODRIVE, "0")
+    lines = b"c 0 0.25\nw axis0.controller.config.control_mode 1\nu 0\nsc\n"
+    assert answers(responder, lines) == [b""] * 4
+    assert drives["0"].read("torque_command") == 0.25
+    assert drives["0"].read("control_mode") == 1.0
+    assert drives["0"].samples == 0
+
+
+def test_numbers_are_read_as_by_sscanf() -> None:
+    responder, drives = on_line(PLAIN_ODRIVE, "0")
+    assert answers(responder, b"c  0   -2.5e-1 \n\r\nr axis0.current_state\n") == [b"", b"1\r\n"]
+    assert drives["0"].read("torque_command") == -0.25
+
+
+@pytest.mark.parametrize(
+    "line", [b"x", b"r axis0.nonsense", b"w axis0.requested_state", b"c 0", b"f", b"\xff\xfe", b"f 0 1"]
+)
+def test_what_it_does_not_know_it_says(line: bytes) -> None:
+    responder, drives = on_line(PLAIN_ODRIVE, "0")
+    assert answers(responder, line + b"\n") == [b"unknown command\r\n"]
+    assert drives["0"].samples == 0
+
+
+def test_two_axes_have_what_is_meant_for_them_and_a_third_is_silent() -> None:
+    responder, drives = on_line(PLAIN_ODRIVE, "0", "1")
+    assert answers(responder, b"c 0 0.1\nc 1 0.2\nc 2 0.3\nf 2\n") == [b""] * 4
+    assert [drive.read("torque_command") for drive in drives.values()] == [0.1, 0.2]
+    assert [drive.samples for drive in drives.values()] == [0, 0]
+    assert len(answers(responder, b"f 1\n")[0]) > 2
+    assert [drive.samples for drive in drives.values()] == [0, 1]
+    answers(responder, b"sc\n")
+    assert [drive.read("clear_errors") for drive in drives.values()] == [1.0, 1.0]
+
+
+def test_a_checksum_is_asked_for_and_given() -> None:
+    responder, drives = on_line(ODRIVE, "0")
+    assert answers(responder, b"r axis0.current_state*14\n") == [b"1*49\r\n"]  # 31h is 49
+    assert answers(responder, b"r axis0.current_state*15\nr axis0.current_state\nc 0 0.5*1\n") == [b""] * 3
+    assert drives["0"].read("torque_command") == 0.0
+
+
+def test_a_value_that_a_drive_would_not_take_changes_nothing() -> None:
+    responder, drives = on_line(PLAIN_ODRIVE, "0")
+    assert answers(responder, b"w axis0.requested_state 99\n") == [b""]
+    assert drives["0"].read("requested_state") == 0.0
+    assert drives["0"].state is DriveState.READY_TO_SWITCH_ON
+
+
+def test_an_overlong_line_is_dropped_with_all_that_belongs_to_it() -> None:
+    responder, drives = on_line(PLAIN_ODRIVE, "0")
+    received = bytearray(b"c 0 0." + b"1" * 300)
+    assert responder.take(received) is None
+    received += b"c 0 0.5\nr axis0.current_state\n"
+    assert responder.take(received) == b""
+    assert responder.take(received) == b"1\r\n"
+    assert drives["0"].read("torque_command") == 0.0
+    assert responder.take(bytearray(b"9" * 300)) is None
+    responder.forget()
+    assert answers(responder, b"r axis0.current_state\n") == [b"1\r\n"]
+
+
+# Copley
+
+
+def test_a_copley_drive_acknowledges_and_tells_integers() -> None:
+    responder, drives = on_line(COPLEY, "")
+    assert answers(responder, b"s r0x02 -150\rg r0xa0\rg r0xa4\r") == [b"ok\r", b"v 4096\r", b"v 0\r"]
+    assert drives[""].read("torque_command") == -150.0
+    (reply,) = answers(responder, b"g r0x32\r")
+    assert reply == b"v %d\r" % round(drives[""].servo.position * drives[""].servo.counts_per_unit)
+    assert answers(responder, b"s r0x24 77\rs r0x02 40000\rg r0x99\rhello\r") == [b"e 33\r"] * 4
+    assert answers(responder, b"s r0x24 1\rg r0xa0\r") == [b"ok\r", b"v 0\r"]
+    assert drives[""].state is DriveState.OPERATION_ENABLED
+
+
+def test_an_echo_comes_before_each_reply() -> None:
+    responder, _ = on_line(COPLEY.model_copy(update={"echo": True}), "")
+    assert answers(responder, b"s r0x24 1\rg r0xa0\r") == [b"s r0x24 1\rok\r", b"g r0xa0\rv 0\r"]
+
+
+# Positions that are counters
+
+
+def test_a_counter_wraps_on_the_line_and_not_in_the_drive() -> None:
+    responder, drives = on_line(COUNTER, "0", mode=Mode.CSP)
+    drive = drives["0"]
+    for number, expected in ((0x7FF0, 32752.0), (0x8010, 32784.0 - 65536.0)):
+        answers(responder, b"p 0 %04X 0 0.0\n" % number)
+        assert drive.read("position_command") == expected  # nearest to where it is: at zero
+    answers(responder, b"u 0\nw axis0.config.enable_watchdog 1\nw axis0.requested_state 8\n")
+    for target in range(0, 40000, 40):
+        answers(responder, b"p 0 %04X 0 0.0\nf 0\n" % target)
+    assert drive.read("position_command") == 39960.0
+    (reply,) = answers(responder, b"f 0\n")
+    assert abs(drive.read("position") - 39960.0) < 2000.0
+    assert int(reply.split()[0]) == round(drive.read("position")) - 65536
+
+
+# Driver and drive
+
+
+class Talk:
+    """Exchanges with a simulated drive, without a line between."""
+
+    def __init__(self, description: AsciiDescription, mode: Mode) -> None:
+        self.description = description
+        axis = "" if description is COPLEY else "0"
+        self.drive = simulated(description, mode)
+        self.image = Image()
+        self.responder = AsciiResponder({"x": self.drive}, {"x": description}, {"x": options(axis)})
+        self.line = AsciiLine({"x": description}, {"x": options(axis)}, {"x": self.image})
+        part: Any = description.modes[mode.name.lower()]  # type: ignore[index]
+        slow = ("torque", "status", "error")
+        self.plan = self.line.plan({"x": Wanted(("position", "velocity"), slow, part.commands)})
+        self.commands = part.commands
+        self.image.values.update(dict.fromkeys(part.commands, 0.0))
+        self.sequencer = Sequencer(description)
+        for step in (*description.prepare, *part.prepare):
+            self.write(step.write)
+
+    def say(self, exchange: Exchange) -> None:
+        request = exchange.encode()
+        assert len(request) <= exchange.request_size
+        received = bytearray(request)
+        reply = self.responder.take(received)
+        assert not received
+        assert reply is not None
+        assert len(reply) <= exchange.reply_size
+        assert bool(reply) == bool(exchange.reply_size)
+        if reply:
+            assert exchange.take(bytearray(reply))
+
+    def write(self, values: Any) -> None:
+        self.image.values.update(values)
+        self.say(self.line.write("x", tuple(values)))
+
+    def cycle(self, request: Request, time_s: float) -> DriveState:
+        for exchange in (*self.plan.poll, *self.plan.turns):
+            self.say(exchange)
+        state = state_of(self.description, self.image.values)
+        if step := self.sequencer.next_write(request, state, time_s):
+            self.write(step)
+            self.sequencer.acknowledge()
+        for exchange in self.plan.push:
+            self.say(exchange)
+        return state
+
+    def until(self, request: Request, wanted: DriveState, cycles: int = 20) -> None:
+        states = [self.cycle(request, 1e-3 * k) for k in range(cycles)]
+        assert states[-1] is wanted, states
+
+
+EVERY_MODE = [(name, mode) for name, description in READY.items() for mode in sorted(description.modes)]
+
+
+@pytest.mark.parametrize(("name", "mode"), EVERY_MODE)
+def test_a_drive_is_led_up_down_and_out_of_a_fault(name: str, mode: str) -> None:
+    talk = Talk(READY[name], Mode[mode.upper()])
+    off = DriveState.READY_TO_SWITCH_ON
+    for _ in range(2):
+        talk.until(Request.ENABLE, DriveState.OPERATION_ENABLED)
+        talk.until(Request.DISABLE, off)
+    talk.until(Request.ENABLE, DriveState.OPERATION_ENABLED)
+    talk.drive.fail()
+    talk.until(Request.DISABLE, DriveState.FAULT)
+    assert int(talk.image.values["error"]) in talk.description.errors
+    talk.until(Request.ENABLE, DriveState.FAULT)
+    talk.until(Request.RESET_FAULT, off)
+
+
+@pytest.mark.parametrize("name", sorted(READY))
+def test_a_torque_arrives_with_its_sign_and_unit_and_the_axis_moves(name: str) -> None:
+    talk = Talk(READY[name], Mode.CST)
+    talk.until(Request.ENABLE, DriveState.OPERATION_ENABLED)
+    signal = talk.description.signals["torque_command"]
+    torque = -0.05
+    talk.image.values["torque_command"] = torque / (0.1 if signal.unit == "A" else 1.0) / signal.scale
+    talk.until(Request.ENABLE, DriveState.OPERATION_ENABLED, cycles=50)
+    velocity = talk.description.signals["velocity"]
+    scale = {"turn/s": 2.0 * math.pi, "count/s": 1.0 / talk.drive.servo.counts_per_unit}[velocity.unit] * velocity.scale
+    reached = (torque + COULOMB) / INERTIA * 0.05  # of the friction that opposes it
+    assert talk.image.values["velocity"] * scale == pytest.approx(reached, rel=0.1)
+
+
+@pytest.mark.parametrize("name", ["odrive", "odrive_pro"])
+def test_without_set_points_the_watchdog_ends_the_torque_whatever_is_read(name: str) -> None:
+    talk = Talk(READY[name], Mode.CST)
+    talk.write({"watchdog": 0.02})
+    talk.until(Request.ENABLE, DriveState.OPERATION_ENABLED)
+    for _ in range(25):
+        talk.say(talk.plan.poll[0])
+    assert talk.drive.state is DriveState.FAULT
+    talk.until(Request.RESET_FAULT, DriveState.READY_TO_SWITCH_ON)
+    talk.until(Request.ENABLE, DriveState.OPERATION_ENABLED)
+    feed = talk.line.write("x", ("watchdog_feed",))
+    for _ in range(50):
+        talk.say(talk.plan.poll[0])
+        talk.say(feed)
+    assert talk.drive.state is DriveState.OPERATION_ENABLED
+
+
+# Anything at all on the line
+
+noise = st.one_of(
+    st.binary(max_size=40),
+    st.text("fcrwu 01.-+*eaxis\r\n", max_size=40).map(str.encode),
+    st.sampled_from([b"c 0 ", b"p 0 1 0 ", b"w axis0.requested_state ", b"*77", b"\n", b"nan\n", b"1e999\n"]),
+)
+DRIVES = {name: simulated(READY[name]) for name in ("odrive", "copley_ascii")}
+
+
+@given(st.sampled_from(sorted(DRIVES)), st.lists(noise, max_size=8))
+def test_random_bytes_neither_crash_a_drive_nor_stop_it_from_answering(name: str, chunks: list[bytes]) -> None:
+    axis = "0" if name == "odrive" else ""
+    responder = AsciiResponder({"x": DRIVES[name]}, {"x": READY[name]}, {"x": options(axis)})
+    received = bytearray()
+    for chunk in chunks:
+        received += chunk
+        while responder.take(received) is not None:
+            pass
+    received.clear()
+    responder.forget()
+    request = b"r axis0.current_state*14\n" if name == "odrive" else b"g r0xa0\r"
+    (reply,) = answers(responder, request)
+    assert reply.endswith(b"\r") is (name != "odrive")
+
+
+@given(st.floats(-999.0, 999.0))
+def test_a_torque_command_arrives_to_its_digits(torque: float) -> None:
+    drive = DRIVES["odrive"]
+    image = Image()
+    line = AsciiLine({"x": ODRIVE}, {"x": options("0")}, {"x": image})
+    responder = AsciiResponder({"x": drive}, {"x": ODRIVE}, {"x": options("0")})
+    image.values["torque_command"] = torque
+    assert responder.take(bytearray(line.write("x", ("torque_command",)).encode())) == b""
+    assert drive.read("torque_command") == pytest.approx(torque, rel=0.0, abs=0.5e-5 + 1e-10)

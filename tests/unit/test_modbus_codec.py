@@ -1,0 +1,446 @@
+"""Modbus on the driver's side: numbers in registers, requests, replies, and what must never be taken for a reply."""
+
+import contextlib
+import itertools
+import math
+import struct
+
+import pytest
+from friction_hil_drivers.modbus.codec import ModbusLine, Request
+from friction_hil_drivers.modbus.description import ModbusDescription
+from friction_hil_drivers.modbus.framing import RtuFraming, TcpFraming
+from friction_hil_drivers.modbus.options import ModbusOptions
+from friction_hil_drivers.modbus.registers import Block, Place
+from friction_hil_drivers.serial_line.protocol import Image, ReplyError
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+RTU, TCP = "/dev/ttyUSB0", "tcp://127.0.0.1:502"
+RANGES = {"int16": (-(2**15), 2**15 - 1), "uint16": (0, 2**16 - 1)}
+RANGES |= {"int32": (-(2**31), 2**31 - 1), "uint32": (0, 2**32 - 1), "bool": (0, 1)}
+SIGNALS = {
+    "status": {"address": 0x10, "type": "uint16"},
+    "error": {"address": 0x40, "type": "uint16"},
+    "torque": {"address": 0x11, "unit": "per_mille"},
+    "position": {"address": 0x12, "type": "int32", "unit": "count"},
+    "velocity": {"address": 0x14, "type": "float32", "unit": "rad/s"},
+    "control": {"address": 0x20, "type": "uint16"},
+    "torque_command": {"address": 0x30, "unit": "per_mille"},
+    "position_command": {"address": 0x31, "type": "int32", "unit": "count"},
+}
+VALUES = {"s0": 555.0, "s1": 0.0, "s2": 100.0, "torque_command": 7.0}
+CSP, CST = ("torque_command", "position_command"), ("torque_command",)
+FAST, SLOW = ("position", "velocity"), ("torque", "status", "error")
+
+
+def described(signals: dict[str, dict[str, object]] | None = None, **keys: object) -> ModbusDescription:
+    """A description with few demands."""
+    given_keys: dict[str, object] = {
+        "version": 1,
+        "name": "drive under test",
+        "protocol": "modbus",
+        "sources": ["this test"],
+        "state_machine": "cia402",
+        "word_order": "big",
+        "modes": {"cst": {"commands": CST}},
+        "signals": signals or SIGNALS,
+    }
+    return ModbusDescription.model_validate(given_keys | keys)
+
+
+def on_line(description: ModbusDescription, port: str = RTU, unit: int = 1) -> tuple[ModbusLine, Image]:
+    """A line with one axis, a."""
+    options = ModbusOptions.model_validate({"line": {"port": port}, "description": "x", "unit": unit})
+    image = Image()
+    return ModbusLine({"a": description}, {"a": options}, {"a": image}), image
+
+
+def with_crc(text: str | bytes) -> bytes:
+    """Frame of a PDU with its unit, by a CRC of this test's own: bit by bit, as the specification draws it."""
+    frame = bytes.fromhex(text) if isinstance(text, str) else text
+    crc = 0xFFFF
+    for byte in frame:
+        crc ^= byte
+        for _ in range(8):
+            crc = (crc >> 1) ^ 0xA001 if crc & 1 else crc >> 1
+    return frame + struct.pack("<H", crc)
+
+
+def reader(count: int = 3, *, unit: int = 1) -> tuple[Request, Image]:
+    """Exchange of function 3 that reads 16-bit signals s0, s1, ... from 006Bh on, its request sent."""
+    image = Image({"torque_command": 7.0})
+    places = tuple(Place(f"s{k}", "holding", 0x6B + k, "int16") for k in range(count))
+    request = Request(RtuFraming(), unit, image, read=Block("holding", 0x6B, count, places))
+    assert request.encode() == with_crc(bytes((unit, 3, 0, 0x6B, 0, count)))
+    return request, image
+
+
+class TestPlace:
+    @pytest.mark.parametrize("word_order", ["big", "little"])
+    @pytest.mark.parametrize("byte_order", ["big", "little"])
+    @pytest.mark.parametrize("kind", ["int16", "uint16", "int32", "uint32", "bool"])
+    @settings(deadline=None)
+    @given(data=st.data())
+    def test_every_integer_comes_back(self, kind: str, byte_order: str, word_order: str, data: st.DataObject) -> None:
+        number = data.draw(st.integers(*RANGES[kind]))
+        place = Place("torque", "holding", 0, kind, word_order, byte_order)  # type: ignore[arg-type]
+        words = place.words(float(number))
+        assert all(0 <= word < 2**16 for word in words)
+        assert place.number(words) == number
+
+    @pytest.mark.parametrize("word_order", ["big", "little"])
+    @pytest.mark.parametrize("byte_order", ["big", "little"])
+    @settings(deadline=None)
+    @given(number=st.floats(width=32, allow_nan=False, allow_infinity=False))
+    def test_every_float_comes_back(self, byte_order: str, word_order: str, number: float) -> None:
+        place = Place("position", "holding", 0, "float32", word_order, byte_order)  # type: ignore[arg-type]
+        assert place.number(place.words(number)) == number
+
+    @pytest.mark.parametrize(
+        ("word_order", "byte_order", "words"),
+        [
+            ("big", "big", [0x1234, 0x5678]),
+            ("little", "big", [0x5678, 0x1234]),
+            ("big", "little", [0x3412, 0x7856]),
+            ("little", "little", [0x7856, 0x3412]),
+        ],
+    )
+    def test_orders_of_32_bits(self, word_order: str, byte_order: str, words: list[int]) -> None:
+        place = Place("x", "holding", 0, "uint32", word_order, byte_order)  # type: ignore[arg-type]
+        assert place.words(float(0x12345678)) == words
+
+    @pytest.mark.parametrize("kind", ["int16", "uint16", "int32", "uint32", "bool"])
+    @settings(deadline=None)
+    @given(number=st.floats(allow_nan=False, allow_infinity=False))
+    def test_what_does_not_fit_saturates(self, kind: str, number: float) -> None:
+        low, high = RANGES[kind]
+        place = Place("torque_command", "holding", 0, kind)  # type: ignore[arg-type]
+        sent = place.number(place.words(number))
+        assert sent == min(max(round(number), low), high)
+
+    @pytest.mark.parametrize("kind", ["int16", "uint16", "int32", "uint32"])
+    @settings(deadline=None)
+    @given(number=st.integers(-(2**50), 2**50))
+    def test_positions_wrap(self, kind: str, number: int) -> None:
+        low, high = RANGES[kind]
+        place = Place("position_command", "holding", 0, kind)  # type: ignore[arg-type]
+        sent = place.number(place.words(float(number)))
+        assert low <= sent <= high
+        assert (sent - number) % (high - low + 1) == 0
+
+    def test_floats_stay_finite(self) -> None:
+        place = Place("torque_command", "holding", 0, "float32")
+        assert place.number(place.words(1e300)) == pytest.approx(3.4028235e38)
+
+    @pytest.mark.parametrize("name", ["torque_command", "position_command"])
+    @pytest.mark.parametrize("kind", ["int16", "float32", "int32"])
+    @pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf])
+    def test_refuses_what_is_not_finite(self, kind: str, name: str, number: float) -> None:
+        with pytest.raises(ValueError, match="cannot be sent"):
+            Place(name, "holding", 0, kind).words(number)  # type: ignore[arg-type]
+
+
+class TestKnownFrames:
+    """Frames printed in the specification (Modbus Application Protocol V1.1b3, section 6) and in manuals of drives."""
+
+    @pytest.mark.parametrize(
+        ("signal", "frame", "reply", "value"),
+        [
+            ({"address": 0x6B}, "11 03 00 6B 00 01", "11 03 02 02 2B", 555.0),
+            ({"address": 8, "function": "input"}, "11 04 00 08 00 01", "11 04 02 00 0A", 10.0),
+            ({"address": 0x13, "function": "coil", "type": "bool"}, "11 01 00 13 00 01", "11 01 01 CD", 1.0),
+            ({"address": 0xC4, "function": "discrete", "type": "bool"}, "11 02 00 C4 00 01", "11 02 01 AC", 0.0),
+        ],
+    )
+    def test_reading(self, signal: dict[str, object], frame: str, reply: str, value: float) -> None:
+        line, image = on_line(described(SIGNALS | {"extra": signal}), unit=0x11)
+        request = line.read("a", ("extra",))
+        assert request.encode() == with_crc(frame)
+        assert request.take(bytearray(with_crc(reply)))
+        assert image.values == {"extra": value}
+        assert (request.request_size, request.reply_size) == (8, len(with_crc(reply)))
+
+    @pytest.mark.parametrize(
+        ("signal", "number", "functions", "frame"),
+        [
+            ({"address": 1}, 3.0, (6, 16), "11 06 00 01 00 03"),
+            ({"address": 1}, 3.0, (16,), "11 10 00 01 00 01 02 00 03"),
+            ({"address": 1, "type": "int32"}, 0xA0102, (6, 16), "11 10 00 01 00 02 04 00 0A 01 02"),
+            ({"address": 0xAC, "function": "coil", "type": "bool"}, 1.0, (5, 16), "11 05 00 AC FF 00"),
+            ({"address": 0xAC, "function": "coil", "type": "bool"}, 1.0, (15, 16), "11 0F 00 AC 00 01 01 01"),
+        ],
+    )
+    def test_writing(self, signal: dict[str, object], number: float, functions: object, frame: str) -> None:
+        line, image = on_line(described(SIGNALS | {"extra": signal}, write_functions=functions), unit=0x11)
+        image.values["extra"] = number
+        request = line.write("a", ("extra",))
+        sent = request.encode()
+        assert sent == with_crc(frame)
+        assert request.request_size == len(sent)
+        reply = bytearray(with_crc(sent[:6]))
+        assert request.reply_size == len(reply)
+        assert request.take(reply)
+        assert not reply
+
+    def test_writing_and_reading_at_once(self) -> None:
+        signals = {f"s{k}": {"address": 3 + k, "type": "uint16"} for k in range(6)}
+        signals |= {f"w{k}": {"address": 0xE + k, "type": "uint16"} for k in range(3)}
+        image = Image({f"w{k}": 255.0 for k in range(3)})
+        description = described(SIGNALS | signals)
+        request = Request(
+            RtuFraming(),
+            0x11,
+            image,
+            read=description.read_blocks(tuple(f"s{k}" for k in range(6)))[0],
+            write=description.write_blocks(tuple(f"w{k}" for k in range(3)))[0],
+        )
+        assert request.encode() == with_crc("11 17 00 03 00 06 00 0E 00 03 06 00 FF 00 FF 00 FF")
+        assert request.take(bytearray(with_crc("11 17 0C 00 FE 0A CD 00 01 00 03 00 0D 00 FF")))
+        assert [image.values[f"s{k}"] for k in range(6)] == [0xFE, 0xACD, 1, 3, 0xD, 0xFF]
+        assert (request.request_size, request.reply_size) == (19, 17)
+
+    def test_those_of_kinco_with_their_crc(self) -> None:
+        signals = SIGNALS | {
+            "status": {"address": 0x3200, "type": "uint32"},
+            "control": {"address": 0x3100, "type": "uint16"},
+            "velocity_command": {"address": 0x6F00, "type": "int32", "unit": "count/s", "word_order": "little"},
+        }
+        line, image = on_line(described(signals))
+        assert line.read("a", ("status",)).encode().hex(" ") == "01 03 32 00 00 02 ca b3"
+        image.values.update(control=15.0, velocity_command=float(0x85555))
+        assert line.write("a", ("control",)).encode().hex(" ") == "01 06 31 00 00 0f c7 32"
+        written = line.write("a", ("velocity_command",)).encode()
+        assert written.hex(" ") == "01 10 6f 00 00 02 04 55 55 00 08 1a 47"
+
+    def test_that_of_delta_with_its_crc(self) -> None:
+        signals = SIGNALS | {"extra": {"address": 0x112, "type": "uint32", "word_order": "little"}}
+        line, image = on_line(described(signals))
+        image.values["extra"] = 0x0BB8
+        request = line.write("a", ("extra",))
+        assert request.encode().hex(" ") == "01 10 01 12 00 02 04 0b b8 00 00 fc eb"
+        assert request.take(bytearray.fromhex("01 10 01 12 00 02 E0 31"))
+
+
+class TestReplies:
+    REPLY = with_crc("01 03 06 02 2B 00 00 00 64")
+
+    @pytest.mark.parametrize("at", range(1, len(REPLY)))
+    def test_may_come_in_two_pieces(self, at: int) -> None:
+        request, image = reader()
+        received = bytearray(self.REPLY[:at])
+        assert not request.take(received)
+        assert not image.fresh
+        received += self.REPLY[at:]
+        assert request.take(received)
+        assert image.values == VALUES
+
+    @settings(deadline=None)
+    @given(noise=st.binary(min_size=1, max_size=6), at=st.integers(0, 11))
+    def test_is_found_behind_noise(self, noise: bytes, at: int) -> None:
+        assume(b"\x01" not in noise)
+        request, image = reader()
+        received = bytearray((noise + self.REPLY)[:at])
+        if len(received) < len(noise + self.REPLY):
+            assert not request.take(received)
+        received += (noise + self.REPLY)[at:]
+        assert request.take(received)
+        assert image.values == VALUES
+        assert not received
+
+    @pytest.mark.parametrize("noise", [b"\x01", b"\x01\xff", b"\x01\x03", b"\x01\x03\x01", b"\x00\x01\x80"])
+    def test_is_found_behind_noise_that_looks_like_its_beginning(self, noise: bytes) -> None:
+        request, image = reader()
+        assert request.take(bytearray(noise + self.REPLY))
+        assert image.values == VALUES
+
+    @settings(deadline=None)
+    @given(flipped=st.integers(0, 8 * len(REPLY) - 1))
+    def test_a_flipped_bit_puts_nothing(self, flipped: int) -> None:
+        request, image = reader()
+        frame = bytearray(self.REPLY)
+        frame[flipped // 8] ^= 1 << flipped % 8
+        with contextlib.suppress(ReplyError):
+            assert not request.take(frame)
+        assert image.values == {"torque_command": 7.0}
+        assert not image.fresh
+
+    @settings(max_examples=200, deadline=None)
+    @given(pieces=st.lists(st.binary(max_size=40), max_size=4))
+    def test_random_bytes_never_become_a_value(self, pieces: list[bytes]) -> None:
+        request, image = reader()
+        received = bytearray()
+        for piece in pieces:
+            received += piece
+            try:
+                assert not request.take(received)
+            except ReplyError:
+                break
+        assert image.values == {"torque_command": 7.0}
+        assert not image.fresh
+
+    @settings(max_examples=200, deadline=None)
+    @given(
+        body=st.binary(min_size=2, max_size=20), unit=st.integers(1, 3), function=st.sampled_from([3, 6, 0x83, 0x81])
+    )
+    def test_with_a_right_crc_only_the_reply_asked_for_counts(self, body: bytes, unit: int, function: int) -> None:
+        request, image = reader()
+        frame = with_crc(bytes((unit, function)) + body)
+        assume(not (unit == 1 and function == 3 and body[0] == 6 and len(body) == 7))
+        with contextlib.suppress(ReplyError):
+            assert not request.take(bytearray(frame))
+        assert not image.fresh
+
+    @pytest.mark.parametrize(
+        ("frame", "text"),
+        [
+            ("03 03 06 02 2B 00 00 00 64", "unit 3 answered in place of unit 1: 03 03 06"),
+            ("01 04 06 02 2B 00 00 00 64", "function 4 was answered in place of 3"),
+            ("01 03 04 02 2B 00 00", "another number or address"),
+            ("01 03 00 6B 00 03", "echoes"),
+        ],
+    )
+    def test_of_somebody_else_are_told(self, frame: str, text: str) -> None:
+        request, image = reader()
+        received = bytearray(with_crc(frame))
+        with pytest.raises(ReplyError, match=text) as told:
+            request.take(received)
+        assert not told.value.is_complete
+        assert not received
+        assert not image.fresh
+
+    def test_with_a_wrong_crc_are_told(self) -> None:
+        request, _ = reader()
+        with pytest.raises(ReplyError, match="CRC is wrong: 01 03 06"):
+            request.take(bytearray(self.REPLY[:-1] + b"\x00"))
+
+    @pytest.mark.parametrize(
+        ("code", "text"),
+        [
+            (1, "illegal function"),
+            (2, "illegal data address"),
+            (3, "illegal data value"),
+            (4, "failure"),
+            (5, "acknowledge"),
+            (6, "busy"),
+            (8, "parity"),
+            (10, "path"),
+            (11, "failed to respond"),
+            (99, "standard"),
+        ],
+    )
+    def test_exceptions_are_told(self, code: int, text: str) -> None:
+        request, image = reader()
+        received = bytearray(with_crc(bytes((1, 0x83, code))))
+        with pytest.raises(ReplyError, match=f"unit 1 refuses: .*{text}.* .exception {code}.") as told:
+            request.take(received)
+        assert told.value.is_complete
+        assert not received
+        assert not image.fresh
+
+    def test_an_exception_with_another_function_is_one(self) -> None:
+        request, _ = reader()
+        with pytest.raises(ReplyError, match="exception 2"):  # so does Kinco
+            request.take(bytearray(with_crc("01 81 02")))
+
+    def test_another_value_written_than_sent_is_told(self) -> None:
+        line, image = on_line(described())
+        image.values["torque_command"] = 300.0
+        request = line.write("a", CST)
+        request.encode()
+        with pytest.raises(ReplyError):
+            request.take(bytearray(with_crc("01 06 00 30 00 64")))
+
+    def test_not_a_number_is_refused(self) -> None:
+        line, image = on_line(described())
+        request = line.read("a", ("velocity",))
+        request.encode()
+        with pytest.raises(ReplyError, match="velocity is nan"):
+            request.take(bytearray(with_crc(b"\x01\x03\x04" + struct.pack(">f", math.nan))))
+        assert not image.fresh
+
+    def test_a_command_that_is_not_finite_is_not_sent(self) -> None:
+        line, image = on_line(described())
+        image.values["torque_command"] = math.nan
+        with pytest.raises(ValueError, match="unit 1: torque_command: nan"):
+            line.write("a", CST).encode()
+
+
+class TestTcp:
+    def reader(self) -> tuple[Request, Image]:
+        line, image = on_line(described(), TCP)
+        return line.read("a", ("torque",)), image
+
+    @staticmethod
+    def reply(request: bytes, body: str = "03 02 00 05", *, unit: int = 1, later: int = 0) -> bytes:
+        """Reply to a request, or to one ``later`` requests after it."""
+        transaction = int.from_bytes(request[:2], "big") + later
+        pdu = bytes.fromhex(body)
+        return struct.pack(">HHHB", transaction, 0, len(pdu) + 1, unit) + pdu
+
+    def test_sizes_and_frame(self) -> None:
+        request, image = self.reader()
+        sent = request.encode()
+        assert sent[2:] == bytes.fromhex("00 00 00 06 01 03 00 11 00 01")
+        reply = self.reply(sent)
+        assert (request.request_size, request.reply_size) == (len(sent), len(reply))
+        assert request.take(bytearray(reply))
+        assert image.values == {"torque": 5.0}
+
+    def test_each_request_has_its_number(self) -> None:
+        framing = TcpFraming()
+        numbers = [int.from_bytes(framing.frame(1, b"\x03")[:2], "big") for _ in range(70_000)]
+        assert all(following == before % 0xFFFF + 1 for before, following in itertools.pairwise(numbers))
+
+    def test_all_requests_of_a_line_share_the_count(self) -> None:
+        line, _ = on_line(described(), TCP)
+        frames = [line.read("a", (name,)).encode() for name in ("torque", "position", "torque")]
+        assert len({frame[:2] for frame in frames}) == 3
+
+    def test_a_late_reply_is_dropped(self) -> None:
+        request, image = self.reader()
+        late = self.reply(request.encode(), "03 02 00 63")
+        sent = request.encode()
+        received = bytearray(late)
+        assert not request.take(received)
+        assert not received
+        received += self.reply(sent)
+        assert request.take(received)
+        assert image.values == {"torque": 5.0}
+
+    @pytest.mark.parametrize("at", range(1, 11))
+    def test_may_come_in_two_pieces_behind_a_late_one(self, at: int) -> None:
+        request, image = self.reader()
+        late = self.reply(request.encode(), "03 02 00 63")
+        whole = late + self.reply(request.encode())
+        received = bytearray(whole[: len(late) + at])
+        assert not request.take(received)
+        received += whole[len(late) + at :]
+        assert request.take(received)
+        assert image.values == {"torque": 5.0}
+
+    @pytest.mark.parametrize(
+        ("body", "unit", "text"),
+        [
+            ("03 02 00 05", 3, "unit 3 answered in place of unit 1"),
+            ("04 02 00 05", 1, "no reply to function 3"),
+            ("03 04 00 05 00 05", 1, "no reply to function 3"),
+            ("83 06", 1, "busy"),
+        ],
+    )
+    def test_no_reply_to_this_request(self, body: str, unit: int, text: str) -> None:
+        request, image = self.reader()
+        received = bytearray(self.reply(request.encode(), body, unit=unit))
+        with pytest.raises(ReplyError, match=text) as told:
+            request.take(received)
+        assert told.value.is_complete
+        assert not image.fresh
+
+    @settings(max_examples=200, deadline=None)
+    @given(data=st.binary(max_size=60))
+    def test_random_bytes_never_become_a_value(self, data: bytes) -> None:
+        request, image = self.reader()
+        request.encode()
+        assume(data[:2] != b"\x00\x01")
+        with contextlib.suppress(ReplyError):
+            assert not request.take(bytearray(data))
+        assert not image.fresh

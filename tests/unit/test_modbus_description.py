@@ -1,0 +1,328 @@
+"""Register maps: their mistakes, the ready ones, and the requests that follow from them."""
+
+import struct
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from random import Random
+
+import pytest
+from friction_hil_drivers.modbus.codec import ModbusLine, Request
+from friction_hil_drivers.modbus.description import DESCRIPTIONS, ModbusDescription
+from friction_hil_drivers.modbus.options import ModbusOptions
+from friction_hil_drivers.serial_line.description import load_description, ready
+from friction_hil_drivers.serial_line.protocol import FAST, SLOW, Image, Plan, Wanted
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from friction_hil.errors import ConfigurationError, UsageError
+
+SIGNALS = {
+    "status": {"address": 0x10, "type": "uint16"},
+    "torque": {"address": 0x11, "unit": "per_mille"},
+    "position": {"address": 0x12, "type": "int32", "unit": "count"},
+    "velocity": {"address": 0x14, "type": "int32", "unit": "count/s"},
+    "error": {"address": 0x18, "type": "uint16"},
+    "control": {"address": 0x20, "type": "uint16"},
+    "torque_command": {"address": 0x30, "unit": "per_mille"},
+    "position_command": {"address": 0x31, "type": "int32", "unit": "count"},
+}
+KEYS = {
+    "version": 1,
+    "name": "drive under test",
+    "protocol": "modbus",
+    "sources": ["this test"],
+    "state_machine": "cia402",
+    "word_order": "big",
+    "modes": {"cst": {"commands": ["torque_command"]}},
+    "signals": SIGNALS,
+}
+CSP = ("torque_command", "position_command")
+
+
+def described(changed: Mapping[str, object] | None = None, **keys: object) -> ModbusDescription:
+    """The map above with some signals changed, and other keys; a signal of None is left out."""
+    signals = {name: signal for name, signal in {**SIGNALS, **(changed or {})}.items() if signal is not None}
+    return ModbusDescription.model_validate(KEYS | {"signals": signals} | keys)
+
+
+def on_line(description: ModbusDescription, **line: object) -> tuple[ModbusLine, Image]:
+    options = ModbusOptions.model_validate({"line": {"port": "/dev/x"} | line, "description": "x", "unit": 1})
+    image = Image()
+    return ModbusLine({"a": description}, {"a": options}, {"a": image}), image
+
+
+def planned(description: ModbusDescription, commands: tuple[str, ...] = ("torque_command",)) -> Plan:
+    line, _ = on_line(description)
+    fast = tuple(name for name in FAST if name in description.signals)
+    slow = tuple(name for name in SLOW if name in description.signals)
+    return line.plan({"a": Wanted(fast, slow, commands)})
+
+
+def told(plan: Plan) -> list[list[str]]:
+    """What a plan says, without the words that are always there."""
+    return [[e.what.removesuffix(" of unit 1") for e in part] for part in (plan.poll, plan.turns, plan.push)]
+
+
+class TestMistakes:
+    @pytest.mark.parametrize(
+        ("changed", "keys", "text"),
+        [
+            ({"torque": {"address": 1, "type": "bool"}}, {}, "torque is bool in holding"),
+            ({"torque": {"address": 1, "function": "coil"}}, {}, "torque is int16 in coil"),
+            ({"position": {"address": 65535, "type": "int32", "unit": "count"}}, {}, "position does not end before"),
+            ({}, {"word_order": None}, "position has 32 bits: give word_order"),
+            ({"torque_command": {"address": 1, "function": "input"}}, {}, "torque_command is written, so it can be"),
+            ({"status": {"address": 0x20, "type": "uint16"}}, {}, "writing control .0020h. would overwrite status"),
+            ({"error": {"address": 0x32}}, {"modes": {"csp": {"commands": CSP}}}, "would overwrite error .0032h."),
+            ({"error": {"address": 0x31}}, {"alignment": 2, "write_functions": [16]}, "would overwrite error"),
+            ({}, {"alignment": 2, "write_functions": [6]}, "torque_command is written, which takes function 16"),
+            ({}, {"write_functions": [5]}, "control is written, which takes function 6 or 16"),
+            ({}, {"modes": {"csp": {"commands": CSP}}, "write_functions": [6]}, "position_command .* function 16;"),
+            (
+                {"brake": {"address": 1, "type": "bool", "function": "coil"}},
+                {"prepare": [{"write": {"brake": 1}}]},
+                "brake is written, which takes function 5 or 15; write_functions has not",
+            ),
+            ({}, {"prepare": [{"write": {"control": 0, "torque_command": 0}}]}, r"prepare\[0\] writes .* side by side"),
+            ({"position": None}, {}, "there is no signal position"),
+        ],
+    )
+    def test_are_told(self, changed: dict[str, object], keys: dict[str, object], text: str) -> None:
+        with pytest.raises(ValidationError, match=text):
+            described(changed, **keys)
+
+    @pytest.mark.parametrize("key", ["adress", "register"])
+    def test_unknown_keys_are_told(self, key: str) -> None:
+        with pytest.raises(ValidationError, match=key):
+            described({"torque": {"address": 1, key: 2}})
+
+    def test_are_told_with_their_line(self, tmp_path: Path) -> None:
+        text = (DESCRIPTIONS / "kinco_fd5p.yaml").read_text()
+        path = tmp_path / "mine.yaml"
+        path.write_text(text.replace("0x3700, type: int32", "0x3700, type: int33"))
+        with pytest.raises(ConfigurationError, match=r"int32") as error:
+            load_description(str(path), None, DESCRIPTIONS, ModbusDescription)
+        lines = path.read_text().splitlines()
+        line = error.value.problems[0].line
+        assert line is not None
+        assert "0x3700" in lines[line - 1]
+
+    def test_32_bits_may_bring_their_own_order(self) -> None:
+        wide = {
+            name: signal | {"word_order": "little"} for name, signal in SIGNALS.items() if signal.get("type") == "int32"
+        }
+        description = described(wide, word_order=None)
+        assert description.place("position").word_order == "little"
+
+
+class TestOptions:
+    @pytest.mark.parametrize(("unit", "port"), [(0, "/dev/x"), (248, "/dev/x"), (256, "tcp://localhost:502")])
+    def test_units_that_do_not_exist(self, unit: int, port: str) -> None:
+        with pytest.raises(ValidationError, match="unit"):
+            ModbusOptions.model_validate({"line": {"port": port}, "description": "x", "unit": unit})
+
+    def test_the_device_itself_on_tcp(self) -> None:
+        given = {"line": {"port": "tcp://localhost:502"}, "description": "x", "unit": 255}
+        assert ModbusOptions.model_validate(given).address == "unit 255"
+
+
+class TestReady:
+    @pytest.mark.parametrize("name", sorted(ready(DESCRIPTIONS)))
+    def test_can_be_driven(self, name: str) -> None:
+        description = load_description(name, None, DESCRIPTIONS, ModbusDescription)
+        line, image = on_line(description)
+        for mode in description.modes.values():
+            plan = planned(description, mode.commands)
+            read = {signal for part in (plan.poll, plan.turns) for exchange in part for signal in exchange.reads}
+            assert read >= {"position", "status"}
+            assert {s for part in (plan.poll, plan.push) for e in part for s in e.writes} == set(mode.commands)
+        for steps in description.sequences.values():
+            for step in steps:
+                image.values.update(step.write)
+                assert line.write("a", tuple(step.write)).encode()
+
+    def test_families(self) -> None:
+        assert set(ready(DESCRIPTIONS)) >= {"kinco_fd5p", "ezmotion_mms7", "nanotec_n5", "generic_cia402"}
+
+    def test_unknown_name(self) -> None:
+        with pytest.raises(UsageError, match="kinco_fd5p"):
+            load_description("kinco", None, DESCRIPTIONS, ModbusDescription)
+
+    def test_velocity_of_kinco_is_that_of_its_manual(self) -> None:
+        # "4E 82 00 1B": 1789570 is 100 rpm with 65536 counts a revolution
+        signal = load_description("kinco_fd5p", None, DESCRIPTIONS, ModbusDescription).signals["velocity"]
+        assert 1789570 * signal.scale / 65536 * 60 == pytest.approx(100.0, rel=1e-6)
+
+
+class TestPlan:
+    def test_contiguous_signals_are_read_together_and_commands_written_together(self) -> None:
+        poll, turns, push = told(planned(described(), CSP))
+        assert poll == ["read 6 registers at 0010h"]
+        assert turns == ["read 1 register at 0018h"]
+        assert push == ["write 3 registers at 0030h"]
+
+    def test_unused_registers_are_read_over_where_the_drive_does_not_mind(self) -> None:
+        poll, turns, _ = told(planned(described(max_gap_registers=2)))
+        assert poll == ["read 9 registers at 0010h"]
+        assert turns == []
+        assert told(planned(described(max_gap_registers=1)))[1] == ["read 1 register at 0018h"]
+
+    def test_what_is_slow_may_join_what_is_fast(self) -> None:
+        changed = {"velocity": {"address": 0x15, "type": "int32", "unit": "count/s"}, "error": {"address": 0x14}}
+        poll, turns, _ = told(planned(described(changed)))
+        assert (poll, turns) == (["read 7 registers at 0010h"], [])
+
+    def test_what_is_slow_does_not_cost_a_poll(self) -> None:
+        poll, turns, _ = told(planned(described(max_read_registers=4)))
+        assert poll == ["read 4 registers at 0012h"]
+        assert turns == ["read 2 registers at 0010h", "read 1 register at 0018h"]
+
+    def test_function_23_writes_while_it_reads(self) -> None:
+        plan = planned(described(read_write_multiple=True), CSP)
+        assert told(plan)[0] == ["write 3 registers at 0030h and read 6 registers at 0010h"]
+        assert not plan.push
+        assert plan.poll[0].writes == CSP
+
+    def test_function_23_is_for_holding_registers(self) -> None:
+        inputs = {name: SIGNALS[name] | {"function": "input"} for name in (*FAST, *SLOW)}
+        poll, _, push = told(planned(described(inputs, read_write_multiple=True)))
+        assert poll == ["read 6 input registers at 0010h"]
+        assert push == ["write 1 register at 0030h"]
+        inputs.pop("position")
+        poll, _, push = told(planned(described(inputs, read_write_multiple=True)))
+        assert poll[0] == "write 1 register at 0030h and read 2 registers at 0012h"
+        assert all(part.startswith("read") for part in poll[1:])
+        assert not push
+
+    def test_listening_writes_nothing(self) -> None:
+        plan = planned(described(read_write_multiple=True), ())
+        assert told(plan) == [["read 6 registers at 0010h"], ["read 1 register at 0018h"], []]
+
+    def test_aligned_access(self) -> None:
+        changed = {
+            "position_command": {"address": 0x34, "type": "int32", "unit": "count"},
+            "torque": {"address": 0x17, "unit": "N m"},
+        }
+        line, image = on_line(described(changed, alignment=2, write_functions=[16]))
+        image.values.update(torque_command=5.0)
+        request = line.write("a", ("torque_command",))
+        assert request.encode()[:-2] == bytes.fromhex("01 10 00 30 00 02 04 00 05 00 00")
+        assert line.read("a", ("torque",)).what == "read 2 registers at 0016h of unit 1"
+
+    def test_signals_far_apart_need_several_requests(self) -> None:
+        line, _ = on_line(described())
+        with pytest.raises(ValueError, match=r"one request cannot read status, error: .*0010h; .*0018h"):
+            line.read("a", ("status", "error"))
+        with pytest.raises(ValueError, match="one request cannot write"):
+            line.write("a", ("control", "torque_command"))
+
+    def test_silence(self) -> None:
+        assert on_line(described())[0].silence_chars == 3.5
+        # ten bits at 9600 baud take 1.04 ms
+        assert on_line(described(silence_s=0.01), baud=9600)[0].silence_chars == pytest.approx(9.6)
+        assert on_line(described(silence_s=0.01), port="tcp://localhost:502")[0].silence_chars == 0.0
+
+
+def slave(memory: dict[int, int]) -> Callable[[bytes], bytes]:
+    """Answer functions 3, 6, 16 and 23 from registers of memory, in the plainest way; CRCs are left out."""
+
+    def answer(frame: bytes) -> bytes:
+        unit, function, address, count = struct.unpack_from(">BBHH", frame)
+        if function in (6, 16):
+            words = [count] if function == 6 else struct.unpack_from(f">{count}H", frame, 7)
+            memory.update(enumerate(words, address))
+            return frame[:6]
+        if function == 23:
+            to, written = struct.unpack_from(">HH", frame, 6)
+            memory.update(enumerate(struct.unpack_from(f">{written}H", frame, 11), to))
+        words = [memory.get(address + k, 0xDEAD) for k in range(count)]
+        return struct.pack(f">BBB{count}H", unit, function, 2 * count, *words)
+
+    return answer
+
+
+def crc(frame: bytes) -> bytes:
+    value = 0xFFFF
+    for byte in frame:
+        value ^= byte
+        for _ in range(8):
+            value = (value >> 1) ^ 0xA001 if value & 1 else value >> 1
+    return frame + struct.pack("<H", value)
+
+
+def exchange(request: Request, memory: dict[int, int], most: int) -> None:
+    sent = request.encode()
+    assert len(sent) == request.request_size
+    assert crc(sent[:-2]) == sent
+    counts = [1 if sent[1] == 6 else int.from_bytes(sent[4:6], "big")]
+    counts += [int.from_bytes(sent[8:10], "big")] if sent[1] == 23 else []
+    assert max(counts) <= most
+    reply = bytearray(crc(slave(memory)(sent)))
+    assert len(reply) == request.reply_size
+    assert request.take(reply)
+    assert not reply
+
+
+@st.composite
+def maps(draw: st.DrawFn) -> ModbusDescription:
+    """Signals anywhere near each other in a random order, with room between them or none."""
+    widths = {"int16": 1, "uint16": 1, "int32": 2, "uint32": 2}
+    changed: dict[str, object] = {}
+    address = draw(st.integers(0, 0x40))
+    for name in draw(st.permutations(list(SIGNALS))):
+        kind = draw(st.sampled_from(list(widths)))
+        signal = {"address": address, "type": kind, "byte_order": draw(st.sampled_from(["big", "little"]))}
+        changed[name] = signal | {"unit": SIGNALS[name].get("unit", "")}
+        address += widths[kind] + draw(st.integers(0, 4))
+    most = draw(st.integers(2, 12))
+    return described(
+        changed,
+        word_order=draw(st.sampled_from(["big", "little"])),
+        max_gap_registers=draw(st.integers(0, 5)),
+        max_read_registers=most,
+        max_write_registers=most,
+        read_write_multiple=draw(st.booleans()),
+        modes={"csp": {"commands": CSP}},
+    )
+
+
+@settings(deadline=None)
+@given(description=maps(), seed=st.integers(0, 2**32 - 1))
+def test_a_planned_cycle_moves_the_same_numbers_as_single_requests(description: ModbusDescription, seed: int) -> None:
+    line, image = on_line(description)
+    most = description.max_read_registers
+    random = Random(seed)
+    memory = {address: random.randrange(0x10000) for address in range(0x100)}
+    needed = (*FAST, *SLOW)
+    single: dict[str, float] = {}
+    for name in needed:
+        exchange(line.read("a", (name,)), memory, most)
+        single[name] = image.values[name]
+    image.values.clear()
+    plan = line.plan({"a": Wanted(FAST, SLOW, CSP)})
+    commands = {name: float(random.randrange(2**15)) for name in CSP}
+    image.values.update(commands)
+    before = dict(memory)
+    for request in (*plan.poll, *plan.turns, *plan.push):
+        assert isinstance(request, Request)
+        exchange(request, memory, most)
+    assert image.values == single | commands
+    polled = [name for request in plan.poll for name in request.reads]
+    assert set(polled) >= set(FAST)
+    assert len(polled) == len(set(polled))
+    touched = {address for address in memory if memory[address] != before[address]}
+    places = [description.place(name) for name in CSP]
+    assert touched <= {address for place in places for address in range(place.address, place.end)}
+    for name in CSP:
+        exchange(line.read("a", (name,)), memory, most)
+        assert image.values[name] == commands[name]
+
+
+@settings(deadline=None)
+@given(description=maps())
+def test_a_plan_has_no_more_requests_than_single_ones(description: ModbusDescription) -> None:
+    plan = planned(description, CSP)
+    assert len(plan.poll) + len(plan.push) <= len(FAST) + len(CSP)
+    alone = description.model_copy(update={"max_read_registers": 125, "max_gap_registers": 120})
+    assert len(planned(alone).turns) == 0

@@ -1,0 +1,396 @@
+"""A simulated serial drive behind its signals: device control, commands, watchdog, units."""
+
+import math
+from typing import Any
+
+import pytest
+from friction_hil_drivers.canopen import profile
+from friction_hil_drivers.serial_line.sequences import Sequencer, state_of
+from friction_hil_drivers.serial_line.simulated import RefusedError, SimulatedDrive
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from friction_hil.drive import DriveState, Mode, Request
+from friction_hil.errors import UsageError
+from friction_hil.servo.config import ServoConfig
+from friction_hil.servo.servo import Servo
+from tests.serial_bench import CIA402, COUNTS, FRICTION, INERTIA, OWN, PLAIN, RATED, make_drive
+
+DISABLED, ENABLED = DriveState.SWITCH_ON_DISABLED, DriveState.OPERATION_ENABLED
+READY, ON = DriveState.READY_TO_SWITCH_ON, DriveState.SWITCHED_ON
+STOPPING, FAULT = DriveState.QUICK_STOP_ACTIVE, DriveState.FAULT
+
+
+def told(drive: SimulatedDrive) -> DriveState:
+    """State as the driver understands the drive's numbers."""
+    return state_of(drive.description, {name: drive.read(name) for name in drive.description.units()})
+
+
+def sample(drive: SimulatedDrive, count: int = 1) -> None:
+    for _ in range(count):
+        drive.sample()
+
+
+def enable(drive: SimulatedDrive) -> None:
+    if drive.description.state_machine == "cia402":
+        for word in (0x06, 0x07, 0x0F):
+            drive.write("control", word)
+    else:
+        for name, number in (("request", 2), ("key", 1), ("request", 3)):
+            drive.write(name, number)
+    assert told(drive) is ENABLED
+
+
+# Device control of CiA 402
+
+
+def test_the_way_up_and_down() -> None:
+    drive = make_drive()
+    states = []
+    for word in (0x07, 0x0F, 0x06, 0x07, 0x0F, 0x07, 0x06, 0x00):
+        drive.write("control", word)
+        states.append(told(drive))
+    assert states == [DISABLED, DISABLED, READY, ON, ENABLED, ON, READY, DISABLED]
+
+
+def test_a_fault_is_reset_by_a_rising_edge_alone() -> None:
+    drive = make_drive()
+    drive.write("control", 0x80)
+    drive.fail()
+    assert (told(drive), drive.read("error")) == (FAULT, 42)  # what its description calls a lost communication
+    for word in (0x80, 0x0F, 0x06, 0x00):
+        drive.write("control", word)
+        assert told(drive) is FAULT
+    drive.write("control", 0x8F)
+    assert (told(drive), drive.read("error")) == (DISABLED, 0)
+
+
+def test_quick_stop_comes_to_rest_and_then_ends_in_switch_on_disabled() -> None:
+    drive = make_drive(mode=Mode.CSV)
+    enable(drive)
+    for _ in range(200):
+        drive.write("velocity_command", 5.0 * COUNTS)
+        drive.write("torque_command", 0)
+        sample(drive)
+    assert drive.servo.true_velocity == pytest.approx(5.0, rel=0.05)
+    drive.write("control", 0x02)
+    assert told(drive) is STOPPING
+    sample(drive)
+    assert told(drive) is STOPPING  # half the rated torque takes 3 ms
+    drive.write("control", 0x0F)
+    assert told(drive) is STOPPING
+    sample(drive, 700)
+    assert told(drive) is DISABLED
+    assert abs(drive.servo.true_velocity) < 0.05
+
+
+# Device control by a description's own words
+
+
+def test_steps_act_once_all_their_values_are_there_and_in_their_turn() -> None:
+    drive = make_drive(OWN)
+    assert told(drive) is DISABLED
+    drive.write("key", 1)
+    drive.write("request", 3)  # the second step before the first
+    assert told(drive) is DISABLED
+    drive.write("request", 2)
+    assert told(drive) is ON
+    drive.write("request", 3)
+    assert told(drive) is ENABLED
+    drive.write("request", 1)
+    assert told(drive) is DISABLED
+
+
+def test_a_fault_is_left_by_its_own_steps_alone() -> None:
+    drive = make_drive(OWN)
+    enable(drive)
+    drive.fail()
+    for number in (2, 3, 1, 5, 0):  # the last is the second step of the reset without the first
+        drive.write("request", number)
+        assert (told(drive), drive.read("error")) == (FAULT, 4)
+    drive.write("request", 9)
+    assert told(drive) is FAULT
+    drive.write("request", 0)
+    assert (told(drive), drive.read("error")) == (DISABLED, 0)
+    drive.fail()
+    drive.write("request", 0)  # what was done about the last fault does not help against this one
+    assert told(drive) is FAULT
+
+
+def test_own_quick_stop_repeated_each_cycle_still_ramps() -> None:
+    drive = make_drive(OWN)
+    enable(drive)
+    for _ in range(20):
+        drive.write("torque_command", 0.1)
+        sample(drive)
+    speed = drive.servo.true_velocity
+    assert speed > 1.0
+    for _ in range(3):
+        drive.write("request", 5)
+        sample(drive)
+        assert told(drive) is STOPPING
+    assert 0.0 < drive.servo.true_velocity < speed - 0.5  # without power 0.15 would be lost
+    sample(drive, 700)
+    assert told(drive) is DISABLED
+
+
+def test_a_state_that_no_number_tells_is_a_mistake_of_the_description() -> None:
+    states = [rule for rule in OWN["states"] if rule["state"] != "switched_on"]
+    with pytest.raises(UsageError, match=r"tiny own.*switched_on.*no numbers"):
+        make_drive({**OWN, "states": states})
+
+
+NUMBERS = {
+    "cia402": [("control", word) for word in (0x00, 0x02, 0x06, 0x07, 0x0F, 0x80, 0x8F)] + [("torque_command", 100.0)],
+    "own": [("request", n) for n in (0, 1, 2, 3, 5, 9)] + [("key", 1.0), ("torque_command", 0.1), ("lifetime", 0.005)],
+}
+EVENTS = st.lists(st.integers(0, 12), max_size=40)
+
+
+@pytest.mark.parametrize("kind", ["cia402", "own"])
+@settings(max_examples=60, deadline=None)
+@given(events=EVENTS)
+def test_whatever_is_written_the_numbers_tell_the_state_and_torque_needs_power(kind: str, events: list[int]) -> None:
+    drive = make_drive(CIA402 if kind == "cia402" else OWN)
+    numbers = NUMBERS[kind]
+    for event in events:
+        before = drive.state
+        if event < len(numbers):
+            drive.write(*numbers[event])
+        elif event == 11:
+            drive.fail()
+        else:
+            sample(drive, 3)
+        assert told(drive) is drive.state
+        if not drive.state.is_powered:
+            assert drive.servo.torque_demand == 0.0 or event < len(numbers) or event == 11
+        assert not (before is FAULT and drive.state is ENABLED)
+    sample(drive)
+    if not drive.state.is_powered:
+        assert drive.servo.torque_demand == 0.0
+    # from wherever it is, the driver's own way leads to an enabled drive
+    sequencer, cycles = Sequencer(drive.description), 0
+    for request in (Request.RESET_FAULT, Request.DISABLE, Request.ENABLE):
+        for _ in range(700):
+            cycles += 1
+            for name, number in sequencer.next_write(request, told(drive), cycles * 1e-3).items():
+                drive.write(name, number)
+            sequencer.acknowledge()
+            drive.fed()
+            sample(drive)
+    assert told(drive) is ENABLED
+
+
+# Commands
+
+
+def test_torque_is_the_whole_of_it_in_cst() -> None:
+    drive = make_drive()
+    drive.write("torque_command", 250)
+    enable(drive)
+    sample(drive)
+    assert drive.servo.torque_demand == 0.0  # what came before counts no more
+    drive.write("torque_command", 100)
+    sample(drive, 10)
+    assert drive.servo.torque_demand == pytest.approx(0.1 * RATED)
+    assert drive.read("torque") == pytest.approx(100, abs=1e-6)
+    assert drive.read("velocity") == pytest.approx(drive.servo.velocity * COUNTS)
+    assert drive.servo.true_velocity == pytest.approx(10e-3 * (0.1 * RATED - FRICTION) / INERTIA, rel=0.1)
+
+
+def test_torque_is_an_offset_in_csp_and_commands_may_come_one_by_one() -> None:
+    apart, together = make_drive(mode=Mode.CSP), Servo(ServoConfig.model_validate(PLAIN))
+    enable(apart)
+    together.command(Mode.CSP, 0.0)
+    for k in range(50):
+        position = 1e-4 * k * k
+        apart.write("position_command", position * COUNTS)
+        apart.write("torque_command", 30)
+        together.command(Mode.CSP, position, 0.0, 0.030 * RATED)
+        sample(apart)
+        together.advance(80)
+    assert apart.servo.true_position == pytest.approx(together.true_position, abs=1e-9)
+    assert apart.servo.true_position == pytest.approx(1e-4 * 48**2, abs=0.02)
+
+
+def test_a_master_that_leaves_a_command_out_is_obeyed_one_write_later() -> None:
+    drive = make_drive(mode=Mode.CSV)
+    enable(drive)
+    for _ in range(300):
+        drive.write("velocity_command", 2.0 * COUNTS)
+        sample(drive)
+    assert drive.servo.true_velocity == pytest.approx(2.0, rel=0.05)
+
+
+def test_what_cannot_be_written_is_refused_in_words() -> None:
+    drive = make_drive()
+    for name, number, text in (
+        ("position", 0.0, "position cannot be written"),
+        ("nonsense", 0.0, "nonsense cannot be written"),
+        ("mode", 3.0, "mode cannot be 3; it takes"),
+        ("torque_command", math.nan, "torque_command cannot be nan"),
+        ("lifetime", -1.0, "lifetime cannot be -1"),
+    ):
+        with pytest.raises(RefusedError, match=text):
+            drive.write(name, number)
+    drive.write("mode", 9)
+    assert drive.read("mode") == 9
+
+
+def test_a_mode_that_the_description_lacks_is_refused() -> None:
+    with pytest.raises(UsageError, match=r"x: tiny own has no mode csp; it has cst"):
+        make_drive(OWN, Mode.CSP)
+
+
+# Watchdog and supply
+
+
+def enabled_with_watchdog() -> SimulatedDrive:
+    drive = make_drive()
+    drive.write("lifetime", 20)  # ms
+    drive.write("lifetime_on", 1)
+    enable(drive)
+    return drive
+
+
+def test_silence_ends_the_torque_and_is_a_fault() -> None:
+    drive = enabled_with_watchdog()
+    for _ in range(5):
+        drive.write("torque_command", 100)
+        sample(drive, 19)
+        assert told(drive) is ENABLED
+    sample(drive)
+    assert (told(drive), drive.read("error")) == (FAULT, 42)
+    sample(drive, 10)
+    assert drive.servo.torque_demand == 0.0
+    assert abs(drive.servo.torque) < 1e-6
+    drive.write("torque_command", 100)
+    sample(drive)
+    assert drive.servo.torque_demand == 0.0
+
+
+def test_silence_is_measured_within_a_period() -> None:
+    drive = make_drive(is_synchronous=False)
+    drive.write("lifetime", 20)
+    drive.write("lifetime_on", 1)
+    enable(drive)
+    drive.write("torque_command", 100)
+    drive.advance_to(19_900_000)
+    assert told(drive) is ENABLED
+    drive.advance_to(500_000_000)
+    assert told(drive) is FAULT
+    # all that time but 20 ms it coasted: the Coulomb friction needs 20 (0.064 - 0.01) / 0.01 = 108 ms to stop it
+    assert drive.servo.true_velocity == 0.0
+
+
+def test_a_drive_that_counts_requests_is_fed_by_them() -> None:
+    drive = enabled_with_watchdog()
+    for _ in range(5):
+        sample(drive, 19)
+        drive.fed()
+    assert told(drive) is ENABLED
+
+
+@pytest.mark.parametrize("off", [("lifetime", 0.0), ("lifetime_on", None)])
+def test_the_watchdog_needs_its_time_and_its_switch(off: tuple[str, float | None]) -> None:
+    drive = make_drive()
+    for name, number in (("lifetime", 20.0), ("lifetime_on", 1.0)):
+        if name != off[0]:
+            drive.write(name, number)
+        elif off[1] is not None:
+            drive.write(name, off[1])
+    enable(drive)
+    sample(drive, 100)
+    assert told(drive) is ENABLED
+
+
+def test_disabled_drives_do_not_mind_silence() -> None:
+    drive = make_drive(OWN)
+    drive.write("lifetime", 0.02)
+    sample(drive, 100)
+    assert told(drive) is DISABLED
+    enable(drive)  # which feeds it
+    sample(drive, 19)
+    assert told(drive) is ENABLED
+
+
+def test_without_supply_nothing_is_taken_and_then_all_is_as_at_first() -> None:
+    drive = enabled_with_watchdog()
+    drive.write("torque_command", 200)
+    sample(drive, 10)
+    position, speed = drive.servo.true_position, drive.servo.true_velocity
+    drive.switch_off()
+    drive.write("control", 0x06)
+    sample(drive)
+    assert drive.servo.torque_demand == 0.0
+    assert drive.servo.true_position > position  # mechanics goes on
+    assert drive.servo.true_velocity < speed + 1.0
+    drive.switch_on()
+    assert (told(drive), drive.read("control"), drive.read("lifetime")) == (DISABLED, 0, 0)
+    enable(drive)
+    sample(drive, 100)
+    assert told(drive) is ENABLED  # the watchdog is off
+
+
+def test_a_drive_without_supply_cannot_be_enabled() -> None:
+    drive = make_drive(OWN)
+    drive.switch_off()
+    for name, number in (("request", 2), ("key", 1), ("request", 3), ("torque_command", 0.1)):
+        drive.write(name, number)
+        sample(drive)
+    assert drive.state is DriveState.NOT_READY
+    assert drive.servo.torque_demand == 0.0
+
+
+# Units and time
+
+
+@settings(max_examples=30, deadline=None)
+@given(counts=st.floats(1.0, 1e6), rated=st.floats(0.01, 10.0))
+def test_units_that_the_axis_gives_go_before_the_servo_s(counts: float, rated: float) -> None:
+    drive = make_drive(counts_per_unit=counts, rated_torque=rated)
+    enable(drive)
+    drive.write("torque_command", 0.2 / rated * 1000.0)
+    sample(drive, 5)
+    assert drive.servo.torque_demand == pytest.approx(0.2)
+    assert drive.read("torque") == pytest.approx(drive.servo.torque / rated * 1000.0)
+    assert drive.read("position") == pytest.approx(drive.servo.position * counts)
+    assert drive.read("velocity") == pytest.approx(drive.servo.velocity * counts)
+
+
+def test_scale_and_unit_of_a_signal() -> None:
+    drive = make_drive(OWN)
+    enable(drive)
+    drive.write("torque_command", 0.1)
+    sample(drive, 30)
+    assert drive.read("position") * 2.0 * math.pi == pytest.approx(drive.servo.position)
+    assert drive.servo.position > 0.1
+
+
+def test_a_unit_that_nobody_explains_is_a_mistake() -> None:
+    description: dict[str, Any] = {**CIA402, "signals": {**CIA402["signals"], "torque": {"unit": "A"}}}
+    with pytest.raises(UsageError, match=r"x: tiny 402 has its torque in A: torque_constant must be given"):
+        make_drive(description)
+    assert make_drive(description, torque_constant=0.1).read("torque") == 0.0
+
+
+def test_time_passes_by_samples_or_by_the_clock() -> None:
+    drive = make_drive()
+    drive.advance_to(10**9)
+    assert drive.time_s == 0.0
+    sample(drive, 3)
+    assert drive.time_s == pytest.approx(3e-3)
+    drive = make_drive(is_synchronous=False)
+    drive.sample()
+    assert drive.time_s == 0.0
+    drive.advance_to(2_000_000)
+    drive.advance_to(1_000_000)
+    assert drive.time_s == pytest.approx(2e-3)
+
+
+def test_the_statusword_of_each_state_is_the_profile_s() -> None:
+    drive = make_drive()
+    for state in DriveState:
+        if state is not DriveState.UNKNOWN:
+            drive.state = state
+            assert profile.drive_state(int(drive.read("status"))) is state

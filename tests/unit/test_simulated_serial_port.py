@@ -1,0 +1,200 @@
+"""Where masters find simulated drives: a link to a pseudo-terminal, or a TCP port."""
+
+import os
+import select
+import socket
+import termios
+import tty
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from friction_hil_drivers.serial_line.options import LineOptions
+from friction_hil_drivers.serial_line.simulated.port import Port, PtyPort, TcpPort, open_port
+
+from friction_hil.errors import BusError, UsageError
+from tests.serial_bench import LONG_S, Master
+
+
+def heard(port: Port) -> bytes | None:
+    """What comes next, once it has come."""
+    assert select.select(port.descriptors, [], [], LONG_S)[0]
+    return port.read()
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "line"
+
+
+def test_bytes_pass_both_ways_as_they_are(path: Path) -> None:
+    port, master = PtyPort(path), Master(path)
+    everything = bytes(range(256))
+    master.send(everything)
+    received = b""
+    while len(received) < 256:
+        received += heard(port) or b""
+    assert received == everything
+    assert port.read() == b""
+    port.write(everything)
+    assert master.receive(256) == everything
+    master.close()
+    port.close()
+
+
+def test_masters_come_and_go(path: Path) -> None:
+    port = PtyPort(path)
+    for _ in range(2):
+        master = Master(path)
+        tty.setcbreak(os.open(path, os.O_RDWR | os.O_NOCTTY), termios.TCSANOW)
+        master.send(b"a\n")
+        assert heard(port) == b"a\n"
+        master.close()
+        assert port.read() == b""
+    port.close()
+
+
+def test_nobody_reads_and_nothing_blocks(path: Path) -> None:
+    port = PtyPort(path)
+    for _ in range(100):
+        port.write(bytes(1000))
+    port.close()
+
+
+def test_the_link_is_told_and_removed(path: Path) -> None:
+    port = PtyPort(path)
+    assert port.where == f"{path} (pseudo-terminal {os.readlink(path)})"
+    port.close()
+    port.close()
+    assert not os.path.lexists(path)
+
+
+@pytest.mark.parametrize("target", ["/dev/pts/99999", "nowhere"])
+def test_a_link_left_behind_is_replaced(path: Path, target: str) -> None:
+    path.symlink_to(target)
+    port = PtyPort(path)
+    assert os.readlink(path) != target
+    port.close()
+
+
+def test_a_link_left_behind_may_lead_to_a_terminal_of_somebody_else_by_now(path: Path) -> None:
+    master, slave = os.openpty()
+    path.symlink_to(os.ttyname(slave))
+    port = PtyPort(path)
+    assert os.readlink(path) != os.ttyname(slave)
+    port.close()
+    os.close(master)
+    os.close(slave)
+
+
+@pytest.mark.parametrize("kind", ["file", "directory", "link to a file", "device"])
+def test_what_is_no_such_link_stays(path: Path, kind: str) -> None:
+    if kind == "file":
+        path.write_text("precious")
+    elif kind == "directory":
+        path.mkdir()
+    elif kind == "link to a file":
+        (path.parent / "precious").write_text("precious")
+        path.symlink_to("precious")
+    else:
+        path = Path("/dev/null")
+    before = os.lstat(path)
+    with pytest.raises(BusError, match=r"exists and is not replaced"):
+        PtyPort(path)
+    assert os.path.samestat(os.lstat(path), before)
+
+
+def test_two_simulations_cannot_share_a_link(path: Path) -> None:
+    first = PtyPort(path)
+    target = os.readlink(path)
+    with pytest.raises(BusError, match="another process simulates drives there"):
+        PtyPort(path.parent / "." / path.name)
+    assert os.readlink(path) == target
+    first.close()
+    PtyPort(path).close()
+
+
+def test_a_link_that_became_another_s_is_not_removed(path: Path) -> None:
+    port = PtyPort(path)
+    path.unlink()
+    path.write_text("precious")
+    port.close()
+    assert path.read_text() == "precious"
+
+
+def test_a_link_that_cannot_be_made_is_told(tmp_path: Path) -> None:
+    with pytest.raises(BusError, match=r"missing/line cannot be linked.*No such file"):
+        PtyPort(tmp_path / "missing" / "line")
+    (tmp_path / "missing").mkdir()
+    PtyPort(tmp_path / "missing" / "line").close()  # nothing of the failure is left
+
+
+# TCP
+
+
+@pytest.fixture
+def address() -> str:
+    with socket.socket() as probe:
+        probe.bind(("127.0.0.1", 0))
+        return f"tcp://127.0.0.1:{probe.getsockname()[1]}"
+
+
+@pytest.fixture
+def tcp(address: str) -> Iterator[TcpPort]:
+    port = open_port(LineOptions(port=address))
+    assert isinstance(port, TcpPort)
+    yield port
+    port.close()
+
+
+def connect(port: TcpPort) -> socket.socket:
+    number = int(port.where.rsplit(":")[-1])
+    client = socket.create_connection(("127.0.0.1", number), LONG_S)
+    assert heard(port) == b""
+    return client
+
+
+def test_tcp_passes_bytes_and_masters_come_and_go(tcp: TcpPort) -> None:
+    tcp.write(b"nobody hears this")
+    for _ in range(3):
+        with connect(tcp) as client:
+            client.sendall(b"hello")
+            assert heard(tcp) == b"hello"
+            tcp.write(b"you")
+            assert client.recv(10) == b"you"
+            client.sendall(b"half a req")
+        assert heard(tcp) is None  # what it left half-said is void
+        tcp.write(b"nobody hears this")
+
+
+def test_tcp_serves_one_master_at_a_time(tcp: TcpPort) -> None:
+    with connect(tcp) as first:
+        with connect(tcp) as second:
+            second.settimeout(LONG_S)
+            assert second.recv(1) == b""  # sent away
+        first.sendall(b"still here")
+        assert heard(tcp) == b"still here"
+
+
+def test_tcp_takes_the_next_master_in_the_moment_the_last_one_goes(tcp: TcpPort) -> None:
+    first = connect(tcp)
+    first.close()
+    number = int(tcp.where.rsplit(":")[-1])
+    with socket.create_connection(("127.0.0.1", number), LONG_S) as second:
+        assert heard(tcp) is None
+        second.sendall(b"next")
+        answer = heard(tcp)
+        while answer == b"":
+            answer = heard(tcp)
+        assert answer == b"next"
+
+
+def test_a_port_in_use_is_told(tcp: TcpPort) -> None:
+    with pytest.raises(BusError, match=r"tcp://127\.0\.0\.1:\d+.*in use"):
+        TcpPort(tcp.where)
+
+
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:0", "tcp://127.0.0.1", "tcp://:5020", "tcp://127.0.0.1:66000"])
+def test_what_is_no_address_is_refused(address: str) -> None:
+    with pytest.raises(UsageError, match="tcp://"):
+        TcpPort(address)
