@@ -4,7 +4,7 @@ import math
 
 import pytest
 from friction_hil_drivers.serial_line.axis import SerialAxis, make_scales
-from friction_hil_drivers.serial_line.description import Description, Signal
+from friction_hil_drivers.serial_line.description import Description, Signal, Step
 from friction_hil_drivers.serial_line.protocol import Image
 from friction_hil_drivers.serial_line.units import AxisUnits
 from hypothesis import given
@@ -14,7 +14,6 @@ from pydantic import ValidationError
 from friction_hil.drive import Command, DriveState, Feedback, Request
 from friction_hil.errors import UsageError
 
-PERIOD_S = 1e-3
 UNITS = AxisUnits(counts_per_unit=1000.0, rated_torque=0.5, torque_constant=0.1)
 ENABLED, FAULT, DISABLED = DriveState.OPERATION_ENABLED, DriveState.FAULT, DriveState.SWITCH_ON_DISABLED
 
@@ -76,11 +75,11 @@ CIA402 = {
 }
 
 
-def make(data=OWN, *, is_inverted=False, units=UNITS, kind="rotary"):
+def make(data=OWN, *, is_inverted=False, units=UNITS, kind="rotary", watchdog=()):
     description = Bench.model_validate(data)
     scales = make_scales("x", description, units, kind=kind, is_inverted=is_inverted)
     image = Image()
-    return SerialAxis("x", description, scales, image, ("torque_command",), PERIOD_S), image
+    return SerialAxis("x", description, scales, image, ("torque_command",), watchdog), image
 
 
 def hear(axis, image, time_s=0.0, trouble="", **values):
@@ -217,6 +216,18 @@ def test_a_drive_that_does_not_follow_is_an_error_after_the_steps_time():
         "the drive does not follow: power = 1 should lead to operation enabled within 0.5 s; "
         "it is in switch on disabled"
     )
+
+
+@pytest.mark.parametrize("data", [OWN, CIA402], ids=["own", "cia402"])
+def test_the_watchdog_is_armed_before_each_enabling(data):
+    """A drive that restarted, or whose fault was reset, has it switched off."""
+    axis, image = make(data, watchdog=[Step(write={"reset": 50} if data is OWN else {"control": 50})])
+    hear(axis, image, position=0, velocity=0, status=0x40, error=0)
+    for _ in range(2):
+        assert set(write(axis, Request.ENABLE).values()) == {50.0}
+        axis.sequencer.acknowledge()
+        assert write(axis, Request.ENABLE) == ({"power": 2.0} if data is OWN else {"control": 0x06})
+        write(axis, Request.DISABLE)
 
 
 def test_quick_stop_is_disable_where_the_description_has_none():

@@ -126,6 +126,23 @@ def test_a_reply_that_never_comes_is_waited_for_no_longer_than_its_limit():
     assert "no reply in time" in bench.talk.trouble
 
 
+def test_what_could_not_be_answered_in_this_cycle_is_not_asked():
+    """Else its reply came late, the next cycle began with waiting for it, and so did all after that."""
+    bench = Bench(**{"position?": b"12;"})
+    needed_ms = (len("position?") + 8 + SILENCE_CHARS) * CHARACTER_MS
+    bench.talk.limit_ns = bench.time.ns + round((needed_ms - 0.01) * MS)
+    bench.ask()
+    bench.talk.step()
+    assert bench.line.sent == []
+    assert (bench.talk.is_finished, bench.talk.lost) == (True, 1)
+    assert "no time was left" in bench.talk.trouble
+    bench.talk.give_up()
+    bench.talk.limit_ns = bench.time.ns + round((needed_ms + 0.01) * MS)
+    bench.ask()
+    bench.go(0.3)
+    assert bench.image.values["position"] == 12.0
+
+
 @given(st.binary(max_size=30))
 def test_noise_before_a_request_is_dropped_and_counted(noise):
     bench = Bench(**{"position?": b"12;"})

@@ -5,16 +5,19 @@ The drives run in a thread and are paced by the driver's requests, so that nothi
 
 import socket
 import threading
+import time
 
 import pytest
 from friction_hil_drivers.ascii.drives import AsciiDrives
 from friction_hil_drivers.ascii.simulated_drives import SimulatedAsciiDrives
+from friction_hil_drivers.dynamixel.drives import DynamixelDrives
+from friction_hil_drivers.dynamixel.simulated_drives import SimulatedDynamixelDrives
 from friction_hil_drivers.modbus.drives import ModbusDrives
 from friction_hil_drivers.modbus.simulated_drives import SimulatedModbusDrives
 from friction_hil_drivers.serial_line import drives
 
 from friction_hil.drive import Command, DriveState, Feedback, Request
-from friction_hil.errors import BusError, DriveError, UsageError
+from friction_hil.errors import DriveError
 from friction_hil.realtime import SteppedClock
 from tests.servo_drives import axis_dict, configuration
 
@@ -24,12 +27,14 @@ CONTROLLER = {"position_gain": 1.0, "velocity_gain": 0.1}
 PROTOCOLS = {
     "modbus": (ModbusDrives, SimulatedModbusDrives),
     "ascii": (AsciiDrives, SimulatedAsciiDrives),
+    "dynamixel": (DynamixelDrives, SimulatedDynamixelDrives),
 }
 BY_REGISTERS = {"driver": "modbus", "unit": 3, "counts_per_unit": COUNTS, "rated_torque": 0.64}
 KINDS = {
     "rtu": {**BY_REGISTERS, "description": "kinco_fd5p", "torque_constant": 0.1},
     "rtu, function 23": {**BY_REGISTERS, "description": "generic_cia402"},
     "tcp": {**BY_REGISTERS, "description": "generic_cia402"},
+    "dynamixel": {"driver": "dynamixel", "description": "xl330", "id": 1, "torque_constant": 0.2},
     "odrive": {"driver": "ascii", "description": "odrive", "torque_constant": 0.1},
 }
 FAST_LINE = {"baud": 4_000_000, "reply_limit_s": 0.05}
@@ -78,7 +83,8 @@ class Bench:
     def cycle(self, request, torque=0.0, count=1):
         for _ in range(count):
             self.clock.sleep_until(self.clock.now_ns() + 1_000_000)
-            self.drives.receive([self.feedback], self.clock.now_ns() + 1_000_000)
+            end_ns = time.monotonic_ns() + 100_000_000 if self.clock.is_real else self.clock.now_ns() + 1_000_000
+            self.drives.receive([self.feedback], end_ns)
             self.command.request, self.command.torque = request, torque
             self.drives.send([self.command])
 

@@ -133,10 +133,10 @@ class TimedDrives(CanopenDrives):
 
     receive_ns = send_ns = 0
 
-    def receive(self, feedback: Sequence[Feedback], deadline_ns: int) -> None:
+    def receive(self, feedback: Sequence[Feedback], end_ns: int) -> None:
         """SYNC, TPDOs, decoding."""
         began = time.perf_counter_ns()
-        super().receive(feedback, deadline_ns)
+        super().receive(feedback, end_ns)
         self.receive_ns = time.perf_counter_ns() - began
 
     def send(self, commands: Sequence[Command]) -> None:

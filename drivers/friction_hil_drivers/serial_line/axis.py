@@ -1,14 +1,14 @@
 """One drive in the cyclic phase: its process image read as feedback, commands put into it. No line, no clock."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from friction_hil.drive import Command, DriveState, Feedback, Request
 from friction_hil.errors import UsageError
 from friction_hil.velocity import unwrap
 from friction_hil_drivers.canopen import profile
-from friction_hil_drivers.serial_line.description import Description
+from friction_hil_drivers.serial_line.description import Description, Step
 from friction_hil_drivers.serial_line.protocol import COMMANDS, Image
 from friction_hil_drivers.serial_line.sequences import Sequencer, parting_writes, state_of, state_signals
 from friction_hil_drivers.serial_line.units import LINEAR, NEEDS, ROTARY, UNITS, AxisUnits
@@ -59,7 +59,8 @@ class SerialAxis:
         Filled and read by the exchanges on the line.
     commands : sequence of str
         Signals that are commanded in each cycle.
-    period_s : float
+    watchdog : sequence of Step
+        What makes the drive watch the daemon.
     """
 
     def __init__(
@@ -69,17 +70,16 @@ class SerialAxis:
         scales: Scales,
         image: Image,
         commands: tuple[str, ...],
-        period_s: float,
+        watchdog: Sequence[Step] = (),
     ) -> None:
         self.name = name
         self.image = image
-        self.sequencer = Sequencer(description)
+        self.sequencer = Sequencer(description, watchdog)
         self.state = DriveState.UNKNOWN
         self._description = description
         self._scales = scales.of
         self._position_bits = scales.position_bits
         self._commands = commands
-        self._period_s = period_s
         self._fast = tuple(n for n in ("position", "velocity") if n in scales.of)
         self._counts: int | None = None
         self._position = self._velocity = 0.0

@@ -40,6 +40,8 @@ class Conversation:
         asked for.
     refusals : int
         Commands in a row that the drive refused.
+    limit_ns : int or None
+        When replies have to be there: what cannot be answered by then is not asked.
     """
 
     def __init__(
@@ -55,6 +57,7 @@ class Conversation:
         serial = not line.options.is_tcp
         self._character_ns = character_s(line.options) * 1e9 if serial else 0.0
         self._silence_ns = round(silence_chars * self._character_ns)
+        self._turnaround_ns = round(line.options.turnaround_s * 1e9)
         self._reply_limit_ns = round(line.options.reply_limit_s * 1e9)
         self._settle_ns = max(self._silence_ns, _SHORT_SILENCE_NS)
         self._queue: deque[tuple[Exchange, Callable[[], None] | None]] = deque()
@@ -65,6 +68,7 @@ class Conversation:
         self._sent_ns = self._heard_ns = self._quiet_until_ns = 0
         self._next_reopen_ns = 0
         self.trouble = ""
+        self.limit_ns: int | None = None
         self.lost = self.late = self.refused = self.noise = self.refusals = 0
 
     @property
@@ -154,6 +158,12 @@ class Conversation:
             self.trouble = f"not asked for: {_shown(self._received)}"
             self._received.clear()
         exchange, done = self._queue.popleft()
+        if self.limit_ns is not None and self._now_ns() + self._wire_ns(exchange) > self.limit_ns:
+            # the reply would be late, the next cycle begin with waiting for it, and so would all after that
+            self.lost += 1
+            self.trouble = f"{exchange.what}: no time was left for it"
+            self._queue.clear()
+            return False
         data = exchange.encode()
         self.line.write(data)
         self._sent_ns = self._now_ns()
@@ -165,9 +175,15 @@ class Conversation:
             done()
         return True
 
+    def _wire_ns(self, exchange: Exchange) -> float:
+        """Least time until the reply is there."""
+        silence = self._silence_ns if exchange.reply_size else 0
+        return (exchange.request_size + exchange.reply_size) * self._character_ns + silence + self._turnaround_ns
+
     def give_up(self) -> None:
         """End a cycle: what has not been asked is not asked any more, and what is not answered is lost."""
         self._queue.clear()
+        self.limit_ns = None
         if self._awaited is not None and not self._is_given_up:
             self._is_given_up = True
             self.lost += 1

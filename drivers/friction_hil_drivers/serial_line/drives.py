@@ -6,6 +6,7 @@ the poll of the next cycle. Several lines are served at once, from one thread.
 """
 
 import contextlib
+import itertools
 import select
 import statistics
 import time
@@ -31,7 +32,7 @@ from friction_hil_drivers.serial_line.protocol import (
     ProtocolFactory,
     Wanted,
 )
-from friction_hil_drivers.serial_line.sequences import state_signals
+from friction_hil_drivers.serial_line.sequences import state_signals, watchdog_steps
 from friction_hil_drivers.serial_line.wire import character_s, check_rate, exchange_s
 
 if TYPE_CHECKING:
@@ -44,6 +45,7 @@ _ATTEMPTS = 3
 _ATTEMPT_S = 0.3
 _MEASURED_CYCLES = 25
 _WATCHDOG_PERIODS, _LEAST_WATCHDOG_S = 20, 0.1
+_INTERPOLATION_CYCLES = {"csp": 1.0, "csv": 0.5, "cst": 0.0}  # between set-points, beside half a period as for torques
 _REFUSALS = 10  # of commands, in a row: the drive does not take them
 
 
@@ -159,7 +161,8 @@ class SerialDrives:
             slow = tuple(signal for signal in signals if signal in (*SLOW, *state_signals(description)))
             wanted[name] = Wanted(fast, slow, mode.commands)
             heard[name] = Wanted(fast, slow, ())
-            axes.append(SerialAxis(name, description, scales, images[name], mode.commands, self._period_s))
+            watchdog = watchdog_steps(description, self._watchdog_s(options[name]))
+            axes.append(SerialAxis(name, description, scales, images[name], mode.commands, watchdog))
         first = next(iter(options.values())).line
         conversation = Conversation(Line(first), list(images.values()), protocol.silence_chars)
         listening = protocol.plan(heard)
@@ -177,8 +180,9 @@ class SerialDrives:
         for name, description in descriptions.items():
             if description.state_machine == "cia402":
                 steps.append(lane.write(name, ("control",)))
-            for key in ("enable", "disable", "quick_stop", "reset_fault"):
-                steps += [lane.write(name, step.write) for step in getattr(description, key)]
+            sequences = (description.enable, description.disable, description.quick_stop, description.reset_fault)
+            every = itertools.chain(*sequences, watchdog_steps(description, _LEAST_WATCHDOG_S))
+            steps += [lane.write(name, step.write) for step in every]
         return max(steps, key=lambda step: step.request_size + step.reply_size, default=None)
 
     def _connect_axis(self, lane: _Lane, axis: SerialAxis, description: Description) -> AxisFacts:
@@ -212,7 +216,7 @@ class SerialDrives:
             identity=f"{description.name}, {options.address} on {line.options.port}",
             position_resolution=abs(scales.of["position"]),
             torque_resolution=abs(scales.of["torque_command"]),
-            setpoint_delay_s=delay,
+            setpoint_delay_s=_setpoint_delay_s(delay, config.mode, options.setpoint_delay_cycles, self._period_s),
             actuation_delay_s=delay,
             notes=tuple(notes),
         )
@@ -220,20 +224,20 @@ class SerialDrives:
     def _arm_watchdog(
         self, lane: _Lane, axis: SerialAxis, description: Description, options: SerialOptions
     ) -> list[str]:
-        watchdog = description.watchdog
-        if watchdog is None:
+        if description.watchdog is None:
             if options.is_watchdog_required:
                 raise DriveError(
                     f"{axis.name}: {description.name} has no communication watchdog in its description: if the daemon "
                     "dies, its torque stays. Set is_watchdog_required: false to accept that"
                 )
             return ["the drive does NOT watch the daemon: if the daemon dies, its last torque stays"]
-        time_s = options.watchdog_s or max(_WATCHDOG_PERIODS * self._period_s, _LEAST_WATCHDOG_S)
-        number = time_s / description.units()[watchdog.signal].scale
-        self._write(lane, axis, Step(write={watchdog.signal: number}))
-        for step in watchdog.enable:
+        time_s = self._watchdog_s(options)
+        for step in watchdog_steps(description, time_s):
             self._write(lane, axis, step)
         return [f"the drive watches the daemon: {time_s * 1e3:g} ms without a command end its torque"]
+
+    def _watchdog_s(self, options: SerialOptions) -> float:
+        return options.watchdog_s or max(_WATCHDOG_PERIODS * self._period_s, _LEAST_WATCHDOG_S)
 
     def _write(self, lane: _Lane, axis: SerialAxis, step: Step) -> None:
         """Write a step of the preparations, wait for what it should lead to."""
@@ -304,6 +308,8 @@ class SerialDrives:
         is_real = self._clock.is_real
         margin_s = min(_COMPUTATION_S, 0.1 * self._period_s)
         limit_ns = end_ns - round(margin_s * 1e9) if is_real else time.monotonic_ns() + round(_STEPPED_TIMEOUT_S * 1e9)
+        for conversation in conversations:
+            conversation.limit_ns = limit_ns
         self._serve(conversations, limit_ns, lambda: all(c.is_finished for c in conversations))
         is_lost = not all(c.is_finished for c in conversations)
         for conversation in conversations:
@@ -396,6 +402,13 @@ def _actuation_delay_s(lane: _Lane, poll_s: float, period_s: float) -> float:
         poll_s -= lane.plan.poll[0].request_size * character_s(line)
         poll_s += sum(exchange_s(exchange, line, silence) for exchange in lane.plan.push)
     return min(max(poll_s, 0.0), period_s) + 0.5 * period_s
+
+
+def _setpoint_delay_s(actuation_s: float, mode: str, cycles: float | None, period_s: float) -> float:
+    """From sending a set-point to the drive's demand being equal to it, s; ``cycles`` is what the user knows of it."""
+    if cycles is not None:
+        return cycles * period_s
+    return actuation_s + _INTERPOLATION_CYCLES[mode] * period_s
 
 
 def _inferred(description: Description) -> list[str]:

@@ -55,6 +55,13 @@ class SerialOptions(BaseModel):
     rated_torque: Positive | None = Field(None, description="torque at 100 %, N m (N on a linear axis)")
     torque_constant: Positive | None = Field(None, description="N m (N) per ampere, where the drive speaks of current")
     is_inverted: bool = Field(False, description="turn the sign of position, velocity and torque")
+    setpoint_delay_cycles: NotNegative | None = Field(
+        None,
+        le=10.0,
+        description="periods from sending a set-point to the drive's demand reaching it; when not given, those of the "
+        "exchange and of a drive that interpolates (csp 1.5, csv 1); one that takes set-points as steps has 1 less "
+        "(csp) or 0.5 less (csv)",
+    )
     watchdog_s: Positive | None = Field(
         None, le=10.0, description="time after which the drive drops its torque; 20 periods, at least 0.1 s, by default"
     )

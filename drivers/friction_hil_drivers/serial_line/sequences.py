@@ -1,6 +1,6 @@
 """The way to the state that is wanted, one step a cycle: what to write next. No line, no clock."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 from friction_hil.drive import DriveState, Request
 from friction_hil_drivers.canopen import profile
@@ -37,14 +37,22 @@ def state_of(description: Description, values: Mapping[str, float]) -> DriveStat
 class Sequencer:
     """Leads one drive from state to state.
 
+    Parameters
+    ----------
+    description : Description
+    watchdog : sequence of Step
+        Written before the drive is enabled, each time: a restart of the drive or the reset of a fault may have
+        switched its watchdog off.
+
     Attributes
     ----------
     trouble : str
         The step that the drive does not follow, in words; empty while it does.
     """
 
-    def __init__(self, description: Description) -> None:
+    def __init__(self, description: Description, watchdog: Sequence[Step] = ()) -> None:
         self._description = description
+        self._watchdog = tuple(watchdog)
         self._request = Request.LISTEN
         self._steps: tuple[Step, ...] = ()
         self._index = 0
@@ -72,8 +80,6 @@ class Sequencer:
         if request is not self._request:
             self._request, self._index, self._is_written, self._since_s = request, 0, False, time_s
             self._steps, self.trouble = self._sequence(request), ""
-        if self._description.state_machine == "cia402":
-            return self._controlword(request, state)
         while self._index < len(self._steps):
             step = self._steps[self._index]
             is_reached = step.until is None or state is STATES[step.until]
@@ -83,12 +89,12 @@ class Sequencer:
                 # a step that waits for a state is repeated: some drives need it twice
                 return step.write
             self._index, self._is_written, self._since_s = self._index + 1, False, time_s
-        return {}
+        return self._controlword(request, state) if self._description.state_machine == "cia402" else {}
 
     def _sequence(self, request: Request) -> tuple[Step, ...]:
         description = self._description
         return {
-            Request.ENABLE: description.enable,
+            Request.ENABLE: (*self._watchdog, *description.enable),
             Request.DISABLE: description.disable,
             Request.QUICK_STOP: description.quick_stop or description.disable,
             Request.RESET_FAULT: description.reset_fault,
@@ -108,6 +114,15 @@ class Sequencer:
         self._is_written = self._is_written and word == self._word
         self._word = word
         return {"control": word}
+
+
+def watchdog_steps(description: Description, time_s: float) -> tuple[Step, ...]:
+    """Steps that make the drive watch the daemon; none where it cannot."""
+    watchdog = description.watchdog
+    if watchdog is None:
+        return ()
+    number = time_s / description.units()[watchdog.signal].scale
+    return Step(write={watchdog.signal: number}), *watchdog.enable
 
 
 def parting_writes(description: Description) -> list[Mapping[str, float]]:

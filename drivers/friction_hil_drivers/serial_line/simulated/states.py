@@ -130,6 +130,7 @@ class DescribedStates:
         self.after_stop = self.disabled
 
         error = _error_number(d)
+        is_fault_told_by_error = any(rule.signal == "error" and STATES[rule.state] is _FAULT for rule in d.states)
         needed = {self.disabled, self.fault, _ENABLED} | ({_STOPPING} & told)
         needed |= {STATES[step.until] for steps in self._sequences.values() for step in steps if step.until}
         self._shown: dict[DriveState, Mapping[str, float]] = {}
@@ -141,7 +142,9 @@ class DescribedStates:
                     f"the description {d.name!r} waits for the state {state.name.lower()}, but by its rules (states) "
                     "no numbers of the drive tell it"
                 )
-            self._shown[state] = {"error": float(error if state is _FAULT else 0)} | numbers
+            # a fault that another signal tells is none of the drive's errors
+            number = error if state is _FAULT and not is_fault_told_by_error else 0
+            self._shown[state] = {"error": float(number)} | numbers
 
     def wanted(self, name: str, values: Mapping[str, float], state: DriveState) -> DriveState:
         """See `StateMachine`."""

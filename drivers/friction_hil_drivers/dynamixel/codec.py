@@ -1,0 +1,417 @@
+"""Dynamixel Protocol 2.0 as it is spoken on one line: requests made of commands, status packets put into images."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from friction_hil_drivers.dynamixel.description import DynamixelDescription
+from friction_hil_drivers.dynamixel.options import DynamixelOptions
+from friction_hil_drivers.dynamixel.packets import (
+    BROADCAST,
+    CRC,
+    FAST_SYNC_READ,
+    HEADER,
+    PREFIX,
+    READ,
+    REQUEST_SIZE,
+    STATUS,
+    STATUS_SIZE,
+    SYNC_READ,
+    SYNC_WRITE,
+    WRITE,
+    Packets,
+)
+from friction_hil_drivers.dynamixel.table import Block, Place
+from friction_hil_drivers.serial_line.protocol import Exchange, Image, Plan, ReplyError, Wanted
+
+ALERT = 0x80  # beside the number of an error: something is in Hardware Error Status, which is a signal of its own
+# ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0, Status Packet
+ERRORS = {
+    1: "result fail: it could not do it",
+    2: "instruction error: it does not know this instruction",
+    3: "CRC error: the request reached it broken",
+    4: "data range error: it does not take this value (no goal at all after its bus watchdog tripped)",
+    5: "data length error: the value has more bytes than were written",
+    6: "data limit error: the value is beyond a limit in its control table",
+    7: "access error: this address cannot be read or written (nothing below 64 can while the torque is on)",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Member:
+    """A servo that takes part in a request, and what of it is read or written."""
+
+    id: int
+    image: Image
+    block: Block
+    has_fast_read: bool
+
+    def put(self, data: bytes) -> None:
+        """Put the bytes of the block into the image."""
+        first = self.block.address
+        for place in self.block.places:
+            self.image.put(place.name, place.number(data[place.address - first : place.end - first]))
+
+
+class _Request:
+    """What all requests have; see `friction_hil_drivers.serial_line.protocol.Exchange`.
+
+    Parameters
+    ----------
+    packets : Packets
+    what : str
+        For people.
+    members : sequence of Member
+        In the order in which they answer.
+    reply_bytes : int
+        Data in the status packet of each.
+    """
+
+    reads: tuple[str, ...] = ()
+    writes: tuple[str, ...] = ()
+    request_size = reply_size = 0
+
+    def __init__(self, packets: Packets, what: str, members: Sequence[Member], reply_bytes: int) -> None:
+        ids = ", ".join(str(member.id) for member in members)
+        self.what = self._what = f"{what} of id {ids}"
+        self._packets = packets
+        self._members = {member.id: member for member in members}
+        self._reply_bytes = reply_bytes
+        self._packet_size = STATUS_SIZE + reply_bytes  # not stuffed
+        self._longest = self._packet_size - PREFIX + _stuffing(reply_bytes)
+        self._answered: set[int] = set()
+        self._failed: dict[int, str] = {}  # by servo: why its answer was none
+        self._is_broken = False
+        self._noise = 0  # bytes that belonged to no packet
+
+    def _begin(self) -> None:
+        self.what, self._is_broken, self._noise = self._what, False, 0
+        self._answered.clear()
+        self._failed.clear()
+
+    def take(self, received: bytearray) -> bool:
+        """Take the status packets that came into the images; whether all servos have answered.
+
+        What a servo says counts at once, whatever becomes of the others.
+
+        Raises
+        ------
+        ReplyError
+            Somebody answered who was not asked, or nobody is left who might answer and an answer was none.
+        """
+        while not self._is_complete:
+            before = len(received)
+            packet = self._packets.cut(received, self._longest)
+            if packet is None:
+                self._noise += before - len(received)
+                self._check_noise(received, len(self._missing) * self._packet_size)
+                self._name_missing()
+                return False
+            self._noise += packet.skipped
+            if not packet.is_whole:
+                # of the packet nothing but the header was removed; where it is known whose it was, it is no noise
+                is_known = self._blame(packet.id)
+                self._noise += len(HEADER) - (self._packet_size if is_known else 0)
+            elif packet.instruction == STATUS:  # not so the request itself, on a line that echoes
+                self._hear(packet.id, packet.parameters)
+        return self._finish()
+
+    @property
+    def _is_complete(self) -> bool:
+        return len(self._answered) + len(self._failed) == len(self._members)
+
+    @property
+    def _missing(self) -> list[int]:
+        return [servo for servo in self._members if servo not in self._answered and servo not in self._failed]
+
+    def _check_noise(self, received: bytearray, expected: int) -> None:
+        """Do not wait for packets whose bytes have all come, with a broken header."""
+        kept = len(HEADER) - 1  # of noise; they may begin a header
+        if self._noise >= expected - kept and HEADER not in received:
+            missing = ", ".join(map(str, self._missing))
+            raise ReplyError(f"{self._noise} bytes came in which there is no packet of id {missing}")
+
+    def _blame(self, servo: int) -> bool:
+        """Take a broken packet for that of the servo it names, or of the only missing one; whether it is known."""
+        self._is_broken = True
+        missing = self._missing
+        if servo not in missing and len(missing) == 1:
+            servo = missing[0]
+        if servo in missing:
+            self._failed[servo] = f"what id {servo} answered has a wrong CRC"
+        return servo in missing
+
+    def _hear(self, servo: int, parameters: bytes) -> None:
+        if servo not in self._members or servo in self._answered:
+            twice = " twice" if servo in self._answered else ", which was not asked"
+            raise ReplyError(f"answered by id {servo}{twice}")
+        self._failed.pop(servo, None)  # whoever was taken for it
+        error, data = parameters[:1], parameters[1:]
+        if error and (number := error[0] & ~ALERT):
+            self._failed[servo] = (
+                f"id {servo} refuses: {ERRORS.get(number, 'not one of the known ones')} (error {number})"
+            )
+        elif not error or len(data) != self._reply_bytes:
+            raise ReplyError(f"id {servo} answered with {len(data)} bytes of data in place of {self._reply_bytes}")
+        else:
+            self._accept(self._members[servo], data)
+
+    def _accept(self, member: Member, data: bytes) -> None:
+        self._answered.add(member.id)
+        if self.reads:
+            member.put(data)
+
+    def _name_missing(self) -> None:
+        """Say in ``what`` who is missing, where others are not: a time-out is told by that name."""
+        if self._answered or self._failed:
+            self.what = f"{self._what} ({', '.join(map(str, self._missing))} missing)"
+
+    def _finish(self) -> bool:
+        self.what = self._what
+        if self._failed:
+            raise ReplyError("; ".join(self._failed.values()), is_complete=not self._is_broken)
+        return True
+
+
+class Read(_Request):
+    """Read the same bytes of one servo or of several (Sync Read); each answers with a packet of its own."""
+
+    def __init__(self, packets: Packets, members: Sequence[Member]) -> None:
+        block = members[0].block
+        super().__init__(packets, f"read {block}", members, block.size)
+        self.reads = _names(members)
+        place = _words(block.address, block.size)
+        if len(members) == 1:
+            self._request = packets.pack(members[0].id, READ, place)
+        else:
+            self._request = packets.pack(BROADCAST, SYNC_READ, place + bytes(self._members))
+        self.request_size = len(self._request)
+        self.reply_size = len(members) * (PREFIX + self._longest)
+
+    def encode(self) -> bytes:
+        """Make the request."""
+        self._begin()
+        return self._request
+
+
+class FastRead(_Request):
+    """Read the same bytes of several servos (Fast Sync Read), which write one packet together.
+
+    The packet is not stuffed. Each servo ends its part with the CRC of all that came before, so that a part is
+    certain before the next one comes, and counts even if that never does.
+    """
+
+    def __init__(self, packets: Packets, members: Sequence[Member]) -> None:
+        block = members[0].block
+        super().__init__(packets, f"read {block} (fast)", members, block.size)
+        self.reads = _names(members)
+        place = _words(block.address, block.size)
+        self._request = packets.pack(BROADCAST, FAST_SYNC_READ, place + bytes(self._members))
+        self._part = 2 + block.size + CRC  # error, ID, data, CRC
+        length = 1 + len(members) * self._part
+        self._head = HEADER + bytes((BROADCAST,)) + length.to_bytes(2, "little") + bytes((STATUS,))
+        self._heard = self._crc = 0
+        self.request_size = len(self._request)
+        self.reply_size = PREFIX + length
+
+    def encode(self) -> bytes:
+        """Make the request."""
+        self._begin()
+        self._heard, self._crc = 0, self._packets.crc(self._head)  # parts, and the CRC of all up to them
+        return self._request
+
+    def take(self, received: bytearray) -> bool:
+        """Take the parts that came into the images; see `_Request.take`."""
+        before = len(received)
+        if not self._find_head(received):
+            self._noise += before - len(received)
+            self._check_noise(received, self.reply_size)
+            return False
+        ids = tuple(self._members)
+        while not self._is_complete:
+            start = len(self._head) + self._heard * self._part
+            part = received[start : start + self._part]
+            if len(part) < self._part:
+                self._name_missing()
+                return False
+            self._crc = self._packets.crc(part[:-CRC], self._crc)
+            is_whole = self._crc == int.from_bytes(part[-CRC:], "little") and part[1] == ids[self._heard]
+            self._crc = self._packets.crc(part[-CRC:], self._crc)
+            if is_whole:
+                self._hear(ids[self._heard], bytes(part[:1] + part[2:-CRC]))
+            else:
+                self._blame(ids[self._heard])
+            self._heard += 1
+        del received[: self.reply_size]
+        return self._finish()
+
+    def _find_head(self, received: bytearray) -> bool:
+        """Remove what comes before the packet."""
+        while (start := received.find(HEADER)) >= 0:
+            del received[:start]
+            if len(received) < len(self._head):
+                return False
+            if received.startswith(self._head):
+                return True
+            del received[: len(HEADER)]
+        del received[: max(0, len(received) - len(HEADER) + 1)]
+        return False
+
+
+class Write(_Request):
+    """Write bytes of one servo, which acknowledges them."""
+
+    def __init__(self, packets: Packets, member: Member) -> None:
+        super().__init__(packets, f"write {member.block}", (member,), 0)
+        self._member = member
+        self.writes = _names((member,))
+        size = member.block.size
+        self.request_size = REQUEST_SIZE + 2 + size + _stuffing(size)
+        self.reply_size = STATUS_SIZE
+
+    def encode(self) -> bytes:
+        """Make the request from the image's numbers.
+
+        Raises
+        ------
+        ValueError
+            A number is not finite.
+        """
+        self._begin()
+        member = self._member
+        data = _words(member.block.address) + _packed(member, self.what)
+        return self._packets.pack(member.id, WRITE, data)
+
+
+class SyncWrite(_Request):
+    """Write the same items of all servos at once; none of them answers."""
+
+    def __init__(self, packets: Packets, members: Sequence[Member]) -> None:
+        block = members[0].block
+        super().__init__(packets, f"write {block}", members, 0)
+        self.writes = _names(members)
+        self._place = _words(block.address, block.size)
+        # no ID is FDh or FFh, so that what has to be stuffed lies within the data of one servo
+        self.request_size = REQUEST_SIZE + 4 + len(members) * (1 + block.size + _stuffing(block.size))
+
+    def encode(self) -> bytes:
+        """Make the request from the images' numbers.
+
+        Raises
+        ------
+        ValueError
+            A number is not finite.
+        """
+        parts = [self._place]
+        for servo, member in self._members.items():
+            parts += bytes((servo,)), _packed(member, self.what)
+        return self._packets.pack(BROADCAST, SYNC_WRITE, b"".join(parts))
+
+
+class DynamixelLine:
+    """Dynamixel Protocol 2.0 to the axes on one line; see `friction_hil_drivers.serial_line.protocol.LineProtocol`.
+
+    Parameters
+    ----------
+    descriptions, options, images : mapping
+        Of the axes on this line, by name.
+
+    Raises
+    ------
+    UsageError
+        The vendor's SDK is not installed.
+    """
+
+    silence_chars = 0.0  # a header begins a packet, whatever was before
+
+    def __init__(
+        self,
+        descriptions: Mapping[str, DynamixelDescription],
+        options: Mapping[str, DynamixelOptions],
+        images: Mapping[str, Image],
+    ) -> None:
+        self._packets = Packets()
+        self._descriptions = descriptions
+        self._options = options
+        self._images = images
+
+    def plan(self, wanted: Mapping[str, Wanted]) -> Plan:
+        """Put a cycle together: what lies at the same place of several servos is one request.
+
+        What changes slowly is read with the rest where it lies beside it, else in turns.
+        """
+        fast: list[Member] = []
+        slow: list[Member] = []
+        commands: list[Member] = []
+        for axis, needs in wanted.items():
+            for member in self._members(axis, (*needs.fast, *needs.slow)):
+                is_fast = any(place.name in needs.fast for place in member.block.places)
+                (fast if is_fast else slow).append(member)
+            commands += self._members(axis, needs.commands)
+        poll = tuple(self._read(group) for group in _alike(fast))
+        turns = tuple(self._read(group) for group in _alike(slow))
+        return Plan(poll, turns, tuple(SyncWrite(self._packets, group) for group in _alike(commands)))
+
+    def read(self, axis: str, names: Sequence[str]) -> Read:
+        """Request that reads some signals of an axis.
+
+        Raises
+        ------
+        ValueError
+            One request cannot read them all.
+        """
+        return Read(self._packets, [_only(self._members(axis, names), "read", names)])
+
+    def write(self, axis: str, names: Sequence[str]) -> Write:
+        """Request that writes some signals of an axis.
+
+        Raises
+        ------
+        ValueError
+            One request cannot write them all.
+        """
+        return Write(self._packets, _only(self._members(axis, names), "write", names))
+
+    def _read(self, members: Sequence[Member]) -> Exchange:
+        if len(members) > 1 and all(member.has_fast_read for member in members):
+            return FastRead(self._packets, members)
+        return Read(self._packets, members)
+
+    def _members(self, axis: str, names: Sequence[str]) -> list[Member]:
+        servo, image, description = self._options[axis].id, self._images[axis], self._descriptions[axis]
+        return [Member(servo, image, block, description.fast_sync_read) for block in description.blocks(names)]
+
+
+def _alike(members: Sequence[Member]) -> list[list[Member]]:
+    """Group those of the same place and size: one request serves them."""
+    groups: dict[tuple[int, int], list[Member]] = {}
+    for member in members:
+        groups.setdefault((member.block.address, member.block.size), []).append(member)
+    return list(groups.values())
+
+
+def _names(members: Sequence[Member]) -> tuple[str, ...]:
+    places: list[Place] = [place for member in members for place in member.block.places]
+    return tuple(dict.fromkeys(place.name for place in places))
+
+
+def _packed(member: Member, what: str) -> bytes:
+    try:
+        return member.block.pack(member.image.values)
+    except ValueError as error:
+        raise ValueError(f"{what}: id {member.id}: {error}") from None
+
+
+def _words(*numbers: int) -> bytes:
+    return b"".join(number.to_bytes(2, "little") for number in numbers)
+
+
+def _stuffing(size: int) -> int:
+    """Most bytes that stuffing can add to data: one to each FF FF FD."""
+    return size // 3
+
+
+def _only(members: Sequence[Member], verb: str, names: Sequence[str]) -> Member:
+    if len(members) != 1:
+        listed = "; ".join(str(member.block) for member in members)
+        raise ValueError(f"one request cannot {verb} {', '.join(names)}: they lie in {listed or 'nothing'}")
+    return members[0]

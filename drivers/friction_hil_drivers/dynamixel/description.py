@@ -1,0 +1,67 @@
+"""A servo as a control table, read from a YAML file."""
+
+from collections.abc import Iterable, Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from friction_hil_drivers.dynamixel.table import Block, Place, side_by_side
+from friction_hil_drivers.serial_line.description import Description, Signal
+
+DESCRIPTIONS = Path(__file__).parent / "descriptions"
+_LAST_ADDRESS = 0xFFFF
+
+
+class DynamixelSignal(Signal):
+    """A value of the servo and the item of its control table that holds it."""
+
+    address: Annotated[int, Field(ge=0, le=_LAST_ADDRESS)] = Field(description="of its first, lowest byte")
+    size: Literal[1, 2, 4] = Field(description="in bytes")
+    is_signed: bool = Field(True, description="negative numbers are two's complements")
+    limit: Annotated[int, Field(gt=0)] | None = Field(
+        None, description="greatest magnitude that the servo takes; one beyond is refused, and the last one stays"
+    )
+
+    @property
+    def counter_bits(self) -> int | None:
+        """Width of the servo's number, which wraps."""
+        return 8 * self.size
+
+
+class DynamixelDescription(Description):
+    """A servo that speaks Dynamixel Protocol 2.0."""
+
+    protocol: Literal["dynamixel"]
+    signals: dict[str, DynamixelSignal]
+    fast_sync_read: bool = Field(
+        False, description="the firmware has instruction 8Ah: all servos of a line answer in one packet"
+    )
+
+    def units(self) -> dict[str, Signal]:
+        """Signals by name."""
+        return dict(self.signals)
+
+    def blocks(self, names: Iterable[str]) -> list[Block]:
+        """Fewest blocks of bytes that hold the signals."""
+        return side_by_side(map(self._place, dict.fromkeys(names)))
+
+    def _place(self, name: str) -> Place:
+        signal = self.signals[name]
+        return Place(name, signal.address, signal.size, signal.is_signed, signal.limit)
+
+    def _mistakes(self) -> Iterator[str]:
+        yield from super()._mistakes()
+        places = sorted(map(self._place, self.signals), key=lambda place: place.address)
+        for first, second in pairwise(places):
+            if second.address < first.end:
+                yield f"{first.name} ({first.size} bytes at {first.address}) reaches into {second.name}"
+        for place in places:
+            if place.end - 1 > _LAST_ADDRESS:
+                yield f"{place.name} does not end before address {_LAST_ADDRESS + 1}"
+        for key, steps in self.sequences.items():
+            for k, step in enumerate(steps):
+                if all(name in self.signals for name in step.write) and len(self.blocks(step.write)) > 1:
+                    names = ", ".join(step.write)
+                    yield f"{key}[{k}] writes {names}, which do not lie side by side: make a step of each"

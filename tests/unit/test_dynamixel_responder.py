@@ -1,0 +1,282 @@
+"""Simulated Dynamixel servos on bytes: what they answer, what they refuse, what they pass over."""
+
+from typing import Any
+
+import pytest
+from dynamixel_sdk import COMM_SUCCESS, PacketHandler
+from friction_hil_drivers.dynamixel.codec import DynamixelLine
+from friction_hil_drivers.dynamixel.description import DESCRIPTIONS, DynamixelDescription
+from friction_hil_drivers.dynamixel.options import DynamixelOptions
+from friction_hil_drivers.dynamixel.packets import Packets
+from friction_hil_drivers.dynamixel.simulated import DynamixelResponder
+from friction_hil_drivers.serial_line.description import load_description
+from friction_hil_drivers.serial_line.protocol import Exchange, Image, ReplyError, Wanted
+from friction_hil_drivers.serial_line.sequences import state_of
+from friction_hil_drivers.serial_line.simulated import SimulatedDrive
+from friction_hil_drivers.serial_line.units import AxisUnits
+from hypothesis import given
+from hypothesis import strategies as st
+
+from friction_hil.drive import DriveState, Mode
+from friction_hil.servo.config import ServoConfig
+from friction_hil.servo.servo import Servo
+from tests.serial_bench import PLAIN, STEPS_PER_MS
+
+WANTED = Wanted(("position", "velocity"), ("torque", "status", "error", "watchdog"), ("torque_command",))
+READ_POSITION = "FF FF FD 00 01 07 00 02 84 00 04 00 1D 15"  # ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0
+
+
+class Bench:
+    """Servos on a line; an axis is called by its ID."""
+
+    def __init__(self, *ids: int, is_fast: bool = False, **changes: Any) -> None:
+        loaded = load_description("xm430", None, DESCRIPTIONS, DynamixelDescription)
+        description = loaded.model_copy(update={"fast_sync_read": is_fast, **changes})
+        axes = [f"{n}" for n in ids]
+        self.drives = {
+            axis: SimulatedDrive(
+                axis,
+                description,
+                Servo(ServoConfig.model_validate(PLAIN)),
+                Mode.CST,
+                AxisUnits(torque_constant=1.78),
+                STEPS_PER_MS,
+            )
+            for axis in axes
+        }
+        options = {
+            axis: DynamixelOptions.model_validate({"line": {"port": "x"}, "description": "xm430", "id": int(axis)})
+            for axis in axes
+        }
+        self.images = {axis: Image() for axis in axes}
+        descriptions = dict.fromkeys(axes, description)
+        self.line = DynamixelLine(descriptions, options, self.images)
+        self.responder = DynamixelResponder(self.drives, descriptions, options)
+        self.plan = self.line.plan(dict.fromkeys(axes, WANTED))
+
+    def ask(self, request: bytes) -> bytes | None:
+        received = bytearray(request)
+        reply = self.responder.take(received)
+        assert reply is None or not received
+        return reply
+
+    def talk(self, exchange: Exchange) -> bool:
+        """One exchange; whether it is complete."""
+        reply = self.ask(exchange.encode())
+        assert reply is not None
+        assert len(reply) <= exchange.reply_size
+        return not exchange.reply_size or exchange.take(bytearray(reply))
+
+    def write(self, axis: str, **values: float) -> None:
+        self.images[axis].values.update(values)
+        assert self.talk(self.line.write(axis, tuple(values)))
+
+    def state(self, axis: str) -> DriveState:
+        for name in ("status", "error", "watchdog"):
+            assert self.talk(self.line.read(axis, (name,)))
+        return state_of(self.drives[axis].description, self.images[axis].values)
+
+
+class _Port:
+    """The line as the vendor's SDK sees it."""
+
+    is_using = False
+
+    def __init__(self, bench: Bench) -> None:
+        self._bench = bench
+        self._reply = b""
+
+    def clearPort(self) -> None:  # noqa: N802
+        self._reply = b""
+
+    def writePort(self, packet: list[int]) -> int:  # noqa: N802
+        self._reply = self._bench.ask(bytes(packet)) or b""
+        return len(packet)
+
+    def readPort(self, length: int) -> bytes:  # noqa: N802
+        data, self._reply = self._reply[:length], self._reply[length:]
+        return data
+
+    def setPacketTimeout(self, length: int) -> None: ...  # noqa: N802
+
+    def isPacketTimeout(self) -> bool:  # noqa: N802
+        return True
+
+
+def test_a_cycle_moves_the_servos() -> None:
+    bench = Bench(1, 2)
+    for axis in bench.images:
+        bench.write(axis, operating_mode=0)
+        bench.write(axis, status=1)
+        assert bench.state(axis) is DriveState.OPERATION_ENABLED
+    (poll,), (push,) = bench.plan.poll, bench.plan.push
+    bench.images["1"].values["torque_command"], bench.images["2"].values["torque_command"] = 60.0, -60.0
+    for _ in range(50):
+        assert bench.talk(poll)
+        assert bench.talk(push)
+    assert [drive.samples for drive in bench.drives.values()] == [50, 50]
+    for axis, sign in (("1", 1.0), ("2", -1.0)):
+        values, servo = bench.images[axis].values, bench.drives[axis].servo
+        assert sign * values["velocity"] > 100.0
+        assert sign * values["position"] > 10.0
+        assert values["torque"] * 0.00269 * 1.78 == pytest.approx(servo.torque, abs=0.005)
+
+
+@pytest.mark.parametrize("is_fast", [False, True])
+def test_a_servo_that_is_not_there_is_missing_alone(is_fast: bool) -> None:
+    bench, there = Bench(1, 2, 3, is_fast=is_fast), Bench(1, 2, is_fast=is_fast)
+    (poll,) = bench.plan.poll
+    reply = there.ask(poll.encode())
+    assert reply
+    assert not poll.take(bytearray(reply))
+    assert [bool(image.fresh) for image in bench.images.values()] == [True, True, False]
+    assert poll.what.endswith("(3 missing)")
+
+
+def test_fast_and_slow_reads_say_the_same() -> None:
+    slow, fast = Bench(5, 1, 9), Bench(5, 1, 9, is_fast=True)
+    for bench in (slow, fast):
+        for axis in bench.drives:
+            bench.write(axis, status=1)
+            bench.drives[axis].write("torque_command", 20.0 * int(axis))
+        (poll,) = bench.plan.poll
+        assert bench.talk(poll)
+        assert bench.talk(poll)
+    assert fast.plan.poll[0].encode()[7] == 0x8A
+    values = [{axis: image.values for axis, image in bench.images.items()} for bench in (slow, fast)]
+    assert values[0] == values[1]
+    assert values[0]["5"]["velocity"] != 0.0
+
+
+def test_the_vendors_sdk_understands_the_answers() -> None:
+    bench = Bench(1, 2)
+    sdk, port = PacketHandler(2.0), _Port(bench)
+    assert sdk.ping(port, 2) == (0, COMM_SUCCESS, 0)
+    assert sdk.write1ByteTxRx(port, 1, 64, 1) == (COMM_SUCCESS, 0)
+    assert sdk.read1ByteTxRx(port, 1, 64) == (1, COMM_SUCCESS, 0)
+    assert sdk.write2ByteTxRx(port, 1, 102, 100) == (COMM_SUCCESS, 0)
+    position, result, error = sdk.read4ByteTxRx(port, 1, 132)
+    assert (result, error) == (COMM_SUCCESS, 0)
+    assert position == round(bench.drives["1"].read("position"))
+    assert bench.drives["1"].read("torque_command") == 100.0
+    across = sdk.read4ByteTxRx(port, 1, 130)[0]  # the high half of velocity, the low half of position
+    drive = bench.drives["1"]
+    assert across == (round(drive.read("velocity")) >> 16) | (round(drive.read("position")) & 0xFFFF) << 16
+    assert across != 0
+
+
+@pytest.mark.parametrize(
+    ("call", "error"),
+    [
+        (lambda sdk, port: sdk.read2ByteTxRx(port, 1, 0)[2], 7),  # no signal there
+        (lambda sdk, port: sdk.read4ByteTxRx(port, 1, 130)[2], 0),  # the end of one and the beginning of another
+        (lambda sdk, port: sdk.write2ByteTxRx(port, 1, 0, 1)[1], 7),
+        (lambda sdk, port: sdk.write1ByteTxRx(port, 1, 102, 1)[1], 5),
+        (lambda sdk, port: sdk.write1ByteTxRx(port, 1, 64, 2)[1], 4),
+        (lambda sdk, port: sdk.write4ByteTxRx(port, 1, 132, 0)[1], 4),  # present position is not to be written
+        (lambda sdk, port: sdk.reboot(port, 1)[1], 2),
+    ],
+)
+def test_refusals(call: Any, error: int) -> None:
+    assert call(PacketHandler(2.0), _Port(Bench(1))) == error
+
+
+def test_requests_for_others_and_broken_ones_are_passed_over() -> None:
+    bench = Bench(1)
+    packets = Packets()
+    assert bench.ask(packets.pack(7, 0x01)) == b""
+    request = bytes.fromhex(READ_POSITION)
+    broken = bytearray(request)
+    broken[9] ^= 1
+    assert bench.ask(bytes(broken)) is None
+    assert bench.drives["1"].samples == 0
+    whole = bench.ask(request)
+    assert whole
+    # a request that broke off, or whose length came wrong, costs no other
+    assert bench.ask(request[:-3] + request) == whole
+    assert bench.ask(request[:5] + b"\xf0\x03" + request[7:] + request) == whole
+
+
+def test_requests_are_taken_one_by_one() -> None:
+    bench = Bench(1)
+    request = bytes.fromhex(READ_POSITION)
+    received = bytearray(request + request[:5])
+    assert bench.responder.take(received)
+    assert received == request[:5]
+    assert bench.responder.take(received) is None
+    received += request[5:]
+    assert bench.responder.take(received)
+
+
+@pytest.fixture(scope="module")
+def anything() -> Bench:
+    """Servos that whatever request may come to."""
+    return Bench(1, 2, is_fast=True)
+
+
+@given(st.lists(st.one_of(st.sampled_from([0x00, 0x01, 0x03, 0xFD, 0xFE, 0xFF]), st.integers(0, 255)), max_size=60))
+def test_random_bytes_are_no_requests(anything: Bench, data: list[int]) -> None:
+    before = anything.drives["1"].samples
+    assert anything.responder.take(bytearray(data)) is None
+    assert anything.drives["1"].samples == before
+
+
+PARAMETERS = st.one_of(
+    st.binary(max_size=20),
+    st.builds(
+        lambda address, size, rest: bytes((address, 0, size, 0)) + rest,
+        st.sampled_from([0, 9, 11, 64, 70, 98, 102, 104, 125, 126, 128, 132, 136]),
+        st.sampled_from([0, 1, 2, 4, 10]),
+        st.lists(st.sampled_from([0, 1, 2, 127, 255]), max_size=12).map(bytes),
+    ),
+)
+
+
+@given(st.sampled_from([0x01, 0x02, 0x03, 0x08, 0x82, 0x83, 0x8A]), st.sampled_from([1, 254]), PARAMETERS)
+def test_whole_packets_with_any_content_never_crash(
+    anything: Bench, instruction: int, servo: int, parameters: bytes
+) -> None:
+    packets = Packets()
+    reply = anything.ask(packets.pack(servo, instruction, parameters))
+    assert reply is not None
+    if servo == 1:
+        answer = packets.cut(bytearray(reply), 100)
+        assert answer is not None
+        assert (answer.id, answer.instruction, answer.is_whole) == (1, 0x55, True)
+
+
+def test_the_bus_watchdog_trips_without_requests_and_is_cleared() -> None:
+    bench = Bench(1, 2)
+    for axis in bench.drives:
+        bench.write(axis, watchdog=5)  # 100 ms
+        bench.write(axis, status=1)
+    for exchange in (bench.line.read("1", ("position",)), bench.plan.poll[0]):
+        for _ in range(150):
+            assert bench.talk(exchange)  # a read feeds it, and 150 ms pass
+        assert bench.state("1") is DriveState.OPERATION_ENABLED
+    assert bench.state("2") is DriveState.OPERATION_ENABLED
+    drive = bench.drives["1"]
+    for _ in range(101):
+        drive.sample()
+    assert bench.state("1") is DriveState.FAULT
+    assert bench.images["1"].values["watchdog"] == -1.0
+    for step in drive.description.reset_fault:
+        bench.write("1", **step.write)
+    assert bench.state("1") is DriveState.SWITCH_ON_DISABLED
+
+
+def test_an_error_shows_as_an_alert() -> None:
+    by_error = Bench(1).drives["1"].description.states[1:]  # no rule looks at the watchdog
+    bench = Bench(1, states=by_error)
+    request = bytes.fromhex(READ_POSITION)
+    replies = [bench.ask(request)]
+    bench.drives["1"].fail()
+    replies.append(bench.ask(request))
+    assert [reply[8] for reply in replies if reply] == [0, 0x80]
+
+
+def test_what_the_servo_does_not_take_is_told() -> None:
+    bench = Bench(1)
+    bench.images["1"].values["operating_mode"] = 5.0
+    with pytest.raises(ReplyError, match=r"id 1 refuses: data range error"):
+        bench.talk(bench.line.write("1", ("operating_mode",)))

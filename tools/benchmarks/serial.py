@@ -1,0 +1,205 @@
+"""Drives on serial lines: how near the cycle comes to what the wire allows, what it costs, and what it is good for.
+
+The driver runs against simulated drives in a process of their own, over a pseudo-terminal on which every character
+takes its time. The limit of the wire is request, silence, reply and silence; the cycle has besides what the two
+processes take to wake up. Last, the daemon itself: the demonstration's circle over a line at 250 Hz.
+"""
+
+import contextlib
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from friction_hil_drivers.serial_line.drives import SerialDrives
+from friction_hil_drivers.serial_line.wire import exchange_s
+
+from friction_hil import config
+from friction_hil.config import Configuration
+from friction_hil.drive import Command, DriveState, Feedback, Request, load_driver
+from friction_hil.errors import FrictionHilError
+from friction_hil.realtime import RealClock, punctuality
+from tools.benchmarks.report import Row, against, note
+
+CYCLES = 2000
+PRIORITY = 70
+ENABLE_CYCLES = 200
+LEAST_SHARE = 0.85
+MODBUS_CPU_US, ASCII_CPU_US = 400.0, 150.0
+LEAST_REDUCTION = 2.0
+CIRCLE_S = 12.0
+_COMMAND = [sys.executable, "-m", "friction_hil"]
+_COUNTS = 2**20 / 6.283185307179586
+_FRICTION = {
+    "model": "lugre",
+    "parameters": {
+        "sigma0": 2000.0,
+        "sigma1": 1.0,
+        "sigma2": 2e-3,
+        "coulomb": 0.08,
+        "static": 0.12,
+        "stribeck_velocity": 0.2,
+        "damping_velocity": 0.2,
+    },
+}
+MODBUS = {"driver": "modbus", "description": "generic_cia402", "counts_per_unit": _COUNTS, "rated_torque": 0.64}
+ODRIVE = {"driver": "ascii", "description": "odrive", "torque_constant": 0.1}
+
+
+def run() -> list[Row]:
+    """Measure each line for a few seconds, then two circles.
+
+    Raises
+    ------
+    FrictionHilError
+        A drive was not enabled, or the daemon met a fault.
+    """
+    rows = []
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        for label, drive, baud, period_s, target_us in (
+            ("Modbus RTU, 115200 baud", MODBUS, 115200, 8e-3, MODBUS_CPU_US),
+            ("Modbus RTU, 1 Mbaud", MODBUS, 1_000_000, 1e-3, MODBUS_CPU_US),
+            ("ODrive, 921600 baud", ODRIVE, 921600, 2e-3, ASCII_CPU_US),
+        ):
+            note(label)
+            rows += _rates(label, _configuration(folder, drive, baud, period_s), target_us)
+        rows.append(_circle(folder))
+    return rows
+
+
+def _configuration(folder: Path, drive: dict[str, Any], baud: int, period_s: float, **changes: Any) -> Path:
+    """Write the configuration of one axis; return its path."""
+    axis = {
+        **drive,
+        "line": {"port": str(folder / "line"), "baud": baud},
+        "mode": "cst",
+        "limits": {"torque": 0.6, "velocity": 30.0, "following_error": 2.0},
+        "model": {
+            "axis": "rotary",
+            "friction": _FRICTION,
+            "mechanics": {"inertia": 2e-4, "torque_lag_s": 3e-4},
+        },
+        "controller": {"position_gain": 15.0, "velocity_gain": 0.03, "integral_hz": 1.0},
+        "trajectory": {"kind": "circle", "radius": 1.0, "frequency": 0.5},
+        "simulation": {},
+        **changes,
+    }
+    if drive is MODBUS:
+        axis["unit"] = 1
+    path = folder / "axis.yaml"
+    path.write_text(config.dump({"version": 1, "period_s": period_s, "axes": {"x": axis}}))
+    return path
+
+
+@contextlib.contextmanager
+def _simulated(path: Path) -> Iterator[None]:
+    """Simulated drives of a configuration, in a process of their own."""
+    words = [*_COMMAND, "simulate", str(path), "--exit-with-stdin"]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        try:
+            if not process.stdout.readline().startswith("ready:"):
+                raise FrictionHilError("the simulated drive did not start")
+            yield
+        finally:
+            process.stdin.close()
+            process.wait()
+
+
+def _rates(label: str, path: Path, target_us: float) -> list[Row]:
+    """Cycles back to back, then at the configuration's period."""
+    configuration = config.load(path)
+    with _simulated(path), punctuality(PRIORITY) as refused:
+        for line in refused:
+            note(line)
+        drives = _enabled(configuration)
+        try:
+            limit = 1.0 / _wire_s(drives)
+            used_s, took_s = _back_to_back(drives)
+            fresh = _paced(drives, configuration.period_s)
+        finally:
+            drives.close()
+    rate = CYCLES / took_s
+    return [
+        Row(f"{label}: cycles a second, back to back (limit of the wire)", rate, "Hz", limit, rate / limit),
+        Row(f"{label}: cycles in time at {1.0 / configuration.period_s:.0f} Hz", 100.0 * fresh, "%"),
+        against(target_us, f"{label}: processor time of a cycle (target)", "us", used_s / CYCLES * 1e6),
+    ]
+
+
+def _enabled(configuration: Configuration) -> SerialDrives:
+    (axis,) = configuration.axes.values()
+    drives: SerialDrives = load_driver(axis.driver)(configuration, configuration.axes, RealClock(), dry_run=False)
+    drives.connect()
+    drives.start()
+    feedback = Feedback()
+    for _ in range(ENABLE_CYCLES):
+        _cycle(drives, feedback)
+        if feedback.state is DriveState.OPERATION_ENABLED:
+            return drives
+    drives.close()
+    raise FrictionHilError(f"the simulated drive was not enabled: {feedback}")
+
+
+def _cycle(drives: SerialDrives, feedback: Feedback, patience_ns: int = 100_000_000) -> None:
+    drives.receive([feedback], time.monotonic_ns() + patience_ns)
+    drives.send([Command(Request.ENABLE)])
+
+
+def _wire_s(drives: SerialDrives) -> float:
+    """What a cycle takes on the wire, s: the poll, the average of the turns, the push."""
+    (lane,) = drives._lanes
+    line, silence, plan = lane.conversation.line.options, lane.protocol.silence_chars, lane.plan
+    turns = [exchange_s(each, line, silence) for each in plan.turns]
+    fixed = sum(exchange_s(each, line, silence) for each in (*plan.poll, *plan.push))
+    return fixed + (sum(turns) / len(turns) if turns else 0.0)
+
+
+def _back_to_back(drives: SerialDrives) -> tuple[float, float]:
+    """Processor time and time of all cycles, one after the other, s."""
+    feedback = Feedback()
+    began, used = time.perf_counter(), time.process_time()
+    for _ in range(CYCLES):
+        _cycle(drives, feedback)
+    return time.process_time() - used, time.perf_counter() - began
+
+
+def _paced(drives: SerialDrives, period_s: float) -> float:
+    """Share of the cycles, each begun at its deadline, that had fresh feedback before the next one's."""
+    feedback, fresh, period_ns = Feedback(), 0, round(period_s * 1e9)
+    clock = RealClock()
+    deadline_ns = clock.now_ns() + period_ns
+    for _ in range(CYCLES):
+        clock.sleep_until(deadline_ns)
+        _cycle(drives, feedback, deadline_ns + period_ns - clock.now_ns())
+        fresh += feedback.is_fresh
+        deadline_ns += period_ns
+    return fresh / CYCLES
+
+
+def _circle(folder: Path) -> Row:
+    """Following error of the demonstration's motion over a line at 250 Hz, without over with compensation."""
+    errors = []
+    for is_compensated in (False, True):
+        path = _configuration(folder, ODRIVE, 921600, 4e-3, compensation={"enabled": is_compensated})
+        note(f"a circle at 250 Hz, {'with' if is_compensated else 'without'} compensation")
+        with _simulated(path):
+            words = [*_COMMAND, "run", str(path), "--duration", f"{CIRCLE_S:g}", "--json"]
+            done = subprocess.run(words, capture_output=True, text=True, check=False)
+        if done.returncode:
+            raise FrictionHilError(done.stderr.strip())
+        errors.append(json.loads(done.stdout)["axes"]["x"]["rms"])
+    reduction = errors[0] / errors[1]
+    return Row(
+        "circle at 250 Hz: RMS following error without over with compensation (target)",
+        reduction,
+        "",
+        LEAST_REDUCTION,
+        reduction / LEAST_REDUCTION,
+    )
