@@ -83,6 +83,7 @@ class AxisLoop:
         self._reduction = 1.0
         self._network = self.compensator.model.network
         self._trained_speed = math.inf if self._network is None else self._network.speed_limit
+        self.stale = 0  # cycles without usable feedback, bridged by prediction
         self.notice = ""  # what the user should know; whoever tells it empties it
 
         self._shadow_columns = [columns.NAMES.index("exchange_us") + 1 + shadow_names.index(n) for n in self.shadows]
@@ -169,6 +170,7 @@ class AxisLoop:
         """
         time_s = cycle * self._period_s
         is_usable = self.supervisor.is_usable(feedback)
+        self.stale += not is_usable
         position = self.supervisor.position
         has_demand = self._has_setpoint and state in _MOVING
         now = self._trajectory.at(time_s) if has_demand else None

@@ -134,7 +134,7 @@ def run_session(
                 result = loop.run()
         finally:
             report = companion.close()
-    errors = {axis.name: {"rms": axis.stats.rms, "peak": axis.stats.peak} for axis in axes}
+    errors = {axis.name: {"rms": axis.stats.rms, "peak": axis.stats.peak, "stale": axis.stale} for axis in axes}
     return SessionResult(result, errors, report)
 
 

@@ -111,3 +111,5 @@ def _print(summary: dict[str, Any], period_s: float, dry_run: bool) -> None:
     for name, error in summary["axes"].items():
         if not dry_run and math.isfinite(error["rms"]):
             click.echo(f"{name}: following error {error['rms']:.3g} rms, {error['peak']:.3g} peak")
+        if error["stale"]:
+            click.echo(f"{name}: {error['stale']} cycles without usable feedback were bridged")
