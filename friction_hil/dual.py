@@ -32,6 +32,8 @@ from numba.extending import (
 )
 from numba.np.arrayobj import populate_array
 
+from friction_hil.jit import OPTIONS
+
 WIDTH = 6  # as many parameters as LuGre has with a constant sigma1; more of them take several runs
 
 intrinsic: Any = numba.extending.intrinsic  # for mypy: what it makes has other arguments than what it decorates
@@ -213,14 +215,15 @@ def fma(_: Any, x: Any, y: Any, z: Any) -> Any:
 def borrowed(_: Any, array: Any, begin: Any) -> Any:
     """View of a contiguous array from an index of its first dimension on, which does not keep the array alive.
 
+    Of an array in a record, too, it is one like any other: what works on the views is compiled once for all.
+
     Numba counts the references of what it slices, with atomic operations that would cost more than a model's
     whole step. The caller keeps the array.
     """
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        kind = sig.args[0]
-        source = context.make_array(kind)(context, builder, value=args[0])
-        view = context.make_array(kind)(context, builder)
+        source = context.make_array(sig.args[0])(context, builder, value=args[0])
+        view = context.make_array(sig.return_type)(context, builder)
         shape, strides = (cgutils.unpack_tuple(builder, each) for each in (source.shape, source.strides))
         start = builder.mul(args[1], strides[0])
         populate_array(
@@ -233,7 +236,7 @@ def borrowed(_: Any, array: Any, begin: Any) -> Any:
         )
         return view._getvalue()
 
-    return array(array, types.int64), generate
+    return types.Array(array.dtype, array.ndim, "C")(array, types.int64), generate
 
 
 @intrinsic
@@ -252,7 +255,7 @@ def borrowed_at(_: Any, address: Any, length: Any) -> Any:
 
 def overloaded(function: Any) -> Any:
     """Give compiled code an implementation of ``function`` that depends on the types of its arguments."""
-    return overload(function, jit_options={"error_model": "numpy"}, strict=False)  # as `friction_hil.jit.compiled`
+    return overload(function, jit_options=OPTIONS, strict=False)
 
 
 def differentiable(function: Any, value_of: Any, slope_of: Any) -> None:

@@ -23,6 +23,8 @@ Record = NDArray[np.void]  # structured array of length 1: kernels read and chan
 Function = TypeVar("Function", bound=Callable[..., object])
 
 _KEPT_DAYS = 14
+# A kernel is called from Python and from other kernels, not from C: a third entry would only take time to compile.
+OPTIONS: Any = {"error_model": "numpy", "no_cfunc_wrapper": True}
 _HAS_KERNELS = re.compile(rb"@(compiled|inlined)|numba")
 
 
@@ -79,6 +81,6 @@ def _compiled(function: Function, **options: Any) -> Function:
     if folder is not None:
         settings.CACHE_DIR = folder
     try:
-        return cast(Function, numba.njit(function, cache=folder is not None, error_model="numpy", **options))
+        return cast(Function, numba.njit(function, cache=folder is not None, **OPTIONS, **options))
     finally:
         settings.CACHE_DIR = before

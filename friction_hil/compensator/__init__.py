@@ -6,11 +6,10 @@ velocities feed the model and why, `limit_cycle` and `adaptation` what changes t
 
 from friction_hil.compensator.compensator import INPUTS, Compensator, CompensatorSettings, input_checksum
 from friction_hil.compensator.intent import SOURCES
-from friction_hil.compensator.kernel import SETTINGS, STATE, step
+from friction_hil.compensator.kernel import STATE, step
 
 __all__ = [
     "INPUTS",
-    "SETTINGS",
     "SOURCES",
     "STATE",
     "Compensator",

@@ -265,7 +265,7 @@ def _estimator(model: FrictionModel, settings: CompensatorSettings) -> VelocityE
 
 
 def _record(model: FrictionModel, settings: CompensatorSettings, estimator: VelocityEstimator) -> Record:
-    record = np.zeros(1, kernel.SETTINGS)
+    record = np.zeros(1, kernel.settings_type(model.values.size))
     c = record[0]
     step_velocity = 2.0 * settings.position_resolution / settings.period_s
     stribeck_velocity = model.parameters.get("stribeck_velocity")

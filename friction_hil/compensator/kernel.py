@@ -1,6 +1,7 @@
 """One cycle of the compensator: one compiled step over one flat state record, the same in the loop and in replay."""
 
 import math
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -12,41 +13,6 @@ from friction_hil.models import kernel
 
 WAKING_S = 0.01  # without a demand: time in which the compensation comes when the axis begins to move
 RESTING_S = 0.3  # without motion it rests, and in as much time again the compensation goes
-
-SETTINGS = np.dtype(
-    [
-        ("kind", "f8"),
-        ("is_static", "f8"),
-        ("friction", "f8", (kernel.PARAMETER_ROOM,)),
-        ("level", "f8"),
-        ("inertia", "f8"),
-        ("gravity_constant", "f8"),
-        ("gravity_sine", "f8"),
-        ("gravity_cosine", "f8"),
-        ("lead_s", "f8"),
-        ("period_s", "f8"),
-        ("resolution", "f8"),
-        ("motion", motion.SETTINGS),
-        ("uses_torque", "f8"),  # whether the velocity estimator does
-        ("delay_cycles", "f8"),  # of the velocity estimate
-        ("noise", "f8"),  # of the velocity estimate
-        ("rest", "f8"),  # positions within which an axis rests
-        ("source", "f8"),
-        ("epsilon", "f8"),
-        ("epsilon_of_demand", "f8"),
-        ("gate_square", "f8"),
-        ("guided_share", "f8"),  # one-pole coefficient for the velocity of an axis that is moved by hand
-        ("gain_positive", "f8"),
-        ("gain_negative", "f8"),
-        ("dead_band", "f8"),
-        ("fade_s", "f8"),
-        ("torque_limit", "f8"),
-        ("torque_slew", "f8"),
-        ("adaptation_s", "f8"),  # 0: off
-        ("adaptation_bound", "f8"),
-        ("sliding_velocity", "f8"),
-    ]
-)
 
 STATE = np.dtype(
     [
@@ -81,6 +47,45 @@ STATE = np.dtype(
         ("is_faulty", "f8"),  # the model gave a torque that is not finite
     ]
 )
+
+
+@cache
+def settings_type(room: int) -> "np.dtype[np.void]":
+    """Type of the settings, with the ``room`` that the parameters of the friction model need."""
+    return np.dtype(
+        [
+            ("kind", "f8"),
+            ("is_static", "f8"),
+            ("friction", "f8", (room,)),
+            ("level", "f8"),
+            ("inertia", "f8"),
+            ("gravity_constant", "f8"),
+            ("gravity_sine", "f8"),
+            ("gravity_cosine", "f8"),
+            ("lead_s", "f8"),
+            ("period_s", "f8"),
+            ("resolution", "f8"),
+            ("motion", motion.SETTINGS),
+            ("uses_torque", "f8"),  # whether the velocity estimator does
+            ("delay_cycles", "f8"),  # of the velocity estimate
+            ("noise", "f8"),  # of the velocity estimate
+            ("rest", "f8"),  # positions within which an axis rests
+            ("source", "f8"),
+            ("epsilon", "f8"),
+            ("epsilon_of_demand", "f8"),
+            ("gate_square", "f8"),
+            ("guided_share", "f8"),  # one-pole coefficient for the velocity of an axis that is moved by hand
+            ("gain_positive", "f8"),
+            ("gain_negative", "f8"),
+            ("dead_band", "f8"),
+            ("fade_s", "f8"),
+            ("torque_limit", "f8"),
+            ("torque_slew", "f8"),
+            ("adaptation_s", "f8"),  # 0: off
+            ("adaptation_bound", "f8"),
+            ("sliding_velocity", "f8"),
+        ]
+    )
 
 
 def begin(settings: Record, state: Record, initial_friction: Array) -> None:

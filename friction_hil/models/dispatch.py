@@ -115,7 +115,8 @@ def _choose_steady(kind: Any, *arguments: Any) -> Any:
 
 
 @compiled
-def _each_step(kind: Any, p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, torque: Array) -> bool:
+def each_step(kind: Any, p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, torque: Array) -> bool:
+    """`family_run`, by number as well: slower, but compiled once for all families."""
     for k in range(velocity.shape[0]):
         v = velocity[k]
         torque[k] = family_step(kind, p, s, v, v, dt, 0.0, 1.0, applied_torque, 0.0)
@@ -129,14 +130,14 @@ def family_run(kind: Any, *arguments: Any) -> bool:
     Returns whether it has seen, on its way, that every velocity is finite. A static map, which takes little longer
     than to read them, looks; a dynamic model does not.
     """
-    return _each_step(kind, *arguments)
+    return each_step(kind, *arguments)
 
 
 @overloaded(family_run)
 def _choose_run(kind: Any, *arguments: Any) -> Any:
     chosen = getattr(_ORDER[kind.count - 1], "run", None)
     if chosen is None:
-        return lambda kind, *arguments: _each_step(kind, *arguments)
+        return lambda kind, *arguments: each_step(kind, *arguments)
     if kind.count - 1 <= LAST_STATIC:
         return lambda kind, *arguments: chosen(*arguments)
 

@@ -15,6 +15,7 @@ what load and temperature do to its level.
 import math
 from typing import Any
 
+import numpy as np
 from numba import types
 
 from friction_hil.dual import DualArrayType, borrowed_at, overloaded, primal
@@ -25,6 +26,7 @@ from friction_hil.models.dispatch import (
     FAMILY_STATES,
     KARNOPP,
     LAST_STATIC,
+    each_step,
     family_run,
     family_steady,
     family_step,
@@ -34,7 +36,8 @@ from friction_hil.models.elementary import part, whole
 
 HEADER = 4
 _CACHED = 32768  # samples, a quarter of a megabyte: what is read twice is still in the cache
-PARAMETER_ROOM = 2048  # a full table for each direction, the modifiers, and what is left for a network
+PLAIN_ROOM = 640  # a full table for each direction, and the modifiers
+PARAMETER_ROOM = 2048  # of a model with a network
 DIRECTION = FAMILY_STATES
 NETWORK = DIRECTION + 1
 STATE_ROOM = NETWORK + network.STATE_ROOM
@@ -46,13 +49,17 @@ _network_step = network.step_apart
 
 
 def _learned_torque(p: Array, s: Array, *inputs: Any) -> float:
-    """Torque of the network, N m; 0 without one, and to automatic differentiation, which has no use for it."""
+    """Torque of the network, N m; 0 without one, and to automatic differentiation, which has no use for it.
+
+    Parameters in a record say by their room whether there can be one: its code takes as long to compile as all the
+    rest.
+    """
     raise NotImplementedError  # compiled code only
 
 
 @overloaded(_learned_torque)
 def _choose_learned_torque(p: Any, s: Any, *inputs: Any) -> Any:
-    if isinstance(p, DualArrayType):
+    if isinstance(p, DualArrayType) or (isinstance(p, types.NestedArray) and p.shape[0] <= PLAIN_ROOM):
         return lambda p, s, *inputs: 0.0
 
     def of_network(p, s, *inputs):  # type: ignore[no-untyped-def]
@@ -102,9 +109,10 @@ def step(
         Width over which a static map's jump at zero velocity is smoothed, rad/s; 0 for the exact map.
         Dynamic models have no jump and ignore it.
     """
+    own_state = part(s, 0)
     if p[0] == 0.0:
         own = part(p, HEADER)
-        return family_step(kind, own, s, velocity, level_velocity, dt, 0.0, 1.0, applied_torque, epsilon)
+        return family_step(kind, own, own_state, velocity, level_velocity, dt, 0.0, 1.0, applied_torque, epsilon)
     m = part(p, whole(p[2]))
     ripple = _ripple_torque(m, position)
     pushed = applied_torque - ripple
@@ -116,7 +124,7 @@ def step(
         sign = direction(primal(pushed), 0.0)  # it holds with the level of the side to which it would break away
     own = part(p, whole(p[1]) if sign < 0.0 else HEADER)
     extra, scale = _level_extra(m, load_torque, sign), _level_scale(m, temperature)
-    torque = family_step(kind, own, s, velocity, level_velocity, dt, extra, scale, pushed, epsilon)
+    torque = family_step(kind, own, own_state, velocity, level_velocity, dt, extra, scale, pushed, epsilon)
     fast = _fast_torque(m, level_velocity)
     if is_stuck and epsilon == 0.0 and number(kind) <= LAST_STATIC:
         fast = 0.0  # friction balances what is applied, and nothing else
@@ -189,6 +197,16 @@ def run_plain(kind: Any, p: Array, s: Array, velocity: Array, dt: float, applied
         if not (is_seen or is_finite(v)):
             return False
     return True
+
+
+def run_any(kind: int, p: Array, velocity: Array, dt: float) -> Array:
+    """Torque, (n,), of a model without modifiers, from rest: the bits of `run_plain`.
+
+    It takes the family by number: slower, but compiled once for all of them, and quickly where the loop's step is.
+    """
+    torque = np.empty(velocity.size)
+    each_step(kind, p[HEADER:], np.zeros(STATE_ROOM), velocity, dt, 0.0, torque)
+    return torque
 
 
 @compiled

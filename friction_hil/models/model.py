@@ -52,7 +52,8 @@ class FrictionModel:
     kind : int
         Number by which `friction_hil.models.kernel` knows the model.
     values : array
-        Parameters and modifiers in the kernel's order.
+        Parameters and modifiers in the kernel's order, `kernel.PLAIN_ROOM` of them; with a network
+        `kernel.PARAMETER_ROOM`.
     notes : tuple of str
         What is unusual but allowed.
     """
@@ -129,7 +130,7 @@ class FrictionModel:
         changes = pack_modifiers(self.modifiers, 2.0 * math.pi if self.axis == "linear" else 1.0)
         content = [*chain(*packs), *changes.values]
         end = kernel.HEADER + len(content)
-        values = np.zeros(kernel.PARAMETER_ROOM)
+        values = np.zeros(kernel.PLAIN_ROOM if self.network is None else kernel.PARAMETER_ROOM)
         values[:4] = self._has_more, begins[len(packs) - 1], begins[-1], 0.0 if self.network is None else end
         values[kernel.HEADER : end] = content
         if self.network is not None:
@@ -188,7 +189,8 @@ class FrictionModel:
             plain, stiffness = FrictionModel(self.family, self._side(side)), 1e12
             for _ in range(2):  # the first to learn how far a small part of the level reaches
                 position = 1e-6 * plain.level / stiffness
-                stiffness = float(plain.simulate([position / time_s], time_s)[0]) / position
+                velocity = np.full(1, position / time_s)
+                stiffness = float(kernel.run_any(plain.kind, plain.values, velocity, time_s)[0]) / position
             stiffnesses.append(stiffness)
         return max(stiffnesses) + learned
 
@@ -308,7 +310,7 @@ class FrictionModel:
             torque, gradient = checked_out(out[0], (samples,)), checked_out(out[1], (samples, len(names)))
         for first in range(0, max(len(names), 1), WIDTH):
             chunk = names[first : first + WIDTH]
-            seeds = np.zeros((kernel.PARAMETER_ROOM, WIDTH))
+            seeds = np.zeros((self.values.size, WIDTH))
             for place, (free_name, factor) in enumerate(self._places):
                 if free_name in chunk:
                     seeds[place, chunk.index(free_name)] = factor
@@ -421,7 +423,9 @@ class Runner:
     __slots__ = ("_address", "_is_modified", "_state", "_whole")
 
     def __init__(self, model: FrictionModel, epsilon: float) -> None:
-        whole = np.concatenate([[model.kind, epsilon], model.values, model.initial_state()])
+        whole = np.zeros(kernel.WHOLE_ROOM)
+        whole[0], whole[1] = model.kind, epsilon
+        whole[2 : 2 + model.values.size] = model.values
         self.__setstate__((whole, model._has_more))
 
     def __getstate__(self) -> tuple[Array, bool]:

@@ -37,7 +37,7 @@ def run(
 ) -> None:
     """Do what `friction_hil.models.kernel.run` does, and fill up to WIDTH columns of ``gradient`` from ``first`` on.
 
-    ``seeds`` (PARAMETER_ROOM, WIDTH) is 1 in the column that an element of ``p`` counts for. ``state_gradient``
+    ``seeds`` (PLAIN_ROOM, WIDTH) is 1 in the column that an element of ``p`` counts for. ``state_gradient``
     (STATE_ROOM, WIDTH) belongs to ``s`` and is advanced with it.
     """
     parameters, state = (

@@ -25,7 +25,7 @@ PLANT = np.dtype(
         ("counts_per_unit", "f8"),
         ("steps_per_control", "f8"),
         ("velocity_filter_share", "f8"),  # one-pole coefficient of the drive's velocity at its loop rate
-        ("friction", "f8", (kernel.PARAMETER_ROOM,)),
+        ("friction", "f8", (kernel.PLAIN_ROOM,)),
     ]
 )
 

@@ -9,6 +9,8 @@ from friction_hil import compensator as compensation
 from friction_hil.compensator import Compensator, CompensatorSettings
 from friction_hil.jit import Array, Record, compiled
 from friction_hil.models import FrictionModel, kernel
+from friction_hil.models.dispatch import family_step
+from friction_hil.models.elementary import part
 
 PERIOD_S = 1e-3
 GAIN = 0.9  # about standstill, where too much compensation makes an axis unstable
@@ -19,7 +21,7 @@ _BALANCE = 1e-12  # relative difference of force and friction that counts as non
 MOVED = np.dtype(
     [
         ("kind", "f8"),
-        ("friction", "f8", (kernel.PARAMETER_ROOM,)),
+        ("friction", "f8", (kernel.PLAIN_ROOM,)),
         ("friction_state", "f8", (kernel.STATE_ROOM,)),  # in a record, as in the compensator: compiled once for both
         ("is_static", "f8"),
         ("stick_velocity", "f8"),
@@ -52,7 +54,7 @@ def _run(moved: Record, settings: Record, state: Record, force: Array, trace: Ar
     ``force`` has one element a period, or one for all.
     """
     c = moved[0]
-    kind, steps = int(c.kind), int(c.steps)
+    kind, p, s, steps = int(c.kind), part(c.friction, kernel.HEADER), part(c.friction_state, 0), int(c.steps)
     dt = c.period_s / steps
     stride = 1 if force.shape[0] > 1 else 0
     x, v, friction, integral, command, torque = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
@@ -72,7 +74,7 @@ def _run(moved: Record, settings: Record, state: Record, force: Array, trace: Ar
         trace[3, k] = torque
         for j in range(steps):
             applied = given + c.spring * (c.pull * (k * c.period_s + j * dt) - x) - c.damper * v
-            friction = kernel.step(kind, c.friction, c.friction_state, v, v, dt, 0.0, 0.0, math.nan, applied, 0.0)
+            friction = family_step(kind, p, s, v, v, dt, 0.0, 1.0, applied, 0.0)
             after = v + dt * (applied - friction) / c.mass
             if c.is_static > 0.0:
                 is_balanced = abs(applied - friction) <= _BALANCE * abs(applied)
@@ -156,6 +158,7 @@ def run(friction: FrictionModel, loop: Loop, believed: FrictionModel | None) -> 
 
 
 def _moved(friction: FrictionModel, **values: float) -> Record:
+    """Return the `MOVED` record of a mass; the friction is that of a family without modifiers."""
     record = np.zeros(1, MOVED)
     c = record[0]
     c["kind"], c["friction"], c["is_static"] = friction.kind, friction.values, friction.family.is_static

@@ -11,6 +11,7 @@ from scipy.interpolate import PchipInterpolator
 import friction_hil as fh
 from friction_hil.errors import UsageError
 from friction_hil.models.model import as_dict
+from tests.compensators import PERIOD_S, columns, compensator
 
 LUGRE = fh.models.describe("lugre").example
 
@@ -34,6 +35,24 @@ def test_a_default_follows_what_a_direction_changes_also_after_the_model_was_wri
     for each in (model, again):
         assert each.simulate([0.0, 0.0], 1e-3, applied_torque=[1.0, -1.0]) == pytest.approx([0.1, -0.08])
         assert each.notes == ()
+
+
+def test_the_largest_model_of_all_has_room_in_a_compensator():
+    speeds = np.arange(64.0)
+    points = [[sign * v, sign * (1.0 + v)] for sign in (1.0, -1.0) for v in speeds + 0.5]
+    faster = [[v, 2.0 * torque] for v, torque in points]
+    modifiers = {
+        "direction": {"positive": {"points": faster}, "negative": {"points": points}},
+        "load": {"motoring": 0.1},
+        "temperature": {"reference": 20.0, "coefficient": 0.0},
+        "viscous": {"quadratic": 1e-3},
+        "ripple": [{"order": order, "cosine": 0.01 * order} for order in range(1, 17)],
+    }
+    model = fh.models.create("table", points=points, modifiers=modifiers)
+    one, runner = compensator(model, source="demand", torque_limit=100.0), model.start()
+    torque, _ = one.replay(columns(100, velocity_demand=2.5, velocity_demand_ahead=2.5))
+    assert torque[-1] == pytest.approx(runner.step(2.5, PERIOD_S))
+    assert torque[-1] == pytest.approx(2.0 * 3.5 + 0.01 * sum(range(1, 17)), abs=0.5)
 
 
 def test_out_is_filled_and_what_does_not_fit_is_refused():

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 import friction_hil as fh
 from friction_hil.compensator import Compensator, CompensatorSettings
 from friction_hil.models import InvalidParameterError
-from tests.compensators import columns
+from tests.compensators import PERIOD_S, columns, compensator
 from tests.networks import STRUCTURES, alone, beside, model_file, random_network
 
 every_structure = pytest.mark.parametrize("name", list(STRUCTURES))
@@ -140,6 +140,15 @@ def test_a_compensator_replays_a_network_step_for_step(make, velocity):
     torque, _ = one.replay(rows)
     np.testing.assert_array_equal(torque, [other.step(*row) for row in np.transpose(rows).tolist()])
     assert np.abs(torque).max() > 0.01
+
+
+@pytest.mark.parametrize("make", [alone, beside])
+def test_a_compensator_gives_the_whole_model(make):
+    model = make(random_network())
+    one, runner = compensator(model, source="demand"), model.start()
+    expected = [runner.step(0.1, PERIOD_S) for _ in range(100)]
+    torque, _ = one.replay(columns(100, velocity_demand=0.1, velocity_demand_ahead=0.1))
+    np.testing.assert_allclose(torque[20:], expected[20:], rtol=1e-12)
 
 
 def test_the_level_behind_the_intent_does_not_turn_the_direction():

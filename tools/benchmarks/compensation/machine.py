@@ -20,7 +20,7 @@ _BALANCE = 1e-12  # relative difference of torque and friction that counts as no
 PLANT = np.dtype(
     [
         ("friction_kind", "f8"),
-        ("friction", "f8", (kernel.PARAMETER_ROOM,)),
+        ("friction", "f8", (kernel.PLAIN_ROOM,)),
         ("is_friction_static", "f8"),
         ("stick_velocity", "f8"),
         ("inertia", "f8"),  # of the motor, which friction and encoder sit at
@@ -65,7 +65,7 @@ FEEDFORWARD = np.dtype(
         ("smoothing", "f8"),  # of the one-pole filter on the encoder difference
         ("epsilon", "f8"),
         ("kind", "f8"),
-        ("friction", "f8", (kernel.PARAMETER_ROOM,)),
+        ("friction", "f8", (kernel.PLAIN_ROOM,)),
     ]
 )
 
