@@ -91,11 +91,12 @@ def test_the_schema_finds_mistakes(old, new):
     assert schema_errors(parse(text.replace(old, new, 1), "mutated").value)
 
 
-def test_what_is_marked_as_default_is_the_default():
-    path = DIRECTORY / "single_axis_csp.yaml"
+@pytest.mark.parametrize("name", ["single_axis_csp", "serial_modbus"])
+def test_what_is_marked_as_default_is_the_default(name):
+    path = DIRECTORY / f"{name}.yaml"
     lines = path.read_text().splitlines(keepends=True)
     kept = [line for line in lines if not re.search(r"#\s*default\b", line)]
-    assert len(kept) < len(lines) - 15
+    assert len(kept) < len(lines) - 8
     shorter = from_dict(parse("".join(kept), "shorter").value, str(path))
     assert self_contained(shorter) == self_contained(load(path))
 
@@ -113,6 +114,14 @@ def test_the_first_example_lists_every_key():
         assert set(group) == set(keys(model))
     elsewhere = {"controller", "simulation"}
     assert set(value["axes"]["x"]) == {*keys(AxisConfig), *type(axis.options).model_fields} - elsewhere
+
+
+def test_the_serial_example_lists_every_key_of_its_drivers():
+    path = DIRECTORY / "serial_modbus.yaml"
+    given, axis = read(path).value["axes"]["x"], load(path).axes["x"]
+    assert set(given) >= set(type(axis.options).model_fields)
+    assert set(given["line"]) == set(type(axis.options.line).model_fields)
+    assert set(given["simulation"]["line"]) == set(type(axis.simulation.line).model_fields)
 
 
 def test_the_demo_is_a_circle_with_wrong_parameters():

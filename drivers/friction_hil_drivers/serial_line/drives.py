@@ -72,7 +72,7 @@ class _Lane:
 
     def send(self, steps: Mapping[str, Mapping[str, float]]) -> None:
         """Ask for a step, of one axis and in every second cycle (one has to hear what it did), and for the push."""
-        may_step = not (self.is_step_sent and self.plan.turns)
+        may_step = not self.is_step_sent
         self.is_step_sent = False
         for axis in (*self.axes[self.first :], *self.axes[: self.first]):
             if may_step and (step := steps[axis.name]):

@@ -17,27 +17,39 @@ def exchange_s(exchange: Exchange, line: LineOptions, silence_chars: float) -> f
     return characters * character_s(line) + (line.turnaround_s if frames == 2 else 0.0)
 
 
-def longest_cycle(plan: Plan, step: Exchange | None, line: LineOptions, silence_chars: float) -> list[Exchange]:
-    """Exchanges of the longest cycle: poll, push, and the longest of the turns or of the sequences' steps."""
-    others = [*plan.turns, *([] if step is None else [step])]
-    longest = max(others, key=lambda exchange: exchange_s(exchange, line, silence_chars), default=None)
-    return [*plan.poll, *([] if longest is None else [longest]), *plan.push]
-
-
 def check_rate(plan: Plan, step: Exchange | None, line: LineOptions, silence_chars: float, period_s: float) -> str:
     """Compare what a cycle takes on the wire with the period; say it.
+
+    Parameters
+    ----------
+    plan : Plan
+        Of which a cycle has the poll, the longest of the turns, and the push.
+    step : Exchange, optional
+        Longest step of a sequence, which takes the place of a turn.
+    line : LineOptions
+    silence_chars : float
+    period_s : float
 
     Raises
     ------
     UsageError
         A cycle is longer than the period; the message has the arithmetic.
     """
-    times = [(each, exchange_s(each, line, silence_chars)) for each in longest_cycle(plan, step, line, silence_chars)]
-    needed = sum(time for _, time in times)
+
+    def time_s(exchange: Exchange) -> float:
+        return exchange_s(exchange, line, silence_chars)
+
+    parts = [*plan.poll, *sorted(plan.turns, key=time_s)[-1:], *plan.push]
+    needed = sum(map(time_s, parts))
     if needed <= period_s:
-        return f"a cycle takes {needed * 1e3:.3g} ms of {period_s * 1e3:g} ms on {line.port}"
+        text = f"a cycle takes {needed * 1e3:.3g} ms of {period_s * 1e3:g} ms on {line.port}"
+        with_step = sum(map(time_s, (*plan.poll, *plan.push))) + (0.0 if step is None else time_s(step))
+        if with_step > period_s:
+            text += f", {with_step * 1e3:.3g} ms with a step on the way to another state: each such step loses a cycle"
+        return text
     listed = "; ".join(
-        f"{each.what}: {each.request_size} + {each.reply_size} characters, {time * 1e3:.3g} ms" for each, time in times
+        f"{each.what}: {each.request_size} + {each.reply_size} characters, {time_s(each) * 1e3:.3g} ms"
+        for each in parts
     )
     raise UsageError(
         f"a period of {period_s * 1e3:g} ms is too short for {line.port} at {line.baud} baud: a cycle takes "
