@@ -1,6 +1,7 @@
 """Drives for tests of the loop: simulated servos behind the drive port, without any bus. Time is stepped."""
 
 import math
+import os
 from collections.abc import Callable, Sequence
 
 from friction_hil.axis import AxisLoop
@@ -48,7 +49,7 @@ def configuration(**axes):
     data = {
         "version": 1,
         "period_s": PERIOD_S,
-        "bus": {"interface": "virtual", "channel": "test"},
+        "bus": {"interface": "virtual", "channel": f"test-{os.getpid()}"},  # a node has one daemon on a machine
         "axes": axes or {"x": axis_dict()},
     }
     return from_dict(data, "test")

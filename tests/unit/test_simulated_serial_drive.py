@@ -4,7 +4,7 @@ import math
 from typing import Any
 
 import pytest
-from friction_hil_drivers.canopen import profile
+from friction_hil_drivers.cia402 import profile
 from friction_hil_drivers.serial_line.sequences import Sequencer, state_of
 from friction_hil_drivers.serial_line.simulated import RefusedError, SimulatedDrive
 from hypothesis import given, settings

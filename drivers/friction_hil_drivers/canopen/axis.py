@@ -5,11 +5,12 @@ from collections.abc import Callable, Mapping
 
 from friction_hil.drive import Command, DriveState, Feedback, Mode, Request
 from friction_hil.errors import DriveError
-from friction_hil_drivers.canopen import objects, profile
+from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.configure import ConfiguredDrive
 from friction_hil_drivers.canopen.frames import Frame
 from friction_hil_drivers.canopen.mapping import Pdo
 from friction_hil_drivers.canopen.units import Unwrapper
+from friction_hil_drivers.cia402 import profile
 
 Handler = Callable[[bytes], bool]  # takes a frame's data; whether it is feedback of this cycle that was missing
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from friction_hil.drive import DriveState, Mode
 from friction_hil.errors import DriveError, RecordingError
 from friction_hil.recordings import Recording
-from friction_hil_drivers.canopen import objects, profile
+from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.configure import read_units
 from friction_hil_drivers.canopen.eds import load_eds
 from friction_hil_drivers.canopen.mapping import COMMANDS, FEEDBACK, pdo_layout
@@ -19,6 +19,7 @@ from friction_hil_drivers.canopen.objects import Object
 from friction_hil_drivers.canopen.options import CanopenOptions
 from friction_hil_drivers.canopen.sdo import ObjectAccess
 from friction_hil_drivers.canopen.units import PER_MILLE, Units
+from friction_hil_drivers.cia402 import profile
 
 if TYPE_CHECKING:
     import can

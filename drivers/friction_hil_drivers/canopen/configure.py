@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING
 
 from friction_hil.drive import AxisFacts, DriveState, Mode
 from friction_hil.errors import DriveError
-from friction_hil_drivers.canopen import objects, profile
+from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.eds import load_eds
 from friction_hil_drivers.canopen.mapping import COMMANDS, FEEDBACK, Pdo, map_pdo, switch_off
 from friction_hil_drivers.canopen.objects import Object
 from friction_hil_drivers.canopen.options import CanopenOptions
 from friction_hil_drivers.canopen.sdo import ObjectAccess
 from friction_hil_drivers.canopen.units import Units
+from friction_hil_drivers.cia402 import profile
 
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from friction_hil.drive import AxisFacts, Clock, Command, Feedback, Request
 from friction_hil.errors import BusError, DriveError
-from friction_hil_drivers.canopen import objects, profile
+from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.axis import CanopenAxis, Handler
 from friction_hil_drivers.canopen.bus import bus_name, open_bus
 from friction_hil_drivers.canopen.bus_log import read_bus_log
@@ -23,6 +23,7 @@ from friction_hil_drivers.canopen.frames import Frame, FrameBus, frame_bus
 from friction_hil_drivers.canopen.mapping import check_bus_load
 from friction_hil_drivers.canopen.options import CanopenOptions
 from friction_hil_drivers.canopen.sdo import ObjectAccess
+from friction_hil_drivers.cia402 import profile
 
 if TYPE_CHECKING:
     import can

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from friction_hil.drive import Command, DriveState, Feedback, Request
 from friction_hil.errors import UsageError
 from friction_hil.velocity import unwrap
-from friction_hil_drivers.canopen import profile
+from friction_hil_drivers.cia402 import profile
 from friction_hil_drivers.serial_line.description import Description, Step
 from friction_hil_drivers.serial_line.protocol import COMMANDS, Image
 from friction_hil_drivers.serial_line.sequences import Sequencer, parting_writes, state_of, state_signals

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from friction_hil.drive import DriveState, Request
-from friction_hil_drivers.canopen import profile
+from friction_hil_drivers.cia402 import profile
 from friction_hil_drivers.serial_line.description import STATES, Description, Step
 
 _OFF = (

@@ -7,13 +7,14 @@ from dataclasses import dataclass
 from friction_hil.drive import DriveState, Mode
 from friction_hil.errors import DriveError
 from friction_hil.servo.servo import Servo
-from friction_hil_drivers.canopen import objects, profile
+from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.simulated.dictionary import Abort, Dictionary, SdoAbortError
 from friction_hil_drivers.canopen.simulated.emergency import Emergencies
-from friction_hil_drivers.canopen.simulated.power import requested_state
 from friction_hil_drivers.canopen.simulated.setpoints import NO_MODE, Setpoints
 from friction_hil_drivers.canopen.simulated.units import Units
 from friction_hil_drivers.canopen.simulated.values import connect_live_values, set_defaults
+from friction_hil_drivers.cia402 import profile
+from friction_hil_drivers.cia402.power import requested_state
 
 PARAMETER_ERROR, FOLLOWING_ERROR = 0x6320, 0x8611
 _UNSUPERVISED = 0xFFFFFFFF  # following error window that switches the supervision off
