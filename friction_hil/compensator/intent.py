@@ -11,6 +11,11 @@ the demand, the compensation may answer only with what takes energy out of it:
   curve: an axis that runs ahead gets less, one that falls behind more. It stays on the side of the intent.
 * The measured deviation d is admitted as far as it is real, by the share r = S / (S + S_gate) of a Wiener filter,
   S its smoothed square.
+
+Where no demand is known, the velocity of the moment of action is that of the estimate and the change that its slope
+lets expect, by the share to which such predictions came true of late (`expected_change`). It leads the direction
+through a reversal, which otherwise comes late by the whole delay. What stands still does not get it: between model
+and encoder the lead of a spring is a delay the other way.
 """
 
 import math
@@ -21,12 +26,16 @@ from friction_hil.jit import inlined
 AUTO, MEASURED, DEMAND = 0, 1, 2
 SOURCES = {"auto": AUTO, "measured": MEASURED, "demand": DEMAND}
 
+HORIZON = 8  # cycles over which predictions are judged, at most
 HISTORY = 18  # cycles of demanded velocity kept, which bounds the delay of the velocity estimate
 RECOVERY = 30.0  # a, 1/s: how fast an axis is expected to make up for its following error
 PLAY_COUNTS = 15.0  # in which a static map that is guided by hand changes its direction
 STIFFNESS_SHARE = 0.25  # of the presliding spring that is compensated where no demand says what is intended
 GATE_STRIBECK_SHARE = 0.06  # deviations from the demand, in Stribeck velocities, that matter
+SLOPE_SHARE = 0.2  # one-pole coefficient for the slope of the velocity
+NOISE_SHARE = 6.0  # square of a count's velocity over that of the noise, both of a plain encoder difference
 _SMOOTHING_CYCLES = 15.0
+_JUDGING_CYCLES = 30.0  # over which predictions are compared with what came
 
 
 @inlined
@@ -37,6 +46,16 @@ def forget(r: Any, demand: float) -> None:
     r.error_square = 0.0
     for k in range(HISTORY):
         r.demands[k] = demand
+
+
+@inlined
+def forget_changes(r: Any) -> None:
+    """Begin anew to predict, from the velocity of now."""
+    r.last_velocity = r.motion.velocity
+    r.slope = 0.0
+    r.change_square = r.change_product = 0.0
+    for k in range(HORIZON):
+        r.changes[k] = 0.0
 
 
 @inlined
@@ -72,17 +91,43 @@ def intended(c: Any, r: Any, ahead: float) -> float:
 
 
 @inlined
-def guided(c: Any, r: Any, dt: float) -> tuple[float, float]:
+def expected_change(c: Any, r: Any, dt: float) -> tuple[float, float]:
+    """Change of the velocity until the torque acts, and the share of the predicted one that this is.
+
+    Predicted by the slope of the estimate, which is right in a motion that a hand leads, wrong in noise, in steps of
+    the encoder and where the axis sticks. The share is the regression of what came on what had been predicted,
+    their product over the prediction's square, less the part of that square that the encoder could have caused.
+    """
+    v = r.motion.velocity
+    oldest = int(c.ahead_cycles) - 1
+    predicted, came = r.changes[oldest], v - r.velocities[oldest]
+    r.change_square += (predicted * predicted - r.change_square) / _JUDGING_CYCLES
+    r.change_product += (predicted * came - r.change_product) / _JUDGING_CYCLES
+    r.slope += SLOPE_SHARE * ((v - r.last_velocity) / dt - r.slope)
+    r.last_velocity = v
+    for k in range(oldest, 0, -1):
+        r.changes[k], r.velocities[k] = r.changes[k - 1], r.velocities[k - 1]
+    r.changes[0], r.velocities[0] = c.ahead_s * r.slope, v
+    if not (r.change_product > 0.0 and r.change_square > c.ahead_noise_square):
+        return 0.0, 0.0
+    share = min(r.change_product / r.change_square, 1.0) * (1.0 - c.ahead_noise_square / r.change_square)
+    return share * r.changes[0], share
+
+
+@inlined
+def guided(c: Any, r: Any, change: float, share: float, dt: float) -> tuple[float, float]:
     """Velocities of an axis that is moved by a hand: no demand says what is intended.
 
     Nothing tells a hand from the spring's own swing: too soft a spring in the model leaves the axis most of its
-    own, at any delay. A static map has no spring; its direction follows in a play.
+    own, at any delay. A static map has no spring; its direction follows in a play. The level's velocity is smoothed
+    as far as the motion is not plain without that.
     """
-    v = r.motion.velocity
+    v = r.motion.velocity + change
+    level = r.guided_velocity + share * (r.motion.velocity - r.guided_velocity) + change
     if c.is_static == 0.0:
-        return STIFFNESS_SHARE * v, r.guided_velocity
+        return STIFFNESS_SHARE * v, level
     r.play = min(max(r.play + v * dt / (PLAY_COUNTS * c.resolution), -1.0), 1.0)
-    return 3.0 * r.play * c.epsilon, r.guided_velocity  # tanh 3 is almost 1
+    return 3.0 * r.play * c.epsilon, level  # tanh 3 is almost 1
 
 
 @inlined
@@ -101,9 +146,10 @@ def velocities(c: Any, r: Any, ahead: float, dt: float) -> tuple[float, float]:
     measured = r.motion.velocity
     r.guided_velocity += c.guided_share * (measured - r.guided_velocity)
     if not math.isfinite(ahead):
+        change, share = expected_change(c, r, dt)
         if c.source == MEASURED:
-            return measured, measured
-        return guided(c, r, dt)
+            return measured, measured + change  # the whole spring, led, would swing
+        return guided(c, r, change, share, dt)
     d = deviation(c, r)
     r.deviation_square += (d * d - r.deviation_square) / _SMOOTHING_CYCLES
     if c.source == MEASURED:

@@ -25,6 +25,12 @@ STATE = np.dtype(
         ("error_square", "f8"),
         ("play", "f8"),  # direction of a static map guided by hand, -1 to 1
         ("guided_velocity", "f8"),
+        ("last_velocity", "f8"),
+        ("slope", "f8"),  # of the velocity estimate, smoothed
+        ("changes", "f8", (intent.HORIZON,)),  # of the velocity, as predicted, newest first
+        ("velocities", "f8", (intent.HORIZON,)),  # from which they were predicted
+        ("change_square", "f8"),
+        ("change_product", "f8"),  # of predicted and true change
         ("demands", "f8", (intent.HISTORY,)),  # newest first
         ("friction", "f8", (kernel.STATE_ROOM,)),
         ("friction_torque", "f8"),  # of the model, last cycle
@@ -63,6 +69,9 @@ def settings_type(room: int) -> "np.dtype[np.void]":
             ("gravity_sine", "f8"),
             ("gravity_cosine", "f8"),
             ("lead_s", "f8"),
+            ("ahead_s", "f8"),  # from the moment to which the velocity estimate belongs to the torque's acting
+            ("ahead_cycles", "f8"),  # the same in whole cycles, from 1 to `intent.HORIZON`
+            ("ahead_noise_square", "f8"),  # of a predicted change of velocity: what the encoder alone could cause
             ("period_s", "f8"),
             ("resolution", "f8"),
             ("motion", motion.SETTINGS),
@@ -108,7 +117,8 @@ def _load_torque(c: Any, position: float) -> float:
 @compiled
 def _follow_motion(c: Any, r: Any, cycle: float, position: float, velocity: float, torque: float) -> None:
     net = 0.0
-    if c.uses_torque > 0.0:
+    if c.uses_torque > 0.0 and r.has_demand > 0.0:
+        # without a demand a hand moves the axis, whose torque nobody knows: what is known of the rest would mislead;
         # over the cycle that ends here; the model's friction is that of the intended motion, as long as the axis
         # follows its own. What exceeds the level is viscous: held over a cycle, it may not turn the axis round
         bound = c.level + 0.5 * c.inertia * abs(r.motion.velocity) / c.period_s
@@ -166,10 +176,13 @@ def step(
         r.resting_s = RESTING_S
         r.guided_velocity = r.motion.velocity
         intent.forget(r, demand)
+        intent.forget_changes(r)
         adaptation.forget(r)
     else:
         if has_demand and r.has_demand == 0.0:
             intent.forget(r, demand)
+        elif r.has_demand > 0.0 and not has_demand:
+            intent.forget_changes(r)
         intent.remember(r, demand, elapsed)
         if is_fresh > 0.0:
             _follow_motion(c, r, cycle, position, velocity, torque)
