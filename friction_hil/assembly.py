@@ -25,7 +25,7 @@ def make_compensator(config: "AxisConfig", model: "ModelFile", facts: AxisFacts,
     settings = CompensatorSettings(
         period_s=period_s,
         position_resolution=facts.position_resolution,
-        lead_s=lead_s(model, facts),
+        lead_s=lead_s(model, facts, period_s),
         inertia=model.mechanics.inertia,
         gravity=(gravity.constant, gravity.sine, gravity.cosine),
         torque_limit=config.limits.torque,
@@ -50,10 +50,13 @@ def make_shadows(config: "AxisConfig", facts: AxisFacts, period_s: float) -> dic
     return {shadow.name: make_compensator(config, shadow.model, facts, period_s) for shadow in config.shadows}
 
 
-def lead_s(model: "ModelFile", facts: AxisFacts) -> float:
-    """Time from sampling the position to the middle of the period in which the torque acts."""
+def lead_s(model: "ModelFile", facts: AxisFacts, period_s: float) -> float:
+    """Time from sampling the position to the middle of the period in which the torque acts.
+
+    That is the driver's to know; the model file's ``delay_s``, to the torque's start, goes before it.
+    """
     delay = model.mechanics.delay_s
-    return (delay if delay > 0.0 else facts.actuation_delay_s) + model.mechanics.torque_lag_s
+    return (delay + 0.5 * period_s if delay > 0.0 else facts.actuation_delay_s) + model.mechanics.torque_lag_s
 
 
 def ramp_s(axes: "Iterable[AxisConfig]") -> float:

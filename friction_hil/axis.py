@@ -62,7 +62,7 @@ class AxisLoop:
         self._baseline_s = config.compensation.baseline_s
         self._period_s = period_s
         self.setpoint_delay_s = facts.setpoint_delay_s
-        self.lead_s = lead_s(config.model, facts)
+        self.lead_s = lead_s(config.model, facts, period_s)
         self._limits = make_limits(config)
         self._unit = "rad" if config.model.axis == "rotary" else "m"
         self.supervisor = Supervisor(

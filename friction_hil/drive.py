@@ -83,15 +83,38 @@ class Command:
 
 @dataclass(frozen=True, slots=True)
 class AxisFacts:
-    """What the driver learned about a drive while connecting."""
+    """What the driver learned about a drive while connecting; recorded, so that replay computes with the same.
+
+    The delays are the driver's to state, from its protocol and from what it measured while connecting. On a bus paced
+    by SYNC nothing is left to measure: the drive samples at SYNC k, takes the command of that cycle at SYNC k + 1
+    and holds it for a period, whenever in between the frames went, for the loop sends SYNC k + 1 after that command.
+    An exchange that outlasts the period makes SYNC late, by whole cycles, and the loop says so. Where a command acts
+    when it arrives, as on a serial line, the driver measures how long an exchange takes.
+
+    Attributes
+    ----------
+    name : str
+        Of the axis.
+    identity : str
+        For people: vendor, product, serial number.
+    position_resolution, torque_resolution : float
+        Smallest step of the position feedback and of the torque command, SI.
+    setpoint_delay_s : float
+        From sending a set-point to the drive's demand being equal to it.
+    actuation_delay_s : float
+        From the drive's sampling its position to the middle of the time for which it holds the torque that the loop
+        computed from that.
+    notes : tuple of str
+        What the user should know, e.g. which watchdog is armed.
+    """
 
     name: str
-    identity: str  # for people: vendor, product, serial number
-    position_resolution: float  # smallest step of the position feedback, SI
-    torque_resolution: float  # smallest step of the torque command, SI
-    setpoint_delay_s: float  # from sending a set-point to the drive's demand being equal to it
-    actuation_delay_s: float  # from sending a torque to the middle of the period in which it acts
-    notes: tuple[str, ...] = field(default=())  # what the user should know, e.g. which watchdog is armed
+    identity: str
+    position_resolution: float
+    torque_resolution: float
+    setpoint_delay_s: float
+    actuation_delay_s: float
+    notes: tuple[str, ...] = field(default=())
 
 
 class Clock(Protocol):

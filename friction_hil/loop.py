@@ -137,6 +137,7 @@ class Loop:
         self._late = np.zeros(_HISTOGRAM_US + 1, dtype=np.int64)
         self._course = Course(is_listening=settings.dry_run)
         self._running_since_s = math.nan
+        self._idle_exchanges_us: list[float] = []
         self.result = LoopResult()
 
     def run(self) -> LoopResult:
@@ -206,7 +207,8 @@ class Loop:
         for k, axis in enumerate(self._axes):
             fault = self._update(k, axis, cycle, state, running_s)
             if axis.notice:
-                self._warn(cycle, axis)
+                self._warn(cycle, axis.notice)
+                axis.notice = ""
             if fault is not None and not self._is_fault_being_reset(k, time_s):
                 self._fault(cycle, fault)
         request = (REQUESTS_AFTER_FAULT if self.result.faults else REQUESTS)[state]
@@ -220,6 +222,8 @@ class Loop:
             part[_EXCHANGE] = exchange_us
         self._sink.push(self._row)
         self.result.cycles += 1
+        if state is LoopState.IDLE and not settings.dry_run:
+            self._idle_exchanges_us.append(exchange_us)
         self._advance(cycle, time_s)
 
     def _is_first_feedback_here(self, cycle: int, time_s: float) -> bool:
@@ -287,6 +291,8 @@ class Loop:
             return
         if self._course.fault:
             self._fault(cycle, self._course.fault)
+        if self._course.state is LoopState.ENABLING:
+            self._check_exchange(cycle)
         # set-points are sent ahead of time: what has been sent stays true
         later_s = time_s + self._settings.period_s + max(axis.setpoint_delay_s for axis in self._axes)
         if self._course.state is LoopState.RUNNING:
@@ -304,11 +310,22 @@ class Loop:
             self.result.faults.append(text)
             self._sink.event(cycle, "fault", text)
 
-    def _warn(self, cycle: int, axis: AxisLoop) -> None:
-        """Note what an axis wants the user to know."""
-        self.result.warnings.append(axis.notice)
-        self._sink.event(cycle, "warning", axis.notice)
-        axis.notice = ""
+    def _check_exchange(self, cycle: int) -> None:
+        """See whether feedback and command go between two deadlines, by the idle cycles (in motion, misses count)."""
+        typical_us = float(np.median(self._idle_exchanges_us))
+        period_us = 1e6 * self._settings.period_s
+        if typical_us > period_us:
+            self._warn(
+                cycle,
+                f"feedback and command take {typical_us:.0f} us, more than the period of {period_us:.0f} us: torques "
+                "act whole periods later than they are computed for; take a longer period_s, a faster bus or fewer "
+                "axes",
+            )
+
+    def _warn(self, cycle: int, text: str) -> None:
+        """Note what the user should know."""
+        self.result.warnings.append(text)
+        self._sink.event(cycle, "warning", text)
 
     def _finish(self, cycle: int) -> None:
         """Write zero torque and disable once more whatever happened, leave the bus, sum up."""

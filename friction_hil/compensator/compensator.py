@@ -279,7 +279,7 @@ def _record(model: FrictionModel, settings: CompensatorSettings, estimator: Velo
     c["lead_s"] = settings.lead_s
     ahead_cycles = settings.lead_s / settings.period_s + estimator.delay_cycles
     c["ahead_s"] = ahead_cycles * settings.period_s
-    c["ahead_cycles"] = min(max(round(ahead_cycles), 1), intent.HORIZON)
+    c["judged_cycles"] = min(max(round(ahead_cycles), 1), intent.HORIZON)
     predicted_noise = max(1.0, intent.SLOPE_SHARE * ahead_cycles) * estimator.noise
     c["ahead_noise_square"] = intent.NOISE_SHARE * predicted_noise**2
     c["period_s"] = settings.period_s

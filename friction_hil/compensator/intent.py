@@ -13,9 +13,8 @@ the demand, the compensation may answer only with what takes energy out of it:
   S its smoothed square.
 
 Where no demand is known, the velocity of the moment of action is that of the estimate and the change that its slope
-lets expect, by the share to which such predictions came true of late (`expected_change`). It leads the direction
-through a reversal, which otherwise comes late by the whole delay. What stands still does not get it: between model
-and encoder the lead of a spring is a delay the other way.
+lets expect, by the share to which such predictions came true of late (`expected_change`): a reversal, too, is then
+answered when it comes, not later by the whole delay.
 """
 
 import math
@@ -55,7 +54,7 @@ def forget_changes(r: Any) -> None:
     r.slope = 0.0
     r.change_square = r.change_product = 0.0
     for k in range(HORIZON):
-        r.changes[k] = 0.0
+        r.slopes[k] = 0.0
 
 
 @inlined
@@ -99,19 +98,20 @@ def expected_change(c: Any, r: Any, dt: float) -> tuple[float, float]:
     their product over the prediction's square, less the part of that square that the encoder could have caused.
     """
     v = r.motion.velocity
-    oldest = int(c.ahead_cycles) - 1
-    predicted, came = r.changes[oldest], v - r.velocities[oldest]
+    cycles = int(c.judged_cycles)
+    predicted = r.slopes[cycles - 1] * cycles * c.period_s
+    came = v - r.velocities[cycles - 1]
     r.change_square += (predicted * predicted - r.change_square) / _JUDGING_CYCLES
     r.change_product += (predicted * came - r.change_product) / _JUDGING_CYCLES
     r.slope += SLOPE_SHARE * ((v - r.last_velocity) / dt - r.slope)
     r.last_velocity = v
-    for k in range(oldest, 0, -1):
-        r.changes[k], r.velocities[k] = r.changes[k - 1], r.velocities[k - 1]
-    r.changes[0], r.velocities[0] = c.ahead_s * r.slope, v
+    for k in range(cycles - 1, 0, -1):
+        r.slopes[k], r.velocities[k] = r.slopes[k - 1], r.velocities[k - 1]
+    r.slopes[0], r.velocities[0] = r.slope, v
     if not (r.change_product > 0.0 and r.change_square > c.ahead_noise_square):
         return 0.0, 0.0
     share = min(r.change_product / r.change_square, 1.0) * (1.0 - c.ahead_noise_square / r.change_square)
-    return share * r.changes[0], share
+    return share * c.ahead_s * r.slope, share
 
 
 @inlined
@@ -148,7 +148,8 @@ def velocities(c: Any, r: Any, ahead: float, dt: float) -> tuple[float, float]:
     if not math.isfinite(ahead):
         change, share = expected_change(c, r, dt)
         if c.source == MEASURED:
-            return measured, measured + change  # the whole spring, led, would swing
+            led = measured + change
+            return measured, led if led * measured > 0.0 else 0.0  # the whole spring, led, would swing
         return guided(c, r, change, share, dt)
     d = deviation(c, r)
     r.deviation_square += (d * d - r.deviation_square) / _SMOOTHING_CYCLES

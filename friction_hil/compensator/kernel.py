@@ -27,10 +27,10 @@ STATE = np.dtype(
         ("guided_velocity", "f8"),
         ("last_velocity", "f8"),
         ("slope", "f8"),  # of the velocity estimate, smoothed
-        ("changes", "f8", (intent.HORIZON,)),  # of the velocity, as predicted, newest first
-        ("velocities", "f8", (intent.HORIZON,)),  # from which they were predicted
-        ("change_square", "f8"),
-        ("change_product", "f8"),  # of predicted and true change
+        ("slopes", "f8", (intent.HORIZON,)),  # newest first
+        ("velocities", "f8", (intent.HORIZON,)),  # of the same cycles
+        ("change_square", "f8"),  # of the predicted change, smoothed
+        ("change_product", "f8"),  # of the predicted one and the true one
         ("demands", "f8", (intent.HISTORY,)),  # newest first
         ("friction", "f8", (kernel.STATE_ROOM,)),
         ("friction_torque", "f8"),  # of the model, last cycle

@@ -5,6 +5,7 @@ import struct
 import time
 
 import can
+import numpy as np
 import pytest
 from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.drives import CanopenDrives
@@ -44,12 +45,13 @@ class BenchBus(can.BusABC):
 
 
 class Driven:
-    """A drive in CST, enabled and pushed with 0.3 N m."""
+    """A drive, in CST, enabled and pushed with 0.3 N m."""
 
-    def __init__(self, *, dry_run=False):
-        self.bench = Bench()
+    def __init__(self, *, mode="cst", servo=None, dry_run=False):
+        self.bench = Bench(servo)
         self.bus = BenchBus(self.bench)
-        config = configuration(x=axis_dict(node=NODE, mode="cst", controller=CONTROLLER))
+        controller = {"controller": CONTROLLER} if mode == "cst" else {}
+        config = configuration(x=axis_dict(node=NODE, mode=mode, **controller))
         self.clock = SteppedClock()
         self.drives = CanopenDrives(config, config.axes, self.clock, dry_run=dry_run, bus=self.bus)
         (self.facts,) = self.drives.connect()
@@ -88,6 +90,39 @@ def test_a_drive_is_enabled_pushed_and_disabled(driven):
     driven.drives.close()
     assert driven.bench.read(0x1016, 1) == 0  # nobody is to be watched any more
     assert driven.bench.emergencies == []
+
+
+def test_the_position_is_that_of_the_sync(driven):
+    driven.cycle(Request.ENABLE, 0.3, count=10)
+    assert driven.feedback.velocity > 1.0
+    assert driven.feedback.position == pytest.approx(driven.bench.servo.position, abs=1e-9)  # it stands since then
+
+
+@pytest.mark.parametrize("mode", ["cst", "csp"])
+def test_a_torque_acts_when_the_facts_say_that_it_does(mode):
+    """One cycle's torque, on an axis too heavy to be moved by it: nothing else changes the drive's demand."""
+    driven = Driven(mode=mode, servo={"mechanics": {"inertia": 1e3}})
+    servo, demands = driven.bench.servo, []
+    advance = servo.advance
+
+    def advance_step_by_step(steps):
+        for _ in range(steps):
+            advance(1)
+            demands.append(servo.torque_demand)
+
+    servo.advance = advance_step_by_step
+    driven.cycle(Request.ENABLE, count=20)
+    driven.cycle(Request.ENABLE, 0.3)
+    sampled = len(demands)  # at the last SYNC
+    driven.cycle(Request.ENABLE, count=5)
+    driven.drives.close()
+    driven.bus.shutdown()
+    pushed = np.array(demands[sampled:])
+    assert np.abs(demands[:sampled]).max() < 1e-3
+    assert pushed.max() == pytest.approx(0.3, abs=1e-3)
+    middle = (np.arange(pushed.size) + 0.5) / servo.steps_per_second
+    acted = float(np.sum(middle * pushed) / np.sum(pushed))
+    assert acted == pytest.approx(driven.facts.actuation_delay_s, abs=1.0 / servo.config.loops.rate_hz)
 
 
 def test_after_a_crash_in_motion_no_drive_keeps_its_power(driven):

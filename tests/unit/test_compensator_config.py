@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from friction_hil.assembly import make_compensator
+from friction_hil.assembly import lead_s, make_compensator
 from friction_hil.drive import AxisFacts
 from friction_hil.errors import ConfigurationError, UsageError
 from tests.servo_drives import PERIOD_S, axis_dict, configuration
@@ -97,3 +97,13 @@ def test_a_mistake_is_told_with_its_place(given, field, words):
 def test_an_acceleration_that_makes_the_tracking_too_slow_is_told_when_the_drive_is_known(acceleration):
     with pytest.raises(UsageError, match="let it follow a greater acceleration"):
         made(velocity="tracking", acceleration=acceleration)
+
+
+@pytest.mark.parametrize(("mechanics", "expected"), [({}, 1.5e-3), ({"delay_s": 1.2e-3}, 1.2e-3 + 0.5 * PERIOD_S)])
+def test_the_lead_reaches_to_the_middle_of_the_period_in_which_the_torque_acts(mechanics, expected):
+    """By the driver's facts; a delay of the model file is one to the torque's start."""
+    axis = axis_dict()
+    axis["model"]["mechanics"] = {"inertia": 2e-4, "torque_lag_s": 3e-4, **mechanics}
+    model = configuration(x=axis).axes["x"].model
+    facts = AxisFacts("x", "servo", 1e-5, 1e-4, 2.5e-3, 1.5e-3)
+    assert lead_s(model, facts, PERIOD_S) == pytest.approx(expected + 3e-4)

@@ -74,6 +74,76 @@ def test_most_of_the_presliding_spring_is_left_to_the_axis(source, share):
     assert np.diff(torque)[-1] == pytest.approx(share * 10.0 * 0.2 * PERIOD_S, rel=1e-6)
 
 
+# --- lead
+
+
+def left_of_a_fast_motion(name, period_s, *, is_led=True):
+    """RMS of the friction less what compensates it, over that of the friction: 5 Hz, acting two cycles late."""
+    fine, cycles, rate = round(8 * period_s / PERIOD_S), round(1.6 / period_s), 2.0 * math.pi * 5.0
+    t = np.arange(cycles * fine) * period_s / fine
+    velocity = 0.1 * rate * np.sin(rate * t)
+    position = np.cumsum(velocity) * period_s / fine
+    friction = MODELS[name].simulate(velocity, period_s / fine)
+    given = {"period_s": period_s, "position_resolution": resolution(20), "lead_s": 2.5 * period_s, "gain": 0.9}
+    one = compensator(MODELS[name], **given)
+    if not is_led:
+        one.record[0]["ahead_noise_square"] = math.inf
+    torque, _ = one.replay(columns(cycles, position=quantised(position[::fine], resolution(20)), velocity=0.0))
+    acting = np.concatenate([[0.0, 0.0], torque[:-2]]).repeat(fine)
+    settled = slice(cycles * fine // 2, None)
+    return float(np.sqrt(np.mean((friction - acting)[settled] ** 2) / np.mean(friction[settled] ** 2)))
+
+
+@pytest.mark.parametrize(("period_s", "most"), [(1e-3, 0.3), (4e-3, 0.5)])
+@pytest.mark.parametrize("name", list(MODELS))
+def test_at_fast_reversals_the_lead_takes_away_most_of_what_the_delay_leaves(name, period_s, most):
+    left = left_of_a_fast_motion(name, period_s)
+    assert left < most
+    assert left < 0.75 * left_of_a_fast_motion(name, period_s, is_led=False)
+
+
+def effort(name, bits, frequency_hz, amplitude, *, is_led=True, **given):
+    """RMS torque of a hand that leads the axis to and fro, N m, and the reduction of the gain in the end."""
+    stiffness, rate = 20.0, 2.0 * math.pi * frequency_hz
+    damping = 1.4 * math.sqrt(stiffness * INERTIA)
+    torques = []
+
+    def hand(t, position, velocity):
+        place, speed = amplitude * (1.0 - math.cos(rate * t)), amplitude * rate * math.sin(rate * t)
+        torques.append(stiffness * (place - position) + damping * (speed - velocity))
+        return torques[-1]
+
+    usual = {"gain": 0.9, "position_resolution": resolution(bits), "lead_s": 1.8e-3, "torque_limit": 1.0}
+    one = compensator(MODELS[name], **usual | given)
+    if not is_led:
+        one.record[0]["ahead_noise_square"] = math.inf
+    Axis(MODELS[name], resolution=resolution(bits)).run(one, 1.5, hand=hand)
+    return float(np.sqrt(np.mean(np.square(torques[len(torques) // 3 :])))), one.reduction
+
+
+@pytest.mark.parametrize("name", ["lugre", "stribeck", "gms", "dahl"])
+def test_a_hand_has_less_to_do_by_the_lead_and_the_axis_does_not_swing(name):
+    led, reduction = effort(name, 20, 5.0, 0.1)
+    assert reduction == 1.0
+    assert led < 0.8 * effort(name, 20, 5.0, 0.1, is_led=False)[0]
+
+
+@pytest.mark.parametrize(("bits", "frequency_hz", "amplitude"), [(14, 2.0, 0.05), (14, 5.0, 0.1), (20, 2.0, 0.05)])
+@pytest.mark.parametrize("name", ["lugre", "stribeck", "gms", "dahl"])
+def test_the_lead_is_never_worse(name, bits, frequency_hz, amplitude):
+    led, reduction = effort(name, bits, frequency_hz, amplitude)
+    without, reduction_without = effort(name, bits, frequency_hz, amplitude, is_led=False)
+    assert reduction >= reduction_without
+    assert led < 1.02 * without
+
+
+@pytest.mark.parametrize("name", ["lugre", "stribeck", "gms", "dahl"])
+def test_the_observer_does_not_take_its_own_compensation_for_the_hand(name):
+    torque, reduction = effort(name, 20, 5.0, 0.1, velocity="kalman")
+    assert reduction == 1.0
+    assert torque < 0.6 * effort(name, 20, 5.0, 0.1, gain=0.0)[0]
+
+
 # --- waking and resting
 
 

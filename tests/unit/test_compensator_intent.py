@@ -205,6 +205,32 @@ def test_load_dependent_friction_is_that_of_the_load_there(lead_s):
     assert np.ptp(expected) > 0.05
 
 
+@checked
+@given(st.sampled_from([0.3, 0.5, 1.0]), st.sampled_from(["difference", "drive"]), st.floats(0.0, 5e-3))
+@pytest.mark.parametrize("source", EVERY_SOURCE)
+def test_without_a_demand_the_model_sees_the_velocity_of_the_time_when_it_acts(source, smoothing, velocity, lead_s):
+    """As with one: v(t) = a t, so the viscous torque must be that of a (t + lead)."""
+    a = 30.0
+    model = fh.models.create("coulomb", coulomb=1e-9, viscous=0.01)
+    one = compensator(model, smoothing=smoothing, velocity=velocity, source=source, lead_s=lead_s)
+    torque, _ = feed(one, lambda t: 0.5 * a * t * t, lambda t: a * t, 500)
+    t = np.arange(500) * PERIOD_S
+    np.testing.assert_allclose(torque[300:], 0.01 * a * (t[300:] + lead_s), atol=0.01 * a * 2e-5)
+
+
+@every_model
+@pytest.mark.parametrize("speed", [0.0, 0.05, 0.3])
+def test_the_steps_of_a_coarse_encoder_are_no_acceleration(name, speed):
+    """In even motion and at rest, 14 bits: what is led comes to the same as what is not."""
+    torques = []
+    for lead_s in (0.0, 2.5e-3):
+        one = compensator(MODELS[name], position_resolution=resolution(14), lead_s=lead_s)
+        place = quantised(speed * np.arange(2000) * PERIOD_S, resolution(14))
+        place += resolution(14) * (np.random.default_rng(0).random(2000) < 0.1)  # flickers
+        torques.append(one.replay(columns(2000, position=place, velocity=speed))[0])
+    np.testing.assert_allclose(*torques, atol=1e-3 * MODELS[name].level)
+
+
 # --- lost feedback, and demands that come and go
 
 

@@ -19,7 +19,7 @@ from friction_hil_drivers.cia402 import profile
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig
 
-_ACTUATION_DELAY_CYCLES = 1.5  # in force from the next SYNC, for one period: half a period later on average
+_ACTUATION_DELAY_CYCLES = 1.5  # sampled at one SYNC, in force from the next, for one period: by its middle
 _SETPOINT_DELAY_CYCLES = {Mode.CSP: 2.5, Mode.CSV: 2.0, Mode.CST: 1.5}
 _STAY_IN_QUICK_STOP = 6
 _TO_FAULT = 1
