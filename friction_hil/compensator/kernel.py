@@ -70,7 +70,7 @@ def settings_type(room: int) -> "np.dtype[np.void]":
             ("gravity_cosine", "f8"),
             ("lead_s", "f8"),
             ("ahead_s", "f8"),  # from the moment to which the velocity estimate belongs to the torque's acting
-            ("ahead_cycles", "f8"),  # the same in whole cycles, from 1 to `intent.HORIZON`
+            ("judged_cycles", "f8"),  # the same in whole cycles, from 1 to `intent.HORIZON`
             ("ahead_noise_square", "f8"),  # of a predicted change of velocity: what the encoder alone could cause
             ("period_s", "f8"),
             ("resolution", "f8"),
