@@ -6,8 +6,8 @@ A network is one flat array ``p``: the places named below, then its weights, in 
     (feedbacks x width)
     bias of the second layer (second) and its weights (width x second), where there is one
     for every output: bias, weights of the last layer, linear path
-    gated only: bias and weights (inputs) of the direct path, then for the gate of each state a bias and weights
-    (`VELOCITY_FEATURES`) of the squares of the first inputs
+    gated only: bias and weights (inputs) of the direct path, then for the rate and the knee of each state a bias and
+    weights (`VELOCITY_FEATURES`) of the squares of the first inputs
 
 Its state is another, ``s``: what is fed back (gated: the states y; narx: past torques, scaled, latest first), the
 velocity features of past samples (narx), and room for intermediate results, which means nothing between steps.
@@ -18,13 +18,16 @@ them, the torque over `TORQUE_SCALE` is
 ====== =====================================================================================================
 static T(x)
 narx   T(x, y), y the past torques
-gated  c + l . x + sum of y+ + B(x, y) times sum of (y+ - y) TRAINED_DT / dt, with
-       y+ = y + [1 - exp(-kappa abs(v) dt)] (T(x, y) - y) for every state; y and T have as many components as
-       there are states; ln kappa = RATE_MIDDLE + RATE_HALF tanh(r + q . x^2), x^2 of the four velocity features
+gated  c + l . x + sum of y+ + B(x, y) times sum of (y+ - y) TRAINED_DT / dt, with y+ the exact solution of
+       dy/dt = kappa abs(v) limited(T - y, +-w) over the step, T(x, y) and v held, for every state; y and T have as
+       many components as there are states; ln kappa = RATE_MIDDLE + RATE_HALF tanh(r + q . x^2), x^2 of the four
+       velocity features; ln (w / BOUND) = KNEE_MIDDLE + KNEE_HALF tanh(s + t . x^2)
 ====== =====================================================================================================
 
 cut off at `BOUND`, as is every T. A gated network is Dahl's and LuGre's form with the right-hand side learned: its
 state stands still at rest, does not depend on the sampling period, and y+ is a weighted mean of y and a bounded T.
+Farther from T than w a state is a spring of constant stiffness kappa w, as a Maxwell-slip element and the bristles of
+the elasto-plastic model are below their break-away; within w it yields, as Dahl's and LuGre's do from the start.
 B is the damping of the bristles: with l . x alone the error is five times as large. It multiplies the state's rate,
 rather than standing beside the states, because that is what does not depend on the sampling period; and kappa, the
 stiffness over the level in LuGre's model, changes with the velocity for the same reason.
@@ -44,6 +47,8 @@ MAX_HARMONICS = 8
 VELOCITY_FEATURES = 4
 SPARE = LANES - 1  # places behind the units of the layers, for vectors that reach beyond them
 GATE_WEIGHTS = 1 + VELOCITY_FEATURES
+GATES = 2  # of every state: its rate and its knee
+KNEE_MIDDLE, KNEE_HALF = 0.5 * math.log(0.01), 0.5 * math.log(400.0)  # knees: 0.005 to 2 bounds, never exceeded then
 
 STRUCTURE = 0
 INPUTS = 1  # how many numbers x has
@@ -212,7 +217,36 @@ def rate(p: Array, bend: float) -> float:
     return decay(-fma(p[RATE_HALF], bend, p[RATE_MIDDLE]))
 
 
-_rate_bend, _rate = rate_bend, rate
+@inlined
+def per_knee(p: Array, bend: float) -> float:
+    """1 / w of a knee."""
+    return decay(fma(KNEE_HALF, bend, KNEE_MIDDLE)) / p[BOUND]
+
+
+@inlined
+def travelled(distance: float, way: float, per_knee: float) -> tuple[float, float, float, float]:
+    """How far a state goes towards its aim in one step.
+
+    Parameters
+    ----------
+    distance, way, per_knee : float
+        T - y, kappa abs(v) dt and 1 / w.
+
+    Returns
+    -------
+    tuple
+        Share of the distance that it goes; 1 less the slope of what is left of the distance over the distance; how
+        many knees the distance is, and how many of them lie beyond the first.
+    """
+    knees = abs(distance) * per_knee
+    beyond = max(knees - 1.0, 0.0)
+    straight = min(beyond, way)
+    begun = straight / max(knees, 1.0)
+    soft = approach(way - straight)
+    return fma(1.0 - begun, soft, begun), soft, knees, beyond
+
+
+_rate_bend, _rate, _per_knee, _travelled = rate_bend, rate, per_knee, travelled
 
 
 @inlined
@@ -273,8 +307,11 @@ def advance(
     total, begin = _outputs(p, x, fed_back, aims, h)
     damping = aims[feedbacks]
     for i in range(feedbacks):
-        before = fed_back[i]
-        after[i] = toward(before, aims[i], approach(_rate(p, _rate_bend(p, begin + i * GATE_WEIGHTS, x)) * path))
+        before, gate = fed_back[i], begin + i * GATES * GATE_WEIGHTS
+        way = _rate(p, _rate_bend(p, gate, x)) * path
+        knee = _per_knee(p, _rate_bend(p, gate + GATE_WEIGHTS, x))
+        share, _, _, _ = _travelled(aims[i] - before, way, knee)
+        after[i] = toward(before, aims[i], share)
         total += after[i] + damping * ((after[i] - before) * tempo)
     return _limited(total, bound)
 

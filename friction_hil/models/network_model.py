@@ -28,7 +28,7 @@ NETWORK_ALONE = Family(
     name="network",
     summary="trained network, from a model file ('friction-hil train')",
     formula=(
-        "F = c + l x + sum y + B(x, y) sum dy/dt;  dy/dt = kappa(v) |v| (T(x, y) - y)  (gated);  "
+        "F = c + l x + sum y + B(x, y) sum dy/dt;  dy/dt = kappa(v) |v| limited(T(x, y) - y, w(v))  (gated);  "
         "F = T(x, past v, past F)  (narx);  F = T(x)  (static)"
     ),
     source="friction_hil/models/network.py",
@@ -110,7 +110,7 @@ class Structure:
     @property
     def weights(self) -> int:
         """How many numbers are trained."""
-        direct = 1 + self.inputs + self.states * network.GATE_WEIGHTS if self.kind == "gated" else 0
+        direct = 1 + self.inputs + self.states * network.GATES * network.GATE_WEIGHTS if self.kind == "gated" else 0
         return self.outputs_begin + self.outputs * self.output_weights + direct
 
     @property

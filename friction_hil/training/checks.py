@@ -70,7 +70,8 @@ def at_rest(structure: Structure, p: Array, dt: float, *, seconds: float = REST_
     samples = max(_PARTS, round(seconds / dt))
     limit, scale = p[network.SPEED_LIMIT], p[network.TORQUE_SCALE]
     still = np.zeros(samples)
-    dither = _DITHER * limit * np.random.default_rng(0).choice([-1.0, 0.0, 1.0], samples)
+    # of an encoder between two counts: its position stays, and a spring that follows it has no reason to wander
+    dither = _DITHER * limit * np.diff(np.random.default_rng(0).choice([0.0, 1.0], samples), prepend=0.0)
     tenth = samples // 10
     rise = late = growth = 0.0
     for share in _APPROACHES:

@@ -1,8 +1,9 @@
 """From the numbers that are searched for to the weights of a network that is stable by design.
 
 The slopes of a network's aims over what is fed back sum to less than a bound in absolute value, whatever the inputs.
-As the slope of tanh is at most 1, the absolute weights on the way from feedback to output bound that sum. Feedback
-weights beyond the bound are shrunk together, smoothly.
+As the slope of tanh is between 0 and 1, what raises an aim and what lowers it, on all ways from feedback to output, do
+so each by their weights at most; the larger of both sums bounds the slope. Feedback weights beyond the bound are
+shrunk together, smoothly.
 
 A bound below 1 makes a gated network a contraction: it forgets how it began, as far as it moves. A narx needs slopes
 near 1 in order to hold its torque at rest and small ones in motion, which no bound on weights can tell apart. It is
@@ -55,24 +56,34 @@ class Constraint:
         structure, gradient = self.structure, np.zeros_like(w)
         if structure.states == 0:
             return 0.0, gradient
-        width = structure.hidden[0]
+        width, units = structure.hidden[0], structure.hidden[-1]
         begin, end = structure.feedback_weights
-        fed = w[begin:end].reshape(structure.states, width)
-        into = np.abs(fed).sum(axis=0)
-        middle = np.eye(width)
+        fed, middle = w[begin:end].reshape(structure.states, width), np.eye(width)
         if len(structure.hidden) == 2:
-            first = end + structure.hidden[1]
-            middle = w[first : first + width * structure.hidden[1]].reshape(width, structure.hidden[1])
-        onward = into @ np.abs(middle)
+            first = end + units
+            middle = w[first : first + width * units].reshape(width, units)
         outs = structure.outputs_begin + 1 + structure.output_weights * np.arange(max(structure.outputs - 1, 1))
-        last = np.stack([w[place : place + structure.hidden[-1]] for place in outs])
-        gains = np.abs(last) @ onward
+        last = np.stack([w[place : place + units] for place in outs])
+        (fed_up, fed_down), (middle_up, middle_down), (last_up, last_down) = map(_parts, (fed, middle, last))
+        up = fed_up @ middle_up + fed_down @ middle_down  # of every feedback, to every unit of the last layer
+        down = fed_up @ middle_down + fed_down @ middle_up
+        raised, lowered = last_up @ up.T + last_down @ down.T, last_up @ down.T + last_down @ up.T
+        gains = np.maximum(raised, lowered).sum(axis=1)
         worst = int(np.argmax(gains))
-        out = np.abs(last[worst])
-        gradient[outs[worst] : outs[worst] + structure.hidden[-1]] = onward * np.sign(last[worst])
-        gradient[begin:end] = (np.abs(middle) @ out * np.sign(fed)).ravel()
+        rises = (raised[worst] >= lowered[worst])[:, None]  # where the larger sum of a feedback is the raising one
+        last_sign = last[worst] > 0.0
+        gradient[outs[worst] : outs[worst] + units] = (
+            np.where(last_sign, 1.0, -1.0) * np.where(rises == last_sign, up, down)
+        ).sum(axis=0)
+        over_up = np.where(rises, last_up[worst], last_down[worst])
+        over_down = np.where(rises, last_down[worst], last_up[worst])
+        over_fed_up = over_up @ middle_up.T + over_down @ middle_down.T
+        over_fed_down = over_up @ middle_down.T + over_down @ middle_up.T
+        gradient[begin:end] = np.where(fed > 0.0, over_fed_up, -over_fed_down).ravel()
         if len(structure.hidden) == 2:
-            gradient[first : first + middle.size] = (np.outer(into, out) * np.sign(middle)).ravel()
+            over_middle_up = fed_up.T @ over_up + fed_down.T @ over_down
+            over_middle_down = fed_up.T @ over_down + fed_down.T @ over_up
+            gradient[first : first + middle.size] = np.where(middle > 0.0, over_middle_up, -over_middle_down).ravel()
         gain = float(gains[worst])
         if structure.kind == "narx":
             linear = w[structure.weights - structure.states :]
@@ -81,15 +92,23 @@ class Constraint:
         return gain, gradient
 
     def apply(self, w: Array) -> tuple[Array, Array]:
-        """Return the weights of the network, and their derivative over ``w`` (weights, weights)."""
-        weights, slopes = w.copy(), np.eye(w.size)
+        """Return the weights of the network, and by how much their slopes over ``w`` differ from the identity.
+
+        The slopes are those of the weights of what is fed back, (feedback weights, weights); the others do not differ.
+        """
+        weights, places = w.copy(), self.feedback
+        change = np.zeros((places.size, w.size))
         if self.structure.states:
-            places = self.feedback
             gain, gradient = self._gain(w)
             excess = (gain / self.contraction) ** _SHARPNESS
             scale = (1.0 + excess) ** (-1.0 / _SHARPNESS)
             weights[places] = scale * w[places]
-            slopes[places, places] = scale
             if gain > 0.0:
-                slopes[places] -= np.outer(w[places], scale * excess / (1.0 + excess) / gain * gradient)
-        return weights, slopes
+                change -= np.outer(w[places], scale * excess / (1.0 + excess) / gain * gradient)
+            change[np.arange(places.size), places] += scale - 1.0
+        return weights, change
+
+
+def _parts(values: Array) -> tuple[Array, Array]:
+    """Values where they are above zero, and less than zero with the sign turned; zeros elsewhere."""
+    return np.maximum(values, 0.0), np.maximum(-values, 0.0)

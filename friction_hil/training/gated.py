@@ -11,6 +11,7 @@ from friction_hil.models.network import (
     FEEDBACKS,
     GATE_WEIGHTS,
     GATED,
+    GATES,
     HEADER,
     INPUTS,
     SECOND,
@@ -82,7 +83,7 @@ def row_room(p: Array) -> int:
     feedbacks = whole(p[FEEDBACKS])
     layers = _padded(width) * (1 + inputs + feedbacks) + _padded(second) * (1 + width)
     outputs = (1 + feedbacks) * _padded(output_weights(p))
-    return layers + outputs + _padded(1 + inputs) + feedbacks * _padded(GATE_WEIGHTS) + LANES
+    return layers + outputs + _padded(1 + inputs) + feedbacks * GATES * _padded(GATE_WEIGHTS) + LANES
 
 
 @inlined
@@ -95,7 +96,7 @@ def plan_width(p: Array) -> int:
     """Return the length of a row of `plan_rows`."""
     feedbacks, inputs = whole(p[FEEDBACKS]), whole(p[INPUTS])
     vectors = _padded(1 + inputs + feedbacks) + _padded(output_weights(p)) + _padded(GATE_WEIGHTS)
-    return vectors + (1 + feedbacks) * (_slopes_room(p) + feedbacks) + 2 + 2 * feedbacks
+    return vectors + (1 + feedbacks) * (_slopes_room(p) + feedbacks) + 2 + 3 * feedbacks
 
 
 @compiled
@@ -106,8 +107,8 @@ def plan_rows(
 
     1, inputs and what is fed back; 1, last layer and inputs; 1 and squares of the inputs of a gate; then for the
     damping and for every state the slopes of `layer_slopes`, and those over what is fed back; then the slope of the
-    torque over the damping, its slope over the states after the step, and for every state its share and the slope
-    over the sum in its gate. It is written long before it is read, for the reason in `row_room`.
+    torque over the damping, its slope over the states after the step, and for every state its slopes over its aim and
+    over the sums in its gates. It is written long before it is read, for the reason in `row_room`.
     """
     units, feedbacks, inputs = units_room(p), whole(p[FEEDBACKS]), whole(p[INPUTS])
     width, second = whole(p[WIDTH]), whole(p[SECOND])
@@ -124,7 +125,7 @@ def plan_rows(
         step, x_k = part(flat_trace, k * trace.shape[1]), part(flat_x, k * inputs)
         last, gate, numbers = part(plan, to_last), part(plan, to_gate), part(plan, to_numbers)
         aims, fed_back = part(step, units), part(step, units + 1 + feedbacks)
-        shares, bends = part(fed_back, feedbacks), part(fed_back, 2 * feedbacks)
+        shares, soft, turns = part(fed_back, feedbacks), part(fed_back, 2 * feedbacks), part(fed_back, 3 * feedbacks)
         plan[0] = last[0] = gate[0] = 1.0
         for i in range(inputs):
             plan[1 + i] = last[1 + count + i] = x_k[i]
@@ -144,13 +145,13 @@ def plan_rows(
         for i in range(feedbacks):
             over[i] -= damping
         for i in range(feedbacks):
-            new = shares[i] if abs(aims[i]) < p[BOUND] else 0.0
+            new = soft[i] if abs(aims[i]) < p[BOUND] else 0.0
             slopes = part(over, feedbacks)
             over = part(slopes, slopes_room)
             layer_slopes(p, step, outputs + i * each + 1, new, slopes)
             put_over_fed_back(p, slopes, over)
-            over[i] += 1.0 - shares[i]
-            numbers[2 + 2 * i], numbers[3 + 2 * i] = new, bends[i] * (aims[i] - fed_back[i])
+            over[i] += 1.0 - soft[i]
+            numbers[2 + 3 * i], numbers[3 + 3 * i], numbers[4 + 3 * i] = new, turns[i], turns[feedbacks + i]
 
 
 @inlined
@@ -189,7 +190,7 @@ def one_state_row(p: Array, step: Array, plan: Array, s: Array, row: Array) -> N
     state_at = over_at + 1
     own_at = state_at + _slopes_room(p)
     before, own = plan[over_at], plan[own_at]
-    gained, after, new, turn = plan[own_at + 1], plan[own_at + 2], plan[own_at + 3], plan[own_at + 4]
+    gained, after, new = plan[own_at + 1], plan[own_at + 2], plan[own_at + 3]
     for i in range(2 + inputs):
         one = plan[i]
         for j in range(0, width, LANES):
@@ -214,8 +215,11 @@ def one_state_row(p: Array, step: Array, plan: Array, s: Array, row: Array) -> N
     for j in range(0, 1 + inputs, LANES):
         put_scaled(row, to + j, plan, j, 1.0)
     at, to = at + _padded(each) + _padded(1 + inputs), to + 1 + inputs
-    for j in range(0, GATE_WEIGHTS, LANES):
-        carry(s, at + j, own, plan, gate_at + j, turn, row, to + j, before, after, plan, gate_at + j, 0.0)
+    for i in range(GATES):
+        turn = plan[own_at + 4 + i]
+        for j in range(0, GATE_WEIGHTS, LANES):
+            carry(s, at + j, own, plan, gate_at + j, turn, row, to + j, before, after, plan, gate_at + j, 0.0)
+        at, to = at + _padded(GATE_WEIGHTS), to + GATE_WEIGHTS
 
 
 @inlined
@@ -232,7 +236,7 @@ def gated_row(p: Array, path: float, step: Array, plan: Array, s: Array, after: 
     damped = layers + feedbacks * each_wide
     direct = damped + each_wide
     gates = direct + _padded(1 + inputs)
-    used = gates + feedbacks * gate_wide
+    used = gates + feedbacks * GATES * gate_wide
     stride = used + LANES
     if path > 0.0:
         last = part(plan, _padded(1 + inputs + feedbacks))
@@ -248,11 +252,7 @@ def gated_row(p: Array, path: float, step: Array, plan: Array, s: Array, after: 
             add_scaled(wide, damped + j, last, j, numbers[0])
         for i in range(feedbacks):
             # a single one changes in place
-            after_i, new, turn = (
-                part(s if feedbacks == 1 else after, i * stride),
-                numbers[2 + 2 * i],
-                numbers[3 + 2 * i],
-            )
+            after_i, new = part(s if feedbacks == 1 else after, i * stride), numbers[2 + 3 * i]
             slopes = part(over, feedbacks)
             over = part(slopes, slopes_room)
             for w in range(0, used, LANES):
@@ -260,8 +260,9 @@ def gated_row(p: Array, path: float, step: Array, plan: Array, s: Array, after: 
             _add_layers(p, plan, step, slopes, after_i)
             for j in range(0, each_wide, LANES):
                 add_scaled(after_i, layers + i * each_wide + j, last, j, new)
-            for j in range(0, gate_wide, LANES):
-                add_scaled(after_i, gates + i * gate_wide + j, gate, j, turn)
+            for n in range(GATES):
+                for j in range(0, gate_wide, LANES):
+                    add_scaled(after_i, gates + (i * GATES + n) * gate_wide + j, gate, j, numbers[3 + 3 * i + n])
             for w in range(0, used, LANES):
                 add_scaled(wide, w, after_i, w, numbers[1])
         if feedbacks > 1:
@@ -284,9 +285,9 @@ def gated_row(p: Array, path: float, step: Array, plan: Array, s: Array, after: 
         to += each
     _put_group(wide, direct, row, to, 1 + inputs)
     to += 1 + inputs
-    for i in range(feedbacks):
+    for i in range(feedbacks * GATES):
         _put_group(wide, gates + i * gate_wide, row, to, GATE_WEIGHTS)
         to += GATE_WEIGHTS
-    if abs(step[units + 1 + 4 * feedbacks]) >= p[BOUND]:
+    if abs(step[units + 1 + 6 * feedbacks]) >= p[BOUND]:
         for w in range(to):
             row[w] = 0.0

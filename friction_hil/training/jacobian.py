@@ -10,15 +10,17 @@ import numpy as np
 from friction_hil.dual import fma
 from friction_hil.jit import Array, compiled
 from friction_hil.models import network
-from friction_hil.models.elementary import approach, part, toward, whole
+from friction_hil.models.elementary import part, toward, whole
 from friction_hil.models.lanes import LANES, add_scaled, put_scaled
 from friction_hil.models.network import (
     BOUND,
     FEEDBACKS,
     GATE_WEIGHTS,
     GATED,
+    GATES,
     HEADER,
     INPUTS,
+    KNEE_HALF,
     LAGS,
     NARX,
     RATE_HALF,
@@ -40,12 +42,13 @@ from friction_hil.training.gated import (
 )
 from friction_hil.training.normal import add_products
 
-BLOCK = 32  # rows of the Jacobian at a time: they stay in the nearest cache until their products are summed
+BLOCK = 48  # rows of the Jacobian at a time: they stay in the nearest caches until their products are summed
 GATE_BLOCK = 256  # samples whose gates are calculated together
 
 _advance, _outputs = network.advance, network.outputs
 _limited, _rate, _tanh = network.limited, network.rate, network.tanh
 _velocity_features, _other_features = network.velocity_features, network.other_features
+_per_knee, _travelled = network.per_knee, network.travelled
 
 
 @compiled
@@ -67,16 +70,16 @@ def fill_inputs(
 def trace_width(p: Array) -> int:
     """Return the length of a row of what `run` writes down.
 
-    Layers, aims, what was fed back; gated: for every state its share of the way, and the slope of that share over the
-    sum in the gate; torque.
+    Layers, aims, what was fed back; gated: for every state the share of the distance to its aim that it goes, its slope
+    over the aim, and its slopes over the sums in the gates of the rate and of the knee; torque.
     """
     feedbacks = whole(p[FEEDBACKS])
-    return units_room(p) + 1 + (4 if p[STRUCTURE] == GATED else 2) * feedbacks + 1
+    return units_room(p) + 1 + (6 if p[STRUCTURE] == GATED else 2) * feedbacks + 1
 
 
 @compiled
 def _fill_gates(p: Array, begin: int, squares: Array, path: Array, first: int, end: int, gates: Array) -> None:
-    """Fill ``gates`` (2, at least end - first) with the shares of the way and their slopes in these samples.
+    """Fill ``gates`` (4, at least end - first) in these samples: way and 1 / w, slope of the way and of ln w.
 
     In loops of their own, because the compiler then takes several samples at a time: half of the exponentials of a
     network are here, and none of them waits for the sample before it.
@@ -84,14 +87,20 @@ def _fill_gates(p: Array, begin: int, squares: Array, path: Array, first: int, e
     bias, w0, w1, w2, w3 = p[begin], p[begin + 1], p[begin + 2], p[begin + 3], p[begin + 4]
     half = p[RATE_HALF]
     x0, x1, x2, x3 = squares[0], squares[1], squares[2], squares[3]
-    shares, slopes = gates[0], gates[1]
+    ways, knees, way_slopes, knee_slopes = gates[0], gates[1], gates[2], gates[3]
     for k in range(end - first):
         m = first + k
         bend = _tanh(fma(w3, x3[m], fma(w2, x2[m], fma(w1, x1[m], fma(w0, x0[m], bias)))))
         way = _rate(p, bend) * path[m]
-        share = approach(way)
-        shares[k] = share
-        slopes[k] = way * (1.0 - share) * (half * (1.0 - bend * bend))
+        ways[k] = way
+        way_slopes[k] = way * (half * (1.0 - bend * bend))
+    begin += GATE_WEIGHTS
+    bias, w0, w1, w2, w3 = p[begin], p[begin + 1], p[begin + 2], p[begin + 3], p[begin + 4]
+    for k in range(end - first):
+        m = first + k
+        bend = _tanh(fma(w3, x3[m], fma(w2, x2[m], fma(w1, x1[m], fma(w0, x0[m], bias)))))
+        knees[k] = _per_knee(p, bend)
+        knee_slopes[k] = KNEE_HALF * (1.0 - bend * bend)
 
 
 @compiled
@@ -114,14 +123,14 @@ def run(
     feedbacks, units, n = whole(p[FEEDBACKS]), units_room(p), path.shape[0]
     aims, width, inputs = units + 1 + feedbacks, trace.shape[1], x.shape[1]
     is_gated = p[STRUCTURE] == GATED
-    gates = np.empty((feedbacks if is_gated else 0, 2, GATE_BLOCK))
-    first_gate = p.shape[0] - feedbacks * GATE_WEIGHTS
+    gates = np.empty((feedbacks if is_gated else 0, 4, GATE_BLOCK))
+    first_gate = p.shape[0] - feedbacks * GATES * GATE_WEIGHTS
     state = np.zeros(max(feedbacks, 1))
     flat_x, flat_trace = x.reshape(-1), trace.reshape(-1)  # rows of a table would be counted as references
     for begin in range(0, n, GATE_BLOCK):
         end = min(begin + GATE_BLOCK, n)
         for i in range(gates.shape[0]):
-            _fill_gates(p, first_gate + i * GATE_WEIGHTS, squares, path, begin, end, gates[i])
+            _fill_gates(p, first_gate + i * GATES * GATE_WEIGHTS, squares, path, begin, end, gates[i])
         for k in range(begin, end):
             row, inputs_k = part(flat_trace, k * width), part(flat_x, k * inputs)
             if starts[k] != 0.0:
@@ -141,11 +150,18 @@ def run(
             total, _ = _outputs(p, inputs_k, state, aims_k, row)
             damping = aims_k[feedbacks]
             for i in range(feedbacks):
-                before, share = state[i], gates[i, 0, k - begin]
+                before, way = state[i], gates[i, 0, k - begin]
+                distance = aims_k[i] - before
+                share, soft, knees, beyond = _travelled(distance, way, gates[i, 1, k - begin])
                 state[i] = toward(before, aims_k[i], share)
                 total += state[i] + damping * ((state[i] - before) * tempo)
                 row[aims + feedbacks + i] = share
-                row[aims + 2 * feedbacks + i] = gates[i, 1, k - begin]
+                row[aims + 2 * feedbacks + i] = soft
+                is_straight = way <= beyond
+                over_way = 1.0 / max(knees, 1.0) if is_straight else 1.0 - share
+                over_knee = share if is_straight else (1.0 - share) * beyond
+                row[aims + 3 * feedbacks + i] = distance * over_way * gates[i, 2, k - begin]
+                row[aims + 4 * feedbacks + i] = distance * over_knee * gates[i, 3, k - begin]
             row[width - 1] = _limited(total, p[BOUND])
 
 
@@ -264,7 +280,7 @@ def fill_rows(
                     s[:] = 0.0
                 step, row = part(flat_trace, k * trace.shape[1]), part(flat_rows, (k - begin) * rows.shape[1])
                 plan_k = part(plan, (k - first) * stride)
-                if feedbacks == 1 and path[k] > 0.0 and abs(step[units + 5]) < p[BOUND]:
+                if feedbacks == 1 and path[k] > 0.0 and abs(step[units + 7]) < p[BOUND]:
                     one_state_row(p, step, plan_k, sensitivity, row)
                 else:
                     gated_row(p, path[k], step, plan_k, sensitivity, after, wide, row)

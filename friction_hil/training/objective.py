@@ -68,7 +68,7 @@ class Objective:
         self._decay, self._is_free = decay, is_free
         self._weights = p.size - network.HEADER
         self._matrix = np.zeros((room(self._weights + 1),) * 2)
-        self._searched, self._slopes = np.zeros(0), np.zeros((0, 0))
+        self._searched, self._change = np.zeros(0), np.zeros((0, 0))
 
     def network_at(self, searched: Array) -> Array:
         """Parameter array of the network that the searched numbers mean."""
@@ -79,7 +79,7 @@ class Objective:
     def cost(self, searched: Array) -> float:
         """Mean squared error plus decay times the squared length of ``searched``."""
         self._searched = searched
-        self.p[network.HEADER :], self._slopes = self._constraint.apply(searched)
+        self.p[network.HEADER :], self._change = self._constraint.apply(searched)
         return self._record.run(self.p, self._is_free) + self._decay * float(searched @ searched)
 
     def linear(self) -> tuple[Array, Array]:
@@ -88,9 +88,7 @@ class Objective:
         lower = np.tril(self._matrix[: self._weights, : self._weights])
         matrix = lower + np.tril(lower, -1).T
         gradient = self._matrix[self._weights, : self._weights]
-        places = self._constraint.feedback  # the only rows where the slopes are not those of the identity
-        change = self._slopes[places]
-        change[np.arange(places.size), places] -= 1.0
+        places, change = self._constraint.feedback, self._change
         turned = matrix[:, places] @ change  # too small for a BLAS to wake a second thread, which takes far longer
         over_searched = matrix + turned + turned.T + change.T @ (matrix[np.ix_(places, places)] @ change)
         over_searched[np.diag_indices_from(matrix)] += self._decay

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
     from friction_hil.recordings import Recording
 
 _HIDDEN = {"gated": (10,), "narx": (10,), "static": (8,), "residual": (4,)}
+_STATES = (1, 4)  # of a gated network: more where one is not good enough, as of friction in Maxwell-slip elements
+_GOOD_ENOUGH = 0.02  # NRMSE on validation with which a gated network needs no more states
 _ORDERS = (1, 2, 3)  # of a narx, tried where none is given: past torques and past velocities
 _STATIC_LOWPASS_SHARE = 0.04  # of the sampling rate
 _UNSEEN_SEED = 1_000_003  # added to the seed of the training for signals that it has not seen
@@ -53,14 +55,14 @@ class Wanted:
                 raise UsageError(f"a network has no input {name!r} besides the velocity; {choices(name, INPUTS)}")
 
     def structures(self) -> list[Structure]:
-        """Structures to try; the best by free run on validation is kept."""
+        """Structures to try, one after the other; the best by free run on validation is kept."""
         hidden = self.hidden or _HIDDEN[self.structure]
         has_position, has_load, has_temperature = (name in self.inputs for name in INPUTS)
         others = (has_position, has_load, has_temperature)
         if self.structure == "narx":
             return [Structure("narx", hidden, order, order, *others) for order in _ORDERS]
         if self.structure == "gated":
-            return [Structure("gated", hidden, 1, 0, *others)]
+            return [Structure("gated", hidden, states, 0, *others) for states in _STATES]
         return [Structure("static", hidden, 0, 0, *others)]
 
 
@@ -283,7 +285,7 @@ def train_task(task: Task, wanted: Wanted, goes_on: Callable[[Progress], bool] =
         trained = train(structure, task.samples, task.validation, seed=wanted.seed, goes_on=goes_on)
         if best is None or trained.validation.free_run < best.validation.free_run:
             best = trained
-        if trained.is_stopped:
+        if trained.is_stopped or (structure.kind == "gated" and best.validation.free_run < _GOOD_ENOUGH):
             break
     assert best is not None
     found = Candidate(task, best, export.network_of(best, task.base))

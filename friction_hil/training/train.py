@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from itertools import count
+from typing import Any
 
 import numpy as np
 
@@ -178,13 +179,43 @@ def first_weights(p: Array, structure: Structure, samples: Samples, random: np.r
             structure.outputs - 1, 1
         )
     if structure.kind == "gated":
-        path = np.abs(samples.velocity) * samples.dt
-        middle = float(np.median(path[path > 0.0])) if np.any(path > 0.0) else 1.0
-        rates = 10.0 ** random.uniform(-0.5, 1.0, structure.states) / middle
-        gates = searched[structure.weights - structure.states * network.GATE_WEIGHTS :]
-        bend = (np.log(rates) - p[network.RATE_MIDDLE]) / p[network.RATE_HALF]
-        gates[:: network.GATE_WEIGHTS] = np.arctanh(np.clip(bend, -0.99, 0.99))
+        gates = searched[structure.weights - structure.states * network.GATES * network.GATE_WEIGHTS :]
+        _draw_gates(p, record, gates.reshape(structure.states, network.GATES, network.GATE_WEIGHTS), random)
     return searched
+
+
+def _draw_gates(p: Array, record: Record, gates: Array, random: np.random.Generator) -> None:
+    """Change ``gates`` (states, 2, `GATE_WEIGHTS`) to rates and knees from which a training may begin.
+
+    Of several states, all but the last yield after strokes that are spread over a random range, like the elements of a
+    Maxwell-slip model. The last lags behind its aim by a random time, as sliding friction may.
+    """
+    states, speed = len(gates), np.abs(record.samples.velocity)
+    is_moving = speed > 0.0
+    middle = float(np.median(record.path[is_moving])) if np.any(is_moving) else 1.0
+    if states == 1:
+        rates, knees = 10.0 ** random.uniform(-0.5, 1.0, 1) / middle, 10.0 ** random.uniform(-1.0, 0.3, 1)
+    else:
+        ratio, centre = 10.0 ** random.uniform(0.2, 0.8), middle * 10.0 ** random.uniform(-1.0, 0.5)
+        knees = 10.0 ** random.uniform(-1.5, 0.0, states)
+        strokes = centre * ratio ** (np.arange(states) - 0.5 * (states - 1))
+        rates = np.maximum(1.0, 1.0 / (states * knees)) / strokes
+    gates[:, 0, 0] = _bend(np.log(rates), p[network.RATE_MIDDLE], p[network.RATE_HALF])
+    gates[:, 1, 0] = _bend(np.log(knees / p[network.BOUND]), network.KNEE_MIDDLE, network.KNEE_HALF)
+    if states > 1 and np.any(is_moving):
+        per_s = 10.0 ** random.uniform(1.0, 2.5)
+        rate = per_s / np.maximum(speed[is_moving], 0.1 * p[network.SPEEDS + 1])
+        squares = record.inputs[is_moving, : network.VELOCITY_FEATURES] ** 2
+        wanted = _bend(np.log(rate), p[network.RATE_MIDDLE], p[network.RATE_HALF])
+        columns = np.column_stack([np.ones(len(squares)), squares])
+        ridge = 1e-9 * len(columns) * np.eye(columns.shape[1])
+        gates[-1, 0] = np.linalg.solve(columns.T @ columns + ridge, columns.T @ wanted)
+        gates[-1, 1, 0] = _bend(math.log(2.0), network.KNEE_MIDDLE, network.KNEE_HALF)
+
+
+def _bend(logarithm: Any, middle: float, half: float) -> Any:
+    """What goes into the tanh of a gate to give this logarithm."""
+    return np.arctanh(np.clip((logarithm - middle) / half, -0.97, 0.97))
 
 
 class _StoppedError(Exception):

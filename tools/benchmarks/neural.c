@@ -26,7 +26,7 @@ void gated(const double *restrict p, const double *restrict velocity, long n, do
                 h[j] += first[i * width + j] * x[i];
         for (int j = 0; j < width; j++)
             h[j] = tanh(h[j]);
-        double goal = aim[0], rate_of_change = damping[0], total = direct[0], bend = gate[0];
+        double goal = aim[0], rate_of_change = damping[0], total = direct[0], bend = gate[0], knee = gate[1 + INPUTS];
         for (int j = 0; j < width; j++) {
             goal += aim[1 + j] * h[j];
             rate_of_change += damping[1 + j] * h[j];
@@ -36,10 +36,13 @@ void gated(const double *restrict p, const double *restrict velocity, long n, do
             rate_of_change += damping[1 + width + i] * x[i];
             total += direct[1 + i] * x[i];
             bend += gate[1 + i] * x[i] * x[i];
+            knee += gate[2 + INPUTS + i] * x[i] * x[i];
         }
         goal = limited(goal, bound);
-        const double kappa = exp(p[25] + p[26] * tanh(bend));
-        const double after = y - expm1(-kappa * fabs(velocity[k]) * dt) * (goal - y);
+        const double way = exp(p[25] + p[26] * tanh(bend)) * fabs(velocity[k]) * dt;
+        const double knees = fabs(goal - y) / (bound * exp(0.5 * log(0.01) + 0.5 * log(400.0) * tanh(knee)));
+        const double straight = fmin(fmax(knees - 1.0, 0.0), way), begun = straight / fmax(knees, 1.0);
+        const double after = y + (begun - (1.0 - begun) * expm1(straight - way)) * (goal - y);
         total += after + rate_of_change * (after - y) * tempo;
         y = after;
         torque[k] = scale * limited(total, bound);

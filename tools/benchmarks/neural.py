@@ -196,7 +196,8 @@ def time_to_error() -> list[Row]:
         carried = np.zeros((1, row_room(objective.p)))
         common = (data.starts, record.inputs, record.path, record.tempo, record.trace)
         fill_rows(objective.p, *common, True, 0, SAMPLES, carried, rows, structure.weights)
-        return np.asarray(rows[:, : structure.weights] @ constraint.apply(at)[1])
+        rows = rows[:, : structure.weights]
+        return np.asarray(rows + rows[:, constraint.feedback] @ constraint.apply(at)[1])
 
     def scipy_lm() -> float:
         began = time.process_time()
