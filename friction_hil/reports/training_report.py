@@ -47,6 +47,7 @@ def write_report(path: Path, candidate: Candidate, seconds: float) -> None:
             for name, run in runs.items()
         )
     }
+{_compared(candidate)}
 <h2>Errors over velocity and its rate</h2>
 {picture(_draw_errors(list(runs.values()), unit, speed), _ERRORS_CAPTION, "wide")}
 <h2>Friction over velocity</h2>
@@ -62,6 +63,11 @@ def write_report(path: Path, candidate: Candidate, seconds: float) -> None:
 
 
 _ERRORS_CAPTION = "Error of each sample in free run, over the velocity and over its rate of change."
+_COMPARED = (
+    "<p>Each model of the library is fitted to the samples that the network was trained on, and runs free along "
+    "signals that neither has seen. Where a model is as good, it is the better choice: its parameters mean something."
+    "</p>"
+)
 _CURVE_CAPTION = (
     "What the network settles on at constant velocity (line), and the friction that it was trained on (points). Beyond "
     "the speeds of the training, shaded, its torque stays what it is there; beside a model it fades out."
@@ -91,6 +97,18 @@ def _errors(candidate: Candidate) -> str:
         shares = [(html.escape(name), f"{100.0 * value:.3f} %") for name, value in candidate.relative_errors.items()]
         text += table(("held out", "relative error of the whole torque"), shares)
     return text
+
+
+def _compared(candidate: Candidate) -> str:
+    """Table of the network and the models of the library on the signals that none of them has seen."""
+    errors = candidate.physical_errors()
+    if not errors:
+        return ""
+    labels = list(next(iter(errors.values())))
+    rows = [(html.escape(label), *(f"{each[label]:.4f}" for each in errors.values())) for label in labels]
+    return f"<h2>Against models fitted to the same samples</h2>{_COMPARED}" + table(
+        ("NRMSE in free run", *map(html.escape, errors)), rows
+    )
 
 
 def _list(lines: list[str]) -> str:

@@ -1,7 +1,6 @@
 """One training as users ask for it: data, structures to try, the network that is kept, and what it is compared with."""
 
 import dataclasses
-import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -13,7 +12,7 @@ from friction_hil.errors import UsageError, choices
 from friction_hil.jit import Array
 from friction_hil.models import FrictionModel, Network, Structure
 from friction_hil.models.network_model import INPUTS
-from friction_hil.training import data, export
+from friction_hil.training import data, export, physical
 from friction_hil.training.excitation import excitation
 from friction_hil.training.layout import Samples
 from friction_hil.training.train import Progress, Trained, train
@@ -124,24 +123,27 @@ class Candidate:
     def free_run(self, samples: Samples) -> Array:
         """Torque of the network alone along samples, (n,), fed its own output; records start anew."""
         alone = export.model_of(dataclasses.replace(self.network, is_residual=False))
-        starts = [*np.flatnonzero(samples.starts).tolist(), len(samples)]
-        parts = [slice(a, b) for a, b in itertools.pairwise(starts)]
-        return np.concatenate(
-            [
-                alone.simulate(
-                    samples.velocity[part],
-                    samples.dt,
-                    position=samples.position[part],
-                    load_torque=samples.load_torque[part],
-                    temperature=None if np.isnan(samples.temperature).any() else samples.temperature[part],
-                )
-                for part in parts
-            ]
-        )
+        return physical.simulate(alone, samples)
 
     def error(self, samples: Samples) -> float:
         """NRMSE in free run: RMS error over the standard deviation of the torque."""
         return nrmse(self.free_run(samples), samples)
+
+    def physical_errors(self) -> dict[str, dict[str, float]]:
+        """NRMSE by signal and model: of the network, and of models of the library fitted to the same samples.
+
+        The signals are those that nothing was trained on; empty beside a model, which leaves little for another one.
+        """
+        task = self.task
+        if task.is_residual:
+            return {}
+        models = physical.fitted(task.samples, task.known.axis)
+        signals = task.unseen or {"held out": task.validation}
+        return {
+            name: {"network": self.error(samples)}
+            | {family: nrmse(physical.simulate(model, samples), samples) for family, model in models.items()}
+            for name, samples in signals.items()
+        }
 
     @property
     def relative_errors(self) -> dict[str, float]:
@@ -239,10 +241,10 @@ def task_of_recordings(
     notes: list[str] = []
     if lowpass_hz is None and is_static:
         lowpass_hz = _STATIC_LOWPASS_SHARE * prepare(recordings[0])[0].rate_hz
-    physical = "the model of --base"
+    name = "the model of --base"
     if known is None:
-        known, physical = _identified(recordings, is_linear, lowpass_hz)
-        notes.append(f"inertia, offset and gravity as identified with {physical}")
+        known, name = _identified(recordings, is_linear, lowpass_hz)
+        notes.append(f"inertia, offset and gravity as identified with {name}")
     records = [record for each in recordings for record in prepare(each, lowpass_hz=lowpass_hz)]
     others = [record for each in validation for record in prepare(each, lowpass_hz=lowpass_hz)]
     base = known.friction_model
@@ -263,7 +265,7 @@ def task_of_recordings(
         notes=tuple(notes),
         total=data.total_torque(compared),
         base_error=data.of_records(compared, known.mechanics, base).torque,
-        physical=physical,
+        physical=name,
     )
 
 

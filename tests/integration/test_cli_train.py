@@ -1,6 +1,7 @@
 """``friction-hil train`` as users type it: networks that learn, files that load, Ctrl-C, mistakes."""
 
 import json
+import re
 import signal
 import subprocess
 import sys
@@ -40,6 +41,9 @@ def test_a_network_learns_a_model_and_runs_where_a_model_runs(tmp_path):
 
     text = report.read_text(encoding="utf-8")
     assert text.count("<figure") == 5
+    errors = {name: float(error) for name, error in re.findall(r">(\w+)</th><td[^>]*>([.\d]+)</td>", text)}
+    assert errors["network"] < 0.5 * errors["coulomb"]
+    assert errors["lugre"] < 0.02  # the plant is one
     assert "http" not in text.replace("http://www.w3.org", "")
 
     recording = tmp_path / "log.csv"

@@ -1,14 +1,17 @@
 """Training as a whole: how good the networks are where they run, and how the search is steered."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import friction_hil as fh
 from friction_hil.errors import UsageError
 from friction_hil.models import Structure
+from friction_hil.training import physical
 from friction_hil.training.checks import simulate
 from friction_hil.training.excitation import excitation
-from friction_hil.training.layout import Samples
+from friction_hil.training.layout import Samples, join
 from friction_hil.training.train import Options, train
 
 DT = 1e-3
@@ -98,6 +101,22 @@ def test_a_static_network_learns_a_map_of_velocity_and_position():
     result = train(structure, known, known.weighted(held_out), options=Options(starts=3, iterations=60))
     assert result.validation.free_run < 0.04  # the least error of a map of the velocity alone is above 0.15
     assert result.validation.one_step == result.validation.free_run
+
+
+def test_models_of_the_library_are_fitted_to_the_samples_that_count():
+    """Two records, and garbage that has no weight; the plant is among the models."""
+    both = join([samples(excitation(1.2, DT, 4000, seed=seed)) for seed in (0, 1)])
+    is_garbage = np.arange(8000) % 4000 < 500
+    spoilt = replace(both, torque=np.where(is_garbage, 5.0, both.torque), weight=1.0 - is_garbage)
+    models = physical.fitted(spoilt, "rotary")
+    assert tuple(models) == physical.FAMILIES
+    assert models["lugre"].parameters == pytest.approx(plant().parameters, rel=1e-3)
+    velocity = multisine(0)
+    errors = {
+        name: np.std(model.simulate(velocity, DT) - plant().simulate(velocity, DT)) for name, model in models.items()
+    }
+    assert errors["lugre"] < 0.1 * errors["dahl"]
+    assert errors["dahl"] < errors["stribeck"] < errors["coulomb"]
 
 
 def test_the_same_seed_gives_the_same_bits():

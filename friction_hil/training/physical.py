@@ -1,0 +1,92 @@
+"""What models of the library make of the samples that a network is trained on: the measure of what it is worth."""
+
+import itertools
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from friction_hil.jit import Array
+from friction_hil.models import Axis, FrictionModel, create
+from friction_hil.training.layout import Samples
+
+if TYPE_CHECKING:
+    from friction_hil.identification.data import Record
+
+FAMILIES = ("coulomb", "stribeck", "dahl", "lugre")
+
+
+def parts_of(samples: Samples) -> list[slice]:
+    """Where each record of the samples is."""
+    ends = [*np.flatnonzero(samples.starts).tolist(), len(samples)]
+    return [slice(a, b) for a, b in itertools.pairwise(ends)]
+
+
+def simulate(model: FrictionModel, samples: Samples) -> Array:
+    """Torque of a model along samples, (n,), N m; every record starts anew."""
+    return np.concatenate(
+        [
+            model.simulate(
+                samples.velocity[part],
+                samples.dt,
+                position=samples.position[part],
+                load_torque=samples.load_torque[part],
+                temperature=None if np.isnan(samples.temperature).any() else samples.temperature[part],
+            )
+            for part in parts_of(samples)
+        ]
+    )
+
+
+def fitted(samples: Samples, axis: Axis) -> dict[str, FrictionModel]:
+    """Fit each of `FAMILIES` to the torque of samples that count, as `identify` does where the mechanics is known.
+
+    Parameters
+    ----------
+    samples : Samples
+        Of friction alone.
+    axis : {"rotary", "linear"}
+    """
+    from friction_hil.identification import scales, structures
+    from friction_hil.identification.data import Data
+    from friction_hil.identification.fits import fit
+    from friction_hil.identification.problem import Problem
+
+    data = Data([_record(samples, part, axis) for part in parts_of(samples)])
+    sizes, found = scales.scales(data, ()), {}
+    for family in FAMILIES:
+        structure = structures.build(family, sizes, axis, samples.dt, is_directed=False)
+        parameters, modifiers = fit(Problem(data, structure, ()), sizes).friction
+        found[family] = create(family, modifiers=modifiers, axis=axis, **parameters)
+    return found
+
+
+def _record(samples: Samples, part: slice, axis: Axis) -> "Record":
+    """The samples of a record as regression sees them: friction is all of the torque, and nothing is filtered."""
+    from friction_hil.identification.data import Record
+
+    velocity, position, count = samples.velocity[part], samples.position[part], part.stop - part.start
+    temperature = samples.temperature[part]
+    if np.ptp(position) == 0.0:  # not given
+        position = np.cumsum(velocity) * samples.dt
+    return Record(
+        path="the samples",
+        axis=axis,
+        rows=count,
+        time_s=samples.dt * np.arange(count),
+        position=position,
+        velocity=velocity,
+        acceleration=np.zeros(count),
+        torque=samples.torque[part],
+        load_torque=samples.load_torque[part],
+        temperature=None if np.isnan(temperature).any() else temperature,
+        demand=None,
+        rate_hz=1.0 / samples.dt,
+        lowpass_hz=None,
+        decimation=1,
+        begin=0,
+        end=count,
+        problems=(),
+        encoder=position,
+        resolution=None,
+        is_moving=samples.weight[part] > 0.0,
+    )
