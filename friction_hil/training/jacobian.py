@@ -10,7 +10,7 @@ import numpy as np
 from friction_hil.dual import fma
 from friction_hil.jit import Array, compiled
 from friction_hil.models import network
-from friction_hil.models.elementary import part, toward, whole
+from friction_hil.models.elementary import approach, part, toward, whole
 from friction_hil.models.lanes import LANES, add_scaled, put_scaled
 from friction_hil.models.network import (
     BOUND,
@@ -79,7 +79,7 @@ def trace_width(p: Array) -> int:
 
 @compiled
 def _fill_gates(p: Array, begin: int, squares: Array, path: Array, first: int, end: int, gates: Array) -> None:
-    """Fill ``gates`` (4, at least end - first) in these samples: way and 1 / w, slope of the way and of ln w.
+    """Fill ``gates`` (5, at least end - first) in these samples: way, 1 / w, slopes of both, share near T.
 
     In loops of their own, because the compiler then takes several samples at a time: half of the exponentials of a
     network are here, and none of them waits for the sample before it.
@@ -87,12 +87,12 @@ def _fill_gates(p: Array, begin: int, squares: Array, path: Array, first: int, e
     bias, w0, w1, w2, w3 = p[begin], p[begin + 1], p[begin + 2], p[begin + 3], p[begin + 4]
     half = p[RATE_HALF]
     x0, x1, x2, x3 = squares[0], squares[1], squares[2], squares[3]
-    ways, knees, way_slopes, knee_slopes = gates[0], gates[1], gates[2], gates[3]
+    ways, knees, way_slopes, knee_slopes, near_shares = gates[0], gates[1], gates[2], gates[3], gates[4]
     for k in range(end - first):
         m = first + k
         bend = _tanh(fma(w3, x3[m], fma(w2, x2[m], fma(w1, x1[m], fma(w0, x0[m], bias)))))
         way = _rate(p, bend) * path[m]
-        ways[k] = way
+        ways[k], near_shares[k] = way, approach(way)
         way_slopes[k] = way * (half * (1.0 - bend * bend))
     begin += GATE_WEIGHTS
     bias, w0, w1, w2, w3 = p[begin], p[begin + 1], p[begin + 2], p[begin + 3], p[begin + 4]
@@ -123,7 +123,7 @@ def run(
     feedbacks, units, n = whole(p[FEEDBACKS]), units_room(p), path.shape[0]
     aims, width, inputs = units + 1 + feedbacks, trace.shape[1], x.shape[1]
     is_gated = p[STRUCTURE] == GATED
-    gates = np.empty((feedbacks if is_gated else 0, 4, GATE_BLOCK))
+    gates = np.empty((feedbacks if is_gated else 0, 5, GATE_BLOCK))
     first_gate = p.shape[0] - feedbacks * GATES * GATE_WEIGHTS
     state = np.zeros(max(feedbacks, 1))
     flat_x, flat_trace = x.reshape(-1), trace.reshape(-1)  # rows of a table would be counted as references
@@ -152,14 +152,18 @@ def run(
             for i in range(feedbacks):
                 before, way = state[i], gates[i, 0, k - begin]
                 distance = aims_k[i] - before
-                share, soft, knees, beyond = _travelled(distance, way, gates[i, 1, k - begin])
+                knees = abs(distance) * gates[i, 1, k - begin]
+                share = soft = gates[i, 4, k - begin]  # what `travelled` gives within the knee
+                over_way, over_knee = 1.0 - share, 0.0
+                if knees > 1.0:
+                    share, soft, knees, beyond = _travelled(distance, way, gates[i, 1, k - begin])
+                    is_straight = way <= beyond
+                    over_way = 1.0 / knees if is_straight else 1.0 - share
+                    over_knee = share if is_straight else (1.0 - share) * beyond
                 state[i] = toward(before, aims_k[i], share)
                 total += state[i] + damping * ((state[i] - before) * tempo)
                 row[aims + feedbacks + i] = share
                 row[aims + 2 * feedbacks + i] = soft
-                is_straight = way <= beyond
-                over_way = 1.0 / max(knees, 1.0) if is_straight else 1.0 - share
-                over_knee = share if is_straight else (1.0 - share) * beyond
                 row[aims + 3 * feedbacks + i] = distance * over_way * gates[i, 2, k - begin]
                 row[aims + 4 * feedbacks + i] = distance * over_knee * gates[i, 3, k - begin]
             row[width - 1] = _limited(total, p[BOUND])
@@ -318,6 +322,7 @@ def normal_equations(
     last = trace.shape[1] - 1
     s = np.zeros((max(whole(p[FEEDBACKS]), 1), row_room(p)))
     rows = np.zeros((BLOCK + 1, matrix.shape[1]))  # one more, for vectors that reach beyond a row
+    largest = np.max(weight)
     flat_rows, room = rows.reshape(-1), rows.shape[1]
     matrix[:] = 0.0
     for begin in range(0, path.shape[0], BLOCK):
@@ -326,14 +331,16 @@ def normal_equations(
         used = 0
         for k in range(begin, end):
             if weight[k] > 0.0:
-                share = np.sqrt(weight[k])
-                for w in range(0, weights, LANES):
-                    put_scaled(flat_rows, used * room + w, flat_rows, (k - begin) * room + w, share)
+                share = np.sqrt(weight[k] / largest)
+                if share != 1.0 or used < k - begin:  # most rows are where they should be
+                    for w in range(0, weights, LANES):
+                        put_scaled(flat_rows, used * room + w, flat_rows, (k - begin) * room + w, share)
                 for w in range(weights, room):
                     flat_rows[used * room + w] = 0.0
                 flat_rows[used * room + weights] = share * (trace[k, last] - target[k])
                 used += 1
         add_products(rows, used, weights + 1, matrix)
+    matrix *= largest
 
 
 @compiled
