@@ -15,7 +15,7 @@ from friction_hil.models.network_model import INPUTS
 from friction_hil.training import data, export, physical
 from friction_hil.training.excitation import excitation
 from friction_hil.training.layout import Samples
-from friction_hil.training.train import Progress, Trained, train
+from friction_hil.training.train import Options, Progress, Trained, train
 
 if TYPE_CHECKING:
     from friction_hil.config import ModelFile
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 _HIDDEN = {"gated": (10,), "narx": (10,), "static": (8,), "residual": (4,)}
 _STATES = (1, 4)  # of a gated network: more where one is not good enough, as of friction in Maxwell-slip elements
+_SEVERAL_STATES = Options(starts=6, survivors=1)  # each of their iterations takes three times as long
 _GOOD_ENOUGH = 0.02  # NRMSE on validation with which a gated network needs no more states
 _ORDERS = (1, 2, 3)  # of a narx, tried where none is given: past torques and past velocities
 _STATIC_LOWPASS_SHARE = 0.04  # of the sampling rate
@@ -284,7 +285,8 @@ def train_task(task: Task, wanted: Wanted, goes_on: Callable[[Progress], bool] =
     """Train every structure that is wanted and keep the best by free run on the validation samples."""
     best: Trained | None = None
     for structure in wanted.structures():
-        trained = train(structure, task.samples, task.validation, seed=wanted.seed, goes_on=goes_on)
+        options = _SEVERAL_STATES if structure.kind == "gated" and structure.states > 1 else Options()
+        trained = train(structure, task.samples, task.validation, seed=wanted.seed, options=options, goes_on=goes_on)
         if best is None or trained.validation.free_run < best.validation.free_run:
             best = trained
         if trained.is_stopped or (structure.kind == "gated" and best.validation.free_run < _GOOD_ENOUGH):

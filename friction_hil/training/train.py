@@ -194,7 +194,8 @@ def _draw_gates(p: Array, record: Record, gates: Array, random: np.random.Genera
     is_moving = speed > 0.0
     middle = float(np.median(record.path[is_moving])) if np.any(is_moving) else 1.0
     if states == 1:
-        rates, knees = 10.0 ** random.uniform(-0.5, 1.0, 1) / middle, 10.0 ** random.uniform(-1.0, 0.3, 1)
+        rates, near = 10.0 ** random.uniform(-0.5, 1.0, 1) / middle, 10.0 ** random.uniform(-1.0, 0.3, 1)
+        knees = near if random.uniform() < 0.5 else np.full(1, 2.0 * p[network.BOUND])  # as LuGre's: none
     else:
         ratio, centre = 10.0 ** random.uniform(0.2, 0.8), middle * 10.0 ** random.uniform(-1.0, 0.5)
         knees = 10.0 ** random.uniform(-1.5, 0.0, states)

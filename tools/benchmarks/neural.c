@@ -5,7 +5,7 @@
 
 #include <math.h>
 
-enum { INPUTS = 4, MOST_UNITS = 64, HEADER = 35 };
+enum { INPUTS = 4, MOST_UNITS = 64, HEADER = 36 };
 
 static inline double limited(double x, double bound) { return fmin(fmax(x, -bound), bound); }
 
