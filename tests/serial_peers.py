@@ -68,10 +68,11 @@ class BenchLine:
 class Ask:
     """A made-up exchange: ``NAME?`` is answered by a number and a semicolon; ``!`` is a refusal."""
 
-    def __init__(self, image: Image, name: str) -> None:
+    def __init__(self, image: Image, name: str, drive: str = "a drive") -> None:
         self.image = image
         self.name = name
         self.what = f"reading {name}"
+        self.addressees = frozenset((drive,))
         self.reads: tuple[str, ...] = (name,)
         self.writes: tuple[str, ...] = ()
         self.request_size, self.reply_size = len(name) + 1, 8
@@ -101,6 +102,7 @@ class Tell:
         self.image = image
         self.name = name
         self.what = f"writing {name}"
+        self.addressees = frozenset(("a drive",))
         self.reads: tuple[str, ...] = ()
         self.writes: tuple[str, ...] = (name,)
         self.request_size, self.reply_size = 12, int(is_answered)

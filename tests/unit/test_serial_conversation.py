@@ -114,6 +114,38 @@ def test_a_late_reply_does_not_even_look_fresh():
     assert not bench.image.fresh
 
 
+def test_a_silent_drive_does_not_keep_others_from_being_asked_and_commanded():
+    bench = Bench(**{"there?": b"2;"})
+    bench.image.values["torque_command"] = 0.0
+    silent, there = Ask(bench.image, "silent", "first"), Ask(bench.image, "there", "second")
+    asked = 0
+    for _ in range(30):
+        bench.image.fresh.clear()
+        bench.talk.ask((silent, there, Tell(bench.image, "torque_command")))
+        bench.go(5.0)
+        bench.talk.give_up()
+        asked += "there" in bench.image.fresh
+    # only where the silent one is asked again, each time its reply cannot come any more, the others have to wait
+    lost = 30 * 5.0 / (REPLY_LIMIT_MS + 5.0)
+    assert asked >= 30 - lost - 1.5
+    assert bench.line.sent.count(b"torque_command=0;") == asked
+    assert bench.line.sent.count(b"silent?") == pytest.approx(lost, abs=1.5)
+
+
+def test_a_late_reply_does_not_touch_what_is_fresh_of_another_drive():
+    bench = Bench(**{"there?": b"2;"})
+    bench.talk.ask((Ask(bench.image, "silent", "first"),))
+    bench.go(5.0)
+    bench.talk.give_up()
+    bench.image.fresh.clear()
+    bench.talk.ask((Ask(bench.image, "there", "second"),))
+    bench.go(1.0)
+    bench.line.arrived += b"9;"
+    bench.go(1.0)
+    assert bench.image.fresh == {"there"}
+    assert bench.talk.late == 1
+
+
 def test_a_reply_that_never_comes_is_waited_for_no_longer_than_its_limit():
     bench = Bench()
     assert bench.cycle() is None

@@ -34,6 +34,7 @@ class AsciiExchange:
         self._image = image
         self._sent = b""
         self._is_echo_due = False
+        self.addressees = frozenset((axis,))
         self.writes = self._first.writes
         self.reads = self._first.reads
         parts = [f"read {' and '.join(self.reads)}"] if self.reads else []

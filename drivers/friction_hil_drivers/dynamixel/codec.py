@@ -73,6 +73,7 @@ class _Request:
     def __init__(self, packets: Packets, what: str, members: Sequence[Member], reply_bytes: int) -> None:
         ids = ", ".join(str(member.id) for member in members)
         self.what = self._what = f"{what} of id {ids}"
+        self.addressees = frozenset(str(member.id) for member in members)
         self._packets = packets
         self._members = {member.id: member for member in members}
         self._reply_bytes = reply_bytes

@@ -124,7 +124,8 @@ class SerialAxis:
         feedback.error = self._error(values.get("error", 0.0))
         feedback.missing = "" if is_fresh else trouble
         feedback.message = self.sequencer.trouble
-        if time_s - self._state_s > _STATUS_LOSS_S:
+        # while nothing comes at all, the loop counts: how long that is bridged is configured there
+        if self._position_s - self._state_s > _STATUS_LOSS_S:
             feedback.message = f"the drive has not told its state for more than {_STATUS_LOSS_S:g} s: {trouble}"
 
     def read_state(self) -> DriveState:

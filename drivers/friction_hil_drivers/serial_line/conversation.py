@@ -1,8 +1,9 @@
 """Requests and replies on one line, one after the other, in small steps that never wait.
 
 A reply belongs to the request before it, and no serial protocol here numbers them: a late reply looks like the
-present one. So after a request that was not answered in time nothing is sent until its reply has come, and was
-dropped, or cannot come any more.
+present one of the same drive. So a drive that did not answer in time is asked nothing more until its reply has come,
+and was dropped, or cannot come any more. Others on the line are asked meanwhile, and what needs no reply is sent: a
+drive that is silent must not keep another one from being stopped.
 """
 
 import time
@@ -62,7 +63,7 @@ class Conversation:
         self._settle_ns = max(self._silence_ns, _SHORT_SILENCE_NS)
         self._queue: deque[tuple[Exchange, Callable[[], None] | None]] = deque()
         self._awaited: tuple[Exchange, Callable[[], None] | None] | None = None
-        self._is_given_up = False  # the reply that is awaited will be dropped
+        self._owed: list[tuple[Exchange, int]] = []  # not answered in time, and until when the reply may still come
         self._is_settling = False  # what comes belongs to a broken reply
         self._received = bytearray()
         self._sent_ns = self._heard_ns = self._quiet_until_ns = 0
@@ -89,8 +90,11 @@ class Conversation:
         if self._is_settling:
             return self._heard_ns + self._settle_ns
         if self._awaited is not None:
-            return self._sent_ns + self._reply_limit_ns if self._is_given_up else None
-        return self._quiet_until_ns if self._queue else None
+            return None
+        moments = [until for _, until in self._owed]
+        if any(self._may_be_asked(exchange) for exchange, _ in self._queue):
+            moments.append(self._quiet_until_ns)
+        return min(moments, default=None)
 
     def ask(self, exchanges: Iterable[Exchange], done: Callable[[], None] | None = None) -> None:
         """Queue requests; ``done`` is called when the last of them has been answered (sent, if no reply is due)."""
@@ -121,43 +125,61 @@ class Conversation:
             self._is_settling = now < self._heard_ns + self._settle_ns
         elif self._awaited is not None:
             self._await(*self._awaited, now)
-        return self._awaited is None and not self._is_settling and now >= self._quiet_until_ns
+        else:
+            self._drop_late(now)
+        is_speaking = self._awaited is not None or self._is_settling or bool(self._owed and self._received)
+        return not is_speaking and now >= self._quiet_until_ns
 
     def _await(self, exchange: Exchange, done: Callable[[], None] | None, now: int) -> None:
         try:
-            is_complete = bool(self._received) and exchange.take(self._received)
+            if not (self._received and exchange.take(self._received)):
+                return
         except ReplyError as error:
             self.refused += 1
             self.refusals += bool(error.is_complete and exchange.writes)
             self.trouble = f"{exchange.what}: {error}"
             self._is_settling = not error.is_complete
-            self._end_exchange(now)
-            return
-        if is_complete:
+        else:
             if exchange.writes:
                 self.refusals = 0
-            self.late += self._is_given_up
-            if done is not None and not self._is_given_up:
+            if done is not None:
                 done()
-        if is_complete or (self._is_given_up and now >= self._sent_ns + self._reply_limit_ns):
-            self._end_exchange(now)
-
-    def _end_exchange(self, now: int) -> None:
-        if self._is_given_up:
-            for image in self._images:
-                image.fresh.clear()  # of an earlier cycle
-        self._awaited, self._is_given_up = None, False
+        self._awaited = None
         self._quiet_until_ns = now + self._silence_ns
+
+    def _drop_late(self, now: int) -> None:
+        """Take a reply of an earlier cycle for what it is; it is not fresh."""
+        if self._owed and self._received:
+            fresh = [set(image.fresh) for image in self._images]
+            exchange, _ = self._owed[0]
+            try:
+                is_complete = exchange.take(self._received)
+            except ReplyError as error:
+                self.refused += 1
+                is_complete, self._is_settling = True, not error.is_complete
+            for image, names in zip(self._images, fresh, strict=True):
+                image.fresh = names
+            if is_complete:
+                self.late += not self._is_settling
+                del self._owed[0]
+                self._quiet_until_ns = now + self._silence_ns
+        self._owed = [(exchange, until) for exchange, until in self._owed if now < until]
+
+    def _may_be_asked(self, exchange: Exchange) -> bool:
+        """Whether a late reply could not be taken for one to this request."""
+        return not exchange.reply_size or all(exchange.addressees.isdisjoint(owed.addressees) for owed, _ in self._owed)
 
     def _say(self) -> bool:
         """Send the next request; whether another one may follow at once."""
-        if not self._queue:
+        place = next((k for k, (exchange, _) in enumerate(self._queue) if self._may_be_asked(exchange)), None)
+        if place is None:
             return False
         if self._received:
             self.noise += len(self._received)
             self.trouble = f"not asked for: {_shown(self._received)}"
             self._received.clear()
-        exchange, done = self._queue.popleft()
+        exchange, done = self._queue[place]
+        del self._queue[place]
         if self.limit_ns is not None and self._now_ns() + self._wire_ns(exchange) > self.limit_ns:
             # the reply would be late, the next cycle begin with waiting for it, and so would all after that
             self.lost += 1
@@ -184,15 +206,18 @@ class Conversation:
         """End a cycle: what has not been asked is not asked any more, and what is not answered is lost."""
         self._queue.clear()
         self.limit_ns = None
-        if self._awaited is not None and not self._is_given_up:
-            self._is_given_up = True
+        if self._awaited is not None:
+            exchange, _ = self._awaited
+            self._awaited = None
+            self._owed.append((exchange, self._sent_ns + self._reply_limit_ns))
             self.lost += 1
-            self.trouble = f"{self._awaited[0].what}: no reply in time"
+            self.trouble = f"{exchange.what}: no reply in time"
 
     def _forget(self) -> None:
         self._queue.clear()
         self._received.clear()
-        self._awaited, self._is_given_up, self._is_settling = None, False, False
+        self._owed.clear()
+        self._awaited, self._is_settling = None, False
         self._next_reopen_ns = self._now_ns() + _REOPEN_NS
 
     def _reopen(self) -> None:

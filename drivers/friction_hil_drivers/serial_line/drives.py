@@ -111,6 +111,7 @@ class SerialDrives:
         self._places = {name: place for place, name in enumerate(self._configs)}
         self._is_commanding = False  # something has been written since the start
         self._is_started = False
+        self._end_ns = 0  # of the cycle
         self._timeouts = 0
 
     def connect(self) -> Sequence[AxisFacts]:
@@ -306,6 +307,7 @@ class SerialDrives:
             lane.conversation.ask(lane.questions(lane.plan if self._is_commanding else lane.listening))
         conversations = [lane.conversation for lane in self._lanes]
         is_real = self._clock.is_real
+        self._end_ns = end_ns
         margin_s = min(_COMPUTATION_S, 0.1 * self._period_s)
         limit_ns = end_ns - round(margin_s * 1e9) if is_real else time.monotonic_ns() + round(_STEPPED_TIMEOUT_S * 1e9)
         for conversation in conversations:
@@ -342,7 +344,7 @@ class SerialDrives:
             lane.send(steps)
         conversations = [lane.conversation for lane in self._lanes]
         # the last reply is awaited at the start of the next cycle
-        limit_ns = time.monotonic_ns() + round(self._period_s * 1e9)
+        limit_ns = self._end_ns if self._clock.is_real else time.monotonic_ns() + round(_STEPPED_TIMEOUT_S * 1e9)
         self._serve(conversations, limit_ns, lambda: all(c.is_all_sent for c in conversations))
 
     def _serve(self, conversations: Sequence[Conversation], limit_ns: int, is_done: Callable[[], bool]) -> None:

@@ -38,6 +38,7 @@ class Line:
         self._port: Any = None  # serial.Serial
         self._socket: socket.socket | None = None
         self._connecting: socket.socket | None = None
+        self._hang_up = select.poll()  # tells that a serial port is there no more
         self.descriptor = -1  # of the open line, for select; -1 where it is gone
 
     @property
@@ -87,6 +88,7 @@ class Line:
                     "themselves need is_rs485: false"
                 ) from error
         self._port, self.descriptor = port, port.fileno()
+        self._hang_up.register(self.descriptor, 0)
 
     def _take_socket(self, connection: socket.socket) -> None:
         connection.setblocking(False)
@@ -121,6 +123,8 @@ class Line:
             raise self._lose(_reason(error)) from error
         if not data and self._socket is not None:
             raise self._lose("the peer closed the connection")
+        if not data and self._hang_up.poll(0):  # a port without its adapter reads as one to which nothing comes
+            raise self._lose("the adapter was unplugged")
         return data
 
     def write(self, data: bytes) -> None:
@@ -168,6 +172,7 @@ class Line:
 
     def close(self) -> None:
         """Give the line back. Safe to call twice."""
+        self._hang_up = select.poll()
         self.descriptor = -1
         for part in (self._port, self._socket, self._connecting):
             if part is not None:

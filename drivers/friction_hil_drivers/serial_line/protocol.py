@@ -61,6 +61,7 @@ class Exchange(Protocol):
     """One request and its reply. It is made once, bound to the images that it serves, and used in many cycles."""
 
     what: str  # for people: "read 3 registers at 6064h of unit 1"
+    addressees: frozenset[str]  # drives that answer, each by a name of its own on the line
     reads: tuple[str, ...]
     writes: tuple[str, ...]
     request_size: int  # characters on the line, the most there can be

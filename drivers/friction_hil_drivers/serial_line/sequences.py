@@ -58,12 +58,13 @@ class Sequencer:
         self._index = 0
         self._is_written = False  # the step at hand, and the drive has acknowledged it
         self._since_s = 0.0
-        self._word = 0  # cia402: the controlword written last
+        self._word = 0  # cia402: the controlword that the drive took last
+        self._next_word = 0  # cia402: the one that it is given; it may have to wait for its turn on the line
         self.trouble = ""
 
     def acknowledge(self) -> None:
         """Note that the drive took what `next_write` gave."""
-        self._is_written = True
+        self._is_written, self._word = True, self._next_word
 
     def next_write(self, request: Request, state: DriveState, time_s: float) -> Mapping[str, float]:
         """Values to write in this cycle, by signal; none where nothing is left to be done.
@@ -77,6 +78,7 @@ class Sequencer:
         time_s : float
             For time-outs.
         """
+        self._next_word = self._word
         if request is not self._request:
             self._request, self._index, self._is_written, self._since_s = request, 0, False, time_s
             self._steps, self.trouble = self._sequence(request), ""
@@ -111,8 +113,7 @@ class Sequencer:
         }.get(request, state in _OFF)
         if word == self._word and self._is_written and is_there:
             return {}
-        self._is_written = self._is_written and word == self._word
-        self._word = word
+        self._next_word = word
         return {"control": word}
 
 
