@@ -41,6 +41,7 @@ class Task:
     axis: str | None = None
     columns: Mapping[str, str] = field(default_factory=dict)
     scale: Mapping[str, float] = field(default_factory=dict)
+    where: str | None = None
     lowpass_hz: float | None = None
     decimate: int = 1
     picture: str | None = None
@@ -161,6 +162,7 @@ def _read(task: Task) -> "list[Recording]":
     options: dict[str, Any] = {
         "columns": task.columns,
         "scale": task.scale,
+        "where": task.where,
         "only": None if task.is_verifying else _NEEDED,
         "configuration": None if task.config is None else load(os.path.join(task.folder, task.config)),
     }

@@ -31,6 +31,7 @@ def command(
     axis: str | None,
     columns: dict[str, str],
     scale: dict[str, float],
+    where: str | None,
     as_json: bool,
 ) -> None:
     """Convert the recording IN to OUT, by their suffixes.
@@ -43,7 +44,7 @@ def command(
     is written to a file of its own, OUT_x.csv; --axis takes one. Metadata, events and restart points stay behind.
 
     In place of --column, IN.columns.yaml beside IN, or columns.yaml for all files of its folder, may say
-    `columns: {time_s: t, torque: vir*35.15}`.
+    `columns: {time_s: t, torque: vir*35.15}`. With --where, the torque is NaN where it does not count.
 
     A model file of a trained network becomes ONNX, for controllers that run it: net.yaml net.onnx.
     """
@@ -56,7 +57,7 @@ def command(
     from friction_hil import recordings
     from friction_hil.config import load
 
-    options: dict[str, Any] = {"columns": columns, "scale": scale}
+    options: dict[str, Any] = {"columns": columns, "scale": scale, "where": where}
     options["configuration"] = None if config is None else load(config)
     found = recordings.read_all(source, **options) if axis is None else {axis: recordings.read(source, axis, **options)}
     if target is None:

@@ -14,7 +14,8 @@ if TYPE_CHECKING:
     from friction_hil.identification import Identification
     from friction_hil.recordings import Recording
 
-_SHOWN = 12  # candidates in the table; JSON has all
+_SHOWN = 12  # candidates in the table, and the simplest; JSON has all
+_WIDE = 1000
 
 
 def _pairs(context: click.Context, parameter: click.Parameter, words: tuple[str, ...]) -> dict[str, float]:
@@ -135,6 +136,7 @@ def command(
     axis: str | None,
     columns: dict[str, str],
     scale: dict[str, float],
+    where: str | None,
     lowpass_hz: float | None,
     decimate: int | None,
     loss: str,
@@ -178,8 +180,9 @@ def command(
             raise click.UsageError(f"--report {report}: a report ends in .html")
     if has_unknown_gain and controller:
         raise click.UsageError("--controller takes a measured torque: not with --unknown-gain")
-    recordings = read_recordings(sources, axis, columns, scale)
-    validation = read_recordings(kept_apart, axis, columns, scale)
+    options: dict[str, Any] = {"columns": columns, "scale": scale, "where": where}
+    recordings = read_recordings(sources, axis, **options)
+    validation = read_recordings(kept_apart, axis, **options)
     status = console(stderr=True)
     with status.status("reading") as line:
         result = identify(
@@ -201,18 +204,16 @@ def command(
     return 0
 
 
-def read_recordings(
-    sources: tuple[Path, ...], axis: str | None, columns: dict[str, str], scale: dict[str, float]
-) -> "list[Recording]":
-    """Read the recordings of one axis from files and patterns of files."""
+def read_recordings(sources: tuple[Path, ...], axis: str | None, **options: Any) -> "list[Recording]":
+    """Read the recordings of one axis from files and patterns of files; options are those of `recordings.read`."""
     from friction_hil import recordings
 
     found = []
     for source in expanded(sources):
         if axis is not None:
-            found.append(recordings.read(source, axis, columns=columns, scale=scale))
+            found.append(recordings.read(source, axis, **options))
             continue
-        several = recordings.read_all(source, columns=columns, scale=scale)
+        several = recordings.read_all(source, **options)
         if len(several) > 1:
             raise UsageError(f"{source}: has the axes {', '.join(several)}; choose one with --axis")
         found += several.values()
@@ -265,14 +266,27 @@ def _print(result: "Identification", free: dict[str, Any], files: dict[str, Path
         errors.print(problem, markup=False, soft_wrap=True)
     for note in result.notes:
         errors.print(note, markup=False, soft_wrap=True)
+    if not out.is_terminal:
+        out.width = _WIDE  # into a file or a pipe: no number is cut short
     table = Table(box=None, header_style="bold", pad_edge=False)
-    for head in ("model", "free", "error", "blocks", "speeds", "others"):
+    is_grouped = len({record.group for record in result.records}) > 1
+    table.add_column("model", overflow="fold")
+    for head in ("free", "error", "groups" if is_grouped else "blocks", "speeds", "others"):
         table.add_column(head, no_wrap=True)
-    for each in result.fits[:_SHOWN]:
+    shown = list(result.fits[:_SHOWN])
+    plain = [each for each in result.fits if not each.structure.modifiers]
+    if plain:  # the simplest one is what the others are compared with
+        shown += [each for each in (min(plain, key=lambda each: each.count),) if each not in shown]
+    for each in shown:
         given = (each.train, each.cross_validation, each.across_speeds, each.validation)
         shares = ["-" if error is None else f"{100.0 * error.relative_error:.3f} %" for error in given]
         table.add_row(Text(each.label), str(each.count), *shares)
-    out.print("Relative error of the torque: on the data, on blocks of it held out, on speeds held out, on other data.")
+    parts = f"the recordings of each {result.settings.group_by}" if is_grouped else "blocks of it"
+    out.print(
+        f"Relative error of the torque: on the data, on {parts} held out, on speeds held out, on other data.",
+        markup=False,
+        soft_wrap=True,
+    )
     out.print(table)
     out.print()
     best = result.best

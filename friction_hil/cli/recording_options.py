@@ -67,7 +67,8 @@ _OPTIONS = (
         callback=_columns,
         metavar="NAME=SOURCE[*FACTOR]",
         help="Take column NAME from the file's SOURCE, e.g. torque=vir*35.15 or position=encoder*2*pi/4096. "
-        "May be repeated.",
+        "SOURCE may be a product of columns, SOURCE:int16 (int8, uint32, ...) a register that was read as another "
+        "type: torque=load:int16*volts/885. May be repeated.",
     ),
     click.option(
         "--scale",
@@ -76,11 +77,16 @@ _OPTIONS = (
         metavar="NAME=FACTOR",
         help="Multiply column NAME by FACTOR to make it SI, e.g. torque=35.15. May be repeated.",
     ),
+    click.option(
+        "--where",
+        metavar="COLUMN",
+        help="Let the torque count only in rows where COLUMN is not zero, e.g. torque_enable of a servo.",
+    ),
 )
 
 
 def recording_options(command: Command) -> Command:
-    """Add ``--axis`` (``axis``), ``--column`` (``columns``, a dict) and ``--scale`` (``scale``, a dict)."""
+    """Add ``--axis`` (``axis``), ``--column`` (``columns``, a dict), ``--scale`` (``scale``, a dict), ``--where``."""
     for option in reversed(_OPTIONS):
         command = option(command)
     return command

@@ -54,6 +54,7 @@ def command(
     axis: str | None,
     columns: dict[str, str],
     scale: dict[str, float],
+    where: str | None,
     lowpass_hz: float | None,
     decimate: int,
     output: Path | None,
@@ -77,6 +78,8 @@ def command(
 
     if output is not None and is_verifying and not model_arguments:
         raise click.UsageError("--output draws models: give --model")
+    if where is not None and is_verifying:
+        raise click.UsageError("--verify takes every row as it was recorded: not with --where")
     files = expanded(sources)
     models = tuple(name for argument in model_arguments for name in _models(argument))
     # before hundreds of files are read: mistakes that would be made in each
@@ -93,6 +96,7 @@ def command(
             axis=axis,
             columns=columns,
             scale=scale,
+            where=where,
             lowpass_hz=lowpass_hz,
             decimate=decimate,
             picture=None if output is None else str(output),

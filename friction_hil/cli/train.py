@@ -77,6 +77,7 @@ def command(
     axis: str | None,
     columns: dict[str, str],
     scale: dict[str, float],
+    where: str | None,
     lowpass_hz: float | None,
     seed: int,
     output: Path | None,
@@ -109,10 +110,11 @@ def command(
     else:
         from friction_hil.cli.identify import read_recordings
 
+        options: dict[str, Any] = {"columns": columns, "scale": scale, "where": where}
         with console(stderr=True).status("reading"):
             task = training.task_of_recordings(
-                read_recordings(sources, axis, columns, scale),
-                read_recordings(kept_apart, axis, columns, scale),
+                read_recordings(sources, axis, **options),
+                read_recordings(kept_apart, axis, **options),
                 known,
                 is_linear=is_linear,
                 is_static=structure in ("static", "residual"),

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from friction_hil.errors import RecordingError, UsageError, choices
 from friction_hil.recordings.mapping import Mapped, mapping_beside
-from friction_hil.recordings.recording import Recording, check, rename
+from friction_hil.recordings.recording import Array, Recording, check, count_where, rename
 from friction_hil.recordings.source import Source
 
 if TYPE_CHECKING:
@@ -44,6 +44,7 @@ def read(
     *,
     columns: Mapping[str, str] | None = None,
     scale: Mapping[str, float] | None = None,
+    where: str | None = None,
     only: Collection[str] | None = None,
     configuration: "Configuration | None" = None,
 ) -> Recording:
@@ -58,9 +59,13 @@ def read(
         Name of the axis; needed where the file has several. A file of columns has one, without a name: it
         is called this, or else after the file.
     columns : dict, optional
-        Our name of a column to the file's: ``{"time_s": "t", "torque": "effort"}``.
+        Our name of a column to the file's: ``{"time_s": "t", "torque": "effort"}``, or to what it is made of:
+        ``{"torque": "load:int16*input_volts/885"}`` (`friction_hil.recordings.product`).
     scale : dict, optional
         Our name of a column to the factor that makes it SI: ``{"torque": 35.15}``.
+    where : str, optional
+        Column, by our name or the file's, in whose rows the torque counts where it is neither zero nor NaN; in the
+        others ``torque`` becomes NaN.
     only : sequence of str, optional
         Our names of the columns to load, as far as they are there; all when not given.
     configuration : Configuration, optional
@@ -69,7 +74,7 @@ def read(
     Raises
     ------
     RecordingError
-        The file cannot be read, or has no finite ``time_s``.
+        The file cannot be read, has no finite ``time_s``, or the torque counts nowhere.
     UsageError
         The suffix is unknown, the file has several axes or not this one, a mapped column is not there, or a
         package is not installed.
@@ -83,8 +88,8 @@ def read(
         return names if axis is None else [axis]
 
     mapped = mapping_beside(Path(path)).overridden(columns or {}, scale or {})
-    source = Source(Path(path), axis, _wanted(only, mapped), one, configuration)
-    (recording,) = _read(source, mapped).values()
+    source = Source(Path(path), axis, _wanted(only, mapped, where), one, configuration)
+    (recording,) = _read(source, mapped, where, only).values()
     return recording
 
 
@@ -93,12 +98,14 @@ def read_all(
     *,
     columns: Mapping[str, str] | None = None,
     scale: Mapping[str, float] | None = None,
+    where: str | None = None,
     only: Collection[str] | None = None,
     configuration: "Configuration | None" = None,
 ) -> dict[str, Recording]:
     """Read every axis of a recording, by name; otherwise as `read`."""
     mapped = mapping_beside(Path(path)).overridden(columns or {}, scale or {})
-    return _read(Source(Path(path), None, _wanted(only, mapped), configuration=configuration), mapped)
+    source = Source(Path(path), None, _wanted(only, mapped, where), configuration=configuration)
+    return _read(source, mapped, where, only)
 
 
 def write(path: str | Path, recording: Recording, *, overwrite: bool = False) -> None:
@@ -133,11 +140,14 @@ def write(path: str | Path, recording: Recording, *, overwrite: bool = False) ->
         raise RecordingError(f"{path} cannot be written: {error.strerror or error}") from None
 
 
-def _wanted(only: Collection[str] | None, mapped: Mapped) -> frozenset[str] | None:
-    return None if only is None else frozenset(source for name in only for source in mapped.sources(name))
+def _wanted(only: Collection[str] | None, mapped: Mapped, where: str | None) -> frozenset[str] | None:
+    if only is None:
+        return None
+    condition = set() if where is None else {where, *mapped.sources(where)}
+    return frozenset(condition.union(*map(mapped.sources, only)))
 
 
-def _read(source: Source, mapped: Mapped) -> dict[str, Recording]:
+def _read(source: Source, mapped: Mapped, where: str | None, only: Collection[str] | None) -> dict[str, Recording]:
     module = _module(source.path, _MODULES)
     try:
         recordings: list[Recording] = module.read(source)
@@ -145,8 +155,16 @@ def _read(source: Source, mapped: Mapped) -> dict[str, Recording]:
         raise RecordingError(f"{source.path} cannot be read: {error.strerror or error}") from None
     for recording in recordings:
         fitting = mapped.fitting({*recording.columns, *recording.others})
+        before = recording.columns
         rename(recording, fitting.columns, fitting.scale)
+        there: dict[str, Array] = {**before, **recording.columns}
+        if only is not None:  # others were read for what these are made of
+            recording.others += tuple(name for name in recording.columns if name not in only)
+            recording.columns = {name: values for name, values in recording.columns.items() if name in only}
+            recording.units = {name: unit for name, unit in recording.units.items() if name in only}
         check(recording)
+        if where is not None:
+            count_where(recording, where, there)
     return {recording.axis: recording for recording in recordings}
 
 

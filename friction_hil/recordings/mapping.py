@@ -6,9 +6,11 @@
       time_s: t
       position: encoder*2*pi/4096
       torque: vir*35.1507
+      current: raw:int16*range/32768
+
+Such products of columns, and registers read again, are those of `friction_hil.recordings.product`.
 """
 
-import math
 import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
@@ -16,16 +18,15 @@ from pathlib import Path
 from typing import Any
 
 from friction_hil.errors import ConfigurationError, Problem, UsageError
+from friction_hil.recordings.product import NUMBER, factor_of, possible_columns, product_of
 
-_NUMBER = r"(?:pi|(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)"
-_FACTORS = re.compile(rf"(?P<source>.*?)(?P<factors>(?:\s*[*/]\s*-?{_NUMBER})+)\s*")
-_FACTOR = re.compile(rf"([*/])\s*(-?)({_NUMBER})")
+_FACTORS = re.compile(rf"(?P<source>.*?)(?P<factors>(?:\s*[*/]\s*-?{NUMBER})+)\s*")
 _FOR_ALL = "columns.yaml"
 
 
 @dataclass(frozen=True, slots=True)
 class Mapped:
-    """Columns by our names: what each is called in the file, and the factor that makes it SI.
+    """Columns by our names: what each is called in the file, or made of, and the factor that makes it SI.
 
     Those in ``optional`` come from a file for the whole folder, and count only where the source is there: a folder
     may hold recordings of several origins.
@@ -42,20 +43,22 @@ class Mapped:
 
     def fitting(self, there: Collection[str]) -> "Mapped":
         """Leave out what is optional and not there."""
-        absent = {name for name in self.optional if self.columns[name] not in there}
+        absent = {name for name in self.optional if product_of(self.columns[name], there).missing(there)}
         return Mapped(
             {name: source for name, source in self.columns.items() if name not in absent},
             {name: factor for name, factor in self.scale.items() if name not in absent},
         )
 
-    def sources(self, name: str) -> tuple[str, ...]:
-        """What our column may be called in the file."""
-        source = self.columns.get(name, name)
-        return (source, name) if name in self.optional else (source,)
+    def sources(self, name: str) -> set[str]:
+        """Names of all columns of the file that ours may come from."""
+        if name not in self.columns:
+            return {name}
+        found = possible_columns(self.columns[name])
+        return {*found, name} if name in self.optional else found
 
 
 def parse_source(text: str) -> tuple[str, float]:
-    """Name and factor of ``NAME*FACTOR``, e.g. ``vir*35.1507`` or ``encoder*2*pi/4096``; 1 where there is none.
+    """Source and factor of ``SOURCE*FACTOR``, e.g. ``vir*35.1507`` or ``encoder*2*pi/4096``; 1 where there is none.
 
     Raises
     ------
@@ -65,16 +68,7 @@ def parse_source(text: str) -> tuple[str, float]:
     found = _FACTORS.fullmatch(text)
     if found is None or not found["source"].strip():
         return text.strip(), 1.0
-    factor = 1.0
-    for operator, sign, number in _FACTOR.findall(found["factors"]):
-        value = math.pi if number == "pi" else float(number)
-        value = -value if sign else value
-        if value == 0.0 or not math.isfinite(value):
-            raise UsageError(f"{text!r}: a factor is finite and not zero")
-        factor = factor * value if operator == "*" else factor / value
-    if factor == 0.0 or not math.isfinite(factor):
-        raise UsageError(f"{text!r}: a factor is finite and not zero")
-    return found["source"].strip(), factor
+    return found["source"].strip(), factor_of(found["factors"], text)
 
 
 def mapping_beside(path: Path) -> Mapped:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from friction_hil.errors import RecordingError, UsageError, choices
 from friction_hil.recordings.columns import CYCLE, SPARSE, TIME
+from friction_hil.recordings.product import absent, product_of
 from friction_hil.recordings.quality import all_finite, rows_text
 from friction_hil.recordings.units import unit_problem
 
@@ -100,24 +101,40 @@ class Recording:
 def rename(recording: Recording, columns: Mapping[str, str], scale: Mapping[str, float]) -> None:
     """Give columns their names here, ``{'time_s': 't'}``, then multiply by ``scale``, by the new names.
 
-    A column that already has the name is replaced. Several names may come from one column.
+    A column that already has the name is replaced. Several names may come from one column. What a product is made of
+    (`product_of`) stays, too; the product has no unit of the file.
 
     Raises
     ------
     UsageError
-        A column to be mapped or scaled is not there, or a factor is not finite, zero or too large.
+        A column to be mapped or scaled is not there or cannot be multiplied, or a factor is not finite, zero or too
+        large.
     """
     there, others = recording.columns, set(recording.others)
+    names = {*there, *others}
+    taken: dict[str, Array] = {}
+    units: dict[str, str] = {}
+    renamed = set()
     for name, source in columns.items():
-        if source not in there and source not in others:
-            raise UsageError(f"{recording.path}: --column {name}={source}: {choices(source, {*there, *others})}")
-    taken = {name: source for name, source in columns.items() if source in there}
-    sources = set(columns.values())
-    kept = {name: name for name in there if name not in sources and name not in columns}
-    recording.columns = {name: there[source] for name, source in (taken | kept).items()}
-    recording.units = {
-        name: recording.units[source] for name, source in (taken | kept).items() if source in recording.units
-    }
+        try:
+            product = product_of(source, names)
+            missing = product.missing(names)
+            if missing:
+                raise UsageError(("" if missing == source else f"no column {missing!r}; ") + absent(missing, names))
+            if not product.is_plain:
+                taken |= {} if product.missing(there) else {name: product.values(there)}
+                continue
+        except UsageError as error:
+            raise UsageError(f"{recording.path}: --column {name}={source}: {error}") from None
+        column = product.terms[0].column
+        renamed.add(column)
+        if column in there:
+            taken[name] = there[column]
+        if column in recording.units:
+            units[name] = recording.units[column]
+    kept = [name for name in there if name not in renamed and name not in columns]
+    recording.columns = taken | {name: there[name] for name in kept}
+    recording.units = units | {name: recording.units[name] for name in kept if name in recording.units}
     for name, factor in scale.items():
         if name not in recording.columns:
             if name in others or name in columns:
@@ -132,6 +149,32 @@ def rename(recording: Recording, columns: Mapping[str, str], scale: Mapping[str,
             raise UsageError(f"{recording.path}: --scale {name}={factor:g}: what results is too large for a number")
         recording.columns[name] = scaled
         recording.units.pop(name, None)  # SI now
+
+
+def count_where(recording: Recording, where: str, there: Mapping[str, Array]) -> None:
+    """Make ``torque`` NaN in the rows where the column ``where`` of ``there`` is zero or NaN, and tell it.
+
+    Raises
+    ------
+    RecordingError
+        No row is left.
+    UsageError
+        One of the columns is not there.
+    """
+    if where not in there:
+        raise UsageError(f"{recording.path}: --where {where}: {choices(where, {*there, *recording.others})}")
+    if "torque" not in recording.columns:
+        raise UsageError(
+            f"{recording.path}: --where {where}: no column torque to count; map one with --column torque=NAME"
+        )
+    condition = there[where]
+    is_out = (condition == 0.0) | np.isnan(condition)
+    if is_out.all():
+        raise RecordingError(f"{recording.path}: {where} is zero in all rows: the torque counts nowhere")
+    if is_out.any():
+        recording.columns["torque"] = np.where(is_out, np.nan, recording.columns["torque"])
+        rows = rows_text(np.flatnonzero(is_out), len(condition))
+        recording.problems.append(f"{where} is zero in {rows}: the torque does not count there")
 
 
 def check(recording: Recording) -> None:

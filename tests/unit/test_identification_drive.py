@@ -1,6 +1,7 @@
 """A drive of unknown gain: what is held sets the scale; groups of recordings; rows at rest; a real servo in volts."""
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,6 @@ from friction_hil.cli import main
 from friction_hil.config import load_model_file
 from friction_hil.errors import RecordingError, UsageError
 from friction_hil.identification import Identification, Settings, identify
-from friction_hil.identification.export import as_json, model_file
 from friction_hil.recordings import Recording
 
 BAM = Path(__file__).parents[3] / "shared" / "data" / "bam_xl330"
@@ -215,44 +215,32 @@ def test_command_writes_the_friction_in_torque(
     assert "not with --unknown-gain" in capsys.readouterr().err
 
 
-def servo(path: Path) -> Recording:
-    """A recording of the servo with its volts: the duty, a signed register of 885 counts, times the input voltage.
-
-    Released, the motor has neither torque nor back-EMF: such rows are none.
-    """
-    names = ("load", "input_volts", "torque_enable")
-    own = {"time_s": "timestamp", "position_demand": "goal_position"}
-    recording = recordings.read(path, columns={**own, "position": "position", **{name: name for name in names}})
-    register, supply, is_enabled = (recording.columns.pop(name) for name in names)
-    duty = np.where(register > 32767.0, register - 65536.0, register) / 885.0
-    recording.columns["torque"] = np.where(is_enabled > 0.0, duty * supply, np.nan)
-    return recording
-
-
 @needs_bam
-def test_servo_has_friction_that_grows_with_its_load() -> None:
-    given = [servo(path) for path in sorted(BAM.glob("*.json"))]
-    mass, length = given[0].metadata["mass"], given[0].metadata["length"]
-    result = found(
-        *given,
-        held={"gravity.sine": mass * 9.81 * length, "gravity.cosine": 0.0},
-        families=(),
-        has_modifiers=True,
-        lowpass_hz=10.0,
-        decimation=4,
-        least_speed=0.1,
-        group_by="trajectory",
-    )
-    best = result.best
-    assert best.label == "coulomb + load"
-    error = {each.label: each.held_out.relative_error for each in result.fits}
+def test_servo_has_friction_that_grows_with_its_load(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its volts are the duty, a signed register of 885 counts, times the supply; released, it has none."""
+    monkeypatch.chdir(tmp_path)
+    facts = [json.loads(path.read_text()) for path in sorted(BAM.glob("*.json"))]
+    mass, length = facts[0]["mass"], facts[0]["length"]
+    mapping = ("time_s=timestamp", "position_demand=goal_position", "torque=load:int16*input_volts/885")
+    words = ["identify", str(BAM / "*.json"), "--unknown-gain", "--gravity", "pendulum", "--where", "torque_enable"]
+    words += [word for each in mapping for word in ("--column", each)]
+    words += ["--fix", f"gravity.sine={mass * 9.81 * length}", "--fix", "gravity.cosine=0", "--lowpass", "10"]
+    words += ["--decimate", "4", "--min-speed", "0.1", "--group-by", "trajectory", "--output", "servo.yaml"]
+    assert main(words) == 0
+    text = capsys.readouterr().out
+    assert "Chosen: coulomb + load." in text
+    assert "on the recordings of each trajectory held out" in text
+    rows = re.findall(r"^(\w.*?) {2,}\d+ +[\d.]+ % +([\d.]+) %", text, re.MULTILINE)
+    error = {label: float(held_out) for label, held_out in rows}
     assert error["coulomb + load"] < 0.9 * error["stribeck"]
-    assert error["stribeck"] < 0.9 * error["coulomb"]
-    assert len(best.held_out.blocks) == 4  # trajectories
+    assert error["stribeck"] < 0.9 * error["coulomb"]  # the simplest one is shown, however far it is behind
+    model = load_model_file("servo.yaml")
+    assert model.fit is not None
     # data sheet: 0.52 N m and 1.47 A at 5 V, 103 rpm without load, so that k_e is at most 0.46 V s/rad
-    assert 0.06 < best.drive["drive.gain"] < 0.11
-    assert 0.25 < best.drive["drive.back_emf"] / best.drive["drive.gain"] < 0.46
-    assert mass * length**2 < best.mechanics["inertia"] < 2.0 * mass * length**2  # the bob's, and the rotor's
-    model = model_file(result)
+    drive = model.fit["drive"]
+    assert 0.06 < drive["gain"] < 0.11
+    assert 0.25 < drive["back_emf"] / drive["gain"] < 0.46
+    assert mass * length**2 < model.mechanics.inertia < 2.0 * mass * length**2  # the bob's, and the rotor's
     assert model.friction.modifiers["load"] == pytest.approx({"motoring": 0.24, "driven": 0.24}, abs=0.06)
-    assert as_json(result)["fits"][0]["drive"]["gain"] == best.drive["drive.gain"]

@@ -1,0 +1,175 @@
+"""What a column is made of: columns of the file, registers read again, and factors. Pure.
+
+``load:int16*input_volts/885`` is the column ``load``, a signed register of 16 bits that was read as unsigned, times
+the column ``input_volts``, by 885.
+"""
+
+import math
+import re
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from friction_hil.errors import UsageError, choices
+
+Array = NDArray[np.float64]
+
+NUMBER = r"(?:pi|(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)"
+_REGISTERS = ("int8", "int16", "int32", "uint8", "uint16", "uint32")
+_FACTOR = re.compile(rf"([*/])\s*(-?)({NUMBER})")
+_NUMBERS = re.compile(rf"-?{NUMBER}(?:\s*/\s*-?{NUMBER})*")
+_TERM = re.compile(
+    rf"(?P<column>.*?)\s*(?::\s*(?P<register>{'|'.join(_REGISTERS)}))?\s*(?P<factors>(?:/\s*-?{NUMBER}\s*)*)", re.DOTALL
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Term:
+    """A column of the file, and the type of ``register`` as which it is read again; empty: as it is."""
+
+    column: str
+    register: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Product:
+    """Columns of the file that are multiplied, and a factor."""
+
+    terms: tuple[Term, ...]
+    factor: float = 1.0
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether it is a column as it is."""
+        return len(self.terms) == 1 and not self.terms[0].register and self.factor == 1.0
+
+    def missing(self, there: Collection[str]) -> str:
+        """Name of the first column that is not there; empty where all are."""
+        return next((term.column for term in self.terms if term.column not in there), "")
+
+    def values(self, there: Mapping[str, Array]) -> Array:
+        """Multiply; NaN where one of the columns is.
+
+        Parameters
+        ----------
+        there : dict of (n,) arrays
+            The file's columns.
+
+        Returns
+        -------
+        (n,) array
+
+        Raises
+        ------
+        UsageError
+            A column holds what no such register does, or what results is too large for a number.
+        """
+        values = [_read_again(there[term.column], term) for term in self.terms]
+        with np.errstate(over="ignore", invalid="ignore"):
+            product: Array = np.prod(values, axis=0) * self.factor
+        if np.isinf(product[np.isfinite(values).all(axis=0)]).any():
+            raise UsageError("what results is too large for a number")
+        return product
+
+
+def product_of(source: str, there: Collection[str]) -> Product:
+    """Understand a source: ``load``, ``load:int16``, ``load:int16*input_volts/885``.
+
+    Between ``*`` stand columns and numbers; ``/`` divides by numbers alone. Names may hold any character: one that
+    is there goes before every other meaning, the longest first.
+
+    Parameters
+    ----------
+    source : str
+    there : collection of str
+        Names of the file's columns.
+
+    Returns
+    -------
+    Product
+        Of columns that need not be there.
+
+    Raises
+    ------
+    UsageError
+        Something is missing beside a ``*``, or a factor is zero or not finite.
+    """
+    if source in there:
+        return Product((Term(source),))
+    terms, factor = [], 1.0
+    pieces = source.split("*")
+    begin = 0
+    while begin < len(pieces):
+        spans = {end: "*".join(pieces[begin:end]).strip() for end in range(len(pieces), begin, -1)}
+        known = (end for end, text in spans.items() if text in there or _split(text)[0].column in there)
+        end = next(known, begin + 1)
+        text, begin = spans[end], end
+        if not text:
+            raise UsageError(f"{source!r}: a column or a number is missing beside a *")
+        if _NUMBERS.fullmatch(text):
+            factor *= factor_of(f"*{text}", source)
+            continue
+        term, factors = (Term(text), "") if text in there else _split(text)
+        terms.append(term)
+        factor *= factor_of(factors, source)
+    return Product(tuple(terms), factor) if terms else Product((Term(source),))
+
+
+def possible_columns(source: str) -> set[str]:
+    """Names of all columns that a source may mean, whatever is there."""
+    pieces = source.split("*")
+    ends = range(1, len(pieces) + 1)
+    texts = {"*".join(pieces[begin:end]).strip() for end in ends for begin in range(end)}
+    return {source, *texts, *(_split(text)[0].column for text in texts)}
+
+
+def absent(column: str, there: Collection[str]) -> str:
+    """Say what there is in place of a column that is not."""
+    name, colon, register = column.rpartition(":")
+    if colon and name.strip() in there:
+        return f"{register.strip()!r} is no type of register; there are {', '.join(_REGISTERS)}"
+    return choices(column, there)
+
+
+def factor_of(factors: str, text: str) -> float:
+    """Value of ``*2*pi/4096``; 1 where it is empty.
+
+    Raises
+    ------
+    UsageError
+        It, or a number in it, is zero or not finite; the message begins with the whole ``text``.
+    """
+    factor = 1.0
+    for operator, sign, number in _FACTOR.findall(factors):
+        value = math.pi if number == "pi" else float(number)
+        value = -value if sign else value
+        if value == 0.0 or not math.isfinite(value):
+            raise UsageError(f"{text!r}: a factor is finite and not zero")
+        factor = factor * value if operator == "*" else factor / value
+    if factor == 0.0 or not math.isfinite(factor):
+        raise UsageError(f"{text!r}: a factor is finite and not zero")
+    return factor
+
+
+def _split(text: str) -> tuple[Term, str]:
+    """Column with its register, and the factors behind: ``load:int16/885``."""
+    found = _TERM.fullmatch(text)
+    assert found is not None  # any text is a name
+    return Term(found["column"].strip(), found["register"] or ""), found["factors"]
+
+
+def _read_again(values: Array, term: Term) -> Array:
+    """Values of a register, whether they were read as signed or unsigned."""
+    if not term.register:
+        return values
+    kind, bits = term.register.split("int")
+    top = 2.0 ** int(bits)
+    known = values[~np.isnan(values)]
+    wrong = known[(known < -top / 2.0) | (known >= top) | (known != np.floor(known))]
+    if wrong.size:
+        raise UsageError(f"{term.column} is no register of {bits} bits: it holds {wrong[0]:.10g}")
+    lowest = 0.0 if kind == "u" else -top / 2.0
+    again: Array = np.mod(values - lowest, top) + lowest
+    return again
