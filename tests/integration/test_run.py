@@ -5,7 +5,8 @@ import struct
 
 import numpy as np
 import pytest
-from friction_hil_drivers.canopen import objects, profile
+from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.cia402 import profile
 
 import friction_hil as fh
 from friction_hil.drive import DriveState

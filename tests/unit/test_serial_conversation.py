@@ -17,12 +17,12 @@ REPLY_LIMIT_MS = 50.0
 class Bench:
     """A conversation whose peer answers by a table."""
 
-    def __init__(self, **answers):
+    def __init__(self, *, reply_limit_ms=REPLY_LIMIT_MS, **answers):
         self.answers = answers
         self.time = Time()
         self.image = Image()
         self.line = BenchLine(lambda data: self.answers.get(data.decode(), b""))
-        self.talk = Conversation(self.line, [self.image], SILENCE_CHARS, self.time)
+        self.talk = Conversation(self.line, [self.image], SILENCE_CHARS, reply_limit_ms * 1e-3, self.time)
 
     def ask(self, name="position", done=None):
         exchange = Ask(self.image, name)
@@ -173,6 +173,13 @@ def test_what_could_not_be_answered_in_this_cycle_is_not_asked():
     bench.ask()
     bench.go(0.3)
     assert bench.image.values["position"] == 12.0
+
+
+def test_where_replies_are_numbered_nobody_waits_for_a_late_one():
+    bench = Bench(reply_limit_ms=0.0)
+    assert bench.cycle() is None
+    bench.answers["position?"] = b"7;"
+    assert bench.cycle() == 7.0
 
 
 @given(st.binary(max_size=30))

@@ -15,6 +15,7 @@ from friction_hil_drivers.dynamixel.simulated_drives import SimulatedDynamixelDr
 from friction_hil_drivers.modbus.drives import ModbusDrives
 from friction_hil_drivers.modbus.simulated_drives import SimulatedModbusDrives
 from friction_hil_drivers.serial_line import drives
+from friction_hil_drivers.serial_line.options import LineOptions
 
 from friction_hil.drive import Command, DriveState, Feedback, Request
 from friction_hil.errors import DriveError
@@ -202,3 +203,15 @@ def test_a_bad_line_costs_cycles_and_never_tells_a_lie(kind, tmp_path, faults, m
             assert abs(bench.feedback.position) < 1e-4
             assert bench.feedback.velocity == 0.0
         assert fresh > 60
+
+
+@pytest.mark.parametrize(("period_s", "max_missed"), [(1e-3, 10), (1e-3, 1), (4e-3, 10), (0.1, 3)])
+def test_by_default_a_single_lost_reply_is_bridged(period_s, max_missed):
+    """A drive that did not reply is left alone for a while, which must be shorter than what makes a fault."""
+    config = configuration(x=axis_dict())
+    realtime = config.realtime.model_copy(update={"max_missed": max_missed})
+    config = config.model_copy(update={"period_s": period_s, "realtime": realtime})
+    made = ModbusDrives(config, {}, SteppedClock(), dry_run=False)
+    cycles = made._reply_limit_s(LineOptions(port="/dev/line")) / period_s
+    assert cycles <= 0.5 * max_missed
+    assert made._reply_limit_s(LineOptions(port="/dev/line", reply_limit_s=0.2)) == 0.2

@@ -179,6 +179,7 @@ class AsciiLine:
     images : mapping of str to Image
     """
 
+    numbers_replies = False
     silence_chars = 0.0  # line ends part the lines
 
     def __init__(

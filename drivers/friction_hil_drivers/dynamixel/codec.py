@@ -322,6 +322,7 @@ class DynamixelLine:
         The vendor's SDK is not installed.
     """
 
+    numbers_replies = False
     silence_chars = 0.0  # a header begins a packet, whatever was before
 
     def __init__(

@@ -199,6 +199,7 @@ class ModbusLine:
         line = next(iter(options.values())).line
         self._framing: Framing = TcpFraming() if line.is_tcp else RtuFraming()
         silence_s = max(description.silence_s for description in descriptions.values())
+        self.numbers_replies = line.is_tcp
         self.silence_chars = 0.0 if line.is_tcp else max(_SILENCE_CHARS, silence_s / character_s(line))
 
     def plan(self, wanted: Mapping[str, Wanted]) -> Plan:

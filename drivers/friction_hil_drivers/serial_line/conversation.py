@@ -1,6 +1,6 @@
 """Requests and replies on one line, one after the other, in small steps that never wait.
 
-A reply belongs to the request before it, and no serial protocol here numbers them: a late reply looks like the
+A reply belongs to the request before it, and serial protocols do not number them: a late reply looks like the
 present one of the same drive. So a drive that did not answer in time is asked nothing more until its reply has come,
 and was dropped, or cannot come any more. Others on the line are asked meanwhile, and what needs no reply is sent: a
 drive that is silent must not keep another one from being stopped.
@@ -29,6 +29,9 @@ class Conversation:
         Of all axes on the line.
     silence_chars : float
         Silence that has to pass between frames, in characters.
+    reply_limit_s : float
+        Time after which a reply that did not come will not come any more; 0 where replies are numbered, so that a
+        late one is known for what it is.
     now_ns : callable
         Monotonic time, ns.
 
@@ -50,6 +53,7 @@ class Conversation:
         line: Line,
         images: Sequence[Image],
         silence_chars: float,
+        reply_limit_s: float,
         now_ns: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self.line = line
@@ -59,7 +63,7 @@ class Conversation:
         self._character_ns = character_s(line.options) * 1e9 if serial else 0.0
         self._silence_ns = round(silence_chars * self._character_ns)
         self._turnaround_ns = round(line.options.turnaround_s * 1e9)
-        self._reply_limit_ns = round(line.options.reply_limit_s * 1e9)
+        self._reply_limit_ns = round(reply_limit_s * 1e9)
         self._settle_ns = max(self._silence_ns, _SHORT_SILENCE_NS)
         self._queue: deque[tuple[Exchange, Callable[[], None] | None]] = deque()
         self._awaited: tuple[Exchange, Callable[[], None] | None] | None = None
@@ -91,6 +95,8 @@ class Conversation:
             return self._heard_ns + self._settle_ns
         if self._awaited is not None:
             return None
+        if not self._owed:
+            return self._quiet_until_ns if self._queue else None
         moments = [until for _, until in self._owed]
         if any(self._may_be_asked(exchange) for exchange, _ in self._queue):
             moments.append(self._quiet_until_ns)
@@ -149,7 +155,9 @@ class Conversation:
 
     def _drop_late(self, now: int) -> None:
         """Take a reply of an earlier cycle for what it is; it is not fresh."""
-        if self._owed and self._received:
+        if not self._owed:
+            return
+        if self._received:
             fresh = [set(image.fresh) for image in self._images]
             exchange, _ = self._owed[0]
             try:
@@ -171,7 +179,9 @@ class Conversation:
 
     def _say(self) -> bool:
         """Send the next request; whether another one may follow at once."""
-        place = next((k for k, (exchange, _) in enumerate(self._queue) if self._may_be_asked(exchange)), None)
+        if not self._queue:
+            return False
+        place = self._next_place() if self._owed else 0
         if place is None:
             return False
         if self._received:
@@ -197,6 +207,10 @@ class Conversation:
             done()
         return True
 
+    def _next_place(self) -> int | None:
+        """Where in the queue the first request is that may be made now."""
+        return next((k for k, (exchange, _) in enumerate(self._queue) if self._may_be_asked(exchange)), None)
+
     def _wire_ns(self, exchange: Exchange) -> float:
         """Least time until the reply is there."""
         silence = self._silence_ns if exchange.reply_size else 0
@@ -209,7 +223,8 @@ class Conversation:
         if self._awaited is not None:
             exchange, _ = self._awaited
             self._awaited = None
-            self._owed.append((exchange, self._sent_ns + self._reply_limit_ns))
+            if self._reply_limit_ns:
+                self._owed.append((exchange, self._sent_ns + self._reply_limit_ns))
             self.lost += 1
             self.trouble = f"{exchange.what}: no reply in time"
 

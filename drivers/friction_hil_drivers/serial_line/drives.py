@@ -21,7 +21,7 @@ from friction_hil_drivers.serial_line.axis import SerialAxis, make_scales
 from friction_hil_drivers.serial_line.conversation import Conversation
 from friction_hil_drivers.serial_line.description import Description, Step, load_description
 from friction_hil_drivers.serial_line.line import Line
-from friction_hil_drivers.serial_line.options import SerialOptions
+from friction_hil_drivers.serial_line.options import LineOptions, SerialOptions
 from friction_hil_drivers.serial_line.protocol import (
     FAST,
     SLOW,
@@ -43,6 +43,7 @@ _STEPPED_TIMEOUT_S = 10.0
 _STEPPED_TIMEOUTS = 3  # in a row; in simulated time nothing else would ever end a run without drives
 _ATTEMPTS = 3
 _ATTEMPT_S = 0.3
+_REPLY_LIMIT_S, _REPLY_LIMIT_SHARE = 0.05, 0.4
 _MEASURED_CYCLES = 25
 _WATCHDOG_PERIODS, _LEAST_WATCHDOG_S = 20, 0.1
 _INTERPOLATION_CYCLES = {"csp": 1.0, "csv": 0.5, "cst": 0.0}  # between set-points, beside half a period as for torques
@@ -107,6 +108,7 @@ class SerialDrives:
         self._dry_run = dry_run
         self._period_s = configuration.period_s
         self._lanes: list[_Lane] = []
+        self._conversations: list[Conversation] = []
         self._axes: list[SerialAxis] = []  # in the order of the configuration
         self._places = {name: place for place, name in enumerate(self._configs)}
         self._is_commanding = False  # something has been written since the start
@@ -134,6 +136,7 @@ class SerialDrives:
             for name in names:
                 facts[name] = self._connect_axis(lane, made[name], descriptions[name])
         self._axes = [made[name] for name in self._configs]
+        self._conversations = [lane.conversation for lane in self._lanes]
         return [facts[name] for name in self._configs]
 
     def _make_lane(self, descriptions: Mapping[str, Description]) -> _Lane:
@@ -165,13 +168,19 @@ class SerialDrives:
             watchdog = watchdog_steps(description, self._watchdog_s(options[name]))
             axes.append(SerialAxis(name, description, scales, images[name], mode.commands, watchdog))
         first = next(iter(options.values())).line
-        conversation = Conversation(Line(first), list(images.values()), protocol.silence_chars)
+        limit_s = 0.0 if protocol.numbers_replies else self._reply_limit_s(first)
+        conversation = Conversation(Line(first), list(images.values()), protocol.silence_chars, limit_s)
         listening = protocol.plan(heard)
         plan = listening if self._dry_run else protocol.plan(wanted)
         lane = _Lane(conversation, protocol, axes, listening, plan)
         if not first.is_tcp:
             check_rate(plan, self._longest_step(lane, descriptions), first, protocol.silence_chars, self._period_s)
         return lane
+
+    def _reply_limit_s(self, line: LineOptions) -> float:
+        """Time for which a drive that did not answer is not asked again: a lost reply alone must be no fault."""
+        bridged_s = self._configuration.realtime.max_missed * self._period_s
+        return line.reply_limit_s or min(_REPLY_LIMIT_S, _REPLY_LIMIT_SHARE * bridged_s)
 
     def _longest_step(self, lane: _Lane, descriptions: Mapping[str, Description]) -> Exchange | None:
         """The exchange of a sequence that takes longest beside the cycle."""
@@ -271,7 +280,7 @@ class SerialDrives:
             nonlocal is_done
             is_done = True
 
-        limit_s = max(_ATTEMPT_S, 2.0 * conversation.line.options.reply_limit_s)
+        limit_s = max(_ATTEMPT_S, 2.0 * (conversation.line.options.reply_limit_s or 0.0))
         for _ in range(attempts):
             conversation.ask((exchange,), done)
             self._serve([conversation], time.monotonic_ns() + round(limit_s * 1e9), lambda: conversation.is_finished)
@@ -305,15 +314,15 @@ class SerialDrives:
             axis.begin()
         for lane in self._lanes:
             lane.conversation.ask(lane.questions(lane.plan if self._is_commanding else lane.listening))
-        conversations = [lane.conversation for lane in self._lanes]
+        conversations = self._conversations
         is_real = self._clock.is_real
         self._end_ns = end_ns
         margin_s = min(_COMPUTATION_S, 0.1 * self._period_s)
         limit_ns = end_ns - round(margin_s * 1e9) if is_real else time.monotonic_ns() + round(_STEPPED_TIMEOUT_S * 1e9)
         for conversation in conversations:
             conversation.limit_ns = limit_ns
-        self._serve(conversations, limit_ns, lambda: all(c.is_finished for c in conversations))
-        is_lost = not all(c.is_finished for c in conversations)
+        self._serve(conversations, limit_ns, self._are_finished)
+        is_lost = not self._are_finished()
         for conversation in conversations:
             conversation.give_up()
         self._timeouts = self._timeouts + 1 if is_lost and not is_real else 0
@@ -342,10 +351,9 @@ class SerialDrives:
             return
         for lane in self._lanes:
             lane.send(steps)
-        conversations = [lane.conversation for lane in self._lanes]
         # the last reply is awaited at the start of the next cycle
         limit_ns = self._end_ns if self._clock.is_real else time.monotonic_ns() + round(_STEPPED_TIMEOUT_S * 1e9)
-        self._serve(conversations, limit_ns, lambda: all(c.is_all_sent for c in conversations))
+        self._serve(self._conversations, limit_ns, self._is_all_sent)
 
     def _serve(self, conversations: Sequence[Conversation], limit_ns: int, is_done: Callable[[], bool]) -> None:
         """Let the conversations go on until ``is_done()``, or until the monotonic clock is at ``limit_ns``."""
@@ -357,9 +365,19 @@ class SerialDrives:
             now = time.monotonic_ns()
             if now >= limit_ns:
                 return
-            due = [limit_ns, *(c.due_ns for c in conversations if c.due_ns is not None)]
-            lines = [c.line.descriptor for c in conversations if c.line.is_open and not c.is_finished]
-            select.select(lines, (), (), max(0.0, (min(due) - now) * 1e-9))
+            next_ns, lines = limit_ns, []
+            for conversation in conversations:
+                if (due := conversation.due_ns) is not None and due < next_ns:
+                    next_ns = due
+                if conversation.line.is_open and not conversation.is_finished:
+                    lines.append(conversation.line.descriptor)
+            select.select(lines, (), (), max(0.0, (next_ns - now) * 1e-9))
+
+    def _are_finished(self) -> bool:
+        return all(lane.conversation.is_finished for lane in self._lanes)
+
+    def _is_all_sent(self) -> bool:
+        return all(lane.conversation.is_all_sent for lane in self._lanes)
 
     def rehearse(self) -> None:
         """Do nothing: a cycle on a serial line waits for the wire anyway."""

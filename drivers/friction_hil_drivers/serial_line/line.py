@@ -38,6 +38,7 @@ class Line:
         self._port: Any = None  # serial.Serial
         self._socket: socket.socket | None = None
         self._connecting: socket.socket | None = None
+        self._peer: tuple[socket.AddressFamily, Any] | None = None  # found when the line was opened: names take time
         self._hang_up = select.poll()  # tells that a serial port is there no more
         self.descriptor = -1  # of the open line, for select; -1 where it is gone
 
@@ -57,7 +58,9 @@ class Line:
         if self.options.is_tcp:
             address = tcp_address(self.options.port)
             try:
-                self._take_socket(socket.create_connection(address, _CONNECT_S))
+                connection = socket.create_connection(address, _CONNECT_S)
+                self._peer = connection.family, connection.getpeername()
+                self._take_socket(connection)
             except OSError as error:
                 raise BusError(
                     f"{self.options.port}: no connection: {_reason(error)}; is it listening there?"
@@ -157,9 +160,12 @@ class Line:
                     self._open_port()
             return self.is_open
         if self._connecting is None:
-            self._connecting = socket.socket()
+            if self._peer is None:
+                return False
+            family, address = self._peer
+            self._connecting = socket.socket(family)
             self._connecting.setblocking(False)
-            if self._connecting.connect_ex(tcp_address(self.options.port)) not in (0, errno.EINPROGRESS):
+            if self._connecting.connect_ex(address) not in (0, errno.EINPROGRESS):
                 self._connecting.close()
                 self._connecting = None
         elif select.select([], [self._connecting], [], 0.0)[1]:

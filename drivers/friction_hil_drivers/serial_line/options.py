@@ -29,8 +29,11 @@ class LineOptions(BaseModel):
     turnaround_s: NotNegative = Field(
         0.0, le=0.1, description="what the drive takes to answer, beside the time on the wire, s"
     )
-    reply_limit_s: Positive = Field(
-        0.05, le=5.0, description="after this time a reply that did not come will not come any more, s"
+    reply_limit_s: Positive | None = Field(
+        None,
+        le=5.0,
+        description="after this time a reply that did not come will not come any more, s; by default 0.05, or four "
+        "tenths of the time that realtime.max_missed periods take, if that is shorter",
     )
 
     @property

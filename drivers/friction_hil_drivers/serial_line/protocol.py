@@ -110,6 +110,7 @@ class LineProtocol(Protocol):
     """A protocol as it is spoken on one line, to the axes there."""
 
     silence_chars: float  # that end a frame and have to pass before the next one
+    numbers_replies: bool  # a reply tells to which request it belongs
 
     def plan(self, wanted: Mapping[str, Wanted]) -> Plan:
         """Put a cycle together from as few exchanges as there can be, for the axes by name."""
