@@ -8,7 +8,7 @@ from friction_hil_drivers.dynamixel.codec import DynamixelLine
 from friction_hil_drivers.dynamixel.description import DESCRIPTIONS, DynamixelDescription
 from friction_hil_drivers.dynamixel.options import DynamixelOptions
 from friction_hil_drivers.dynamixel.packets import Packets
-from friction_hil_drivers.dynamixel.simulated import DynamixelResponder
+from friction_hil_drivers.dynamixel.responder import DynamixelResponder
 from friction_hil_drivers.serial_line.description import load_description
 from friction_hil_drivers.serial_line.protocol import Exchange, Image, ReplyError, Wanted
 from friction_hil_drivers.serial_line.sequences import state_of

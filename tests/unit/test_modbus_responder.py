@@ -7,7 +7,7 @@ import pytest
 from friction_hil_drivers.modbus.codec import ModbusLine
 from friction_hil_drivers.modbus.description import ModbusDescription
 from friction_hil_drivers.modbus.options import ModbusOptions
-from friction_hil_drivers.modbus.simulated import ModbusResponder
+from friction_hil_drivers.modbus.responder import ModbusResponder
 from friction_hil_drivers.serial_line.protocol import Image, ReplyError, Wanted
 from friction_hil_drivers.serial_line.simulated.drive import RefusedError, SimulatedDrive
 from hypothesis import assume, given, settings

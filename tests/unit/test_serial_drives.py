@@ -9,11 +9,11 @@ import time
 
 import pytest
 from friction_hil_drivers.ascii.drives import AsciiDrives
-from friction_hil_drivers.ascii.simulated_drives import SimulatedAsciiDrives
+from friction_hil_drivers.ascii.simulated import SimulatedAsciiDrives
 from friction_hil_drivers.dynamixel.drives import DynamixelDrives
-from friction_hil_drivers.dynamixel.simulated_drives import SimulatedDynamixelDrives
+from friction_hil_drivers.dynamixel.simulated import SimulatedDynamixelDrives
 from friction_hil_drivers.modbus.drives import ModbusDrives
-from friction_hil_drivers.modbus.simulated_drives import SimulatedModbusDrives
+from friction_hil_drivers.modbus.simulated import SimulatedModbusDrives
 from friction_hil_drivers.serial_line import drives
 from friction_hil_drivers.serial_line.options import LineOptions
 
