@@ -115,11 +115,13 @@ def _graph(trained: Network) -> Any:
 
     structure, p, g = trained.structure, trained.values, _Graph()
     weights = _Weights(trained.weights)
-    fed, remembered = structure.states, network.VELOCITY_FEATURES * structure.lags
+    fed, is_gated = structure.states, structure.kind == "gated"
+    remembered = network.MEMORIES if is_gated else network.VELOCITY_FEATURES * structure.lags
     inputs = ["velocity", "dt"]
     y = g.part("state", 0, fed) if fed else ""
     past = g.part("state", fed, fed + remembered) if remembered else ""
-    x = _inputs(g, p, trained, past, inputs)
+    memories = _memories(g, trained, past) if is_gated else ("", "")
+    x = _inputs(g, p, trained, memories[0] if is_gated else past, inputs)
     last = _layers(g, weights, trained, x, y)
 
     def output(is_fed: bool = False) -> str:
@@ -128,14 +130,14 @@ def _graph(trained: Network) -> Any:
         return g.do("Add", total, g.product(y, weights.take(fed, 1))) if is_fed else total
 
     states: list[str] = []
-    if structure.kind == "gated":
-        total, after = _gated(g, p, trained, weights, x, y, output)
-        states = [after]
+    if is_gated:
+        total, after = _gated(g, p, trained, weights, x, y, memories[1], output)
+        states = [after, *memories]
     else:
         total = g.limited(output(structure.kind == "narx"), trained.bound)
         if fed:
             states = [total, *([g.part(y, 0, fed - 1)] if fed > 1 else [])]
-    if remembered:
+    if structure.lags:
         states.append(g.part(x, 0, remembered))
     g.do("Mul", g.limited(total, trained.bound), g.number(trained.torque_scale), name="torque")
     outputs = [helper.make_tensor_value_info("torque", TensorProto.DOUBLE, [1])]
@@ -145,6 +147,16 @@ def _graph(trained: Network) -> Any:
         given.append(helper.make_tensor_value_info("state", TensorProto.DOUBLE, [fed + remembered]))
         outputs.append(helper.make_tensor_value_info("next_state", TensorProto.DOUBLE, [fed + remembered]))
     return helper.make_graph(g.nodes, "friction", given, outputs, initializer=g.constants)
+
+
+def _memories(g: _Graph, trained: Network, past: str) -> tuple[str, str]:
+    """Stop and way since the motion began or turned, after the sample."""
+    before, way = g.part(past, 0, 1), g.part(past, 1, 2)
+    distance = g.do("Mul", "velocity", "dt")
+    stop = g.limited(g.do("Add", before, g.affine(distance, 1.0 / trained.stroke)), 1.0)
+    same = g.do("Max", g.do("Mul", g.do("Sign", distance), g.do("Sign", way)), g.number([0.0]))
+    kept = g.do("Add", g.do("Mul", same, way), g.affine(distance, 1.0 / (network.TURN_SHARE * trained.stroke)))
+    return stop, g.limited(g.do("Mul", kept, g.do("Abs", g.do("Sign", distance))), 1.0)
 
 
 def _inputs(g: _Graph, p: Array, trained: Network, past: str, names: list[str]) -> str:
@@ -186,7 +198,9 @@ def _layers(g: _Graph, weights: _Weights, trained: Network, x: str, y: str) -> s
     return last
 
 
-def _gated(g: _Graph, p: Array, trained: Network, weights: _Weights, x: str, y: str, output: Any) -> tuple[str, str]:
+def _gated(
+    g: _Graph, p: Array, trained: Network, weights: _Weights, x: str, y: str, way: str, output: Any
+) -> tuple[str, str]:
     """Torque over its scale, not yet cut off, and the states after the sample."""
     fed = trained.structure.states
     aims = g.do("Concat", *(g.limited(output(), trained.bound) for _ in range(fed)), axis=0)
@@ -194,10 +208,12 @@ def _gated(g: _Graph, p: Array, trained: Network, weights: _Weights, x: str, y: 
     direct = g.do("Add", g.number(weights.take(1)), g.product(x, weights.take(trained.structure.inputs, 1)))
     features = g.part(x, 0, network.VELOCITY_FEATURES)
     gates = weights.take(fed, network.GATES, network.GATE_WEIGHTS)
-    squares = g.do("Mul", features, features)
+    count = network.VELOCITY_FEATURES
+    stop = g.do("Mul", g.part(x, count, count + 1), g.part(x, count - 1, count))
+    seen = g.do("Concat", g.do("Mul", features, features), stop, g.do("Abs", way), axis=0)
 
     def gate(number: int, half: float, middle: float) -> str:
-        sums = g.do("Add", g.number(gates[:, number, 0]), g.product(squares, gates[:, number, 1:].T))
+        sums = g.do("Add", g.number(gates[:, number, 0]), g.product(seen, gates[:, number, 1:].T))
         return g.do("Exp", g.affine(g.do("Tanh", sums), half, middle))
 
     path = g.do("Mul", g.do("Abs", "velocity"), "dt")
@@ -211,5 +227,7 @@ def _gated(g: _Graph, p: Array, trained: Network, weights: _Weights, x: str, y: 
     after = g.do("Add", y, g.do("Mul", g.affine(left, -1.0, 1.0), distance))
     tempo = g.do("Div", g.number(trained.period_s), "dt")
     ones = np.ones((fed, 1))
+    if fed > 1:
+        ones[-1] = 0.0
     moved = g.do("Mul", damping, g.do("Mul", tempo, g.product(g.do("Sub", after, y), ones)))
     return g.do("Add", g.do("Add", direct, g.product(after, ones)), moved), after

@@ -27,6 +27,7 @@ def random_network(name: str = "gated", seed: int = 0, size: float = 0.3, **chan
         "bound": 1.8,
         "speed_limit": 2.0,
         "speeds": (0.01, 0.1, 0.003),
+        "stroke": 1e-3 if structure.kind == "gated" else 0.0,
         "rates": (100.0, 2500.0) if structure.kind == "gated" else (),
         "ranges": {"position": (-1.0, 1.0), "load_torque": (-0.2, 0.2), "temperature": (20.0, 60.0)},
         "level": 0.12,

@@ -45,6 +45,7 @@ class TrainedNetwork(Section):
     bound: float = key("largest torque, in torque scales")
     speed_limit: float = key("largest speed of the training", "rad/s or m/s")
     rates: list[float] = key("bounds of the rate of a gated network's states", "1/rad or 1/m", default=[])
+    stroke: float = key("stroke of a gated network's stop", "rad or m", default=0.0)
     speeds: list[float] = key("three speeds at which friction changes", "rad/s or m/s")
     ranges: dict[str, tuple[float, float]] = key("smallest and largest value of each other input", default={})
     level: float = key("largest torque of slow motion", "N m or N")
@@ -88,6 +89,7 @@ class TrainedNetwork(Section):
             speed_limit=self.speed_limit,
             speeds=self.speeds,
             rates=self.rates,
+            stroke=self.stroke,
             ranges=self.ranges,
             level=self.level,
             weights=np.array(self.weights),

@@ -7,10 +7,11 @@ A network is one flat array ``p``: the places named below, then its weights, in 
     bias of the second layer (second) and its weights (width x second), where there is one
     for every output: bias, weights of the last layer, linear path
     gated only: bias and weights (inputs) of the direct path, then for the rate and the knee of each state a bias and
-    weights (`VELOCITY_FEATURES`) of the squares of the first inputs
+    weights of what its gates see (`GATE_FEATURES`)
 
 Its state is another, ``s``: what is fed back (gated: the states y; narx: past torques, scaled, latest first), the
-velocity features of past samples (narx), and room for intermediate results, which means nothing between steps.
+velocity features of past samples (narx) or the `MEMORIES` of the motion (gated), and room for intermediate results,
+which means nothing between steps.
 
 With x the inputs, y what is fed back and T(x, y), B(x, y) outputs of one or two tanh layers with a linear path beside
 them, the torque over `TORQUE_SCALE` is
@@ -18,16 +19,22 @@ them, the torque over `TORQUE_SCALE` is
 ====== =====================================================================================================
 static T(x)
 narx   T(x, y), y the past torques
-gated  c + l . x + sum of y+ + B(x, y) times sum of (y+ - y) TRAINED_DT / dt, with y+ the exact solution of
+gated  c + l . x + sum of y+ + B(x, y) times sum of (y+ - y) TRAINED_DT / dt, the sums without the last of several
+       states, which the others see through T. y+ is the exact solution of
        dy/dt = kappa abs(v) limited(T - y, +-w) over the step, T(x, y) and v held, for every state; y and T have as
-       many components as there are states; ln kappa = RATE_MIDDLE + RATE_HALF tanh(r + q . x^2), x^2 of the four
-       velocity features; ln (w / BOUND) = KNEE_MIDDLE + KNEE_HALF tanh(s + t . x^2)
+       many components as there are states; ln kappa = RATE_MIDDLE + RATE_HALF tanh(r + q . g); ln (w / BOUND) =
+       KNEE_MIDDLE + KNEE_HALF tanh(s + t . g); g are squares of the four velocity features, the stop in the
+       direction of motion, and the way since motion began or turned
 ====== =====================================================================================================
 
 cut off at `BOUND`, as is every T. A gated network is Dahl's and LuGre's form with the right-hand side learned: its
 state stands still at rest, does not depend on the sampling period, and y+ is a weighted mean of y and a bounded T.
 Farther from T than w a state is a spring of constant stiffness kappa w, as a Maxwell-slip element and the bristles of
 the elasto-plastic model are below their break-away; within w it yields, as Dahl's and LuGre's do from the start.
+The stop, one of the inputs, is Prandtl's: a spring that slips at its `STROKE`. What the gates see lets a state lag in
+time (kappa like 1 / abs(v)) while the axis slides, and catch up while it sticks. That is how sliding Maxwell-slip
+elements come to their level, which the last of several states is for. No gate sees a state: rates and knees of any
+size then leave a contraction what it is.
 B is the damping of the bristles: with l . x alone the error is five times as large. It multiplies the state's rate,
 rather than standing beside the states, because that is what does not depend on the sampling period; and kappa, the
 stiffness over the level in LuGre's model, changes with the velocity for the same reason.
@@ -46,7 +53,10 @@ STATIC, GATED, NARX = range(3)
 MAX_HARMONICS = 8
 VELOCITY_FEATURES = 4
 SPARE = LANES - 1  # places behind the units of the layers, for vectors that reach beyond them
-GATE_WEIGHTS = 1 + VELOCITY_FEATURES
+GATE_FEATURES = VELOCITY_FEATURES + 2
+MEMORIES = 2  # of a gated network: the stop, and the way since motion began or turned
+TURN_SHARE = 0.25  # of the stroke: as much of that way is seen; enough to tell a start from sliding
+GATE_WEIGHTS = 1 + GATE_FEATURES
 GATES = 2  # of every state: its rate and its knee
 KNEE_MIDDLE, KNEE_HALF = 0.5 * math.log(0.01), 0.5 * math.log(400.0)  # knees: 0.005 to 2 bounds, never exceeded then
 
@@ -71,7 +81,8 @@ HALF_RANGES = 22  # of the same, above zero
 RATE_MIDDLE, RATE_HALF = 25, 26  # of ln kappa, kappa in rad^-1: its bounds are exp(RATE_MIDDLE +- RATE_HALF)
 ORDERS = 27  # of the harmonics, per rad
 IS_RESIDUAL = ORDERS + MAX_HARMONICS  # beside a model: fades out beyond the speed limit
-HEADER = IS_RESIDUAL + 1
+STROKE = IS_RESIDUAL + 1  # gated only: of the stop, rad
+HEADER = STROKE + 1
 STATE_ROOM = 256  # for the largest structure
 _SETTLING_STEPS, _LONG_S = 200, 1e9
 _FARTHEST = 1e15  # rad: beyond, a float has no angle
@@ -102,6 +113,39 @@ def velocity_features(p: Array, velocity: float, x: Array) -> None:
     x[1] = p[FEATURE_FACTORS] * math.asinh(v / p[SPEEDS])
     x[2] = p[FEATURE_FACTORS + 1] * math.asinh(v / p[SPEEDS + 1])
     x[3] = _tanh(v / p[SPEEDS + 2])
+
+
+@inlined
+def stop(p: Array, before: float, distance: float) -> float:
+    """Prandtl's stop after it was moved: deflection over the stroke at which it slips, -1 to 1."""
+    return _limited(before + distance / p[STROKE], 1.0)
+
+
+@inlined
+def since_turn(p: Array, before: float, distance: float) -> float:
+    """Way since the motion began or turned, signed, -1 to 1 from `TURN_SHARE` of the stroke on; 0 at rest.
+
+    Elements of the Maxwell-slip model that have come to rest stick, in whichever direction they then move.
+    """
+    if distance == 0.0:
+        return 0.0
+    same = before if before * distance > 0.0 else 0.0
+    return _limited(same + distance / (TURN_SHARE * p[STROKE]), 1.0)
+
+
+@inlined
+def gate_features(x: Array, since_turn: float, features: Array) -> None:
+    """Fill ``features`` (`GATE_FEATURES`,) with what the gates see: the same in both directions of motion."""
+    for i in range(VELOCITY_FEATURES):
+        features[i] = x[i] * x[i]
+    features[VELOCITY_FEATURES] = x[VELOCITY_FEATURES] * x[VELOCITY_FEATURES - 1]
+    features[VELOCITY_FEATURES + 1] = abs(since_turn)
+
+
+@inlined
+def summed(p: Array) -> int:
+    """How many states of a gated network add to the torque: of several all but the last."""
+    return max(whole(p[FEEDBACKS]) - 1, 1)
 
 
 @inlined
@@ -203,11 +247,11 @@ _layers, _output, _output_weights = layers, output, output_weights
 
 
 @inlined
-def rate_bend(p: Array, begin: int, x: Array) -> float:
+def rate_bend(p: Array, begin: int, features: Array) -> float:
     """Where the gate whose weights begin there is between its bounds, -1 to 1."""
     total = p[begin]
-    for i in range(VELOCITY_FEATURES):
-        total = fma(p[begin + 1 + i], x[i] * x[i], total)
+    for i in range(GATE_FEATURES):
+        total = fma(p[begin + 1 + i], features[i], total)
     return _tanh(total)
 
 
@@ -246,7 +290,7 @@ def travelled(distance: float, way: float, per_knee: float) -> tuple[float, floa
     return fma(1.0 - begun, soft, begun), soft, knees, beyond
 
 
-_rate_bend, _rate, _per_knee, _travelled = rate_bend, rate, per_knee, travelled
+_rate_bend, _rate, _per_knee, _travelled, _summed = rate_bend, rate, per_knee, travelled, summed
 
 
 @inlined
@@ -277,7 +321,15 @@ _outputs = outputs
 
 @inlined
 def advance(
-    p: Array, x: Array, path: float, tempo: float, fed_back: Array, after: Array, aims: Array, h: Array
+    p: Array,
+    x: Array,
+    features: Array,
+    path: float,
+    tempo: float,
+    fed_back: Array,
+    after: Array,
+    aims: Array,
+    h: Array,
 ) -> float:
     """Torque over its scale, from inputs and what is fed back.
 
@@ -285,7 +337,8 @@ def advance(
     ----------
     p
         Network.
-    x : (inputs,) array
+    x, features : (inputs,) and (`GATE_FEATURES`,) array
+        What the layers and what the gates see; a network without gates does not look at the latter.
     path, tempo : float
         abs(v) dt, rad, and TRAINED_DT / dt.
     fed_back, after : (feedbacks,) array
@@ -308,15 +361,17 @@ def advance(
     damping = aims[feedbacks]
     for i in range(feedbacks):
         before, gate = fed_back[i], begin + i * GATES * GATE_WEIGHTS
-        way = _rate(p, _rate_bend(p, gate, x)) * path
-        knee = _per_knee(p, _rate_bend(p, gate + GATE_WEIGHTS, x))
+        way = _rate(p, _rate_bend(p, gate, features)) * path
+        knee = _per_knee(p, _rate_bend(p, gate + GATE_WEIGHTS, features))
         share, _, _, _ = _travelled(aims[i] - before, way, knee)
         after[i] = toward(before, aims[i], share)
-        total += after[i] + damping * ((after[i] - before) * tempo)
+        if i < _summed(p):
+            total += after[i] + damping * ((after[i] - before) * tempo)
     return _limited(total, bound)
 
 
-_velocity_features, _other_features, _advance = velocity_features, other_features, advance
+_velocity_features, _other_features, _advance, _stop = velocity_features, other_features, advance, stop
+_since_turn, _gate_features = since_turn, gate_features
 
 
 @inlined
@@ -361,21 +416,29 @@ def step(
     dt, position, load_torque, temperature
         s, rad, N m, deg C. What is no input of the network is not looked at. A narx ignores ``dt``.
     """
-    path = abs(velocity) * dt
+    distance = velocity * dt
     velocity = _seen_velocity(p, velocity, level_velocity)
     feedbacks, lags, inputs = whole(p[FEEDBACKS]), whole(p[LAGS]), whole(p[INPUTS])
+    is_gated = p[STRUCTURE] == GATED
     past = part(s, feedbacks)
-    x = part(past, VELOCITY_FEATURES * lags)
-    aims = part(x, inputs)
+    x = part(past, MEMORIES if is_gated else VELOCITY_FEATURES * lags)
+    features = part(x, inputs)
+    aims = part(features, GATE_FEATURES)
     h = part(aims, 1 + feedbacks)
     _velocity_features(p, velocity, x)
     remembered = VELOCITY_FEATURES * lags
     for i in range(remembered):
         x[VELOCITY_FEATURES + i] = past[i]
+    if is_gated:
+        past[0] = x[VELOCITY_FEATURES] = _stop(p, past[0], distance)
+        past[1] = _since_turn(p, past[1], distance)
+        _gate_features(x, past[1], features)
+        remembered = 1  # of the inputs
     _other_features(p, position, load_torque, temperature, part(x, VELOCITY_FEATURES + remembered))
-    torque = p[TORQUE_SCALE] * _advance(p, x, path, p[TRAINED_DT] / dt, s, s, aims, h)
-    for i in range(remembered - 1, -1, -1):
-        past[i] = x[i]
+    torque = p[TORQUE_SCALE] * _advance(p, x, features, abs(distance), p[TRAINED_DT] / dt, s, s, aims, h)
+    if not is_gated:
+        for i in range(remembered - 1, -1, -1):
+            past[i] = x[i]
     if p[IS_RESIDUAL] != 0.0:
         torque *= _share_inside(p, abs(velocity))
     return torque

@@ -28,7 +28,7 @@ NETWORK_ALONE = Family(
     name="network",
     summary="trained network, from a model file ('friction-hil train')",
     formula=(
-        "F = c + l x + sum y + B(x, y) sum dy/dt;  dy/dt = kappa(v) |v| limited(T(x, y) - y, w(v))  (gated);  "
+        "F = c + l x + sum y + B(x, y) sum dy/dt;  dy/dt = kappa |v| limited(T(x, y) - y, w)  (gated);  "
         "F = T(x, past v, past F)  (narx);  F = T(x)  (static)"
     ),
     source="friction_hil/models/network.py",
@@ -83,7 +83,7 @@ class Structure:
     def inputs(self) -> int:
         """How many numbers go into the first layer, without what is fed back."""
         others = self.has_position + self.has_load + self.has_temperature + 2 * len(self.orders)
-        return network.VELOCITY_FEATURES * (1 + self.lags) + others
+        return network.VELOCITY_FEATURES * (1 + self.lags) + (self.kind == "gated") + others
 
     @property
     def feedback_weights(self) -> tuple[int, int]:
@@ -116,8 +116,17 @@ class Structure:
     @property
     def state_room(self) -> int:
         """Length of the state array of the step."""
-        past = network.VELOCITY_FEATURES * self.lags
-        return self.states + past + self.inputs + 1 + self.states + sum(self.hidden) + network.SPARE
+        past = network.MEMORIES if self.kind == "gated" else network.VELOCITY_FEATURES * self.lags
+        return (
+            self.states
+            + past
+            + self.inputs
+            + network.GATE_FEATURES
+            + 1
+            + self.states
+            + sum(self.hidden)
+            + network.SPARE
+        )
 
 
 def _states_allowed(kind: str) -> str:
@@ -146,6 +155,8 @@ class Network:
         Largest speed of the training, rad/s.
     speeds : tuple of 3 float
         Speeds at which friction changes, rad/s.
+    stroke : float
+        Of a gated network's stop, rad; 0 of the others.
     rates : (float, float)
         Bounds of the rate of a gated network's states, rad^-1; none of the others.
     ranges : mapping of str to (float, float)
@@ -174,6 +185,7 @@ class Network:
     level: float
     weights: Array
     is_residual: bool = False
+    stroke: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("period_s", "torque_scale", "bound", "speed_limit", "level"):
@@ -191,6 +203,13 @@ class Network:
                     f"ranges.{name} must be the smallest and the largest value of the training, not {[low, high]}",
                     "ranges",
                 )
+        is_gated = self.structure.kind == "gated"
+        if not (0.0 < self.stroke < math.inf if is_gated else self.stroke == 0.0):
+            raise InvalidParameterError(
+                "stroke is that of a gated network's stop, finite and above zero, and 0 of any other; not "
+                f"{self.stroke}. Networks of earlier versions have none: train them anew",
+                "stroke",
+            )
         weights = np.ascontiguousarray(self.weights, dtype=np.float64)
         if weights.shape != (self.structure.weights,):
             raise InvalidParameterError(
@@ -249,6 +268,7 @@ class Network:
         if self.rates:
             lowest, highest = np.log(self.rates)
             p[network.RATE_MIDDLE], p[network.RATE_HALF] = 0.5 * (lowest + highest), 0.5 * (highest - lowest)
+        p[network.STROKE] = self.stroke
         p[network.SPEEDS : network.SPEEDS + 3] = self.speeds
         p[network.FEATURE_FACTORS : network.FEATURE_FACTORS + 2] = 1.0 / np.arcsinh(
             self.speed_limit / np.array(self.speeds[:2])
@@ -292,6 +312,7 @@ class Network:
             level=level,
             weights=p[network.HEADER :].copy(),
             is_residual=is_residual,
+            stroke=float(p[network.STROKE]),
         )
 
     @property
@@ -345,6 +366,7 @@ class Network:
             "speed_limit": self.speed_limit,
             "speeds": list(self.speeds),
             **({"rates": list(self.rates)} if self.rates else {}),
+            **({"stroke": self.stroke} if self.stroke else {}),
             **({"ranges": {name: list(self.ranges[name]) for name in named}} if named else {}),
             "level": self.level,
             "weights": self.weights.tolist(),

@@ -9,6 +9,7 @@ from friction_hil.models.lanes import LANES, add_scaled, carry, put_products, pu
 from friction_hil.models.network import (
     BOUND,
     FEEDBACKS,
+    GATE_FEATURES,
     GATE_WEIGHTS,
     GATED,
     GATES,
@@ -17,9 +18,9 @@ from friction_hil.models.network import (
     SECOND,
     SPARE,
     STRUCTURE,
-    VELOCITY_FEATURES,
     WIDTH,
     output_weights,
+    summed,
 )
 
 
@@ -101,11 +102,19 @@ def plan_width(p: Array) -> int:
 
 @compiled
 def plan_rows(
-    p: Array, x: Array, path: Array, tempo: float, trace: Array, begin: int, end: int, flat_plan: Array
+    p: Array,
+    x: Array,
+    seen: Array,
+    path: Array,
+    tempo: float,
+    trace: Array,
+    begin: int,
+    end: int,
+    flat_plan: Array,
 ) -> None:
     """Fill ``flat_plan`` (end - begin, `plan_width`) with all of `gated_row` that does not need the sensitivities.
 
-    1, inputs and what is fed back; 1, last layer and inputs; 1 and squares of the inputs of a gate; then for the
+    1, inputs and what is fed back; 1, last layer and inputs; 1 and what the gates see; then for the
     damping and for every state the slopes of `layer_slopes`, and those over what is fed back; then the slope of the
     torque over the damping, its slope over the states after the step, and for every state its slopes over its aim and
     over the sums in its gates. It is written long before it is read, for the reason in `row_room`.
@@ -129,20 +138,21 @@ def plan_rows(
         plan[0] = last[0] = gate[0] = 1.0
         for i in range(inputs):
             plan[1 + i] = last[1 + count + i] = x_k[i]
-        for i in range(VELOCITY_FEATURES):
-            gate[1 + i] = x_k[i] * x_k[i]
+        for i in range(GATE_FEATURES):
+            gate[1 + i] = seen[i, k]
         for j in range(count):
             last[1 + j] = step[units - SPARE - count + j]
         damping, gained = aims[feedbacks] * tempo, 0.0
         for i in range(feedbacks):
             plan[1 + inputs + i] = fed_back[i]
-            gained += tempo * shares[i] * (aims[i] - fed_back[i])
+            if i < summed(p):
+                gained += tempo * shares[i] * (aims[i] - fed_back[i])
         numbers[0], numbers[1] = gained, 1.0 + damping
         slopes = part(plan, to_slopes)
         layer_slopes(p, step, outputs + feedbacks * each + 1, gained, slopes)
         over = part(slopes, slopes_room)
         put_over_fed_back(p, slopes, over)
-        for i in range(feedbacks):
+        for i in range(summed(p)):
             over[i] -= damping
         for i in range(feedbacks):
             new = soft[i] if abs(aims[i]) < p[BOUND] else 0.0
@@ -263,13 +273,14 @@ def gated_row(p: Array, path: float, step: Array, plan: Array, s: Array, after: 
             for n in range(GATES):
                 for j in range(0, gate_wide, LANES):
                     add_scaled(after_i, gates + (i * GATES + n) * gate_wide + j, gate, j, numbers[3 + 3 * i + n])
-            for w in range(0, used, LANES):
-                add_scaled(wide, w, after_i, w, numbers[1])
+            if i < summed(p):
+                for w in range(0, used, LANES):
+                    add_scaled(wide, w, after_i, w, numbers[1])
         if feedbacks > 1:
             _put_group(after, 0, s, 0, feedbacks * stride)
     else:  # at rest the state stands still, and so does its derivative
         _put_group(s, 0, wide, 0, used)
-        for i in range(1, feedbacks):
+        for i in range(1, summed(p)):
             for w in range(0, used, LANES):
                 add_scaled(wide, w, s, i * stride + w, 1.0)
     for j in range(0, _padded(1 + inputs), LANES):

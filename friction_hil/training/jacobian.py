@@ -15,6 +15,7 @@ from friction_hil.models.lanes import LANES, add_scaled, put_scaled
 from friction_hil.models.network import (
     BOUND,
     FEEDBACKS,
+    GATE_FEATURES,
     GATE_WEIGHTS,
     GATED,
     GATES,
@@ -48,22 +49,46 @@ GATE_BLOCK = 256  # samples whose gates are calculated together
 _advance, _outputs = network.advance, network.outputs
 _limited, _rate, _tanh = network.limited, network.rate, network.tanh
 _velocity_features, _other_features = network.velocity_features, network.other_features
-_per_knee, _travelled = network.per_knee, network.travelled
+_per_knee, _travelled, _stop = network.per_knee, network.travelled, network.stop
+_summed, _since_turn, _gate_features = network.summed, network.since_turn, network.gate_features
 
 
 @compiled
 def fill_inputs(
-    p: Array, starts: Array, velocity: Array, position: Array, load_torque: Array, temperature: Array, x: Array
+    p: Array,
+    starts: Array,
+    velocity: Array,
+    dt: float,
+    position: Array,
+    load_torque: Array,
+    temperature: Array,
+    x: Array,
 ) -> None:
-    """Fill ``x`` (n, inputs) with those of every sample; ``starts`` is not 0 where a record begins, from rest."""
-    remembered = VELOCITY_FEATURES * whole(p[LAGS])
+    """Fill ``x`` (n, inputs) with the inputs of every sample; ``starts`` is not 0 where a record begins, from rest."""
+    is_gated = p[STRUCTURE] == GATED
+    remembered = 1 if is_gated else VELOCITY_FEATURES * whole(p[LAGS])
     for k in range(velocity.shape[0]):
         row = x[k]
         _velocity_features(p, velocity[k], row)
-        for i in range(remembered):
-            row[VELOCITY_FEATURES + i] = 0.0 if starts[k] != 0.0 else x[k - 1, i]
+        if is_gated:
+            before = 0.0 if starts[k] != 0.0 else x[k - 1, VELOCITY_FEATURES]
+            row[VELOCITY_FEATURES] = _stop(p, before, velocity[k] * dt)
+        else:
+            for i in range(remembered):
+                row[VELOCITY_FEATURES + i] = 0.0 if starts[k] != 0.0 else x[k - 1, i]
         others = part(row, VELOCITY_FEATURES + remembered)
         _other_features(p, position[k], load_torque[k], temperature[k], others)
+
+
+@compiled
+def gate_features(p: Array, starts: Array, velocity: Array, dt: float, x: Array) -> Array:
+    """What the gates of a gated network see in every sample, (`network.GATE_FEATURES`, n); ``x`` its inputs."""
+    result, features, way = np.empty((GATE_FEATURES, velocity.shape[0])), np.empty(GATE_FEATURES), 0.0
+    for k in range(velocity.shape[0]):
+        way = _since_turn(p, 0.0 if starts[k] != 0.0 else way, velocity[k] * dt)
+        _gate_features(x[k], way, features)
+        result[:, k] = features
+    return result
 
 
 @compiled
@@ -78,27 +103,31 @@ def trace_width(p: Array) -> int:
 
 
 @compiled
-def _fill_gates(p: Array, begin: int, squares: Array, path: Array, first: int, end: int, gates: Array) -> None:
+def _fill_gates(p: Array, begin: int, seen: Array, path: Array, first: int, end: int, gates: Array) -> None:
     """Fill ``gates`` (5, at least end - first) in these samples: way, 1 / w, slopes of both, share near T.
 
     In loops of their own, because the compiler then takes several samples at a time: half of the exponentials of a
     network are here, and none of them waits for the sample before it.
     """
-    bias, w0, w1, w2, w3 = p[begin], p[begin + 1], p[begin + 2], p[begin + 3], p[begin + 4]
+    bias, w0, w1, w2 = p[begin], p[begin + 1], p[begin + 2], p[begin + 3]
+    w3, w4, w5 = p[begin + 4], p[begin + 5], p[begin + 6]
     half = p[RATE_HALF]
-    x0, x1, x2, x3 = squares[0], squares[1], squares[2], squares[3]
+    x0, x1, x2, x3, x4, x5 = seen[0], seen[1], seen[2], seen[3], seen[4], seen[5]
     ways, knees, way_slopes, knee_slopes, near_shares = gates[0], gates[1], gates[2], gates[3], gates[4]
     for k in range(end - first):
         m = first + k
-        bend = _tanh(fma(w3, x3[m], fma(w2, x2[m], fma(w1, x1[m], fma(w0, x0[m], bias)))))
+        low = fma(w2, x2[m], fma(w1, x1[m], fma(w0, x0[m], bias)))
+        bend = _tanh(fma(w5, x5[m], fma(w4, x4[m], fma(w3, x3[m], low))))
         way = _rate(p, bend) * path[m]
         ways[k], near_shares[k] = way, approach(way)
         way_slopes[k] = way * (half * (1.0 - bend * bend))
     begin += GATE_WEIGHTS
-    bias, w0, w1, w2, w3 = p[begin], p[begin + 1], p[begin + 2], p[begin + 3], p[begin + 4]
+    bias, w0, w1, w2 = p[begin], p[begin + 1], p[begin + 2], p[begin + 3]
+    w3, w4, w5 = p[begin + 4], p[begin + 5], p[begin + 6]
     for k in range(end - first):
         m = first + k
-        bend = _tanh(fma(w3, x3[m], fma(w2, x2[m], fma(w1, x1[m], fma(w0, x0[m], bias)))))
+        low = fma(w2, x2[m], fma(w1, x1[m], fma(w0, x0[m], bias)))
+        bend = _tanh(fma(w5, x5[m], fma(w4, x4[m], fma(w3, x3[m], low))))
         knees[k] = _per_knee(p, bend)
         knee_slopes[k] = KNEE_HALF * (1.0 - bend * bend)
 
@@ -108,7 +137,7 @@ def run(
     p: Array,
     starts: Array,
     x: Array,
-    squares: Array,
+    seen: Array,
     path: Array,
     tempo: float,
     measured: Array,
@@ -118,11 +147,11 @@ def run(
     """Run over a record and write every step down in ``trace`` (n, trace_width).
 
     Where ``is_free`` the network is fed its own past outputs, otherwise those that were ``measured`` (n,), in
-    units of the torque scale. ``squares`` (velocity features, n) are those of the first inputs.
+    units of the torque scale. ``seen`` is of `gate_features`.
     """
     feedbacks, units, n = whole(p[FEEDBACKS]), units_room(p), path.shape[0]
     aims, width, inputs = units + 1 + feedbacks, trace.shape[1], x.shape[1]
-    is_gated = p[STRUCTURE] == GATED
+    is_gated, summed = p[STRUCTURE] == GATED, _summed(p)
     gates = np.empty((feedbacks if is_gated else 0, 5, GATE_BLOCK))
     first_gate = p.shape[0] - feedbacks * GATES * GATE_WEIGHTS
     state = np.zeros(max(feedbacks, 1))
@@ -130,7 +159,7 @@ def run(
     for begin in range(0, n, GATE_BLOCK):
         end = min(begin + GATE_BLOCK, n)
         for i in range(gates.shape[0]):
-            _fill_gates(p, first_gate + i * GATES * GATE_WEIGHTS, squares, path, begin, end, gates[i])
+            _fill_gates(p, first_gate + i * GATES * GATE_WEIGHTS, seen, path, begin, end, gates[i])
         for k in range(begin, end):
             row, inputs_k = part(flat_trace, k * width), part(flat_x, k * inputs)
             if starts[k] != 0.0:
@@ -139,12 +168,12 @@ def run(
                 if not is_gated:
                     state[0] = measured[k - 1]
                 else:
-                    for i in range(feedbacks):
-                        state[i] += (measured[k - 1] - flat_trace[k * width - 1]) / feedbacks
+                    for i in range(summed):
+                        state[i] += (measured[k - 1] - flat_trace[k * width - 1]) / summed
             for i in range(feedbacks):
                 row[aims + i] = state[i]
             if not is_gated:
-                row[width - 1] = _advance(p, inputs_k, path[k], tempo, state, state, part(row, units), row)
+                row[width - 1] = _advance(p, inputs_k, inputs_k, path[k], tempo, state, state, part(row, units), row)
                 continue
             aims_k = part(row, units)  # from here on as in `network.advance`, but for the gates
             total, _ = _outputs(p, inputs_k, state, aims_k, row)
@@ -161,7 +190,8 @@ def run(
                     over_way = 1.0 / knees if is_straight else 1.0 - share
                     over_knee = share if is_straight else (1.0 - share) * beyond
                 state[i] = toward(before, aims_k[i], share)
-                total += state[i] + damping * ((state[i] - before) * tempo)
+                if i < summed:
+                    total += state[i] + damping * ((state[i] - before) * tempo)
                 row[aims + feedbacks + i] = share
                 row[aims + 2 * feedbacks + i] = soft
                 row[aims + 3 * feedbacks + i] = distance * over_way * gates[i, 2, k - begin]
@@ -256,6 +286,7 @@ def fill_rows(
     p: Array,
     starts: Array,
     x: Array,
+    seen: Array,
     path: Array,
     tempo: float,
     trace: Array,
@@ -278,7 +309,7 @@ def fill_rows(
         plan, after, wide = np.zeros(BLOCK * stride), np.zeros(feedbacks * room), np.zeros(room)
         for first in range(begin, end, BLOCK):
             last = min(first + BLOCK, end)
-            plan_rows(p, x, path, tempo, trace, first, last, plan)
+            plan_rows(p, x, seen, path, tempo, trace, first, last, plan)
             for k in range(first, last):
                 if starts[k] != 0.0:
                     s[:] = 0.0
@@ -304,6 +335,7 @@ def normal_equations(
     p: Array,
     starts: Array,
     x: Array,
+    seen: Array,
     path: Array,
     tempo: float,
     trace: Array,
@@ -327,7 +359,7 @@ def normal_equations(
     matrix[:] = 0.0
     for begin in range(0, path.shape[0], BLOCK):
         end = min(begin + BLOCK, path.shape[0])
-        fill_rows(p, starts, x, path, tempo, trace, is_free, begin, end, s, rows, weights)
+        fill_rows(p, starts, x, seen, path, tempo, trace, is_free, begin, end, s, rows, weights)
         used = 0
         for k in range(begin, end):
             if weight[k] > 0.0:

@@ -8,10 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from friction_hil.errors import UsageError
-from friction_hil.jit import Array
+from friction_hil.jit import Array, compiled
 from friction_hil.models import network
 from friction_hil.models.network_model import KINDS, Structure
 
+_STROKES = 60  # that are tried
+_LEAST_SHARE = 1e-9  # of a stop's square beside the curve over the velocity: below, it is that curve
 _OUTPUT_MARGIN = 1.5  # how far the output may go beyond the largest torque of the training
 
 
@@ -137,7 +139,40 @@ def empty(structure: Structure, samples: Samples, speed_factor: float = 1.0) -> 
     lowest, highest = np.log(rate_bounds(samples))
     p[network.RATE_MIDDLE], p[network.RATE_HALF] = 0.5 * (lowest + highest), 0.5 * (highest - lowest)
     p[network.ORDERS : network.ORDERS + len(structure.orders)] = structure.orders
+    p[network.STROKE] = stroke(samples) if structure.kind == "gated" else 0.0
     return p
+
+
+@compiled
+def _fill_stop(starts: Array, distance: Array, stroke: float, stop: Array) -> None:
+    """Fill ``stop`` (n,) with Prandtl's stop of this stroke."""
+    now = 0.0
+    for k in range(distance.shape[0]):
+        now = 0.0 if starts[k] != 0.0 else now
+        now = min(max(now + distance[k] / stroke, -1.0), 1.0)
+        stop[k] = now
+
+
+def stroke(samples: Samples) -> float:
+    """Return the stroke of the stop that explains most of the torque beside a curve over the velocity, rad."""
+    v, root = samples.velocity, np.sqrt(samples.weight)
+    speeds = characteristic_speeds(np.abs(v[samples.weight > 0.0]))
+    curve = [np.ones(len(v)), v, *(np.arcsinh(v / speed) for speed in speeds[:2]), np.tanh(v / speeds[2])]
+    base, _ = np.linalg.qr(np.column_stack(curve) * root[:, None])
+    target, stop, distance = samples.torque * root, np.empty(len(v)), v * samples.dt
+    moving = np.abs(distance[distance != 0.0])
+    if moving.size == 0:
+        return 1.0
+    strokes = np.geomspace(float(np.quantile(moving, 0.1)), float(moving.sum()), _STROKES)
+    explained = np.zeros(_STROKES)
+    for place, one in enumerate(strokes):
+        _fill_stop(samples.starts, distance, one, stop)
+        beside = stop * root
+        beside -= base @ (base.T @ beside)
+        length = float(beside @ beside)
+        if length > _LEAST_SHARE * float(samples.weight.sum()):
+            explained[place] = (beside @ target) ** 2 / length
+    return float(strokes[int(np.argmax(explained))])
 
 
 def characteristic_speeds(speed: Array) -> NDArray[np.float64]:

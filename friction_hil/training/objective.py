@@ -26,8 +26,12 @@ class Record:
         self.samples = samples
         self.inputs = np.empty((len(samples), int(p[network.INPUTS])))
         others = (samples.position, samples.load_torque, samples.temperature)
-        jacobian.fill_inputs(p, samples.starts, samples.velocity, *others, self.inputs)
-        self._squares = np.ascontiguousarray(self.inputs[:, : network.VELOCITY_FEATURES].T) ** 2
+        jacobian.fill_inputs(p, samples.starts, samples.velocity, samples.dt, *others, self.inputs)
+        self.gate_features = (
+            jacobian.gate_features(p, samples.starts, samples.velocity, samples.dt, self.inputs)
+            if p[network.STRUCTURE] == network.GATED
+            else np.empty((0, 0))
+        )
         self.path = np.abs(samples.velocity) * samples.dt
         self.tempo = float(p[network.TRAINED_DT]) / samples.dt
         self.target = samples.torque / p[network.TORQUE_SCALE]
@@ -38,7 +42,7 @@ class Record:
 
     def run(self, p: Array, is_free: bool) -> float:
         """Run the network; return the weighted mean of its squared error, in units of the torque scale squared."""
-        motion = (self.samples.starts, self.inputs, self._squares, self.path, self.tempo)
+        motion = (self.samples.starts, self.inputs, self.gate_features, self.path, self.tempo)
         jacobian.run(p, *motion, self.target, is_free, self.trace)
         return jacobian.squared_error(self.trace, self.target, self.weight)
 
@@ -49,7 +53,7 @@ class Record:
     def normal_equations(self, p: Array, is_free: bool, matrix: Array) -> None:
         """Fill ``matrix`` as `jacobian.normal_equations` does, for the last `run`."""
         weights = p.size - network.HEADER
-        record = (self.samples.starts, self.inputs, self.path, self.tempo, self.trace)
+        record = (self.samples.starts, self.inputs, self.gate_features, self.path, self.tempo, self.trace)
         jacobian.normal_equations(p, *record, is_free, self.target, self.weight, weights, matrix)
 
 

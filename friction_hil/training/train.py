@@ -20,6 +20,8 @@ from friction_hil.training.objective import Objective, Record
 DECAYS = (1e-9, 1e-8, 1e-6)  # of the squared weights, where a network that always says 0 has a mean squared error of 1
 _SPEED_FACTORS = (0.3, 1.0, 0.1)
 _PATIENCE = 40  # iterations without a better free run on validation before a start is given up
+_ELEMENT_UNITS = 6  # for the first weights of several states
+_SLIDING = 0.9  # of the stop's stroke
 _BAD = 0.1  # NRMSE in free run above which a network has not learned
 _GOOD = 0.02  # and below which it is of no interest how much better it is on the training set
 
@@ -142,6 +144,8 @@ class _Start:
         self.number = number
         self.decay = options.decays[number % len(options.decays)]
         self.p = empty(structure, samples, _SPEED_FACTORS[number // len(options.decays) % len(_SPEED_FACTORS)])
+        if structure.kind == "gated":
+            self.p[network.STROKE] *= random.uniform(1.2, 2.5)  # elements of several strokes: one explains the middle
         self.constraint = Constraint(structure, options.contraction or constraints.CONTRACTIONS[structure.kind])
         self.at = first_weights(self.p, structure, samples, random)
         self.damping = 1e-2
@@ -174,21 +178,63 @@ def first_weights(p: Array, structure: Structure, samples: Samples, random: np.r
     columns = np.column_stack([np.ones(len(samples)), last, record.inputs]) * np.sqrt(record.weight)[:, None]
     ridge = 1e-3 * np.eye(columns.shape[1])
     fitted = np.linalg.solve(columns.T @ columns + ridge, columns.T @ (np.sqrt(record.weight) * record.target))
-    for place in range(max(structure.outputs - 1, 1)):
-        searched[begin + place * stride : begin + place * stride + fitted.size] += fitted / max(
-            structure.outputs - 1, 1
-        )
+    if structure.kind == "gated" and structure.states > 1 and _has_room_for_elements(structure):
+        _draw_elements(structure, record, searched, random)
+    else:
+        summed = max(structure.states - 1, 1) if structure.kind == "gated" else 1
+        for place in range(begin, begin + summed * stride, stride):
+            searched[place : place + fitted.size] += fitted / summed
     if structure.kind == "gated":
         gates = searched[structure.weights - structure.states * network.GATES * network.GATE_WEIGHTS :]
         _draw_gates(p, record, gates.reshape(structure.states, network.GATES, network.GATE_WEIGHTS), random)
     return searched
 
 
+def _has_room_for_elements(structure: Structure) -> bool:
+    return len(structure.hidden) == 1 and structure.hidden[0] >= _ELEMENT_UNITS
+
+
+def _draw_elements(structure: Structure, record: Record, searched: Array, random: np.random.Generator) -> None:
+    """Change the weights of the layers and outputs to those of equal elements whose level is the last state.
+
+    Its aim is an even curve over the velocity, of two pairs of units, fitted to sliding. One more pair turns the level
+    in the direction x of motion: tanh(x + g) + tanh(x - g) is odd in x and falls with g, which falls with the level.
+    """
+    width, inputs, states = structure.hidden[0], structure.inputs, structure.states
+    bias, weights = searched[:width], searched[width : width * (1 + inputs)].reshape(inputs, width)
+    fed = searched[slice(*structure.feedback_weights)].reshape(states, width)
+    outs = searched[structure.outputs_begin :][: structure.outputs * structure.output_weights]
+    outs = outs.reshape(structure.outputs, structure.output_weights)
+    direct = searched[structure.outputs_begin + outs.size :]
+    fed *= 0.1
+    weights[:, :_ELEMENT_UNITS] *= 0.1
+    x, direction = record.inputs, network.VELOCITY_FEATURES - 1
+    bias[:_ELEMENT_UNITS] = (1.5, -1.5, 1.5, 1.5, 1.5, 1.5)
+    weights[direction, :2], fed[-1, :2] = 1.0, (-0.8, 0.8)
+    curves = [np.ones(len(x))]
+    for pair, feature in ((2, 1), (4, 2)):
+        slope = random.uniform(2.0, 8.0)
+        weights[feature, pair : pair + 2] = slope, -slope
+        curves.append(np.tanh(1.5 + slope * x[:, feature]) + np.tanh(1.5 - slope * x[:, feature]))
+    sliding = np.sqrt(record.weight * (record.gate_features[network.VELOCITY_FEATURES] > _SLIDING))
+    columns = np.column_stack([*curves, np.abs(x[:, 0])]) * sliding[:, None]
+    ridge = 1e-6 * np.eye(columns.shape[1])
+    fitted = np.linalg.solve(columns.T @ columns + ridge, columns.T @ (sliding * np.abs(record.target)))
+    level = float(np.mean((np.column_stack(curves) @ fitted[:-1])[sliding > 0.0])) if np.any(sliding) else 1.0
+    outs[-2, 0] += fitted[0] / level
+    outs[-2, 3:5] += fitted[1] / level
+    outs[-2, 5:7] += fitted[2] / level
+    share = level / (states - 1)  # 2.3 (tanh(x + g) + tanh(x - g)) - 1.8 x is 1 for x = 1, and rises like the level
+    outs[:-2, 1:3] += 2.3 * share
+    outs[:-2, 1 + width + direction] -= 1.8 * share
+    direct[1] += fitted[-1]
+
+
 def _draw_gates(p: Array, record: Record, gates: Array, random: np.random.Generator) -> None:
     """Change ``gates`` (states, 2, `GATE_WEIGHTS`) to rates and knees from which a training may begin.
 
-    Of several states, all but the last yield after strokes that are spread over a random range, like the elements of a
-    Maxwell-slip model. The last lags behind its aim by a random time, as sliding friction may.
+    Of several states, all but the last yield after strokes that are spread about that of the stop, like the elements of
+    a Maxwell-slip model. The last lags behind its aim by a random time while the axis slides, and less while it sticks.
     """
     states, speed = len(gates), np.abs(record.samples.velocity)
     is_moving = speed > 0.0
@@ -197,18 +243,21 @@ def _draw_gates(p: Array, record: Record, gates: Array, random: np.random.Genera
         rates, near = 10.0 ** random.uniform(-0.5, 1.0, 1) / middle, 10.0 ** random.uniform(-1.0, 0.3, 1)
         knees = near if random.uniform() < 0.5 else np.full(1, 2.0 * p[network.BOUND])  # as LuGre's: none
     else:
-        ratio, centre = 10.0 ** random.uniform(0.2, 0.8), middle * 10.0 ** random.uniform(-1.0, 0.5)
-        knees = 10.0 ** random.uniform(-1.5, 0.0, states)
-        strokes = centre * ratio ** (np.arange(states) - 0.5 * (states - 1))
-        rates = np.maximum(1.0, 1.0 / (states * knees)) / strokes
+        elements = states - 1
+        ratio, centre = 10.0 ** random.uniform(0.2, 0.6), p[network.STROKE] * 10.0 ** random.uniform(-0.3, 0.1)
+        knees = 10.0 ** random.uniform(-2.0, -0.5, states)
+        strokes = centre * ratio ** (np.arange(states) - 0.5 * (elements - 1))
+        rates = np.maximum(1.0, 1.0 / (elements * knees)) / strokes
     gates[:, 0, 0] = _bend(np.log(rates), p[network.RATE_MIDDLE], p[network.RATE_HALF])
     gates[:, 1, 0] = _bend(np.log(knees / p[network.BOUND]), network.KNEE_MIDDLE, network.KNEE_HALF)
     if states > 1 and np.any(is_moving):
-        per_s = 10.0 ** random.uniform(1.0, 2.5)
+        per_s = 10.0 ** random.uniform(1.0, 2.3)
         rate = per_s / np.maximum(speed[is_moving], 0.1 * p[network.SPEEDS + 1])
-        squares = record.inputs[is_moving, : network.VELOCITY_FEATURES] ** 2
-        wanted = _bend(np.log(rate), p[network.RATE_MIDDLE], p[network.RATE_HALF])
-        columns = np.column_stack([np.ones(len(squares)), squares])
+        seen = record.gate_features[:, is_moving].T
+        slid = seen[:, network.VELOCITY_FEATURES] + seen[:, network.VELOCITY_FEATURES + 1] - 1.0
+        stuck = random.uniform(1.0, 3.0) * (1.0 - np.tanh(4.0 * (slid - random.uniform(0.2, 0.9))))
+        wanted = _bend(np.log(rate) + stuck, p[network.RATE_MIDDLE], p[network.RATE_HALF])
+        columns = np.column_stack([np.ones(len(seen)), seen])
         ridge = 1e-9 * len(columns) * np.eye(columns.shape[1])
         gates[-1, 0] = np.linalg.solve(columns.T @ columns + ridge, columns.T @ wanted)
         gates[-1, 1, 0] = _bend(math.log(2.0), network.KNEE_MIDDLE, network.KNEE_HALF)

@@ -212,6 +212,8 @@ def setting(name, value):
         (setting("states", 0), "friction.network", "1 to 4 states"),
         (setting("speeds", [0.1, 0.2]), "friction.network.speeds", "three"),
         (setting("speed_limit", -1.0), "friction.network.speed_limit", "above zero"),
+        (without("stroke"), "friction.network.stroke", "train them anew"),
+        (setting("stroke", -1e-3), "friction.network.stroke", "above zero"),
         (setting("inputs", ["position"]), "friction.network.ranges", "position"),
         (setting("color", "red"), "friction.network.color", "no key here"),
         (lambda c: c["friction"].pop("network"), "friction.network", "is missing"),
@@ -236,6 +238,7 @@ def test_a_mistake_in_the_file_is_told_with_its_place(change, place, words, tmp_
     [
         ({"level": math.nan}, "level"),
         ({"bound": 0.0}, "bound"),
+        ({"stroke": math.inf}, "stroke"),
         ({"speeds": (0.1, math.inf, 0.2)}, "speeds"),
         ({"weights": np.full(COUNT, math.nan)}, "weights"),
     ],

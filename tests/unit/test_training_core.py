@@ -54,7 +54,7 @@ def jacobian_of(p, record, is_free):
     record.run(p, is_free)
     rows = np.zeros((len(data), weights + network.SPARE))
     sensitivities = np.zeros((max(1, int(p[network.FEEDBACKS])), gated.row_room(p)))
-    common = (data.starts, record.inputs, record.path, record.tempo, record.trace)
+    common = (data.starts, record.inputs, record.gate_features, record.path, record.tempo, record.trace)
     jacobian.fill_rows(p, *common, is_free, 0, len(data), sensitivities, rows, weights)
     return rows[:, :weights]
 
@@ -79,20 +79,24 @@ def test_a_gated_network_is_the_formula():
     structure, data = STRUCTURES["gated"], samples(60)
     p = random_network(structure, data)
     w, width = p[network.HEADER :], 5
-    first, bias = w[width : width * 6].reshape(5, width), w[:width]
-    aim, damping = w[30:40], w[40:50]
-    direct, gate, knee = w[50:55], w[55:60], w[60:65]
-    assert structure.weights == 65
-    expected, y = [], 0.0
+    first, bias = w[width : width * 7].reshape(6, width), w[:width]
+    aim, damping = w[35:46], w[46:57]
+    direct, gate, knee = w[57:63], w[63:70], w[70:77]
+    assert structure.weights == 77
+    expected, y, stop, way_since, stroke = [], 0.0, 0.0, 0.0, p[network.STROKE]
     for v in data.velocity:
         limit, speeds = p[network.SPEED_LIMIT], p[network.SPEEDS : network.SPEEDS + 3]
         x = np.array(
             [v / limit, *(np.arcsinh(v / speeds[:2]) / np.arcsinh(limit / speeds[:2])), np.tanh(v / speeds[2])]
         )
+        stop = np.clip(stop + v * DT / stroke, -1.0, 1.0)
+        way_since = (way_since if np.sign(way_since) == np.sign(v) else 0.0) + v * DT
+        seen = np.array([*x**2, stop * x[3], min(abs(way_since) / (0.25 * stroke), 1.0)])
+        x = np.append(x, stop)
         h = np.tanh(bias + np.append(x, y) @ first)
         goal = np.clip(aim[0] + aim[1:6] @ h + aim[6:] @ x, -p[network.BOUND], p[network.BOUND])
-        kappa = np.exp(p[network.RATE_MIDDLE] + p[network.RATE_HALF] * np.tanh(gate[0] + gate[1:] @ x**2))
-        knee_at = 0.1 * p[network.BOUND] * 20.0 ** np.tanh(knee[0] + knee[1:] @ x**2)
+        kappa = np.exp(p[network.RATE_MIDDLE] + p[network.RATE_HALF] * np.tanh(gate[0] + gate[1:] @ seen))
+        knee_at = 0.1 * p[network.BOUND] * 20.0 ** np.tanh(knee[0] + knee[1:] @ seen)
         left, way = goal - y, kappa * abs(v) * DT
         outside = np.clip((abs(left) - knee_at) / knee_at, 0.0, way)
         after = goal - (left - outside * knee_at * np.sign(left)) * np.exp(-(way - outside))
@@ -221,9 +225,61 @@ def test_a_gated_network_forgets_how_it_began(name, seed):
     assert ends[0] == pytest.approx(ends[1], abs=1e-9)
 
 
-def test_at_rest_the_torque_of_a_gated_network_holds_for_ten_minutes():
+@pytest.mark.parametrize("name", ["gated", "gated, two states"])
+def test_a_gated_network_forgets_how_it_was_moved(name):
+    """Two strokes one way, and what was before shows in the states alone, which come together."""
+    structure, data = STRUCTURES[name], samples(300)
+    p = random_network(structure, data)
+    p[network.HEADER :] = constraints.Constraint(structure, 0.8).apply(p[network.HEADER :])[0]
+    states = [np.zeros(structure.state_room) for _ in range(2)]
+    for state, before in zip(states, (data.velocity, -2.0 * data.velocity[:170]), strict=True):
+        simulate(structure, p, before, DT, state=state)
+    memories = slice(structure.states, structure.states + network.MEMORIES)
+    speed = 0.1 * p[network.STROKE] / DT
+    for state in states:
+        simulate(structure, p, np.full(21, speed), DT, state=state)
+        np.testing.assert_array_equal(state[memories], 1.0)
+    apart = [np.max(np.abs(np.subtract(*states))[: structure.states])]
+    for velocity in data.velocity:
+        for state in states:
+            simulate(structure, p, np.array([velocity]), DT, state=state)
+        apart.append(np.max(np.abs(np.subtract(*states))[: structure.states]))
+    assert apart[0] > 0.0
+    assert np.all(np.diff(apart) <= 1e-12)
+
+
+def test_rest_and_turns_begin_a_way_anew():
+    """At rest the torque stands still, yet elements that slipped before it stick after it."""
     structure, data = STRUCTURES["gated"], samples()
     p = random_network(structure, data)
+    far, little = np.full(50, 0.1 * p[network.STROKE] / DT), np.full(1, 0.01 * p[network.STROKE] / DT)
+    for course, stop, way in (
+        ([far], 1.0, 1.0),
+        ([far, -far[:5]], 0.5, -1.0),
+        ([far, -little], 0.99, -0.04),
+        ([far, np.zeros(1)], 1.0, 0.0),
+        ([far, np.zeros(1), little], 1.0, 0.04),
+    ):
+        state = np.zeros(structure.state_room)
+        simulate(structure, p, np.concatenate(course), DT, state=state)
+        np.testing.assert_allclose(state[structure.states :][: network.MEMORIES], (stop, way), atol=1e-9)
+
+
+@pytest.mark.parametrize("stroke", [1e-4, 1e-3])
+def test_the_stroke_is_found_from_the_samples(stroke):
+    velocity = excitation(1.2, DT, 10_000, seed=1)
+    now, torque = 0.0, []
+    for v in velocity:
+        now = min(max(now + v * DT / stroke, -1.0), 1.0)
+        torque.append(0.1 * now + 0.01 * v)
+    assert empty(STRUCTURES["gated"], Samples(DT, velocity, np.array(torque)))[network.STROKE] == pytest.approx(
+        stroke, rel=0.2
+    )
+
+
+def test_at_rest_the_torque_of_a_gated_network_holds_for_ten_minutes():
+    structure, data = STRUCTURES["gated"], samples()
+    p = random_network(structure, data, seed=3)
     state = np.zeros(structure.state_room)
     simulate(structure, p, data.velocity, DT, state=state)
     held = simulate(structure, p, np.zeros(600_000), DT, state=state)

@@ -197,7 +197,7 @@ def time_to_error() -> list[Row]:
         objective.cost(at)
         rows = np.zeros((SAMPLES, structure.weights + network.SPARE))
         carried = np.zeros((1, row_room(objective.p)))
-        common = (data.starts, record.inputs, record.path, record.tempo, record.trace)
+        common = (data.starts, record.inputs, record.gate_features, record.path, record.tempo, record.trace)
         fill_rows(objective.p, *common, True, 0, SAMPLES, carried, rows, structure.weights)
         rows = rows[:, : structure.weights]
         return np.asarray(rows + rows[:, constraint.feedback] @ constraint.apply(at)[1])
