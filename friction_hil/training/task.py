@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 
 _HIDDEN = {"gated": (10,), "narx": (10,), "static": (8,), "residual": (4,)}
 _STATES = (1, 4)  # of a gated network: more where one is not good enough, as of friction in Maxwell-slip elements
-_SEVERAL_STATES = Options(starts=4, survivors=1)  # each of their iterations takes three times as long
+# of several states: each iteration takes three times as long, and fewer are needed
+_SEVERAL_STATES = Options(starts=5, survivors=2, trial_iterations=15, iterations=50)
 _GOOD_ENOUGH = 0.02  # NRMSE on validation with which a gated network needs no more states
 _ORDERS = (1, 2, 3)  # of a narx, tried where none is given: past torques and past velocities
 _STATIC_LOWPASS_SHARE = 0.04  # of the sampling rate
