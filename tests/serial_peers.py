@@ -72,7 +72,7 @@ class Ask:
         self.image = image
         self.name = name
         self.what = f"reading {name}"
-        self.addressees = frozenset((drive,))
+        self.addressees = self.unanswered = frozenset((drive,))
         self.reads: tuple[str, ...] = (name,)
         self.writes: tuple[str, ...] = ()
         self.request_size, self.reply_size = len(name) + 1, 8
@@ -102,7 +102,7 @@ class Tell:
         self.image = image
         self.name = name
         self.what = f"writing {name}"
-        self.addressees = frozenset(("a drive",))
+        self.addressees = self.unanswered = frozenset(("a drive",))
         self.reads: tuple[str, ...] = ()
         self.writes: tuple[str, ...] = (name,)
         self.request_size, self.reply_size = 12, int(is_answered)

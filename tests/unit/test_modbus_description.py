@@ -271,7 +271,9 @@ def maps(draw: st.DrawFn) -> ModbusDescription:
     changed: dict[str, object] = {}
     address = draw(st.integers(0, 0x40))
     for name in draw(st.permutations(list(SIGNALS))):
-        kind = draw(st.sampled_from(list(widths)))
+        # torques and velocities have a sign
+        kinds = list(widths) if name in ("position", "status", "error", "control") else ["int16", "int32"]
+        kind = draw(st.sampled_from(kinds))
         signal = {"address": address, "type": kind, "byte_order": draw(st.sampled_from(["big", "little"]))}
         changed[name] = signal | {"unit": SIGNALS[name].get("unit", "")}
         address += widths[kind] + draw(st.integers(0, 4))

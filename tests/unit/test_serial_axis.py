@@ -75,11 +75,11 @@ CIA402 = {
 }
 
 
-def make(data=OWN, *, is_inverted=False, units=UNITS, kind="rotary", watchdog=()):
+def make(data=OWN, *, is_inverted=False, units=UNITS, kind="rotary", before=()):
     description = Bench.model_validate(data)
     scales = make_scales("x", description, units, kind=kind, is_inverted=is_inverted)
     image = Image()
-    return SerialAxis("x", description, scales, image, ("torque_command",), watchdog), image
+    return SerialAxis("x", description, scales, image, ("torque_command",), before), image
 
 
 def hear(axis, image, time_s=0.0, trouble="", **values):
@@ -219,9 +219,8 @@ def test_a_drive_that_does_not_follow_is_an_error_after_the_steps_time():
 
 
 @pytest.mark.parametrize("data", [OWN, CIA402], ids=["own", "cia402"])
-def test_the_watchdog_is_armed_before_each_enabling(data):
-    """A drive that restarted, or whose fault was reset, has it switched off."""
-    axis, image = make(data, watchdog=[Step(write={"reset": 50} if data is OWN else {"control": 50})])
+def test_what_a_restart_may_have_changed_is_written_before_each_enabling(data):
+    axis, image = make(data, before=[Step(write={"reset": 50} if data is OWN else {"control": 50})])
     hear(axis, image, position=0, velocity=0, status=0x40, error=0)
     for _ in range(2):
         assert set(write(axis, Request.ENABLE).values()) == {50.0}
@@ -289,6 +288,7 @@ def test_fault_reset_is_an_edge():
         ({"modes": {"cst": {"commands": ["power"]}}}, "modes.cst commands power; what can be commanded is"),
         ({"state_machine": "cia402"}, "cia402 needs the signal control"),
         ({"watchdog": {"signal": "dog"}}, "watchdog names the signal 'dog'"),
+        ({"watchdog": {"signal": "reset"}}, "the watchdog's signal reset must be in s"),
         ({"states": [{"state": "fault", "value": 1, "value_not": 2}]}, "either value or value_not"),
         ({"signals": {**OWN["signals"], "velocity": {"unit": "A"}}}, "velocity is in A; it may be in"),
         ({"signals": {**OWN["signals"], "velocity": {"unit": "rmp"}}}, "no such unit: did you mean 'rpm'"),

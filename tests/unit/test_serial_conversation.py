@@ -132,6 +132,47 @@ def test_a_silent_drive_does_not_keep_others_from_being_asked_and_commanded():
     assert bench.line.sent.count(b"silent?") == pytest.approx(lost, abs=1.5)
 
 
+@pytest.mark.parametrize("reply_limit_ms", [0.0, 2.0])
+def test_whoever_was_silent_is_asked_after_the_others(reply_limit_ms):
+    """Where its reply cannot come any more in the next cycle, it would keep them from being asked in each one."""
+    bench = Bench(reply_limit_ms=reply_limit_ms, **{"there?": b"2;"})
+    silent, there = Ask(bench.image, "silent", "first"), Ask(bench.image, "there", "second")
+    asked = 0
+    for _ in range(20):
+        bench.image.fresh.clear()
+        bench.talk.ask((silent, there))
+        bench.go(5.0)
+        bench.talk.give_up()
+        asked += "there" in bench.image.fresh
+    assert asked == 19
+
+
+def test_what_was_asked_before_the_line_went_away_is_still_known_for_late():
+    bench = Bench()
+    bench.ask()
+    bench.go(1.0)
+    bench.line.pull_out()
+    bench.go(1.0)
+    bench.line.is_back = True
+    while not bench.line.is_open:
+        bench.go(1.0)
+    bench.line.arrived = b"1;"  # a converter in between has kept it
+    bench.ask()
+    bench.go(5.0)
+    assert "position" not in bench.image.fresh or bench.image.values["position"] != 1.0
+
+
+def test_a_late_reply_that_comes_in_pieces_is_waited_for_without_spinning():
+    bench = Bench(**{"there?": b"2;"})
+    bench.talk.ask((Ask(bench.image, "silent", "first"),))
+    bench.go(5.0)
+    bench.talk.give_up()
+    bench.line.arrived += b"9"
+    bench.talk.ask((Ask(bench.image, "there", "second"),))
+    bench.talk.step()
+    assert bench.talk.due_ns > bench.time.ns
+
+
 def test_a_late_reply_does_not_touch_what_is_fresh_of_another_drive():
     bench = Bench(**{"there?": b"2;"})
     bench.talk.ask((Ask(bench.image, "silent", "first"),))

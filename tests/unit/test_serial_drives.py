@@ -15,10 +15,9 @@ from friction_hil_drivers.dynamixel.simulated import SimulatedDynamixelDrives
 from friction_hil_drivers.modbus.drives import ModbusDrives
 from friction_hil_drivers.modbus.simulated import SimulatedModbusDrives
 from friction_hil_drivers.serial_line import drives
-from friction_hil_drivers.serial_line.options import LineOptions
 
 from friction_hil.drive import Command, DriveState, Feedback, Request
-from friction_hil.errors import DriveError
+from friction_hil.errors import DriveError, UsageError
 from friction_hil.realtime import SteppedClock
 from tests.servo_drives import axis_dict, configuration
 
@@ -205,13 +204,63 @@ def test_a_bad_line_costs_cycles_and_never_tells_a_lie(kind, tmp_path, faults, m
         assert fresh > 60
 
 
-@pytest.mark.parametrize(("period_s", "max_missed"), [(1e-3, 10), (1e-3, 1), (4e-3, 10), (0.1, 3)])
-def test_by_default_a_single_lost_reply_is_bridged(period_s, max_missed):
+@pytest.mark.parametrize(("period_s", "max_missed"), [(4e-3, 10), (8e-3, 10), (0.1, 3)])
+def test_by_default_a_single_lost_reply_is_bridged(tmp_path, period_s, max_missed):
     """A drive that did not reply is left alone for a while, which must be shorter than what makes a fault."""
-    config = configuration(x=axis_dict())
-    realtime = config.realtime.model_copy(update={"max_missed": max_missed})
-    config = config.model_copy(update={"period_s": period_s, "realtime": realtime})
-    made = ModbusDrives(config, {}, SteppedClock(), dry_run=False)
-    cycles = made._reply_limit_s(LineOptions(port="/dev/line")) / period_s
-    assert cycles <= 0.5 * max_missed
-    assert made._reply_limit_s(LineOptions(port="/dev/line", reply_limit_s=0.2)) == 0.2
+    with Bench("rtu", tmp_path, line={"port": str(tmp_path / "line"), "baud": 1_000_000}) as bench:
+        realtime = bench.config.realtime.model_copy(update={"max_missed": max_missed})
+        bench.config = bench.config.model_copy(update={"period_s": period_s, "realtime": realtime})
+        bench.drives = bench.daemon()
+        bench.drives.connect()
+        (lane,) = bench.drives._lanes
+        assert lane.conversation._reply_limit_ns * 1e-9 <= 0.5 * max_missed * period_s
+
+
+def refused(tmp_path, kind="rtu", **changes):
+    with Bench(kind, tmp_path, **changes) as bench, pytest.raises(UsageError) as error:
+        bench.drives.connect()
+    return str(error.value)
+
+
+def test_a_limit_that_is_shorter_than_replies_may_take_is_refused(tmp_path):
+    line = {"port": str(tmp_path / "line"), "baud": 115200, "reply_limit_s": 1e-3}
+    config = {"line": line, "description": "kinco_fd5p"}
+    message = refused(tmp_path, **config)
+    assert "reply_limit_s: 0.001 s is too short" in message or "is too short for" in message
+
+
+def test_a_watchdog_that_would_be_off_or_trip_at_once_is_refused(tmp_path):
+    assert "less than three periods" in refused(tmp_path, "rtu, function 23", watchdog_s=2e-3)
+
+
+def test_a_silent_drive_on_the_line_leaves_no_other_one_under_power(tmp_path):
+    """Unit 4 falls silent; unit 3 must be disabled when the driver closes all the same."""
+    with Bench("rtu", tmp_path).begin().enable() as bench:
+        bench.cycle(Request.ENABLE, 0.3, count=5)
+        (lane,) = bench.drives._lanes
+        (axis,) = lane.axes
+        talk, asked = bench.drives._talk, []
+
+        def first_is_silent(lane, name, exchange, attempts=3):
+            asked.append(exchange)
+            if len(asked) == 1:
+                raise DriveError("unit 4 does not answer")
+            talk(lane, name, exchange, attempts)
+
+        bench.drives._talk = first_is_silent
+        axis.parting = lambda: [{"control": 0}, {"control": 0}]  # the first goes to the silent one
+        bench.drives.close()
+        assert len(asked) >= 3
+        bench.drives = bench.daemon(dry_run=True)
+        bench.begin()
+        bench.cycle(Request.LISTEN, count=6)
+        assert not bench.feedback.state.is_powered
+
+
+@pytest.mark.parametrize("kind", ["odrive"])
+def test_a_position_in_turns_has_the_resolution_of_its_digits_or_of_the_encoder(kind, tmp_path):
+    with Bench(kind, tmp_path).begin() as bench:
+        assert bench.facts.position_resolution < 1e-4
+        assert bench.facts.torque_resolution < 1e-3
+    with Bench(kind, tmp_path, counts_per_unit=8192 / 6.283185307179586).begin() as bench:
+        assert bench.facts.position_resolution == pytest.approx(6.283185307179586 / 8192)

@@ -7,6 +7,7 @@ from friction_hil.errors import UsageError
 from friction_hil_drivers.ascii.description import AsciiDescription, covering
 from friction_hil_drivers.ascii.messages import CompiledMessage, Language, take_line
 from friction_hil_drivers.ascii.options import AsciiOptions
+from friction_hil_drivers.ascii.template import AXIS
 from friction_hil_drivers.serial_line.protocol import Exchange, Image, Plan, ReplyError, Wanted
 
 _SHOWN = 60  # characters
@@ -23,9 +24,13 @@ class AsciiExchange:
     messages : sequence of CompiledMessage
         With the same signals and the same replies; the first whose fixed numbers are those of the image is sent.
     image : Image
+    addressee : str
+        Who answers; the same for all axes whose replies do not tell them apart.
     """
 
-    def __init__(self, axis: str, language: Language, messages: Sequence[CompiledMessage], image: Image) -> None:
+    def __init__(
+        self, axis: str, language: Language, messages: Sequence[CompiledMessage], image: Image, addressee: str
+    ) -> None:
         self._axis = axis
         self._language = language
         self._messages = tuple(messages)
@@ -34,7 +39,7 @@ class AsciiExchange:
         self._image = image
         self._sent = b""
         self._is_echo_due = False
-        self.addressees = frozenset((axis,))
+        self.addressees = self.unanswered = frozenset((addressee,))
         self.writes = self._first.writes
         self.reads = self._first.reads
         parts = [f"read {' and '.join(self.reads)}"] if self.reads else []
@@ -139,9 +144,10 @@ class _Axis:
     language: Language
     image: Image
     name: str
+    addressee: str
 
     def exchange(self, messages: Sequence[CompiledMessage]) -> AsciiExchange:
-        return AsciiExchange(self.name, self.language, messages, self.image)
+        return AsciiExchange(self.name, self.language, messages, self.image, self.addressee)
 
     def writing(self, names: Iterable[str]) -> list[CompiledMessage]:
         """Messages that write just these."""
@@ -188,8 +194,14 @@ class AsciiLine:
         options: Mapping[str, AsciiOptions],
         images: Mapping[str, Image],
     ) -> None:
+        are_named = all(f"{{{AXIS}}}" in form for each in descriptions.values() for form in each.all_replies)
         self._axes = {
-            name: _Axis(Language(description, description.axis_name(options[name].axis)), images[name], name)
+            name: _Axis(
+                Language(description, description.axis_name(options[name].axis)),
+                images[name],
+                name,
+                name if are_named else "any of them",
+            )
             for name, description in descriptions.items()
         }
 

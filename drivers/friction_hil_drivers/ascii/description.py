@@ -33,6 +33,16 @@ class AsciiSignal(Signal):
         """Width of the drive's number where that is an integer that wraps."""
         return self.bits
 
+    @property
+    def has_sign(self) -> bool:
+        """Whether the drive's number can be negative."""
+        return self.bits is None or self.is_signed
+
+    @property
+    def step(self) -> float:
+        """Smallest step of the drive's number."""
+        return self.resolution or (1.0 if self.bits is not None else 10.0**-self.digits)
+
 
 class Message(Part):
     """A request and its reply. What it writes are the fields of the request, what it reads those of the reply."""
@@ -134,6 +144,11 @@ class AsciiDescription(Description):
         """Templates of what is replied to a message; nothing where no reply comes."""
         forms = (self.acknowledge,) if message.forms is None else message.forms
         return tuple(form for form in forms if form)
+
+    @property
+    def all_replies(self) -> tuple[str, ...]:
+        """Templates of all replies there are."""
+        return tuple(form for message in self.messages.values() for form in self.replies(message))
 
     @property
     def is_answering_all(self) -> bool:

@@ -84,6 +84,11 @@ class _Request:
         self._is_broken = False
         self._noise = 0  # bytes that belonged to no packet
 
+    @property
+    def unanswered(self) -> frozenset[str]:
+        """See `Exchange`."""
+        return frozenset(str(servo) for servo in self._members if servo not in self._answered)
+
     def _begin(self) -> None:
         self.what, self._is_broken, self._noise = self._what, False, 0
         self._answered.clear()

@@ -29,6 +29,11 @@ class DynamixelSignal(Signal):
         """Width of the servo's number, which wraps."""
         return 8 * self.size
 
+    @property
+    def has_sign(self) -> bool:
+        """Whether the servo's number can be negative."""
+        return self.is_signed
+
 
 class DynamixelDescription(Description):
     """A servo that speaks Dynamixel Protocol 2.0."""

@@ -81,7 +81,7 @@ class Request:
         self._image = image
         self._read = read
         self._write = write
-        self.addressees = frozenset((str(unit),))
+        self.addressees = self.unanswered = frozenset((str(unit),))
         self.reads = read.names if read is not None else ()
         self.writes = write.names if write is not None else ()
         self._is_bits = read is not None and read.table in BIT_TABLES

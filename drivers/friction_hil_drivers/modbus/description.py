@@ -39,6 +39,11 @@ class ModbusSignal(Signal):
         """Width of the drive's number where that is an integer that wraps."""
         return None if self.type in ("float32", "bool") else 16 * WIDTHS[self.type]
 
+    @property
+    def has_sign(self) -> bool:
+        """Whether the drive's number can be negative."""
+        return self.type in ("int16", "int32", "float32")
+
 
 class ModbusDescription(Description):
     """A drive that speaks Modbus."""
@@ -110,6 +115,8 @@ class ModbusDescription(Description):
                 yield f"{name} does not end before address FFFFh"
             if WIDTHS[signal.type] == 2 and (signal.word_order or self.word_order) is None:
                 yield f"{name} has 32 bits: give word_order (which word comes first differs between drives)"
+            if name == "position" and signal.type == "float32" and signal.resolution is None:
+                yield "position is a float32: give its resolution, which is that of the encoder"
         yield from self._writing_mistakes()
         yield from self._joint_mistakes()
 

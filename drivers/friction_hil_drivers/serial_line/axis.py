@@ -59,8 +59,8 @@ class SerialAxis:
         Filled and read by the exchanges on the line.
     commands : sequence of str
         Signals that are commanded in each cycle.
-    watchdog : sequence of Step
-        What makes the drive watch the daemon.
+    before : sequence of Step
+        What is written before the drive is enabled.
     """
 
     def __init__(
@@ -70,13 +70,14 @@ class SerialAxis:
         scales: Scales,
         image: Image,
         commands: tuple[str, ...],
-        watchdog: Sequence[Step] = (),
+        before: Sequence[Step] = (),
     ) -> None:
         self.name = name
         self.image = image
-        self.sequencer = Sequencer(description, watchdog)
+        self.sequencer = Sequencer(description, before)
         self.state = DriveState.UNKNOWN
         self._description = description
+        self.scales = scales
         self._scales = scales.of
         self._position_bits = scales.position_bits
         self._commands = commands
@@ -153,9 +154,12 @@ class SerialAxis:
         return profile.error_text(code) if self._description.state_machine == "cia402" else f"error {code} ({code:X}h)"
 
     def hold(self) -> None:
-        """Prepare commands that move nothing: zero, and the position that was read."""
+        """Prepare commands that move nothing: zero, and the position that was read last."""
         for name in self._commands:
-            self.image.values[name] = self.image.values["position"] if name == "position_command" else 0.0
+            self.image.values[name] = 0.0
+        if "position_command" in self._commands:
+            position = self._unwrapped(self.image.values["position"]) * self._scales["position"]
+            self.image.values["position_command"] = position / self._scales["position_command"]
 
     def take(self, command: Command, time_s: float) -> Mapping[str, float]:
         """Put a command into the image; values to write beside it, for the state that is wanted."""

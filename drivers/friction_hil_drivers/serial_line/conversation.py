@@ -68,6 +68,7 @@ class Conversation:
         self._queue: deque[tuple[Exchange, Callable[[], None] | None]] = deque()
         self._awaited: tuple[Exchange, Callable[[], None] | None] | None = None
         self._owed: list[tuple[Exchange, int]] = []  # not answered in time, and until when the reply may still come
+        self._silent: frozenset[str] = frozenset()  # did not answer last time: asked after the others
         self._is_settling = False  # what comes belongs to a broken reply
         self._received = bytearray()
         self._sent_ns = self._heard_ns = self._quiet_until_ns = 0
@@ -98,6 +99,8 @@ class Conversation:
         if not self._owed:
             return self._quiet_until_ns if self._queue else None
         moments = [until for _, until in self._owed]
+        if self._received:  # a late reply is coming in
+            return min(moments)
         if any(self._may_be_asked(exchange) for exchange, _ in self._queue):
             moments.append(self._quiet_until_ns)
         return min(moments, default=None)
@@ -146,6 +149,7 @@ class Conversation:
             self.trouble = f"{exchange.what}: {error}"
             self._is_settling = not error.is_complete
         else:
+            self._silent -= exchange.addressees
             if exchange.writes:
                 self.refusals = 0
             if done is not None:
@@ -175,13 +179,13 @@ class Conversation:
 
     def _may_be_asked(self, exchange: Exchange) -> bool:
         """Whether a late reply could not be taken for one to this request."""
-        return not exchange.reply_size or all(exchange.addressees.isdisjoint(owed.addressees) for owed, _ in self._owed)
+        return not exchange.reply_size or all(exchange.addressees.isdisjoint(owed.unanswered) for owed, _ in self._owed)
 
     def _say(self) -> bool:
         """Send the next request; whether another one may follow at once."""
         if not self._queue:
             return False
-        place = self._next_place() if self._owed else 0
+        place = self._next_place() if self._owed or self._silent else 0
         if place is None:
             return False
         if self._received:
@@ -208,8 +212,12 @@ class Conversation:
         return True
 
     def _next_place(self) -> int | None:
-        """Where in the queue the first request is that may be made now."""
-        return next((k for k, (exchange, _) in enumerate(self._queue) if self._may_be_asked(exchange)), None)
+        """Where in the queue the request is that is to be made now: whoever was silent comes after the others."""
+        places = [k for k, (exchange, _) in enumerate(self._queue) if self._may_be_asked(exchange)]
+        return min(places, key=lambda k: self._is_silent(self._queue[k][0]), default=None)
+
+    def _is_silent(self, exchange: Exchange) -> bool:
+        return exchange.reply_size > 0 and not self._silent.isdisjoint(exchange.addressees)
 
     def _wire_ns(self, exchange: Exchange) -> float:
         """Least time until the reply is there."""
@@ -222,17 +230,22 @@ class Conversation:
         self.limit_ns = None
         if self._awaited is not None:
             exchange, _ = self._awaited
-            self._awaited = None
-            if self._reply_limit_ns:
-                self._owed.append((exchange, self._sent_ns + self._reply_limit_ns))
+            self._owe()
+            self._silent |= exchange.unanswered
             self.lost += 1
             self.trouble = f"{exchange.what}: no reply in time"
+
+    def _owe(self) -> None:
+        """Go on without the reply that is awaited; it may still come."""
+        if self._awaited is not None and self._reply_limit_ns:
+            self._owed.append((self._awaited[0], self._sent_ns + self._reply_limit_ns))
+        self._awaited = None
 
     def _forget(self) -> None:
         self._queue.clear()
         self._received.clear()
-        self._owed.clear()
-        self._awaited, self._is_settling = None, False
+        self._owe()  # a converter in between may keep it until the line is back
+        self._is_settling = False
         self._next_reopen_ns = self._now_ns() + _REOPEN_NS
 
     def _reopen(self) -> None:

@@ -47,6 +47,20 @@ class Signal(Part):
     unit: str = Field("", description="unit of the number times its scale")
     scale: Finite = Field(1.0, description="unit's value of one in the drive's number, e.g. 0.1 for tenths")
 
+    resolution: Positive | None = Field(
+        None, description="smallest step of the drive's number; 1 of an integer when not given"
+    )
+
+    @property
+    def has_sign(self) -> bool:
+        """Whether the drive's number can be negative."""
+        return True
+
+    @property
+    def step(self) -> float:
+        """Smallest step of the drive's number."""
+        return self.resolution or 1.0
+
     @property
     def counter_bits(self) -> int | None:
         """Width of the drive's number where that is an integer that wraps."""
@@ -164,6 +178,12 @@ class Description(Part):
         for name, units in _UNITS_OF.items():
             if name in signals and signals[name].unit not in units:
                 yield f"{name} is in {signals[name].unit or 'no unit'}; it may be in {', '.join(units)}"
+            if name in signals and not name.startswith("position") and not signals[name].has_sign:
+                yield f"{name} has no sign: torques and velocities have two directions"
+        if self.watchdog is not None and self.watchdog.signal in signals:
+            signal = signals[self.watchdog.signal]
+            if signal.unit != "s" or signal.scale <= 0.0:
+                yield f"the watchdog's signal {self.watchdog.signal} must be in s, with a positive scale"
         if "position" not in signals:
             yield "there is no signal position"
         for mode, part in self.modes.items():

@@ -15,13 +15,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-from friction_hil.drive import AxisFacts, Clock, Command, Feedback, Request
-from friction_hil.errors import BusError, DriveError
-from friction_hil_drivers.serial_line.axis import SerialAxis, make_scales
+from friction_hil.drive import AxisFacts, Clock, Command, DriveState, Feedback, Request
+from friction_hil.errors import BusError, DriveError, UsageError
+from friction_hil_drivers.serial_line.axis import Scales, SerialAxis, make_scales
 from friction_hil_drivers.serial_line.conversation import Conversation
 from friction_hil_drivers.serial_line.description import Description, Step, load_description
 from friction_hil_drivers.serial_line.line import Line
-from friction_hil_drivers.serial_line.options import LineOptions, SerialOptions
+from friction_hil_drivers.serial_line.options import SerialOptions
 from friction_hil_drivers.serial_line.protocol import (
     FAST,
     SLOW,
@@ -45,7 +45,8 @@ _ATTEMPTS = 3
 _ATTEMPT_S = 0.3
 _REPLY_LIMIT_S, _REPLY_LIMIT_SHARE = 0.05, 0.4
 _MEASURED_CYCLES = 25
-_WATCHDOG_PERIODS, _LEAST_WATCHDOG_S = 20, 0.1
+_WATCHDOG_PERIODS, _LEAST_WATCHDOG_PERIODS, _LEAST_WATCHDOG_S = 20, 3, 0.1
+_LATENESS_S = 2e-3  # of a reply, beside the adapter's latency
 _INTERPOLATION_CYCLES = {"csp": 1.0, "csv": 0.5, "cst": 0.0}  # between set-points, beside half a period as for torques
 _REFUSALS = 10  # of commands, in a row: the drive does not take them
 
@@ -133,8 +134,9 @@ class SerialDrives:
             self._lanes.append(lane)
             lane.conversation.line.open()
             made.update((axis.name, axis) for axis in lane.axes)
+            notes = {name: self._prepare(lane, made[name], descriptions[name]) for name in names}
             for name in names:
-                facts[name] = self._connect_axis(lane, made[name], descriptions[name])
+                facts[name] = self._facts(lane, made[name], descriptions[name], notes[name])
         self._axes = [made[name] for name in self._configs]
         self._conversations = [lane.conversation for lane in self._lanes]
         return [facts[name] for name in self._configs]
@@ -165,22 +167,56 @@ class SerialDrives:
             slow = tuple(signal for signal in signals if signal in (*SLOW, *state_signals(description)))
             wanted[name] = Wanted(fast, slow, mode.commands)
             heard[name] = Wanted(fast, slow, ())
-            watchdog = watchdog_steps(description, self._watchdog_s(options[name]))
-            axes.append(SerialAxis(name, description, scales, images[name], mode.commands, watchdog))
+            before = (*mode.prepare, *watchdog_steps(description, self._watchdog_s(name)))
+            axes.append(SerialAxis(name, description, scales, images[name], mode.commands, before))
+            self._check_counter(name, scales)
         first = next(iter(options.values())).line
-        limit_s = 0.0 if protocol.numbers_replies else self._reply_limit_s(first)
-        conversation = Conversation(Line(first), list(images.values()), protocol.silence_chars, limit_s)
         listening = protocol.plan(heard)
         plan = listening if self._dry_run else protocol.plan(wanted)
+        line = Line(first)
+        limit_s = 0.0 if protocol.numbers_replies else self._reply_limit_s(line, plan, protocol.silence_chars)
+        conversation = Conversation(line, list(images.values()), protocol.silence_chars, limit_s)
         lane = _Lane(conversation, protocol, axes, listening, plan)
         if not first.is_tcp:
             check_rate(plan, self._longest_step(lane, descriptions), first, protocol.silence_chars, self._period_s)
         return lane
 
-    def _reply_limit_s(self, line: LineOptions) -> float:
-        """Time for which a drive that did not answer is not asked again: a lost reply alone must be no fault."""
-        bridged_s = self._configuration.realtime.max_missed * self._period_s
-        return line.reply_limit_s or min(_REPLY_LIMIT_S, _REPLY_LIMIT_SHARE * bridged_s)
+    def _reply_limit_s(self, line: Line, plan: Plan, silence_chars: float) -> float:
+        """Time for which a drive that did not answer is not asked again.
+
+        A lost reply alone must be no fault; but a reply must not be late by more than this.
+
+        Raises
+        ------
+        UsageError
+            The configuration's is shorter than replies may take.
+        """
+        options = line.options
+        longest_s = max(exchange_s(each, options, silence_chars) for each in (*plan.poll, *plan.turns, *plan.push))
+        least_s = (0.0 if options.is_tcp else longest_s) + _LATENESS_S + line.latency_s
+        if options.reply_limit_s is None:
+            bridged_s = self._configuration.realtime.max_missed * self._period_s
+            return max(least_s, min(_REPLY_LIMIT_S, _REPLY_LIMIT_SHARE * bridged_s))
+        if options.reply_limit_s < least_s:
+            raise UsageError(
+                f"line.reply_limit_s: {options.reply_limit_s:g} s is too short for {options.port}: a reply may take "
+                f"{least_s * 1e3:.3g} ms, and one that comes after the limit would be taken for a later one"
+            )
+        return options.reply_limit_s
+
+    def _check_counter(self, axis: str, scales: Scales) -> None:
+        """See that a counter cannot go half round while feedback is bridged."""
+        if scales.position_bits is None:
+            return
+        bridged_s = self._period_s * (self._configuration.realtime.max_missed + 1)
+        reach = self._configs[axis].limits.velocity * bridged_s
+        half = abs(scales.of["position"]) * 2.0 ** (scales.position_bits - 1)
+        if reach >= half:
+            raise UsageError(
+                f"{axis}: the position counter of {scales.position_bits} bits wraps within {2.0 * half:.4g}; at "
+                f"limits.velocity the axis moves by {reach:.4g} in the {bridged_s:g} s for which lost feedback is "
+                "bridged: lower the limit, the period or realtime.max_missed"
+            )
 
     def _longest_step(self, lane: _Lane, descriptions: Mapping[str, Description]) -> Exchange | None:
         """The exchange of a sequence that takes longest beside the cycle."""
@@ -195,13 +231,17 @@ class SerialDrives:
             steps += [lane.write(name, step.write) for step in every]
         return max(steps, key=lambda step: step.request_size + step.reply_size, default=None)
 
-    def _connect_axis(self, lane: _Lane, axis: SerialAxis, description: Description) -> AxisFacts:
+    def _prepare(self, lane: _Lane, axis: SerialAxis, description: Description) -> list[str]:
+        """Read all that an axis tells, write what has to be there before it is enabled; what the user should know."""
         config, options = self._configs[axis.name], _options(self._configs[axis.name])
         line = lane.conversation.line
         notes = [*line.notes(), *_inferred(description)]
         for name in [n for n in description.units() if n in (*FAST, *SLOW, *axis.state_signals)]:
             self._talk(lane, axis.name, lane.protocol.read(axis.name, (name,)))
         state = axis.read_state()
+        if state is DriveState.UNKNOWN and not self._dry_run:
+            told = ", ".join(f"{name} = {axis.image.values[name]:g}" for name in axis.state_signals)
+            raise DriveError(f"{axis.name}: the drive tells no state that its description knows: {told}")
         if state.is_powered and not self._dry_run:
             raise DriveError(
                 f"{axis.name}: the drive is in state {state.name.lower().replace('_', ' ')} already: another master "
@@ -212,20 +252,26 @@ class SerialDrives:
                 self._write(lane, axis, step)
             notes += self._arm_watchdog(lane, axis, description, options)
         axis.hold()
+        return notes
+
+    def _facts(self, lane: _Lane, axis: SerialAxis, description: Description, notes: list[str]) -> AxisFacts:
+        config, options = self._configs[axis.name], _options(self._configs[axis.name])
+        line, scales = lane.conversation.line, axis.scales
         poll_s = self._measure(lane) if self._clock.is_real else 0.0
         if not line.options.is_tcp:
             longest = self._longest_step(lane, {axis.name: description})
             silence = lane.protocol.silence_chars
             notes.append(check_rate(lane.plan, longest, line.options, silence, self._period_s))
         delay = _actuation_delay_s(lane, poll_s, self._period_s)
-        scales = make_scales(
-            axis.name, description, options.units, kind=config.model.axis, is_inverted=options.is_inverted
-        )
+        signals = description.units()
+        resolution = abs(scales.of["position"]) * signals["position"].step
+        if options.counts_per_unit is not None:  # a position in turns is printed finer than the encoder is
+            resolution = max(resolution, 1.0 / options.counts_per_unit)
         return AxisFacts(
             name=axis.name,
             identity=f"{description.name}, {options.address} on {line.options.port}",
-            position_resolution=abs(scales.of["position"]),
-            torque_resolution=abs(scales.of["torque_command"]),
+            position_resolution=resolution,
+            torque_resolution=abs(scales.of["torque_command"]) * signals["torque_command"].step,
             setpoint_delay_s=_setpoint_delay_s(delay, config.mode, options.setpoint_delay_cycles, self._period_s),
             actuation_delay_s=delay,
             notes=tuple(notes),
@@ -241,13 +287,17 @@ class SerialDrives:
                     "dies, its torque stays. Set is_watchdog_required: false to accept that"
                 )
             return ["the drive does NOT watch the daemon: if the daemon dies, its last torque stays"]
-        time_s = self._watchdog_s(options)
+        time_s = self._watchdog_s(axis.name)
         for step in watchdog_steps(description, time_s):
             self._write(lane, axis, step)
         return [f"the drive watches the daemon: {time_s * 1e3:g} ms without a command end its torque"]
 
-    def _watchdog_s(self, options: SerialOptions) -> float:
-        return options.watchdog_s or max(_WATCHDOG_PERIODS * self._period_s, _LEAST_WATCHDOG_S)
+    def _watchdog_s(self, axis: str) -> float:
+        given = _options(self._configs[axis]).watchdog_s
+        least_s = _LEAST_WATCHDOG_PERIODS * self._period_s
+        if given is not None and given < least_s:
+            raise UsageError(f"{axis}: watchdog_s: {given:g} s is less than three periods, {least_s:g} s")
+        return given or max(_WATCHDOG_PERIODS * self._period_s, _LEAST_WATCHDOG_S)
 
     def _write(self, lane: _Lane, axis: SerialAxis, step: Step) -> None:
         """Write a step of the preparations, wait for what it should lead to."""
@@ -386,26 +436,30 @@ class SerialDrives:
         """See that no drive keeps its power, and leave the lines."""
         try:
             if self._is_started and self._is_commanding:
-                with contextlib.suppress(BusError, DriveError):
-                    self._part()
+                for lane in self._lanes:
+                    self._part(lane)
         finally:
             for lane in self._lanes:
                 lane.conversation.line.close()
             self._is_started = False
 
-    def _part(self) -> None:
-        """Write zero commands and go through the way to disabled once more; nobody may be listening any more."""
-        for lane in self._lanes:
-            if not lane.conversation.line.is_open:
-                continue
-            for axis in lane.axes:
-                axis.hold()
-            for exchange in lane.plan.push or lane.plan.poll:
-                self._talk(lane, lane.axes[0].name, exchange, attempts=1)
-            for axis in lane.axes:
-                for write in axis.parting():
-                    axis.image.values.update(write)
-                    self._talk(lane, axis.name, lane.write(axis.name, write), attempts=1)
+    def _part(self, lane: _Lane) -> None:
+        """Disable every drive of a line and write zero commands, whoever else does not answer."""
+        farewell = []
+        for axis in lane.axes:
+            axis.hold()
+            farewell += [(axis, write) for write in axis.parting()]
+        for axis, write in farewell:
+            axis.image.values.update(write)
+            self._try(lane, axis.name, lane.write(axis.name, write))
+        for exchange in (*lane.plan.poll, *lane.plan.push):
+            if exchange.writes:
+                self._try(lane, lane.axes[0].name, exchange)
+
+    def _try(self, lane: _Lane, axis: str, exchange: Exchange) -> None:
+        with contextlib.suppress(BusError, DriveError):
+            if lane.conversation.line.is_open:
+                self._talk(lane, axis, exchange, attempts=1)
 
 
 def _actuation_delay_s(lane: _Lane, poll_s: float, period_s: float) -> float:

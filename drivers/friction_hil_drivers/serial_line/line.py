@@ -98,16 +98,22 @@ class Line:
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket, self.descriptor = connection, connection.fileno()
 
+    @property
+    def latency_s(self) -> float:
+        """Time for which a USB adapter holds short replies back; 0 where nothing says so."""
+        name = Path(self.options.port).resolve().name
+        with contextlib.suppress(OSError, ValueError):
+            return 1e-3 * int(Path(f"/sys/bus/usb-serial/devices/{name}/latency_timer").read_text())
+        return 0.0
+
     def notes(self) -> list[str]:
         """What slows the line down, for people."""
         name = Path(self.options.port).resolve().name
-        with contextlib.suppress(OSError, ValueError):
-            latency_ms = int(Path(f"/sys/bus/usb-serial/devices/{name}/latency_timer").read_text())
-            if latency_ms > _GOOD_LATENCY_MS:
-                return [
-                    f"the USB adapter {name} holds short replies back for {latency_ms} ms; as root: "
-                    f"echo 1 > /sys/bus/usb-serial/devices/{name}/latency_timer"
-                ]
+        if (latency_ms := round(1e3 * self.latency_s)) > _GOOD_LATENCY_MS:
+            return [
+                f"the USB adapter {name} holds short replies back for {latency_ms} ms; as root: "
+                f"echo 1 > /sys/bus/usb-serial/devices/{name}/latency_timer"
+            ]
         return []
 
     def read(self) -> bytes:

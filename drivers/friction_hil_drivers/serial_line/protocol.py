@@ -67,6 +67,11 @@ class Exchange(Protocol):
     request_size: int  # characters on the line, the most there can be
     reply_size: int  # likewise; 0: no reply comes
 
+    @property
+    def unanswered(self) -> frozenset[str]:
+        """Addressees that have not answered yet."""
+        ...
+
     def encode(self) -> bytes:
         """Make the request, from the images' values where it writes.
 

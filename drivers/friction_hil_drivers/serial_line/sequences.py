@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 
 from friction_hil.drive import DriveState, Request
+from friction_hil.errors import UsageError
 from friction_hil_drivers.cia402 import profile
 from friction_hil_drivers.serial_line.description import STATES, Description, Step
 
@@ -40,9 +41,9 @@ class Sequencer:
     Parameters
     ----------
     description : Description
-    watchdog : sequence of Step
-        Written before the drive is enabled, each time: a restart of the drive or the reset of a fault may have
-        switched its watchdog off.
+    before : sequence of Step
+        Written before the drive is enabled, each time: its mode and its watchdog, which a restart of the drive or the
+        reset of a fault may have changed.
 
     Attributes
     ----------
@@ -50,9 +51,9 @@ class Sequencer:
         The step that the drive does not follow, in words; empty while it does.
     """
 
-    def __init__(self, description: Description, watchdog: Sequence[Step] = ()) -> None:
+    def __init__(self, description: Description, before: Sequence[Step] = ()) -> None:
         self._description = description
-        self._watchdog = tuple(watchdog)
+        self._before = tuple(before)
         self._request = Request.LISTEN
         self._steps: tuple[Step, ...] = ()
         self._index = 0
@@ -96,7 +97,7 @@ class Sequencer:
     def _sequence(self, request: Request) -> tuple[Step, ...]:
         description = self._description
         return {
-            Request.ENABLE: (*self._watchdog, *description.enable),
+            Request.ENABLE: (*self._before, *description.enable),
             Request.DISABLE: description.disable,
             Request.QUICK_STOP: description.quick_stop or description.disable,
             Request.RESET_FAULT: description.reset_fault,
@@ -118,11 +119,25 @@ class Sequencer:
 
 
 def watchdog_steps(description: Description, time_s: float) -> tuple[Step, ...]:
-    """Steps that make the drive watch the daemon; none where it cannot."""
+    """Steps that make the drive watch the daemon; none where it cannot.
+
+    Raises
+    ------
+    UsageError
+        So short a time is none for the drive.
+    """
     watchdog = description.watchdog
     if watchdog is None:
         return ()
-    number = time_s / description.units()[watchdog.signal].scale
+    signal = description.units()[watchdog.signal]
+    number = time_s / signal.scale
+    if signal.counter_bits is not None:
+        number = round(number)
+    if number <= 0.0:
+        raise UsageError(
+            f"{description.name} counts the time of its watchdog in steps of {signal.scale:g} s: {time_s:g} s would "
+            "switch it off; give a longer watchdog_s"
+        )
     return Step(write={watchdog.signal: number}), *watchdog.enable
 
 
