@@ -9,7 +9,6 @@ import json
 import os
 import struct
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -33,6 +32,7 @@ _CHUNK_LIMIT = 1 << 30  # bytes; a larger claim is damage, and must not become a
 _OPCODES = frozenset(Opcode) | frozenset(range(0x80, 0x100))  # the upper half is private, to be skipped
 _BAD_RECORD = (McapError, ValueError, OverflowError, struct.error)
 _CHUNK_HEADER = struct.Struct("<QQQII")  # two times, size and CRC of the content, length of the compression's name
+_ZSTD = zstandard.ZstdDecompressor()
 _FIRST_ROWS = 4096
 _MOST_GROWTH = 256
 _FEWEST_AHEAD = 16  # messages
@@ -130,8 +130,7 @@ class McapContent:
         self._is_data_complete = False
         self._first_log_time: int | None = None
         self._ahead: dict[int, int] = {}  # by the length of messages: how many to look at at once
-        self._opening: tuple[Future[bytes], _Chunk, int] | None = None  # a chunk, and which of them it is
-        with path.open("rb") as file, ThreadPoolExecutor(1) as self._opener:
+        with path.open("rb") as file:
             self._read(file)
         for channel in tuple(self.runs):
             self._rows_of(channel)
@@ -148,21 +147,9 @@ class McapContent:
                 self._check_end(body, crc)
             crc = crc32(body, crc32(header, crc))
             try:
-                self._take_from_file(opcode, body)
+                self._take(opcode, body)
             except _BAD_RECORD as error:
                 self.problems.append(f"a {Opcode(opcode).name.lower()} record is damaged ({error}): left out")
-        self._finish_chunk()
-
-    def _take_from_file(self, opcode: int, body: bytes) -> None:
-        """Take a record; the data of a chunk are opened by another thread while those before are taken."""
-        chunk = _parse_chunk(body) if opcode == Opcode.CHUNK else None
-        opening = None if chunk is None else self._opener.submit(_open, chunk)
-        self._finish_chunk()
-        if chunk is None or opening is None:
-            self._take(opcode, body)
-        else:
-            self._chunks += 1
-            self._opening = opening, chunk, self._chunks
 
     def _records(self, file: BinaryIO) -> Iterator[tuple[int, bytes, bytes]]:
         """Records of the file up to its footer, or up to the first place that makes no sense."""
@@ -175,7 +162,6 @@ class McapContent:
                 return
             opcode, length = _HEADER.unpack(header)
             if length > size - file.tell():
-                self._finish_chunk()  # the times of what is lost count from the first row
                 lost = f"the {size - at} bytes from there and what followed are lost"
                 if opcode == Opcode.CHUNK and size - file.tell() >= 16:
                     span = self._span(*struct.unpack("<QQ", file.read(16)))
@@ -194,7 +180,6 @@ class McapContent:
             yield opcode, header, body
 
     def _note_end(self, what: str, lost: str) -> None:
-        self._finish_chunk()
         self.problems.append(f"the file {what}: {'all its rows are there' if self._is_data_complete else lost}")
 
     def _check_end(self, body: bytes, crc: int) -> None:
@@ -203,7 +188,10 @@ class McapContent:
             self.problems.append("the file is damaged: the checksum over its data does not agree")
 
     def _take(self, opcode: int, body: bytes) -> None:
-        if opcode == Opcode.SCHEMA:
+        if opcode == Opcode.CHUNK:
+            self._chunks += 1
+            self._take_chunk(_parse_chunk(body))
+        elif opcode == Opcode.SCHEMA:
             schema = Schema.read(_stream(body))
             self.schemas.setdefault(schema.id, schema)
         elif opcode == Opcode.CHANNEL:
@@ -217,23 +205,18 @@ class McapContent:
         elif opcode == Opcode.MESSAGE:
             raise RecordingError(f"{self.path} is not chunked, which is needed; `mcap recover` rewrites it")
 
-    def _finish_chunk(self) -> None:
-        """Take the records of the chunk that is being opened."""
-        if self._opening is None:
-            return
-        (opening, chunk, number), self._opening = self._opening, None
+    def _take_chunk(self, chunk: _Chunk) -> None:
         try:
-            data = opening.result()
+            data = _decompress(chunk)
+            if chunk.crc not in (0, crc32(data)):
+                raise ValueError("its checksum does not agree")
         except _BAD_RECORD as error:
             span = self._span(chunk.start_ns, chunk.end_ns)
-            self.problems.append(f"chunk {number} is damaged ({error}): the rows {span} are lost")
+            self.problems.append(f"chunk {self._chunks} is damaged ({error}): the rows {span} are lost")
             return
         if self._first_log_time is None:
             self._first_log_time = chunk.start_ns
-        try:
-            self._walk(data)
-        except _BAD_RECORD as error:
-            self.problems.append(f"a chunk record is damaged ({error}): left out")
+        self._walk(data)
 
     def _walk(self, data: bytes) -> None:
         """Take every record of a chunk; messages of one size after each other are taken as one array."""
@@ -322,13 +305,6 @@ def _parse_chunk(body: bytes) -> _Chunk:
     return _Chunk(start_ns, end_ns, size, crc, compression, memoryview(body)[at + 8 : at + 8 + length])
 
 
-def _open(chunk: _Chunk) -> bytes:
-    data = _decompress(chunk)
-    if chunk.crc not in (0, crc32(data)):
-        raise ValueError("its checksum does not agree")
-    return data
-
-
 def _decompress(chunk: _Chunk) -> bytes:
     size = chunk.size
     if size > _CHUNK_LIMIT:
@@ -338,7 +314,7 @@ def _decompress(chunk: _Chunk) -> bytes:
             claimed = zstandard.get_frame_parameters(chunk.data).content_size
             if claimed not in (size, zstandard.CONTENTSIZE_UNKNOWN):
                 raise ValueError(f"it claims {claimed} bytes, its record {size}")
-            return zstandard.ZstdDecompressor().decompress(chunk.data, max_output_size=size)
+            return _ZSTD.decompress(chunk.data, max_output_size=size)
         except zstandard.ZstdError as error:
             raise ValueError(str(error)) from None
     if chunk.compression == "lz4":

@@ -7,12 +7,10 @@ against the model alone. Files are made for it, and removed.
 
 import json
 import tempfile
-import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from statistics import median
 from typing import Any
 
 import numpy as np
@@ -27,13 +25,12 @@ from friction_hil.recordings.mcap_format import ROW_SCHEMA
 from friction_hil.replay import replay
 from tools.benchmarks import models
 from tools.benchmarks.models import DT, Work, example, in_turns
-from tools.benchmarks.report import Row, against, compare, note, rounds
+from tools.benchmarks.report import Row, compare, note
 
 Columns = dict[str, Array]
 Read = Callable[[Path], Columns]
 
 ROWS = 60_000
-TARGET_ROWS = 2.0  # million rows a second
 TEXT_ROWS = 5_000  # text is a hundred times as slow
 NEEDED = ("time_s", "position", "velocity", "torque")
 LUGRE = "lugre:sigma0=2000,sigma1=1,coulomb=0.08,static=0.12,stribeck_velocity=0.2"
@@ -162,7 +159,6 @@ def run() -> list[Row]:
         path = paths[".mcap"]
         work["needed"] = 1, partial(fh.recordings.read, path, only=NEEDED)
         times = in_turns(work, "reading")
-        clocked = [by_the_clock(path, NEEDED), by_the_clock(path, None)]
     return [
         *(
             compare(
@@ -175,24 +171,8 @@ def run() -> list[Row]:
         ),
         rate(f"MCAP, {len(NEEDED)} of {len(NAMES)} columns (mcap)", "rows", times["needed"], times["library .mcap"]),
         rate(f"MCAP, all {len(NAMES)} columns (mcap)", "rows", times[".mcap"], times["library .mcap"]),
-        *clocked,
         lugre(),
     ]
-
-
-def by_the_clock(path: Path, only: Sequence[str] | None) -> Row:
-    """Rows a second as a user has them: a second thread opens what comes next."""
-    seconds = []
-    for _ in rounds(models.ROUNDS, "reading MCAP"):
-        began = time.perf_counter()
-        fh.recordings.read(path, only=only)
-        seconds.append(time.perf_counter() - began)
-    return against(
-        TARGET_ROWS,
-        f"MCAP, {len(only or NAMES)} columns, by the clock (target)",
-        "M rows/s",
-        ROWS / median(seconds) / 1e6,
-    )
 
 
 def written(folder: Path) -> dict[str, Path]:
