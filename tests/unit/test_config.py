@@ -170,7 +170,9 @@ def test_a_missing_key_is_told_at_its_parent(path):
 def test_a_driver_without_simulated_drive(path):
     [problem] = problems_in(path, GOOD.replace("    driver: fake\n", "    driver: unsimulated\n"))
     assert (problem.line, problem.field) == (43, "axes.x.simulation")
-    assert problem.message.startswith("simulated drives exist for canopen, fake: no driver is called 'unsimulated'")
+    assert problem.message.startswith(
+        "simulated drives exist for ascii, canopen, dynamixel, fake, modbus: no driver is called"
+    )
 
 
 def test_all_mistakes_are_told_at_once(path):
