@@ -173,6 +173,21 @@ def test_a_late_reply_that_comes_in_pieces_is_waited_for_without_spinning():
     assert bench.talk.due_ns > bench.time.ns
 
 
+def test_who_owes_a_reply_goes_on_owing_it_when_another_one_speaks():
+    bench = Bench()
+    bench.talk.ask((Ask(bench.image, "first", "first"),))
+    bench.go(5.0)
+    bench.talk.give_up()
+    bench.talk.ask((Ask(bench.image, "second", "second"),))
+    bench.go(5.0)
+    bench.talk.give_up()
+    bench.line.arrived += b"of the second one;"  # no reply to the first request
+    bench.go(5.0)
+    bench.talk.ask((Ask(bench.image, "first", "first"),))
+    bench.go(5.0)
+    assert bench.line.sent == [b"first?", b"second?"]
+
+
 def test_a_late_reply_does_not_touch_what_is_fresh_of_another_drive():
     bench = Bench(**{"there?": b"2;"})
     bench.talk.ask((Ask(bench.image, "silent", "first"),))

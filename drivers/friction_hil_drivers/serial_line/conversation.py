@@ -167,12 +167,14 @@ class Conversation:
             try:
                 is_complete = exchange.take(self._received)
             except ReplyError as error:
+                # of another one who owes a reply, or broken: who did not answer goes on owing
                 self.refused += 1
-                is_complete, self._is_settling = True, not error.is_complete
+                is_complete, self._is_settling = False, True
+                self.trouble = f"late, {exchange.what}: {error}"
             for image, names in zip(self._images, fresh, strict=True):
                 image.fresh = names
             if is_complete:
-                self.late += not self._is_settling
+                self.late += 1
                 del self._owed[0]
                 self._quiet_until_ns = now + self._silence_ns
         self._owed = [(exchange, until) for exchange, until in self._owed if now < until]
