@@ -23,6 +23,7 @@ from friction_hil.config import Configuration
 from friction_hil.drive import Command, DriveState, Feedback, Request, load_driver
 from friction_hil.errors import FrictionHilError
 from friction_hil.realtime import RealClock, punctuality
+from friction_hil.servo.config import TrueFriction
 from tools.benchmarks.report import Row, against, note
 
 CYCLES = 2000
@@ -34,18 +35,6 @@ LEAST_REDUCTION = 2.0
 CIRCLE_S = 12.0
 _COMMAND = [sys.executable, "-m", "friction_hil"]
 _COUNTS = 2**20 / 6.283185307179586
-_FRICTION = {
-    "model": "lugre",
-    "parameters": {
-        "sigma0": 2000.0,
-        "sigma1": 1.0,
-        "sigma2": 2e-3,
-        "coulomb": 0.08,
-        "static": 0.12,
-        "stribeck_velocity": 0.2,
-        "damping_velocity": 0.2,
-    },
-}
 MODBUS = {"driver": "modbus", "description": "generic_cia402", "counts_per_unit": _COUNTS, "rated_torque": 0.64}
 ODRIVE = {"driver": "ascii", "description": "odrive", "torque_constant": 0.1}
 
@@ -74,6 +63,7 @@ def run() -> list[Row]:
 
 def _configuration(folder: Path, drive: dict[str, Any], baud: int, period_s: float, **changes: Any) -> Path:
     """Write the configuration of one axis; return its path."""
+    believed = TrueFriction()  # that of the simulated drive
     axis = {
         **drive,
         "line": {"port": str(folder / "line"), "baud": baud},
@@ -81,7 +71,7 @@ def _configuration(folder: Path, drive: dict[str, Any], baud: int, period_s: flo
         "limits": {"torque": 0.6, "velocity": 30.0, "following_error": 2.0},
         "model": {
             "axis": "rotary",
-            "friction": _FRICTION,
+            "friction": {"model": believed.model, "parameters": believed.parameters},
             "mechanics": {"inertia": 2e-4, "torque_lag_s": 3e-4},
         },
         "controller": {"position_gain": 15.0, "velocity_gain": 0.03, "integral_hz": 1.0},

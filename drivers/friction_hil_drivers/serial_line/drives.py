@@ -60,6 +60,7 @@ class _Lane:
     axes: list[SerialAxis]
     listening: Plan
     plan: Plan  # the same as listening in a dry run
+    rate: str  # what a cycle takes on the wire, for people
     turn: int = 0
     is_step_sent: bool = False  # in the cycle before, in the place of a turn
     first: int = 0  # axis that may send a step first
@@ -135,8 +136,9 @@ class SerialDrives:
             lane.conversation.line.open()
             made.update((axis.name, axis) for axis in lane.axes)
             notes = {name: self._prepare(lane, made[name], descriptions[name]) for name in names}
+            delay_s = _actuation_delay_s(lane, self._measure(lane) if self._clock.is_real else 0.0, self._period_s)
             for name in names:
-                facts[name] = self._facts(lane, made[name], descriptions[name], notes[name])
+                facts[name] = self._facts(lane, made[name], descriptions[name], delay_s, notes[name])
         self._axes = [made[name] for name in self._configs]
         self._conversations = [lane.conversation for lane in self._lanes]
         return [facts[name] for name in self._configs]
@@ -176,9 +178,10 @@ class SerialDrives:
         line = Line(first)
         limit_s = 0.0 if protocol.numbers_replies else self._reply_limit_s(line, plan, protocol.silence_chars)
         conversation = Conversation(line, list(images.values()), protocol.silence_chars, limit_s)
-        lane = _Lane(conversation, protocol, axes, listening, plan)
+        lane = _Lane(conversation, protocol, axes, listening, plan, rate="")
         if not first.is_tcp:
-            check_rate(plan, self._longest_step(lane, descriptions), first, protocol.silence_chars, self._period_s)
+            step = self._longest_step(lane, descriptions)
+            lane.rate = check_rate(plan, step, first, protocol.silence_chars, self._period_s)
         return lane
 
     def _reply_limit_s(self, line: Line, plan: Plan, silence_chars: float) -> float:
@@ -254,15 +257,11 @@ class SerialDrives:
         axis.hold()
         return notes
 
-    def _facts(self, lane: _Lane, axis: SerialAxis, description: Description, notes: list[str]) -> AxisFacts:
+    def _facts(
+        self, lane: _Lane, axis: SerialAxis, description: Description, delay_s: float, notes: list[str]
+    ) -> AxisFacts:
         config, options = self._configs[axis.name], _options(self._configs[axis.name])
         line, scales = lane.conversation.line, axis.scales
-        poll_s = self._measure(lane) if self._clock.is_real else 0.0
-        if not line.options.is_tcp:
-            longest = self._longest_step(lane, {axis.name: description})
-            silence = lane.protocol.silence_chars
-            notes.append(check_rate(lane.plan, longest, line.options, silence, self._period_s))
-        delay = _actuation_delay_s(lane, poll_s, self._period_s)
         signals = description.units()
         resolution = abs(scales.of["position"]) * signals["position"].step
         if options.counts_per_unit is not None:  # a position in turns is printed finer than the encoder is
@@ -272,9 +271,9 @@ class SerialDrives:
             identity=f"{description.name}, {options.address} on {line.options.port}",
             position_resolution=resolution,
             torque_resolution=abs(scales.of["torque_command"]) * signals["torque_command"].step,
-            setpoint_delay_s=_setpoint_delay_s(delay, config.mode, options.setpoint_delay_cycles, self._period_s),
-            actuation_delay_s=delay,
-            notes=tuple(notes),
+            setpoint_delay_s=_setpoint_delay_s(delay_s, config.mode, options.setpoint_delay_cycles, self._period_s),
+            actuation_delay_s=delay_s,
+            notes=(*notes, lane.rate) if lane.rate else tuple(notes),
         )
 
     def _arm_watchdog(
