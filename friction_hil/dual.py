@@ -34,7 +34,7 @@ from numba.np.arrayobj import populate_array
 
 from friction_hil.jit import OPTIONS
 
-WIDTH = 6  # as many parameters as LuGre has with a constant sigma1; more of them take several runs
+WIDTH = 7  # as many as identification looks for in a LuGre with directions; more parameters take several runs
 
 intrinsic: Any = numba.extending.intrinsic  # for mypy: what it makes has other arguments than what it decorates
 

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 
 from friction_hil import filtering
 from friction_hil.errors import RecordingError, UsageError, choices
-from friction_hil.identification import filters
 from friction_hil.jit import Array
 from friction_hil.recordings import Recording
 from friction_hil.recordings.even import EvenParts, even_grid
@@ -97,12 +96,12 @@ class Record:
         is left (4 parts in 10,000 of the highest frequency) and costs as much as the model.
         """
         if self.lowpass_hz is not None and not self._is_lowpass_idle:
-            values = filters.lowpass(values, self.lowpass_hz, self.rate_hz)
+            values = filtering.lowpass(values, self.lowpass_hz, self.rate_hz)
         return self.reduce_smooth(values)
 
     def reduce_smooth(self, values: Array) -> Array:
         """`reduce` of what comes from the low-passed position."""
-        reduced = filters.decimate(values[self.begin : self.end], self.decimation)
+        reduced = filtering.decimate(values[self.begin : self.end], self.decimation)
         return reduced if self.is_moving is None else reduced[self.is_moving]
 
     def reduced_torque(self) -> Array:
@@ -233,7 +232,7 @@ def _record(
     columns = {name: np.ascontiguousarray(values[part]) for name, values in grid.columns.items()}
     position, n = columns["position"], part.stop - part.start
     if lowpass_hz is not None:
-        position = filters.lowpass(position, lowpass_hz, grid.rate_hz)
+        position = filtering.lowpass(position, lowpass_hz, grid.rate_hz)
     has_velocity = "velocity" in columns and lowpass_hz is None
     velocity = columns["velocity"] if has_velocity else np.gradient(position, 1.0 / grid.rate_hz)
     end = n - settling

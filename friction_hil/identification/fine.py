@@ -10,6 +10,7 @@ for each band, S. Boll, IEEE Transactions on Acoustics, Speech and Signal Proces
 P. Vary, R. Martin, Digital Speech Transmission, 2006, section 11.4).
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -35,6 +36,7 @@ ROWS_HZ = 200.0  # of the regression
 _RESIDUAL_HZ, _RESIDUAL_WIDTH_HZ = 80.0, 60.0
 _EDGE_S = 1.0
 _ATTENUATION_DB = 80.0
+_LONG = 400  # taps from which on Fourier transforms are faster
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -260,9 +262,7 @@ def _band_edges(rate_hz: float) -> list[float]:
 
 def _local_power(values: Array, samples: float) -> Array:
     """Mean square over about two times ``samples``."""
-    from scipy import signal
-
-    window = signal.windows.hann(2 * round(samples) + 3)
+    window = np.hanning(2 * round(samples) + 3)
     return _centred(values * values, window / window.sum())
 
 
@@ -279,21 +279,31 @@ def _padded(kernel: Array, size: int) -> Array:
 
 @cache
 def _fir(cut_hz: float, width_hz: float, rate_hz: float, is_even: bool = False) -> Array:
-    """Symmetric low-pass, 80 dB; Kaiser's window."""
-    from scipy import signal
+    """Symmetric low-pass, 80 dB.
 
-    taps, beta = signal.kaiserord(_ATTENUATION_DB, width_hz / (0.5 * rate_hz))
+    Source of length and window: J. F. Kaiser, Nonrecursive digital filter design using the I0-sinh window function,
+    IEEE International Symposium on Circuits and Systems, 1974.
+    """
+    taps = math.ceil((_ATTENUATION_DB - 7.95) / (2.285 * math.tau * width_hz / rate_hz)) + 1
     taps += (taps % 2 == 0) != is_even
-    kernel: Array = signal.firwin(taps, cut_hz, window=("kaiser", beta), fs=rate_hz)
+    kernel: Array = np.sinc(2.0 * cut_hz / rate_hz * (np.arange(taps) - 0.5 * (taps - 1)))
+    kernel *= np.kaiser(taps, 0.1102 * (_ATTENUATION_DB - 8.7))
+    kernel /= kernel.sum()
     return kernel
 
 
 def _centred(values: Array, kernel: Array) -> Array:
     """``values`` (n,) through a symmetric FIR of odd length, without delay, as if they were zero outside."""
-    from scipy import signal
+    padded = _convolved(values, kernel) if kernel.size > _LONG else np.convolve(values, kernel)
+    return padded[kernel.size // 2 :][: len(values)]
 
-    padded: Any = signal.oaconvolve(values, kernel) if kernel.size > 400 else np.convolve(values, kernel)
-    return np.asarray(padded[kernel.size // 2 :][: len(values)])
+
+def _convolved(values: Array, kernel: Array) -> Array:
+    """`np.convolve` by Fourier transforms."""
+    size = values.size + kernel.size - 1
+    room = 1 << (size - 1).bit_length()
+    product: Array = np.fft.irfft(np.fft.rfft(values, room) * np.fft.rfft(kernel, room), room)
+    return product[:size]
 
 
 def local_rms(values: Array, seconds: float) -> Array:

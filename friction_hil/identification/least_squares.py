@@ -15,6 +15,7 @@ from friction_hil.jit import Array, compiled
 _FIRST_DAMPING = 1e-6
 _LEAST_GAIN = 1e-4  # of the decrease that the linear model promises: a smaller one is no step
 _TRIALS = 12  # dampings before a search gives up
+_LEAST_CHANGE = 0.3  # of a refused step: one that differs by less is not worth an evaluation
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +79,10 @@ def project_out(basis: Array, values: Array) -> None:
                 values[k, j] -= basis[k, i] * share[i, j]
 
 
+def _norm(values: Array) -> float:
+    return math.sqrt(values @ values)
+
+
 def minimise(
     residual: Callable[[Array], tuple[Array, Array]],
     start: Array,
@@ -119,6 +124,7 @@ def minimise(
             return Solution(at, r, jacobian, cost, calls, True)
         size = scale[free]
         scaled = matrix[np.ix_(free, free)] / np.outer(size, size)
+        refused: Array | None = None
         for _ in range(_TRIALS):
             damped = scaled + damping * np.eye(free.size)
             step = np.zeros(len(at))
@@ -127,6 +133,10 @@ def minimise(
                 step = np.clip(step, -longest, longest)
             trial = np.clip(at + step, lower, upper)
             step = trial - at
+            if refused is not None and _norm(scale * (step - refused)) < _LEAST_CHANGE * _norm(scale * refused):
+                damping = max(10.0 * damping, 1e-5)
+                continue
+            refused = step
             predicted = -float(2.0 * gradient @ step + step @ matrix @ step)
             r_trial, jacobian_trial = residual(trial)
             calls += 1

@@ -26,6 +26,7 @@ _LONGEST_STEP = 2.0  # of a logarithm: a factor of seven
 _REMEMBERED = 6  # evaluations
 _RANK = 1e-9  # of a column's norm: what is left of one that the columns before it make up
 _COLLINEAR = 1e-7  # likewise, of a derivative
+_REFIT_DAMPING = 0.1  # of columns of length 1
 _ROUNDS = 4  # of reweighting
 _NORMAL_MAD = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
 ROBUST_DEVIATIONS = 3.0  # beyond which a residual counts less
@@ -105,6 +106,7 @@ class Problem:
             [_LONGEST_STEP if each.is_log else math.inf for each in structure.coordinates], dtype=float
         )
         self._known: dict[bytes, tuple[Array, Array]] = {}
+        self._rooms: list[tuple[Array, Array]] | None = None  # for torque and gradient at the full rate
         self._given = np.zeros(len(data))
         for name, value in self.held.items():
             self._given += value * data.column(name)
@@ -121,34 +123,33 @@ class Problem:
     def _friction(self, coordinates: Array) -> tuple[Array, Array]:
         """Torque (k,) of friction without its linear part, and its derivatives (k, m); NaN where there is no model."""
         structure, records = self.structure, self.data.records
-        torques, gradients = [], []
         try:
             model = structure.model(structure.values(coordinates))
         except UsageError:
             return np.full(len(self.data), math.nan), np.zeros((len(self.data), len(coordinates)))
-        names = [name for each in structure.coordinates for name in each.names]
         # gamma in a logarithm and the like: derivative of each parameter with respect to its coordinate
-        chain = np.zeros((len(names), len(coordinates)))
-        for column, each in enumerate(structure.coordinates):
-            slope = each.outer(float(coordinates[column])) if each.is_log else 1.0
-            for name in each.names:
-                chain[names.index(name), column] = slope
+        slopes = [
+            each.outer(float(x)) if each.is_log else 1.0
+            for each, x in zip(structure.coordinates, coordinates, strict=True)
+        ]
+        directions = [dict.fromkeys(each.names, x) for each, x in zip(structure.coordinates, slopes, strict=True)]
+        if self._rooms is None:
+            self._rooms = [
+                (np.empty(record.velocity.size), np.empty((record.velocity.size, len(directions))))
+                for record in records
+            ]
         for number, record in enumerate(records):
-            torque, gradient = model.simulate_with_gradient(
+            model.simulate_with_gradient(
                 record.velocity,
                 record.dt,
-                free=names,
+                free=directions,
                 position=record.position,
                 load_torque=None if self.loads is None else self.loads[number],
                 temperature=record.temperature,
+                out=self._rooms[number],
             )
-            torques.append(torque)
-            gradients.append(gradient)
-        both = self.data.stack([np.column_stack(pair) for pair in zip(torques, gradients, strict=True)])
-        derivatives = np.zeros((len(self.data), len(coordinates)))
-        for row, column in zip(*np.nonzero(chain), strict=True):
-            derivatives[:, column] += chain[row, column] * both[:, 1 + row]
-        return both[:, 0], derivatives
+        torques, gradients = zip(*self._rooms, strict=True)
+        return self.data.stack(torques), self.data.stack(gradients)
 
     def search(
         self,
@@ -190,7 +191,8 @@ class Problem:
         """Coordinates that fit some rows (mask), found from those that fit all, and their friction torque (k,).
 
         One Gauss-Newton step, whose gradient is known already, does where the sum of squares falls by most of what
-        it promises; a search where it does not.
+        it promises; else one that is damped, since what the data hardly determine leads the step far away; a search
+        where neither does.
         """
         torque, gradient = self.friction(at)
         if not len(at):
@@ -199,22 +201,25 @@ class Problem:
         target = self.data.torque - self._given
         both = _rows(np.column_stack([target - torque, -gradient]), rows, weights)
         project_out(basis, both)
+        cost = float(np.sum(both[:, 0] ** 2))
         norms = np.linalg.norm(both[:, 1:], axis=0)
         is_free = (norms > _COLLINEAR * np.linalg.norm(gradient, axis=0)) & (at > self.lower) & (at < self.upper)
-        step = np.zeros(len(at))
         columns = both[:, 1:][:, is_free] / norms[is_free]
-        step[is_free] = np.linalg.lstsq(columns.T @ columns, -columns.T @ both[:, 0], rcond=1e-10)[0] / norms[is_free]
-        trial = np.clip(at + np.clip(step, -self.longest, self.longest), self.lower, self.upper)
-        try:
-            torque = self.friction_torque(trial)
-        except UsageError:
-            torque = np.full(len(target), math.nan)
-        after = _rows((target - torque)[:, None], rows, weights)
-        project_out(basis, after)
-        cost = float(np.sum(both[:, 0] ** 2))
-        promised = cost - float(np.sum((both[:, 0] + both[:, 1:] @ (trial - at)) ** 2))
-        if cost - float(np.sum(after**2)) >= 0.5 * promised:
-            return trial, torque
+        normal, slope = columns.T @ columns, columns.T @ both[:, 0]
+        for damping in (0.0, _REFIT_DAMPING):
+            step = np.zeros(len(at))
+            damped = normal + damping * np.eye(len(slope))
+            step[is_free] = np.linalg.lstsq(damped, -slope, rcond=1e-10)[0] / norms[is_free]
+            trial = np.clip(at + np.clip(step, -self.longest, self.longest), self.lower, self.upper)
+            try:
+                torque = self.friction_torque(trial)
+            except UsageError:
+                continue
+            after = _rows((target - torque)[:, None], rows, weights)
+            project_out(basis, after)
+            promised = cost - float(np.sum((both[:, 0] + both[:, 1:] @ (trial - at)) ** 2))
+            if cost - float(np.sum(after**2)) >= 0.5 * promised:
+                return trial, torque
         at = self.search(at, evaluations=evaluations, rows=rows, weights=weights, pinned=pinned, tolerance=1e-4).at
         return at, self.friction(at)[0]
 

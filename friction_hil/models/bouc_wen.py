@@ -21,6 +21,7 @@ _EXPONENT = Parameter(
 _SUBSTEPS = 32
 _LONGEST = 1e6  # path over the settled deflection: far beyond where everything has settled, and finite
 _PATH_PER_SUBSTEP = 0.125
+_SETTLING = 50.0  # path, over the settled deflection, after which nothing is left to settle in double precision
 _BLOCK = 256  # samples; their intermediate results stay in the nearest cache
 
 
@@ -88,13 +89,15 @@ def _deflected(p: Array, z: float, settled: float, sign: float, path: float) -> 
 
     With w = z sgn v over the settled deflection, dw/dx = 1 - w^n for w >= 0 and 1 + r |w|^n below. Rosenbrock-
     Euler steps, exact for n = 1 and otherwise of second order, never past z = 0 nor past the settled deflection;
-    after 32 of them what is left goes in one.
+    after 32 of them what is left goes in one. What has settled stays so: that takes no steps.
     """
     exponent, ratio, target = p[4], _ratio(p), settled * sign
     left = path
     for k in range(_SUBSTEPS):
         if left <= 0.0:
             break
+        if exponent != 1.0 and (z == target or (left > _SETTLING and z * target >= 0.0)):
+            return target
         h = left
         if exponent != 1.0 and k < _SUBSTEPS - 1 and h > _PATH_PER_SUBSTEP:
             h = _PATH_PER_SUBSTEP + 0.0 * h

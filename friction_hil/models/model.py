@@ -261,7 +261,7 @@ class FrictionModel:
         velocity: ArrayLike,
         dt: ArrayLike,
         *,
-        free: Sequence[str] | None = None,
+        free: Sequence[str | Mapping[str, float]] | None = None,
         position: ArrayLike | None = None,
         load_torque: ArrayLike | None = None,
         temperature: ArrayLike | None = None,
@@ -277,8 +277,9 @@ class FrictionModel:
         ----------
         velocity, dt, position, load_torque, temperature, applied_torque
             See `simulate`.
-        free : sequence of str, optional
-            Names among `free`, which is taken when not given.
+        free : sequence of str or mapping, optional
+            Names among `free`, which is taken when not given. A mapping of names to weights stands for the derivative
+            in that direction, the weighted sum of theirs: what several parameters have in common costs one column.
         out : pair of arrays, optional
             Where to write torque (n,) and gradient (n, m): contiguous, of float64. For a fit, which wants them many
             times: large new arrays cost more than the model.
@@ -297,23 +298,23 @@ class FrictionModel:
         """
         if self.network is not None:
             raise UsageError("a model with a network has no gradient here: a network is trained, not fitted")
-        names = self.free if free is None else tuple(free)
-        for name in names:
+        columns = [{each: 1.0} if isinstance(each, str) else each for each in (self.free if free is None else free)]
+        for name in chain.from_iterable(columns):
             if name not in self.free:
                 raise UsageError(f"{self.name} has no free parameter {name!r}; {choices(name, self.free)}")
         inputs = self._inputs(velocity, dt, position, load_torque, temperature, applied_torque)
         require_finite("velocity", inputs[0])
         samples = inputs[0].size
         if out is None:
-            torque, gradient = np.empty(samples), np.empty((samples, len(names)))
+            torque, gradient = np.empty(samples), np.empty((samples, len(columns)))
         else:
-            torque, gradient = checked_out(out[0], (samples,)), checked_out(out[1], (samples, len(names)))
-        for first in range(0, max(len(names), 1), WIDTH):
-            chunk = names[first : first + WIDTH]
+            torque, gradient = checked_out(out[0], (samples,)), checked_out(out[1], (samples, len(columns)))
+        for first in range(0, max(len(columns), 1), WIDTH):
             seeds = np.zeros((self.values.size, WIDTH))
-            for place, (free_name, factor) in enumerate(self._places):
-                if free_name in chunk:
-                    seeds[place, chunk.index(free_name)] = factor
+            for column, weights in enumerate(columns[first : first + WIDTH]):
+                for place, (free_name, factor) in enumerate(self._places):
+                    if free_name is not None and free_name in weights:
+                        seeds[place, column] = factor * weights[free_name]
             state, state_gradient = self.initial_state(), np.zeros((kernel.STATE_ROOM, WIDTH))
             sensitivity.run(
                 dispatch.tag(self.kind), self.values, seeds, state, state_gradient, *inputs, torque, gradient, first

@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from friction_hil import filtering
 from friction_hil.errors import UsageError
-from friction_hil.identification import filters
 from friction_hil.jit import Array
 from friction_hil.training.excitation import excitation
 from friction_hil.training.layout import Samples, join
@@ -80,7 +80,7 @@ def _of_record(record: "Record", mechanics: "Mechanics", base: "FrictionModel | 
             temperature=record.temperature,
         )
     if record.lowpass_hz is not None:
-        torque = filters.lowpass(torque, record.lowpass_hz, record.rate_hz)
+        torque = filtering.lowpass(torque, record.lowpass_hz, record.rate_hz)
     torque = torque - mechanics.inertia * record.acceleration
     weight = np.ones(len(torque))
     weight[: record.begin] = weight[record.end :] = 0.0  # what the filters make of the ends is run through only
@@ -99,7 +99,7 @@ def total_torque(records: "Sequence[Record]") -> Array:
     """Measured torque of records one after the other, low-passed as everything."""
     return np.concatenate(
         [
-            each.torque if each.lowpass_hz is None else filters.lowpass(each.torque, each.lowpass_hz, each.rate_hz)
+            each.torque if each.lowpass_hz is None else filtering.lowpass(each.torque, each.lowpass_hz, each.rate_hz)
             for each in records
         ]
     )

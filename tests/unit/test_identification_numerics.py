@@ -5,13 +5,13 @@ import math
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from scipy import optimize
+from scipy import optimize, signal
 
 import friction_hil as fh
 from friction_hil import filtering
 from friction_hil.config import ModelFile
 from friction_hil.errors import UsageError
-from friction_hil.identification import filters, structures
+from friction_hil.identification import structures
 from friction_hil.identification.data import Data, prepare
 from friction_hil.identification.free_run import cascade, simulate_axis
 from friction_hil.identification.inference import infer
@@ -39,13 +39,29 @@ def data(lowpass_hz: float | None = None) -> Data:
 
 
 @pytest.mark.parametrize("columns", [1, 3, 8])
-def test_compiled_filters_are_those_of_replay(columns: int) -> None:
+@pytest.mark.parametrize("cutoff_hz", [0.5, 40.0, 499.0])
+def test_lowpass_is_that_of_scipy(columns: int, cutoff_hz: float) -> None:
     values = np.cumsum(np.random.default_rng(0).normal(size=(3000, columns)), axis=0)
-    np.testing.assert_allclose(
-        filters.lowpass(values, 40.0, 1000.0), filtering.lowpass(values, 40.0, 1000.0), atol=1e-9
+    sections = signal.butter(4, cutoff_hz / 500.0, output="sos")
+    expected = signal.sosfiltfilt(sections, values, axis=0, padlen=12)
+    np.testing.assert_allclose(filtering.lowpass(values, cutoff_hz, 1000.0), expected, atol=1e-6 * np.ptp(values))
+    np.testing.assert_array_equal(
+        filtering.lowpass(values[:, 0], cutoff_hz, 1000.0), filtering.lowpass(values, cutoff_hz, 1000.0)[:, 0]
     )
-    np.testing.assert_allclose(filters.decimate(values, 7), filtering.decimate(values, 7), atol=1e-9)
-    np.testing.assert_array_equal(filters.decimate(values, 1), values)
+
+
+@pytest.mark.parametrize("factor", [2, 7, 100])
+def test_decimation_is_that_of_scipy(factor: int) -> None:
+    values = np.cumsum(np.random.default_rng(0).normal(size=(3000, 2)), axis=0)
+    sections = signal.cheby1(8, 0.05, 0.8 / factor, output="sos")
+    expected = signal.sosfiltfilt(sections, values, axis=0, padlen=24)[(3000 - 1) % factor :: factor]
+    np.testing.assert_allclose(filtering.decimate(values, factor), expected, atol=1e-6 * np.ptp(values))
+    np.testing.assert_array_equal(filtering.decimate(values, 1), values)
+
+
+def test_a_record_shorter_than_the_filter_is_refused() -> None:
+    with pytest.raises(ValueError, match="12 samples are too few"):
+        filtering.lowpass(np.zeros(12), 40.0, 1000.0)
 
 
 def rosenbrock(at: Array) -> tuple[Array, Array]:

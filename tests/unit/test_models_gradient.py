@@ -190,6 +190,20 @@ def test_a_choice_of_free_parameters_gives_their_columns(name):
     np.testing.assert_allclose(none[0], model.simulate(v, dt, **inputs), rtol=0.0, atol=1e-13)
 
 
+def test_a_direction_is_the_weighted_sum_of_columns():
+    model = fh.models.create("elasto_plastic", **fh.models.describe("elasto_plastic").example)
+    v = 0.02 * np.sin(np.arange(300) * 0.05)
+    all_of_them = model.simulate_with_gradient(v, 1e-3)[1]
+    columns = dict(zip(model.free, all_of_them.T, strict=True))
+    both = {"coulomb": 2.0, "static": -0.5}
+    found = model.simulate_with_gradient(v, 1e-3, free=["sigma0", both, {}])[1]
+    np.testing.assert_allclose(found[:, 0], columns["sigma0"], rtol=1e-12)
+    np.testing.assert_allclose(found[:, 1], 2.0 * columns["coulomb"] - 0.5 * columns["static"], rtol=1e-9, atol=1e-12)
+    assert not found[:, 2].any()
+    with pytest.raises(UsageError, match="no free parameter 'statik'"):
+        model.simulate_with_gradient(v, 1e-3, free=[{"coulomb": 1.0, "statik": 1.0}])
+
+
 def test_what_is_not_free_is_refused_by_name():
     model = example("lugre")
     with pytest.raises(UsageError, match=r"sigma9.*did you mean"):

@@ -102,6 +102,20 @@ def test_bouc_wen_is_bounded_whatever_its_gamma(share, exponent, v, dt):
 
 
 @checked
+@given(st.floats(0.0, 0.9), st.floats(1.1, 4.0), decades(1e-3, 1e9))
+def test_bouc_wen_settles_in_one_long_step_as_in_many_short_ones(share, exponent, path):
+    p = {"stiffness": 400.0, "beta": 5e3**exponent, "gamma": share * 5e3**exponent, "exponent": exponent}
+    model = fh.models.create("bouc_wen", **p)
+    settled = (p["beta"] + p["gamma"]) ** (-1.0 / exponent)
+    after_one = model.simulate([path * settled], 1.0)[-1]
+    after_many = model.simulate(np.full(300, path / 300.0 * settled), 1.0)[-1]
+    tolerance = 2e-2 if path < 50.0 else 1e-12
+    assert abs(after_one - after_many) <= tolerance * 400.0 * settled
+    if path > 50.0:
+        assert after_one == pytest.approx(400.0 * settled, rel=1e-12)
+
+
+@checked
 @given(st.data())
 def test_viscous_parts_only_add_what_they_say(data):
     """Quadratic and cubic terms leave the rest as it is: F = F0 + Fv2 v |v| + Fv3 v^3."""
