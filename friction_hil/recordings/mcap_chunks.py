@@ -320,11 +320,14 @@ def _decompress(chunk: _Chunk) -> bytes:
     if chunk.compression == "lz4":
         import lz4.frame  # type: ignore[import-untyped]
 
+        frame = lz4.frame.LZ4FrameDecompressor()
         try:
-            data: bytes = lz4.frame.decompress(chunk.data)
-            return data
+            data: bytes = frame.decompress(chunk.data, max_length=size)
         except RuntimeError as error:
             raise ValueError(str(error)) from None
+        if len(data) < size or not (frame.eof or frame.needs_input):
+            raise ValueError(f"it does not hold the {size} bytes that its record claims")
+        return data
     if chunk.compression:
         raise ValueError(f"its compression {chunk.compression!r} is not known here")
     return bytes(chunk.data)

@@ -88,7 +88,7 @@ class McapWriter:
         self._file: io.BufferedWriter = path.open("wb" if overwrite else "xb")
         try:
             # Chunks end where this class says: the library's own limit is out of reach.
-            self._mcap = Writer(self._file, chunk_size=1 << 62, compression=CompressionType.ZSTD, enable_data_crcs=True)
+            self._mcap = Writer(self._file, chunk_size=1 << 62, compression=CompressionType.LZ4, enable_data_crcs=True)
             self._mcap.start(profile=Profile.ROS2, library="friction_hil")
             about = {
                 "version": layout.VERSION,

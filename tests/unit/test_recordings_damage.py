@@ -147,7 +147,9 @@ def test_a_claim_of_a_huge_chunk_allocates_nothing(whole: bytes, scratch: Path) 
 def test_a_claim_beyond_any_memory_is_only_damage(whole: bytes, scratch: Path) -> None:
     """The length of a chunk's data lies behind its times, sizes and compression; its last byte is the highest."""
     data = bytearray(whole)
-    data[first_record(whole, Opcode.CHUNK) + 9 + 28 + 8 + 7] = 0x80
+    name = first_record(whole, Opcode.CHUNK) + 9 + 28
+    length = int.from_bytes(whole[name : name + 4], "little")
+    data[name + 4 + length + 7] = 0x80
     recording = read(scratch, bytes(data))
     assert recording is not None
     assert len(recording) == (CHUNKS - 1) * ROWS

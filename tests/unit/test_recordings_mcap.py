@@ -231,6 +231,19 @@ def test_foreign_flat_messages_are_read(tmp_path: Path, compression: Compression
     assert (read.axis, read["position"].tolist()) == ("joint", [2.0])
 
 
+@pytest.mark.parametrize("compression", [CompressionType.LZ4, CompressionType.ZSTD])
+def test_a_chunk_that_holds_more_than_it_claims_is_damaged(tmp_path: Path, compression: CompressionType) -> None:
+    path = tmp_path / "x.mcap"
+    foreign(path, [("/joint", FLAT, "cdr", b"\0\1\0\0" + BODY)] * 50, compression=compression)
+    data = bytearray(path.read_bytes())
+    at = data.index(compression.name.lower().encode()) - 4  # of the length of the name; before it size and CRC
+    claimed = int.from_bytes(data[at - 12 : at - 4], "little") - 30
+    data[at - 12 : at - 4] = claimed.to_bytes(8, "little")
+    path.write_bytes(data)
+    with pytest.raises(fh.errors.RecordingError, match=f"{claimed}"):
+        fh.recordings.read(path)
+
+
 TOPICS = {"a": ["time_s", "u"], "b": ["time_s", "v"], "c": ["time_s", "u", "v", "w"]}
 
 
