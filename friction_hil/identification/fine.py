@@ -29,11 +29,11 @@ _FASTEST_SWING_HZ = 80.0
 _LEAST_SHARE = 0.05  # of the time
 _CLEAR = 100.0  # times the noise of the encoder
 _FIRST_BAND_HZ = 40.0  # below it everything is kept
-_LAST_BAND_SHARE = 0.42  # of the sampling rate: the highest frequency that is kept
+LAST_BAND_SHARE = 0.42  # of the sampling rate: the highest frequency that is kept
 _NOISE_FACTOR = 2.0  # the noise of so few samples is often twice its mean
 _STEPS_HZ = 12000.0  # of the model
 ROWS_HZ = 200.0  # of the regression
-_RESIDUAL_HZ, _RESIDUAL_WIDTH_HZ = 80.0, 60.0
+RESIDUAL_HZ, _RESIDUAL_WIDTH_HZ = 80.0, 60.0
 _EDGE_S = 1.0
 _ATTENUATION_DB = 80.0
 _LONG = 400  # taps from which on Fourier transforms are faster
@@ -90,14 +90,14 @@ class FineRecord(Record):
 
     @property
     def _edge(self) -> int:
-        kernel = _fir(_RESIDUAL_HZ, _RESIDUAL_WIDTH_HZ, self.sample_hz)
+        kernel = _fir(RESIDUAL_HZ, _RESIDUAL_WIDTH_HZ, self.sample_hz)
         return max(round(_EDGE_S * self.sample_hz), kernel.size + self.decimation)
 
     def _low(self, values: Array) -> Array:
         """Through the residual's low-pass, without the record's ends; only what is kept is computed."""
         from scipy import signal
 
-        kernel = _fir(_RESIDUAL_HZ, _RESIDUAL_WIDTH_HZ, self.sample_hz)
+        kernel = _fir(RESIDUAL_HZ, _RESIDUAL_WIDTH_HZ, self.sample_hz)
         half, edge, every = kernel.size // 2, self._edge, self.decimation
         ahead = -2 * half % every
         kept: Any = signal.upfirdn(kernel, values[edge - half - ahead :], down=every, axis=0)
@@ -202,7 +202,7 @@ def _fine_record(record: Record, position: Array, torque: Array, is_mean: bool) 
         temperature=slow(record.temperature),
         demand=None,
         rate_hz=rate * fine,
-        lowpass_hz=_RESIDUAL_HZ,
+        lowpass_hz=RESIDUAL_HZ,
         decimation=max(1, round(rate / ROWS_HZ)),
         begin=0,
         end=len(velocity),
@@ -247,7 +247,7 @@ def velocity_by_bands(position: Array, rate_hz: float, resolution: float, fine: 
         kept = kept + np.maximum(1.0 - noise / np.maximum(power, 1e-300), 0.0) * band
         low = high
     # a difference stands for the middle of its period, which lies between two fine steps: hence the even length
-    kernel = fine * _fir(_LAST_BAND_SHARE * rate_hz, 0.16 * rate_hz, fine * rate_hz, is_even=True)
+    kernel = fine * _fir(LAST_BAND_SHARE * rate_hz, 0.16 * rate_hz, fine * rate_hz, is_even=True)
     spread: Any = signal.upfirdn(kernel, kept, up=fine)[kernel.size // 2 - fine // 2 :]
     return np.concatenate([spread, np.zeros(fine)])[: len(moves) * fine]
 
@@ -257,7 +257,7 @@ def _band_edges(rate_hz: float) -> list[float]:
     edges = [_FIRST_BAND_HZ]
     while 2.0 * edges[-1] < 0.3 * rate_hz:
         edges.append(2.0 * edges[-1])
-    return [*edges, _LAST_BAND_SHARE * rate_hz]
+    return [*edges, LAST_BAND_SHARE * rate_hz]
 
 
 def _local_power(values: Array, samples: float) -> Array:

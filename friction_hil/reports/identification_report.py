@@ -11,6 +11,7 @@ from friction_hil.config import ModelFile
 from friction_hil.errors import FrictionHilError
 from friction_hil.identification import Identification
 from friction_hil.identification.export import as_model_file, standard_errors
+from friction_hil.identification.fine import LAST_BAND_SHARE, RESIDUAL_HZ, ROWS_HZ
 from friction_hil.identification.fits import MECHANICS, Fit
 from friction_hil.reports.identification_pictures import draw_loops, draw_residuals, draw_time, draw_velocity
 from friction_hil.reports.page import page, picture, table
@@ -206,4 +207,11 @@ def _data(result: Identification) -> str:
             )
     problems = list(dict.fromkeys(problem for record in result.records for problem in record.problems))
     header = ("", "used", "rows", "rate", "low-pass", "each n-th row compared")
-    return table(header, rows, ("text",)) + _list([*problems, *result.notes])
+    notes = [*problems, *result.notes]
+    if result.best.is_refined:
+        notes.append(
+            f"{result.best.label} was fitted once more without that low-pass: velocity up to "
+            f"{LAST_BAND_SHARE:g} of the sampling rate, as far as it is above the encoder's noise; torques are "
+            f"compared below {RESIDUAL_HZ:g} Hz, at {ROWS_HZ:g} Hz"
+        )
+    return table(header, rows, ("text",)) + _list(notes)
