@@ -82,6 +82,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The words after the program's name; those of the process when not given.
     """
     _open_standard_streams()
+    # Matrices here are tall and thin, on which a second thread of a BLAS takes a hundred times longer, or its core away
+    # from the loop. It reads this when numpy is imported.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         result = application.main(arguments, prog_name="friction-hil", standalone_mode=False)
         sys.stdout.flush()

@@ -71,7 +71,9 @@ def infer(estimate: Estimate, parts: Sequence[slice], *, lags: int | None = None
     norms = np.linalg.norm(jacobian, axis=0)
     is_seen = norms > 0.0
     size = np.where(is_seen, norms, 1.0)
-    _, singular, vectors = np.linalg.svd(jacobian / size, full_matrices=False)
+    # of the triangular factor, which has the same: for a tall matrix a BLAS of several threads takes a hundred times
+    # as long
+    _, singular, vectors = np.linalg.svd(np.linalg.qr(jacobian / size, mode="r"), full_matrices=False)
     is_kept = singular > _RANK * singular[0]
     inverse = (vectors[is_kept].T / singular[is_kept] ** 2) @ vectors[is_kept]
     # a parameter with a share in a direction that nothing in the data sees has no error to speak of

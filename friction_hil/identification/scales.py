@@ -39,7 +39,7 @@ def scales(data: Data, mechanics: tuple[str, ...]) -> Scales:
     if torque == 0.0:
         raise RecordingError(f"{path}: the measured torque is zero in every row")
     base = np.column_stack([data.column(name) for name in (*mechanics, "viscous")])
-    basis = np.linalg.svd(base / np.maximum(np.linalg.norm(base, axis=0), 1e-300), full_matrices=False)[0]
+    basis = np.linalg.qr(base / np.maximum(np.linalg.norm(base, axis=0), 1e-300))[0]
 
     def regress(*shapes: Array) -> tuple[float, Array]:
         """Sum of squares left by the base and these shapes, and the factors of the shapes."""
