@@ -116,7 +116,9 @@ def check_column(model, directions, derivative, run, size):
     scale = np.abs(derivative).max() + 1e-6 * level_of(model.name, model.parameters) / size
     is_straight = np.abs(near[1] - 2.0 * here + near[0]) <= 1e-2 * scale * step  # both sides have one slope
     is_smooth = is_straight & (np.abs(coarse - fine) <= 1e-6 * scale)
-    np.testing.assert_allclose(derivative[is_smooth], fine[is_smooth], rtol=0.0, atol=3e-6 * scale, err_msg=directions)
+    rounding = 2.0 * np.finfo(float).eps * np.abs(here) / step  # of torques, which viscous parts may make large
+    is_equal = np.abs(derivative - fine) <= 3e-6 * scale + rounding
+    assert np.all(is_equal[is_smooth]), (directions, derivative, fine)
     return is_smooth.mean()
 
 
