@@ -112,6 +112,8 @@ def make_drive(
 class TinyResponder:
     """Drives' end of the made-up protocol."""
 
+    request_end = b""
+
     def __init__(self, drives: Mapping[str, SimulatedDrive], descriptions: Any = None, options: Any = None) -> None:
         self._drives = dict(drives)
         self.silences = 0

@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 from friction_hil_drivers.serial_line.line import LineGoneError
 from friction_hil_drivers.serial_line.options import LineOptions
-from friction_hil_drivers.serial_line.protocol import Image, ReplyError
+from friction_hil_drivers.serial_line.protocol import Image, ReplyError, Single
 
 MS = 1_000_000
 
@@ -34,7 +34,7 @@ class BenchLine:
         self.is_back = False
         self.descriptor = 3
 
-    def read(self) -> bytes:
+    def read(self, *, is_ready: bool = True) -> bytes:
         if not self.is_open:
             raise LineGoneError("/dev/bench is gone")
         data, self.arrived = self.arrived, b""
@@ -49,7 +49,7 @@ class BenchLine:
     def pull_out(self) -> None:
         """From now on every use fails, until `is_back`."""
 
-        def gone(*_: object) -> bytes:
+        def gone(*_: object, **__: object) -> bytes:
             self.is_open = False
             raise LineGoneError("/dev/bench is gone: unplugged")
 
@@ -65,7 +65,7 @@ class BenchLine:
         self.is_open = False
 
 
-class Ask:
+class Ask(Single):
     """A made-up exchange: ``NAME?`` is answered by a number and a semicolon; ``!`` is a refusal."""
 
     def __init__(self, image: Image, name: str, drive: str = "a drive") -> None:
@@ -95,7 +95,7 @@ class Ask:
         return True
 
 
-class Tell:
+class Tell(Single):
     """A made-up command: ``NAME=NUMBER;``, answered by ``;`` where ``is_answered``."""
 
     def __init__(self, image: Image, name: str, *, is_answered: bool = False) -> None:

@@ -233,28 +233,87 @@ def test_a_watchdog_that_would_be_off_or_trip_at_once_is_refused(tmp_path):
     assert "less than three periods" in refused(tmp_path, "rtu, function 23", watchdog_s=2e-3)
 
 
+class Chain(Bench):
+    """Several axes of a kind on one line; `silence` takes one of them off it."""
+
+    def __init__(self, kind, tmp_path, addresses, **line):
+        given = {**KINDS[kind], "line": {"port": port_of(kind, tmp_path), **FAST_LINE, **line}}
+        base = axis_dict(mode="cst", controller=CONTROLLER) | {"is_watchdog_required": False, "simulation": {}}
+        del base["node"]
+        self.config = configuration(**{f"x{n}": {**base, **given, address: n} for address, n in addresses})
+        self.clock = SteppedClock()
+        self._driver, simulated = PROTOCOLS[given["driver"]]
+        self.simulated = simulated(self.config, self.config.axes, pace="sync")
+        self.simulated.open()
+        self._is_stopping = threading.Event()
+        self._thread = threading.Thread(target=self.simulated.run, args=(self._is_stopping.is_set,))
+        self._thread.start()
+        self.drives = self.daemon()
+        self.feedback, self.commands = [Feedback() for _ in addresses], [Command() for _ in addresses]
+
+    def begin(self):
+        self.drives.connect()
+        self.drives.start()
+        return self
+
+    def cycle(self, request, torque=0.0, count=1):
+        for _ in range(count):
+            self.clock.sleep_until(self.clock.now_ns() + 1_000_000)
+            end_ns = time.monotonic_ns() + 20_000_000 if self.clock.is_real else self.clock.now_ns() + 1_000_000
+            self.drives.receive(self.feedback, end_ns)
+            for command in self.commands:
+                command.request, command.torque = request, torque
+            self.drives.send(self.commands)
+
+    def enable(self):
+        for _ in range(100):
+            self.cycle(Request.ENABLE)
+            if all(each.state is DriveState.OPERATION_ENABLED for each in self.feedback):
+                return self
+        raise AssertionError(self.feedback)
+
+    def silence(self, number):
+        """Cut the wire of one drive; from now on time is real, so that nobody waits for its reply for ever."""
+        (line,) = self.simulated._lines
+        units = line._responder._units if hasattr(line._responder, "_units") else line._responder._servos
+        del units[number]
+        self.clock.is_real = True
+
+
 def test_a_silent_drive_on_the_line_leaves_no_other_one_under_power(tmp_path):
-    """Unit 4 falls silent; unit 3 must be disabled when the driver closes all the same."""
-    with Bench("rtu", tmp_path).begin().enable() as bench:
+    """Unit 3 falls silent, which is asked first; unit 4 must be disabled when the driver closes all the same."""
+    with Chain("rtu", tmp_path, [("unit", 3), ("unit", 4)]).begin().enable() as bench:
         bench.cycle(Request.ENABLE, 0.3, count=5)
-        (lane,) = bench.drives._lanes
-        (axis,) = lane.axes
-        talk, asked = bench.drives._talk, []
-
-        def first_is_silent(lane, name, exchange, attempts=3):
-            asked.append(exchange)
-            if len(asked) == 1:
-                raise DriveError("unit 4 does not answer")
-            talk(lane, name, exchange, attempts)
-
-        bench.drives._talk = first_is_silent
-        axis.parting = lambda: [{"control": 0}, {"control": 0}]  # the first goes to the silent one
+        there = bench.simulated._lines[0]._drives[1]
+        assert there.state.is_powered
+        bench.silence(3)
         bench.drives.close()
-        assert len(asked) >= 3
-        bench.drives = bench.daemon(dry_run=True)
-        bench.begin()
-        bench.cycle(Request.LISTEN, count=6)
-        assert not bench.feedback.state.is_powered
+        wait_for(lambda: not there.state.is_powered)
+
+
+def wait_for(is_so):
+    end = time.monotonic() + 10.0
+    while not is_so():
+        assert time.monotonic() < end
+        time.sleep(1e-3)
+
+
+@pytest.mark.parametrize("silent", [1, 2, 3])
+def test_a_silent_servo_costs_its_neighbours_no_more_than_a_few_cycles(tmp_path, silent):
+    """Behind it in a Sync Read nobody answers: it must come last, and be left out for most of the time."""
+    chain = Chain("dynamixel", tmp_path, [("id", 1), ("id", 2), ("id", 3)], baud=4_000_000, reply_limit_s=0.05)
+    with chain.begin().enable() as bench:
+        bench.cycle(Request.ENABLE, count=3)
+        bench.silence(silent)
+        fresh = [0, 0, 0]
+        for cycle in range(80):
+            bench.cycle(Request.QUICK_STOP)
+            time.sleep(5e-3)  # replies are owed for 50 ms
+            if cycle >= 30:
+                fresh = [n + each.is_fresh for n, each in zip(fresh, bench.feedback, strict=True)]
+        assert [n > 40 for n in fresh] == [number != silent for number in (1, 2, 3)]
+        neighbours = [drive for n, drive in enumerate(bench.simulated._lines[0]._drives, 1) if n != silent]
+        wait_for(lambda: not any(drive.state.is_powered for drive in neighbours))
 
 
 @pytest.mark.parametrize("kind", ["odrive"])

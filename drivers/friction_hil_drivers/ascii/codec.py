@@ -8,9 +8,7 @@ from friction_hil_drivers.ascii.description import AsciiDescription, covering
 from friction_hil_drivers.ascii.messages import CompiledMessage, Language, take_line
 from friction_hil_drivers.ascii.options import AsciiOptions
 from friction_hil_drivers.ascii.template import AXIS
-from friction_hil_drivers.serial_line.protocol import Exchange, Image, Plan, ReplyError, Wanted
-
-_SHOWN = 60  # characters
+from friction_hil_drivers.serial_line.protocol import Exchange, Image, Plan, ReplyError, Wanted, shown
 
 
 class AsciiExchange:
@@ -38,6 +36,9 @@ class AsciiExchange:
         self._is_fixed = any(message.sets for message in self._messages)
         self._image = image
         self._sent = b""
+        self._constant = b""  # the request, where there are no numbers in it
+        self._known = b""  # the last reply, and what it tells: what changes slowly says the same again and again
+        self._numbers: list[tuple[str, float]] = []
         self._is_echo_due = False
         self.addressees = self.unanswered = frozenset((addressee,))
         self.writes = self._first.writes
@@ -51,6 +52,16 @@ class AsciiExchange:
         self.reply_size = self.request_size if language.has_echo else 0
         if replies:
             self.reply_size += language.sealed_size(max(form.size for form in replies), language.reply_end)
+        self._words = frozenset(form.words for form in replies)
+        self.tells_refusal = self.reply_size == 0 and language.has_error_replies
+
+    def may_follow(self, before: Exchange) -> bool:
+        """Whether it may be sent while ``before`` is not answered: their replies have different numbers of words."""
+        return isinstance(before, AsciiExchange) and self.reply_size > 0 and self._words.isdisjoint(before._words)
+
+    def without(self, addressees: frozenset[str]) -> Exchange | None:
+        """See `Exchange`: one drive answers, or nobody knows which."""
+        return None
 
     def encode(self) -> bytes:
         """Make the request, from the image's values where it writes.
@@ -60,11 +71,15 @@ class AsciiExchange:
         ValueError
             A value is missing, not finite, or not one of those that can be written.
         """
+        language = self._language
+        self._is_echo_due = language.has_echo
+        if self._constant:
+            return self._constant
         values = self._image.values
         message = self._chosen(values) if self._is_fixed else self._first
-        language = self._language
         self._sent = language.sealed(message.request.write(values), language.request_end)
-        self._is_echo_due = language.has_echo
+        if not self.writes:
+            self._constant = self._sent
         return self._sent
 
     def _chosen(self, values: Mapping[str, float]) -> CompiledMessage:
@@ -85,7 +100,7 @@ class AsciiExchange:
         """
         if self._is_echo_due and not self._take_echo(received):
             return False
-        if not self._first.replies:
+        if not self._first.replies and not self.tells_refusal:
             return True
         try:
             line = take_line(received, self._language.reply_end)
@@ -93,8 +108,12 @@ class AsciiExchange:
             raise ReplyError(str(error)) from error
         if line is None:
             return False
-        for name, number in self._understood(line).items():
-            self._image.put(name, number)
+        if line != self._known:
+            self._numbers = self._understood(line)
+            self._known = line
+        put = self._image.put
+        for name, number in self._numbers:
+            put(name, number)
         return True
 
     def _take_echo(self, received: bytearray) -> bool:
@@ -104,13 +123,13 @@ class AsciiExchange:
         if not received.startswith(self._sent):
             if self._sent.startswith(received):
                 return False
-            raise ReplyError(f"{_shown(received)} came in place of the echo of {_shown(self._sent)}")
+            raise ReplyError(f"{shown(received)} came in place of the echo of {shown(self._sent)}")
         del received[: len(self._sent)]
         self._is_echo_due = False
         return True
 
-    def _understood(self, line: bytes) -> Mapping[str, float]:
-        """Numbers in a reply by signal."""
+    def _understood(self, line: bytes) -> list[tuple[str, float]]:
+        """Numbers in a reply, with the names of their signals."""
         language = self._language
         try:
             text = line if language.checker is None else language.checker.remove(line)
@@ -119,24 +138,20 @@ class AsciiExchange:
                 for form in self._first.replies:
                     numbers = form.read(text)
                     if numbers is not None:
-                        return dict(zip(form.names, numbers, strict=True))
+                        return list(zip(form.names, numbers, strict=True))
         except ValueError as error:
-            raise ReplyError(f"{_shown(line)} came in reply to {_shown(self._sent)}: {error}") from error
+            raise ReplyError(f"{self._story(line)}: {error}") from error
         if meaning is None:
-            right = " or ".join(form.template for form in self._first.replies)
-            raise ReplyError(f"{_shown(line)} came in reply to {_shown(self._sent)}; right would be {right}")
+            right = " or ".join(form.template for form in self._first.replies) or "none"
+            raise ReplyError(f"{self._story(line)}; right would be {right}")
+        if language.is_answering_all:
+            raise ReplyError(f"{self._story(line)}: {meaning}", is_complete=True)
         # an error of a set-point to which nothing is replied comes unasked: the reply proper then follows
-        raise ReplyError(
-            f"{_shown(line)} came in reply to {_shown(self._sent)}, or to what was sent before: {meaning}"
-            if not language.is_answering_all
-            else f"{_shown(line)} came in reply to {_shown(self._sent)}: {meaning}",
-            is_complete=language.is_answering_all,
-        )
+        before = ", or to what was sent before" if self._first.replies else ""
+        raise ReplyError(f"{self._story(line)}{before}: {meaning}", is_unasked=True)
 
-
-def _shown(data: bytes | bytearray) -> str:
-    text = repr(bytes(data[:_SHOWN]))[2:-1]
-    return f"'{text}'" + (" ..." if len(data) > _SHOWN else "")
+    def _story(self, line: bytes) -> str:
+        return f"{shown(line)} came in reply to {shown(self._sent)}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,6 +209,8 @@ class AsciiLine:
         options: Mapping[str, AsciiOptions],
         images: Mapping[str, Image],
     ) -> None:
+        is_divided = next(iter(options.values())).line.is_rs485  # both sides on one pair: they would talk at once
+        self.ahead_chars = 0 if is_divided else min(each.ahead_chars for each in descriptions.values())
         are_named = all(f"{{{AXIS}}}" in form for each in descriptions.values() for form in each.all_replies)
         self._axes = {
             name: _Axis(

@@ -111,6 +111,13 @@ class AsciiDescription(Description):
     error_replies: dict[str, str] = Field(
         {}, description="replies that tell an error: regular expression of the whole line, and what it means"
     )
+    ahead_chars: int = Field(
+        0,
+        ge=0,
+        le=4096,
+        description="characters of requests that the drive takes in before it has answered the first, on a line with "
+        "two directions: requests whose replies differ in their number of words are then sent together; 0: one by one",
+    )
     refusal: str = Field("", description="reply of the simulated drive to what it does not understand; empty: none")
 
     @field_validator("acknowledge", "refusal")
@@ -157,8 +164,13 @@ class AsciiDescription(Description):
 
     def _mistakes(self) -> Iterator[str]:
         yield from super()._mistakes()
+        yield from self._mistakes_in_lines()
         yield from self._mistakes_in_fields()
         yield from self._mistakes_in_reach()
+
+    def _mistakes_in_lines(self) -> Iterator[str]:
+        if self.echo and self.ahead_chars:
+            yield "with an echo, requests cannot be sent ahead (ahead_chars)"
 
     def _mistakes_in_fields(self) -> Iterator[str]:
         told: set[str] = set()

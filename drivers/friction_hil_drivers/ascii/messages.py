@@ -52,12 +52,14 @@ class Language:
         self.reply_end = description.reply_end.encode()
         self.has_echo = description.echo
         self.is_answering_all = description.is_answering_all
+        self.has_error_replies = bool(description.error_replies)
         self._meanings = [(re.compile(form.encode()), text) for form, text in description.error_replies.items()]
-        self._is_error = re.compile(b"|".join(b"(?:%s)" % form.pattern for form, _ in self._meanings)).fullmatch
+        every = b"|".join(b"(?:%s)" % form.pattern for form, _ in self._meanings)
+        self._is_error = re.compile(every).fullmatch if self._meanings else None
 
     def meaning(self, line: bytes) -> str | None:
         """What an error reply means; None where it is none."""
-        if not self._meanings or self._is_error(line) is None:
+        if self._is_error is None or self._is_error(line) is None:
             return None
         return next(text for form, text in self._meanings if form.fullmatch(line))
 

@@ -96,6 +96,7 @@ class AsciiResponder:
             for axis in drives
         ]
         self._language = self._speakers[0].language
+        self.request_end = self._language.request_end
         self._is_too_long = False  # the rest of an overlong line is still to come
 
     def take(self, received: bytearray) -> bytes | None:

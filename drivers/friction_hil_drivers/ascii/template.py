@@ -97,6 +97,8 @@ class LineFormat:
         As given.
     names : tuple of str
         Signals in it, in their order.
+    words : int
+        Parts of the line between blanks.
     size : int
         Characters of the longest line that can be written; of a line that is read, the longest with floats of no
         more than the signal's ``whole_digits`` before the point and its ``digits`` after it.
@@ -106,6 +108,7 @@ class LineFormat:
         parts = parse(template)
         self.template = template
         self.names = tuple(field.name for field in fields(parts))
+        self.words = len(template.replace(f"{{{AXIS}}}", "" if axis is None else axis).split())
         self.size = 0
         written, pattern = b"", rb" *"
         self._writers: list[tuple[str, Callable[[float], float]]] = []
@@ -154,7 +157,7 @@ class LineFormat:
         found = self._match(line)
         if found is None:
             return None
-        return [read(text) for read, text in zip(self._readers, found.groups(), strict=True)]
+        return [read(text) for read, text in zip(self._readers, found.groups())]  # noqa: B905  as many as each other
 
 
 def _text_pattern(text: str, axis: str | None) -> bytes:

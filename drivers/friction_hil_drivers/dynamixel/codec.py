@@ -21,7 +21,7 @@ from friction_hil_drivers.dynamixel.packets import (
     Packets,
 )
 from friction_hil_drivers.dynamixel.table import Block, Place
-from friction_hil_drivers.serial_line.protocol import Exchange, Image, Plan, ReplyError, Wanted
+from friction_hil_drivers.serial_line.protocol import Exchange, Image, Plan, ReplyError, Single, Wanted, only
 
 ALERT = 0x80  # beside the number of an error: something is in Hardware Error Status, which is a signal of its own
 # ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0, Status Packet
@@ -45,6 +45,9 @@ class Member:
     block: Block
     has_fast_read: bool
 
+    def __str__(self) -> str:
+        return str(self.block)
+
     def put(self, data: bytes) -> None:
         """Put the bytes of the block into the image."""
         first = self.block.address
@@ -52,7 +55,7 @@ class Member:
             self.image.put(place.name, place.number(data[place.address - first : place.end - first]))
 
 
-class _Request:
+class _Request(Single):
     """What all requests have; see `friction_hil_drivers.serial_line.protocol.Exchange`.
 
     Parameters
@@ -88,6 +91,11 @@ class _Request:
     def unanswered(self) -> frozenset[str]:
         """See `Exchange`."""
         return frozenset(str(servo) for servo in self._members if servo not in self._answered)
+
+    @property
+    def breaker(self) -> int | None:
+        """Servo of several that did not answer when it was its turn; None: all did."""
+        return next(iter(self._missing), None) if len(self._members) > 1 else None
 
     def _begin(self) -> None:
         self.what, self._is_broken, self._noise = self._what, False, 0
@@ -178,52 +186,99 @@ class _Request:
         return True
 
 
-class Read(_Request):
-    """Read the same bytes of one servo or of several (Sync Read); each answers with a packet of its own."""
+class Order:
+    """Order in which servos of a line are read: whoever broke the chain comes after all others, the latest one last.
 
-    def __init__(self, packets: Packets, members: Sequence[Member]) -> None:
+    Attributes
+    ----------
+    breaks : int
+        How often a chain has been broken.
+    """
+
+    def __init__(self) -> None:
+        self.breaks = 0
+        self._last: dict[int, int] = {}  # number of the break that was a servo's latest
+        self._asked: _Request | None = None
+
+    def ask(self, request: _Request) -> None:
+        """Take notice of a request that is made now, and of whoever broke the chain of the one before it."""
+        if self._asked is not None and (breaker := self._asked.breaker) is not None:
+            self.breaks += 1
+            self._last[breaker] = self.breaks
+        self._asked = request
+
+    def key(self, servo: int) -> int:
+        """Sort by this."""
+        return self._last.get(servo, 0)
+
+
+class Read(_Request):
+    """Read the same bytes of one servo or of several (Sync Read); each answers with a packet of its own.
+
+    A servo answers when the one before it in the request has. If that one does not, no other one after it does
+    (ROBOTIS-GIT/DynamixelSDK issue 364): so whoever broke the chain comes last in the next request.
+    """
+
+    def __init__(self, packets: Packets, members: Sequence[Member], order: Order) -> None:
         block = members[0].block
         super().__init__(packets, f"read {block}", members, block.size)
         self.reads = _names(members)
-        place = _words(block.address, block.size)
-        if len(members) == 1:
-            self._request = packets.pack(members[0].id, READ, place)
-        else:
-            self._request = packets.pack(BROADCAST, SYNC_READ, place + bytes(self._members))
+        self._order = order
+        self._known_breaks = 0
+        self._others: dict[frozenset[str], Exchange | None] = {}
+        self._place = _words(block.address, block.size)
+        self._request = self._pack()
         self.request_size = len(self._request)
         self.reply_size = len(members) * (PREFIX + self._longest)
 
+    def _pack(self) -> bytes:
+        servos = bytes(self._members)
+        if len(servos) == 1:
+            return self._packets.pack(servos[0], READ, self._place)
+        return self._packets.pack(BROADCAST, SYNC_READ, self._place + servos)
+
     def encode(self) -> bytes:
         """Make the request."""
+        self._order.ask(self)
+        if self._known_breaks != self._order.breaks:
+            self._known_breaks = self._order.breaks
+            self._members = {servo: self._members[servo] for servo in sorted(self._members, key=self._order.key)}
+            self._request = self._pack()
         self._begin()
         return self._request
 
+    def without(self, addressees: frozenset[str]) -> Exchange | None:
+        """Read the same of all other servos; made once for each choice of them."""
+        if addressees not in self._others:
+            rest = [member for servo, member in self._members.items() if str(servo) not in addressees]
+            self._others[addressees] = _read(self._packets, rest, self._order) if rest else None
+        return self._others[addressees]
 
-class FastRead(_Request):
-    """Read the same bytes of several servos (Fast Sync Read), which write one packet together.
+
+class FastRead(Read):
+    """Read the same bytes of several servos (Fast Sync Read), which write one packet together, in their order.
 
     The packet is not stuffed. Each servo ends its part with the CRC of all that came before, so that a part is
     certain before the next one comes, and counts even if that never does.
     """
 
-    def __init__(self, packets: Packets, members: Sequence[Member]) -> None:
+    def __init__(self, packets: Packets, members: Sequence[Member], order: Order) -> None:
+        super().__init__(packets, members, order)
         block = members[0].block
-        super().__init__(packets, f"read {block} (fast)", members, block.size)
-        self.reads = _names(members)
-        place = _words(block.address, block.size)
-        self._request = packets.pack(BROADCAST, FAST_SYNC_READ, place + bytes(self._members))
+        self.what = self._what = f"{self._what} (fast)"
         self._part = 2 + block.size + CRC  # error, ID, data, CRC
         length = 1 + len(members) * self._part
         self._head = HEADER + bytes((BROADCAST,)) + length.to_bytes(2, "little") + bytes((STATUS,))
         self._heard = self._crc = 0
-        self.request_size = len(self._request)
         self.reply_size = PREFIX + length
+
+    def _pack(self) -> bytes:
+        return self._packets.pack(BROADCAST, FAST_SYNC_READ, self._place + bytes(self._members))
 
     def encode(self) -> bytes:
         """Make the request."""
-        self._begin()
         self._heard, self._crc = 0, self._packets.crc(self._head)  # parts, and the CRC of all up to them
-        return self._request
+        return super().encode()
 
     def take(self, received: bytearray) -> bool:
         """Take the parts that came into the images; see `_Request.take`."""
@@ -289,7 +344,7 @@ class Write(_Request):
 
 
 class SyncWrite(_Request):
-    """Write the same items of all servos at once; none of them answers."""
+    """Write the same items of all servos at once; none of them answers, so that none can break the chain."""
 
     def __init__(self, packets: Packets, members: Sequence[Member]) -> None:
         block = members[0].block
@@ -328,6 +383,7 @@ class DynamixelLine:
     """
 
     numbers_replies = False
+    ahead_chars = 0
     silence_chars = 0.0  # a header begins a packet, whatever was before
 
     def __init__(
@@ -337,6 +393,7 @@ class DynamixelLine:
         images: Mapping[str, Image],
     ) -> None:
         self._packets = Packets()
+        self._order = Order()
         self._descriptions = descriptions
         self._options = options
         self._images = images
@@ -354,8 +411,8 @@ class DynamixelLine:
                 is_fast = any(place.name in needs.fast for place in member.block.places)
                 (fast if is_fast else slow).append(member)
             commands += self._members(axis, needs.commands)
-        poll = tuple(self._read(group) for group in _alike(fast))
-        turns = tuple(self._read(group) for group in _alike(slow))
+        poll = tuple(_read(self._packets, group, self._order) for group in _alike(fast))
+        turns = tuple(_read(self._packets, group, self._order) for group in _alike(slow))
         return Plan(poll, turns, tuple(SyncWrite(self._packets, group) for group in _alike(commands)))
 
     def read(self, axis: str, names: Sequence[str]) -> Read:
@@ -366,7 +423,7 @@ class DynamixelLine:
         ValueError
             One request cannot read them all.
         """
-        return Read(self._packets, [_only(self._members(axis, names), "read", names)])
+        return Read(self._packets, [only(self._members(axis, names), "read", names)], self._order)
 
     def write(self, axis: str, names: Sequence[str]) -> Write:
         """Request that writes some signals of an axis.
@@ -376,16 +433,16 @@ class DynamixelLine:
         ValueError
             One request cannot write them all.
         """
-        return Write(self._packets, _only(self._members(axis, names), "write", names))
-
-    def _read(self, members: Sequence[Member]) -> Exchange:
-        if len(members) > 1 and all(member.has_fast_read for member in members):
-            return FastRead(self._packets, members)
-        return Read(self._packets, members)
+        return Write(self._packets, only(self._members(axis, names), "write", names))
 
     def _members(self, axis: str, names: Sequence[str]) -> list[Member]:
         servo, image, description = self._options[axis].id, self._images[axis], self._descriptions[axis]
         return [Member(servo, image, block, description.fast_sync_read) for block in description.blocks(names)]
+
+
+def _read(packets: Packets, members: Sequence[Member], order: Order) -> Exchange:
+    is_fast = len(members) > 1 and all(member.has_fast_read for member in members)
+    return FastRead(packets, members, order) if is_fast else Read(packets, members, order)
 
 
 def _alike(members: Sequence[Member]) -> list[list[Member]]:
@@ -415,10 +472,3 @@ def _words(*numbers: int) -> bytes:
 def _stuffing(size: int) -> int:
     """Most bytes that stuffing can add to data: one to each FF FF FD."""
     return size // 3
-
-
-def _only(members: Sequence[Member], verb: str, names: Sequence[str]) -> Member:
-    if len(members) != 1:
-        listed = "; ".join(str(member.block) for member in members)
-        raise ValueError(f"one request cannot {verb} {', '.join(names)}: they lie in {listed or 'nothing'}")
-    return members[0]

@@ -65,8 +65,4 @@ class DynamixelDescription(Description):
         for place in places:
             if place.end - 1 > _LAST_ADDRESS:
                 yield f"{place.name} does not end before address {_LAST_ADDRESS + 1}"
-        for key, steps in self.sequences.items():
-            for k, step in enumerate(steps):
-                if all(name in self.signals for name in step.write) and len(self.blocks(step.write)) > 1:
-                    names = ", ".join(step.write)
-                    yield f"{key}[{k}] writes {names}, which do not lie side by side: make a step of each"
+        yield from self._scattered_steps(self.blocks)

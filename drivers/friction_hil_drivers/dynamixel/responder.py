@@ -1,5 +1,6 @@
 """The servos' end of Dynamixel Protocol 2.0 in the simulation: requests taken off a line, answered from drives."""
 
+import itertools
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
@@ -20,7 +21,7 @@ from friction_hil_drivers.dynamixel.packets import (
     Packet,
     Packets,
 )
-from friction_hil_drivers.serial_line.simulated.drive import RefusedError
+from friction_hil_drivers.serial_line.simulated.drive import RefusedError, RequestError
 
 if TYPE_CHECKING:
     from friction_hil_drivers.serial_line.simulated.drive import SimulatedDrive
@@ -28,14 +29,6 @@ if TYPE_CHECKING:
 INSTRUCTION_ERROR, RANGE_ERROR, LENGTH_ERROR, ACCESS_ERROR = 2, 4, 5, 7
 _LONGEST = 1017  # the vendor's SDK makes packets of 1024 bytes at most
 _IDENTITY = bytes(3)  # model number and firmware that ping tells: those of no real servo
-
-
-class _RequestError(Exception):
-    """The request is answered with this number of an error."""
-
-    def __init__(self, number: int) -> None:
-        super().__init__(number)
-        self.number = number
 
 
 class _Servo:
@@ -60,13 +53,13 @@ class _Servo:
 
         Raises
         ------
-        _RequestError
+        RequestError
             Not all of them are anything.
         """
         end = address + size
         there = [place for place in self._places if place.address < end and address < place.end]
         if sum(min(place.end, end) - max(place.address, address) for place in there) != size or not size:
-            raise _RequestError(ACCESS_ERROR)
+            raise RequestError(ACCESS_ERROR)
         if any(place.name == "position" for place in there):
             self._drive.sample()
         data = b"".join(place.pack(self._drive.read(place.name)) for place in there)
@@ -78,21 +71,21 @@ class _Servo:
 
         Raises
         ------
-        _RequestError
+        RequestError
             They belong to nothing, do not fill what they belong to, or the drive refuses them.
         """
         end = address + len(data)
         there = [place for place in self._places if place.address < end and address < place.end]
         if any(place.address < address or place.end > end for place in there):
-            raise _RequestError(LENGTH_ERROR)
+            raise RequestError(LENGTH_ERROR)
         if sum(place.size for place in there) != len(data) or not data:
-            raise _RequestError(ACCESS_ERROR)
+            raise RequestError(ACCESS_ERROR)
         try:
             for place in there:
                 number = place.number(data[place.address - address : place.end - address])
                 self._drive.write(place.name, number)
         except RefusedError:
-            raise _RequestError(RANGE_ERROR) from None
+            raise RequestError(RANGE_ERROR) from None
 
 
 class DynamixelResponder:
@@ -110,6 +103,8 @@ class DynamixelResponder:
     UsageError
         The vendor's SDK is not installed.
     """
+
+    request_end = b""
 
     def __init__(
         self,
@@ -146,15 +141,15 @@ class DynamixelResponder:
                 return self._status(packet.id, _IDENTITY)
             if packet.instruction == READ:
                 if len(p) != 4:
-                    raise _RequestError(LENGTH_ERROR)
+                    raise RequestError(LENGTH_ERROR)
                 return self._status(packet.id, servo.read(_word(p, 0), _word(p, 2)))
             if packet.instruction != WRITE:
-                raise _RequestError(INSTRUCTION_ERROR)
+                raise RequestError(INSTRUCTION_ERROR)
             if len(p) < 2:
-                raise _RequestError(LENGTH_ERROR)
+                raise RequestError(LENGTH_ERROR)
             servo.write(_word(p, 0), p[2:])
             return self._status(packet.id)
-        except _RequestError as error:
+        except RequestError as error:
             return self._status(packet.id, error=error.number)
 
     def _answer_all(self, packet: Packet) -> bytes:
@@ -168,7 +163,9 @@ class DynamixelResponder:
             return b""
         address, size, rest = _word(p, 0), _word(p, 2), p[4:]
         if packet.instruction == SYNC_READ:
-            return b"".join(self._read(servo, address, size) for servo in rest if servo in self._servos)
+            # each waits for the one before it to answer: behind one that does not, nobody answers
+            there = itertools.takewhile(self._servos.__contains__, rest)
+            return b"".join(self._read(servo, address, size) for servo in there)
         if packet.instruction == FAST_SYNC_READ:
             return self._read_fast(address, size, rest)
         if packet.instruction == SYNC_WRITE:
@@ -179,7 +176,7 @@ class DynamixelResponder:
     def _read(self, servo: int, address: int, size: int) -> bytes:
         try:
             return self._status(servo, self._servos[servo].read(address, size))
-        except _RequestError as error:
+        except RequestError as error:
             return self._status(servo, error=error.number)
 
     def _read_fast(self, address: int, size: int, servos: bytes) -> bytes:
@@ -194,7 +191,7 @@ class DynamixelResponder:
             error, data = 0, bytes(size)
             try:
                 data = self._servos[servo].read(address, size)
-            except _RequestError as refusal:
+            except RequestError as refusal:
                 error = refusal.number
             packet += bytes((error | self._servos[servo].alert, servo)) + data
             packet += self._packets.crc(packet).to_bytes(CRC, "little")
@@ -205,7 +202,7 @@ class DynamixelResponder:
         if servo in self._servos:
             try:
                 self._servos[servo].write(address, data)
-            except _RequestError:
+            except RequestError:
                 return
 
     def _status(self, servo: int, data: bytes = b"", error: int = 0) -> bytes:

@@ -24,7 +24,7 @@ from friction_hil_drivers.modbus.description import ModbusDescription
 from friction_hil_drivers.modbus.framing import REFUSED, Framing, RtuFraming, TcpFraming
 from friction_hil_drivers.modbus.options import ModbusOptions
 from friction_hil_drivers.modbus.registers import BIT_TABLES, Block
-from friction_hil_drivers.serial_line.protocol import Image, Plan, ReplyError, Wanted
+from friction_hil_drivers.serial_line.protocol import Image, Plan, ReplyError, Single, Wanted, only
 from friction_hil_drivers.serial_line.wire import character_s
 
 _SILENCE_CHARS = 3.5
@@ -49,7 +49,7 @@ EXCEPTIONS = {
 }
 
 
-class Request:
+class Request(Single):
     """A request to one drive and its reply; see `friction_hil_drivers.serial_line.protocol.Exchange`.
 
     Parameters
@@ -200,6 +200,7 @@ class ModbusLine:
         self._framing: Framing = TcpFraming() if line.is_tcp else RtuFraming()
         silence_s = max(description.silence_s for description in descriptions.values())
         self.numbers_replies = line.is_tcp
+        self.ahead_chars = 0
         self.silence_chars = 0.0 if line.is_tcp else max(_SILENCE_CHARS, silence_s / character_s(line))
 
     def plan(self, wanted: Mapping[str, Wanted]) -> Plan:
@@ -234,7 +235,7 @@ class ModbusLine:
         ValueError
             One request cannot read them all.
         """
-        return self._request(axis, read=_only(self._descriptions[axis].read_blocks(tuple(names)), "read", names))
+        return self._request(axis, read=only(self._descriptions[axis].read_blocks(tuple(names)), "read", names))
 
     def write(self, axis: str, names: Sequence[str]) -> Request:
         """Request that writes some signals of an axis.
@@ -244,7 +245,7 @@ class ModbusLine:
         ValueError
             One request cannot write them all.
         """
-        return self._request(axis, write=_only(self._descriptions[axis].write_blocks(tuple(names)), "write", names))
+        return self._request(axis, write=only(self._descriptions[axis].write_blocks(tuple(names)), "write", names))
 
     def _request(self, axis: str, read: Block | None = None, write: Block | None = None) -> Request:
         return Request(
@@ -265,10 +266,3 @@ def _reads(description: ModbusDescription, needs: Wanted) -> tuple[list[Block], 
     if len(fast) > len(description.read_blocks(needs.fast)):  # what is slow took the room in a block
         return description.read_blocks(needs.fast), description.read_blocks(slow_names)
     return fast, [block for block in together if block not in fast]
-
-
-def _only(blocks: Sequence[Block], verb: str, names: Sequence[str]) -> Block:
-    if len(blocks) != 1:
-        listed = "; ".join(map(str, blocks))
-        raise ValueError(f"one request cannot {verb} {', '.join(names)}: they lie in {listed or 'nothing'}")
-    return blocks[0]

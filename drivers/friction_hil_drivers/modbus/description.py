@@ -118,7 +118,7 @@ class ModbusDescription(Description):
             if name == "position" and signal.type == "float32" and signal.resolution is None:
                 yield "position is a float32: give its resolution, which is that of the encoder"
         yield from self._writing_mistakes()
-        yield from self._joint_mistakes()
+        yield from self._scattered_steps(self.write_blocks)
 
     def _writing_mistakes(self) -> Iterator[str]:
         places = [self.place(name) for name in self.signals]
@@ -137,10 +137,3 @@ class ModbusDescription(Description):
             for other in places:
                 if other.name != name and other.table == place.table and other.address < end and start < other.end:
                     yield f"writing {name} ({place.address:04X}h) would overwrite {other.name} ({other.address:04X}h)"
-
-    def _joint_mistakes(self) -> Iterator[str]:
-        for key, steps in self.sequences.items():
-            for k, step in enumerate(steps):
-                if all(name in self.signals for name in step.write) and len(self.write_blocks(tuple(step.write))) > 1:
-                    names = ", ".join(step.write)
-                    yield f"{key}[{k}] writes {names}, which do not lie side by side: make a step of each"

@@ -134,7 +134,7 @@ class TcpFraming:
                 raise ReplyError(f"unit {frame[6]} answered in place of unit {unit}", is_complete=True)
             pdu = frame[_HEADER:]
             if not pdu[0] & REFUSED and (len(pdu) != size or not pdu.startswith(head)):
-                raise ReplyError(f"that is no reply to function {head[0]}: {_shown(frame)}", is_complete=True)
+                raise ReplyError(f"that is no reply to function {head[0]}: {_in_hex(frame)}", is_complete=True)
             return pdu
         return None
 
@@ -147,10 +147,10 @@ def _has_crc(frame: bytearray) -> bool:
 
 
 def _wrong(received: bytearray, why: str) -> ReplyError:
-    error = ReplyError(f"{why}: {_shown(received)}")
+    error = ReplyError(f"{why}: {_in_hex(received)}")
     received.clear()
     return error
 
 
-def _shown(data: bytes | bytearray) -> str:
+def _in_hex(data: bytes | bytearray) -> str:
     return data[:_SHOWN].hex(" ") + (" ..." if len(data) > _SHOWN else "")

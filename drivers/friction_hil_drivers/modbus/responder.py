@@ -16,7 +16,7 @@ from friction_hil_drivers.modbus.description import ModbusDescription
 from friction_hil_drivers.modbus.framing import REFUSED
 from friction_hil_drivers.modbus.options import ModbusOptions
 from friction_hil_drivers.modbus.registers import Place, Table
-from friction_hil_drivers.serial_line.simulated.drive import RefusedError
+from friction_hil_drivers.serial_line.simulated.drive import RefusedError, RequestError
 
 if TYPE_CHECKING:
     from friction_hil_drivers.serial_line.simulated.drive import SimulatedDrive
@@ -42,14 +42,6 @@ _REQUESTS: dict[int, type[ModbusPDU]] = {
 _COIL_VALUES = (b"\xff\x00", b"\x00\x00")
 
 
-class _RequestError(Exception):
-    """The request is answered with this exception code."""
-
-    def __init__(self, code: int) -> None:
-        super().__init__(code)
-        self.code = code
-
-
 class _RegisterSpace:
     """Registers and coils of one drive."""
 
@@ -72,15 +64,15 @@ class _RegisterSpace:
         """Carry a request out; the PDU of the reply."""
         try:
             if pdu[0] not in self._functions:
-                raise _RequestError(ILLEGAL_FUNCTION)
+                raise RequestError(ILLEGAL_FUNCTION)
             request = _REQUESTS[pdu[0]]()
             try:
                 request.decode(pdu[1:])
             except (ValueError, IndexError, struct.error, ModbusException):
-                raise _RequestError(ILLEGAL_VALUE) from None
+                raise RequestError(ILLEGAL_VALUE) from None
             data = self._carry_out(request, pdu)
-        except _RequestError as reply:
-            return bytes((pdu[0] | REFUSED, reply.code))
+        except RequestError as reply:
+            return bytes((pdu[0] | REFUSED, reply.number))
         return pdu[:1] + data
 
     def _carry_out(self, request: ModbusPDU, pdu: bytes) -> bytes:
@@ -103,35 +95,35 @@ class _RegisterSpace:
             self._check(len(request.registers), request.count, pdu[5], len(pdu) - 6)
         is_broken = function == 15 and not pdu[5] == len(pdu) - 6 == (request.count + 7) // 8
         if is_broken or (function == 5 and pdu[3:5] not in _COIL_VALUES):
-            raise _RequestError(ILLEGAL_VALUE)
+            raise RequestError(ILLEGAL_VALUE)
         self._write(_WRITES[function], request.address, request.registers or [int(bit) for bit in request.bits])
         return pdu[1:5]
 
     def _check(self, given: int, count: int, byte_count: int, sent: int) -> None:
         if not 0 < given == count <= self._description.max_write_registers or not byte_count == sent == 2 * count:
-            raise _RequestError(ILLEGAL_VALUE)
+            raise RequestError(ILLEGAL_VALUE)
 
     def _found(self, table: Table, address: int, count: int) -> list[tuple[Place, int] | None]:
         """What lies at these addresses; None where nothing is and a real drive would not mind.
 
         Raises
         ------
-        _RequestError
+        RequestError
             The drive refuses to read there.
         """
         description = self._description
         if table in ("holding", "input") and not 0 < count <= description.max_read_registers:
-            raise _RequestError(ILLEGAL_VALUE)
+            raise RequestError(ILLEGAL_VALUE)
         found = list(self._places(table, address, count))
         minds = description.max_gap_registers == 0 and description.alignment == 1
         if not any(found) or (minds and not all(found)):
-            raise _RequestError(ILLEGAL_ADDRESS)
+            raise RequestError(ILLEGAL_ADDRESS)
         return found
 
     def _places(self, table: Table, address: int, count: int) -> Iterator[tuple[Place, int] | None]:
         alignment = self._description.alignment
         if address % alignment or count % alignment:
-            raise _RequestError(ILLEGAL_ADDRESS)
+            raise RequestError(ILLEGAL_ADDRESS)
         for k in range(count):
             yield self._at.get((table, address + k))
 
@@ -147,7 +139,7 @@ class _RegisterSpace:
     def _write(self, table: Table, address: int, words: Sequence[int]) -> None:
         found = list(self._places(table, address, len(words)))
         if not any(found) or (self._description.alignment == 1 and not all(found)):
-            raise _RequestError(ILLEGAL_ADDRESS)
+            raise RequestError(ILLEGAL_ADDRESS)
         for entry, word in zip(found, words, strict=True):
             if entry is not None:
                 self._write_word(*entry, word)
@@ -167,7 +159,7 @@ class _RegisterSpace:
                 raise RefusedError(f"{place.name} cannot be {number}")
             self._drive.write(place.name, self._unwrapped(number) if place.name == "position_command" else number)
         except RefusedError:
-            raise _RequestError(ILLEGAL_VALUE) from None
+            raise RequestError(ILLEGAL_VALUE) from None
 
     def _unwrapped(self, command: float) -> float:
         """Commanded position nearest to the present one, of all those that look the same on the line."""
@@ -188,6 +180,8 @@ class ModbusResponder:
     descriptions, options : mapping
         Of the same axes.
     """
+
+    request_end = b""
 
     def __init__(
         self,

@@ -1,9 +1,12 @@
-"""Requests and replies on one line, one after the other, in small steps that never wait.
+"""Requests and replies on one line, in order, in small steps that never wait.
 
 A reply belongs to the request before it, and serial protocols do not number them: a late reply looks like the
 present one of the same drive. So a drive that did not answer in time is asked nothing more until its reply has come,
 and was dropped, or cannot come any more. Others on the line are asked meanwhile, and what needs no reply is sent: a
 drive that is silent must not keep another one from being stopped.
+
+Requests go out together where the drives read ahead and no reply to one of them could be taken for one to another:
+a cycle then wakes up once.
 """
 
 import time
@@ -11,12 +14,14 @@ from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 
 from friction_hil_drivers.serial_line.line import Line, LineGoneError
-from friction_hil_drivers.serial_line.protocol import Exchange, Image, ReplyError
+from friction_hil_drivers.serial_line.protocol import Exchange, Image, ReplyError, shown
 from friction_hil_drivers.serial_line.wire import character_s
 
 _SHORT_SILENCE_NS = 2_000_000  # USB adapters hand over what they have each millisecond
 _REOPEN_NS = 200_000_000
-_SHOWN = 60  # characters
+_MOST_UNCONFIRMED = 8
+
+Asked = tuple[Exchange, Callable[[], None] | None]
 
 
 class Conversation:
@@ -32,6 +37,8 @@ class Conversation:
     reply_limit_s : float
         Time after which a reply that did not come will not come any more; 0 where replies are numbered, so that a
         late one is known for what it is.
+    ahead_chars : int
+        Characters of requests that may be sent before the first of them is answered; 0: one request at a time.
     now_ns : callable
         Monotonic time, ns.
 
@@ -39,9 +46,6 @@ class Conversation:
     ----------
     trouble : str
         What went wrong last, in words.
-    lost, late, refused, noise : int
-        Requests without a reply in time; replies that came late; replies that were none; bytes that nobody had
-        asked for.
     refusals : int
         Commands in a row that the drive refused.
     limit_ns : int or None
@@ -55,6 +59,8 @@ class Conversation:
         silence_chars: float,
         reply_limit_s: float,
         now_ns: Callable[[], int] = time.monotonic_ns,
+        *,
+        ahead_chars: int = 0,
     ) -> None:
         self.line = line
         self._images = tuple(images)
@@ -65,22 +71,26 @@ class Conversation:
         self._turnaround_ns = round(line.options.turnaround_s * 1e9)
         self._reply_limit_ns = round(reply_limit_s * 1e9)
         self._settle_ns = max(self._silence_ns, _SHORT_SILENCE_NS)
-        self._queue: deque[tuple[Exchange, Callable[[], None] | None]] = deque()
-        self._awaited: tuple[Exchange, Callable[[], None] | None] | None = None
+        self._ahead_chars = ahead_chars
+        self._unread_chars = 0  # sent since a drive answered last: it may not have looked at them yet
+        self._queue: deque[Asked] = deque()
+        self._awaited: deque[Asked] = deque()  # sent together, answered in this order
+        self._unconfirmed: deque[Exchange] = deque(maxlen=_MOST_UNCONFIRMED)  # sent without a reply: may be refused
+        self._is_refused = False  # one of these was
         self._owed: list[tuple[Exchange, int]] = []  # not answered in time, and until when the reply may still come
         self._silent: frozenset[str] = frozenset()  # did not answer last time: asked after the others
         self._is_settling = False  # what comes belongs to a broken reply
         self._received = bytearray()
-        self._sent_ns = self._heard_ns = self._quiet_until_ns = 0
+        self._sent_ns = self._heard_ns = self._quiet_until_ns = self._busy_until_ns = 0
         self._next_reopen_ns = 0
         self.trouble = ""
         self.limit_ns: int | None = None
-        self.lost = self.late = self.refused = self.noise = self.refusals = 0
+        self.refusals = 0
 
     @property
     def is_finished(self) -> bool:
         """Whether all has been asked and answered, or the line is gone."""
-        return not self._queue and self._awaited is None
+        return not self._queue and not self._awaited
 
     @property
     def is_all_sent(self) -> bool:
@@ -94,7 +104,7 @@ class Conversation:
             return None
         if self._is_settling:
             return self._heard_ns + self._settle_ns
-        if self._awaited is not None:
+        if self._awaited:
             return None
         if not self._owed:
             return self._quiet_until_ns if self._queue else None
@@ -107,24 +117,43 @@ class Conversation:
 
     def ask(self, exchanges: Iterable[Exchange], done: Callable[[], None] | None = None) -> None:
         """Queue requests; ``done`` is called when the last of them has been answered (sent, if no reply is due)."""
-        self._queue.extend((exchange, None) for exchange in exchanges)
+        self._queue.extend([(exchange, None) for exchange in exchanges])
         if done is not None and self._queue:
             self._queue[-1] = (self._queue[-1][0], done)
 
-    def step(self) -> None:
-        """Do what can be done now."""
+    def step(self, *, is_ready: bool = False) -> None:
+        """Do what can be done now.
+
+        Parameters
+        ----------
+        is_ready : bool
+            The operating system says that something has come.
+        """
         if not self.line.is_open:
             self._reopen()
             return
         try:
-            if data := self.line.read():
+            if data := self.line.read(is_ready=is_ready):
                 self._received += data
                 self._heard_ns = self._now_ns()
-            while self._hear() and self._say():
-                pass
+            self._go_on()
         except LineGoneError as gone:
-            self.trouble = str(gone)
-            self._forget()
+            self._forget(gone)
+
+    def speak(self) -> None:
+        """Send what can be sent now; what has to wait for a late reply is not sent in this cycle."""
+        if self._owed:
+            self.step()
+            self._queue = deque(asked for asked in self._queue if self._may_be_asked(asked[0]))
+        elif self.line.is_open:
+            try:
+                self._go_on()
+            except LineGoneError as gone:
+                self._forget(gone)
+
+    def _go_on(self) -> None:
+        while self._hear() and self._say():
+            pass
 
     def _hear(self) -> bool:
         """Deal with what came; whether the line is free for the next request."""
@@ -132,49 +161,75 @@ class Conversation:
         if self._is_settling:
             self._received.clear()
             self._is_settling = now < self._heard_ns + self._settle_ns
-        elif self._awaited is not None:
-            self._await(*self._awaited, now)
-        else:
+        elif self._awaited:
+            self._await(now)
+        elif self._owed:
             self._drop_late(now)
-        is_speaking = self._awaited is not None or self._is_settling or bool(self._owed and self._received)
-        return not is_speaking and now >= self._quiet_until_ns
+        if self._awaited:
+            return bool(self._ahead_chars) and self._may_join(0)
+        return not self._is_settling and not (self._owed and self._received) and now >= self._quiet_until_ns
 
-    def _await(self, exchange: Exchange, done: Callable[[], None] | None, now: int) -> None:
-        try:
-            if not (self._received and exchange.take(self._received)):
-                return
-        except ReplyError as error:
-            self.refused += 1
-            self.refusals += bool(error.is_complete and exchange.writes)
-            self.trouble = f"{exchange.what}: {error}"
-            self._is_settling = not error.is_complete
-        else:
-            self._silent -= exchange.addressees
-            if exchange.writes:
-                self.refusals = 0
-            if done is not None:
-                done()
-        self._awaited = None
-        self._quiet_until_ns = now + self._silence_ns
+    def _await(self, now: int) -> None:
+        """Take the replies that are complete; in the order of the requests."""
+        while self._awaited:
+            exchange, done = self._awaited[0]
+            try:
+                if not (self._received and exchange.take(self._received)):
+                    return
+            except ReplyError as error:
+                if self._is_of_unconfirmed(error):  # the reply proper follows
+                    continue
+                self.refusals += bool(error.is_complete and exchange.writes)
+                self.trouble = f"{exchange.what}: {error}"
+                # where another reply follows, it is told from what is left of this one
+                self._is_settling = not error.is_complete and len(self._awaited) == 1
+            else:
+                if self._silent:
+                    self._silent -= exchange.addressees
+                if exchange.writes:
+                    self.refusals = 0
+                if self._unconfirmed:
+                    self._confirm(exchange)
+                self._unread_chars = 0
+                if done is not None:
+                    done()
+            self._awaited.popleft()
+            self._quiet_until_ns = now + self._silence_ns
+
+    def _is_of_unconfirmed(self, error: ReplyError) -> bool:
+        """Whether an error is that of a request without a reply; then that one is refused."""
+        if not (error.is_unasked and self._unconfirmed):
+            return False
+        self.refusals += 1
+        self._is_refused = True
+        self.trouble = f"{self._unconfirmed.pop().what}: {error}"
+        return True
+
+    def _confirm(self, exchange: Exchange) -> None:
+        """Note that a drive answered: what was sent to it before, without a reply, it has not refused."""
+        rest = [each for each in self._unconfirmed if not each.addressees <= exchange.addressees]
+        if len(rest) < len(self._unconfirmed) and not self._is_refused:
+            self.refusals = 0
+        self._is_refused = False
+        self._unconfirmed.clear()
+        self._unconfirmed.extend(rest)
 
     def _drop_late(self, now: int) -> None:
-        """Take a reply of an earlier cycle for what it is; it is not fresh."""
-        if not self._owed:
-            return
+        """Take a reply of an earlier cycle for what it is: nothing of it is used."""
         if self._received:
-            fresh = [set(image.fresh) for image in self._images]
+            before = [(dict(image.values), set(image.fresh)) for image in self._images]
             exchange, _ = self._owed[0]
             try:
                 is_complete = exchange.take(self._received)
             except ReplyError as error:
-                # of another one who owes a reply, or broken: who did not answer goes on owing
-                self.refused += 1
-                is_complete, self._is_settling = False, True
-                self.trouble = f"late, {exchange.what}: {error}"
-            for image, names in zip(self._images, fresh, strict=True):
-                image.fresh = names
+                is_complete = False
+                if not self._is_of_unconfirmed(error):
+                    # of another one who owes a reply, or broken: who did not answer goes on owing
+                    self._is_settling = True
+                    self.trouble = f"late, {exchange.what}: {error}"
+            for image, (values, fresh) in zip(self._images, before, strict=True):
+                image.values, image.fresh = values, fresh
             if is_complete:
-                self.late += 1
                 del self._owed[0]
                 self._quiet_until_ns = now + self._silence_ns
         self._owed = [(exchange, until) for exchange, until in self._owed if now < until]
@@ -184,69 +239,120 @@ class Conversation:
         return not exchange.reply_size or all(exchange.addressees.isdisjoint(owed.unanswered) for owed, _ in self._owed)
 
     def _say(self) -> bool:
-        """Send the next request; whether another one may follow at once."""
+        """Send the next request, or several together; whether another one may follow at once."""
         if not self._queue:
             return False
-        place = self._next_place() if self._owed or self._silent else 0
+        is_disturbed = bool(self._owed or self._silent)
+        place = self._next_place() if is_disturbed else 0
         if place is None:
             return False
         if self._received:
-            self.noise += len(self._received)
-            self.trouble = f"not asked for: {_shown(self._received)}"
-            self._received.clear()
-        exchange, done = self._queue[place]
-        del self._queue[place]
-        if self.limit_ns is not None and self._now_ns() + self._wire_ns(exchange) > self.limit_ns:
-            # the reply would be late, the next cycle begin with waiting for it, and so would all after that
-            self.lost += 1
-            self.trouble = f"{exchange.what}: no time was left for it"
-            self._queue.clear()
-            return False
-        data = exchange.encode()
-        self.line.write(data)
-        self._sent_ns = self._now_ns()
-        if exchange.reply_size:
-            self._awaited = exchange, done
-            return False
-        self._quiet_until_ns = self._sent_ns + round(len(data) * self._character_ns) + self._silence_ns
-        if done is not None:
+            self._take_unasked()
+        data = b""
+        sent: list[Callable[[], None]] = []
+        while True:
+            exchange, done = self._queue[place]
+            del self._queue[place]
+            if self.limit_ns is not None and not self._has_time(exchange):
+                # the reply would be late, the next cycle begin with waiting for it, and so would all after that
+                self.trouble = f"{exchange.what}: no time was left for it"
+                self._queue.clear()
+                break
+            data += exchange.encode()
+            if exchange.reply_size:
+                self._awaited.append((exchange, done))
+            else:
+                if exchange.tells_refusal:
+                    self._unconfirmed.append(exchange)
+                if done is not None:
+                    sent.append(done)
+            if is_disturbed or not self._queue or not self._may_join(len(data)):
+                break
+        if data:
+            self._send(data)
+        for done in sent:
             done()
-        return True
+        return not self._awaited
+
+    def _may_join(self, chars: int) -> bool:
+        """Whether the next request may be sent together with those before it, which have so many characters."""
+        if not self._queue or self._silence_ns:
+            return False
+        if not self._awaited:
+            return True
+        exchange, _ = self._queue[0]
+        if self._unread_chars + chars + exchange.request_size > self._ahead_chars:
+            return False
+        return all(exchange.may_follow(before) for before, _ in self._awaited)
+
+    def _send(self, data: bytes) -> None:
+        self.line.write(data)
+        self._unread_chars += len(data)
+        self._sent_ns = self._now_ns()
+        self._busy_until_ns = max(self._busy_until_ns, self._sent_ns) + round(len(data) * self._character_ns)
+        if not self._awaited:
+            self._quiet_until_ns = self._busy_until_ns + self._silence_ns if self._silence_ns else 0
+
+    def _has_time(self, exchange: Exchange) -> bool:
+        """Whether an exchange can be over in this cycle."""
+        assert self.limit_ns is not None
+        silence = self._silence_ns if exchange.reply_size else 0
+        wire_ns = (exchange.request_size + exchange.reply_size) * self._character_ns + silence + self._turnaround_ns
+        return max(self._now_ns(), self._busy_until_ns) + wire_ns <= self.limit_ns
+
+    def _take_unasked(self) -> None:
+        """Look at what came without a question: refusals of what has no reply; the rest is noise."""
+        while self._unconfirmed and self._received:
+            try:
+                self._unconfirmed[-1].take(self._received)
+            except ReplyError as error:
+                if self._is_of_unconfirmed(error):
+                    continue
+            break
+        if self._received:
+            self.trouble = f"not asked for: {shown(self._received)}"
+            self._received.clear()
 
     def _next_place(self) -> int | None:
         """Where in the queue the request is that is to be made now: whoever was silent comes after the others."""
+        if self._owed:
+            owing = frozenset[str]().union(*(owed.unanswered for owed, _ in self._owed))
+            self._queue = deque((self._for_others(exchange, owing), done) for exchange, done in self._queue)
         places = [k for k, (exchange, _) in enumerate(self._queue) if self._may_be_asked(exchange)]
         return min(places, key=lambda k: self._is_silent(self._queue[k][0]), default=None)
 
+    def _for_others(self, exchange: Exchange, owing: frozenset[str]) -> Exchange:
+        """Let a request to several drives be one to those of them that owe no reply, if there are any."""
+        if exchange.reply_size and not exchange.addressees.isdisjoint(owing):
+            return exchange.without(owing) or exchange
+        return exchange
+
     def _is_silent(self, exchange: Exchange) -> bool:
         return exchange.reply_size > 0 and not self._silent.isdisjoint(exchange.addressees)
-
-    def _wire_ns(self, exchange: Exchange) -> float:
-        """Least time until the reply is there."""
-        silence = self._silence_ns if exchange.reply_size else 0
-        return (exchange.request_size + exchange.reply_size) * self._character_ns + silence + self._turnaround_ns
 
     def give_up(self) -> None:
         """End a cycle: what has not been asked is not asked any more, and what is not answered is lost."""
         self._queue.clear()
         self.limit_ns = None
-        if self._awaited is not None:
-            exchange, _ = self._awaited
+        if self._awaited:
+            self.trouble = f"{self._awaited[0][0].what}: no reply in time"
+            for exchange, _ in self._awaited:
+                self._silent |= exchange.unanswered
             self._owe()
-            self._silent |= exchange.unanswered
-            self.lost += 1
-            self.trouble = f"{exchange.what}: no reply in time"
 
     def _owe(self) -> None:
-        """Go on without the reply that is awaited; it may still come."""
-        if self._awaited is not None and self._reply_limit_ns:
-            self._owed.append((self._awaited[0], self._sent_ns + self._reply_limit_ns))
-        self._awaited = None
+        """Go on without the replies that are awaited; they may still come."""
+        if self._reply_limit_ns:
+            until = self._sent_ns + self._reply_limit_ns
+            self._owed += [(exchange, until) for exchange, _ in self._awaited]
+        self._awaited.clear()
 
-    def _forget(self) -> None:
+    def _forget(self, gone: LineGoneError) -> None:
+        self.trouble = str(gone)
         self._queue.clear()
         self._received.clear()
         self._owe()  # a converter in between may keep it until the line is back
+        self._unconfirmed.clear()
         self._is_settling = False
         self._next_reopen_ns = self._now_ns() + _REOPEN_NS
 
@@ -256,7 +362,3 @@ class Conversation:
         if now >= self._next_reopen_ns:
             self._next_reopen_ns = now + _REOPEN_NS
             self.line.reopen()
-
-
-def _shown(data: bytes | bytearray) -> str:
-    return repr(bytes(data[:_SHOWN])) + (" ..." if len(data) > _SHOWN else "")

@@ -1,6 +1,6 @@
 """A drive described rather than programmed: its signals, states and sequences, read from a YAML file."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Literal, Self, TypeVar
 
@@ -156,6 +156,14 @@ class Description(Part):
         if self.watchdog is not None:
             found["watchdog.enable"] = self.watchdog.enable
         return found
+
+    def _scattered_steps(self, blocks: Callable[[tuple[str, ...]], Sequence[object]]) -> Iterator[str]:
+        """Mistakes: steps whose signals lie in more than one of the ``blocks`` that a request can write."""
+        for key, steps in self.sequences.items():
+            for k, step in enumerate(steps):
+                if step.write.keys() <= self.units().keys() and len(blocks(tuple(step.write))) > 1:
+                    names = ", ".join(step.write)
+                    yield f"{key}[{k}] writes {names}, which do not lie side by side: make a step of each"
 
     @model_validator(mode="after")
     def _is_consistent(self) -> Self:

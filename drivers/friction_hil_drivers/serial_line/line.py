@@ -116,8 +116,13 @@ class Line:
             ]
         return []
 
-    def read(self) -> bytes:
+    def read(self, *, is_ready: bool = True) -> bytes:
         """Return what has arrived, nothing where that is nothing.
+
+        Parameters
+        ----------
+        is_ready : bool
+            Something is said to be there: then nothing means that the adapter is not there any more.
 
         Raises
         ------
@@ -132,7 +137,9 @@ class Line:
             raise self._lose(_reason(error)) from error
         if not data and self._socket is not None:
             raise self._lose("the peer closed the connection")
-        if not data and self._hang_up.poll(0):  # a port without its adapter reads as one to which nothing comes
+        if (
+            is_ready and not data and self._hang_up.poll(0)
+        ):  # a port without its adapter reads as one to which nothing comes
             raise self._lose("the adapter was unplugged")
         return data
 

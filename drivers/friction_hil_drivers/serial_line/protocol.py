@@ -3,12 +3,13 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 # Signals that the driver itself understands; a description may have others, for its sequences.
 FAST = ("position", "velocity")  # read in every cycle
 SLOW = ("torque", "status", "error")  # read in every cycle where they come along, else in turns
 COMMANDS = ("position_command", "velocity_command", "torque_command")
+_SHOWN = 60  # characters
 
 
 class ReplyError(Exception):
@@ -21,11 +22,14 @@ class ReplyError(Exception):
     is_complete : bool
         The drive has said all it has to say (an exception code, an error text). Otherwise more may come, and the
         line has to fall silent before the next request.
+    is_unasked : bool
+        It is an error that may belong to a request before this one, to which nothing is replied otherwise.
     """
 
-    def __init__(self, message: str, *, is_complete: bool = False) -> None:
+    def __init__(self, message: str, *, is_complete: bool = False, is_unasked: bool = False) -> None:
         super().__init__(message)
         self.is_complete = is_complete
+        self.is_unasked = is_unasked
 
 
 @dataclass(slots=True)
@@ -66,6 +70,7 @@ class Exchange(Protocol):
     writes: tuple[str, ...]
     request_size: int  # characters on the line, the most there can be
     reply_size: int  # likewise; 0: no reply comes
+    tells_refusal: bool  # no reply comes, but an error does where the drive refuses
 
     @property
     def unanswered(self) -> frozenset[str]:
@@ -92,6 +97,51 @@ class Exchange(Protocol):
         """
         ...
 
+    def may_follow(self, before: "Exchange") -> bool:
+        """Whether it may be sent while ``before`` is not answered: neither's reply can be taken for the other's."""
+        ...
+
+    def without(self, addressees: frozenset[str]) -> "Exchange | None":
+        """Return the same for all other addressees; None where it cannot be divided so."""
+        ...
+
+
+class Single:
+    """What an `Exchange` has that is made by itself, whole or not at all, and whose drives do not err unasked."""
+
+    tells_refusal = False
+
+    def may_follow(self, before: Exchange) -> bool:
+        """See `Exchange`."""
+        return False
+
+    def without(self, addressees: frozenset[str]) -> Exchange | None:
+        """See `Exchange`."""
+        return None
+
+
+Part = TypeVar("Part")
+
+
+def only(parts: Sequence[Part], verb: str, names: Sequence[str]) -> Part:
+    """Return the one part of a drive in which some signals lie.
+
+    Raises
+    ------
+    ValueError
+        They lie in several, or in none: no single request can ``verb`` them.
+    """
+    if len(parts) != 1:
+        listed = "; ".join(map(str, parts))
+        raise ValueError(f"one request cannot {verb} {', '.join(names)}: they lie in {listed or 'nothing'}")
+    return parts[0]
+
+
+def shown(data: bytes | bytearray) -> str:
+    """Text of what came, for messages."""
+    text = repr(bytes(data[:_SHOWN]))[2:-1]
+    return f"'{text}'" + (" ..." if len(data) > _SHOWN else "")
+
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
@@ -116,6 +166,7 @@ class LineProtocol(Protocol):
 
     silence_chars: float  # that end a frame and have to pass before the next one
     numbers_replies: bool  # a reply tells to which request it belongs
+    ahead_chars: int  # of requests that the drives take in before they answer the first; 0: one at a time
 
     def plan(self, wanted: Mapping[str, Wanted]) -> Plan:
         """Put a cycle together from as few exchanges as there can be, for the axes by name."""

@@ -1,5 +1,7 @@
 """How long a cycle takes on a serial line. Pure arithmetic."""
 
+from collections.abc import Iterable
+
 from friction_hil.errors import UsageError
 from friction_hil_drivers.serial_line.options import LineOptions
 from friction_hil_drivers.serial_line.protocol import Exchange, Plan
@@ -10,14 +12,46 @@ def character_s(line: LineOptions) -> float:
     return line.bits_per_character / line.baud
 
 
-def exchange_s(exchange: Exchange, line: LineOptions, silence_chars: float) -> float:
-    """Least time from one request to the next, s: request, silence, turn-around, reply, silence."""
-    frames = 1 if exchange.reply_size == 0 else 2
-    characters = exchange.request_size + exchange.reply_size + frames * silence_chars
-    return characters * character_s(line) + (line.turnaround_s if frames == 2 else 0.0)
+def wire_s(exchanges: Iterable[Exchange], line: LineOptions, silence_chars: float, ahead_chars: int = 0) -> float:
+    """Least time from the first request of some exchanges to the next one, s.
+
+    For one exchange that is request, silence, turn-around, reply, silence. Requests that go out together overlap with
+    the replies to those before. What needs no reply has to come first: it is sent at the end of a cycle.
+
+    Parameters
+    ----------
+    exchanges : iterable of Exchange
+        In the order in which they are made.
+    line : LineOptions
+    silence_chars : float
+        Silence after each frame, in characters.
+    ahead_chars : int
+        Characters of requests that may be sent before the first of them is answered; 0: one request at a time.
+    """
+    character = character_s(line)
+    silence_s = silence_chars * character
+    sent_s = over_s = 0.0  # when the last request is out, and when all is
+    unread = 0  # characters since the last reply
+    together: list[Exchange] = []
+    for exchange in exchanges:
+        is_ahead = bool(together and exchange.reply_size) and unread + exchange.request_size <= ahead_chars
+        if not (is_ahead and all(exchange.may_follow(before) for before in together)):
+            sent_s = over_s
+            if together:
+                unread, together = 0, []
+        unread += exchange.request_size
+        sent_s += exchange.request_size * character + silence_s
+        if exchange.reply_size:
+            together.append(exchange)
+            over_s = max(over_s, sent_s + line.turnaround_s) + exchange.reply_size * character + silence_s
+        else:
+            over_s = sent_s
+    return over_s
 
 
-def check_rate(plan: Plan, step: Exchange | None, line: LineOptions, silence_chars: float, period_s: float) -> str:
+def check_rate(
+    plan: Plan, step: Exchange | None, line: LineOptions, silence_chars: float, ahead_chars: int, period_s: float
+) -> str:
     """Compare what a cycle takes on the wire with the period; say it.
 
     Parameters
@@ -28,6 +62,7 @@ def check_rate(plan: Plan, step: Exchange | None, line: LineOptions, silence_cha
         Longest step of a sequence, which takes the place of a turn.
     line : LineOptions
     silence_chars : float
+    ahead_chars : int
     period_s : float
 
     Raises
@@ -36,14 +71,15 @@ def check_rate(plan: Plan, step: Exchange | None, line: LineOptions, silence_cha
         A cycle is longer than the period; the message has the arithmetic.
     """
 
-    def time_s(exchange: Exchange) -> float:
-        return exchange_s(exchange, line, silence_chars)
+    def time_s(*exchanges: Exchange) -> float:
+        return wire_s(exchanges, line, silence_chars, ahead_chars)
 
-    parts = [*plan.poll, *sorted(plan.turns, key=time_s)[-1:], *plan.push]
-    needed = sum(map(time_s, parts))
+    fixed = (*plan.push, *plan.poll)
+    parts = max([(*plan.push, turn, *plan.poll) for turn in plan.turns], key=lambda some: time_s(*some), default=fixed)
+    needed = time_s(*parts)
     if needed <= period_s:
         text = f"a cycle takes {needed * 1e3:.3g} ms of {period_s * 1e3:g} ms on {line.port}"
-        with_step = sum(map(time_s, (*plan.poll, *plan.push))) + (0.0 if step is None else time_s(step))
+        with_step = time_s(*fixed) if step is None else time_s(step) + time_s(*fixed)
         if with_step > period_s:
             text += f", {with_step * 1e3:.3g} ms with a step on the way to another state: each such step loses a cycle"
         return text
@@ -51,6 +87,8 @@ def check_rate(plan: Plan, step: Exchange | None, line: LineOptions, silence_cha
         f"{each.what}: {each.request_size} + {each.reply_size} characters, {time_s(each) * 1e3:.3g} ms"
         for each in parts
     )
+    if needed < sum(map(time_s, parts)) - character_s(line):
+        listed += ", less what requests and replies overlap"
     raise UsageError(
         f"a period of {period_s * 1e3:g} ms is too short for {line.port} at {line.baud} baud: a cycle takes "
         f"{needed * 1e3:.3g} ms, so {1.0 / needed:.0f} Hz at best. A character has {line.bits_per_character} bits "

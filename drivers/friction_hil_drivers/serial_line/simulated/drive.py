@@ -24,6 +24,14 @@ class RefusedError(Exception):
     """A real drive would refuse this value. The message says what it takes."""
 
 
+class RequestError(Exception):
+    """A request is answered with this number of an error, of those that its protocol has."""
+
+    def __init__(self, number: int) -> None:
+        super().__init__(number)
+        self.number = number
+
+
 class SimulatedDrive:
     """Signals, states and watchdog of a drive, and the servo that it drives.
 

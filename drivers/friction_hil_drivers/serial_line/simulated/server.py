@@ -26,6 +26,8 @@ _S = 1e9  # ns
 class Responder(Protocol):
     """A protocol as the drives of one line speak it."""
 
+    request_end: bytes  # ends every request, which is answered while the next one still comes; b"" where nothing does
+
     def take(self, received: bytearray) -> bytes | None:
         """Remove one whole request and return its reply; ``b""``: none is due; None: more has to come first."""
         ...
@@ -106,9 +108,10 @@ class SimulatedLine:
             self._late.clear()
             self._forget()
         elif data:
-            begun_ns = max(now_ns, self._heard_ns)
-            self._heard_ns = begun_ns + (round(len(data) * self._character_ns) if self._is_real else 0)
-            self._arriving.append((self._heard_ns, now_ns, data))
+            for piece in _divided(data, self._responder.request_end):
+                begun_ns = max(now_ns, self._heard_ns)
+                self._heard_ns = begun_ns + (round(len(piece) * self._character_ns) if self._is_real else 0)
+                self._arriving.append((self._heard_ns, now_ns, piece))
 
     def work(self, now_ns: int, period_ns: int = 0) -> None:
         """Do what is due by now: answer requests that are complete, deliver replies."""
@@ -188,6 +191,14 @@ class SimulatedLine:
             self._boot_s = None
             for drive in self._drives:
                 drive.switch_on()
+
+
+def _divided(data: bytes, end: bytes) -> list[bytes]:
+    """What came, a piece for each request in it."""
+    if not end or data.find(end) in (-1, len(data) - len(end)):
+        return [data]
+    *whole, rest = data.split(end)
+    return [part + end for part in whole] + ([rest] if rest else [])
 
 
 def serve(

@@ -1,0 +1,328 @@
+"""From a configuration to lines whose drives are ready to be enabled: all that may take its time, before the loop."""
+
+import itertools
+import statistics
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from friction_hil.drive import AxisFacts, DriveState
+from friction_hil.errors import DriveError, UsageError
+from friction_hil_drivers.serial_line.axis import Scales, SerialAxis, make_scales
+from friction_hil_drivers.serial_line.conversation import Conversation
+from friction_hil_drivers.serial_line.description import Description, Step, load_description
+from friction_hil_drivers.serial_line.lane import Lane
+from friction_hil_drivers.serial_line.line import Line
+from friction_hil_drivers.serial_line.options import SerialOptions
+from friction_hil_drivers.serial_line.protocol import FAST, SLOW, Exchange, Image, Plan, ProtocolFactory, Wanted
+from friction_hil_drivers.serial_line.sequences import state_signals, watchdog_steps
+from friction_hil_drivers.serial_line.wire import character_s, check_rate, wire_s
+
+if TYPE_CHECKING:
+    from friction_hil.config import AxisConfig, Configuration
+
+_REPLY_LIMIT_S, _REPLY_LIMIT_SHARE = 0.05, 0.4
+_MEASURED_CYCLES = 25
+_WATCHDOG_PERIODS, _LEAST_WATCHDOG_PERIODS, _LEAST_WATCHDOG_S = 20, 3, 0.1
+_LATENESS_S = 2e-3  # of a reply, beside the adapter's latency
+_INTERPOLATION_CYCLES = {"csp": 1.0, "csv": 0.5, "cst": 0.0}  # between set-points, beside half a period as for torques
+
+
+class Connecting:
+    """Opens the lines of some axes and prepares their drives.
+
+    Parameters
+    ----------
+    configuration : Configuration
+    axes : mapping of str to AxisConfig
+    protocol : ProtocolFactory
+    dry_run : bool
+        Nothing is written.
+    is_real : bool
+        Time passes by itself: what a poll takes can be measured.
+    """
+
+    def __init__(
+        self,
+        configuration: "Configuration",
+        axes: "Mapping[str, AxisConfig]",
+        protocol: ProtocolFactory,
+        *,
+        dry_run: bool,
+        is_real: bool,
+    ) -> None:
+        self._configs = dict(axes)
+        self._options = {name: options_of(axis) for name, axis in axes.items()}
+        self._protocol = protocol
+        self._dry_run = dry_run
+        self._is_real = is_real
+        self._period_s = configuration.period_s
+        self._max_missed = configuration.realtime.max_missed
+
+    def lane(self, descriptions: Mapping[str, Description]) -> Lane:
+        """Make the lane of a line from the descriptions of its drives; it is not open yet.
+
+        Raises
+        ------
+        UsageError, DriveError
+            The configuration asks for what a drive or the line cannot do.
+        """
+        options = {name: self._options[name] for name in descriptions}
+        images = {name: Image() for name in descriptions}
+        protocol = self._protocol(descriptions, options, images)
+        axes, wanted, heard = [], {}, {}
+        for name, description in descriptions.items():
+            config = self._configs[name]
+            signals = description.units()
+            mode = description.modes.get(config.mode)
+            if mode is None:
+                raise DriveError(
+                    f"{name}: {description.name} cannot be commanded in mode {config.mode}; its description has "
+                    f"{', '.join(description.modes)}"
+                )
+            scales = make_scales(
+                name,
+                description,
+                options[name].units,
+                kind=config.model.axis,
+                is_inverted=options[name].is_inverted,
+            )
+            fast = tuple(signal for signal in FAST if signal in signals)
+            slow = tuple(signal for signal in signals if signal in (*SLOW, *state_signals(description)))
+            wanted[name] = Wanted(fast, slow, mode.commands)
+            heard[name] = Wanted(fast, slow, ())
+            before = (*mode.prepare, *watchdog_steps(description, self._watchdog_s(name)))
+            axes.append(SerialAxis(name, description, scales, images[name], mode.commands, before))
+            self._check_counter(name, scales)
+        first = next(iter(options.values())).line
+        listening = protocol.plan(heard)
+        plan = listening if self._dry_run else protocol.plan(wanted)
+        line = Line(first)
+        limit_s = 0.0 if protocol.numbers_replies else self._reply_limit_s(line, plan, protocol.silence_chars)
+        conversation = Conversation(
+            line, list(images.values()), protocol.silence_chars, limit_s, ahead_chars=protocol.ahead_chars
+        )
+        lane = Lane(conversation, protocol, axes, listening, plan)
+        if not first.is_tcp:
+            step = self._longest_step(lane, descriptions)
+            silence, ahead = protocol.silence_chars, protocol.ahead_chars
+            lane.rate = check_rate(plan, step, first, silence, ahead, self._period_s)
+        return lane
+
+    def _reply_limit_s(self, line: Line, plan: Plan, silence_chars: float) -> float:
+        """Time for which a drive that did not answer is not asked again.
+
+        A lost reply alone must be no fault; but a reply must not be late by more than this.
+
+        Raises
+        ------
+        UsageError
+            The configuration's is shorter than replies may take.
+        """
+        options = line.options
+        longest_s = max(wire_s((each,), options, silence_chars) for each in (*plan.poll, *plan.turns, *plan.push))
+        least_s = (0.0 if options.is_tcp else longest_s) + _LATENESS_S + line.latency_s
+        if options.reply_limit_s is None:
+            return max(least_s, min(_REPLY_LIMIT_S, _REPLY_LIMIT_SHARE * self._max_missed * self._period_s))
+        if options.reply_limit_s < least_s:
+            raise UsageError(
+                f"line.reply_limit_s: {options.reply_limit_s:g} s is too short for {options.port}: a reply may take "
+                f"{least_s * 1e3:.3g} ms, and one that comes after the limit would be taken for a later one"
+            )
+        return options.reply_limit_s
+
+    def _check_counter(self, axis: str, scales: Scales) -> None:
+        """See that a counter cannot go half round while feedback is bridged."""
+        if scales.position_bits is None:
+            return
+        bridged_s = self._period_s * (self._max_missed + 1)
+        reach = self._configs[axis].limits.velocity * bridged_s
+        half = abs(scales.of["position"]) * 2.0 ** (scales.position_bits - 1)
+        if reach >= half:
+            raise UsageError(
+                f"{axis}: the position counter of {scales.position_bits} bits wraps within {2.0 * half:.4g}; at "
+                f"limits.velocity the axis moves by {reach:.4g} in the {bridged_s:g} s for which lost feedback is "
+                "bridged: lower the limit, the period or realtime.max_missed"
+            )
+
+    def _longest_step(self, lane: Lane, descriptions: Mapping[str, Description]) -> Exchange | None:
+        """The exchange of a sequence that takes longest beside the cycle."""
+        if self._dry_run:
+            return None
+        steps = []
+        for name, description in descriptions.items():
+            if description.state_machine == "cia402":
+                steps.append(lane.write(name, ("control",)))
+            sequences = (description.enable, description.disable, description.quick_stop, description.reset_fault)
+            every = itertools.chain(*sequences, watchdog_steps(description, _LEAST_WATCHDOG_S))
+            steps += [lane.write(name, step.write) for step in every]
+        return max(steps, key=lambda step: step.request_size + step.reply_size, default=None)
+
+    def prepare(self, lane: Lane, descriptions: Mapping[str, Description]) -> list[AxisFacts]:
+        """Read all that the drives of an open line tell, write what has to be there before they are enabled.
+
+        Raises
+        ------
+        DriveError
+            A drive does not answer, refuses, has power already, or is not what its description says.
+        """
+        notes = {axis.name: self._prepare(lane, axis, descriptions[axis.name]) for axis in lane.axes}
+        delay_s = _actuation_delay_s(lane, _poll_s(lane) if self._is_real else 0.0, self._period_s)
+        return [self._facts(lane, axis, descriptions[axis.name], delay_s, notes[axis.name]) for axis in lane.axes]
+
+    def _prepare(self, lane: Lane, axis: SerialAxis, description: Description) -> list[str]:
+        """Prepare one drive; what the user should know."""
+        notes = [*lane.conversation.line.notes(), *_inferred(description)]
+        for name in [n for n in description.units() if n in (*FAST, *SLOW, *axis.state_signals)]:
+            lane.talk(axis.name, lane.protocol.read(axis.name, (name,)))
+        state = axis.read_state()
+        if state is DriveState.UNKNOWN and not self._dry_run:
+            told = ", ".join(f"{name} = {axis.image.values[name]:g}" for name in axis.state_signals)
+            raise DriveError(f"{axis.name}: the drive tells no state that its description knows: {told}")
+        if state.is_powered and not self._dry_run:
+            raise DriveError(
+                f"{axis.name}: the drive is in state {state.name.lower().replace('_', ' ')} already: another master "
+                "is driving it, or a former one left it enabled; disable it first"
+            )
+        if not self._dry_run:
+            for step in (*description.prepare, *description.modes[self._configs[axis.name].mode].prepare):
+                _write(lane, axis, step)
+            notes += self._arm_watchdog(lane, axis, description)
+        axis.hold()
+        return notes
+
+    def _facts(
+        self, lane: Lane, axis: SerialAxis, description: Description, delay_s: float, notes: list[str]
+    ) -> AxisFacts:
+        config, options = self._configs[axis.name], self._options[axis.name]
+        scales, signals = axis.scales, description.units()
+        resolution = abs(scales.of["position"]) * signals["position"].step
+        if options.counts_per_unit is not None:  # a position in turns is printed finer than the encoder is
+            resolution = max(resolution, 1.0 / options.counts_per_unit)
+        return AxisFacts(
+            name=axis.name,
+            identity=f"{description.name}, {options.address} on {options.line.port}",
+            position_resolution=resolution,
+            torque_resolution=abs(scales.of["torque_command"]) * signals["torque_command"].step,
+            setpoint_delay_s=_setpoint_delay_s(delay_s, config.mode, options.setpoint_delay_cycles, self._period_s),
+            actuation_delay_s=delay_s,
+            notes=(*notes, lane.rate) if lane.rate else tuple(notes),
+        )
+
+    def _arm_watchdog(self, lane: Lane, axis: SerialAxis, description: Description) -> list[str]:
+        if description.watchdog is None:
+            if self._options[axis.name].is_watchdog_required:
+                raise DriveError(
+                    f"{axis.name}: {description.name} has no communication watchdog in its description: if the daemon "
+                    "dies, its torque stays. Set is_watchdog_required: false to accept that"
+                )
+            return ["the drive does NOT watch the daemon: if the daemon dies, its last torque stays"]
+        time_s = self._watchdog_s(axis.name)
+        for step in watchdog_steps(description, time_s):
+            _write(lane, axis, step)
+        return [f"the drive watches the daemon: {time_s * 1e3:g} ms without a command end its torque"]
+
+    def _watchdog_s(self, axis: str) -> float:
+        given = self._options[axis].watchdog_s
+        least_s = _LEAST_WATCHDOG_PERIODS * self._period_s
+        if given is not None and given < least_s:
+            raise UsageError(f"{axis}: watchdog_s: {given:g} s is less than three periods, {least_s:g} s")
+        return given or max(_WATCHDOG_PERIODS * self._period_s, _LEAST_WATCHDOG_S)
+
+
+def by_port(axes: "Mapping[str, AxisConfig]") -> Sequence[list[str]]:
+    """Names of the axes that share a line, for each line."""
+    ports: dict[str, list[str]] = {}
+    for name, axis in axes.items():
+        ports.setdefault(options_of(axis).line.port, []).append(name)
+    return list(ports.values())
+
+
+def options_of(axis: "AxisConfig") -> SerialOptions:
+    """Options of an axis on a serial line."""
+    assert isinstance(axis.options, SerialOptions)
+    return axis.options
+
+
+def descriptions_of(
+    axes: "Mapping[str, AxisConfig]", beside: Path | None, directory: Path, kind: type[Description]
+) -> dict[str, Description]:
+    """Descriptions of the drives of some axes; see `load_description`."""
+    return {
+        name: load_description(options_of(axis).description, beside, directory, kind) for name, axis in axes.items()
+    }
+
+
+def _write(lane: Lane, axis: SerialAxis, step: Step) -> None:
+    """Write a step of the preparations, wait for what it should lead to.
+
+    Raises
+    ------
+    DriveError
+        The drive refuses it, or does not follow.
+    """
+    axis.image.values.update(step.write)
+    exchange = lane.write(axis.name, step.write)
+    lane.talk(axis.name, exchange)
+    refusals = lane.conversation.refusals
+    if exchange.tells_refusal:  # at once: before the reply to what is asked next
+        _read_state(lane, axis)
+    if lane.conversation.refusals > refusals:
+        raise DriveError(f"{axis.name}: the drive refuses to be prepared: {lane.conversation.trouble}")
+    end = time.monotonic() + step.timeout_s
+    while step.until is not None:
+        _read_state(lane, axis)
+        state = axis.read_state()
+        if state.name.lower() == step.until:
+            return
+        if time.monotonic() > end:
+            raise DriveError(
+                f"{axis.name}: {dict(step.write)} should lead to {step.until} within {step.timeout_s:g} s; "
+                f"the drive is in {state.name.lower()}"
+            )
+
+
+def _read_state(lane: Lane, axis: SerialAxis) -> None:
+    for name in axis.state_signals:
+        lane.talk(axis.name, lane.protocol.read(axis.name, (name,)))
+
+
+def _poll_s(lane: Lane) -> float:
+    """Median time that the poll of a cycle takes on this line, s."""
+    took = []
+    for _ in range(_MEASURED_CYCLES):
+        began = time.perf_counter()
+        lane.talk(lane.axes[0].name, *lane.listening.poll)
+        took.append(time.perf_counter() - began)
+    return statistics.median(took)
+
+
+def _actuation_delay_s(lane: Lane, poll_s: float, period_s: float) -> float:
+    """From sampling a position to the middle of the time in which the torque computed from it acts, s.
+
+    A torque that is pushed acts as soon as its request is complete; one that rides in the poll, a period after the
+    sample. Either holds for a period. ``poll_s`` is what the poll took when it was measured.
+    """
+    if not lane.plan.push:
+        return 1.5 * period_s
+    line = lane.conversation.line.options
+    if not line.is_tcp and poll_s:
+        # the sample is taken when the request is complete
+        poll_s -= lane.plan.poll[0].request_size * character_s(line)
+        poll_s += lane.wire_s(*lane.plan.push)
+    return min(max(poll_s, 0.0), period_s) + 0.5 * period_s
+
+
+def _setpoint_delay_s(actuation_s: float, mode: str, cycles: float | None, period_s: float) -> float:
+    """From sending a set-point to the drive's demand being equal to it, s; ``cycles`` is what the user knows of it."""
+    if cycles is not None:
+        return cycles * period_s
+    return actuation_s + _INTERPOLATION_CYCLES[mode] * period_s
+
+
+def _inferred(description: Description) -> list[str]:
+    if not description.inferred:
+        return []
+    listed = ", ".join(description.inferred)
+    return [f"no manual was read for these of {description.name}; check them first, with --dry-run: {listed}"]
