@@ -182,7 +182,11 @@ class Drives(Protocol):
 
 
 class Driver(Protocol):
-    """The class that an entry point of ``friction_hil.drivers`` names."""
+    """The class that an entry point of ``friction_hil.drivers`` names.
+
+    It may have a classmethod ``check_files(configuration, axes)`` that yields what is wrong with the files that its
+    keys name, and with what can be known from them, as (axis, key, error); nothing is opened for that.
+    """
 
     Options: "type[BaseModel]"  # the keys of an axis that are the driver's own
 

@@ -95,6 +95,49 @@ class Ask(Single):
         return True
 
 
+class Word(Ask):
+    """An `Ask` that may follow one with another number of letters, whose reply has as many letters before it."""
+
+    def may_follow(self, before: object) -> bool:
+        return isinstance(before, Word) and len(before.name) != len(self.name)
+
+    def take(self, received: bytearray) -> bool:
+        head, mark, rest = bytes(received).partition(b";")
+        if not mark:
+            return False
+        received[:] = rest
+        name, _, number = head.decode().partition(" ")
+        if name == "!":
+            raise ReplyError("the drive refuses", is_unasked=True)
+        if len(name) != len(self.name):
+            raise ReplyError(f"{name} in place of {self.name}")
+        self.image.put(self.name, float(number))
+        return True
+
+
+class Push(Single):
+    """A made-up command to which nothing is replied but a refusal: ``!;``."""
+
+    tells_refusal = True
+
+    def __init__(self, image: Image, name: str) -> None:
+        self.image, self.name, self.what = image, name, f"pushing {name}"
+        self.addressees = self.unanswered = frozenset(("a drive",))
+        self.reads: tuple[str, ...] = ()
+        self.writes: tuple[str, ...] = (name,)
+        self.request_size, self.reply_size = 12, 0
+
+    def encode(self) -> bytes:
+        return f"{self.name}={self.image.values[self.name]:g};".encode()
+
+    def take(self, received: bytearray) -> bool:
+        head, mark, rest = bytes(received).partition(b";")
+        if not mark:
+            return False
+        received[:] = rest
+        raise ReplyError("the drive refuses", is_unasked=head == b"!")
+
+
 class Tell(Single):
     """A made-up command: ``NAME=NUMBER;``, answered by ``;`` where ``is_answered``."""
 

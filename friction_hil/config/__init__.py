@@ -6,7 +6,15 @@
 """
 
 from friction_hil.config.json_schema import json_schema
-from friction_hil.config.load import from_dict, load, load_model_file, model_from_argument, read_section, self_contained
+from friction_hil.config.load import (
+    file_problems,
+    from_dict,
+    load,
+    load_model_file,
+    model_from_argument,
+    read_section,
+    self_contained,
+)
 from friction_hil.config.model_file import Friction, Gravity, Mechanics, ModelFile
 from friction_hil.config.schema import (
     AxisConfig,
@@ -50,6 +58,7 @@ __all__ = [
     "Trajectory",
     "Triangle",
     "dump",
+    "file_problems",
     "from_dict",
     "json_schema",
     "load",

@@ -13,6 +13,7 @@ from friction_hil.config.messages import mistakes_of, validate
 from friction_hil.config.model_file import ModelFile
 from friction_hil.config.schema import NAME_PATTERN, AxisConfig, Configuration, split_options
 from friction_hil.config.yaml_text import Document, Steps
+from friction_hil.drive import load_driver
 from friction_hil.errors import ConfigurationError, Problem, UsageError, choices
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -77,6 +78,25 @@ def read_section(path: str | Path, model: type[Model]) -> Model:
     """
     document = yaml_text.read(path)
     return _validate(model, document.value, _Origins(document), list(document.problems))
+
+
+def file_problems(path: str | Path, configuration: Configuration) -> list[Problem]:
+    """Mistakes that drivers find in ``configuration``, read from ``path``, and in the files that their keys name.
+
+    No bus is opened. A driver that has something to say has a classmethod ``check_files``; see
+    `friction_hil.drive.Driver`.
+    """
+    origins = _Origins(yaml_text.read(path))
+    found: list[Problem] = []
+    for driver in dict.fromkeys(axis.driver for axis in configuration.axes.values()):
+        check = getattr(load_driver(driver), "check_files", None)
+        axes = {name: axis for name, axis in configuration.axes.items() if axis.driver == driver}
+        for name, key, error in () if check is None else check(configuration, axes):
+            if isinstance(error, ConfigurationError):
+                found += error.problems
+            else:
+                found.append(origins.locate(("axes", name, *key.split(".")), str(error)))
+    return list(dict.fromkeys(found))
 
 
 def model_from_argument(argument: str) -> ModelFile:

@@ -198,15 +198,25 @@ def _advice(kind: str, given: Any) -> str:
 
 
 def _bounds(field: FieldInfo | None, context: dict[str, Any]) -> str:
-    parts = [
-        f"{word} {bound:g}"
-        for name, word in _BOUNDS.items()
-        for item in (field.metadata if field is not None else ())
-        if (bound := getattr(item, name, None)) is not None
-    ]
-    if not parts:
-        parts = [f"{word} {context[name]:g}" for name, word in _BOUNDS.items() if name in context]
-    return " and ".join(parts)
+    """All bounds of a number, whichever of them was broken: those of the key and those of its type."""
+    found: dict[str, list[float]] = {name: [context[name]] if name in context else [] for name in _BOUNDS}
+    for item in () if field is None else (*field.metadata, *_constraints(field.annotation)):
+        for name, bounds in found.items():
+            if (bound := getattr(item, name, None)) is not None:
+                bounds.append(bound)
+    narrowest = {name: max(bounds) if name in ("gt", "ge") else min(bounds) for name, bounds in found.items() if bounds}
+    return " and ".join(f"{_BOUNDS[name]} {bound:g}" for name, bound in narrowest.items())
+
+
+def _constraints(annotation: Any) -> list[Any]:
+    """What the parts of a type demand, e.g. of ``Annotated[float, Field(gt=0.0)] | None``."""
+    if get_origin(annotation) is Annotated:
+        kind, *demands = get_args(annotation)
+        own = [part for demand in demands for part in getattr(demand, "metadata", (demand,))]
+        return [*own, *_constraints(kind)]
+    if get_origin(annotation) in (Union, UnionType):
+        return [part for item in get_args(annotation) for part in _constraints(item)]
+    return []
 
 
 def _unit(field: FieldInfo | None) -> str:

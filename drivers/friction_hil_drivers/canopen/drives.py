@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from friction_hil.drive import AxisFacts, Clock, Command, Feedback, Request
-from friction_hil.errors import BusError, DriveError
+from friction_hil.errors import BusError, DriveError, FrictionHilError, UsageError
 from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.axis import CanopenAxis, Handler
 from friction_hil_drivers.canopen.bus import bus_name, open_bus
@@ -43,6 +43,20 @@ class CanopenDrives:
 
     Options = CanopenOptions
     read_bus_log = staticmethod(read_bus_log)
+
+    @classmethod
+    def check_files(
+        cls, configuration: "Configuration", axes: "Mapping[str, AxisConfig]"
+    ) -> Iterator[tuple[str, str, FrictionHilError]]:
+        """Read the EDS of each axis; see `friction_hil.drive.Driver`."""
+        for name, axis in axes.items():
+            options = axis.options
+            assert isinstance(options, CanopenOptions)
+            if options.eds is not None:
+                try:
+                    load_eds(options.eds, options.node)
+                except UsageError as error:
+                    yield name, "eds", error
 
     def __init__(
         self,

@@ -188,7 +188,7 @@ class Conversation:
                     self._silent -= exchange.addressees
                 if exchange.writes:
                     self.refusals = 0
-                if self._unconfirmed:
+                if self._unconfirmed or self._is_refused:
                     self._confirm(exchange)
                 self._unread_chars = 0
                 if done is not None:

@@ -9,12 +9,12 @@ Several lines are served at once, from one thread.
 
 import contextlib
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from friction_hil.drive import AxisFacts, Clock, Command, Feedback, Request
-from friction_hil.errors import BusError, DriveError
+from friction_hil.errors import BusError, DriveError, FrictionHilError, UsageError
 from friction_hil_drivers.serial_line.axis import SerialAxis
 from friction_hil_drivers.serial_line.connecting import Connecting, by_port, descriptions_of
 from friction_hil_drivers.serial_line.conversation import Conversation
@@ -38,6 +38,27 @@ class SerialDrives:
     description_type: ClassVar[type[Description]]
     descriptions: ClassVar[Path]  # directory of the ready ones
     protocol: ClassVar[ProtocolFactory]
+
+    @classmethod
+    def check_files(
+        cls, configuration: "Configuration", axes: "Mapping[str, AxisConfig]"
+    ) -> Iterator[tuple[str, str, FrictionHilError]]:
+        """Read the descriptions, and plan the cycle of each line; see `friction_hil.drive.Driver`."""
+        descriptions: dict[str, Description] = {}
+        for name, axis in axes.items():
+            try:
+                descriptions |= descriptions_of(
+                    {name: axis}, configuration.source_path, cls.descriptions, cls.description_type
+                )
+            except UsageError as error:
+                yield name, "description", error
+        connecting = Connecting(configuration, axes, cls.protocol, dry_run=False, is_real=False)
+        for names in by_port(axes):
+            if all(name in descriptions for name in names):
+                try:
+                    connecting.lane({name: descriptions[name] for name in names})
+                except FrictionHilError as error:
+                    yield names[0], "line", error
 
     def __init__(
         self, configuration: "Configuration", axes: "Mapping[str, AxisConfig]", clock: Clock, *, dry_run: bool
