@@ -5,6 +5,7 @@ from collections.abc import Mapping
 
 import pytest
 from friction_hil_drivers.ascii import DESCRIPTIONS
+from friction_hil_drivers.ascii.checksum import Checker
 from friction_hil_drivers.ascii.codec import AsciiLine
 from friction_hil_drivers.ascii.description import AsciiDescription
 from friction_hil_drivers.ascii.options import AsciiOptions
@@ -426,3 +427,49 @@ def test_random_bytes_never_change_a_command(mode: str, chunks: list[bytes]) -> 
                     received.clear()
             assert exchange.encode() == request
         assert {name: image.values[name] for name in before} == before
+
+
+def test_requests_may_go_out_together_whose_replies_differ_in_their_words() -> None:
+    plan, _ = plan_of(ODRIVE, "cst")
+    (feedback,), (first, second, *_) = plan.poll, plan.turns
+    assert first.may_follow(feedback)
+    assert feedback.may_follow(first)
+    assert not second.may_follow(first)
+    assert not feedback.may_follow(feedback)
+    assert not plan.push[0].may_follow(feedback), "nobody could tell what an error belongs to"
+
+
+@given(st.floats(-9e4, 9e4), st.floats(-9e3, 9e3), st.floats(-900.0, 900.0))
+def test_no_reply_to_one_of_requests_that_go_out_together_is_taken_for_one_to_another(
+    p: float, v: float, t: float
+) -> None:
+    assert ODRIVE.checksum is not None
+    seal = Checker(ODRIVE.checksum).append
+    plan, _ = plan_of(ODRIVE, "cst")
+    replies = {"position": seal(b"%.6f %.6f" % (p, v)), "torque": seal(b"%.6f" % t)}
+    for asked, answered in (("position", "torque"), ("torque", "position")):
+        exchange = next(each for each in (*plan.poll, *plan.turns) if asked in each.reads)
+        exchange.encode()
+        with pytest.raises(ReplyError):
+            exchange.take(bytearray(replies[answered] + b"\r\n"))
+
+
+@pytest.mark.parametrize("is_rs485", [False, True])
+def test_on_a_line_with_one_pair_of_wires_nothing_is_sent_ahead(is_rs485: bool) -> None:
+    line = {"port": "/dev/ttyS0", "is_rs485": is_rs485}
+    options = AsciiOptions.model_validate({"line": line, "description": "odrive"})
+    assert AsciiLine({"x": ODRIVE}, {"x": options}, {"x": Image()}).ahead_chars == (0 if is_rs485 else 64)
+
+
+def test_an_error_line_is_a_refusal_of_a_set_point_without_a_reply_and_nothing_else_is() -> None:
+    plan, _ = plan_of(ODRIVE, "cst")
+    (push,) = plan.push
+    push.encode()
+    assert push.tells_refusal
+    assert not push.take(bytearray(b"invalid mo"))
+    with pytest.raises(ReplyError, match="has no axis of that number") as error:
+        push.take(bytearray(Checker(ODRIVE.checksum).append(b"invalid motor 7") + b"\r\n"))  # type: ignore[arg-type]
+    assert error.value.is_unasked
+    with pytest.raises(ReplyError) as error:
+        push.take(bytearray(Checker(ODRIVE.checksum).append(b"0.5") + b"\r\n"))  # type: ignore[arg-type]
+    assert not error.value.is_unasked

@@ -128,7 +128,7 @@ def test_a_checksum_is_asked_for_and_given() -> None:
 
 def test_a_value_that_a_drive_would_not_take_changes_nothing() -> None:
     responder, drives = on_line(PLAIN_ODRIVE, "0")
-    assert answers(responder, b"w axis0.requested_state 99\n") == [b""]
+    assert answers(responder, b"w axis0.requested_state 99\n") == [b"unknown command\r\n"]
     assert drives["0"].read("requested_state") == 0.0
     assert drives["0"].state is DriveState.READY_TO_SWITCH_ON
 

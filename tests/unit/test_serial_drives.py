@@ -151,6 +151,17 @@ def test_a_drive_that_is_powered_already_is_refused(kind, tmp_path):
             bench.drives.connect()
 
 
+def test_a_reply_to_a_master_that_was_there_before_is_dropped(tmp_path):
+    """Servos do not number their replies: the last one to the other master has the size of the state."""
+    with Bench("dynamixel", tmp_path).begin().enable() as bench:
+        (lane,) = bench.drives._lanes
+        lane.conversation.line.write(lane.protocol.read("x", ("error",)).encode())
+        lane.conversation.line.close()
+        bench.drives = bench.daemon()
+        with pytest.raises(DriveError, match="operation enabled already"):
+            bench.drives.connect()
+
+
 def test_a_dry_run_writes_nothing(kind, tmp_path, monkeypatch):
     from friction_hil_drivers.serial_line.simulated.drive import SimulatedDrive
 
@@ -314,6 +325,38 @@ def test_a_silent_servo_costs_its_neighbours_no_more_than_a_few_cycles(tmp_path,
         assert [n > 40 for n in fresh] == [number != silent for number in (1, 2, 3)]
         neighbours = [drive for n, drive in enumerate(bench.simulated._lines[0]._drives, 1) if n != silent]
         wait_for(lambda: not any(drive.state.is_powered for drive in neighbours))
+
+
+def refusing(monkeypatch, signal):
+    """From now on simulated drives refuse a signal; to set-points without a reply they say so all the same."""
+    from friction_hil_drivers.serial_line.simulated.drive import RefusedError, SimulatedDrive
+
+    write = SimulatedDrive.write
+
+    def choosy(drive, name, number):
+        if name == signal:
+            raise RefusedError("not this one")
+        write(drive, name, number)
+
+    monkeypatch.setattr(SimulatedDrive, "write", choosy)
+
+
+def test_set_points_that_are_refused_without_a_reply_are_told(tmp_path, monkeypatch):
+    with Bench("odrive", tmp_path).begin().enable() as bench:
+        bench.cycle(Request.ENABLE, count=20)
+        assert bench.feedback.message == ""
+        refusing(monkeypatch, "torque_command")
+        bench.cycle(Request.ENABLE, 0.1, count=drives._REFUSALS + 1)
+        assert bench.feedback.is_fresh, "feedback is none the worse for it"
+        assert "the drive refuses its commands: write torque_command of x" in bench.feedback.message
+        assert "the drive does not know the first letter" in bench.feedback.message
+
+
+def test_a_preparation_that_is_refused_without_a_reply_ends_the_connecting(tmp_path, monkeypatch):
+    with Bench("odrive", tmp_path) as bench:
+        refusing(monkeypatch, "input_mode")
+        with pytest.raises(DriveError, match="refuses to be prepared: write input_mode of x: 'unknown command"):
+            bench.drives.connect()
 
 
 @pytest.mark.parametrize("kind", ["odrive"])

@@ -54,7 +54,7 @@ class _Speaker:
             for name, number in (*numbers.items(), *message.sets.items()):
                 self._drive.write(name, self._unwrapped(number) if name == "position_command" else number)
         except RefusedError:
-            return self.refusal() if message.replies else _NO_REPLY
+            return self.refusal()
         if not message.replies:
             return _NO_REPLY
         return self.reply(message.replies[0].write({name: self._drive.read(name) for name in message.reads}))

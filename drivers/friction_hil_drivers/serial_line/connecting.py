@@ -167,6 +167,8 @@ class Connecting:
         DriveError
             A drive does not answer, refuses, has power already, or is not what its description says.
         """
+        if not lane.protocol.numbers_replies:
+            lane.drain(_REPLY_LIMIT_S)
         notes = {axis.name: self._prepare(lane, axis, descriptions[axis.name]) for axis in lane.axes}
         delay_s = _actuation_delay_s(lane, _poll_s(lane) if self._is_real else 0.0, self._period_s)
         return [self._facts(lane, axis, descriptions[axis.name], delay_s, notes[axis.name]) for axis in lane.axes]

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from friction_hil.errors import BusError, DriveError
 from friction_hil_drivers.serial_line.axis import SerialAxis
 from friction_hil_drivers.serial_line.conversation import Conversation
+from friction_hil_drivers.serial_line.line import LineGoneError
 from friction_hil_drivers.serial_line.protocol import Exchange, LineProtocol, Plan
 from friction_hil_drivers.serial_line.wire import wire_s
 
@@ -101,6 +102,22 @@ class Lane:
         """Least time that exchanges in a row take, s."""
         protocol = self.protocol
         return wire_s(exchanges, self.conversation.line.options, protocol.silence_chars, protocol.ahead_chars)
+
+    def drain(self, time_s: float) -> None:
+        """Drop what comes in so long a time: replies to a master that was here before.
+
+        Raises
+        ------
+        BusError
+            The line is gone.
+        """
+        line, end = self.conversation.line, time.monotonic() + time_s
+        while (left := end - time.monotonic()) > 0.0:
+            if select.select([line.descriptor], (), (), left)[0]:
+                try:
+                    line.read()
+                except LineGoneError as gone:
+                    raise BusError(str(gone)) from gone
 
     def talk(self, axis: str, *exchanges: Exchange, attempts: int = _ATTEMPTS) -> None:
         """Have exchanges before or after the cyclic phase, patiently.
