@@ -288,7 +288,7 @@ def test_a_line_on_which_nothing_comes_right_is_told_with_its_reason(tmp_path, k
     assert status == 1
     assert text.startswith("Error: x: read ")
     assert re.search(reason, text), text
-    assert "(3 attempts). Right address, port and baud rate (921600)?" in text
+    assert "(5 attempts). Right address, port and baud rate (921600)?" in text
 
 
 # What cannot be run at all
@@ -356,7 +356,7 @@ def test_a_unit_that_nobody_has(tmp_path, kind):
         status, text = refused(here)
         assert status == 1
         assert "of unit 4: " in text
-        assert "no reply in time (3 attempts)" in text
+        assert "no reply in time (5 attempts)" in text
         result, _ = run_daemon(there, "--duration", 0.1)  # the line is free again
     assert result["faults"] == []
 
