@@ -1,6 +1,7 @@
 """One drive in the cyclic phase: its process image read as feedback, commands put into it. No line, no clock."""
 
 import math
+import operator
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -13,6 +14,11 @@ from friction_hil_drivers.serial_line.protocol import COMMANDS, Image
 from friction_hil_drivers.serial_line.sequences import Sequencer, parting_writes, state_of, state_signals
 from friction_hil_drivers.serial_line.units import LINEAR, NEEDS, ROTARY, UNITS, AxisUnits
 
+_WANTED = {
+    "position_command": operator.attrgetter("position"),
+    "velocity_command": operator.attrgetter("velocity"),
+    "torque_command": operator.attrgetter("torque"),
+}
 _STATUS_LOSS_S = 0.5  # without having heard the state that long, nobody knows it
 
 
@@ -79,8 +85,12 @@ class SerialAxis:
         self._description = description
         self.scales = scales
         self._scales = scales.of
+        self._position_scale = scales.of["position"]
+        self._velocity_scale = scales.of.get("velocity")
+        self._torque_scale = scales.of.get("torque", 0.0)
         self._position_bits = scales.position_bits
         self._commands = commands
+        self._wanted = [(name, _WANTED[name], scales.of[name]) for name in commands]
         self._fast = tuple(n for n in ("position", "velocity") if n in scales.of)
         self._counts: int | None = None
         self._position = self._velocity = 0.0
@@ -104,11 +114,11 @@ class SerialAxis:
             What went wrong on the line last.
         """
         values, fresh = self.image.values, self.image.fresh
-        is_fresh = all(name in fresh for name in self._fast)
+        is_fresh = fresh.issuperset(self._fast)
         if is_fresh:
-            position = self._unwrapped(values["position"]) * self._scales["position"]
-            if "velocity" in self._scales:
-                self._velocity = values["velocity"] * self._scales["velocity"]
+            position = self._unwrapped(values["position"]) * self._position_scale
+            if self._velocity_scale is not None:
+                self._velocity = values["velocity"] * self._velocity_scale
             elif time_s > self._position_s:
                 self._velocity = (position - self._position) / (time_s - self._position_s)
             self._position, self._position_s = position, time_s
@@ -119,10 +129,11 @@ class SerialAxis:
             self._state_s = time_s
         feedback.position = self._position
         feedback.velocity = self._velocity
-        feedback.torque = values.get("torque", 0.0) * self._scales.get("torque", 0.0)
+        feedback.torque = values.get("torque", 0.0) * self._torque_scale
         feedback.state = self.state
         feedback.is_fresh = is_fresh
-        feedback.error = self._error(values.get("error", 0.0))
+        number = values.get("error", 0.0)
+        feedback.error = self._error(number) if number else ""
         feedback.missing = "" if is_fresh else trouble
         feedback.message = self.sequencer.trouble
         # while nothing comes at all, the loop counts: how long that is bridged is configured there
@@ -146,8 +157,6 @@ class SerialAxis:
         return float(self._counts)
 
     def _error(self, number: float) -> str:
-        if not number:
-            return ""
         code = int(number)
         if code in self._description.errors:
             return f"{code} ({code:X}h) {self._description.errors[code]}"
@@ -164,13 +173,8 @@ class SerialAxis:
     def take(self, command: Command, time_s: float) -> Mapping[str, float]:
         """Put a command into the image; values to write beside it, for the state that is wanted."""
         values = self.image.values
-        for name in self._commands:
-            wanted = {
-                "position_command": command.position,
-                "velocity_command": command.velocity,
-                "torque_command": command.torque,
-            }[name]
-            values[name] = wanted / self._scales[name]
+        for name, wanted, scale in self._wanted:
+            values[name] = wanted(command) / scale
         if command.request is Request.LISTEN:
             return {}
         return self.sequencer.next_write(command.request, self.state, time_s)
