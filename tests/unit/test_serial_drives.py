@@ -15,6 +15,7 @@ from friction_hil_drivers.dynamixel.simulated import SimulatedDynamixelDrives
 from friction_hil_drivers.modbus.drives import ModbusDrives
 from friction_hil_drivers.modbus.simulated import SimulatedModbusDrives
 from friction_hil_drivers.serial_line import drives
+from friction_hil_drivers.serial_line.lane import Lane
 
 from friction_hil.drive import Command, DriveState, Feedback, Request
 from friction_hil.errors import DriveError, UsageError
@@ -151,15 +152,27 @@ def test_a_drive_that_is_powered_already_is_refused(kind, tmp_path):
             bench.drives.connect()
 
 
-def test_a_reply_to_a_master_that_was_there_before_is_dropped(tmp_path):
-    """Servos do not number their replies: the last one to the other master has the size of the state."""
+def test_what_is_still_said_to_a_former_master_is_dropped_before_anything_is_asked(tmp_path, monkeypatch):
+    """Servos do not number their replies: a late one to somebody else would be taken for the state."""
     with Bench("dynamixel", tmp_path).begin().enable() as bench:
         (lane,) = bench.drives._lanes
-        lane.conversation.line.write(lane.protocol.read("x", ("error",)).encode())
         lane.conversation.line.close()
+        said, drained = [], []
+        drain = Lane.drain
+
+        def late(lane, time_s):
+            (simulated,) = bench.simulated._lines
+            simulated.port.write(b"of somebody else")
+            drain(lane, time_s)
+            drained.append(time_s)
+            said.append(lane.conversation.line.read())
+
+        monkeypatch.setattr(Lane, "drain", late)
         bench.drives = bench.daemon()
         with pytest.raises(DriveError, match="operation enabled already"):
             bench.drives.connect()
+        assert said == [b""]
+        assert drained[0] >= 0.05
 
 
 def test_a_dry_run_writes_nothing(kind, tmp_path, monkeypatch):
