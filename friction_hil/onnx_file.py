@@ -2,6 +2,7 @@
 
 Inputs are ``velocity``, ``dt`` and what else the network has among its inputs, each of shape (1,), SI, and
 ``state``, zero at first; outputs are ``torque`` (1,) and ``next_state``, which is the ``state`` of the next sample.
+The steps of a gated network in a sample are a Loop.
 """
 
 from pathlib import Path
@@ -51,11 +52,12 @@ def write(model: FrictionModel, path: Path) -> None:
 
 
 class _Graph:
-    """Operations of a graph, each named by its number."""
+    """Operations of a graph, each named by its number; within ``outer`` that of the body of a loop in it."""
 
-    def __init__(self) -> None:
+    def __init__(self, outer: "_Graph | None" = None) -> None:
         self.nodes: list[Any] = []
-        self.constants: list[Any] = []
+        self.constants: list[Any] = [] if outer is None else outer.constants
+        self._prefix = "r" if outer is None else "s"
 
     def number(self, values: Any, kind: Any = np.float64) -> str:
         """Name of a constant."""
@@ -69,7 +71,7 @@ class _Graph:
         """Name of the result of an operation."""
         from onnx import helper
 
-        result = f"r{len(self.nodes)}" if name is None else name
+        result = f"{self._prefix}{len(self.nodes)}" if name is None else name
         self.nodes.append(helper.make_node(operation, list(inputs), [result], **attributes))
         return result
 
@@ -118,70 +120,93 @@ def _graph(trained: Network) -> Any:
     fed, is_gated = structure.states, structure.kind == "gated"
     remembered = network.MEMORIES if is_gated else network.VELOCITY_FEATURES * structure.lags
     inputs = ["velocity", "dt"]
-    y = g.part("state", 0, fed) if fed else ""
-    past = g.part("state", fed, fed + remembered) if remembered else ""
-    memories = _memories(g, trained, past) if is_gated else ("", "")
-    x = _inputs(g, p, trained, memories[0] if is_gated else past, inputs)
-    last = _layers(g, weights, trained, x, y)
-
-    def output(is_fed: bool = False) -> str:
-        total = g.do("Add", g.number(weights.take(1)), g.product(last, weights.take(structure.hidden[-1], 1)))
-        total = g.do("Add", total, g.product(x, weights.take(structure.inputs, 1)))
-        return g.do("Add", total, g.product(y, weights.take(fed, 1))) if is_fed else total
-
-    states: list[str] = []
+    features, others = _inputs(g, p, trained, inputs)
     if is_gated:
-        total, after = _gated(g, p, trained, weights, x, y, memories[1], output)
-        states = [after, *memories]
+        total = _steps(g, p, trained, weights, features, others)
     else:
-        total = g.limited(output(structure.kind == "narx"), trained.bound)
-        if fed:
-            states = [total, *([g.part(y, 0, fed - 1)] if fed > 1 else [])]
-    if structure.lags:
-        states.append(g.part(x, 0, remembered))
+        past = [g.part("state", fed, fed + remembered)] if remembered else []
+        x, y = g.do("Concat", *features, *past, *others, axis=0), g.part("state", 0, fed) if fed else ""
+        last = _layers(g, weights, trained, x, y)
+        total = g.limited(_output(g, weights, trained, x, last, y), trained.bound)
+        states = [total, *([g.part(y, 0, fed - 1)] if fed > 1 else [])] if fed else []
+        states += [g.part(x, 0, remembered)] if remembered else []
+        if states:
+            g.do("Concat", *states, axis=0, name="next_state")
     g.do("Mul", g.limited(total, trained.bound), g.number(trained.torque_scale), name="torque")
     outputs = [helper.make_tensor_value_info("torque", TensorProto.DOUBLE, [1])]
     given = [helper.make_tensor_value_info(name, TensorProto.DOUBLE, [1]) for name in inputs]
     if fed + remembered:
-        g.do("Concat", *states, axis=0, name="next_state")
         given.append(helper.make_tensor_value_info("state", TensorProto.DOUBLE, [fed + remembered]))
         outputs.append(helper.make_tensor_value_info("next_state", TensorProto.DOUBLE, [fed + remembered]))
     return helper.make_graph(g.nodes, "friction", given, outputs, initializer=g.constants)
 
 
-def _memories(g: _Graph, trained: Network, past: str) -> tuple[str, str]:
-    """Stop and way since the motion began or turned, after the sample."""
+def _steps(g: _Graph, p: Array, trained: Network, weights: _Weights, features: list[str], others: list[str]) -> str:
+    """Torque of a gated network over its scale, not yet cut off; a loop over the steps of a sample."""
+    from onnx import TensorProto, helper
+
+    steps = g.affine("dt", 1.0 / trained.period_s, 0.5)
+    steps = g.do("Floor", g.do("Max", g.do("Min", steps, g.number(float(network.MOST_STEPS))), g.number(1.0)))
+    distance = g.do("Div", g.do("Mul", "velocity", "dt"), steps)
+    tempo = g.do("Div", g.number(trained.period_s), "dt")
+    body, room = _Graph(g), trained.structure.states + network.MEMORIES
+    carried = {"state": room, "damping": 1, "torque": 1}
+    state = body.do("Identity", "state_before")
+    states, damping, rest = _gated(body, p, trained, weights, features, others, state, distance, tempo)
+    body.do("Identity", "goes_on", name="goes_on_after")
+    body.do("Concat", *states, axis=0, name="state_after")
+    body.do("Add", "damping_before", damping, name="damping_after")
+    body.do("Identity", rest, name="torque_after")
+
+    def info(name: str, place: str) -> Any:
+        return helper.make_tensor_value_info(f"{name}_{place}", TensorProto.DOUBLE, [carried[name]])
+
+    flag = [helper.make_tensor_value_info(name, TensorProto.BOOL, []) for name in ("goes_on", "goes_on_after")]
+    number = helper.make_tensor_value_info("step", TensorProto.INT64, [])
+    inside = helper.make_graph(
+        body.nodes,
+        "step",
+        [number, flag[0], *(info(name, "before") for name in carried)],
+        [flag[1], *(info(name, "after") for name in carried)],
+    )
+    starts = ["state", g.number(0.0), g.number(0.0)]
+    results = ["next_state", "damping", "rest"]
+    count = g.do("Cast", steps, to=TensorProto.INT64)
+    g.nodes.append(helper.make_node("Loop", [count, "", *starts], results, body=inside))
+    return g.do("Add", "rest", "damping")
+
+
+def _memories(g: _Graph, trained: Network, past: str, distance: str) -> tuple[str, str]:
+    """Stop and way since the motion began or turned, after the step."""
     before, way = g.part(past, 0, 1), g.part(past, 1, 2)
-    distance = g.do("Mul", "velocity", "dt")
     stop = g.limited(g.do("Add", before, g.affine(distance, 1.0 / trained.stroke)), 1.0)
     same = g.do("Max", g.do("Mul", g.do("Sign", distance), g.do("Sign", way)), g.number([0.0]))
     kept = g.do("Add", g.do("Mul", same, way), g.affine(distance, 1.0 / (network.TURN_SHARE * trained.stroke)))
     return stop, g.limited(g.do("Mul", kept, g.do("Abs", g.do("Sign", distance))), 1.0)
 
 
-def _inputs(g: _Graph, p: Array, trained: Network, past: str, names: list[str]) -> str:
-    """Vector x; adds to the names of the graph's inputs."""
+def _inputs(g: _Graph, p: Array, trained: Network, names: list[str]) -> tuple[list[str], list[str]]:
+    """Elements of x before and behind what is remembered; adds to the names of the graph's inputs."""
     structure, limit = trained.structure, trained.speed_limit
     v = g.limited("velocity", limit)
-    parts = [g.affine(v, 1.0 / limit)]
+    features = [g.affine(v, 1.0 / limit)]
     for place in range(2):
         factor = float(p[network.FEATURE_FACTORS + place])
-        parts.append(g.affine(g.asinh(g.affine(v, 1.0 / trained.speeds[place])), factor))
-    parts.append(g.do("Tanh", g.affine(v, 1.0 / trained.speeds[2])))
-    if past:
-        parts.append(past)
+        features.append(g.affine(g.asinh(g.affine(v, 1.0 / trained.speeds[place])), factor))
+    features.append(g.do("Tanh", g.affine(v, 1.0 / trained.speeds[2])))
+    others: list[str] = []
     has = (structure.has_position, structure.has_load, structure.has_temperature)
     for place, name in enumerate(("position", "load_torque", "temperature")):
         if has[place]:
             names.append(name)
             middle, half = p[network.MIDDLES + place], p[network.HALF_RANGES + place]
-            parts.append(g.limited(g.affine(name, 1.0 / half, -middle / half), 1.0))
+            others.append(g.limited(g.affine(name, 1.0 / half, -middle / half), 1.0))
     if structure.orders and not structure.has_position:
         names.append("position")
     for order in structure.orders:
         angle = g.affine("position", order)
-        parts += [g.do("Sin", g.affine(angle, 1.0, 0.5 * np.pi)), g.do("Sin", angle)]
-    return g.do("Concat", *parts, axis=0)
+        others += [g.do("Sin", g.affine(angle, 1.0, 0.5 * np.pi)), g.do("Sin", angle)]
+    return features, others
 
 
 def _layers(g: _Graph, weights: _Weights, trained: Network, x: str, y: str) -> str:
@@ -198,36 +223,54 @@ def _layers(g: _Graph, weights: _Weights, trained: Network, x: str, y: str) -> s
     return last
 
 
+def _output(g: _Graph, weights: _Weights, trained: Network, x: str, last: str, y: str = "") -> str:
+    """Output of the last layer and the linear path, of ``y`` too where there is one."""
+    structure = trained.structure
+    total = g.do("Add", g.number(weights.take(1)), g.product(last, weights.take(structure.hidden[-1], 1)))
+    total = g.do("Add", total, g.product(x, weights.take(structure.inputs, 1)))
+    return g.do("Add", total, g.product(y, weights.take(structure.states, 1))) if y else total
+
+
 def _gated(
-    g: _Graph, p: Array, trained: Network, weights: _Weights, x: str, y: str, way: str, output: Any
-) -> tuple[str, str]:
-    """Torque over its scale, not yet cut off, and the states after the sample."""
-    fed = trained.structure.states
-    aims = g.do("Concat", *(g.limited(output(), trained.bound) for _ in range(fed)), axis=0)
-    damping = output()
+    g: _Graph,
+    p: Array,
+    trained: Network,
+    weights: _Weights,
+    features: list[str],
+    others: list[str],
+    state: str,
+    distance: str,
+    tempo: str,
+) -> tuple[list[str], str, str]:
+    """State after a step, damping and the rest of the torque over its scale."""
+    fed, count = trained.structure.states, network.VELOCITY_FEATURES
+    y = g.part(state, 0, fed)
+    stop, way = _memories(g, trained, g.part(state, fed, fed + network.MEMORIES), distance)
+    x = g.do("Concat", *features, stop, *others, axis=0)
+    last = _layers(g, weights, trained, x, y)
+    each = [g.limited(_output(g, weights, trained, x, last), trained.bound) for _ in range(fed)]
+    aims = g.do("Concat", *each, axis=0)
+    damping = _output(g, weights, trained, x, last)
     direct = g.do("Add", g.number(weights.take(1)), g.product(x, weights.take(trained.structure.inputs, 1)))
-    features = g.part(x, 0, network.VELOCITY_FEATURES)
     gates = weights.take(fed, network.GATES, network.GATE_WEIGHTS)
-    count = network.VELOCITY_FEATURES
-    stop = g.do("Mul", g.part(x, count, count + 1), g.part(x, count - 1, count))
-    seen = g.do("Concat", g.do("Mul", features, features), stop, g.do("Abs", way), axis=0)
+    speeds = g.part(x, 0, count)
+    seen = g.do("Mul", stop, g.part(x, count - 1, count))
+    seen = g.do("Concat", g.do("Mul", speeds, speeds), seen, g.do("Abs", way), axis=0)
 
     def gate(number: int, half: float, middle: float) -> str:
         sums = g.do("Add", g.number(gates[:, number, 0]), g.product(seen, gates[:, number, 1:].T))
         return g.do("Exp", g.affine(g.do("Tanh", sums), half, middle))
 
-    path = g.do("Mul", g.do("Abs", "velocity"), "dt")
-    way = g.do("Mul", gate(0, p[network.RATE_HALF], p[network.RATE_MIDDLE]), path)
+    moved = g.do("Mul", gate(0, p[network.RATE_HALF], p[network.RATE_MIDDLE]), g.do("Abs", distance))
     per_knee = g.affine(gate(1, -network.KNEE_HALF, -network.KNEE_MIDDLE), 1.0 / trained.bound)
-    distance = g.do("Sub", aims, y)
-    knees = g.do("Mul", g.do("Abs", distance), per_knee)
-    straight = g.do("Min", g.do("Max", g.affine(knees, 1.0, -1.0), g.number(0.0)), way)
+    away = g.do("Sub", aims, y)
+    knees = g.do("Mul", g.do("Abs", away), per_knee)
+    straight = g.do("Min", g.do("Max", g.affine(knees, 1.0, -1.0), g.number(0.0)), moved)
     begun = g.do("Div", straight, g.do("Max", knees, g.number(1.0)))
-    left = g.do("Mul", g.affine(begun, -1.0, 1.0), g.do("Exp", g.do("Sub", straight, way)))
-    after = g.do("Add", y, g.do("Mul", g.affine(left, -1.0, 1.0), distance))
-    tempo = g.do("Div", g.number(trained.period_s), "dt")
+    left = g.do("Mul", g.affine(begun, -1.0, 1.0), g.do("Exp", g.do("Sub", straight, moved)))
+    after = g.do("Add", y, g.do("Mul", g.affine(left, -1.0, 1.0), away))
     ones = np.ones((fed, 1))
     if fed > 1:
         ones[-1] = 0.0
-    moved = g.do("Mul", damping, g.do("Mul", tempo, g.product(g.do("Sub", after, y), ones)))
-    return g.do("Add", g.do("Add", direct, g.product(after, ones)), moved), after
+    damping = g.do("Mul", damping, g.do("Mul", tempo, g.product(g.do("Sub", after, y), ones)))
+    return [after, stop, way], damping, g.do("Add", direct, g.product(after, ones))

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from friction_hil.dual import WIDTH
 from friction_hil.errors import UsageError, choices
 from friction_hil.jit import Array
-from friction_hil.models import dispatch, kernel, network, sensitivity
+from friction_hil.models import dispatch, kernel, network_runs, sensitivity
 from friction_hil.models.arrays import checked_out, per_sample, require_finite, vector
 from friction_hil.models.family import Family
 from friction_hil.models.modifiers import SIDES, check_modifiers, pack_modifiers
@@ -246,7 +246,7 @@ class FrictionModel:
         v, steps, where, load, warmth, applied = inputs
         if self.network is not None and self.family is NETWORK_ALONE and not self.modifiers and steps.size == 1:
             require_finite("velocity", v)
-            network.run(self.network.values, state, v, steps[0], where, load, warmth, torque)
+            network_runs.run(self.network.values, state, v, steps[0], where, load, warmth, torque)
             return torque
         if not self._has_more and steps.size == 1 and applied.size == 1:
             is_finite = kernel.run_plain(kind, self.values, state, v, steps[0], applied[0], torque)
@@ -344,7 +344,7 @@ class FrictionModel:
         torque = np.empty(v.size)
         kernel.steady_curve(dispatch.tag(self.kind), self.values, v, load[0], warmth[0], torque)
         if self.network is not None:
-            network.add_steady_curve(self.network.values, v, load[0], warmth[0], torque)
+            network_runs.add_steady_curve(self.network.values, v, load[0], warmth[0], torque)
         return torque
 
     def dissipated_energy(self, velocity: ArrayLike, dt: ArrayLike, **inputs: Any) -> Array:

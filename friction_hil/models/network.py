@@ -31,6 +31,8 @@ cut off at `BOUND`, as is every T. A gated network is Dahl's and LuGre's form wi
 state stands still at rest, does not depend on the sampling period, and y+ is a weighted mean of y and a bounded T.
 Farther from T than w a state is a spring of constant stiffness kappa w, as a Maxwell-slip element and the bristles of
 the elasto-plastic model are below their break-away; within w it yields, as Dahl's and LuGre's do from the start.
+T and B are held over a step, which the training only knows as long as `TRAINED_DT`: a longer sample is divided into
+steps of about that length, and its damping is the mean of theirs.
 The stop, one of the inputs, is Prandtl's: a spring that slips at its `STROKE`. What the gates see lets a state lag in
 time (kappa like 1 / abs(v)) while the axis slides, and catch up while it sticks. That is how sliding Maxwell-slip
 elements come to their level, which the last of several states is for. No gate sees a state: rates and knees of any
@@ -41,8 +43,6 @@ stiffness over the level in LuGre's model, changes with the velocity for the sam
 """
 
 import math
-
-import numpy as np
 
 from friction_hil.dual import fma
 from friction_hil.jit import Array, compiled, inlined
@@ -84,7 +84,7 @@ IS_RESIDUAL = ORDERS + MAX_HARMONICS  # beside a model: fades out beyond the spe
 STROKE = IS_RESIDUAL + 1  # gated only: of the stop, rad
 HEADER = STROKE + 1
 STATE_ROOM = 256  # for the largest structure
-_SETTLING_STEPS, _LONG_S = 200, 1e9
+MOST_STEPS = 16  # into which a sample is divided; a bound on the time it takes
 _FARTHEST = 1e15  # rad: beyond, a float has no angle
 _FADED = 1.5  # speed limits at which a residual has faded out
 
@@ -326,12 +326,13 @@ def advance(
     features: Array,
     path: float,
     tempo: float,
+    damped: float,
     fed_back: Array,
     after: Array,
     aims: Array,
     h: Array,
-) -> float:
-    """Torque over its scale, from inputs and what is fed back.
+) -> tuple[float, float]:
+    """Torque over its scale, from inputs and what is fed back, and the damping in it.
 
     Parameters
     ----------
@@ -340,7 +341,9 @@ def advance(
     x, features : (inputs,) and (`GATE_FEATURES`,) array
         What the layers and what the gates see; a network without gates does not look at the latter.
     path, tempo : float
-        abs(v) dt, rad, and TRAINED_DT / dt.
+        abs(v) dt of the step, rad, and TRAINED_DT / dt of the sample.
+    damped : float
+        Damping of the earlier steps of the same sample.
     fed_back, after : (feedbacks,) array
         Before and after the step. May be the same array.
     aims : (1 + feedbacks,) array
@@ -356,7 +359,7 @@ def advance(
             for i in range(feedbacks - 1, 0, -1):
                 after[i] = fed_back[i - 1]
             after[0] = total
-        return total
+        return total, 0.0
     total, begin = _outputs(p, x, fed_back, aims, h)
     damping = aims[feedbacks]
     for i in range(feedbacks):
@@ -366,12 +369,19 @@ def advance(
         share, _, _, _ = _travelled(aims[i] - before, way, knee)
         after[i] = toward(before, aims[i], share)
         if i < _summed(p):
-            total += after[i] + damping * ((after[i] - before) * tempo)
-    return _limited(total, bound)
+            total += after[i]
+            damped += damping * ((after[i] - before) * tempo)
+    return _limited(total + damped, bound), damped
 
 
 _velocity_features, _other_features, _advance, _stop = velocity_features, other_features, advance, stop
 _since_turn, _gate_features = since_turn, gate_features
+
+
+@inlined
+def steps_of(p: Array, dt: float) -> int:
+    """Into how many equal steps a sample is divided, each about as long as in the training; 1 where not gated."""
+    return whole(min(max(dt / p[TRAINED_DT] + 0.5, 1.0), MOST_STEPS)) if p[STRUCTURE] == GATED else 1
 
 
 @inlined
@@ -390,7 +400,7 @@ def seen_velocity(p: Array, velocity: float, level_velocity: float) -> float:
     return math.copysign(max(speed, min(abs(velocity), p[SPEEDS + 2])), velocity)
 
 
-_share_inside, _seen_velocity = share_inside, seen_velocity
+_share_inside, _seen_velocity, _steps_of = share_inside, seen_velocity, steps_of
 
 
 @inlined
@@ -416,7 +426,8 @@ def step(
     dt, position, load_torque, temperature
         s, rad, N m, deg C. What is no input of the network is not looked at. A narx ignores ``dt``.
     """
-    distance = velocity * dt
+    steps = _steps_of(p, dt)
+    distance = velocity * dt / steps
     velocity = _seen_velocity(p, velocity, level_velocity)
     feedbacks, lags, inputs = whole(p[FEEDBACKS]), whole(p[LAGS]), whole(p[INPUTS])
     is_gated = p[STRUCTURE] == GATED
@@ -430,12 +441,16 @@ def step(
     for i in range(remembered):
         x[VELOCITY_FEATURES + i] = past[i]
     if is_gated:
-        past[0] = x[VELOCITY_FEATURES] = _stop(p, past[0], distance)
-        past[1] = _since_turn(p, past[1], distance)
-        _gate_features(x, past[1], features)
         remembered = 1  # of the inputs
     _other_features(p, position, load_torque, temperature, part(x, VELOCITY_FEATURES + remembered))
-    torque = p[TORQUE_SCALE] * _advance(p, x, features, abs(distance), p[TRAINED_DT] / dt, s, s, aims, h)
+    path, tempo, torque, damped = abs(distance), p[TRAINED_DT] / dt, 0.0, 0.0
+    for _ in range(steps):
+        if is_gated:
+            past[0] = x[VELOCITY_FEATURES] = _stop(p, past[0], distance)
+            past[1] = _since_turn(p, past[1], distance)
+            _gate_features(x, past[1], features)
+        torque, damped = _advance(p, x, features, path, tempo, damped, s, s, aims, h)
+    torque *= p[TORQUE_SCALE]
     if not is_gated:
         for i in range(remembered - 1, -1, -1):
             past[i] = x[i]
@@ -460,37 +475,3 @@ def step_apart(
 ) -> float:
     """`step`, compiled by itself: what is compiled for every family would take minutes with it inside."""
     return _step(p, s, velocity, level_velocity, dt, position, load_torque, temperature)
-
-
-@compiled
-def run(
-    p: Array,
-    s: Array,
-    velocity: Array,
-    dt: float,
-    position: Array,
-    load_torque: Array,
-    temperature: Array,
-    torque: Array,
-) -> None:
-    """Fill ``torque`` with that of every sample; the inputs after ``dt`` have one element, or one a sample."""
-    position_stride = 1 if position.shape[0] > 1 else 0
-    load_stride = 1 if load_torque.shape[0] > 1 else 0
-    temperature_stride = 1 if temperature.shape[0] > 1 else 0
-    for k in range(velocity.shape[0]):
-        where, load = position[k * position_stride], load_torque[k * load_stride]
-        torque[k] = _step(p, s, velocity[k], velocity[k], dt, where, load, temperature[k * temperature_stride])
-
-
-@compiled
-def add_steady_curve(p: Array, velocity: Array, load_torque: float, temperature: float, torque: Array) -> None:
-    """Add to ``torque`` (n,) what the network settles on at every constant ``velocity``, at position 0; 0 at rest."""
-    s = np.zeros(STATE_ROOM)
-    for k in range(velocity.shape[0]):
-        if velocity[k] == 0.0:
-            continue
-        s[:] = 0.0
-        settled = 0.0
-        for _ in range(_SETTLING_STEPS):
-            settled = _step(p, s, velocity[k], velocity[k], _LONG_S, 0.0, load_torque, temperature)
-        torque[k] += settled

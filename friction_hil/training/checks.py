@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from friction_hil.jit import Array
-from friction_hil.models import Structure, network
+from friction_hil.models import Structure, network, network_runs
 
 REST_S = 600.0
 _PARTS = 60  # of the rest, each looked at by itself
@@ -29,7 +29,7 @@ def simulate(
     """Torque of a velocity record in free run, N m, from rest or from a ``state`` that is changed in place."""
     torque = np.empty(len(velocity))
     zero, unknown = np.zeros(1), np.full(1, math.nan)
-    network.run(
+    network_runs.run(
         p,
         np.zeros(structure.state_room) if state is None else state,
         np.ascontiguousarray(velocity, dtype=np.float64),

@@ -106,7 +106,6 @@ def plan_rows(
     x: Array,
     seen: Array,
     path: Array,
-    tempo: float,
     trace: Array,
     begin: int,
     end: int,
@@ -142,11 +141,11 @@ def plan_rows(
             gate[1 + i] = seen[i, k]
         for j in range(count):
             last[1 + j] = step[units - SPARE - count + j]
-        damping, gained = aims[feedbacks] * tempo, 0.0
+        damping, gained = aims[feedbacks], 0.0
         for i in range(feedbacks):
             plan[1 + inputs + i] = fed_back[i]
             if i < summed(p):
-                gained += tempo * shares[i] * (aims[i] - fed_back[i])
+                gained += shares[i] * (aims[i] - fed_back[i])
         numbers[0], numbers[1] = gained, 1.0 + damping
         slopes = part(plan, to_slopes)
         layer_slopes(p, step, outputs + feedbacks * each + 1, gained, slopes)

@@ -139,7 +139,6 @@ def run(
     x: Array,
     seen: Array,
     path: Array,
-    tempo: float,
     measured: Array,
     is_free: bool,
     trace: Array,
@@ -173,11 +172,12 @@ def run(
             for i in range(feedbacks):
                 row[aims + i] = state[i]
             if not is_gated:
-                row[width - 1] = _advance(p, inputs_k, inputs_k, path[k], tempo, state, state, part(row, units), row)
+                aims_k = part(row, units)
+                row[width - 1], _ = _advance(p, inputs_k, inputs_k, path[k], 1.0, 0.0, state, state, aims_k, row)
                 continue
             aims_k = part(row, units)  # from here on as in `network.advance`, but for the gates
             total, _ = _outputs(p, inputs_k, state, aims_k, row)
-            damping = aims_k[feedbacks]
+            damping, damped = aims_k[feedbacks], 0.0
             for i in range(feedbacks):
                 before, way = state[i], gates[i, 0, k - begin]
                 distance = aims_k[i] - before
@@ -191,12 +191,13 @@ def run(
                     over_knee = share if is_straight else (1.0 - share) * beyond
                 state[i] = toward(before, aims_k[i], share)
                 if i < summed:
-                    total += state[i] + damping * ((state[i] - before) * tempo)
+                    total += state[i]
+                    damped += damping * (state[i] - before)
                 row[aims + feedbacks + i] = share
                 row[aims + 2 * feedbacks + i] = soft
                 row[aims + 3 * feedbacks + i] = distance * over_way * gates[i, 2, k - begin]
                 row[aims + 4 * feedbacks + i] = distance * over_knee * gates[i, 3, k - begin]
-            row[width - 1] = _limited(total, p[BOUND])
+            row[width - 1] = _limited(total + damped, p[BOUND])
 
 
 @compiled
@@ -288,7 +289,6 @@ def fill_rows(
     x: Array,
     seen: Array,
     path: Array,
-    tempo: float,
     trace: Array,
     is_free: bool,
     begin: int,
@@ -309,7 +309,7 @@ def fill_rows(
         plan, after, wide = np.zeros(BLOCK * stride), np.zeros(feedbacks * room), np.zeros(room)
         for first in range(begin, end, BLOCK):
             last = min(first + BLOCK, end)
-            plan_rows(p, x, seen, path, tempo, trace, first, last, plan)
+            plan_rows(p, x, seen, path, trace, first, last, plan)
             for k in range(first, last):
                 if starts[k] != 0.0:
                     s[:] = 0.0
@@ -337,7 +337,6 @@ def normal_equations(
     x: Array,
     seen: Array,
     path: Array,
-    tempo: float,
     trace: Array,
     is_free: bool,
     target: Array,
@@ -359,7 +358,7 @@ def normal_equations(
     matrix[:] = 0.0
     for begin in range(0, path.shape[0], BLOCK):
         end = min(begin + BLOCK, path.shape[0])
-        fill_rows(p, starts, x, seen, path, tempo, trace, is_free, begin, end, s, rows, weights)
+        fill_rows(p, starts, x, seen, path, trace, is_free, begin, end, s, rows, weights)
         used = 0
         for k in range(begin, end):
             if weight[k] > 0.0:

@@ -75,25 +75,6 @@ class Samples:
         """Return the same samples with other weights."""
         return replace(self, weight=weight)
 
-    def coarser(self) -> "Samples":
-        """Return pairs of samples as one of twice the period: mean velocity, torque and the rest at its end.
-
-        A pair that belongs to two records counts for nothing and begins the second one; an odd sample at the end is
-        left out.
-        """
-        first, second = slice(0, len(self) // 2 * 2, 2), slice(1, len(self), 2)
-        is_split = self.starts[second] != 0.0
-        return Samples(
-            2.0 * self.dt,
-            0.5 * (self.velocity[first] + self.velocity[second]),
-            self.torque[second],
-            self.position[second],
-            self.load_torque[second],
-            self.temperature[second],
-            starts=np.where(is_split, 1.0, self.starts[first]),
-            weight=np.where(is_split, 0.0, np.minimum(self.weight[first], self.weight[second])),
-        )
-
 
 def join(records: Iterable[Samples]) -> Samples:
     """Put records one after the other.

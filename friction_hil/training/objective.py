@@ -20,6 +20,7 @@ class Record:
     p : array
         Network; its header counts, its weights do not.
     samples : Samples
+        At the period that the network is trained at.
     """
 
     def __init__(self, p: Array, samples: Samples) -> None:
@@ -33,7 +34,6 @@ class Record:
             else np.empty((0, 0))
         )
         self.path = np.abs(samples.velocity) * samples.dt
-        self.tempo = float(p[network.TRAINED_DT]) / samples.dt
         self.target = samples.torque / p[network.TORQUE_SCALE]
         self.weight = samples.weight / np.sum(samples.weight)
         mean = float(self.weight @ self.target)
@@ -42,7 +42,7 @@ class Record:
 
     def run(self, p: Array, is_free: bool) -> float:
         """Run the network; return the weighted mean of its squared error, in units of the torque scale squared."""
-        motion = (self.samples.starts, self.inputs, self.gate_features, self.path, self.tempo)
+        motion = (self.samples.starts, self.inputs, self.gate_features, self.path)
         jacobian.run(p, *motion, self.target, is_free, self.trace)
         return jacobian.squared_error(self.trace, self.target, self.weight)
 
@@ -53,7 +53,7 @@ class Record:
     def normal_equations(self, p: Array, is_free: bool, matrix: Array) -> None:
         """Fill ``matrix`` as `jacobian.normal_equations` does, for the last `run`."""
         weights = p.size - network.HEADER
-        record = (self.samples.starts, self.inputs, self.gate_features, self.path, self.tempo, self.trace)
+        record = (self.samples.starts, self.inputs, self.gate_features, self.path, self.trace)
         jacobian.normal_equations(p, *record, is_free, self.target, self.weight, weights, matrix)
 
 

@@ -153,13 +153,6 @@ class _Start:
         self.best = self.p.copy()
         self.best[network.HEADER :] = self.constraint.apply(self.at)[0]
         self.training_record, self.validation_record = (Record(self.p, each) for each in (samples, training.validation))
-        self.coarse_record = _coarse_record(self.p, training.validation) if structure.kind == "gated" else None
-
-
-def _coarse_record(p: Array, validation: Samples) -> Record | None:
-    """The validation samples at twice the period; None where nothing that counts is left of them."""
-    coarse = validation.coarser() if len(validation) > 1 else validation
-    return Record(p, coarse) if len(validation) > 1 and np.any(coarse.weight > 0.0) else None
 
 
 def first_weights(p: Array, structure: Structure, samples: Samples, random: np.random.Generator) -> Array:
@@ -297,9 +290,6 @@ class _Training:
             start.at, start.damping = progress.at, progress.damping
             p = objective.network_at(progress.at)
             error = start.validation_record.error(p, is_free=True)
-            if start.coarse_record is not None:
-                # a network that fits one period alone is better there and worse at others
-                error = max(error, 0.5 * start.coarse_record.error(p, is_free=True))
             stale += 1
             if error < start.error:
                 start.error, start.best, stale = error, p, 0

@@ -61,11 +61,25 @@ def test_at_rest_a_gated_network_keeps_its_state(name):
 
 @pytest.mark.parametrize("name", ["gated", "gated_2"])
 def test_a_gated_network_hardly_depends_on_the_period(name):
-    """A velocity that is held for 4 ms, in one step or in four."""
+    """A velocity that is held for 4 ms, in one sample or in four, or in sixteen."""
     model, held = alone(random_network(name)), 0.05 * np.sin(np.arange(500) * 0.05)
     coarse = model.simulate(held, 4e-3)
-    fine = model.simulate(held.repeat(4), 1e-3)[3::4]
-    assert np.abs(fine - coarse).max() < 0.02 * np.ptp(coarse)
+    for count in (4, 16):
+        fine = model.simulate(held.repeat(count), 4e-3 / count)[count - 1 :: count]
+        assert np.abs(fine - coarse).max() < 0.02 * np.ptp(coarse)
+
+
+@pytest.mark.parametrize("name", ["gated", "gated_2"])
+@pytest.mark.parametrize("count", [2, 3, 16])
+def test_a_long_sample_is_steps_of_the_trained_period(name, count):
+    """What is left of the motion when it rests is the state: the same to the last few bits, however it was divided."""
+    network = random_network(name, size=2.0)
+    for motion_before in (motion(40, 1), motion(41, 2)):
+        ends = [
+            alone(network).simulate([*np.repeat(motion_before, each), 0.0], network.period_s * count / each)[-1]
+            for each in (1, count)
+        ]
+        np.testing.assert_allclose(ends[0], ends[1], rtol=1e-10)
 
 
 def test_steady_state_is_where_a_long_motion_ends():

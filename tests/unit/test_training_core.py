@@ -54,7 +54,7 @@ def jacobian_of(p, record, is_free):
     record.run(p, is_free)
     rows = np.zeros((len(data), weights + network.SPARE))
     sensitivities = np.zeros((max(1, int(p[network.FEEDBACKS])), gated.row_room(p)))
-    common = (data.starts, record.inputs, record.gate_features, record.path, record.tempo, record.trace)
+    common = (data.starts, record.inputs, record.gate_features, record.path, record.trace)
     jacobian.fill_rows(p, *common, is_free, 0, len(data), sensitivities, rows, weights)
     return rows[:, :weights]
 

@@ -197,7 +197,7 @@ def time_to_error() -> list[Row]:
         objective.cost(at)
         rows = np.zeros((SAMPLES, structure.weights + network.SPARE))
         carried = np.zeros((1, row_room(objective.p)))
-        common = (data.starts, record.inputs, record.gate_features, record.path, record.tempo, record.trace)
+        common = (data.starts, record.inputs, record.gate_features, record.path, record.trace)
         fill_rows(objective.p, *common, True, 0, SAMPLES, carried, rows, structure.weights)
         rows = rows[:, : structure.weights]
         return np.asarray(rows + rows[:, constraint.feedback] @ constraint.apply(at)[1])
@@ -242,7 +242,8 @@ def errors() -> list[Row]:
         seconds.append(time.process_time() - began)
         for dt, series in found.items():
             test = samples(seed + 200, round(20.0 / dt), dt)
-            series.append(Record(result.parameters, test).error(result.parameters, is_free=True))
+            left = simulate(result.structure, result.parameters, test.velocity, dt) - test.torque
+            series.append(float(np.sqrt(np.mean(left**2)) / np.std(test.torque)))
     return [
         against(0.008, "gated, unseen, median of 10 seeds (target)", "NRMSE", median(found[DT])),
         against(0.015, "gated, unseen, worst of 10 seeds (target)", "NRMSE", max(found[DT])),
