@@ -12,7 +12,7 @@ P. Vary, R. Martin, Digital Speech Transmission, 2006, section 11.4).
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -235,6 +235,18 @@ def velocity_by_bands(position: Array, rate_hz: float, resolution: float, fine: 
     """
     from scipy import signal
 
+    kept = moves_by_bands(position, rate_hz, resolution)
+    # a difference stands for the middle of its period, which lies between two fine steps: hence the even length
+    kernel = fine * _fir(LAST_BAND_SHARE * rate_hz, 0.16 * rate_hz, fine * rate_hz, is_even=True)
+    spread: Any = signal.upfirdn(kernel, kept, up=fine)[kernel.size // 2 - fine // 2 :]
+    return np.concatenate([spread, np.zeros(fine)])[: len(kept) * fine]
+
+
+def moves_by_bands(position: Array, rate_hz: float, resolution: float) -> Array:
+    """Mean velocity over every sampling period, (n - 1,), from a counted position (n,).
+
+    Each band is kept as far as it stands out from the encoder's noise just then.
+    """
     moves = np.diff(position) * rate_hz  # differences are filtered: images of a large position would be a velocity
     cuts = _band_edges(rate_hz)
     kernels = [_fir(cut, min(0.7 * cut, 2.0 * (0.48 * rate_hz - cut)), rate_hz) for cut in cuts]
@@ -246,10 +258,28 @@ def velocity_by_bands(position: Array, rate_hz: float, resolution: float, fine: 
         power = _local_power(band, rate_hz / cut)
         kept = kept + np.maximum(1.0 - noise / np.maximum(power, 1e-300), 0.0) * band
         low = high
-    # a difference stands for the middle of its period, which lies between two fine steps: hence the even length
-    kernel = fine * _fir(LAST_BAND_SHARE * rate_hz, 0.16 * rate_hz, fine * rate_hz, is_even=True)
-    spread: Any = signal.upfirdn(kernel, kept, up=fine)[kernel.size // 2 - fine // 2 :]
-    return np.concatenate([spread, np.zeros(fine)])[: len(moves) * fine]
+    return kept
+
+
+def at_full_rate(record: Record) -> Record:
+    """Motion of a record by bands and its torque as it was measured, instead of both low-passed.
+
+    What happens in a few samples stays, such as a reversal; velocities are means over the sampling period before each
+    row, as models take them.
+    """
+    assert record.resolution is not None
+    rate = record.rate_hz
+    velocity = np.concatenate([[0.0], moves_by_bands(record.encoder, rate, record.resolution)])
+    edge = _fir(_FIRST_BAND_HZ, 0.7 * _FIRST_BAND_HZ, rate).size // 2
+    return replace(
+        record,
+        position=record.encoder,
+        velocity=velocity,
+        acceleration=np.append(np.diff(velocity) * rate, 0.0),
+        lowpass_hz=None,
+        begin=edge,
+        end=len(velocity) - edge,
+    )
 
 
 def _band_edges(rate_hz: float) -> list[float]:

@@ -19,6 +19,7 @@ from friction_hil.training.train import Options, Progress, Trained, train
 
 if TYPE_CHECKING:
     from friction_hil.config import ModelFile
+    from friction_hil.identification.data import Record
     from friction_hil.recordings import Recording
 
 _HIDDEN = {"gated": (10,), "narx": (10,), "static": (8,), "residual": (4,)}
@@ -235,9 +236,12 @@ def task_of_recordings(
     is_static, is_residual : bool
         Whether the network has no state; whether it stands beside the known friction.
     lowpass_hz : float, optional
-        For everything; without it, that of `identification.data.prepare`, or for a static network what `identify`
-        compares by: a map needs no more, and the noise of an acceleration is above it.
+        For everything; without it, for a static network, what `identify` compares by: a map needs no more, and the
+        noise of an acceleration is above it. Else, where the velocity would come from an encoder's counts, it does so
+        in bands and the torque stays as it was measured (`identification.fine.at_full_rate`): a low-pass would take
+        the reversals away, in which a state shows. Without counts, that of `identification.data.prepare`.
     """
+    from friction_hil.identification import fine
     from friction_hil.identification.data import prepare
 
     notes: list[str] = []
@@ -249,6 +253,10 @@ def task_of_recordings(
         notes.append(f"inertia, offset and gravity as identified with {name}")
     records = [record for each in recordings for record in prepare(each, lowpass_hz=lowpass_hz)]
     others = [record for each in validation for record in prepare(each, lowpass_hz=lowpass_hz)]
+    notes += dict.fromkeys(problem for record in (*records, *others) for problem in record.problems)
+    if lowpass_hz is None and all(map(_is_counted, (*records, *others))):
+        records, others = [list(map(fine.at_full_rate, each)) for each in (records, others)]
+        notes.append("velocity from the counts of the encoder, each band as far as it stands out from their noise")
     base = known.friction_model
     own = data.of_records(records, known.mechanics, base if is_residual else None)
     if others:
@@ -256,7 +264,6 @@ def task_of_recordings(
     else:
         samples, judged = data.held_out(own)
         notes.append("without --validate, each fourth of twenty blocks is held out to judge by")
-    notes += dict.fromkeys(problem for record in records for problem in record.problems)
     compared = others or records
     return Task(
         samples,
@@ -269,6 +276,17 @@ def task_of_recordings(
         base_error=data.of_records(compared, known.mechanics, base).torque,
         physical=name,
     )
+
+
+def _is_counted(record: "Record") -> bool:
+    """Whether counts of the encoder are the best that is known of the velocity."""
+    from friction_hil.identification import fine
+    from friction_hil.recordings.quality import resolution
+
+    if record.resolution is None or not fine.is_fine(record):
+        return False
+    step = resolution(record.velocity) if record.lowpass_hz is None else None
+    return record.lowpass_hz is not None or (step is not None and step > 0.5 * record.resolution * record.rate_hz)
 
 
 def _identified(

@@ -73,7 +73,7 @@ def test_a_gated_network_hardly_depends_on_the_period(name):
 @pytest.mark.parametrize("count", [2, 3, 16])
 def test_a_long_sample_is_steps_of_the_trained_period(name, count):
     """What is left of the motion when it rests is the state: the same to the last few bits, however it was divided."""
-    network = random_network(name, size=2.0)
+    network = random_network(name)
     for motion_before in (motion(40, 1), motion(41, 2)):
         ends = [
             alone(network).simulate([*np.repeat(motion_before, each), 0.0], network.period_s * count / each)[-1]

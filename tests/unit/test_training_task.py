@@ -1,0 +1,74 @@
+"""What a network is trained on where the data are recordings: the motion as the encoder's counts tell it best."""
+
+import numpy as np
+import pytest
+
+import friction_hil as fh
+from friction_hil.config import ModelFile
+from friction_hil.recordings import Recording
+from friction_hil.training import task_of_recordings
+from friction_hil.training.excitation import excitation
+
+DT, ROWS, COUNT, INERTIA = 1e-3, 12_000, 2.0 * np.pi / 2**20, 2e-4
+KNOWN = {"model": "coulomb", "parameters": {"coulomb": 0.1}}
+
+
+def plant():
+    levels = {"coulomb": 0.11, "static": 0.17, "stribeck_velocity": 0.12, "damping_velocity": 0.12}
+    return fh.models.create("lugre", sigma0=900.0, sigma1=0.6, sigma2=4e-3, **levels)
+
+
+def recorded(seed=0, count=COUNT, **columns):
+    """Motion and friction without noise, and a recording of them: counted position, torque with 1 % noise."""
+    velocity, random = excitation(1.2, DT, ROWS, seed=seed), np.random.default_rng(seed)
+    friction = plant().simulate(velocity, DT)
+    torque = friction + INERTIA * np.append(np.diff(velocity), 0.0) / DT
+    given = {
+        "time_s": DT * np.arange(ROWS),
+        "position": np.round(np.cumsum(velocity) * DT / count) * count,
+        "torque": torque + 0.01 * np.std(friction) * random.standard_normal(ROWS),
+    }
+    return velocity, friction, Recording("made up", "axis", given | columns)
+
+
+def samples(recording, **options):
+    known = ModelFile.model_validate({"axis": "rotary", "friction": KNOWN, "mechanics": {"inertia": INERTIA}})
+    return task_of_recordings([recording], [recording], known, **options)
+
+
+def distance(torque, truth, weight):
+    counts = weight > 0.0
+    return float(np.std((torque - truth)[counts]) / np.std(truth[counts]))
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_reversals_are_not_low_passed_away(seed):
+    """The plant itself, along the velocity of the samples, against its friction without noise."""
+    velocity, friction, recording = recorded(seed)
+    task = samples(recording)
+    found, low = task.samples, samples(recording, lowpass_hz=100.0).samples
+    away, away_low = (distance(plant().simulate(each.velocity, DT), friction, each.weight) for each in (found, low))
+    assert away < 0.5 * away_low
+    assert np.sum(found.weight) > 0.95 * ROWS
+    assert 0.0095 < distance(found.torque, friction, found.weight) < 0.011  # its noise, and nothing of the inertia
+    assert distance(low.torque, friction, low.weight) > 0.02
+    assert any("counts" in note for note in task.notes)
+    raw = np.diff(recording["position"], prepend=0.0) / DT
+    assert np.std(found.velocity - velocity) < 0.5 * np.std(raw - velocity)
+
+
+def test_a_velocity_that_is_differences_of_counts_is_replaced_and_a_finer_one_is_not():
+    velocity, _, recording = recorded()
+    for better, is_kept in ((velocity + 1e-4 * np.sin(np.arange(ROWS)), True), (None, False)):
+        given = np.diff(recording["position"], prepend=0.0) / DT if better is None else better
+        recording.columns["velocity"] = given
+        used = samples(recording).samples.velocity
+        assert np.array_equal(used, given) == is_kept
+
+
+@pytest.mark.parametrize("options", [{"lowpass_hz": 80.0}, {"is_static": True}])
+def test_who_wants_a_low_pass_gets_it(options):
+    _, _, recording = recorded()
+    task = samples(recording, **options)
+    assert not any("counts" in note for note in task.notes)
+    assert np.std(np.diff(task.samples.torque, 3)) < 0.3 * np.std(np.diff(recording["torque"], 3))
