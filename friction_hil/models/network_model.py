@@ -18,7 +18,7 @@ KINDS = {"static": network.STATIC, "gated": network.GATED, "narx": network.NARX}
 INPUTS = ("position", "load_torque", "temperature")  # besides the velocity, in the order of the kernel
 
 MOST_UNITS = 64
-MOST_STATES = 4
+MOST_STATES = 5
 MOST_LAGS = 8
 MOST_WEIGHTS = 1400
 _SAME_PERIOD = 1e-3  # relative

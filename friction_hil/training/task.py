@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from friction_hil.recordings import Recording
 
 _HIDDEN = {"gated": (10,), "narx": (10,), "static": (8,), "residual": (4,)}
-_STATES = (1, 4)  # of a gated network: more where one is not good enough, as of friction in Maxwell-slip elements
+_STATES = (1, 5)  # of a gated network: more where one is not good enough, as of friction in Maxwell-slip elements
 # of several states: each iteration takes three times as long, and fewer are needed
 _SEVERAL_STATES = Options(starts=5, survivors=2, trial_iterations=15, iterations=50)
 _GOOD_ENOUGH = 0.02  # NRMSE on validation with which a gated network needs no more states

@@ -223,7 +223,7 @@ def setting(name, value):
         (setting("structure", "lstm"), "friction.network.structure", "gated"),
         (setting("hidden", [0]), "friction.network", "1 to 64 units"),
         (setting("hidden", [4, 4, 4]), "friction.network", "one or two layers"),
-        (setting("states", 0), "friction.network", "1 to 4 states"),
+        (setting("states", 0), "friction.network", "1 to 5 states"),
         (setting("speeds", [0.1, 0.2]), "friction.network.speeds", "three"),
         (setting("speed_limit", -1.0), "friction.network.speed_limit", "above zero"),
         (without("stroke"), "friction.network.stroke", "train them anew"),

@@ -74,7 +74,7 @@ def test_several_states_learn_sliding_elements_that_lag():
     motions = [excitation(1.2, DT, 10_000, seed=seed) for seed in range(3)]
     training, validation, unseen = (Samples(DT, velocity, model.simulate(velocity, DT)) for velocity in motions)
     options = Options(starts=2, survivors=1, trial_iterations=10, iterations=15)
-    result = train(Structure(hidden=(10,), states=4), training, validation, options=options)
+    result = train(Structure(hidden=(10,), states=5), training, validation, options=options)
     error = simulate(result.structure, result.parameters, unseen.velocity, DT) - unseen.torque
     assert np.std(error) < 0.035 * np.std(unseen.torque)
     assert result.rest.is_steady
