@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 from friction_hil_drivers.serial_line.drives import SerialDrives
+from friction_hil_drivers.serial_line.protocol import Exchange
 
 from friction_hil import config
 from friction_hil.config import Configuration
@@ -145,7 +146,8 @@ def _cycle(drives: SerialDrives, feedback: Feedback, patience_ns: int = 100_000_
 def _wire_s(drives: SerialDrives) -> float:
     """What a cycle takes on the wire, s: push, poll, and each of the turns in turn."""
     (lane,) = drives._lanes
-    cycles = [lane.wire_s(*lane.plan.push, *turn, *lane.plan.poll) for turn in [(t,) for t in lane.plan.turns] or [()]]
+    turns: list[tuple[Exchange, ...]] = [(turn,) for turn in lane.plan.turns] or [()]
+    cycles = [lane.wire_s(*lane.plan.push, *turn, *lane.plan.poll) for turn in turns]
     return sum(cycles) / len(cycles)
 
 
