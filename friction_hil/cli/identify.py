@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from friction_hil.cli.output import console, option_json, print_json
+from friction_hil.cli.output import console, noticed_compilation, option_json, print_json
 from friction_hil.cli.recording_options import expanded, recording_options
 from friction_hil.errors import UsageError
 
@@ -183,11 +183,16 @@ def command(
     options: dict[str, Any] = {"columns": columns, "scale": scale, "where": where}
     recordings = read_recordings(sources, axis, **options)
     validation = read_recordings(kept_apart, axis, **options)
-    status = console(stderr=True)
-    with status.status("reading") as line:
-        result = identify(
-            recordings, settings, validation=validation, progress=lambda name: line.update(f"fitting {name}")
-        )
+    with console(stderr=True).status("reading") as line:
+        now = "reading"
+
+        def show(name: str) -> None:
+            nonlocal now
+            now = f"fitting {name}"
+            line.update(now)
+
+        with noticed_compilation(lambda note: line.update(f"{now}: {note}")):
+            result = identify(recordings, settings, validation=validation, progress=show)
     free = _free_run(result, controller)
     if output is not None:
         _write(result, output)

@@ -2,7 +2,8 @@
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any
 
@@ -49,3 +50,19 @@ def console(*, stderr: bool = False) -> "Console":
     from rich.console import Console
 
     return Console(stderr=stderr, highlight=False)
+
+
+@contextmanager
+def noticed_compilation(tell: Callable[[str], None]) -> Iterator[None]:
+    """Call ``tell`` with a note whenever a kernel has to be compiled: that takes seconds, once on a machine."""
+    from numba.core import event
+
+    class Compilation(event.Listener):
+        def on_start(self, _: object) -> None:
+            tell("compiling, which is kept for the next time")
+
+        def on_end(self, _: object) -> None:
+            pass
+
+    with event.install_listener("numba:compile", Compilation()):
+        yield

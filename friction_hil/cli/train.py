@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from friction_hil.cli.output import console, option_json, print_json
+from friction_hil.cli.output import console, noticed_compilation, option_json, print_json
 from friction_hil.cli.recording_options import recording_options
 from friction_hil.errors import UsageError
 
@@ -190,7 +190,7 @@ def _shown() -> Iterator[Callable[["Progress"], None]]:
     if not out.is_terminal:
         yield _line_by_line()
         return
-    with out.status("training") as status:
+    with out.status("training") as status, noticed_compilation(lambda note: status.update(f"training: {note}")):
 
         def show(progress: "Progress") -> None:
             status.update(
