@@ -212,6 +212,7 @@ class AsciiLine:
         is_divided = next(iter(options.values())).line.is_rs485  # both sides on one pair: they would talk at once
         self.ahead_chars = 0 if is_divided else min(each.ahead_chars for each in descriptions.values())
         are_named = all(f"{{{AXIS}}}" in form for each in descriptions.values() for form in each.all_replies)
+        self.names_drives = are_named or len(descriptions) == 1
         self._axes = {
             name: _Axis(
                 Language(description, description.axis_name(options[name].axis)),

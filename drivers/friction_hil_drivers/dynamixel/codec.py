@@ -383,6 +383,7 @@ class DynamixelLine:
     """
 
     numbers_replies = False
+    names_drives = True
     ahead_chars = 0
     silence_chars = 0.0  # a header begins a packet, whatever was before
 

@@ -200,6 +200,7 @@ class ModbusLine:
         self._framing: Framing = TcpFraming() if line.is_tcp else RtuFraming()
         silence_s = max(description.silence_s for description in descriptions.values())
         self.numbers_replies = line.is_tcp
+        self.names_drives = True
         self.ahead_chars = 0
         self.silence_chars = 0.0 if line.is_tcp else max(_SILENCE_CHARS, silence_s / character_s(line))
 

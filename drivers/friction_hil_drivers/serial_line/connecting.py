@@ -14,7 +14,7 @@ from friction_hil_drivers.serial_line.conversation import Conversation
 from friction_hil_drivers.serial_line.description import Description, Step, load_description
 from friction_hil_drivers.serial_line.lane import Lane
 from friction_hil_drivers.serial_line.line import Line
-from friction_hil_drivers.serial_line.options import SerialOptions
+from friction_hil_drivers.serial_line.options import LineOptions, SerialOptions
 from friction_hil_drivers.serial_line.protocol import FAST, SLOW, Exchange, Image, Plan, ProtocolFactory, Wanted
 from friction_hil_drivers.serial_line.sequences import state_signals, watchdog_steps
 from friction_hil_drivers.serial_line.wire import character_s, check_rate, wire_s
@@ -99,9 +99,14 @@ class Connecting:
         listening = protocol.plan(heard)
         plan = listening if self._dry_run else protocol.plan(wanted)
         line = Line(first)
-        limit_s = 0.0 if protocol.numbers_replies else self._reply_limit_s(line, plan, protocol.silence_chars)
+        reply_s = _longest_reply_s(line, plan, protocol.silence_chars)
         conversation = Conversation(
-            line, list(images.values()), protocol.silence_chars, limit_s, ahead_chars=protocol.ahead_chars
+            line,
+            list(images.values()),
+            protocol.silence_chars,
+            0.0 if protocol.numbers_replies else self._reply_limit_s(line.options, reply_s),
+            ahead_chars=protocol.ahead_chars,
+            doubt_s=0.0 if protocol.numbers_replies or protocol.names_drives else reply_s,
         )
         lane = Lane(conversation, protocol, axes, listening, plan)
         if not first.is_tcp:
@@ -110,8 +115,8 @@ class Connecting:
             lane.rate = check_rate(plan, step, first, silence, ahead, self._period_s)
         return lane
 
-    def _reply_limit_s(self, line: Line, plan: Plan, silence_chars: float) -> float:
-        """Time for which a drive that did not answer is not asked again.
+    def _reply_limit_s(self, options: LineOptions, least_s: float) -> float:
+        """Time for which a drive that did not answer is not asked again; ``least_s`` is what a reply may take.
 
         A lost reply alone must be no fault; but a reply must not be late by more than this.
 
@@ -120,9 +125,6 @@ class Connecting:
         UsageError
             The configuration's is shorter than replies may take.
         """
-        options = line.options
-        longest_s = max(wire_s((each,), options, silence_chars) for each in (*plan.poll, *plan.turns, *plan.push))
-        least_s = (0.0 if options.is_tcp else longest_s) + _LATENESS_S + line.latency_s
         if options.reply_limit_s is None:
             return max(least_s, min(_REPLY_LIMIT_S, _REPLY_LIMIT_SHARE * self._max_missed * self._period_s))
         if options.reply_limit_s < least_s:
@@ -231,6 +233,12 @@ class Connecting:
         if given is not None and given < least_s:
             raise UsageError(f"{axis}: watchdog_s: {given:g} s is less than three periods, {least_s:g} s")
         return given or max(_WATCHDOG_PERIODS * self._period_s, _LEAST_WATCHDOG_S)
+
+
+def _longest_reply_s(line: Line, plan: Plan, silence_chars: float) -> float:
+    """Time from a request to its reply, at most, s."""
+    longest_s = max(wire_s((each,), line.options, silence_chars) for each in (*plan.poll, *plan.turns, *plan.push))
+    return (0.0 if line.options.is_tcp else longest_s) + _LATENESS_S + line.latency_s
 
 
 def by_port(axes: "Mapping[str, AxisConfig]") -> Sequence[list[str]]:

@@ -5,6 +5,10 @@ present one of the same drive. So a drive that did not answer in time is asked n
 and was dropped, or cannot come any more. Others on the line are asked meanwhile, and what needs no reply is sent: a
 drive that is silent must not keep another one from being stopped.
 
+Where replies do not even tell which drive they are from, one that comes later than expected would be another axis's
+feedback. There, after a reply that did not come or was broken, the next one is dropped, and all that follows until the
+line has been quiet for as long as a reply takes: drives answer in order, so what is from before has come by then.
+
 Requests go out together where the drives read ahead and no reply to one of them could be taken for one to another:
 a cycle then wakes up once.
 """
@@ -39,6 +43,9 @@ class Conversation:
         late one is known for what it is.
     ahead_chars : int
         Characters of requests that may be sent before the first of them is answered; 0: one request at a time.
+    doubt_s : float
+        Time that a reply takes at most where nothing holds it up, on a line on which replies do not tell which of
+        several drives they are from; 0 where they do.
     now_ns : callable
         Monotonic time, ns.
 
@@ -61,6 +68,7 @@ class Conversation:
         now_ns: Callable[[], int] = time.monotonic_ns,
         *,
         ahead_chars: int = 0,
+        doubt_s: float = 0.0,
     ) -> None:
         self.line = line
         self._images = tuple(images)
@@ -70,7 +78,9 @@ class Conversation:
         self._silence_ns = round(silence_chars * self._character_ns)
         self._turnaround_ns = round(line.options.turnaround_s * 1e9)
         self._reply_limit_ns = round(reply_limit_s * 1e9)
-        self._settle_ns = max(self._silence_ns, _SHORT_SILENCE_NS)
+        self._settle_ns = self._short_settle_ns = max(self._silence_ns, _SHORT_SILENCE_NS)
+        self._doubt_ns = max(self._short_settle_ns, round(doubt_s * 1e9)) if doubt_s else 0
+        self._is_in_doubt = False  # what comes next may be a reply to something before
         self._ahead_chars = ahead_chars
         self._unread_chars = 0  # sent since a drive answered last: it may not have looked at them yet
         self._queue: deque[Asked] = deque()
@@ -173,17 +183,26 @@ class Conversation:
         """Take the replies that are complete; in the order of the requests."""
         while self._awaited:
             exchange, done = self._awaited[0]
+            is_last = len(self._awaited) == 1
             try:
-                if not (self._received and exchange.take(self._received)):
+                if not (self._received and self._is_taken(exchange)):
                     return
             except ReplyError as error:
                 if self._is_of_unconfirmed(error):  # the reply proper follows
                     continue
                 self.refusals += bool(error.is_complete and exchange.writes)
                 self.trouble = f"{exchange.what}: {error}"
-                # where another reply follows, it is told from what is left of this one
-                self._is_settling = not error.is_complete and len(self._awaited) == 1
+                if not error.is_complete:
+                    self._is_in_doubt = self._doubt_ns > 0
+                    if is_last:  # where another reply follows, it is told from what is left of this one
+                        self._settle(self._short_settle_ns)
             else:
+                if self._is_in_doubt:
+                    done = None
+                    self.trouble = f"{exchange.what}: the reply may have been one to an earlier request"
+                    if is_last:
+                        self._is_in_doubt = False
+                        self._settle(self._doubt_ns)
                 if self._silent:
                     self._silent -= exchange.addressees
                 if exchange.writes:
@@ -195,6 +214,22 @@ class Conversation:
                     done()
             self._awaited.popleft()
             self._quiet_until_ns = now + self._silence_ns
+
+    def _settle(self, time_ns: int) -> None:
+        """Drop all that comes, until the line has been quiet for so long."""
+        self._is_settling, self._settle_ns = True, time_ns
+
+    def _is_taken(self, exchange: Exchange) -> bool:
+        """Whether a reply is complete; in doubt nothing of it is used."""
+        return self._take_in_vain(exchange) if self._is_in_doubt else exchange.take(self._received)
+
+    def _take_in_vain(self, exchange: Exchange) -> bool:
+        before = [(dict(image.values), set(image.fresh)) for image in self._images]
+        try:
+            return exchange.take(self._received)
+        finally:
+            for image, (values, fresh) in zip(self._images, before, strict=True):
+                image.values, image.fresh = values, fresh
 
     def _is_of_unconfirmed(self, error: ReplyError) -> bool:
         """Whether an error is that of a request without a reply; then that one is refused."""
@@ -217,22 +252,21 @@ class Conversation:
     def _drop_late(self, now: int) -> None:
         """Take a reply of an earlier cycle for what it is: nothing of it is used."""
         if self._received:
-            before = [(dict(image.values), set(image.fresh)) for image in self._images]
             exchange, _ = self._owed[0]
             try:
-                is_complete = exchange.take(self._received)
+                is_complete = self._take_in_vain(exchange)
             except ReplyError as error:
                 is_complete = False
                 if not self._is_of_unconfirmed(error):
                     # of another one who owes a reply, or broken: who did not answer goes on owing
-                    self._is_settling = True
+                    self._settle(self._short_settle_ns)
                     self.trouble = f"late, {exchange.what}: {error}"
-            for image, (values, fresh) in zip(self._images, before, strict=True):
-                image.values, image.fresh = values, fresh
             if is_complete:
                 del self._owed[0]
                 self._quiet_until_ns = now + self._silence_ns
-        self._owed = [(exchange, until) for exchange, until in self._owed if now < until]
+        if any(now >= until for _, until in self._owed):
+            self._owed = [(exchange, until) for exchange, until in self._owed if now < until]
+            self._is_in_doubt = self._doubt_ns > 0
 
     def _may_be_asked(self, exchange: Exchange) -> bool:
         """Whether a late reply could not be taken for one to this request."""
@@ -246,7 +280,7 @@ class Conversation:
         place = self._next_place() if is_disturbed else 0
         if place is None:
             return False
-        if self._received:
+        if self._received and not self._awaited:  # else it is the beginning of a reply that is due
             self._take_unasked()
         data = b""
         sent: list[Callable[[], None]] = []
@@ -276,7 +310,7 @@ class Conversation:
 
     def _may_join(self, chars: int) -> bool:
         """Whether the next request may be sent together with those before it, which have so many characters."""
-        if not self._queue or self._silence_ns:
+        if not self._queue or self._silence_ns or self._is_in_doubt:
             return False
         if not self._awaited:
             return True

@@ -184,6 +184,7 @@ class SerialDrives:
 
     def _part(self, lane: Lane) -> None:
         """Disable every drive of a line and write zero commands, whoever else does not answer."""
+        lane.conversation.line.reopen()  # it may be back since the last cycle
         lane.end_turn(time.monotonic_ns() + _PARTING_NS)  # else its reply came upon what is to be written
         farewell = []
         for axis in lane.axes:

@@ -166,6 +166,7 @@ class LineProtocol(Protocol):
 
     silence_chars: float  # that end a frame and have to pass before the next one
     numbers_replies: bool  # a reply tells to which request it belongs
+    names_drives: bool  # a reply tells which of the drives it is from
     ahead_chars: int  # of requests that the drives take in before they answer the first; 0: one at a time
 
     def plan(self, wanted: Mapping[str, Wanted]) -> Plan:
