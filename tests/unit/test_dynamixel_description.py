@@ -82,7 +82,11 @@ def test_no_fault_is_left_without_a_watchdog(name: str) -> None:
         ({"signals": {**SIGNALS, "last": {"address": 65535, "size": 2}}}, r"last does not end before address 65536"),
         (
             {"enable": [{"write": {"torque_command": 0, "status": 1}}]},
-            r"enable\[0\] writes torque_command, status, which do not lie side by side: make a step of each",
+            r"enable\.0\s+writes torque_command, status, which do not lie side by side: make a step of each",
+        ),
+        (
+            {"enable": [{"write": {"torque_command": 40000}}]},
+            r"enable\.0\.write\.torque_command\s+torque_command takes whole numbers from -",
         ),
         ({"signals": {**SIGNALS, "odd": {"address": 0, "size": 3}}}, r"signals\.odd\.size"),
     ],

@@ -84,7 +84,19 @@ class TestMistakes:
                 {"prepare": [{"write": {"brake": 1}}]},
                 "brake is written, which takes function 5 or 15; write_functions has not",
             ),
-            ({}, {"prepare": [{"write": {"control": 0, "torque_command": 0}}]}, r"prepare\[0\] writes .* side by side"),
+            ({}, {"prepare": [{"write": {"control": 0, "torque_command": 0}}]}, r"prepare\.0\s+writes .* side by side"),
+            (
+                {"torque": {"address": 0x13}},
+                {},
+                r"signals\.position\s+position .2 registers at 0012h. reaches into",
+            ),
+            (
+                {},
+                {"prepare": [{"write": {"control": 70000}}]},
+                r"prepare\.0\.write\.control\s+control takes .* to 65535",
+            ),
+            ({}, {"prepare": [{"write": {"control": -1}}]}, "control takes whole numbers from 0 to 65535, not -1"),
+            ({}, {"prepare": [{"write": {"control": 0.5}}]}, "control takes whole numbers"),
             ({"position": None}, {}, "there is no signal position"),
         ],
     )
@@ -107,6 +119,17 @@ class TestMistakes:
         line = error.value.problems[0].line
         assert line is not None
         assert "0x3700" in lines[line - 1]
+
+    def test_contradictions_are_told_with_their_line(self, tmp_path: Path) -> None:
+        text = (DESCRIPTIONS / "kinco_fd5p.yaml").read_text()
+        path = tmp_path / "mine.yaml"
+        path.write_text(text.replace("mode: 4", "mode: 40000").replace("word_order: little\n", "\n"))
+        with pytest.raises(ConfigurationError) as error:
+            load_description(str(path), None, DESCRIPTIONS, ModbusDescription)
+        lines = path.read_text().splitlines()
+        told = [(lines[each.line - 1].strip(), each.message) for each in error.value.problems if each.line]
+        assert any("mode: 40000" in line and "-32768 to 32767, not 40000" in message for line, message in told)
+        assert any(line.startswith("velocity:") and "give word_order" in message for line, message in told)
 
     def test_32_bits_may_bring_their_own_order(self) -> None:
         wide = {

@@ -3,6 +3,7 @@
 The drives run in a thread and are paced by the driver's requests, so that nothing depends on the clock.
 """
 
+import os
 import socket
 import threading
 import time
@@ -205,6 +206,20 @@ def test_a_line_that_goes_away_is_told_and_bridged_until_then(kind, tmp_path):
         assert not bench.feedback.is_fresh
         assert bench.feedback.position == position
         assert "gone" in bench.feedback.missing or "no reply" in bench.feedback.missing
+
+
+def test_a_line_that_is_back_when_the_driver_closes_takes_the_power_away(tmp_path):
+    """It was gone in the last cycle, so that no cycle has opened it again."""
+    with Bench("odrive", tmp_path).begin().enable() as bench:
+        (lane,) = bench.drives._lanes
+        (there,) = bench.simulated._lines[0]._drives
+        bench.clock.is_real = True
+        os.close(lane.conversation.line.descriptor)
+        bench.cycle(Request.ENABLE)
+        assert "gone" in bench.feedback.missing
+        assert there.state.is_powered
+        bench.drives.close()
+        wait_for(lambda: not there.state.is_powered)
 
 
 FAULTS = [{"corrupt": 0.2}, {"drop": 0.1}, {"delay": 0.1, "delay_s": 0.01}, {"noise": 0.3}]

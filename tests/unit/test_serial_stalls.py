@@ -20,6 +20,7 @@ ODRIVE = load_description("odrive", None, AsciiDrives.descriptions, AsciiDescrip
 LISTENING = Wanted(("position", "velocity"), ("torque", "status", "error"), ())
 STEP_MS, CYCLE_MS, TURN_MS, ANSWER_MS, PIECE_MS = 0.1, 2.0, 0.3, 0.1, 0.4
 REPLY_LIMIT_S, REPLY_S = 8e-3, 3e-3
+MAX_MISSED = 10  # four tenths of that is the limit above
 
 
 class Bench:
@@ -135,6 +136,14 @@ def test_after_a_stall_no_axis_is_told_what_is_another_ones_or_old(before, stall
     bench = Bench(2, fates, cut)
     fresh = [bench.cycle() for _ in range(60)]
     assert all(len(names) == 2 for names in fresh[-10:]), "the line is well again"
+
+
+@pytest.mark.parametrize("lost", range(8))
+def test_a_single_lost_reply_is_bridged(lost):
+    bench = Bench(2, [0.0] * lost + [None])
+    missed = [2 - len(bench.cycle()) for _ in range(30)]
+    assert 0 < sum(each > 0 for each in missed) < MAX_MISSED
+    assert missed[-10:] == [0] * 10
 
 
 @given(before=st.integers(0, 12), stall_ms=st.floats(0.0, REPLY_LIMIT_S * 1e3 - CYCLE_MS))

@@ -6,6 +6,8 @@ from typing import Literal
 
 from pydantic import Field, field_validator
 
+from friction_hil.config.messages import Mistake
+from friction_hil.config.yaml_text import Steps
 from friction_hil.errors import choices
 from friction_hil_drivers.ascii.checksum import Checksum
 from friction_hil_drivers.ascii.template import FLOAT, NumberField, fields, parse
@@ -32,6 +34,14 @@ class AsciiSignal(Signal):
     def counter_bits(self) -> int | None:
         """Width of the drive's number where that is an integer that wraps."""
         return self.bits
+
+    @property
+    def bounds(self) -> tuple[int, int] | None:
+        """Least and greatest of the drive's numbers, where these are integers."""
+        if self.bits is None:
+            return None
+        half = 1 << self.bits - 1
+        return (-half, half - 1) if self.is_signed else (0, 2 * half - 1)
 
     @property
     def has_sign(self) -> bool:
@@ -162,61 +172,63 @@ class AsciiDescription(Description):
         """Whether every request gets a reply, so that none can come unasked."""
         return all(self.replies(message) for message in self.messages.values())
 
-    def _mistakes(self) -> Iterator[str]:
+    def _mistakes(self) -> Iterator[Mistake]:
         yield from super()._mistakes()
         yield from self._mistakes_in_lines()
         yield from self._mistakes_in_fields()
         yield from self._mistakes_in_reach()
 
-    def _mistakes_in_lines(self) -> Iterator[str]:
+    def _mistakes_in_lines(self) -> Iterator[Mistake]:
         if self.echo and self.ahead_chars:
-            yield "with an echo, requests cannot be sent ahead (ahead_chars)"
+            yield ("ahead_chars",), "with an echo, requests cannot be sent ahead (ahead_chars)"
 
-    def _mistakes_in_fields(self) -> Iterator[str]:
+    def _mistakes_in_fields(self) -> Iterator[Mistake]:
         told: set[str] = set()
         for key, message in self.messages.items():
             for name in message.sets:
                 if name not in self.signals:
-                    yield f"messages.{key} sets the signal {name!r}; {choices(name, self.signals)}"
+                    yield ("messages", key), f"sets the signal {name!r}; {choices(name, self.signals)}"
             for field in message.number_fields:
                 signal = self.signals.get(field.name)
                 if signal is None:
-                    yield f"messages.{key} has the signal {field.name!r}; {choices(field.name, self.signals)}"
+                    yield ("messages", key), f"has the signal {field.name!r}; {choices(field.name, self.signals)}"
                 elif (field.type == FLOAT) == (signal.bits is not None) and field.name not in told:
                     told.add(field.name)
                     is_float = field.type == FLOAT
                     advice = "is a float: it has no bits" if is_float else f"is of type {field.type}: give its bits"
-                    yield f"{field.name} in messages.{key} {advice}"
+                    yield ("signals", field.name), f"{field.name} in messages.{key} {advice}"
         ways: dict[frozenset[str], Message] = {}
         for key, message in self.messages.items():
             other = ways.setdefault(frozenset(message.writes), message)
             if message.writes and self.replies(other) != self.replies(message):
-                yield f"messages.{key} writes what another one writes, but its reply is another"
+                yield ("messages", key), "writes what another one writes, but its reply is another"
 
-    def _mistakes_in_reach(self) -> Iterator[str]:
+    def _mistakes_in_reach(self) -> Iterator[Mistake]:
         used = {name for message in self.messages.values() for name in (*message.writes, *message.reads)}
-        yield from (f"no message has the signal {name}" for name in self.signals if name not in used)
+        for name in self.signals:
+            if name not in used:
+                yield ("signals", name), f"no message has the signal {name}"
         plain = [message for message in self.messages.values() if not message.writes]
         readable = {name for message in plain for name in message.reads}
         heard = {*FAST, *SLOW, *(rule.signal for rule in self.states)} & used
-        yield from (f"no message reads {name} without writing something" for name in sorted(heard - readable))
+        for name in sorted(heard - readable):
+            yield ("signals", name), f"no message reads {name} without writing something"
         for key, step in self._steps():
             if not any(set(message.writes) == set(step) for message in self.messages.values()):
-                yield f"{key} writes {' and '.join(step)}, but no message writes just that"
+                yield key, f"writes {' and '.join(step)}, but no message writes just that"
             elif not self._can_take(step):
-                yield f"{key} writes {step}, but messages can only set other numbers"
+                yield key, f"writes {step}, but messages can only set other numbers"
         for mode, part in self.modes.items():
             if covering(part.commands, (message.writes for message in self.messages.values())) is None:
-                yield f"modes.{mode}: no messages write just {', '.join(part.commands)}"
+                yield ("modes", mode), f"no messages write just {', '.join(part.commands)}"
 
-    def _steps(self) -> Iterator[tuple[str, Mapping[str, float | None]]]:
+    def _steps(self) -> Iterator[tuple[Steps, Mapping[str, float | None]]]:
         """What is written at once, by the key under which that stands; None: any number."""
-        for key, steps in self.sequences.items():
-            yield from ((key, step.write) for step in steps)
+        yield from ((place, step.write) for place, step in self.steps())
         if self.watchdog is not None:
-            yield "watchdog", {self.watchdog.signal: None}
+            yield ("watchdog",), {self.watchdog.signal: None}
         if self.state_machine == "cia402":
-            yield "cia402", {"control": None}
+            yield ("state_machine",), {"control": None}
 
     def _can_take(self, step: Mapping[str, float | None]) -> bool:
         return any(

@@ -239,6 +239,5 @@ def _reader(field: NumberField, signal: "AsciiSignal") -> tuple[bytes, Callable[
 
 
 def _bounds(signal: "AsciiSignal") -> tuple[int, int]:
-    assert signal.bits is not None  # the description sees to it
-    half = 1 << signal.bits - 1
-    return (-half, half - 1) if signal.is_signed else (0, 2 * half - 1)
+    assert signal.bounds is not None  # the description sees to it
+    return signal.bounds

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from friction_hil.config.messages import Mistake
 from friction_hil_drivers.dynamixel.table import Block, Place, side_by_side
 from friction_hil_drivers.serial_line.description import Description, Signal
 
@@ -28,6 +29,14 @@ class DynamixelSignal(Signal):
     def counter_bits(self) -> int | None:
         """Width of the servo's number, which wraps."""
         return 8 * self.size
+
+    @property
+    def bounds(self) -> tuple[int, int] | None:
+        """Least and greatest of the servo's numbers."""
+        count = 1 << 8 * self.size
+        low = -count // 2 if self.is_signed else 0
+        high = low + count - 1
+        return (low, high) if self.limit is None else (max(low, -self.limit), min(high, self.limit))
 
     @property
     def has_sign(self) -> bool:
@@ -56,13 +65,14 @@ class DynamixelDescription(Description):
         signal = self.signals[name]
         return Place(name, signal.address, signal.size, signal.is_signed, signal.limit)
 
-    def _mistakes(self) -> Iterator[str]:
+    def _mistakes(self) -> Iterator[Mistake]:
         yield from super()._mistakes()
         places = sorted(map(self._place, self.signals), key=lambda place: place.address)
         for first, second in pairwise(places):
             if second.address < first.end:
-                yield f"{first.name} ({first.size} bytes at {first.address}) reaches into {second.name}"
+                text = f"{first.name} ({first.size} bytes at {first.address}) reaches into {second.name}"
+                yield ("signals", first.name), text
         for place in places:
             if place.end - 1 > _LAST_ADDRESS:
-                yield f"{place.name} does not end before address {_LAST_ADDRESS + 1}"
+                yield ("signals", place.name), f"{place.name} does not end before address {_LAST_ADDRESS + 1}"
         yield from self._scattered_steps(self.blocks)

@@ -6,8 +6,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
+from friction_hil.config.messages import Mistake
 from friction_hil_drivers.modbus.registers import (
     BIT_TABLES,
+    BOUNDS,
     WIDTHS,
     WRITABLE_TABLES,
     Block,
@@ -38,6 +40,11 @@ class ModbusSignal(Signal):
     def counter_bits(self) -> int | None:
         """Width of the drive's number where that is an integer that wraps."""
         return None if self.type in ("float32", "bool") else 16 * WIDTHS[self.type]
+
+    @property
+    def bounds(self) -> tuple[int, int] | None:
+        """Least and greatest of the drive's numbers, where these are integers."""
+        return BOUNDS.get(self.type)
 
     @property
     def has_sign(self) -> bool:
@@ -106,34 +113,50 @@ class ModbusDescription(Description):
         names += ["control"] if self.state_machine == "cia402" else []
         return dict.fromkeys(name for name in names if name in self.signals)
 
-    def _mistakes(self) -> Iterator[str]:
+    def _mistakes(self) -> Iterator[Mistake]:
         yield from super()._mistakes()
         for name, signal in self.signals.items():
             if (signal.type == "bool") != (signal.function in BIT_TABLES):
-                yield f"{name} is {signal.type} in {signal.function}: coils and discrete inputs, only they, are bool"
+                text = f"{name} is {signal.type} in {signal.function}: coils and discrete inputs, only they, are bool"
+                yield ("signals", name), text
             if signal.address + WIDTHS[signal.type] - 1 > _LAST_ADDRESS:
-                yield f"{name} does not end before address FFFFh"
+                yield ("signals", name), f"{name} does not end before address FFFFh"
             if WIDTHS[signal.type] == 2 and (signal.word_order or self.word_order) is None:
-                yield f"{name} has 32 bits: give word_order (which word comes first differs between drives)"
+                text = f"{name} has 32 bits: give word_order (which word comes first differs between drives)"
+                yield ("signals", name), text
             if name == "position" and signal.type == "float32" and signal.resolution is None:
-                yield "position is a float32: give its resolution, which is that of the encoder"
+                text = "position is a float32: give its resolution, which is that of the encoder"
+                yield ("signals", name), text
+        yield from self._divided_numbers()
         yield from self._writing_mistakes()
         yield from self._scattered_steps(self.write_blocks)
 
-    def _writing_mistakes(self) -> Iterator[str]:
+    def _divided_numbers(self) -> Iterator[Mistake]:
+        """Signals that begin inside of a number of 32 bits."""
+        places = [self.place(name) for name in self.signals]
+        for wide in places:
+            for other in places:
+                if other.table == wide.table and wide.address < other.address < wide.end:
+                    at = f"at {wide.address:04X}h"
+                    yield ("signals", wide.name), f"{wide.name} (2 registers {at}) reaches into {other.name}"
+
+    def _writing_mistakes(self) -> Iterator[Mistake]:
         places = [self.place(name) for name in self.signals]
         for name in self.written:
             place = self.place(name)
             if place.table not in WRITABLE_TABLES:
-                yield f"{name} is written, so it can be a holding register or a coil, not {place.table}"
+                text = f"{name} is written, so it can be a holding register or a coil, not {place.table}"
+                yield ("signals", name), text
                 continue
             width = place.end - place.address
             joining, single = (15, 5) if place.table == "coil" else (16, 6)
             is_wide = width > 1 or self.alignment > 1
             if joining not in self.write_functions and (is_wide or single not in self.write_functions):
                 needed = f"{joining}" if is_wide else f"{single} or {joining}"
-                yield f"{name} is written, which takes function {needed}; write_functions has not"
+                text = f"{name} is written, which takes function {needed}; write_functions has not"
+                yield ("signals", name), text
             start, end = place.address - place.address % self.alignment, place.end + -place.end % self.alignment
             for other in places:
                 if other.name != name and other.table == place.table and other.address < end and start < other.end:
-                    yield f"writing {name} ({place.address:04X}h) would overwrite {other.name} ({other.address:04X}h)"
+                    at = f"{other.name} ({other.address:04X}h)"
+                    yield ("signals", name), f"writing {name} ({place.address:04X}h) would overwrite {at}"

@@ -15,7 +15,7 @@ BIT_TABLES = ("coil", "discrete")
 WRITABLE_TABLES = ("holding", "coil")
 WIDTHS: dict[Kind, int] = {"int16": 1, "uint16": 1, "int32": 2, "uint32": 2, "float32": 2, "bool": 1}
 _FORMATS: dict[Kind, str] = {"int16": ">h", "uint16": ">H", "int32": ">i", "uint32": ">I", "float32": ">f"}
-_BOUNDS: dict[Kind, tuple[int, int]] = {
+BOUNDS: dict[Kind, tuple[int, int]] = {
     "int16": (-(1 << 15), (1 << 15) - 1),
     "uint16": (0, (1 << 16) - 1),
     "int32": (-(1 << 31), (1 << 31) - 1),
@@ -71,7 +71,7 @@ class Place:
         """
         if self.kind == "float32":
             return self._split(saturated(number, -_FLOAT32_MAX, _FLOAT32_MAX))
-        low, high = _BOUNDS[self.kind]
+        low, high = BOUNDS[self.kind]
         if self.name in _CYCLIC:
             saturated(number, low, high)  # refuses what is not finite
             whole = (round(number) - low) % (high - low + 1) + low

@@ -7,6 +7,8 @@ from typing import Annotated, Literal, Self, TypeVar
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from friction_hil.config import read_section
+from friction_hil.config.messages import Mistake, refuse
+from friction_hil.config.yaml_text import Steps
 from friction_hil.drive import DriveState
 from friction_hil.errors import UsageError, choices
 from friction_hil_drivers.serial_line import protocol
@@ -66,11 +68,16 @@ class Signal(Part):
         """Width of the drive's number where that is an integer that wraps."""
         return None
 
+    @property
+    def bounds(self) -> tuple[int, int] | None:
+        """Least and greatest of the drive's numbers, where these are integers."""
+        return None
+
     @field_validator("unit")
     @classmethod
     def _is_known(cls, unit: str) -> str:
         if unit not in UNITS:
-            raise ValueError(f"no such unit: {choices(unit, UNITS)}")
+            raise ValueError(f"no such unit; {choices(unit, filter(None, UNITS))}")
         return unit
 
     @field_validator("scale")
@@ -94,6 +101,9 @@ class Rule(Part):
     def _has_one(self) -> Self:
         if (self.value is None) == (self.value_not is None):
             raise ValueError("needs either value or value_not")
+        number = self.value_not if self.value is None else self.value
+        if self.mask is not None and number is not None and number & ~self.mask:
+            raise ValueError(f"{number} has bits that are not in the mask {self.mask}: no number is that under it")
         return self
 
     def fits(self, number: float) -> bool:
@@ -149,63 +159,86 @@ class Description(Part):
         raise NotImplementedError
 
     @property
-    def sequences(self) -> dict[str, tuple[Step, ...]]:
-        """All steps there are, by the key under which they stand."""
-        found = {key: getattr(self, key) for key in ("prepare", "enable", "disable", "quick_stop", "reset_fault")}
-        found |= {f"modes.{mode}.prepare": part.prepare for mode, part in self.modes.items()}
+    def sequences(self) -> dict[tuple[str, ...], tuple[Step, ...]]:
+        """All steps there are, by the keys under which they stand."""
+        found: dict[tuple[str, ...], tuple[Step, ...]] = {
+            (key,): getattr(self, key) for key in ("prepare", "enable", "disable", "quick_stop", "reset_fault")
+        }
+        found |= {("modes", mode, "prepare"): part.prepare for mode, part in self.modes.items()}
         if self.watchdog is not None:
-            found["watchdog.enable"] = self.watchdog.enable
+            found["watchdog", "enable"] = self.watchdog.enable
         return found
 
-    def _scattered_steps(self, blocks: Callable[[tuple[str, ...]], Sequence[object]]) -> Iterator[str]:
-        """Mistakes: steps whose signals lie in more than one of the ``blocks`` that a request can write."""
+    def steps(self) -> Iterator[tuple[Steps, Step]]:
+        """All steps there are, each with the way to it."""
         for key, steps in self.sequences.items():
             for k, step in enumerate(steps):
-                if step.write.keys() <= self.units().keys() and len(blocks(tuple(step.write))) > 1:
-                    names = ", ".join(step.write)
-                    yield f"{key}[{k}] writes {names}, which do not lie side by side: make a step of each"
+                yield (*key, k), step
+
+    def _scattered_steps(self, blocks: Callable[[tuple[str, ...]], Sequence[object]]) -> Iterator[Mistake]:
+        """Mistakes: steps whose signals lie in more than one of the ``blocks`` that a request can write."""
+        for place, step in self.steps():
+            if step.write.keys() <= self.units().keys() and len(blocks(tuple(step.write))) > 1:
+                names = ", ".join(step.write)
+                yield place, f"writes {names}, which do not lie side by side: make a step of each"
+
+    def _unwritable_numbers(self) -> Iterator[Mistake]:
+        signals = self.units()
+        for place, step in self.steps():
+            for name, number in step.write.items():
+                bounds = signals[name].bounds if name in signals else None
+                if bounds is not None and not (bounds[0] <= number <= bounds[1] and number.is_integer()):
+                    text = f"{name} takes whole numbers from {bounds[0]} to {bounds[1]}, not {number:.12g}"
+                    yield (*place, "write", name), text
 
     @model_validator(mode="after")
     def _is_consistent(self) -> Self:
-        mistakes = list(self._mistakes())
-        if mistakes:
-            raise ValueError("; ".join(mistakes))
+        refuse(self, self._mistakes())
         return self
 
-    def _mistakes(self) -> Iterator[str]:
-        signals = self.units()
-        used = [(f"states[{k}]", rule.signal) for k, rule in enumerate(self.states)]
-        used += [(key, name) for key, steps in self.sequences.items() for step in steps for name in step.write]
-        used += [(f"modes.{mode}", name) for mode, part in self.modes.items() for name in part.commands]
-        used += [("inferred", name) for name in self.inferred]
+    def _named(self) -> Iterator[tuple[Steps, str]]:
+        """Where a signal is named, and which."""
+        yield from ((("states", k), rule.signal) for k, rule in enumerate(self.states))
+        yield from ((place, name) for place, step in self.steps() for name in step.write)
+        yield from ((("modes", mode), name) for mode, part in self.modes.items() for name in part.commands)
+        yield from ((("inferred", k), name) for k, name in enumerate(self.inferred))
         if self.watchdog is not None:
-            used.append(("watchdog", self.watchdog.signal))
-        for where, name in used:
+            yield ("watchdog",), self.watchdog.signal
+
+    def _mistakes(self) -> Iterator[Mistake]:
+        signals = self.units()
+        for place, name in self._named():
             if name not in signals:
-                yield f"{where} names the signal {name!r}; {choices(name, signals)}"
+                yield place, f"names the signal {name!r}; {choices(name, signals)}"
+        yield from self._unwritable_numbers()
         for name, units in _UNITS_OF.items():
             if name in signals and signals[name].unit not in units:
-                yield f"{name} is in {signals[name].unit or 'no unit'}; it may be in {', '.join(units)}"
+                text = f"{name} is in {signals[name].unit or 'no unit'}; it may be in {', '.join(units)}"
+                yield ("signals", name), text
             if name in signals and not name.startswith("position") and not signals[name].has_sign:
-                yield f"{name} has no sign: torques and velocities have two directions"
+                yield ("signals", name), f"{name} has no sign: torques and velocities have two directions"
         if self.watchdog is not None and self.watchdog.signal in signals:
             signal = signals[self.watchdog.signal]
             if signal.unit != "s" or signal.scale <= 0.0:
-                yield f"the watchdog's signal {self.watchdog.signal} must be in s, with a positive scale"
+                text = f"the watchdog's signal {self.watchdog.signal} must be in s, with a positive scale"
+                yield ("signals", self.watchdog.signal), text
         if "position" not in signals:
-            yield "there is no signal position"
+            yield ("signals",), "there is no signal position"
         for mode, part in self.modes.items():
             for name in part.commands:
                 if name in signals and name not in protocol.COMMANDS:
-                    yield f"modes.{mode} commands {name}; what can be commanded is {', '.join(protocol.COMMANDS)}"
+                    text = f"commands {name}; what can be commanded is {', '.join(protocol.COMMANDS)}"
+                    yield ("modes", mode), text
             if "torque_command" not in part.commands:
-                yield f"modes.{mode} has no torque_command: then nothing could be compensated"
+                yield ("modes", mode), "has no torque_command: then nothing could be compensated"
         if self.state_machine == "cia402":
-            yield from (f"cia402 needs the signal {n}" for n in ("control", "status") if n not in signals)
+            yield from (
+                (("signals",), f"cia402 needs the signal {n}") for n in ("control", "status") if n not in signals
+            )
             if self.states or self.enable or self.disable or self.quick_stop or self.reset_fault:
-                yield "cia402 brings its own states and sequences"
+                yield ("state_machine",), "cia402 brings its own states and sequences"
         elif not (self.states and self.enable and self.disable):
-            yield "states, enable and disable are needed, or state_machine: cia402"
+            yield (), "states, enable and disable are needed, or state_machine: cia402"
 
 
 Kind = TypeVar("Kind", bound=Description)
