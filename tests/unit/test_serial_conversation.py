@@ -252,6 +252,34 @@ def test_after_a_broken_reply_the_line_must_fall_silent():
     assert bench.cycle() == 12.0
 
 
+@pytest.mark.parametrize("noise", [b"\xf7#;", b";"])
+def test_on_a_line_that_never_falls_silent_everything_is_said_all_the_same(noise):
+    """Among it that drives are to be disabled; and in every cycle what needs no reply."""
+    bench = Bench()
+    bench.image.values.update(torque_command=0.25)
+
+    def pass_noisily(ms):
+        for _ in range(round(10 * ms)):
+            bench.line.arrived += noise
+            bench.talk.step()
+            bench.time.pass_ms(0.1)
+
+    for _ in range(20):
+        bench.ask()
+        pass_noisily(4.0)
+        bench.talk.give_up()
+        bench.talk.ask((Tell(bench.image, "torque_command"),))
+        bench.talk.speak()
+        pass_noisily(6.0)
+        bench.talk.give_up()
+    assert bench.line.sent[-10:].count(b"torque_command=0.25;") >= 5
+    pass_noisily(100.0)
+    bench.talk.ask((Tell(bench.image, "torque_command", is_answered=True),))
+    said = len(bench.line.sent)
+    pass_noisily(40.0)
+    assert bench.line.sent[said:] == [b"torque_command=0.25;"]
+
+
 def test_a_refusal_is_complete_and_the_next_request_follows_at_once():
     bench = Bench(**{"position?": b"!;", "velocity?": b"3;"})
     bench.ask("position")

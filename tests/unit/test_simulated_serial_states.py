@@ -17,8 +17,9 @@ MOST = 16  # of numbers in the rules below: whatever they tell apart shows withi
 
 @st.composite
 def rules(draw: st.DrawFn) -> Rule:
-    value = draw(st.integers(0, MOST - 1))
+    number = draw(st.integers(0, MOST - 1))
     mask = draw(st.none() | st.integers(1, MOST - 1))
+    value = number if mask is None else number & mask
     is_not = draw(st.booleans())
     return Rule(
         state=draw(st.sampled_from(NAMES)),

@@ -23,6 +23,7 @@ from friction_hil_drivers.serial_line.wire import character_s
 
 _SHORT_SILENCE_NS = 2_000_000  # USB adapters hand over what they have each millisecond
 _REOPEN_NS = 200_000_000
+_LONGEST_SETTLE_NS = 20_000_000  # a line that is not quiet by then will not be
 _MOST_UNCONFIRMED = 8
 
 Asked = tuple[Exchange, Callable[[], None] | None]
@@ -90,6 +91,8 @@ class Conversation:
         self._owed: list[tuple[Exchange, int]] = []  # not answered in time, and until when the reply may still come
         self._silent: frozenset[str] = frozenset()  # did not answer last time: asked after the others
         self._is_settling = False  # what comes belongs to a broken reply
+        self._settle_end_ns = 0
+        self._is_noisy = False  # the line did not fall silent: what needs no reply does not wait for that
         self._received = bytearray()
         self._sent_ns = self._heard_ns = self._quiet_until_ns = self._busy_until_ns = 0
         self._next_reopen_ns = 0
@@ -113,7 +116,7 @@ class Conversation:
         if not self.line.is_open:
             return None
         if self._is_settling:
-            return self._heard_ns + self._settle_ns
+            return min(self._heard_ns + self._settle_ns, self._settle_end_ns)
         if self._awaited:
             return None
         if not self._owed:
@@ -170,13 +173,19 @@ class Conversation:
         now = self._now_ns()
         if self._is_settling:
             self._received.clear()
-            self._is_settling = now < self._heard_ns + self._settle_ns
+            if now >= self._heard_ns + self._settle_ns:
+                self._is_settling = self._is_noisy = False
+            elif now >= self._settle_end_ns:
+                self._is_settling, self._is_noisy = False, True
+                self._is_in_doubt = self._doubt_ns > 0
         elif self._awaited:
             self._await(now)
         elif self._owed:
             self._drop_late(now)
         if self._awaited:
             return bool(self._ahead_chars) and self._may_join(0)
+        if self._is_noisy and self._queue and not self._queue[0][0].reply_size:
+            return now >= self._quiet_until_ns
         return not self._is_settling and not (self._owed and self._received) and now >= self._quiet_until_ns
 
     def _await(self, now: int) -> None:
@@ -203,6 +212,7 @@ class Conversation:
                     if is_last:
                         self._is_in_doubt = False
                         self._settle(self._doubt_ns)
+                self._is_noisy = False
                 if self._silent:
                     self._silent -= exchange.addressees
                 if exchange.writes:
@@ -218,6 +228,7 @@ class Conversation:
     def _settle(self, time_ns: int) -> None:
         """Drop all that comes, until the line has been quiet for so long."""
         self._is_settling, self._settle_ns = True, time_ns
+        self._settle_end_ns = self._now_ns() + max(_LONGEST_SETTLE_NS, 2 * time_ns)
 
     def _is_taken(self, exchange: Exchange) -> bool:
         """Whether a reply is complete; in doubt nothing of it is used."""
@@ -313,7 +324,7 @@ class Conversation:
         if not self._queue or self._silence_ns or self._is_in_doubt:
             return False
         if not self._awaited:
-            return True
+            return not (self._is_noisy and self._queue[0][0].reply_size)
         exchange, _ = self._queue[0]
         if self._unread_chars + chars + exchange.request_size > self._ahead_chars:
             return False
