@@ -34,7 +34,8 @@ from tests.processes import run, run_daemon, simulated_drives, start_daemon
 KINDS = list(DRIVES)
 IN_REAL_TIME = ("--pace", "real")
 # bridges two seconds, and so does the drive
-SLOW = {"period_s": 0.01, "realtime": {"priority": 0, "max_missed": 200}, "watchdog_s": 2.0}
+LIMITS = {"torque": 0.3, "torque_slew": 300.0, "velocity": 30.0, "following_error": 2.0}
+SLOW = {"period_s": 0.01, "realtime": {"priority": 0, "max_missed": 200}, "watchdog_s": 2.0, "limits": LIMITS}
 MODERATE = {"corrupt": 0.02, "drop": 0.02, "delay": 0.02, "delay_s": 0.02, "split": 0.05, "noise": 0.05, "seed": 7}
 
 
@@ -53,6 +54,11 @@ def daemon(configuration: Path, recording: Path, *options: str):
     finally:
         running.kill()
         running.communicate()
+
+
+def is_whole(recording: Path) -> bool:
+    """Whether a recording is undamaged and ended, whatever cycles a busy machine has missed."""
+    return all("cycles are missing" in problem for problem in fh.recordings.read(recording).problems)
 
 
 def port_in(configuration: Path) -> str:
@@ -126,7 +132,7 @@ def test_a_killed_daemon_leaves_no_torque_behind(tmp_path, kind):
         assert done.returncode == 1
         result, _ = run_daemon(configuration, *IN_REAL_TIME, "--duration", 0.2, "--reset-fault")
         assert result["faults"] == []
-    wait_until(lambda: fh.recordings.read(tmp_path / "killed.mcap").problems == [], "the recording's end")
+    wait_until(lambda: is_whole(tmp_path / "killed.mcap"), "the recording's end")
     before = fh.recordings.read(tmp_path / "killed.mcap")
     assert before["drive_state"][-1] == DriveState.OPERATION_ENABLED
     assert abs(before["command"][-1]) > 0.0
@@ -198,9 +204,8 @@ def test_torque_goes_on_when_the_adapter_is_back(tmp_path):
     """The adapter is a pair of pseudo-terminals by socat, between the daemon and the simulated drive."""
     socat = program("socat")
     adapter, drive_end = tmp_path / "adapter", tmp_path / "drive_end"
-    limits = {"torque": 0.3, "torque_slew": 300.0, "velocity": 30.0, "following_error": 2.0}
     changes = {
-        "limits": limits,
+        "limits": LIMITS,
         "watchdog_s": 10.0,
         "period_s": 0.02,
         "realtime": {"priority": 0, "max_missed": 400},  # bridges eight seconds
