@@ -1,6 +1,19 @@
 """What all tests need before they start."""
 
+import os
 import signal
 
 # A shell that runs the tests in the background has them ignore Ctrl-C, and with them every process they start.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_sessionstart() -> None:
+    """Let each of several workers compile its share of the models, instead of each of them all, as far as they need."""
+    worker = os.environ.get("PYTEST_XDIST_WORKER", "")
+    if not worker:
+        return
+    from friction_hil import models
+
+    workers = int(os.environ["PYTEST_XDIST_WORKER_COUNT"])
+    for name in models.names()[int(worker.removeprefix("gw")) :: workers]:
+        models.create(name, **models.describe(name).example).simulate_with_gradient([0.1], 1e-3)

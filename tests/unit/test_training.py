@@ -83,7 +83,7 @@ def test_several_states_learn_sliding_elements_that_lag():
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_gated_network_is_good_where_it_runs(seed):
-    """The figures of the issue for two seeds: 0.008 unseen, and better than 0.02 at other periods."""
+    """Two of the seeds of `tools/bench neural`: 0.008 unseen, and better than 0.02 at other periods."""
     training = samples(excitation(1.2, DT, 20_000, seed=seed))
     validation = samples(excitation(1.2, DT, 6000, seed=seed + 100))
     options = Options(starts=4, survivors=1, iterations=100)

@@ -41,7 +41,7 @@ from tools.benchmarks.report import Row, against, compare, note
 
 DT, SAMPLES, TOP_SPEED = 1e-3, 20_000, 1.2
 ROUNDS = 11
-SEEDS = range(10)
+SEEDS, NARX_SEEDS = range(10), range(3)
 GATED, NARX = Structure(hidden=(8,)), Structure("narx", (9,), 1, 1)
 STEP_NETWORK = Structure(hidden=(10,))
 PYRENN_ITERATIONS = 10  # each takes some 6 s here, and its error is where ours is after one or two by then
@@ -263,7 +263,30 @@ def errors() -> list[Row]:
             for dt in (0.5 * DT, 4.0 * DT)
         ),
         Row("gated: training with all its starts, median", median(seconds), "s"),
+        *narx_errors(),
     ]
+
+
+def narx_errors() -> list[Row]:
+    """Train networks that are fed their own past torques; free-run error on sums of sines."""
+    found = []
+    for seed in NARX_SEEDS:
+        result = train(NARX, samples(seed), samples(seed + 100, 8000), seed=seed, options=Options())
+        velocity = sines(seed)
+        truth = plant().simulate(velocity, DT)
+        left = simulate(result.structure, result.parameters, velocity, DT) - truth
+        found.append(float(np.sqrt(np.mean(left**2)) / np.std(truth)))
+    return [against(0.02, f"narx, multi-sines, worst of {len(found)} seeds (target)", "NRMSE", max(found))]
+
+
+def sines(seed: int) -> Array:
+    """Velocity of six sines from 0.2 to 8 Hz, 20 s."""
+    random = np.random.default_rng(seed + 200)
+    time_s, frequencies = DT * np.arange(SAMPLES), 0.2 * 40.0 ** random.uniform(0.0, 1.0, 6)
+    phases = random.uniform(0.0, math.tau, 6)
+    velocity: Array = np.sin(math.tau * frequencies * time_s[:, None] + phases).sum(axis=1)
+    velocity *= 0.8 * TOP_SPEED / np.max(np.abs(velocity))
+    return velocity
 
 
 def other_plants() -> list[Row]:
