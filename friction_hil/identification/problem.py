@@ -218,7 +218,7 @@ class Problem:
             after = _rows((target - torque)[:, None], rows, weights)
             project_out(basis, after)
             promised = cost - float(np.sum((both[:, 0] + both[:, 1:] @ (trial - at)) ** 2))
-            if cost - float(np.sum(after**2)) >= 0.5 * promised:
+            if cost - float(np.sum(after**2)) >= 0.5 * promised >= 0.0:  # below zero where a bound has bent the step
                 return trial, torque
         at = self.search(at, evaluations=evaluations, rows=rows, weights=weights, pinned=pinned, tolerance=1e-4).at
         return at, self.friction(at)[0]
