@@ -91,7 +91,7 @@ class Ask(Single):
             number = float(head)
         except ValueError:
             raise ReplyError(f"{head!r} is no number") from None
-        self.image.put(self.name, number)
+        self.image.put((self.name,), (number,))
         return True
 
 
@@ -111,7 +111,7 @@ class Word(Ask):
             raise ReplyError("the drive refuses", is_unasked=True)
         if len(name) != len(self.name):
             raise ReplyError(f"{name} in place of {self.name}")
-        self.image.put(self.name, float(number))
+        self.image.put((self.name,), (float(number),))
         return True
 
 

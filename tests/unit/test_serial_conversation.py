@@ -467,5 +467,5 @@ def test_while_a_drive_owes_a_reply_what_has_to_wait_for_it_is_not_sent_later():
     bench.image.values["torque"] = 0.1
     bench.talk.ask((Push(bench.image, "torque"), bench.three))
     bench.talk.speak()
-    assert bench.talk.is_all_sent
+    assert not bench.talk.queue
     assert bench.line.sent == [b"a?", b"torque=0.1;"]

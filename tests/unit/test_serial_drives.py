@@ -230,7 +230,7 @@ FAULTS = [{"corrupt": 0.2}, {"drop": 0.1}, {"delay": 0.1, "delay_s": 0.01}, {"no
     ("kind", "faults"), [(k, f) for k in KINDS for f in FAULTS if k != "tcp" or "corrupt" not in f]
 )
 def test_a_bad_line_costs_cycles_and_never_tells_a_lie(kind, tmp_path, faults, monkeypatch):
-    monkeypatch.setattr(drives, "_STEPPED_TIMEOUT_S", 0.15)  # what was dropped does not come
+    monkeypatch.setattr(drives, "_STEPPED_TIMEOUT_NS", 150_000_000)  # what was dropped does not come
     monkeypatch.setattr(drives, "_STEPPED_TIMEOUTS", 1000)
     with Bench(kind, tmp_path, faults={**faults, "seed": 5}).begin() as bench:
         fresh = 0

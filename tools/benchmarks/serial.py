@@ -117,7 +117,13 @@ def _rates(label: str, path: Path, target_us: float) -> list[Row]:
             drives.close()
     rate, period_hz = CYCLES / took_s, 1.0 / configuration.period_s
     return [
-        Row(f"{label}: cycles a second, back to back (limit of the wire)", rate, "Hz", limit, rate / limit),
+        Row(
+            f"{label}: cycles a second, back to back (limit of the wire with the longest messages)",
+            rate,
+            "Hz",
+            limit,
+            rate / limit,
+        ),
         against(target_us, f"{label}: processor time of a cycle, back to back (target)", "us", busy_s * 1e6),
         Row(f"{label}: cycles in time at {period_hz:.0f} Hz", 100.0 * fresh, "%"),
         against(target_us, f"{label}: processor time of a cycle at {period_hz:.0f} Hz (target)", "us", used_s * 1e6),

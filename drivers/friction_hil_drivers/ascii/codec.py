@@ -38,7 +38,8 @@ class AsciiExchange:
         self._sent = b""
         self._constant = b""  # the request, where there are no numbers in it
         self._known = b""  # the last reply, and what it tells: what changes slowly says the same again and again
-        self._numbers: list[tuple[str, float]] = []
+        self._names: tuple[str, ...] = ()
+        self._numbers: list[float] = []
         self._is_echo_due = False
         self.addressees = self.unanswered = frozenset((addressee,))
         self.writes = self._first.writes
@@ -109,11 +110,9 @@ class AsciiExchange:
         if line is None:
             return False
         if line != self._known:
-            self._numbers = self._understood(line)
+            self._names, self._numbers = self._understood(line)
             self._known = line
-        put = self._image.put
-        for name, number in self._numbers:
-            put(name, number)
+        self._image.put(self._names, self._numbers)
         return True
 
     def _take_echo(self, received: bytearray) -> bool:
@@ -128,8 +127,8 @@ class AsciiExchange:
         self._is_echo_due = False
         return True
 
-    def _understood(self, line: bytes) -> list[tuple[str, float]]:
-        """Numbers in a reply, with the names of their signals."""
+    def _understood(self, line: bytes) -> tuple[tuple[str, ...], list[float]]:
+        """Names of the signals in a reply, and their numbers."""
         language = self._language
         try:
             text = line if language.checker is None else language.checker.remove(line)
@@ -138,7 +137,7 @@ class AsciiExchange:
                 for form in self._first.replies:
                     numbers = form.read(text)
                     if numbers is not None:
-                        return list(zip(form.names, numbers, strict=True))
+                        return form.names, numbers
         except ValueError as error:
             raise ReplyError(f"{self._story(line)}: {error}") from error
         if meaning is None:

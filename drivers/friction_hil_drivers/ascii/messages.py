@@ -81,13 +81,12 @@ def take_line(received: bytearray, end: bytes) -> bytes | None:
         No line is that long; all of it was removed.
     """
     while True:
-        length = received.find(end, 0, LONGEST_LINE + len(end))
-        if length < 0:
-            if len(received) < LONGEST_LINE + len(end):
+        line, found, rest = received.partition(end)
+        if len(line) > LONGEST_LINE or not found:
+            if len(line) < LONGEST_LINE + len(end):
                 return None
             received.clear()
             raise ValueError(f"no line ends within {LONGEST_LINE} characters")
-        line = bytes(received[:length]).strip(_BLANKS)
-        del received[: length + len(end)]
-        if line:
-            return line
+        received[:] = rest
+        if line := line.strip(_BLANKS):
+            return bytes(line)

@@ -50,9 +50,9 @@ class Member:
 
     def put(self, data: bytes) -> None:
         """Put the bytes of the block into the image."""
-        first = self.block.address
-        for place in self.block.places:
-            self.image.put(place.name, place.number(data[place.address - first : place.end - first]))
+        first, places = self.block.address, self.block.places
+        numbers = [place.number(data[place.address - first : place.end - first]) for place in places]
+        self.image.put([place.name for place in places], numbers)
 
 
 class _Request(Single):

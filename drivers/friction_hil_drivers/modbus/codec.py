@@ -13,7 +13,6 @@ from pymodbus.pdu.bit_message import (
 )
 from pymodbus.pdu.register_message import (
     ReadHoldingRegistersRequest,
-    ReadHoldingRegistersResponse,
     ReadInputRegistersRequest,
     ReadWriteMultipleRegistersRequest,
     WriteMultipleRegistersRequest,
@@ -23,7 +22,7 @@ from pymodbus.pdu.register_message import (
 from friction_hil_drivers.modbus.description import ModbusDescription
 from friction_hil_drivers.modbus.framing import REFUSED, Framing, RtuFraming, TcpFraming
 from friction_hil_drivers.modbus.options import ModbusOptions
-from friction_hil_drivers.modbus.registers import BIT_TABLES, Block
+from friction_hil_drivers.modbus.registers import BIT_TABLES, Block, Layout
 from friction_hil_drivers.serial_line.protocol import Image, Plan, ReplyError, Single, Wanted, only
 from friction_hil_drivers.serial_line.wire import character_s
 
@@ -85,18 +84,18 @@ class Request(Single):
         self.reads = read.names if read is not None else ()
         self.writes = write.names if write is not None else ()
         self._is_bits = read is not None and read.table in BIT_TABLES
+        self._layout = None if read is None or self._is_bits else Layout(read)
         if write is None:
             assert read is not None
-            fixed = _pdu(_READ_REQUESTS[read.table](address=read.address, count=read.count))
-            self._make: Callable[[list[int]], bytes] = lambda words: fixed
+            pdu = _pdu(_READ_REQUESTS[read.table](address=read.address, count=read.count))
+            self._make: Callable[[Mapping[str, float]], bytes] = lambda values: pdu
             self.what = f"read {read} of unit {unit}"
         elif read is None:
-            self._make = _writer(write, write_functions)
+            pdu, self._make = _writer(write, write_functions)
             self.what = f"write {write} of unit {unit}"
         else:
-            self._make = _both(read, write)
+            pdu, self._make = _both(read, write)
             self.what = f"write {write} and read {read} of unit {unit}"
-        pdu = self._make([0] * (0 if write is None else write.count))
         self._head = self._reply_head(pdu)
         if read is None:
             self._reply_length = 5  # function, address, and the value or the number of registers
@@ -113,17 +112,12 @@ class Request(Single):
         ValueError
             A number is not finite.
         """
-        words: list[int] = []
-        if self._write is not None:
-            block, values = self._write, self._image.values
-            words = [0] * block.count
-            for place in block.places:
-                try:
-                    words[place.address - block.address : place.end - block.address] = place.words(values[place.name])
-                except ValueError as error:
-                    raise ValueError(f"{self.what}: {place.name}: {error}") from None
-        pdu = self._make(words)
-        self._head = self._reply_head(pdu)
+        try:
+            pdu = self._make(self._image.values)
+        except ValueError as error:
+            raise ValueError(f"{self.what}: {error}") from None
+        if self._read is None:
+            self._head = self._reply_head(pdu)
         return self._framing.frame(self._unit, pdu)
 
     def _reply_head(self, pdu: bytes) -> bytes:
@@ -147,35 +141,62 @@ class Request(Single):
         if pdu[0] & REFUSED:
             text = EXCEPTIONS.get(pdu[1], "not one of the standard ones")
             raise ReplyError(f"unit {self._unit} refuses: {text} (exception {pdu[1]})", is_complete=True)
-        if self._read is not None:
-            words = self._words(pdu[1:])
-            for place in self._read.places:
-                self._image.put(place.name, place.number(self._read.words_of(place, words)))
+        if self._layout is not None:
+            self._image.put(self.reads, self._layout.unpack(pdu[2:]))
+        elif self._read is not None:
+            self._image.put(self.reads, _bits(self._read, pdu[1:]))
         return True
 
-    def _words(self, data: bytes) -> Sequence[int]:
-        response = ReadCoilsResponse() if self._is_bits else ReadHoldingRegistersResponse()
-        response.decode(data)
-        return response.bits if self._is_bits else response.registers
+
+def _bits(block: Block, data: bytes) -> list[float]:
+    response = ReadCoilsResponse()
+    response.decode(data)
+    return [float(response.bits[place.address - block.address]) for place in block.places]
 
 
 def _pdu(request: ModbusPDU) -> bytes:
     return bytes((request.function_code,)) + request.encode()
 
 
-def _writer(block: Block, functions: Sequence[int]) -> Callable[[list[int]], bytes]:
+_Writer = tuple[bytes, Callable[[Mapping[str, float]], bytes]]  # request for zeros, and what makes one for numbers
+
+
+def _writer(block: Block, functions: Sequence[int]) -> _Writer:
     is_single = block.count == 1
     if block.table == "coil":
-        if is_single and 5 in functions:
-            return lambda words: _pdu(WriteSingleCoilRequest(address=block.address, bits=[bool(words[0])]))
-        return lambda words: _pdu(WriteMultipleCoilsRequest(address=block.address, bits=[bool(w) for w in words]))
-    if is_single and 6 in functions:
-        return lambda words: _pdu(WriteSingleRegisterRequest(address=block.address, registers=words))
-    return lambda words: _pdu(WriteMultipleRegistersRequest(address=block.address, registers=words))
+        return _coil_writer(
+            block, WriteSingleCoilRequest if is_single and 5 in functions else WriteMultipleCoilsRequest
+        )
+    kind = WriteSingleRegisterRequest if is_single and 6 in functions else WriteMultipleRegistersRequest
+    return _register_writer(_pdu(kind(address=block.address, registers=[0] * block.count)), block)
 
 
-def _both(read: Block, write: Block) -> Callable[[list[int]], bytes]:
-    return lambda words: _pdu(ReadWriteMultipleRegistersRequest(read.address, read.count, write.address, words))
+def _both(read: Block, write: Block) -> _Writer:
+    zeros = [0] * write.count
+    return _register_writer(
+        _pdu(ReadWriteMultipleRegistersRequest(read.address, read.count, write.address, zeros)), write
+    )
+
+
+def _register_writer(pdu: bytes, block: Block) -> _Writer:
+    """What writes registers: in each of these requests they are the end, and all before them stays the same."""
+    layout = Layout(block)
+    head = pdu[: -layout.size]
+    return pdu, lambda values: head + layout.pack(values)
+
+
+def _coil_writer(block: Block, kind: type[ModbusPDU]) -> _Writer:
+    def make(values: Mapping[str, float]) -> bytes:
+        bits = [False] * block.count
+        for place in block.places:
+            try:
+                (bit,) = place.words(values[place.name])
+            except ValueError as error:
+                raise ValueError(f"{place.name}: {error}") from None
+            bits[place.address - block.address] = bool(bit)
+        return _pdu(kind(address=block.address, bits=bits))
+
+    return make(dict.fromkeys(block.names, 0.0)), make
 
 
 class ModbusLine:

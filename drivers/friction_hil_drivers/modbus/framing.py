@@ -85,6 +85,8 @@ class RtuFraming:
             if is_ours:
                 if len(rest) >= whole:
                     raise _wrong(received, "its CRC is wrong")
+                if k == 0:  # the beginning of the reply; nothing else that came could be whole
+                    return None
                 is_begun = True
                 break
         if _has_crc(received):

@@ -1,7 +1,9 @@
 """Numbers in registers, and registers side by side. Pure."""
 
+import functools
+import operator
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -14,7 +16,7 @@ Order = Literal["big", "little"]
 BIT_TABLES = ("coil", "discrete")
 WRITABLE_TABLES = ("holding", "coil")
 WIDTHS: dict[Kind, int] = {"int16": 1, "uint16": 1, "int32": 2, "uint32": 2, "float32": 2, "bool": 1}
-_FORMATS: dict[Kind, str] = {"int16": ">h", "uint16": ">H", "int32": ">i", "uint32": ">I", "float32": ">f"}
+_FORMATS: dict[Kind, str] = {"int16": "h", "uint16": "H", "int32": "i", "uint32": "I", "float32": "f"}
 BOUNDS: dict[Kind, tuple[int, int]] = {
     "int16": (-(1 << 15), (1 << 15) - 1),
     "uint16": (0, (1 << 16) - 1),
@@ -58,11 +60,10 @@ class Place:
         """Address after its last register."""
         return self.address + WIDTHS[self.kind]
 
-    def words(self, number: float) -> list[int]:
-        """Registers (or the coil) for a number.
+    def representable(self, number: float) -> float:
+        """What of a number can be written: rounded and kept within the range of its type.
 
-        It is rounded and kept within the range of its type; a position wraps in it instead, as the drive's counter
-        does.
+        A position wraps in it instead, as the drive's counter does.
 
         Raises
         ------
@@ -70,32 +71,31 @@ class Place:
             The number is not finite.
         """
         if self.kind == "float32":
-            return self._split(saturated(number, -_FLOAT32_MAX, _FLOAT32_MAX))
+            return saturated(number, -_FLOAT32_MAX, _FLOAT32_MAX)
         low, high = BOUNDS[self.kind]
+        kept = saturated(number, low, high)
         if self.name in _CYCLIC:
-            saturated(number, low, high)  # refuses what is not finite
-            whole = (round(number) - low) % (high - low + 1) + low
-        else:
-            whole = round(saturated(number, low, high))
-        return [whole] if self.kind == "bool" else self._split(whole)
+            return (round(number) - low) % (high - low + 1) + low
+        return round(kept)
+
+    def words(self, number: float) -> list[int]:
+        """Registers (or the coil) for a number; see `representable`.
+
+        Raises
+        ------
+        ValueError
+            The number is not finite.
+        """
+        if self.kind == "bool":
+            return [int(self.representable(number))]
+        data = _layout_of(self).pack({self.name: number})
+        return list(struct.unpack(f">{len(data) // 2}H", data))
 
     def number(self, words: Sequence[int]) -> float:
         """Number that the registers (or the bit) hold."""
         if self.kind == "bool":
             return float(words[0])
-        if self.word_order == "little":
-            words = words[::-1]
-        raw = struct.pack(f"{_mark(self.byte_order)}{len(words)}H", *words)
-        return float(struct.unpack(_FORMATS[self.kind], raw)[0])
-
-    def _split(self, number: float) -> list[int]:
-        raw = struct.pack(_FORMATS[self.kind], number)
-        words = list(struct.unpack(f"{_mark(self.byte_order)}{len(raw) // 2}H", raw))
-        return words[::-1] if self.word_order == "little" else words
-
-
-def _mark(order: Order) -> str:
-    return ">" if order == "big" else "<"
+        return float(_layout_of(self).unpack(struct.pack(f">{len(words)}H", *words))[0])
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,16 +112,73 @@ class Block:
         """Signals in it."""
         return tuple(place.name for place in self.places)
 
-    def words_of(self, place: Place, words: Sequence[int]) -> Sequence[int]:
-        """Registers of one signal among those of the block."""
-        return words[place.address - self.address : place.end - self.address]
-
     def __str__(self) -> str:
         if self.table in BIT_TABLES:
             noun = {"coil": "coil", "discrete": "discrete input"}[self.table]
         else:
             noun = {"holding": "register", "input": "input register"}[self.table]
         return f"{self.count} {noun}{'s' * (self.count > 1)} at {self.address:04X}h"
+
+
+class Layout:
+    """How the numbers of a block of registers lie in its bytes, as they are on the wire.
+
+    Parameters
+    ----------
+    block : Block
+        Not of bits.
+
+    Attributes
+    ----------
+    size : int
+        Bytes of the block.
+    """
+
+    def __init__(self, block: Block) -> None:
+        self.size = 2 * block.count
+        self._places = block.places
+        self._numbers = struct.Struct(">" + "".join(_FORMATS[place.kind] for place in block.places))
+        order = [at for place in block.places for at in _byte_places(place, block.address)]
+        self._is_plain = order == list(range(self.size))
+        self._out_of = operator.itemgetter(*order)
+        # bytes that belong to no signal are zero: one more byte stands for them
+        into = [order.index(at) if at in order else len(order) for at in range(self.size)]
+        self._into = operator.itemgetter(*into)
+
+    def unpack(self, data: bytes) -> tuple[float, ...]:
+        """Numbers of the block, in the order of its places, from as many bytes as it has."""
+        return self._numbers.unpack(data if self._is_plain else bytes(self._out_of(data)))
+
+    def pack(self, values: Mapping[str, float]) -> bytes:
+        """Bytes of the block for numbers by signal; see `Place.representable`.
+
+        Raises
+        ------
+        ValueError
+            A number is not finite.
+        """
+        numbers = []
+        for place in self._places:
+            try:
+                numbers.append(place.representable(values[place.name]))
+            except ValueError as error:
+                raise ValueError(f"{place.name}: {error}") from None
+        data = self._numbers.pack(*numbers)
+        return data if self._is_plain else bytes(self._into(data + b"\0"))
+
+
+def _byte_places(place: Place, start: int) -> list[int]:
+    """Where the bytes of a number lie behind the register ``start``, the most significant first."""
+    words = range(place.address, place.end)
+    halves = (0, 1) if place.byte_order == "big" else (1, 0)
+    return [
+        2 * (word - start) + half for word in (words if place.word_order == "big" else words[::-1]) for half in halves
+    ]
+
+
+@functools.lru_cache(maxsize=1024)
+def _layout_of(place: Place) -> Layout:
+    return Layout(Block(place.table, place.address, place.end - place.address, (place,)))
 
 
 def merged(places: Iterable[Place], *, max_gap: int, max_count: int, alignment: int = 1) -> list[Block]:

@@ -96,6 +96,7 @@ class SerialAxis:
         self._position = self._velocity = 0.0
         self._position_s = math.nan
         self._state_s = math.nan
+        self._told: list[float | None] = []  # what the state follows from
         self.state_signals = state_signals(description)
 
     def begin(self) -> None:
@@ -142,7 +143,10 @@ class SerialAxis:
 
     def read_state(self) -> DriveState:
         """State that the image tells."""
-        self.state = state_of(self._description, self.image.values)
+        values = self.image.values
+        told = [values.get(name) for name in self.state_signals]
+        if told != self._told:  # which is seldom
+            self._told, self.state = told, state_of(self._description, values)
         return self.state
 
     def parting(self) -> list[Mapping[str, float]]:

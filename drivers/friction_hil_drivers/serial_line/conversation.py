@@ -26,8 +26,6 @@ _REOPEN_NS = 200_000_000
 _LONGEST_SETTLE_NS = 20_000_000  # a line that is not quiet by then will not be
 _MOST_UNCONFIRMED = 8
 
-Asked = tuple[Exchange, Callable[[], None] | None]
-
 
 class Conversation:
     """All that is said on a line.
@@ -56,6 +54,8 @@ class Conversation:
         What went wrong last, in words.
     refusals : int
         Commands in a row that the drive refused.
+    queue, awaited : deque of Exchange
+        What is still to be sent; what was sent together, and is answered in this order.
     limit_ns : int or None
         When replies have to be there: what cannot be answered by then is not asked.
     """
@@ -84,8 +84,10 @@ class Conversation:
         self._is_in_doubt = False  # what comes next may be a reply to something before
         self._ahead_chars = ahead_chars
         self._unread_chars = 0  # sent since a drive answered last: it may not have looked at them yet
-        self._queue: deque[Asked] = deque()
-        self._awaited: deque[Asked] = deque()  # sent together, answered in this order
+        self.queue: deque[Exchange] = deque()
+        self.awaited: deque[Exchange] = deque()
+        self._done: dict[Exchange, Callable[[], None]] = {}  # to be told, of what is queued or awaited
+        self._wire_ns: dict[Exchange, float] = {}  # what each takes
         self._unconfirmed: deque[Exchange] = deque(maxlen=_MOST_UNCONFIRMED)  # sent without a reply: may be refused
         self._is_refused = False  # one of these was
         self._owed: list[tuple[Exchange, int]] = []  # not answered in time, and until when the reply may still come
@@ -103,12 +105,7 @@ class Conversation:
     @property
     def is_finished(self) -> bool:
         """Whether all has been asked and answered, or the line is gone."""
-        return not self._queue and not self._awaited
-
-    @property
-    def is_all_sent(self) -> bool:
-        """Whether every request has been sent, answered or not."""
-        return not self._queue
+        return not self.queue and not self.awaited
 
     @property
     def due_ns(self) -> int | None:
@@ -117,22 +114,22 @@ class Conversation:
             return None
         if self._is_settling:
             return min(self._heard_ns + self._settle_ns, self._settle_end_ns)
-        if self._awaited:
+        if self.awaited:
             return None
         if not self._owed:
-            return self._quiet_until_ns if self._queue else None
+            return self._quiet_until_ns if self.queue else None
         moments = [until for _, until in self._owed]
         if self._received:  # a late reply is coming in
             return min(moments)
-        if any(self._may_be_asked(exchange) for exchange, _ in self._queue):
+        if any(map(self._may_be_asked, self.queue)):
             moments.append(self._quiet_until_ns)
         return min(moments, default=None)
 
     def ask(self, exchanges: Iterable[Exchange], done: Callable[[], None] | None = None) -> None:
         """Queue requests; ``done`` is called when the last of them has been answered (sent, if no reply is due)."""
-        self._queue.extend([(exchange, None) for exchange in exchanges])
-        if done is not None and self._queue:
-            self._queue[-1] = (self._queue[-1][0], done)
+        self.queue.extend(exchanges)
+        if done is not None and self.queue:
+            self._done[self.queue[-1]] = done
 
     def step(self, *, is_ready: bool = False) -> None:
         """Do what can be done now.
@@ -157,7 +154,7 @@ class Conversation:
         """Send what can be sent now; what has to wait for a late reply is not sent in this cycle."""
         if self._owed:
             self.step()
-            self._queue = deque(asked for asked in self._queue if self._may_be_asked(asked[0]))
+            self.queue = deque(filter(self._may_be_asked, self.queue))
         elif self.line.is_open:
             try:
                 self._go_on()
@@ -165,40 +162,49 @@ class Conversation:
                 self._forget(gone)
 
     def _go_on(self) -> None:
-        while self._hear() and self._say():
+        """Deal with what came, then send what may be sent."""
+        if self._is_settling:
+            self._settle_on(self._now_ns())
+        elif self.awaited:
+            if self._received:
+                self._await()
+        elif self._owed:
+            self._drop_late(self._now_ns())
+        while self.queue and self._is_free() and self._say():
             pass
 
-    def _hear(self) -> bool:
-        """Deal with what came; whether the line is free for the next request."""
-        now = self._now_ns()
-        if self._is_settling:
-            self._received.clear()
-            if now >= self._heard_ns + self._settle_ns:
-                self._is_settling = self._is_noisy = False
-            elif now >= self._settle_end_ns:
-                self._is_settling, self._is_noisy = False, True
-                self._is_in_doubt = self._doubt_ns > 0
-        elif self._awaited:
-            self._await(now)
-        elif self._owed:
-            self._drop_late(now)
-        if self._awaited:
+    def _is_free(self) -> bool:
+        """Whether the next request may be sent now, as far as the line goes."""
+        if self.awaited:
             return bool(self._ahead_chars) and self._may_join(0)
-        if self._is_noisy and self._queue and not self._queue[0][0].reply_size:
-            return now >= self._quiet_until_ns
-        return not self._is_settling and not (self._owed and self._received) and now >= self._quiet_until_ns
+        if self._is_settling or self._owed:
+            is_busy = self._is_settling or self._received
+            if is_busy and not (self._is_noisy and not self.queue[0].reply_size):
+                return False
+        return not self._quiet_until_ns or self._now_ns() >= self._quiet_until_ns
 
-    def _await(self, now: int) -> None:
+    def _settle_on(self, now: int) -> None:
+        """Drop what belongs to a broken reply, for as long as it comes."""
+        self._received.clear()
+        if now >= self._heard_ns + self._settle_ns:
+            self._is_settling = self._is_noisy = False
+        elif now >= self._settle_end_ns:
+            self._is_settling, self._is_noisy = False, True
+            self._is_in_doubt = self._doubt_ns > 0
+
+    def _await(self) -> None:
         """Take the replies that are complete; in the order of the requests."""
-        while self._awaited:
-            exchange, done = self._awaited[0]
-            is_last = len(self._awaited) == 1
+        awaited = self.awaited
+        while awaited and self._received:
+            exchange = awaited[0]
+            is_last = len(awaited) == 1
             try:
-                if not (self._received and self._is_taken(exchange)):
+                if not (self._take_in_vain(exchange) if self._is_in_doubt else exchange.take(self._received)):
                     return
             except ReplyError as error:
                 if self._is_of_unconfirmed(error):  # the reply proper follows
                     continue
+                self._done.pop(exchange, None)
                 self.refusals += bool(error.is_complete and exchange.writes)
                 self.trouble = f"{exchange.what}: {error}"
                 if not error.is_complete:
@@ -206,6 +212,7 @@ class Conversation:
                     if is_last:  # where another reply follows, it is told from what is left of this one
                         self._settle(self._short_settle_ns)
             else:
+                done = self._done.pop(exchange, None) if self._done else None
                 if self._is_in_doubt:
                     done = None
                     self.trouble = f"{exchange.what}: the reply may have been one to an earlier request"
@@ -222,19 +229,16 @@ class Conversation:
                 self._unread_chars = 0
                 if done is not None:
                     done()
-            self._awaited.popleft()
-            self._quiet_until_ns = now + self._silence_ns
+            awaited.popleft()
+            self._quiet_until_ns = self._heard_ns + self._silence_ns if self._silence_ns else 0
 
     def _settle(self, time_ns: int) -> None:
         """Drop all that comes, until the line has been quiet for so long."""
         self._is_settling, self._settle_ns = True, time_ns
         self._settle_end_ns = self._now_ns() + max(_LONGEST_SETTLE_NS, 2 * time_ns)
 
-    def _is_taken(self, exchange: Exchange) -> bool:
-        """Whether a reply is complete; in doubt nothing of it is used."""
-        return self._take_in_vain(exchange) if self._is_in_doubt else exchange.take(self._received)
-
     def _take_in_vain(self, exchange: Exchange) -> bool:
+        """Whether a reply is complete; nothing of it is used."""
         before = [(dict(image.values), set(image.fresh)) for image in self._images]
         try:
             return exchange.take(self._received)
@@ -285,64 +289,66 @@ class Conversation:
 
     def _say(self) -> bool:
         """Send the next request, or several together; whether another one may follow at once."""
-        if not self._queue:
-            return False
         is_disturbed = bool(self._owed or self._silent)
         place = self._next_place() if is_disturbed else 0
         if place is None:
             return False
-        if self._received and not self._awaited:  # else it is the beginning of a reply that is due
+        if self._received and not self.awaited:  # else it is the beginning of a reply that is due
             self._take_unasked()
-        data = b""
-        sent: list[Callable[[], None]] = []
+        queue, data = self.queue, b""
+        sent: list[Exchange] = []
         while True:
-            exchange, done = self._queue[place]
-            del self._queue[place]
+            exchange = queue[place]
+            del queue[place]
             if self.limit_ns is not None and not self._has_time(exchange):
                 # the reply would be late, the next cycle begin with waiting for it, and so would all after that
                 self.trouble = f"{exchange.what}: no time was left for it"
-                self._queue.clear()
+                queue.clear()
                 break
             data += exchange.encode()
             if exchange.reply_size:
-                self._awaited.append((exchange, done))
+                self.awaited.append(exchange)
             else:
-                if exchange.tells_refusal:
-                    self._unconfirmed.append(exchange)
-                if done is not None:
-                    sent.append(done)
-            if is_disturbed or not self._queue or not self._may_join(len(data)):
+                sent.append(exchange)
+            if is_disturbed or not queue or not self._may_join(len(data)):
                 break
         if data:
             self._send(data)
-        for done in sent:
-            done()
-        return not self._awaited
+        for exchange in sent:
+            if exchange.tells_refusal:
+                self._unconfirmed.append(exchange)
+            if exchange in self._done:
+                self._done.pop(exchange)()
+        return not self.awaited
 
     def _may_join(self, chars: int) -> bool:
         """Whether the next request may be sent together with those before it, which have so many characters."""
-        if not self._queue or self._silence_ns or self._is_in_doubt:
+        if self._silence_ns or self._is_in_doubt:
             return False
-        if not self._awaited:
-            return not (self._is_noisy and self._queue[0][0].reply_size)
-        exchange, _ = self._queue[0]
-        if self._unread_chars + chars + exchange.request_size > self._ahead_chars:
+        following = self.queue[0]
+        if not self.awaited:
+            return not (self._is_noisy and following.reply_size)
+        if self._unread_chars + chars + following.request_size > self._ahead_chars:
             return False
-        return all(exchange.may_follow(before) for before, _ in self._awaited)
+        return all(map(following.may_follow, self.awaited))
 
     def _send(self, data: bytes) -> None:
         self.line.write(data)
-        self._unread_chars += len(data)
-        self._sent_ns = self._now_ns()
-        self._busy_until_ns = max(self._busy_until_ns, self._sent_ns) + round(len(data) * self._character_ns)
-        if not self._awaited:
-            self._quiet_until_ns = self._busy_until_ns + self._silence_ns if self._silence_ns else 0
+        size = len(data)
+        self._unread_chars += size
+        self._sent_ns = now = self._now_ns()
+        self._busy_until_ns = max(now, self._busy_until_ns) + round(size * self._character_ns)
+        if self._silence_ns and not self.awaited:
+            self._quiet_until_ns = self._busy_until_ns + self._silence_ns
 
     def _has_time(self, exchange: Exchange) -> bool:
         """Whether an exchange can be over in this cycle."""
         assert self.limit_ns is not None
-        silence = self._silence_ns if exchange.reply_size else 0
-        wire_ns = (exchange.request_size + exchange.reply_size) * self._character_ns + silence + self._turnaround_ns
+        wire_ns = self._wire_ns.get(exchange)
+        if wire_ns is None:
+            silence = self._silence_ns if exchange.reply_size else 0
+            wire_ns = (exchange.request_size + exchange.reply_size) * self._character_ns + silence + self._turnaround_ns
+            self._wire_ns[exchange] = wire_ns
         return max(self._now_ns(), self._busy_until_ns) + wire_ns <= self.limit_ns
 
     def _take_unasked(self) -> None:
@@ -362,26 +368,30 @@ class Conversation:
         """Where in the queue the request is that is to be made now: whoever was silent comes after the others."""
         if self._owed:
             owing = frozenset[str]().union(*(owed.unanswered for owed, _ in self._owed))
-            self._queue = deque((self._for_others(exchange, owing), done) for exchange, done in self._queue)
-        places = [k for k, (exchange, _) in enumerate(self._queue) if self._may_be_asked(exchange)]
-        return min(places, key=lambda k: self._is_silent(self._queue[k][0]), default=None)
+            self.queue = deque(self._for_others(exchange, owing) for exchange in self.queue)
+        places = [k for k, exchange in enumerate(self.queue) if self._may_be_asked(exchange)]
+        return min(places, key=lambda k: self._is_silent(self.queue[k]), default=None)
 
     def _for_others(self, exchange: Exchange, owing: frozenset[str]) -> Exchange:
         """Let a request to several drives be one to those of them that owe no reply, if there are any."""
-        if exchange.reply_size and not exchange.addressees.isdisjoint(owing):
-            return exchange.without(owing) or exchange
-        return exchange
+        if not exchange.reply_size or exchange.addressees.isdisjoint(owing):
+            return exchange
+        part = exchange.without(owing) or exchange
+        if exchange in self._done:
+            self._done[part] = self._done.pop(exchange)
+        return part
 
     def _is_silent(self, exchange: Exchange) -> bool:
         return exchange.reply_size > 0 and not self._silent.isdisjoint(exchange.addressees)
 
     def give_up(self) -> None:
         """End a cycle: what has not been asked is not asked any more, and what is not answered is lost."""
-        self._queue.clear()
+        self.queue.clear()
+        self._done.clear()
         self.limit_ns = None
-        if self._awaited:
-            self.trouble = f"{self._awaited[0][0].what}: no reply in time"
-            for exchange, _ in self._awaited:
+        if self.awaited:
+            self.trouble = f"{self.awaited[0].what}: no reply in time"
+            for exchange in self.awaited:
                 self._silent |= exchange.unanswered
             self._owe()
 
@@ -389,12 +399,13 @@ class Conversation:
         """Go on without the replies that are awaited; they may still come."""
         if self._reply_limit_ns:
             until = self._sent_ns + self._reply_limit_ns
-            self._owed += [(exchange, until) for exchange, _ in self._awaited]
-        self._awaited.clear()
+            self._owed += [(exchange, until) for exchange in self.awaited]
+        self.awaited.clear()
 
     def _forget(self, gone: LineGoneError) -> None:
         self.trouble = str(gone)
-        self._queue.clear()
+        self.queue.clear()
+        self._done.clear()
         self._received.clear()
         self._owe()  # a converter in between may keep it until the line is back
         self._unconfirmed.clear()
@@ -402,7 +413,8 @@ class Conversation:
         self._next_reopen_ns = self._now_ns() + _REOPEN_NS
 
     def _reopen(self) -> None:
-        self._queue.clear()  # what was to be said now is not to be said later
+        self.queue.clear()  # what was to be said now is not to be said later
+        self._done.clear()
         now = self._now_ns()
         if now >= self._next_reopen_ns:
             self._next_reopen_ns = now + _REOPEN_NS

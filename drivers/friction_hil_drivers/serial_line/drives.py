@@ -19,14 +19,14 @@ from friction_hil_drivers.serial_line.axis import SerialAxis
 from friction_hil_drivers.serial_line.connecting import Connecting, by_port, descriptions_of
 from friction_hil_drivers.serial_line.conversation import Conversation
 from friction_hil_drivers.serial_line.description import Description
-from friction_hil_drivers.serial_line.lane import Lane, serve
+from friction_hil_drivers.serial_line.lane import Lane, are_done, serve
 from friction_hil_drivers.serial_line.protocol import Exchange, ProtocolFactory
 
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig, Configuration
 
 _COMPUTATION_S = 3e-4  # of a period is kept for what comes after the feedback, at most a tenth of it
-_STEPPED_TIMEOUT_S = 10.0
+_STEPPED_TIMEOUT_NS = 10_000_000_000
 _STEPPED_TIMEOUTS = 3  # in a row; in simulated time nothing else would ever end a run without drives
 _PARTING_NS = 300_000_000
 _REFUSALS = 10  # of commands, in a row: the drive does not take them
@@ -67,7 +67,7 @@ class SerialDrives:
         self._configs = dict(axes)
         self._clock = clock
         self._dry_run = dry_run
-        self._period_s = configuration.period_s
+        self._margin_ns = round(min(_COMPUTATION_S, 0.1 * configuration.period_s) * 1e9)
         self._lanes: list[Lane] = []
         self._conversations: list[Conversation] = []
         self._axes: list[SerialAxis] = []  # in the order of the configuration
@@ -109,24 +109,21 @@ class SerialDrives:
         """Poll every drive until all have answered, or until it is too late for this cycle."""
         for axis in self._axes:
             axis.begin()
-        conversations = self._conversations
         is_real = self._clock.is_real
         self._end_ns = end_ns
-        margin_s = min(_COMPUTATION_S, 0.1 * self._period_s)
-        limit_ns = end_ns - round(margin_s * 1e9) if is_real else time.monotonic_ns() + round(_STEPPED_TIMEOUT_S * 1e9)
+        limit_ns = end_ns - self._margin_ns if is_real else time.monotonic_ns() + _STEPPED_TIMEOUT_NS
         for lane in self._lanes:
-            plan = lane.plan if self._is_commanding else lane.listening
-            if not (lane.conversation.is_finished or lane.protocol.ahead_chars):
+            conversation = lane.conversation
+            if not (conversation.is_finished or lane.protocol.ahead_chars):
                 lane.end_turn(limit_ns)
-            lane.conversation.limit_ns = limit_ns
-            lane.conversation.ask(plan.poll)
-        serve(conversations, limit_ns, self._are_finished)
-        is_lost = not self._are_finished()
-        for conversation in conversations:
+            conversation.limit_ns = limit_ns
+            conversation.ask((lane.plan if self._is_commanding else lane.listening).poll)
+        is_lost = not serve(self._conversations, limit_ns)
+        for conversation in self._conversations:
             conversation.give_up()
         self._timeouts = self._timeouts + 1 if is_lost and not is_real else 0
         if self._timeouts >= _STEPPED_TIMEOUTS:
-            waited_s = _STEPPED_TIMEOUTS * _STEPPED_TIMEOUT_S
+            waited_s = _STEPPED_TIMEOUTS * _STEPPED_TIMEOUT_NS * 1e-9
             raise DriveError(f"not every drive has answered for {waited_s:g} s: do they still run?")
         time_s = self._clock.now_ns() * 1e-9
         for lane in self._lanes:
@@ -147,26 +144,21 @@ class SerialDrives:
                 lane.take_turn(lane.listening, end_ns)
         for conversation in self._conversations:
             conversation.speak()
-        if self._is_all_sent():  # the last reply is awaited at the start of the next cycle
-            return
-        limit_ns = time.monotonic_ns() + round(_STEPPED_TIMEOUT_S * 1e9) if end_ns is None else end_ns
-        serve(self._conversations, limit_ns, self._is_all_sent)
+        if are_done(self._conversations, until_answered=False):
+            return  # the last reply is awaited at the start of the next cycle
+        limit_ns = time.monotonic_ns() + _STEPPED_TIMEOUT_NS if end_ns is None else end_ns
+        serve(self._conversations, limit_ns, until_answered=False)
 
     def _steps(self, commands: Sequence[Command]) -> dict[str, Mapping[str, float]]:
-        """Take the commands; what is to be written beside them, by axis."""
+        """Take the commands; what is to be written beside them, by axis that needs anything."""
         time_s = self._clock.now_ns() * 1e-9
         steps: dict[str, Mapping[str, float]] = {}
         for axis, command in zip(self._axes, commands, strict=True):
             if command.request is not Request.LISTEN:
                 self._is_commanding = True
-            steps[axis.name] = axis.take(command, time_s)
+            if step := axis.take(command, time_s):
+                steps[axis.name] = step
         return steps
-
-    def _are_finished(self) -> bool:
-        return all(conversation.is_finished for conversation in self._conversations)
-
-    def _is_all_sent(self) -> bool:
-        return all(conversation.is_all_sent for conversation in self._conversations)
 
     def rehearse(self) -> None:
         """Do nothing: a cycle on a serial line waits for the wire anyway."""

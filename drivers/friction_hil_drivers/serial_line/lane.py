@@ -2,7 +2,7 @@
 
 import select
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from friction_hil.errors import BusError, DriveError
@@ -39,7 +39,7 @@ class Lane:
     is_step_sent: bool = False  # in the cycle before, in the place of a turn
     first: int = 0  # axis that may send a step first
     steps: dict[tuple[str, tuple[str, ...]], Exchange] = field(default_factory=dict)
-    wire_times_ns: dict[tuple[Exchange, ...], int] = field(default_factory=dict)
+    turn_ns: dict[Exchange, int] = field(default_factory=dict)  # what the push and that turn take
 
     def send(self, steps: Mapping[str, Mapping[str, float]], end_ns: int | None) -> None:
         """Ask for the push and for a step, of one axis and in every second cycle (one has to hear what it did).
@@ -50,46 +50,47 @@ class Lane:
         Parameters
         ----------
         steps : mapping
-            What is to be written for the state that is wanted, by axis.
+            What is to be written for the state that is wanted, by axis; of those that need anything.
         end_ns : int or None
             When the next cycle begins; a turn that would reach into that is left out.
         """
-        may_step = not self.is_step_sent
-        self.is_step_sent = False
-        if may_step:
-            for axis in (*self.axes[self.first :], *self.axes[: self.first]):
-                if step := steps[axis.name]:
-                    axis.image.values.update(step)
-                    self.conversation.ask((self.write(axis.name, step),), axis.sequencer.acknowledge)
-                    self.first = (self.axes.index(axis) + 1) % len(self.axes)
-                    self.is_step_sent = True
-                    break
+        may_step = bool(steps) and not self.is_step_sent
+        self.is_step_sent = may_step and self._take_step(steps)
         self.conversation.ask(self.plan.push)
         if not self.is_step_sent:
             self.take_turn(self.plan, end_ns)
+
+    def _take_step(self, steps: Mapping[str, Mapping[str, float]]) -> bool:
+        """Ask for a step of the next axis that has one; whether there is any."""
+        for axis in (*self.axes[self.first :], *self.axes[: self.first]):
+            if step := steps.get(axis.name):
+                axis.image.values.update(step)
+                self.conversation.ask((self.write(axis.name, step),), axis.sequencer.acknowledge)
+                self.first = (self.axes.index(axis) + 1) % len(self.axes)
+                return True
+        return False
 
     def take_turn(self, plan: Plan, end_ns: int | None) -> None:
         """Ask for what changes slowly, for the next of the turns, if that is answered before the next cycle."""
         if not plan.turns:
             return
-        turn = (self.turn + 1) % len(plan.turns)
-        if end_ns is not None and time.monotonic_ns() + self._wire_ns(*plan.push, plan.turns[turn]) > end_ns:
-            return
-        self.turn = turn
-        self.conversation.ask((plan.turns[turn],))
+        place = (self.turn + 1) % len(plan.turns)
+        turn = plan.turns[place]
+        if end_ns is not None:
+            wire_ns = self.turn_ns.get(turn)
+            if wire_ns is None:
+                wire_ns = self.turn_ns[turn] = round(1e9 * self.wire_s(*plan.push, turn))
+            if time.monotonic_ns() + wire_ns > end_ns:
+                return
+        self.turn = place
+        self.conversation.ask((turn,))
 
     def end_turn(self, limit_ns: int) -> None:
         """Wait for what the last cycle has asked, for a share of the time to a moment: others are to be asked too."""
         conversation = self.conversation
         now = time.monotonic_ns()
-        serve([conversation], now + round(_TURN_SHARE * (limit_ns - now)), lambda: conversation.is_finished)
-        if not conversation.is_finished:
+        if not serve((conversation,), now + round(_TURN_SHARE * (limit_ns - now))):
             conversation.give_up()
-
-    def _wire_ns(self, *exchanges: Exchange) -> int:
-        if exchanges not in self.wire_times_ns:
-            self.wire_times_ns[exchanges] = round(1e9 * self.wire_s(*exchanges))
-        return self.wire_times_ns[exchanges]
 
     def write(self, axis: str, names: Iterable[str]) -> Exchange:
         """Exchange for a step; each is made once."""
@@ -138,7 +139,7 @@ class Lane:
         limit_s = max(_ATTEMPT_S, 2.0 * (conversation.line.options.reply_limit_s or 0.0))
         for _ in range(attempts):
             conversation.ask(exchanges, done)
-            serve([conversation], time.monotonic_ns() + round(limit_s * 1e9), lambda: conversation.is_finished)
+            serve([conversation], time.monotonic_ns() + round(limit_s * 1e9))
             if is_done:
                 return
             conversation.give_up()
@@ -151,23 +152,48 @@ class Lane:
         )
 
 
-def serve(conversations: Sequence[Conversation], limit_ns: int, is_done: Callable[[], bool]) -> None:
-    """Let conversations go on until ``is_done()``, or until the monotonic clock is at ``limit_ns``."""
+def serve(conversations: Sequence[Conversation], limit_ns: int, *, until_answered: bool = True) -> bool:
+    """Let conversations go on until all has been said, or until the monotonic clock is at ``limit_ns``.
+
+    Parameters
+    ----------
+    conversations : sequence of Conversation
+    limit_ns : int
+        Monotonic time, ns.
+    until_answered : bool
+        Wait for the replies, too, not only until all is sent.
+
+    Returns
+    -------
+    bool
+        Whether that is done.
+    """
     for conversation in conversations:
         conversation.step()
-    while not is_done():
+    while not are_done(conversations, until_answered=until_answered):
         now = time.monotonic_ns()
         if now >= limit_ns:
-            return
+            return False
         next_ns, lines = limit_ns, []
         for conversation in conversations:
-            if (due := conversation.due_ns) is not None and due < next_ns:
+            due = conversation.due_ns
+            if due is not None and due < next_ns:
                 next_ns = due
-            if conversation.line.is_open and not conversation.is_finished:
-                lines.append(conversation.line.descriptor)
-        ready = select.select(lines, (), (), max(0.0, (next_ns - now) * 1e-9))[0]
+            descriptor = conversation.line.descriptor
+            if descriptor >= 0 and (conversation.queue or conversation.awaited):
+                lines.append(descriptor)
+        ready = select.select(lines, (), (), (next_ns - now) * 1e-9 if next_ns > now else 0.0)[0]
         for conversation in conversations:
             if conversation.line.descriptor in ready:
                 conversation.step(is_ready=True)
             elif (due := conversation.due_ns) is not None and due <= time.monotonic_ns():
                 conversation.step()
+    return True
+
+
+def are_done(conversations: Sequence[Conversation], *, until_answered: bool) -> bool:
+    """Whether all has been sent, and answered if that is wanted."""
+    for conversation in conversations:  # noqa: SIM110  asked several times a cycle: no generator
+        if conversation.queue or (until_answered and conversation.awaited):
+            return False
+    return True

@@ -47,18 +47,19 @@ class Image:
     values: dict[str, float] = field(default_factory=dict)
     fresh: set[str] = field(default_factory=set)
 
-    def put(self, name: str, value: float) -> None:
-        """Take a value that was read.
+    def put(self, names: Sequence[str], numbers: Sequence[float]) -> None:
+        """Take numbers that were read together.
 
         Raises
         ------
         ReplyError
-            It is not finite.
+            One of them is not finite; none was taken.
         """
-        if not math.isfinite(value):
-            raise ReplyError(f"{name} is {value}", is_complete=True)
-        self.values[name] = value
-        self.fresh.add(name)
+        if not all(map(math.isfinite, numbers)):
+            listed = ", ".join(f"{n} is {x}" for n, x in zip(names, numbers, strict=True) if not math.isfinite(x))
+            raise ReplyError(listed, is_complete=True)
+        self.values.update(zip(names, numbers, strict=True))
+        self.fresh.update(names)
 
 
 class Exchange(Protocol):
