@@ -184,8 +184,17 @@ class Drives(Protocol):
 class Driver(Protocol):
     """The class that an entry point of ``friction_hil.drivers`` names.
 
-    It may have a classmethod ``check_files(configuration, axes)`` that yields what is wrong with the files that its
-    keys name, and with what can be known from them, as (axis, key, error); nothing is opened for that.
+    It may have these classmethods:
+
+    ``check_files(configuration, axes)``
+        Yields what is wrong with the files that its keys name, and with what can be known from them, as (axis, key,
+        error); nothing is opened for that.
+    ``check_machine(root)``
+        Yields a `friction_hil.findings.Finding` for all that its kind of drive needs of a machine, as the files below
+        ``root`` (a Path, of a real machine ``/``) tell it. Drivers that need the same yield equal ones.
+    ``check_connection(configuration, axes)``
+        Yields a Finding for each thing between the daemon and its drives: what can be told without a byte to them.
+        What ``check_files`` tells is not told again. Ports and buses that are opened for it are given back at once.
     """
 
     Options: "type[BaseModel]"  # the keys of an axis that are the driver's own

@@ -10,9 +10,22 @@ from dataclasses import dataclass
 
 
 class FrictionHilError(Exception):
-    """Base of all errors raised on purpose. The message is a complete sentence for the user."""
+    """Base of all errors raised on purpose. The message is a complete sentence for the user.
+
+    Parameters
+    ----------
+    detail : str
+        What is wrong, and where.
+    fix : str
+        What would mend it, where that is said apart; the message has both.
+    """
 
     exit_status = 1
+
+    def __init__(self, detail: str = "", fix: str = "") -> None:
+        super().__init__(f"{detail}; {fix}" if fix else detail)
+        self.detail = detail
+        self.fix = fix
 
 
 class UsageError(FrictionHilError):

@@ -29,7 +29,7 @@ _HAS_KERNELS = re.compile(rb"@(compiled|inlined)|numba")
 
 
 @cache
-def _cache_folder() -> str | None:
+def cache_folder() -> str | None:
     """Folder for compiled code, or None where none can be written.
 
     numba notices a change in the file of a kernel, not in the files of the kernels that it calls; hence the
@@ -40,13 +40,13 @@ def _cache_folder() -> str | None:
         source = path.read_bytes()
         if _HAS_KERNELS.search(source):
             digest.update(path.name.encode() + b"\0" + source)
-    base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "friction_hil"
-    folder = base / digest.hexdigest()[:16]
     try:
+        base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "friction_hil"
+        folder = base / digest.hexdigest()[:16]
         if not folder.is_dir():
             folder.mkdir(parents=True)
             _remove_stale(base)
-    except OSError:
+    except (OSError, RuntimeError):  # a user that the system does not know has no home
         return None
     return str(folder) if os.access(folder, os.W_OK) else None
 
@@ -75,7 +75,7 @@ def compiled_for_one_sample(function: Function) -> Function:
 
 
 def _compiled(function: Function, **options: Any) -> Function:
-    folder = _cache_folder()
+    folder = cache_folder()
     settings: Any = numba.config
     before = settings.CACHE_DIR
     if folder is not None:

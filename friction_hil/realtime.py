@@ -4,11 +4,17 @@ import contextlib
 import ctypes
 import gc
 import os
+import re
+import resource
 import struct
 import time
 from collections.abc import Iterator
+from pathlib import Path
+
+from friction_hil.findings import Finding, system_text
 
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
+_CAP_IPC_LOCK = 14
 
 
 class RealClock:
@@ -59,7 +65,7 @@ class SteppedClock:
 
 
 @contextlib.contextmanager
-def punctuality(priority: int) -> Iterator[list[str]]:
+def punctuality(priority: int) -> Iterator[list[Finding]]:
     """Ask for everything that makes a process wake up on time, and give it back afterwards.
 
     SCHED_FIFO, locked memory, no garbage collection, no deep sleep of the processor.
@@ -71,44 +77,69 @@ def punctuality(priority: int) -> Iterator[list[str]]:
 
     Yields
     ------
-    list of str
-        What was not granted, in words, with what would help.
+    list of Finding
+        What was granted, and what was not, with what would help.
     """
-    refused: list[str] = []
     if priority == 0:
-        yield refused
+        yield []
         return
     with contextlib.ExitStack() as stack:
-        _lock_memory(refused, stack)
-        try:
-            before = os.sched_getscheduler(0), os.sched_getparam(0)
-            os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
-            stack.callback(os.sched_setscheduler, 0, *before)
-        except OSError as error:
-            refused.append(
-                f"no SCHED_FIFO priority {priority} ({error.strerror}): the loop runs at ordinary priority; "
-                "run as root, or give the user rtprio in /etc/security/limits.conf"
-            )
-        try:
-            # held open, it keeps the processor out of states that take long to wake from
-            latency = os.open("/dev/cpu_dma_latency", os.O_WRONLY)
-            stack.callback(os.close, latency)
-            os.write(latency, struct.pack("i", 0))
-        except OSError as error:
-            refused.append(f"/dev/cpu_dma_latency cannot be held ({error.strerror}): wake-ups may take longer")
+        findings = [_lock_memory(stack), _take_priority(priority, stack), _stay_awake(stack)]
         gc.collect()
         gc.freeze()
         if gc.isenabled():
             gc.disable()
             stack.callback(gc.enable)
         stack.callback(gc.unfreeze)
-        yield refused
+        yield findings
 
 
-def _lock_memory(refused: list[str], stack: contextlib.ExitStack) -> None:
+def _lock_memory(stack: contextlib.ExitStack) -> Finding:
+    check, fix = "memory", "raise memlock in /etc/security/limits.conf (of a container: --ulimit memlock=-1)"
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) != 0:
-        reason = os.strerror(ctypes.get_errno())
-        refused.append(f"memory is not locked ({reason}): raise memlock in /etc/security/limits.conf")
-    else:
-        stack.callback(libc.munlockall)
+        return Finding(check, "warn", f"memory is not locked ({os.strerror(ctypes.get_errno())})", fix)
+    stack.callback(libc.munlockall)
+    limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
+    if limit == resource.RLIM_INFINITY or _may_lock_anything():
+        return Finding(check, "pass", "memory is locked")
+    detail = f"memory is locked, but the limit of {limit / 1e6:.0f} MB leaves little room: more is not granted"
+    return Finding(check, "warn", detail, fix)
+
+
+def _may_lock_anything() -> bool:
+    """Whether the limit is not for this process: it has the capability CAP_IPC_LOCK."""
+    status = system_text(Path("/proc/self/status")) or ""
+    found = re.search(r"^CapEff:\s*([0-9a-f]+)$", status, re.MULTILINE)
+    return found is not None and bool(int(found[1], 16) >> _CAP_IPC_LOCK & 1)
+
+
+def _take_priority(priority: int, stack: contextlib.ExitStack) -> Finding:
+    check = "priority"
+    try:
+        before = os.sched_getscheduler(0), os.sched_getparam(0)
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+    except OSError as error:
+        return Finding(
+            check,
+            "warn",
+            f"no SCHED_FIFO priority {priority} ({error.strerror}): the loop runs at ordinary priority",
+            "run as root (in a container: --cap-add SYS_NICE), or give the user rtprio in /etc/security/limits.conf",
+        )
+    stack.callback(os.sched_setscheduler, 0, *before)
+    return Finding(check, "pass", f"SCHED_FIFO priority {priority} is granted")
+
+
+def _stay_awake(stack: contextlib.ExitStack) -> Finding:
+    check = "processor sleep"
+    try:
+        # held open, it keeps the processor out of states that take long to wake from
+        latency = os.open("/dev/cpu_dma_latency", os.O_WRONLY)
+        stack.callback(os.close, latency)
+        os.write(latency, struct.pack("i", 0))
+    except OSError as error:
+        detail = f"/dev/cpu_dma_latency cannot be held ({error.strerror}): wake-ups may take longer"
+        is_there = not isinstance(error, FileNotFoundError)
+        fix = "run as root, or let a udev rule give the user write access to it"
+        return Finding(check, "warn", detail, fix if is_there else "a container needs --device /dev/cpu_dma_latency")
+    return Finding(check, "pass", "/dev/cpu_dma_latency can be held: the processor stays out of deep sleep")

@@ -88,7 +88,7 @@ def run_session(
     """
     realtime = configuration.realtime
     clock: Clock = SteppedClock() if settings.is_paced_by_sync else RealClock(realtime.spin_us)
-    driver = _only_driver(configuration)
+    driver = only_driver(configuration)
     started_ns = 0 if settings.is_paced_by_sync else time.time_ns()
     path = _recording_path(configuration, settings, started_ns)
     if path is not None:
@@ -119,9 +119,10 @@ def run_session(
             axis.warm_up()
         companion = Companion.start(_job(configuration, settings, path, started_ns, facts, axes, shadows))
         try:
-            with punctuality(0 if settings.is_paced_by_sync else realtime.priority) as refused:
-                for line in refused:
-                    tell(line)
+            with punctuality(0 if settings.is_paced_by_sync else realtime.priority) as findings:
+                for finding in findings:
+                    if finding.result != "pass":
+                        tell(str(finding))
                 loop_settings = LoopSettings(
                     period_s=configuration.period_s,
                     duration_s=settings.duration_s,
@@ -138,10 +139,18 @@ def run_session(
     return SessionResult(result, errors, report)
 
 
-def _only_driver(configuration: "Configuration") -> str:
+def only_driver(configuration: "Configuration") -> str:
+    """Driver of all axes.
+
+    Raises
+    ------
+    UsageError
+        There are several, which one run does not serve.
+    """
     names = sorted({axis.driver for axis in configuration.axes.values()})
     if len(names) > 1:
-        raise UsageError(f"one run drives axes of one driver; this configuration has {', '.join(names)}")
+        detail = f"one run drives axes of one driver, and this configuration has {', '.join(names)}"
+        raise UsageError(detail, "make a configuration of each driver's axes")
     return names[0]
 
 

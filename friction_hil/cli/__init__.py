@@ -28,6 +28,7 @@ COMMANDS = {
     "convert": "Convert a recording, or say what is in it.",
     "study": "Show what each friction model does to a servo.",
     "models": "List the friction models, or describe one.",
+    "doctor": "Tell what keeps the daemon from running, and what mends it.",
     "config": "Check, show and describe configurations.",
 }
 

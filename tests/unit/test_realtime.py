@@ -57,8 +57,8 @@ def _is_open(fd):
 
 def test_nothing_is_asked_for_at_ordinary_priority():
     before = status_of()
-    with punctuality(0) as refused:
-        assert refused == []
+    with punctuality(0) as findings:
+        assert findings == []
         assert status_of() == before
 
 
@@ -66,14 +66,16 @@ def test_nothing_is_asked_for_at_ordinary_priority():
 def test_everything_is_granted_or_told_and_given_back(error):
     before = status_of()
     try:
-        with punctuality(1) as refused:
+        with punctuality(1) as findings:
             inside = status_of()
             if error is not None:
                 raise error
     except RuntimeError:
         pass
     assert status_of() == before
-    text = "\n".join(refused)
+    assert [each.check for each in findings] == ["memory", "priority", "processor sleep"]
+    assert all((each.result == "pass") == (each.fix == "") for each in findings)
+    text = "\n".join(each.detail for each in findings if each.result != "pass")
     scheduler = inside["scheduler"] & ~os.SCHED_RESET_ON_FORK
     assert (scheduler == os.SCHED_FIFO and inside["priority"] == 1) != ("no SCHED_FIFO priority 1" in text)
     assert inside["is_locked"] != ("memory is not locked" in text)

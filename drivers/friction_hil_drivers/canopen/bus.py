@@ -2,10 +2,10 @@
 
 import logging
 import socket
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from friction_hil.errors import BusError, UsageError, choices
+from friction_hil_drivers.canopen import interfaces
 
 if TYPE_CHECKING:
     import can
@@ -39,13 +39,8 @@ def open_bus(config: "BusConfig") -> "can.BusABC":
         python-can has no such interface.
     """
     import can
-    from can.interfaces import VALID_INTERFACES
 
-    if config.interface not in VALID_INTERFACES:
-        raise UsageError(
-            f"bus: python-can has no interface {config.interface!r}; {choices(config.interface, VALID_INTERFACES)}"
-        )
-
+    require_known(config)
     arguments: dict[str, Any] = dict(config.further)
     if config.port is not None:
         arguments["port"] = config.port
@@ -64,7 +59,24 @@ def open_bus(config: "BusConfig") -> "can.BusABC":
         return can.Bus(interface=config.interface, channel=config.channel, ignore_config=True, **arguments)
     except (can.CanError, OSError, ValueError, TypeError, ImportError) as error:
         reason = str(error) or type(error).__name__
-        raise BusError(f"the bus {bus_name(config)} does not open: {reason}{_advice(config)}") from error
+        raise BusError(f"the bus {bus_name(config)} does not open: {reason}", advice(config)) from error
+
+
+def require_known(config: "BusConfig") -> None:
+    """See that python-can has the interface.
+
+    Raises
+    ------
+    UsageError
+        It has not; the message has those that there are.
+    """
+    from can.interfaces import VALID_INTERFACES
+
+    if config.interface not in VALID_INTERFACES:
+        raise UsageError(
+            f"bus.interface: python-can has no interface {config.interface!r}",
+            choices(config.interface, VALID_INTERFACES),
+        )
 
 
 def _require_route(group: str, port: int) -> None:
@@ -76,20 +88,21 @@ def _require_route(group: str, port: int) -> None:
 
 def _require_interface(name: str) -> None:
     """Fail early where a CAN interface is down; the kernel lets it be opened and then delivers nothing."""
-    flags = Path("/sys/class/net") / name / "flags"
-    if flags.exists() and not int(flags.read_text(), 16) & 1:
+    if name not in (each for _, each in socket.if_nameindex()):
+        there = ", ".join(interfaces.there()) or "none"
+        raise OSError(f"there is no interface {name}; CAN interfaces of this machine: {there}")
+    if interfaces.is_up(name) is False:
         raise OSError(f"the interface {name} is down")
 
 
-def _advice(config: "BusConfig") -> str:
-    name = config.channel
+def advice(config: "BusConfig") -> str:
+    """Say what to do about a bus that does not open; nothing where that is not known."""
     if config.interface == "udp_multicast":
-        return ". Where only the loopback interface is up, give multicast a route: ip route add 239.0.0.0/8 dev lo"
+        return "where only the loopback interface is up, give multicast a route: ip route add 239.0.0.0/8 dev lo"
     if config.interface == "socketcan":
-        if str(name).startswith("vcan"):
-            return f". Make it with: ip link add dev {name} type vcan && ip link set {name} up"
-        return (
-            f". Bring it up with: ip link set {name} up type can bitrate {config.bitrate or 1000000}"
-            " (ip link show type can lists the CAN interfaces there are)"
+        name = str(config.channel)
+        is_missing = name not in interfaces.there() and not name.startswith("vcan")
+        return f"{'plug the adapter in, then' if is_missing else 'bring it up with'}: " + interfaces.how_to_bring_up(
+            name, config.bitrate
         )
     return ""

@@ -12,10 +12,11 @@ from typing import TYPE_CHECKING, Any
 
 from friction_hil.drive import AxisFacts, Clock, Command, Feedback, Request
 from friction_hil.errors import BusError, DriveError, FrictionHilError, UsageError
-from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen import interfaces, objects
 from friction_hil_drivers.canopen.axis import CanopenAxis, Handler
 from friction_hil_drivers.canopen.bus import bus_name, open_bus
 from friction_hil_drivers.canopen.bus_log import read_bus_log
+from friction_hil_drivers.canopen.checks import check_connection
 from friction_hil_drivers.canopen.configure import configure
 from friction_hil_drivers.canopen.eds import load_eds
 from friction_hil_drivers.canopen.exclusive import AxisLock
@@ -57,6 +58,9 @@ class CanopenDrives:
                     load_eds(options.eds, options.node)
                 except UsageError as error:
                     yield name, "eds", error
+
+    check_machine = staticmethod(interfaces.check_machine)
+    check_connection = staticmethod(check_connection)
 
     def __init__(
         self,

@@ -36,8 +36,8 @@ class AxisLock:
             owner = os.read(self._descriptor, 32).decode(errors="replace").strip() or "unknown"
             os.close(self._descriptor)
             raise DriveError(
-                f"{axis}: node {node} on {bus_name(bus)} belongs to another daemon already (process {owner}); "
-                "stop that one first"
+                f"{axis}: node {node} on {bus_name(bus)} belongs to another daemon already (process {owner})",
+                "stop that one first",
             ) from None
         os.ftruncate(self._descriptor, 0)
         os.pwrite(self._descriptor, f"{os.getpid()}\n".encode(), 0)

@@ -124,8 +124,8 @@ def wire_time_s(bitrate: int, pdos: Sequence[Pdo]) -> float:
     return (frame_bits(0) + sum(frame_bits(pdo.layout.size) for pdo in pdos)) / bitrate
 
 
-def check_bus_load(bitrate: int, period_s: float, pdos: Sequence[Pdo]) -> None:
-    """Refuse a cycle that does not fit on the wire with some room for SDO, heartbeats and emergencies.
+def check_bus_load(bitrate: int, period_s: float, pdos: Sequence[Pdo]) -> str:
+    """Refuse a cycle that does not fit on the wire with some room for SDO, heartbeats and emergencies; else say it.
 
     Raises
     ------
@@ -137,6 +137,15 @@ def check_bus_load(bitrate: int, period_s: float, pdos: Sequence[Pdo]) -> None:
         sizes = " + ".join(f"{frame_bits(pdo.layout.size)}" for pdo in pdos)
         raise DriveError(
             f"a cycle needs {needed * 1e6:.0f} us on the bus at {bitrate} bit/s (SYNC {frame_bits(0)} + PDOs {sizes} "
-            f"bits with worst-case stuffing), more than 90 % of the period of {period_s * 1e6:.0f} us: "
-            f"take a longer period_s, a higher bit rate, or fewer axes"
+            f"bits with worst-case stuffing), more than 90 % of the period of {period_s * 1e6:.0f} us",
+            "take a longer period_s, a higher bit rate, or fewer axes",
         )
+    return f"a cycle needs {needed * 1e6:.0f} us of {period_s * 1e6:.0f} us on the bus at {bitrate} bit/s"
+
+
+def expected_pdos(mode: Mode) -> list[Pdo]:
+    """PDOs of a drive whose objects have the standard's widths, for arithmetic before it was asked."""
+    return [
+        Pdo(0, entries, pdo_layout(entries, [entry.type.bits for entry in entries]))
+        for entries in (*FEEDBACK, COMMANDS[mode])
+    ]

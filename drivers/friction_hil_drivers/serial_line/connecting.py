@@ -3,12 +3,15 @@
 import itertools
 import statistics
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from friction_hil.drive import AxisFacts, DriveState
 from friction_hil.errors import DriveError, UsageError
+from friction_hil.findings import Finding
+from friction_hil_drivers.serial_line import ports
 from friction_hil_drivers.serial_line.axis import Scales, SerialAxis, make_scales
 from friction_hil_drivers.serial_line.conversation import Conversation
 from friction_hil_drivers.serial_line.description import Description, Step, load_description
@@ -177,7 +180,9 @@ class Connecting:
 
     def _prepare(self, lane: Lane, axis: SerialAxis, description: Description) -> list[str]:
         """Prepare one drive; what the user should know."""
-        notes = [*lane.conversation.line.notes(), *_inferred(description)]
+        notes = [*lane.conversation.line.notes()]
+        if description.inferred:
+            notes.append(str(_sources(axis.name, description)))
         for name in [n for n in description.units() if n in (*FAST, *SLOW, *axis.state_signals)]:
             lane.talk(axis.name, lane.protocol.read(axis.name, (name,)))
         state = axis.read_state()
@@ -195,6 +200,29 @@ class Connecting:
             notes += self._arm_watchdog(lane, axis, description)
         axis.hold()
         return notes
+
+    def line_findings(self, lane: Lane) -> Iterator[Finding]:
+        """Tell what is known beforehand of the time that a cycle takes; nothing is said on the line."""
+        line = lane.conversation.line
+        if (found := ports.latency(ports.name_of(line.options.port))) is not None:
+            needed_s = lane.wire_s(*lane.plan.push, *lane.plan.poll) + line.latency_s
+            if needed_s > self._period_s:
+                detail = f"{found.detail}: with the wire's time a cycle takes {1e3 * needed_s:.3g} ms, the period is "
+                found = replace(found, result="fail", detail=f"{detail}{1e3 * self._period_s:g} ms")
+            yield found
+        if lane.rate:
+            yield Finding(f"rate of {', '.join(axis.name for axis in lane.axes)}", "pass", lane.rate)
+
+    def drive_findings(self, axis: str, description: Description) -> Iterator[Finding]:
+        """Tell what is known beforehand of a drive.
+
+        Raises
+        ------
+        UsageError
+            The time of its watchdog does not fit the period.
+        """
+        yield _sources(axis, description)
+        yield self._watchdog(axis, description)
 
     def _facts(
         self, lane: Lane, axis: SerialAxis, description: Description, delay_s: float, notes: list[str]
@@ -215,17 +243,35 @@ class Connecting:
         )
 
     def _arm_watchdog(self, lane: Lane, axis: SerialAxis, description: Description) -> list[str]:
-        if description.watchdog is None:
-            if self._options[axis.name].is_watchdog_required:
-                raise DriveError(
-                    f"{axis.name}: {description.name} has no communication watchdog in its description: if the daemon "
-                    "dies, its torque stays. Set is_watchdog_required: false to accept that"
-                )
-            return ["the drive does NOT watch the daemon: if the daemon dies, its last torque stays"]
-        time_s = self._watchdog_s(axis.name)
-        for step in watchdog_steps(description, time_s):
-            _write(lane, axis, step)
-        return [f"the drive watches the daemon: {time_s * 1e3:g} ms without a command end its torque"]
+        found = self._watchdog(axis.name, description)
+        if found.result == "fail":
+            raise DriveError(f"{axis.name}: {found.detail}", found.fix)
+        if description.watchdog is not None:
+            for step in watchdog_steps(description, self._watchdog_s(axis.name)):
+                _write(lane, axis, step)
+        return [found.detail]
+
+    def _watchdog(self, axis: str, description: Description) -> Finding:
+        """Tell whether the drive notices a daemon that died."""
+        check = f"{axis}: watchdog"
+        if description.watchdog is not None:
+            time_ms = 1e3 * self._watchdog_s(axis)
+            detail = f"the drive watches the daemon: {time_ms:g} ms without a command end its torque"
+            return Finding(check, "pass", detail)
+        if self._options[axis].is_watchdog_required:
+            return Finding(
+                check,
+                "fail",
+                f"{description.name} has no communication watchdog in its description: if the daemon dies, its torque "
+                "stays",
+                "set is_watchdog_required: false to accept that",
+            )
+        return Finding(
+            check,
+            "warn",
+            "the drive does NOT watch the daemon: if the daemon dies, its last torque stays",
+            "keep the emergency stop in reach",
+        )
 
     def _watchdog_s(self, axis: str) -> float:
         given = self._options[axis].watchdog_s
@@ -331,8 +377,11 @@ def _setpoint_delay_s(actuation_s: float, mode: str, cycles: float | None, perio
     return actuation_s + _INTERPOLATION_CYCLES[mode] * period_s
 
 
-def _inferred(description: Description) -> list[str]:
+def _sources(axis: str, description: Description) -> Finding:
+    """Tell whether a manual was read for all that the description says."""
+    check = f"{axis}: description"
     if not description.inferred:
-        return []
+        return Finding(check, "pass", f"{description.name}: none of its signals is marked as inferred")
     listed = ", ".join(description.inferred)
-    return [f"no manual was read for these of {description.name}; check them first, with --dry-run: {listed}"]
+    detail = f"no manual was read for these of {description.name}: {listed}"
+    return Finding(check, "warn", detail, "check them first, with run --dry-run")

@@ -8,18 +8,23 @@ Several lines are served at once, from one thread.
 """
 
 import contextlib
+import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from friction_hil.drive import AxisFacts, Clock, Command, Feedback, Request
 from friction_hil.errors import BusError, DriveError, FrictionHilError, UsageError
+from friction_hil.findings import Finding, failure
+from friction_hil_drivers.serial_line import ports
 from friction_hil_drivers.serial_line.axis import SerialAxis
-from friction_hil_drivers.serial_line.connecting import Connecting, by_port, descriptions_of
+from friction_hil_drivers.serial_line.connecting import Connecting, by_port, descriptions_of, options_of
 from friction_hil_drivers.serial_line.conversation import Conversation
 from friction_hil_drivers.serial_line.description import Description
 from friction_hil_drivers.serial_line.lane import Lane, are_done, serve
+from friction_hil_drivers.serial_line.line import Line, taken
 from friction_hil_drivers.serial_line.protocol import Exchange, ProtocolFactory
 
 if TYPE_CHECKING:
@@ -59,6 +64,28 @@ class SerialDrives:
                     connecting.lane({name: descriptions[name] for name in names})
                 except FrictionHilError as error:
                     yield names[0], "line", error
+
+    check_machine = staticmethod(ports.check_machine)
+
+    @classmethod
+    def check_connection(cls, configuration: "Configuration", axes: "Mapping[str, AxisConfig]") -> Iterator[Finding]:
+        """Open each line and give it back, and tell what is known of it; see `friction_hil.drive.Driver`."""
+        connecting = Connecting(configuration, axes, cls.protocol, dry_run=False, is_real=False)
+        for names in by_port(axes):
+            of_line = {name: axes[name] for name in names}
+            yield _opened(Line(options_of(of_line[names[0]]).line), of_line)
+            read: dict[str, Description] = {}
+            for name in names:
+                with contextlib.suppress(UsageError):  # here and below: check_files tells it
+                    read |= descriptions_of(
+                        {name: axes[name]}, configuration.source_path, cls.descriptions, cls.description_type
+                    )
+            if len(read) == len(names):
+                with contextlib.suppress(FrictionHilError):
+                    yield from connecting.line_findings(connecting.lane(read))
+            for name, description in read.items():
+                with contextlib.suppress(UsageError):
+                    yield from connecting.drive_findings(name, description)
 
     def __init__(
         self, configuration: "Configuration", axes: "Mapping[str, AxisConfig]", clock: Clock, *, dry_run: bool
@@ -193,3 +220,23 @@ class SerialDrives:
         with contextlib.suppress(BusError, DriveError):
             if lane.conversation.line.is_open:
                 lane.talk(axis, exchange, attempts=1)
+
+
+def _opened(line: Line, axes: "Mapping[str, AxisConfig]") -> Finding:
+    """Open a line as the daemon does, and give it back; one that somebody else has is left alone."""
+    port = line.options.port
+    check = f"line of {', '.join(axes)}"
+    try:
+        # not each program locks a port; to open it would already change its settings
+        if not line.options.is_tcp and (others := ports.holders(port)):
+            raise taken(port, others)
+        line.open()
+    except FrictionHilError as error:
+        found = failure(check, error)
+        is_missing = isinstance(error, BusError) and (line.options.is_tcp or not os.path.exists(port))
+        if is_missing and any(axis.simulation is not None for axis in axes.values()):
+            found = replace(found, fix=f"{found.fix}; or start friction-hil simulate with this configuration")
+        return found
+    finally:
+        line.close()
+    return Finding(check, "pass", f"somebody listens at {port}" if line.options.is_tcp else f"{port} can be opened")

@@ -5,6 +5,7 @@ import errno
 import os
 import select
 import socket
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +13,12 @@ import serial
 from serial.rs485 import RS485Settings
 
 from friction_hil.errors import BusError, UsageError
+from friction_hil_drivers.serial_line import ports
 from friction_hil_drivers.serial_line.options import TCP, LineOptions
 
 _CONNECT_S = 2.0
 _AT_ONCE = 4096  # bytes
 _PARITY = {"none": serial.PARITY_NONE, "even": serial.PARITY_EVEN, "odd": serial.PARITY_ODD}
-_GOOD_LATENCY_MS = 1
 
 
 class LineGoneError(Exception):
@@ -59,7 +60,8 @@ class Line:
                 self._take_socket(connection)
             except OSError as error:
                 raise BusError(
-                    f"{self.options.port}: no connection: {_reason(error)}; is it listening there?"
+                    f"{self.options.port}: no connection: {_reason(error)}",
+                    "see whether the drive is on, and listens there",
                 ) from error
         else:
             self._open_port()
@@ -76,15 +78,15 @@ class Line:
                 exclusive=True,
             )
         except (OSError, ValueError) as error:  # serial.SerialException is an OSError
-            raise BusError(f"{options.port} cannot be opened: {_serial_reason(options.port, error)}") from error
+            raise _refusal(options.port, error) from error
         if options.is_rs485:
             try:
                 port.rs485_mode = RS485Settings()
             except (OSError, ValueError) as error:
                 port.close()
                 raise BusError(
-                    f"{options.port} cannot switch the direction of an RS-485 line ({error}): adapters that do it by "
-                    "themselves need is_rs485: false"
+                    f"{options.port} cannot switch the direction of an RS-485 line ({error})",
+                    "adapters that do it by themselves need is_rs485: false",
                 ) from error
         self._port, self.descriptor, self.is_open = port, port.fileno(), True
         self._hang_up.register(self.descriptor, 0)
@@ -97,20 +99,12 @@ class Line:
     @property
     def latency_s(self) -> float:
         """Time for which a USB adapter holds short replies back; 0 where nothing says so."""
-        name = Path(self.options.port).resolve().name
-        with contextlib.suppress(OSError, ValueError):
-            return 1e-3 * int(Path(f"/sys/bus/usb-serial/devices/{name}/latency_timer").read_text())
-        return 0.0
+        return ports.latency_s(ports.name_of(self.options.port)) or 0.0
 
     def notes(self) -> list[str]:
         """What slows the line down, for people."""
-        name = Path(self.options.port).resolve().name
-        if (latency_ms := round(1e3 * self.latency_s)) > _GOOD_LATENCY_MS:
-            return [
-                f"the USB adapter {name} holds short replies back for {latency_ms} ms; as root: "
-                f"echo 1 > /sys/bus/usb-serial/devices/{name}/latency_timer"
-            ]
-        return []
+        found = ports.latency(ports.name_of(self.options.port))
+        return [] if found is None or found.result == "pass" else [str(found)]
 
     def read(self, *, is_ready: bool = True) -> bytes:
         """Return what has arrived, nothing where that is nothing.
@@ -214,15 +208,26 @@ def _reason(error: OSError) -> str:
     return error.strerror or str(error) or type(error).__name__
 
 
-def _serial_reason(port: str, error: Exception) -> str:
+def _refusal(port: str, error: Exception) -> BusError:
+    """Say why a serial port does not open."""
     number = getattr(error, "errno", None)
     if number == errno.EACCES:
-        return "permission denied: add the user to the group dialout (and log in again)"
+        return BusError(f"{port} cannot be opened: permission denied", ports.how_to_be_let_in(Path(port)))
     if number == errno.ENOENT:
-        from serial.tools.list_ports import comports
-
-        there = ", ".join(info.device for info in comports()) or "none"
-        return f"there is no such port; serial ports of this machine: {there}"
+        there = ", ".join(ports.there()) or "none"
+        return BusError(
+            f"{port} cannot be opened: there is no such port; serial ports of this machine: {there}",
+            "plug the adapter in, or correct line.port",
+        )
     if "exclusively lock" in str(error):
-        return "another process has it: two masters must not talk on one line"
-    return str(error)
+        return taken(port, ports.holders(port))
+    return BusError(
+        f"{port} cannot be opened: {error}", "is it a serial port? dmesg tells what is known of its adapter"
+    )
+
+
+def taken(port: str, holders: Sequence[str]) -> BusError:
+    """Error of a port that somebody else has; ``holders`` are those processes, as far as they are known."""
+    who = f" ({', '.join(holders)})" if holders else ""
+    detail = f"{port} cannot be opened: another process has it{who}: two masters must not talk on one line"
+    return BusError(detail, "end that one first")

@@ -1,0 +1,72 @@
+"""What can be told of a CAN bus and its drives before anything is said on it."""
+
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from friction_hil.drive import Mode
+from friction_hil.errors import DriveError, FrictionHilError
+from friction_hil.findings import Finding, failure
+from friction_hil_drivers.canopen import interfaces
+from friction_hil_drivers.canopen.bus import bus_name, open_bus, require_known
+from friction_hil_drivers.canopen.exclusive import AxisLock
+from friction_hil_drivers.canopen.mapping import check_bus_load, expected_pdos
+from friction_hil_drivers.canopen.options import CanopenOptions
+
+if TYPE_CHECKING:
+    from friction_hil.config import AxisConfig, BusConfig, Configuration
+
+_SILENT = ("socketcan", "udp_multicast", "virtual")  # to open these changes nothing for anybody
+
+
+def check_connection(configuration: "Configuration", axes: "Mapping[str, AxisConfig]") -> Iterator[Finding]:
+    """Tell how the bus is, whether the cycle fits on it, and whose the drives are; see `friction_hil.drive.Driver`."""
+    config = configuration.bus
+    assert config is not None  # the driver's options have checked it
+    opened = _opened(config)
+    yield opened
+    if config.interface == "socketcan" and opened.result == "pass":
+        name = str(config.channel)
+        yield interfaces.check_interface(name, interfaces.ask_ip(name), config.bitrate)
+    if config.bitrate is not None:
+        yield _load(config.bitrate, configuration.period_s, axes)
+    for name, axis in axes.items():
+        yield _owner(config, name, axis)
+
+
+def _opened(config: "BusConfig") -> Finding:
+    check = "bus"
+    try:
+        require_known(config)
+        if config.interface in _SILENT:
+            open_bus(config).shutdown()
+            return Finding(check, "pass", f"{bus_name(config)} can be opened")
+    except FrictionHilError as error:
+        return failure(check, error)
+    device = Path(str(config.channel))
+    if device.is_absolute() and not os.access(device, os.R_OK | os.W_OK):
+        reason = "permission denied" if device.exists() else "there is no such device"
+        return Finding(check, "fail", f"{device}: {reason}", "plug the adapter in, and see who may open it: ls -l /dev")
+    detail = f"{bus_name(config)} is not opened here: such an adapter takes part in the bus as soon as it is"
+    return Finding(check, "warn", detail, "friction-hil run with --dry-run opens it, and commands nothing")
+
+
+def _load(bitrate: int, period_s: float, axes: "Mapping[str, AxisConfig]") -> Finding:
+    pdos = [pdo for axis in axes.values() for pdo in expected_pdos(Mode[axis.mode.upper()])]
+    try:
+        return Finding("bus load", "pass", check_bus_load(bitrate, period_s, pdos))
+    except DriveError as error:
+        return failure("bus load", error)
+
+
+def _owner(config: "BusConfig", name: str, axis: "AxisConfig") -> Finding:
+    """Tell whether a daemon of this machine drives the axis: it would be refused to another one."""
+    options = axis.options
+    assert isinstance(options, CanopenOptions)
+    check = f"{name}: node {options.node}"
+    try:
+        AxisLock(config, options.node, name).release()
+    except DriveError as error:
+        return failure(check, error)
+    return Finding(check, "pass", "no other daemon of this machine drives it")

@@ -1,0 +1,126 @@
+"""The serial ports of a machine, as its kernel tells them; nothing is opened for it.
+
+Functions take the root of the file system, so that a test can lay out a machine of its own.
+"""
+
+import contextlib
+import grp
+import os
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+from friction_hil.findings import Finding, system_text
+
+_ROOT = Path("/")
+_GOOD_LATENCY_MS = 1
+_USUAL_GROUPS = ("dialout", "uucp")
+_PSEUDO_TERMINAL = re.compile(r"/dev/pts/(\d+)")
+
+
+def there(root: Path = _ROOT) -> list[str]:
+    """Devices of the serial ports that there are: ``/dev/ttyUSB0``."""
+    return [
+        f"/dev/{entry.name}"
+        for entry in sorted(root.glob("sys/class/tty/*"))
+        # consoles have no device; a port that the kernel keeps room for, without any hardware, has type 0
+        if (entry / "device").exists() and system_text(entry / "type") != "0"
+    ]
+
+
+def name_of(port: str) -> str:
+    """Name by which the kernel knows a port that may be given by a link to it: ``ttyUSB0``."""
+    return Path(port).resolve().name
+
+
+def latency_s(name: str, root: Path = _ROOT) -> float | None:
+    """Time for which the USB adapter ``name`` holds short replies back; None where nothing says so."""
+    text = system_text(_timer(name, root))
+    return 1e-3 * int(text) if text and text.isdecimal() else None
+
+
+def latency(name: str, root: Path = _ROOT) -> Finding | None:
+    """Tell whether the USB adapter ``name`` holds replies back; None where it has no such timer."""
+    held_s = latency_s(name, root)
+    if held_s is None:
+        return None
+    check, latency_ms = f"latency of {name}", round(1e3 * held_s)
+    detail = f"the USB adapter {name} holds short replies back for {latency_ms} ms"
+    if latency_ms <= _GOOD_LATENCY_MS:
+        return Finding(check, "pass", detail)
+    return Finding(check, "warn", detail, f"as root: echo {_GOOD_LATENCY_MS} > {_timer(name, _ROOT)}")
+
+
+def _timer(name: str, root: Path) -> Path:
+    return root / "sys/bus/usb-serial/devices" / name / "latency_timer"
+
+
+def how_to_be_let_in(device: Path | None = None) -> str:
+    """Say what gives the user the right to open a port; of which group it is, where there is one."""
+    group = _USUAL_GROUPS[0]
+    with contextlib.suppress(OSError, KeyError):
+        if device is not None:
+            group = grp.getgrgid(device.stat().st_gid).gr_name
+    if group == "root":
+        return f"let a udev rule give {device} to the group {_USUAL_GROUPS[0]}, and add the user to it"
+    return f"add the user to the group {group} (and log in again)"
+
+
+def check_machine(root: Path) -> Iterator[Finding]:
+    """Tell which serial ports there are, whether the user may open them, and what slows them down."""
+    devices = there(root)
+    if devices:
+        yield Finding("serial ports", "pass", ", ".join(devices))
+    else:
+        yield Finding(
+            "serial ports",
+            "warn",
+            "none, which only drives on serial lines need",
+            "plug the adapter in (a container needs --device /dev/ttyUSB0); dmesg tells whether the kernel knows it",
+        )
+    yield _permission([root / device.removeprefix("/") for device in devices])
+    for device in devices:
+        if (found := latency(name_of(device), root)) is not None:
+            yield found
+
+
+def _permission(devices: list[Path]) -> Finding:
+    check = "right to open serial ports"
+    closed = [device for device in devices if not os.access(device, os.R_OK | os.W_OK)]
+    if closed:
+        listed = ", ".join(f"/dev/{device.name}" for device in closed)
+        return Finding(check, "warn", f"permission denied: {listed}", how_to_be_let_in(closed[0]))
+    if devices:
+        return Finding(check, "pass", "the user may open all of them")
+    if os.geteuid() == 0:
+        return Finding(check, "pass", "the user is root")
+    groups = {entry.gr_name for entry in grp.getgrall() if entry.gr_gid in (*os.getgroups(), os.getegid())}
+    own = [group for group in _USUAL_GROUPS if group in groups]
+    if own:
+        return Finding(check, "pass", f"the user is in the group {own[0]}")
+    return Finding(check, "warn", "the user is not in the group dialout", how_to_be_let_in())
+
+
+def holders(port: str) -> list[str]:
+    """Processes that have a port open, as far as this user may know: ``process 4711 (minicom)``.
+
+    Whoever has the other end of a pseudo-terminal is the drive, not another master.
+    """
+    device = os.path.realpath(port)
+    pseudo = _PSEUDO_TERMINAL.fullmatch(device)
+    found = []
+    for process in Path("/proc").glob("[0-9]*"):
+        if int(process.name) == os.getpid():
+            continue
+        with contextlib.suppress(OSError):  # it has ended, or belongs to somebody else
+            opened = {entry.name: os.readlink(entry) for entry in (process / "fd").iterdir()}
+            if device in opened.values() and not (pseudo and _has_master(process, opened, pseudo[1])):
+                found.append(f"process {process.name}, {system_text(process / 'comm') or 'unknown'}")
+    return found
+
+
+def _has_master(process: Path, opened: dict[str, str], index: str) -> bool:
+    """Whether a process has the other end of the pseudo-terminal number ``index``."""
+    masters = [number for number, target in opened.items() if target.endswith("/ptmx")]
+    told = [system_text(process / "fdinfo" / number) or "" for number in masters]
+    return any(re.search(rf"^tty-index:\s*{index}$", text, re.MULTILINE) for text in told)
