@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from friction_hil.cli.output import console, option_json, print_json
+from friction_hil.cli.output import console, print_json
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -19,7 +19,7 @@ _INDENT = " " * 6
 
 @click.command("doctor")
 @click.argument("config", required=False, type=click.Path(path_type=Path))
-@option_json
+@click.option("--json", "as_json", is_flag=True, help="Print one JSON list on stdout, nothing else.")
 def command(config: Path | None, as_json: bool) -> int:
     """Tell what this machine lacks for the daemon, and what stands between CONFIG and its drives.
 

@@ -200,7 +200,7 @@ def tcp_address(port: str) -> tuple[str, int]:
     """
     host, _, number = port.removeprefix(TCP).rpartition(":")
     if not host or not number.isdigit() or not 0 < int(number) < 0x10000:
-        raise UsageError(f"line.port: {port!r} is no {TCP}HOST:PORT, e.g. {TCP}192.168.0.5:502")
+        raise UsageError(f"line.port: {port!r} is no {TCP}HOST:PORT", f"an example: {TCP}192.168.0.5:502")
     return host.strip("[]"), int(number)
 
 

@@ -1,0 +1,90 @@
+"""CAN interfaces as the kernel and ``ip`` tell them."""
+
+import json
+
+import pytest
+from friction_hil_drivers.canopen import interfaces
+from friction_hil_drivers.canopen.interfaces import Link, check_interface, check_machine, parse
+
+from tests.system_files import lay
+
+GOOD = Link("can", 500_000, "ERROR-ACTIVE")
+
+
+def told(kind="can", **data):
+    """What ``ip -json -details link show`` prints, as far as it matters here."""
+    link = {"ifname": "can0", "flags": ["NOARP", "UP"], "linkinfo": {"info_kind": kind, "info_data": data}}
+    return json.dumps([link])
+
+
+@pytest.mark.parametrize(
+    ("text", "link"),
+    [
+        (told(state="ERROR-ACTIVE", bittiming={"bitrate": 500000, "sample_point": "0.875"}), GOOD),
+        (told(state="ERROR-ACTIVE", bittiming_bitrate=500000, bitrate_const=[125000, 500000]), GOOD),
+        (told(state="STOPPED"), Link("can", None, "STOPPED")),
+        (json.dumps([{"ifname": "vcan0", "linkinfo": {"info_kind": "vcan"}}]), Link("vcan")),
+        (json.dumps([{"ifname": "eth0"}]), Link()),
+        ("[]", Link()),
+        ("", Link()),
+        ("Option '-json' is unknown", Link()),
+        ('{"linkinfo": []}', Link()),
+    ],
+)
+def test_what_ip_prints(text, link):
+    assert parse(text) == link
+
+
+def interface(root, name="can0", *, is_up=True, kind="280"):
+    return lay(root, **{f"sys__class__net__{name}__type": kind, f"sys__class__net__{name}__flags": hex(0x40C0 | is_up)})
+
+
+def test_interfaces_are_told_apart_from_others_and_each_is_told(tmp_path):
+    interface(tmp_path)
+    interface(tmp_path, "can1", is_up=False)
+    interface(tmp_path, "eth0", kind="1")
+    asked = []
+
+    def ask(name):
+        asked.append(name)
+        return GOOD
+
+    up, down = check_machine(tmp_path, ask)
+    assert asked == ["can0", "can1"] == interfaces.there(tmp_path)
+    assert (up.check, up.result, up.detail) == ("CAN interface can0", "pass", "up, 500000 bit/s, ERROR-ACTIVE")
+    assert (down.check, down.result) == ("CAN interface can1", "warn")
+    assert down.fix == "ip link set can1 up type can bitrate 500000"
+
+
+def test_a_machine_without_any_is_told_as_that(tmp_path):
+    (found,) = check_machine(tmp_path, lambda name: GOOD)
+    assert (found.result, found.fix != "") == ("warn", True)
+
+
+@pytest.mark.parametrize(
+    ("link", "bitrate", "result", "text"),
+    [
+        (GOOD, 500_000, "pass", "up, 500000 bit/s, ERROR-ACTIVE"),
+        (GOOD, None, "pass", "up, 500000 bit/s, ERROR-ACTIVE"),
+        (GOOD, 1_000_000, "fail", "it runs at 500000 bit/s, the configuration says 1000000"),
+        (Link("can", 500_000, "BUS-OFF"), 500_000, "fail", "BUS-OFF"),
+        (Link("can", 500_000, "ERROR-PASSIVE"), 500_000, "warn", "ERROR-PASSIVE"),
+        (Link(), 500_000, "warn", "bit rate not told by this system"),
+        (Link("vcan"), None, "pass", "up"),
+    ],
+)
+def test_an_interface_beside_its_configuration(tmp_path, link, bitrate, result, text):
+    found = check_interface("can0", link, bitrate, interface(tmp_path))
+    assert found.result == result
+    assert text in found.detail
+    assert bool(found.fix) == (result != "pass")
+
+
+def test_what_no_configuration_needs_yet_does_not_fail(tmp_path):
+    (found,) = check_machine(interface(tmp_path), lambda name: Link("can", 500_000, "BUS-OFF"))
+    assert found.result == "warn"
+
+
+def test_an_interface_that_is_down_is_brought_up_not_made(tmp_path):
+    found = check_interface("vcan3", Link("vcan"), None, interface(tmp_path, "vcan3", is_up=False))
+    assert (found.result, found.fix) == ("warn", "ip link set vcan3 up")

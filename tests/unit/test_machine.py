@@ -1,0 +1,88 @@
+"""What a machine offers a punctual loop, told from files that a test lays out."""
+
+import pytest
+
+from friction_hil import machine
+from tests.system_files import lay
+
+VERSION = "proc__sys__kernel__version"
+
+
+@pytest.mark.parametrize(
+    ("files", "result", "text"),
+    [
+        ({VERSION: "#1 SMP PREEMPT_RT Debian 6.1.76-1 (2024-02-01)\n"}, "pass", "PREEMPT_RT"),
+        ({VERSION: "#1 SMP PREEMPT RT Debian 4.19.1\n"}, "pass", "PREEMPT_RT"),
+        ({VERSION: "#1 SMP Debian\n", "sys__kernel__realtime": "1\n"}, "pass", "PREEMPT_RT"),
+        ({VERSION: "#1 SMP PREEMPT_DYNAMIC Debian\n", "sys__kernel__realtime": "0\n"}, "warn", "(PREEMPT_DYNAMIC)"),
+        (
+            {
+                VERSION: "#1 SMP PREEMPT_DYNAMIC Debian\n",
+                "sys__kernel__debug__sched__preempt": "none (voluntary) full\n",
+            },
+            "warn",
+            "(PREEMPT_DYNAMIC, set to voluntary)",
+        ),
+        ({VERSION: "#1 SMP PREEMPT Debian\n"}, "warn", "(PREEMPT)"),
+        ({VERSION: "#1 SMP Debian 5.10 (2021-01-01)\n"}, "warn", "(not preemptible)"),
+        ({}, "warn", "preemption model: not told by this system"),
+    ],
+)
+def test_the_preemption_model(tmp_path, files, result, text):
+    found = machine.preemption(lay(tmp_path, **files))
+    assert found.result == result
+    assert text in found.detail
+    assert bool(found.fix) == (result != "pass")
+
+
+def governors(root, *names):
+    for number, name in enumerate(names):
+        lay(root, **{f"sys__devices__system__cpu__cpu{number}__cpufreq__scaling_governor": f"{name}\n"})
+    lay(root, sys__devices__system__cpu__cpufreq__boost="1\n")  # beside them, and no processor
+    return root
+
+
+def test_processors_that_never_slow_down_pass(tmp_path):
+    found = machine.processor_clock(governors(tmp_path, "performance", "performance"))
+    assert (found.result, found.detail) == ("pass", "frequency governor: performance (2 processors)")
+
+
+def test_one_processor_that_slows_down_is_enough_for_a_warning(tmp_path):
+    found = machine.processor_clock(governors(tmp_path, "performance", "powersave", "performance"))
+    assert found.result == "warn"
+    assert "performance (2 processors), powersave (1 processors)" in found.detail
+    assert "echo performance" in found.fix
+
+
+def test_no_governor_is_not_told_rather_than_good(tmp_path):
+    found = machine.processor_clock(governors(tmp_path))
+    assert found.result == "warn"
+    assert "not told by this system" in found.detail
+
+
+def test_compiled_kernels(tmp_path):
+    assert machine.compiled_kernels(None).result == "warn"
+    assert "XDG_CACHE_HOME" in machine.compiled_kernels(None).fix
+    assert "none yet" in machine.compiled_kernels(str(tmp_path)).detail
+    lay(tmp_path, a__kernel__nbi="", **{"a__step.1.nbc": "", "b__run.1.nbc": ""})
+    found = machine.compiled_kernels(str(tmp_path))
+    assert (found.result, found.detail) == ("pass", f"2 are kept in {tmp_path}")
+
+
+def test_a_recording_goes_into_a_folder_that_is_not_there_yet_and_is_not_made(tmp_path):
+    found = machine.recording_folder(tmp_path / "new" / "deep" / "run.mcap")
+    assert found.result == "pass"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_recording_below_a_file_cannot_be_written(tmp_path):
+    (tmp_path / "out").write_text("")
+    found = machine.recording_folder(tmp_path / "out" / "run.mcap")
+    assert found.result == "fail"
+    assert f"{tmp_path / 'out'} is no folder" in found.detail
+
+
+def test_a_disk_that_is_nearly_full_is_told(tmp_path, monkeypatch):
+    monkeypatch.setattr(machine, "_LEAST_FREE_BYTES", 1 << 62)
+    found = machine.recording_folder(tmp_path / "run.mcap")
+    assert (found.result, found.fix != "") == ("warn", True)
