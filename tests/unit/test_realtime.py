@@ -1,10 +1,14 @@
 """Clocks, and what is asked of the operating system: nothing here waits for time to pass."""
 
+import ctypes
+import errno
 import gc
 import os
+import resource
 
 import pytest
 
+from friction_hil import realtime
 from friction_hil.realtime import RealClock, SteppedClock, punctuality
 
 
@@ -82,6 +86,40 @@ def test_everything_is_granted_or_told_and_given_back(error):
     assert inside["is_latency_held"] != ("/dev/cpu_dma_latency cannot be held" in text)
     assert inside["is_frozen"]
     assert not inside["is_collecting"]
+
+
+class _Memory:
+    """The C library's, as far as it locks memory."""
+
+    def __init__(self, refusal):
+        self._refusal = refusal
+        self.munlockall = lambda: 0
+
+    def mlockall(self, flags):
+        ctypes.set_errno(self._refusal)
+        return -1 if self._refusal else 0
+
+
+@pytest.mark.parametrize(
+    ("refusal", "limit", "is_capable", "result", "detail"),
+    [
+        (errno.ENOMEM, 8e6, False, "warn", "memory is not locked (Cannot allocate memory)"),
+        (0, 8e6, False, "warn", "memory is locked, but the limit of 8 MB leaves little room"),
+        (0, 8e6, True, "pass", "memory is locked"),
+        (0, resource.RLIM_INFINITY, False, "pass", "memory is locked"),
+    ],
+)
+def test_memory_that_may_run_out_is_told(monkeypatch, refusal, limit, is_capable, result, detail):
+    """Locked memory within a limit is worse than it looks: what the loop asks for beyond it, it does not get."""
+    monkeypatch.setattr(realtime.ctypes, "CDLL", lambda *_, **__: _Memory(refusal))
+    monkeypatch.setattr(realtime.resource, "getrlimit", lambda which: (limit, limit))
+    status = f"Name:\tpython\nCapInh:\t{0:016x}\nCapEff:\t{is_capable << 14:016x}\n"
+    monkeypatch.setattr(realtime, "system_text", lambda path: status)
+    with punctuality(1) as findings:
+        found = next(each for each in findings if each.check == "memory")
+    assert found.result == result
+    assert found.detail.startswith(detail)
+    assert ("memlock" in found.fix) == (result == "warn")
 
 
 def test_a_collector_that_was_off_stays_off():

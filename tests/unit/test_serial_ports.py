@@ -94,7 +94,7 @@ def test_the_process_that_has_a_port_is_named_and_the_drive_behind_it_is_not(tmp
     link.symlink_to(os.ttyname(slave))
     started = []
     try:
-        assert ports.holders(str(link)) == []  # this process does not count
+        assert ports.holders(str(link)) == []  # this process has both ends
         drive = subprocess.Popen(["sleep", "60"], stdin=slave, pass_fds=[master])
         started.append(drive)
         assert ports.holders(str(link)) == []

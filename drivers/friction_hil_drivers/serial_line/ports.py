@@ -110,8 +110,6 @@ def holders(port: str) -> list[str]:
     pseudo = _PSEUDO_TERMINAL.fullmatch(device)
     found = []
     for process in Path("/proc").glob("[0-9]*"):
-        if int(process.name) == os.getpid():
-            continue
         with contextlib.suppress(OSError):  # it has ended, or belongs to somebody else
             opened = {entry.name: os.readlink(entry) for entry in (process / "fd").iterdir()}
             if device in opened.values() and not (pseudo and _has_master(process, opened, pseudo[1])):
