@@ -4,8 +4,11 @@ import json
 
 import pytest
 from friction_hil_drivers.canopen import interfaces
+from friction_hil_drivers.canopen.bus import open_bus
 from friction_hil_drivers.canopen.interfaces import Link, check_interface, check_machine, parse
 
+from friction_hil.config import BusConfig
+from friction_hil.errors import BusError
 from tests.system_files import lay
 
 GOOD = Link("can", 500_000, "ERROR-ACTIVE")
@@ -88,3 +91,17 @@ def test_what_no_configuration_needs_yet_does_not_fail(tmp_path):
 def test_an_interface_that_is_down_is_brought_up_not_made(tmp_path):
     found = check_interface("vcan3", Link("vcan"), None, interface(tmp_path, "vcan3", is_up=False))
     assert (found.result, found.fix) == ("warn", "ip link set vcan3 up")
+
+
+@pytest.mark.parametrize(
+    ("name", "fix"),
+    [
+        ("vcan77", "bring it up with: ip link add dev vcan77 type vcan && ip link set vcan77 up"),
+        ("can77", "plug the adapter in, then: ip link set can77 up type can bitrate 250000"),
+    ],
+)
+def test_a_bus_without_its_interface_says_what_makes_one(name, fix):
+    config = BusConfig(interface="socketcan", channel=name, bitrate=250_000)
+    with pytest.raises(BusError, match=f"there is no interface {name}; CAN interfaces of this machine: ") as caught:
+        open_bus(config)
+    assert caught.value.fix == fix

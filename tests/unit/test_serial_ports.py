@@ -39,6 +39,16 @@ def test_a_machine_without_ports_is_told_as_that(tmp_path):
     assert right.result == "pass" if os.geteuid() == 0 else right.check == "right to open serial ports"
 
 
+def test_a_port_that_only_the_kernel_knows_is_not_one_without_permission(port):
+    root = port()
+    port("ttyACM0")
+    (root / "dev" / "ttyACM0").unlink()
+    first, right = ports.check_machine(root)
+    assert (first.result, first.detail) == ("warn", "/dev/ttyACM0, /dev/ttyUSB0; but /dev has no /dev/ttyACM0")
+    assert first.fix == "a container needs --device /dev/ttyACM0"
+    assert right.detail == "the user may open all of them"
+
+
 @pytest.mark.parametrize(("groups", "result"), [((), "warn"), ((20,), "pass")])
 def test_without_ports_the_group_tells_who_may_open_one(tmp_path, monkeypatch, groups, result):
     class Dialout:

@@ -101,8 +101,7 @@ def advice(config: "BusConfig") -> str:
         return "where only the loopback interface is up, give multicast a route: ip route add 239.0.0.0/8 dev lo"
     if config.interface == "socketcan":
         name = str(config.channel)
-        is_missing = name not in interfaces.there() and not name.startswith("vcan")
-        return f"{'plug the adapter in, then' if is_missing else 'bring it up with'}: " + interfaces.how_to_bring_up(
-            name, config.bitrate
-        )
+        is_there = name in interfaces.there()
+        first = "bring it up with" if is_there or name.startswith("vcan") else "plug the adapter in, then"
+        return f"{first}: {interfaces.how_to_bring_up(name, config.bitrate, is_there=is_there)}"
     return ""

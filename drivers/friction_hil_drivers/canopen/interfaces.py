@@ -43,10 +43,11 @@ def is_up(name: str, root: Path = _ROOT) -> bool | None:
     return None if flags is None else bool(int(flags, 16) & _IFF_UP)
 
 
-def how_to_bring_up(name: str, bitrate: int | None) -> str:
-    """Command that makes an interface usable."""
+def how_to_bring_up(name: str, bitrate: int | None, *, is_there: bool = True) -> str:
+    """Command that makes an interface usable; a virtual one that is not there is made first."""
     if name.startswith("vcan"):
-        return f"ip link add dev {name} type vcan && ip link set {name} up"
+        made = "" if is_there else f"ip link add dev {name} type vcan && "
+        return f"{made}ip link set {name} up"
     return f"ip link set {name} up type can bitrate {bitrate or _USUAL_BITRATE}"
 
 
@@ -84,7 +85,7 @@ def check_machine(root: Path, ask: Callable[[str], Link] = ask_ip) -> Iterator[F
             "CAN interfaces",
             "warn",
             "none, which only CANopen drives on SocketCAN need",
-            f"plug the adapter in; to try things out: modprobe vcan && {how_to_bring_up('vcan0', None)}",
+            f"plug the adapter in; to try things out: modprobe vcan && {how_to_bring_up('vcan0', None, is_there=False)}",
         )
     for name in names:
         found = check_interface(name, ask(name), None, root)
@@ -95,7 +96,7 @@ def check_interface(name: str, link: Link, bitrate: int | None, root: Path = _RO
     """Tell how an interface is, beside the ``bitrate`` that a configuration says of it."""
     check = f"CAN interface {name}"
     if not is_up(name, root):
-        return Finding(check, "warn", "it is down", how_to_bring_up(name, link.bitrate or bitrate).rpartition("&& ")[2])
+        return Finding(check, "warn", "it is down", how_to_bring_up(name, link.bitrate or bitrate))
     if link.state == _DEAD_STATE:
         detail = "BUS-OFF: after too many errors the controller takes no part in the bus"
         return Finding(check, "fail", detail, f"see to wires and bit rate; then: ip link set {name} type can restart")

@@ -69,7 +69,11 @@ def how_to_be_let_in(device: Path | None = None) -> str:
 def check_machine(root: Path) -> Iterator[Finding]:
     """Tell which serial ports there are, whether the user may open them, and what slows them down."""
     devices = there(root)
-    if devices:
+    missing = [device for device in devices if not (root / device.removeprefix("/")).exists()]
+    if missing:  # a container sees the host's kernel, not its devices
+        detail = f"{', '.join(devices)}; but /dev has no {', '.join(missing)}"
+        yield Finding("serial ports", "warn", detail, f"a container needs --device {missing[0]}")
+    elif devices:
         yield Finding("serial ports", "pass", ", ".join(devices))
     else:
         yield Finding(
@@ -78,7 +82,7 @@ def check_machine(root: Path) -> Iterator[Finding]:
             "none, which only drives on serial lines need",
             "plug the adapter in (a container needs --device /dev/ttyUSB0); dmesg tells whether the kernel knows it",
         )
-    yield _permission([root / device.removeprefix("/") for device in devices])
+    yield _permission([root / device.removeprefix("/") for device in devices if device not in missing])
     for device in devices:
         if (found := latency(name_of(device), root)) is not None:
             yield found
