@@ -330,7 +330,7 @@ def test_a_tcp_port_at_which_nobody_listens(tmp_path):
     configuration = write_serial_configuration(tmp_path, "modbus tcp")
     status, text = refused(configuration)
     assert status == 1
-    assert text.startswith(f"Error: {port_in(configuration)}: no connection: Connection refused; is it listening")
+    assert text.startswith(f"Error: {port_in(configuration)}: no connection: Connection refused; see whether")
 
 
 def test_a_period_that_the_wire_does_not_allow_is_refused_with_the_arithmetic(tmp_path):

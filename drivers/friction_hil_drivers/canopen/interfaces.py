@@ -85,7 +85,7 @@ def check_machine(root: Path, ask: Callable[[str], Link] = ask_ip) -> Iterator[F
             "CAN interfaces",
             "warn",
             "none, which only CANopen drives on SocketCAN need",
-            f"plug the adapter in; to try things out: modprobe vcan && {how_to_bring_up('vcan0', None, is_there=False)}",
+            f"plug the adapter in; for a try: modprobe vcan && {how_to_bring_up('vcan0', None, is_there=False)}",
         )
     for name in names:
         found = check_interface(name, ask(name), None, root)
