@@ -1,8 +1,10 @@
 """What a machine offers a punctual loop, told from files that a test lays out."""
 
+from pathlib import Path
+
 import pytest
 
-from friction_hil import machine
+from friction_hil import jit, machine
 from tests.system_files import lay
 
 VERSION = "proc__sys__kernel__version"
@@ -67,6 +69,15 @@ def test_compiled_kernels(tmp_path):
     lay(tmp_path, a__kernel__nbi="", **{"a__step.1.nbc": "", "b__run.1.nbc": ""})
     found = machine.compiled_kernels(str(tmp_path))
     assert (found.result, found.detail) == ("pass", f"2 are kept in {tmp_path}")
+
+
+def test_a_user_without_a_home_keeps_no_kernels_and_starts_all_the_same(monkeypatch):
+    def no_home():
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr(Path, "home", no_home)
+    assert jit.cache_folder.__wrapped__() is None
 
 
 def test_a_recording_goes_into_a_folder_that_is_not_there_yet_and_is_not_made(tmp_path):
