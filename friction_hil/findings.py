@@ -1,5 +1,6 @@
 """What was found when something was looked at, whether it is as it should be, and what would mend it."""
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -37,6 +38,11 @@ class Finding:
 def failure(check: str, error: FrictionHilError) -> Finding:
     """Make a finding of what a run would end with."""
     return Finding(check, "fail", error.detail, error.fix)
+
+
+def complaints(findings: Iterable[Finding]) -> Iterator[str]:
+    """What is not as it should be, in words."""
+    return (str(finding) for finding in findings if finding.result != "pass")
 
 
 def system_text(path: Path) -> str | None:

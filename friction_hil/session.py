@@ -14,6 +14,7 @@ from friction_hil.companion import Companion, CompanionReport, Job, free_path, p
 from friction_hil.config import self_contained
 from friction_hil.drive import AxisFacts, Clock, Drives, load_driver
 from friction_hil.errors import UsageError
+from friction_hil.findings import complaints
 from friction_hil.fingerprint import fingerprint
 from friction_hil.jit import Array
 from friction_hil.loop import Loop, LoopResult, LoopSettings, StopRequest
@@ -120,9 +121,8 @@ def run_session(
         companion = Companion.start(_job(configuration, settings, path, started_ns, facts, axes, shadows))
         try:
             with punctuality(0 if settings.is_paced_by_sync else realtime.priority) as findings:
-                for finding in findings:
-                    if finding.result != "pass":
-                        tell(str(finding))
+                for line in complaints(findings):
+                    tell(line)
                 loop_settings = LoopSettings(
                     period_s=configuration.period_s,
                     duration_s=settings.duration_s,

@@ -21,6 +21,7 @@ from friction_hil.axis import AxisLoop
 from friction_hil.compensator import Compensator
 from friction_hil.drive import Command, Feedback
 from friction_hil.errors import FrictionHilError
+from friction_hil.findings import complaints
 from friction_hil.jit import Array
 from friction_hil.loop import Loop, LoopSettings, StopRequest
 from friction_hil.realtime import RealClock, punctuality
@@ -200,9 +201,9 @@ def run() -> list[Row]:
     samples = Samples(drives, compensator)
     settings = LoopSettings(configuration.period_s, duration_s=DURATION_S)
     note(f"one axis for {DURATION_S:g} s")
-    with punctuality(configuration.realtime.priority) as refused:
+    with punctuality(configuration.realtime.priority) as findings:
         result = Loop(drives, [axis], path_time, clock, samples, settings, StopRequest()).run()
-    for line in refused:
+    for line in complaints(findings):
         note(line)
     if result.faults:
         raise FrictionHilError("the loop met a fault: " + "; ".join(result.faults))

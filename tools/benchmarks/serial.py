@@ -22,6 +22,7 @@ from friction_hil import config
 from friction_hil.config import Configuration
 from friction_hil.drive import Command, DriveState, Feedback, Request, load_driver
 from friction_hil.errors import FrictionHilError
+from friction_hil.findings import complaints
 from friction_hil.realtime import RealClock, punctuality
 from friction_hil.servo.config import TrueFriction
 from tools.benchmarks.report import Row, against, note
@@ -105,8 +106,8 @@ def _simulated(path: Path) -> Iterator[None]:
 def _rates(label: str, path: Path, target_us: float) -> list[Row]:
     """Cycles back to back, then at the configuration's period."""
     configuration = config.load(path)
-    with _simulated(path), punctuality(PRIORITY) as refused:
-        for line in refused:
+    with _simulated(path), punctuality(PRIORITY) as findings:
+        for line in complaints(findings):
             note(line)
         drives = _enabled(configuration)
         try:
