@@ -173,7 +173,10 @@ class Drives(Protocol):
         ...
 
     def rehearse(self) -> None:
-        """Do once, without the bus and without any effect, what a cycle does: it brings the code into the caches."""
+        """Bring the code of a cycle into the caches, in the spin before its deadline.
+
+        Nothing is sent, and no feedback changes; what came since the cycle before may be taken in.
+        """
         ...
 
     def close(self) -> None:

@@ -83,7 +83,6 @@ def make(data=OWN, *, is_inverted=False, units=UNITS, kind="rotary", before=()):
 
 
 def hear(axis, image, time_s=0.0, trouble="", **values):
-    axis.begin()
     for name, value in values.items():
         image.put((name,), (value,))
     feedback = Feedback()

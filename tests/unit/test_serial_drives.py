@@ -132,6 +132,28 @@ def test_a_drive_is_enabled_pushed_and_disabled(kind, tmp_path):
         assert not bench.feedback.state.is_powered
 
 
+def test_a_rehearsal_takes_what_has_come_and_changes_nothing_else(kind, tmp_path):
+    def life(is_rehearsed):
+        folder = tmp_path / str(is_rehearsed)
+        folder.mkdir()
+        told = []
+        with Bench(kind, folder).begin() as bench:
+            (lane,) = bench.drives._lanes
+            for k in range(80):
+                until = time.monotonic() + 10.0
+                while is_rehearsed and lane.conversation.awaited and time.monotonic() < until:
+                    bench.drives.rehearse()
+                assert not (is_rehearsed and lane.conversation.awaited)
+                bench.cycle(Request.ENABLE if k < 60 else Request.DISABLE, 0.3)
+                heard = bench.feedback
+                told.append((heard.position, heard.velocity, heard.torque, heard.state, heard.is_fresh, heard.missing))
+        return told
+
+    plain = life(is_rehearsed=False)
+    assert DriveState.OPERATION_ENABLED in {state for _, _, _, state, _, _ in plain}
+    assert life(is_rehearsed=True) == plain
+
+
 def test_after_closing_in_motion_no_drive_keeps_its_power(kind, tmp_path):
     with Bench(kind, tmp_path).begin().enable() as bench:
         bench.cycle(Request.ENABLE, 0.3, count=10)

@@ -99,12 +99,8 @@ class SerialAxis:
         self._told: list[float | None] = []  # what the state follows from
         self.state_signals = state_signals(description)
 
-    def begin(self) -> None:
-        """Forget what is fresh: a new cycle."""
-        self.image.fresh.clear()
-
     def fill(self, feedback: Feedback, time_s: float, trouble: str) -> None:
-        """Tell what the image says; without position and velocity of this cycle they stay what they were.
+        """Tell what the image says; without position and velocity since the last time they stay what they were.
 
         Parameters
         ----------
@@ -128,6 +124,7 @@ class SerialAxis:
             self._state_s = time_s
         elif math.isnan(self._state_s):
             self._state_s = time_s
+        fresh.clear()
         feedback.position = self._position
         feedback.velocity = self._velocity
         feedback.torque = values.get("torque", 0.0) * self._torque_scale

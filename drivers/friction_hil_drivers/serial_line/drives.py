@@ -130,12 +130,12 @@ class SerialDrives:
 
     def start(self) -> None:
         """Begin the cyclic phase."""
+        for axis in self._axes:
+            axis.image.fresh.clear()  # what was read before
         self._is_started = True
 
     def receive(self, feedback: Sequence[Feedback], end_ns: int) -> None:
         """Poll every drive until all have answered, or until it is too late for this cycle."""
-        for axis in self._axes:
-            axis.begin()
         is_real = self._clock.is_real
         self._end_ns = end_ns
         limit_ns = end_ns - self._margin_ns if is_real else time.monotonic_ns() + _STEPPED_TIMEOUT_NS
@@ -188,7 +188,10 @@ class SerialDrives:
         return steps
 
     def rehearse(self) -> None:
-        """Do nothing: a cycle on a serial line waits for the wire anyway."""
+        """Take what came since the cycle before, which the cycle need not do then; see `Drives.rehearse`."""
+        for conversation in self._conversations:
+            if conversation.line.is_open:  # to get it back may take time
+                conversation.step()
 
     def close(self) -> None:
         """See that no drive keeps its power, and leave the lines."""
