@@ -3,7 +3,7 @@
 import pytest
 from friction_hil_drivers.serial_line.options import LineOptions
 from friction_hil_drivers.serial_line.protocol import Image, Plan
-from friction_hil_drivers.serial_line.wire import check_rate, wire_s
+from friction_hil_drivers.serial_line.wire import character_s, check_rate, wire_s
 
 from friction_hil.errors import UsageError
 from tests.serial_peers import Ask, Push, Word
@@ -23,6 +23,13 @@ def test_an_exchange_takes_its_characters_its_silences_and_the_turn_around():
     assert ms(ASK, silence=3.5) == 4 + 3.5 + 2 + 8 + 3.5
     assert ms(PUSH, silence=3.5) == 12 + 3.5
     assert ms(PUSH, ASK, ASK, silence=3.5) == 15.5 + 21 + 21
+
+
+def test_on_a_tcp_connection_only_the_turn_around_is_known():
+    """By its baud rate there would be no time left in a short period to hear what changes slowly."""
+    connection = LINE.model_copy(update={"port": "tcp://127.0.0.1:502"})
+    assert character_s(connection) == 0.0
+    assert wire_s((PUSH, ASK), connection, 0.0) == 2e-3
 
 
 def test_requests_that_go_out_together_overlap_with_replies():

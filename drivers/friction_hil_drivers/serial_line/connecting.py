@@ -284,7 +284,7 @@ class Connecting:
 def _longest_reply_s(line: Line, plan: Plan, silence_chars: float) -> float:
     """Time from a request to its reply, at most, s."""
     longest_s = max(wire_s((each,), line.options, silence_chars) for each in (*plan.poll, *plan.turns, *plan.push))
-    return (0.0 if line.options.is_tcp else longest_s) + _LATENESS_S + line.latency_s
+    return longest_s + _LATENESS_S + line.latency_s
 
 
 def by_port(axes: "Mapping[str, AxisConfig]") -> Sequence[list[str]]:

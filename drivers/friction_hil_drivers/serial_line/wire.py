@@ -8,8 +8,8 @@ from friction_hil_drivers.serial_line.protocol import Exchange, Plan
 
 
 def character_s(line: LineOptions) -> float:
-    """Time of one character, s."""
-    return line.bits_per_character / line.baud
+    """Time of one character, s; 0 on a TCP connection, whose baud rate says nothing."""
+    return 0.0 if line.is_tcp else line.bits_per_character / line.baud
 
 
 def wire_s(exchanges: Iterable[Exchange], line: LineOptions, silence_chars: float, ahead_chars: int = 0) -> float:

@@ -78,7 +78,7 @@ class SimulatedLine:
         self._responder = responder
         self._drives = tuple(drives)
         self._is_real = is_real
-        self._character_ns = 0.0 if options.is_tcp else character_s(options) * _S
+        self._character_ns = character_s(options) * _S
         self._silence_ns = round(silence_chars * self._character_ns)
         self._reply_ns = self._silence_ns + round(options.turnaround_s * _S)
         self._faults = Faults(faults)
