@@ -76,7 +76,17 @@ class Supervisor:
         Cycles in a row without usable feedback that are still bridged.
     """
 
-    __slots__ = ("_jump", "_last_position", "_limits", "_max_stale_cycles", "_name", "_slack", "_stale_cycles", "_unit")
+    __slots__ = (
+        "_jump",
+        "_last_position",
+        "_limits",
+        "_max_stale_cycles",
+        "_missing",
+        "_name",
+        "_slack",
+        "_stale_cycles",
+        "_unit",
+    )
 
     def __init__(
         self,
@@ -95,6 +105,7 @@ class Supervisor:
         self._last_position = math.nan
         self._stale_cycles = 0
         self._max_stale_cycles = max_stale_cycles
+        self._missing = ""  # what was said of the feedback that is missing now
 
     @property
     def position(self) -> float:
@@ -146,8 +157,11 @@ class Supervisor:
         if feedback.message:
             return f"{name}: {feedback.message}"
         if self._stale_cycles > self._max_stale_cycles:
-            text = f"{name}: no usable feedback for more than {self._max_stale_cycles} cycles"
-            return f"{text}: {feedback.missing}" if feedback.missing else text
+            if not self._missing:  # the reason changes with each byte that comes, what is wrong does not
+                text = f"{name}: no usable feedback for more than {self._max_stale_cycles} cycles"
+                self._missing = f"{text}: {feedback.missing}" if feedback.missing else text
+            return self._missing
+        self._missing = ""
         if feedback.state in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE):
             text = f"{name}: the drive is in fault: {feedback.error or 'it does not say why'}"
             return f"{text}; --reset-fault leaves it" if state in _NOT_YET_ENABLED else text

@@ -26,8 +26,8 @@ def supervisor(limits=LIMITS, position=0.0, **changes):
     return one
 
 
-def heard(position=0.0, velocity=0.0, torque=0.0, state=ENABLED, is_fresh=True, error="", message=""):
-    return Feedback(position, velocity, torque, state, is_fresh, error, message)
+def heard(position=0.0, velocity=0.0, torque=0.0, state=ENABLED, is_fresh=True, error="", message="", missing=""):
+    return Feedback(position, velocity, torque, state, is_fresh, error, message, missing)
 
 
 # --- what feedback is used
@@ -86,6 +86,21 @@ def test_feedback_may_be_missing_for_some_cycles_and_no_longer_in_any_state(stat
         assert one.fault(missing, state, 0.0, 0.0) is None
     one.is_usable(missing)
     assert one.fault(missing, state, 0.0, 0.0) == f"x: no usable feedback for more than {limit} cycles"
+
+
+def test_feedback_that_stays_away_is_one_fault_however_its_reasons_change():
+    """On a line full of noise each cycle has other bytes to tell of."""
+    one, said = supervisor(), []
+    for reasons in ("abc", "de"):
+        for _ in range(MAX_STALE_CYCLES):
+            one.is_usable(heard(is_fresh=False))
+        for reason in reasons:
+            one.is_usable(heard(is_fresh=False))
+            said.append(one.fault(heard(is_fresh=False, missing=reason), LoopState.RUNNING, 0.0, 0.0))
+        one.is_usable(heard())
+        assert one.fault(heard(), LoopState.RUNNING, 0.0, 0.0) is None
+    text = f"x: no usable feedback for more than {MAX_STALE_CYCLES} cycles"
+    assert said == [f"{text}: a"] * 3 + [f"{text}: d"] * 2
 
 
 def test_cycles_with_feedback_between_start_the_count_anew():
