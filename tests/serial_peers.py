@@ -46,6 +46,9 @@ class BenchLine:
         self.sent.append(data)
         self.arrived += self.answer(data)
 
+    def acknowledge(self) -> None:
+        """Nothing holds replies back here."""
+
     def pull_out(self) -> None:
         """From now on every use fails, until `is_back`."""
 

@@ -394,6 +394,7 @@ class Conversation:
             for exchange in self.awaited:
                 self._silent |= exchange.unanswered
             self._owe()
+            self.line.acknowledge()
 
     def _owe(self) -> None:
         """Go on without the replies that are awaited; they may still come."""

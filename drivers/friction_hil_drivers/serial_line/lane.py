@@ -81,7 +81,8 @@ class Lane:
             if wire_ns is None:
                 wire_ns = self.turn_ns[turn] = round(1e9 * self.wire_s(*plan.push, turn))
             if time.monotonic_ns() + wire_ns > end_ns:
-                self.conversation.trouble = f"{turn.what}: no time was left for it"
+                if not self.conversation.trouble:
+                    self.conversation.trouble = f"{turn.what}: no time was left for it"
                 return
         self.turn = place
         self.conversation.ask((turn,))

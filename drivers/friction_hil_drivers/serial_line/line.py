@@ -149,6 +149,17 @@ class Line:
             reason = _reason(error)
         raise self._lose(reason)
 
+    def acknowledge(self) -> None:
+        """Let a TCP peer know at once what has come of it.
+
+        Many a peer sends no reply while the one before is not acknowledged (Nagle's algorithm), and the kernel
+        acknowledges with the next request: a peer that was late once would answer each request after the next one,
+        for ever.
+        """
+        if self._socket is not None:
+            with contextlib.suppress(OSError):
+                self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_QUICKACK, 1)
+
     def _lose(self, reason: str) -> LineGoneError:
         self.close()
         return LineGoneError(f"{self.options.port} is gone: {reason}")
