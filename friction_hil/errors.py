@@ -60,6 +60,23 @@ class ConfigurationError(UsageError):
         super().__init__("\n".join(map(str, self.problems)))
 
 
+class OptionError(UsageError):
+    """One key of one axis does not fit its drive or its bus.
+
+    Parameters
+    ----------
+    axis : str
+    key : str
+        As in the configuration, with a dot before a key within it.
+    text : str
+        What would be right.
+    """
+
+    def __init__(self, axis: str, key: str, text: str) -> None:
+        super().__init__(f"{axis}: {key}: {text}")
+        self.axis, self.key, self.text = axis, key, text
+
+
 class RecordingError(FrictionHilError):
     """A recording cannot be read, or lacks a column that is needed."""
 

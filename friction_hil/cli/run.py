@@ -47,7 +47,8 @@ def command(
     if force and record is None:
         raise click.UsageError("--force goes with --record FILE")
 
-    from friction_hil.config import load
+    from friction_hil.config import load, located
+    from friction_hil.errors import OptionError
     from friction_hil.loop import StopRequest
 
     configuration = load(config)
@@ -71,7 +72,10 @@ def command(
         is_paced_by_sync=pace == "sync",
         is_status_shown=not as_json and sys.stderr.isatty(),
     )
-    result = run_session(configuration, settings, stop, lambda line: click.echo(line, err=True))
+    try:
+        result = run_session(configuration, settings, stop, lambda line: click.echo(line, err=True))
+    except OptionError as error:
+        raise located(config, error) from None
     report = result.report
     paths = report.recording if report else ()
     summary: dict[str, Any] = {

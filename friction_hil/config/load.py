@@ -14,7 +14,7 @@ from friction_hil.config.model_file import ModelFile
 from friction_hil.config.schema import NAME_PATTERN, AxisConfig, Configuration, split_options
 from friction_hil.config.yaml_text import Document, Steps
 from friction_hil.drive import load_driver
-from friction_hil.errors import ConfigurationError, Problem, UsageError, choices
+from friction_hil.errors import ConfigurationError, OptionError, Problem, UsageError, choices
 
 Model = TypeVar("Model", bound=BaseModel)
 
@@ -97,6 +97,12 @@ def file_problems(path: str | Path, configuration: Configuration) -> list[Proble
             else:
                 found.append(origins.locate(("axes", name, *key.split(".")), str(error)))
     return list(dict.fromkeys(found))
+
+
+def located(path: str | Path, error: OptionError) -> ConfigurationError:
+    """Return the error with file and line of its key in the configuration that was read from ``path``."""
+    origins = _Origins(yaml_text.read(path))
+    return ConfigurationError([origins.locate(("axes", error.axis, *error.key.split(".")), error.text)])
 
 
 def model_from_argument(argument: str) -> ModelFile:

@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 import yaml
 from friction_hil_drivers.ascii import DESCRIPTIONS
+from friction_hil_drivers.modbus.description import DESCRIPTIONS as REGISTERS
 
 from friction_hil.cli import main
 from tests.servo_drives import axis_dict
@@ -55,17 +56,69 @@ def test_a_mistake_in_a_description_is_told_with_its_file_line_and_field(check, 
     [
         ({"description": "odrvie"}, "description", "did you mean 'odrive'"),
         ({"description": "missing.yaml"}, "", "cannot be read"),
-        ({"torque_constant": None}, "line", "give torque_constant of the axis"),
+        ({"description": "no_watchdog.yaml", "is_watchdog_required": True}, "is_watchdog_required", "its torque stays"),
+        ({"watchdog_s": 1e-3}, "watchdog_s", "0.001 s is less than three periods"),
+        ({"line": {"port": "tcp://x", "baud": 921600}}, "line.port", "is no tcp://HOST:PORT"),
+        ({"line": {"port": "TCP://x:502", "baud": 921600}}, "line.port", "is no tcp://HOST:PORT"),
+        ({"line": {"port": "/dev/\0", "baud": 921600}}, "line.port", "must be printable"),
+        (
+            {"line": {"port": "/dev/none", "baud": 921600, "reply_limit_s": 1e-6}},
+            "line.reply_limit_s",
+            "1e-06 s is too short for /dev/none",
+        ),
         ({"period_s": 1e-3, "line": {"port": "/dev/none", "baud": 9600}}, "line", "is too short for /dev/none"),
     ],
 )
 def test_what_connecting_would_refuse_is_told_at_its_key(check, tmp_path, changes, field, message):
-    (problem,) = check(**{key: value for key, value in odrive(**changes).items() if value is not None})
+    (tmp_path / "no_watchdog.yaml").write_text(ODRIVE.replace("watchdog: {signal: watchdog}", ""))
+    (problem,) = check(**odrive(**changes))
     assert message in problem["message"]
     if field:
         assert problem["field"] == f"axes.x.{field}"
-        rows = (tmp_path / "config.yaml").read_text().splitlines()
-        assert rows[problem["line"] - 1].strip().startswith(f"{field}:")
+        assert row_of(problem, tmp_path).startswith(f"{field.rpartition('.')[2]}:")
+
+
+def row_of(problem, tmp_path):
+    rows = (tmp_path / "config.yaml").read_text().splitlines()
+    return rows[problem["line"] - 1].strip()
+
+
+def test_every_key_that_the_drives_units_need_is_told_at_the_axis_that_lacks_it(check, tmp_path):
+    line = {"port": "/dev/none", "baud": 921600}
+    problems = check(driver="modbus", unit=3, description="generic_cia402", line=line)
+    assert {problem["field"] for problem in problems} == {"axes.x.counts_per_unit", "axes.x.rated_torque"}
+    for problem in problems:
+        assert f"give {problem['field'].rpartition('.')[2]} of the axis" in problem["message"]
+        assert row_of(problem, tmp_path) == "x:"
+
+
+def test_a_run_that_is_refused_for_a_key_tells_its_line_too(tmp_path, capsys):
+    axis = {**axis_dict(mode="cst", controller=CONTROLLER), **odrive(watchdog_s=1e-3)}
+    del axis["node"]
+    path = tmp_path / "config.yaml"
+    path.write_text(yaml.safe_dump({"version": 1, "period_s": 4e-3, "axes": {"x": axis}}))
+    assert main(["run", str(path)]) == 2
+    line = 1 + next(k for k, row in enumerate(path.read_text().splitlines()) if "watchdog_s" in row)
+    assert f"{path}:{line}: axes.x.watchdog_s: 0.001 s is less" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("scale", "watchdog_s", "message"),
+    [
+        (1.0, 2.0, None),  # seconds, of which there are more than the shortest watchdog would have
+        (1.0, 0.4, "0.4 s would switch it off"),
+        (1e-5, 0.5, None),
+        (1e-5, 0.7, "takes at most 0.65535 s, not 0.7 s"),
+    ],
+)
+def test_a_watchdog_is_given_only_times_that_its_register_can_hold(check, tmp_path, scale, watchdog_s, message):
+    data = yaml.safe_load((REGISTERS / "generic_cia402.yaml").read_text())
+    data["signals"][data["watchdog"]["signal"]] = {"address": 0x300, "type": "uint16", "unit": "s", "scale": scale}
+    (tmp_path / "mine.yaml").write_text(yaml.safe_dump(data))
+    given = {"unit": 3, "counts_per_unit": 1e5, "rated_torque": 1.0, "line": {"port": "/dev/none", "baud": 921600}}
+    problems = check(driver="modbus", description="mine.yaml", watchdog_s=watchdog_s, **given)
+    assert [problem["field"] for problem in problems] == ["axes.x.watchdog_s"] * (message is not None)
+    assert all(message in problem["message"] for problem in problems)
 
 
 def test_an_eds_that_cannot_be_read_is_told_at_its_key(check):

@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from friction_hil.drive import Command, DriveState, Feedback, Request
-from friction_hil.errors import UsageError
+from friction_hil.errors import OptionError
 from friction_hil.velocity import unwrap
 from friction_hil_drivers.cia402 import profile
-from friction_hil_drivers.serial_line.description import Description, Step
+from friction_hil_drivers.serial_line.description import Description, Signal, Step
 from friction_hil_drivers.serial_line.protocol import COMMANDS, Image
 from friction_hil_drivers.serial_line.sequences import Sequencer, parting_writes, state_of, state_signals
 from friction_hil_drivers.serial_line.units import LINEAR, NEEDS, ROTARY, UNITS, AxisUnits
@@ -30,25 +30,40 @@ class Scales:
     position_bits: int | None  # width of the position counter, which wraps
 
 
+def unit_mistakes(axis: str, description: Description, units: AxisUnits, kind: str) -> list[OptionError]:
+    """What the configuration does not say of the drive's units, and units that are none of this kind of axis."""
+    found: dict[str, OptionError] = {}
+    for name, signal in _scaled(description).items():
+        told = f"{description.name} has {name} in {signal.unit}"
+        if signal.unit in (ROTARY if kind == "linear" else LINEAR):
+            found.setdefault("description", OptionError(axis, "description", f"{told}, but the axis is {kind}"))
+        elif not math.isfinite(UNITS[signal.unit](units)):
+            key = NEEDS[signal.unit]
+            found.setdefault(key, OptionError(axis, key, f"{told}: give {key} of the axis"))
+    return list(found.values())
+
+
+def _scaled(description: Description) -> dict[str, Signal]:
+    """Signals that are converted to SI."""
+    known = (*COMMANDS, "position", "velocity", "torque")
+    return {name: signal for name, signal in description.units().items() if name in known}
+
+
 def make_scales(axis: str, description: Description, units: AxisUnits, *, kind: str, is_inverted: bool) -> Scales:
     """Scales of a drive on one axis.
 
     Raises
     ------
-    UsageError
+    OptionError
         A unit needs something that the configuration does not give, or is none of this kind of axis.
     """
+    for mistake in unit_mistakes(axis, description, units, kind):
+        raise mistake
     scales = {}
-    for name, signal in description.units().items():
-        if name not in (*COMMANDS, "position", "velocity", "torque"):
-            continue
-        if signal.unit in (ROTARY if kind == "linear" else LINEAR):
-            raise UsageError(f"{axis}: {description.name} tells {name} in {signal.unit}, but the axis is {kind}")
+    for name, signal in _scaled(description).items():
         scale = signal.scale * UNITS[signal.unit](units)
-        if not math.isfinite(scale):
-            raise UsageError(
-                f"{axis}: {description.name} tells {name} in {signal.unit}: give {NEEDS[signal.unit]} of the axis"
-            )
+        if not (math.isfinite(scale) and scale):
+            raise OptionError(axis, "description", f"one of {name} would be {scale:g}: no scale of a drive is that")
         scales[name] = -scale if is_inverted else scale
     return Scales(scales, description.units()["position"].counter_bits)
 

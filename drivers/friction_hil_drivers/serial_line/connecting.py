@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from friction_hil.drive import AxisFacts, DriveState
-from friction_hil.errors import DriveError, UsageError
+from friction_hil.errors import DriveError, OptionError
 from friction_hil.findings import Finding
 from friction_hil_drivers.serial_line import ports
 from friction_hil_drivers.serial_line.axis import Scales, SerialAxis, make_scales
@@ -17,7 +17,7 @@ from friction_hil_drivers.serial_line.conversation import Conversation
 from friction_hil_drivers.serial_line.description import Description, Step, load_description
 from friction_hil_drivers.serial_line.lane import Lane
 from friction_hil_drivers.serial_line.line import Line
-from friction_hil_drivers.serial_line.options import LineOptions, SerialOptions
+from friction_hil_drivers.serial_line.options import SerialOptions
 from friction_hil_drivers.serial_line.protocol import FAST, SLOW, Exchange, Image, Plan, ProtocolFactory, Wanted
 from friction_hil_drivers.serial_line.sequences import state_signals, watchdog_steps
 from friction_hil_drivers.serial_line.wire import character_s, check_rate, wire_s
@@ -68,7 +68,7 @@ class Connecting:
 
         Raises
         ------
-        UsageError, DriveError
+        UsageError
             The configuration asks for what a drive or the line cannot do.
         """
         options = {name: self._options[name] for name in descriptions}
@@ -80,10 +80,10 @@ class Connecting:
             signals = description.units()
             mode = description.modes.get(config.mode)
             if mode is None:
-                raise DriveError(
-                    f"{name}: {description.name} cannot be commanded in mode {config.mode}; its description has "
-                    f"{', '.join(description.modes)}"
-                )
+                has = ", ".join(description.modes)
+                text = f"{description.name} cannot be commanded in mode {config.mode}; its description has {has}"
+                raise OptionError(name, "mode", text)
+            self._check_watchdog(name, description)
             scales = make_scales(
                 name,
                 description,
@@ -95,7 +95,7 @@ class Connecting:
             slow = tuple(signal for signal in signals if signal in (*SLOW, *state_signals(description)))
             wanted[name] = Wanted(fast, slow, mode.commands)
             heard[name] = Wanted(fast, slow, ())
-            before = (*mode.prepare, *watchdog_steps(description, self._watchdog_s(name)))
+            before = (*mode.prepare, *self._watchdog_steps(name, description))
             axes.append(SerialAxis(name, description, scales, images[name], mode.commands, before))
             self._check_counter(name, scales)
         first = next(iter(options.values())).line
@@ -107,7 +107,7 @@ class Connecting:
             line,
             list(images.values()),
             protocol.silence_chars,
-            0.0 if protocol.numbers_replies else self._reply_limit_s(line.options, reply_s),
+            0.0 if protocol.numbers_replies else self._reply_limit_s(next(iter(options)), reply_s),
             ahead_chars=protocol.ahead_chars,
             doubt_s=0.0 if protocol.numbers_replies or protocol.names_drives else reply_s,
         )
@@ -118,22 +118,25 @@ class Connecting:
             lane.rate = check_rate(plan, step, first, silence, ahead, self._period_s)
         return lane
 
-    def _reply_limit_s(self, options: LineOptions, least_s: float) -> float:
+    def _reply_limit_s(self, axis: str, least_s: float) -> float:
         """Time for which a drive that did not answer is not asked again; ``least_s`` is what a reply may take.
 
         A lost reply alone must be no fault; but a reply must not be late by more than this.
 
         Raises
         ------
-        UsageError
+        OptionError
             The configuration's is shorter than replies may take.
         """
+        options = self._options[axis].line
         if options.reply_limit_s is None:
             return max(least_s, min(_REPLY_LIMIT_S, _REPLY_LIMIT_SHARE * self._max_missed * self._period_s))
         if options.reply_limit_s < least_s:
-            raise UsageError(
-                f"line.reply_limit_s: {options.reply_limit_s:g} s is too short for {options.port}: a reply may take "
-                f"{least_s * 1e3:.3g} ms, and one that comes after the limit would be taken for a later one"
+            raise OptionError(
+                axis,
+                "line.reply_limit_s",
+                f"{options.reply_limit_s:g} s is too short for {options.port}: a reply may take "
+                f"{least_s * 1e3:.3g} ms, and one that comes after the limit would be taken for a later one",
             )
         return options.reply_limit_s
 
@@ -145,10 +148,21 @@ class Connecting:
         reach = self._configs[axis].limits.velocity * bridged_s
         half = abs(scales.of["position"]) * 2.0 ** (scales.position_bits - 1)
         if reach >= half:
-            raise UsageError(
-                f"{axis}: the position counter of {scales.position_bits} bits wraps within {2.0 * half:.4g}; at "
+            raise OptionError(
+                axis,
+                "limits.velocity",
+                f"the position counter of {scales.position_bits} bits wraps within {2.0 * half:.4g}; at "
                 f"limits.velocity the axis moves by {reach:.4g} in the {bridged_s:g} s for which lost feedback is "
-                "bridged: lower the limit, the period or realtime.max_missed"
+                "bridged: lower the limit, the period or realtime.max_missed",
+            )
+
+    def _check_watchdog(self, axis: str, description: Description) -> None:
+        if description.watchdog is None and self._options[axis].is_watchdog_required and not self._dry_run:
+            raise OptionError(
+                axis,
+                "is_watchdog_required",
+                f"{description.name} has no communication watchdog in its description: if the daemon dies, its torque "
+                "stays. Set is_watchdog_required: false to accept that",
             )
 
     def _longest_step(self, lane: Lane, descriptions: Mapping[str, Description]) -> Exchange | None:
@@ -160,7 +174,7 @@ class Connecting:
             if description.state_machine == "cia402":
                 steps.append(lane.write(name, ("control",)))
             sequences = (description.enable, description.disable, description.quick_stop, description.reset_fault)
-            every = itertools.chain(*sequences, watchdog_steps(description, _LEAST_WATCHDOG_S))
+            every = itertools.chain(*sequences, self._watchdog_steps(name, description))
             steps += [lane.write(name, step.write) for step in every]
         return max(steps, key=lambda step: step.request_size + step.reply_size, default=None)
 
@@ -222,7 +236,8 @@ class Connecting:
             The time of its watchdog does not fit the period.
         """
         yield _sources(axis, description)
-        yield self._watchdog(axis, description)
+        if description.watchdog is not None or not self._options[axis].is_watchdog_required:
+            yield self._watchdog(axis, description)
 
     def _facts(
         self, lane: Lane, axis: SerialAxis, description: Description, delay_s: float, notes: list[str]
@@ -243,41 +258,38 @@ class Connecting:
         )
 
     def _arm_watchdog(self, lane: Lane, axis: SerialAxis, description: Description) -> list[str]:
-        found = self._watchdog(axis.name, description)
-        if found.result == "fail":
-            raise DriveError(f"{axis.name}: {found.detail}", found.fix)
         if description.watchdog is not None:
-            for step in watchdog_steps(description, self._watchdog_s(axis.name)):
+            for step in self._watchdog_steps(axis.name, description):
                 _write(lane, axis, step)
-        return [found.detail]
+        return [self._watchdog(axis.name, description).detail]
 
     def _watchdog(self, axis: str, description: Description) -> Finding:
         """Tell whether the drive notices a daemon that died."""
         check = f"{axis}: watchdog"
-        if description.watchdog is not None:
-            time_ms = 1e3 * self._watchdog_s(axis)
-            detail = f"the drive watches the daemon: {time_ms:g} ms without a command end its torque"
-            return Finding(check, "pass", detail)
-        if self._options[axis].is_watchdog_required:
+        if description.watchdog is None:
             return Finding(
                 check,
-                "fail",
-                f"{description.name} has no communication watchdog in its description: if the daemon dies, its torque "
-                "stays",
-                "set is_watchdog_required: false to accept that",
+                "warn",
+                "the drive does NOT watch the daemon: if the daemon dies, its last torque stays",
+                "keep the emergency stop in reach",
             )
-        return Finding(
-            check,
-            "warn",
-            "the drive does NOT watch the daemon: if the daemon dies, its last torque stays",
-            "keep the emergency stop in reach",
-        )
+        signal = description.watchdog.signal  # which counts in steps of its own
+        time_s = self._watchdog_steps(axis, description)[0].write[signal] * description.units()[signal].scale
+        detail = f"the drive watches the daemon: {time_s * 1e3:g} ms without a command end its torque"
+        return Finding(check, "pass", detail)
+
+    def _watchdog_steps(self, axis: str, description: Description) -> tuple[Step, ...]:
+        try:
+            return watchdog_steps(description, self._watchdog_s(axis))
+        except ValueError as error:
+            raise OptionError(axis, "watchdog_s", str(error)) from None
 
     def _watchdog_s(self, axis: str) -> float:
         given = self._options[axis].watchdog_s
         least_s = _LEAST_WATCHDOG_PERIODS * self._period_s
         if given is not None and given < least_s:
-            raise UsageError(f"{axis}: watchdog_s: {given:g} s is less than three periods, {least_s:g} s")
+            text = f"{given:g} s is less than three periods, {least_s:g} s"
+            raise OptionError(axis, "watchdog_s", text)
         return given or max(_WATCHDOG_PERIODS * self._period_s, _LEAST_WATCHDOG_S)
 
 

@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from friction_hil.drive import AxisFacts, Clock, Command, Feedback, Request
-from friction_hil.errors import BusError, DriveError, FrictionHilError, UsageError
+from friction_hil.errors import BusError, DriveError, FrictionHilError, OptionError, UsageError
 from friction_hil.findings import Finding, failure
 from friction_hil_drivers.serial_line import ports
-from friction_hil_drivers.serial_line.axis import SerialAxis
+from friction_hil_drivers.serial_line.axis import SerialAxis, unit_mistakes
 from friction_hil_drivers.serial_line.connecting import Connecting, by_port, descriptions_of, options_of
 from friction_hil_drivers.serial_line.conversation import Conversation
 from friction_hil_drivers.serial_line.description import Description
@@ -57,11 +57,19 @@ class SerialDrives:
                 )
             except UsageError as error:
                 yield name, "description", error
+        refused = set[str]()
+        for name, description in descriptions.items():
+            options, kind = options_of(axes[name]), axes[name].model.axis
+            for mistake in unit_mistakes(name, description, options.units, kind):
+                yield name, mistake.key, UsageError(mistake.text)
+                refused.add(name)
         connecting = Connecting(configuration, axes, cls.protocol, dry_run=False, is_real=False)
         for names in by_port(axes):
-            if all(name in descriptions for name in names):
+            if all(name in descriptions and name not in refused for name in names):
                 try:
                     connecting.lane({name: descriptions[name] for name in names})
+                except OptionError as error:
+                    yield error.axis, error.key, UsageError(error.text)
                 except FrictionHilError as error:
                     yield names[0], "line", error
 

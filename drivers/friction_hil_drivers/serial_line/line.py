@@ -5,6 +5,7 @@ import errno
 import os
 import select
 import socket
+import termios
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -12,11 +13,12 @@ from typing import Any
 import serial
 from serial.rs485 import RS485Settings
 
-from friction_hil.errors import BusError, UsageError
+from friction_hil.errors import BusError
 from friction_hil_drivers.serial_line import ports
-from friction_hil_drivers.serial_line.options import TCP, LineOptions
+from friction_hil_drivers.serial_line.options import LineOptions, tcp_address
 
 _CONNECT_S = 2.0
+_PSEUDO_TERMINALS = Path("/dev/pts")
 _AT_ONCE = 4096  # bytes
 _PARITY = {"none": serial.PARITY_NONE, "even": serial.PARITY_EVEN, "odd": serial.PARITY_ODD}
 
@@ -68,21 +70,23 @@ class Line:
 
     def _open_port(self) -> None:
         options = self.options
+        # characters on a pseudo-terminal have no parity, and asking it for one a second time fails
+        has_parity = _PSEUDO_TERMINALS not in Path(options.port).resolve().parents
         try:
             port = serial.Serial(
                 options.port,
                 options.baud,
-                parity=_PARITY[options.parity],
+                parity=_PARITY[options.parity] if has_parity else serial.PARITY_NONE,
                 stopbits=options.stop_bits,
                 timeout=0,
                 exclusive=True,
             )
-        except (OSError, ValueError) as error:  # serial.SerialException is an OSError
+        except (OSError, ValueError, termios.error) as error:  # serial.SerialException is an OSError
             raise _refusal(options.port, error) from error
         if options.is_rs485:
             try:
                 port.rs485_mode = RS485Settings()
-            except (OSError, ValueError) as error:
+            except (OSError, ValueError, termios.error) as error:
                 port.close()
                 raise BusError(
                     f"{options.port} cannot switch the direction of an RS-485 line ({error})",
@@ -199,20 +203,6 @@ class Line:
                 with contextlib.suppress(OSError):
                     part.close()
         self._port = self._socket = self._connecting = None
-
-
-def tcp_address(port: str) -> tuple[str, int]:
-    """Host and port number of ``tcp://HOST:PORT``.
-
-    Raises
-    ------
-    UsageError
-        It is not of that form.
-    """
-    host, _, number = port.removeprefix(TCP).rpartition(":")
-    if not host or not number.isdigit() or not 0 < int(number) < 0x10000:
-        raise UsageError(f"line.port: {port!r} is no {TCP}HOST:PORT", f"an example: {TCP}192.168.0.5:502")
-    return host.strip("[]"), int(number)
 
 
 def _reason(error: OSError) -> str:

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from friction_hil_drivers.serial_line.units import AxisUnits
 
@@ -14,6 +14,20 @@ if TYPE_CHECKING:
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 TCP = "tcp://"
+
+
+def tcp_address(port: str) -> tuple[str, int]:
+    """Host and port number of ``tcp://HOST:PORT``.
+
+    Raises
+    ------
+    ValueError
+        It is not of that form.
+    """
+    host, _, number = port.removeprefix(TCP).rpartition(":")
+    if not (port.startswith(TCP) and host and number.isascii() and number.isdigit() and 0 < int(number) < 0x10000):
+        raise ValueError(f"is no {TCP}HOST:PORT, e.g. {TCP}192.168.0.5:502")
+    return host.strip("[]"), int(number)
 
 
 class LineOptions(BaseModel):
@@ -35,6 +49,15 @@ class LineOptions(BaseModel):
         description="after this time a reply that did not come will not come any more, s; by default 0.05, or four "
         "tenths of the time that realtime.max_missed periods take, if that is shorter",
     )
+
+    @field_validator("port")
+    @classmethod
+    def _can_be_opened(cls, port: str) -> str:
+        if not port.isprintable():
+            raise ValueError("must be printable: the path of a device, or tcp://HOST:PORT")
+        if "://" in port:
+            tcp_address(port)
+        return port
 
     @property
     def is_tcp(self) -> bool:

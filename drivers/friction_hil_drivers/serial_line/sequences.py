@@ -3,7 +3,6 @@
 from collections.abc import Mapping, Sequence
 
 from friction_hil.drive import DriveState, Request
-from friction_hil.errors import UsageError
 from friction_hil_drivers.cia402 import profile
 from friction_hil_drivers.serial_line.description import STATES, Description, Step
 
@@ -123,8 +122,8 @@ def watchdog_steps(description: Description, time_s: float) -> tuple[Step, ...]:
 
     Raises
     ------
-    UsageError
-        So short a time is none for the drive.
+    ValueError
+        So short or so long a time is none for the drive.
     """
     watchdog = description.watchdog
     if watchdog is None:
@@ -134,10 +133,13 @@ def watchdog_steps(description: Description, time_s: float) -> tuple[Step, ...]:
     if signal.counter_bits is not None:
         number = round(number)
     if number <= 0.0:
-        raise UsageError(
+        raise ValueError(
             f"{description.name} counts the time of its watchdog in steps of {signal.scale:g} s: {time_s:g} s would "
             "switch it off; give a longer watchdog_s"
         )
+    if signal.bounds is not None and number > signal.bounds[1]:
+        longest_s = signal.bounds[1] * signal.scale
+        raise ValueError(f"the watchdog of {description.name} takes at most {longest_s:g} s, not {time_s:g} s")
     return Step(write={watchdog.signal: number}), *watchdog.enable
 
 

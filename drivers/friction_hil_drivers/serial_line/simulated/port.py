@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Protocol
 
 from friction_hil.errors import BusError
-from friction_hil_drivers.serial_line.line import tcp_address
-from friction_hil_drivers.serial_line.options import LineOptions
+from friction_hil_drivers.serial_line.options import LineOptions, tcp_address
 
 _MOST = 4096  # bytes at a time
 _PSEUDO_TERMINALS = "/dev/pts/"

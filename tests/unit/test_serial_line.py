@@ -1,0 +1,45 @@
+"""Serial ports as they are opened; pseudo-terminals stand for them."""
+
+import os
+import pty
+import termios
+import tty
+
+import pytest
+from friction_hil_drivers.serial_line.line import Line
+from friction_hil_drivers.serial_line.options import LineOptions
+
+from friction_hil.errors import BusError
+
+
+@pytest.fixture
+def terminal():
+    ours, theirs = pty.openpty()
+    tty.setraw(ours)
+    yield os.ttyname(theirs)
+    os.close(theirs)
+    os.close(ours)
+
+
+@pytest.mark.parametrize("parity", ["none", "even", "odd"])
+@pytest.mark.parametrize("stop_bits", [1, 2])
+@pytest.mark.parametrize("baud", [300, 115200, 123456])
+def test_a_pseudo_terminal_can_be_opened_again_whatever_its_settings(terminal, parity, stop_bits, baud):
+    """It knows no parity, and refuses to be given one the second time: a simulated drive serves several runs."""
+    options = {"port": terminal, "parity": parity, "stop_bits": stop_bits, "baud": baud}
+    for _ in range(3):
+        line = Line(LineOptions.model_validate(options))
+        line.open()
+        assert line.is_open
+        line.close()
+
+
+def test_a_port_whose_settings_are_refused_is_told(terminal, monkeypatch):
+    """pyserial lets this error of the operating system through, which is no OSError."""
+
+    def refuse(*_):
+        raise termios.error(22, "Invalid argument")
+
+    monkeypatch.setattr(termios, "tcsetattr", refuse)
+    with pytest.raises(BusError, match=r"cannot be opened: .*Invalid argument"):
+        Line(LineOptions.model_validate({"port": terminal})).open()
