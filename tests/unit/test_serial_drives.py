@@ -230,9 +230,10 @@ def test_a_line_that_goes_away_is_told_and_bridged_until_then(kind, tmp_path):
         assert "gone" in bench.feedback.missing or "no reply" in bench.feedback.missing
 
 
-def test_a_line_that_is_back_when_the_driver_closes_takes_the_power_away(tmp_path):
-    """It was gone in the last cycle, so that no cycle has opened it again."""
-    with Bench("odrive", tmp_path).begin().enable() as bench:
+@pytest.mark.parametrize("kind", ["odrive", "tcp"])
+def test_a_line_that_is_back_when_the_driver_closes_takes_the_power_away(tmp_path, kind):
+    """It was gone in the last cycle, so that no cycle has opened it again; a connection takes a moment."""
+    with Bench(kind, tmp_path).begin().enable() as bench:
         (lane,) = bench.drives._lanes
         (there,) = bench.simulated._lines[0]._drives
         bench.clock.is_real = True

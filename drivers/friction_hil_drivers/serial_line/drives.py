@@ -34,6 +34,7 @@ _COMPUTATION_S = 3e-4  # of a period is kept for what comes after the feedback, 
 _STEPPED_TIMEOUT_NS = 10_000_000_000
 _STEPPED_TIMEOUTS = 3  # in a row; in simulated time nothing else would ever end a run without drives
 _PARTING_NS = 300_000_000
+_REOPEN_S, _REOPEN_POLL_S = 0.3, 5e-3
 _REFUSALS = 10  # of commands, in a row: the drive does not take them
 
 
@@ -214,7 +215,9 @@ class SerialDrives:
 
     def _part(self, lane: Lane) -> None:
         """Disable every drive of a line and write zero commands, whoever else does not answer."""
-        lane.conversation.line.reopen()  # it may be back since the last cycle
+        line, end_s = lane.conversation.line, time.monotonic() + _REOPEN_S
+        while not line.reopen() and time.monotonic() < end_s:  # it may be back since the last cycle
+            time.sleep(_REOPEN_POLL_S)
         lane.end_turn(time.monotonic_ns() + _PARTING_NS)  # else its reply came upon what is to be written
         farewell = []
         for axis in lane.axes:
