@@ -2,8 +2,11 @@
 
 import contextlib
 import hashlib
+import math
 import os
 import socket
+import termios
+import time
 import tty
 from pathlib import Path
 from typing import Protocol
@@ -12,6 +15,7 @@ from friction_hil.errors import BusError
 from friction_hil_drivers.serial_line.options import LineOptions, tcp_address
 
 _MOST = 4096  # bytes at a time
+_FORGOTTEN_S = 0.3
 _PSEUDO_TERMINALS = "/dev/pts/"
 
 
@@ -33,6 +37,10 @@ class Port(Protocol):
         """Send; lost where nobody listens, as on a line."""
         ...
 
+    def idle(self) -> None:
+        """Take notice that time passes: replies that nobody has read for long are lost."""
+        ...
+
     def close(self) -> None:
         """Leave no trace. Safe to call twice."""
         ...
@@ -45,8 +53,6 @@ def open_port(line: LineOptions) -> Port:
     ------
     BusError
         Something else is there, or the system refuses.
-    UsageError
-        It is no address.
     """
     return TcpPort(line.port) if line.is_tcp else PtyPort(Path(line.port))
 
@@ -77,6 +83,7 @@ class PtyPort:
         # the other end stays open here, too: so the settings last, and masters may come and go
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
+        self._heard_s = time.monotonic()
         self._target = os.ttyname(self._slave)
         self.where = f"{path} (pseudo-terminal {self._target})"
         try:
@@ -95,9 +102,18 @@ class PtyPort:
     def read(self) -> bytes | None:
         """See `Port`."""
         try:
-            return os.read(self._master, _MOST)
+            data = os.read(self._master, _MOST)
         except BlockingIOError:
             return b""
+        self._heard_s = time.monotonic()
+        return data
+
+    def idle(self) -> None:
+        """See `Port`."""
+        # what a killed master left unread, a serial port would have lost when it was closed
+        if time.monotonic() - self._heard_s > _FORGOTTEN_S:
+            self._heard_s = math.inf
+            termios.tcflush(self._slave, termios.TCIFLUSH)
 
     def write(self, data: bytes) -> None:
         """See `Port`."""
@@ -129,8 +145,6 @@ class TcpPort:
     ------
     BusError
         The address is in use or not one of this machine.
-    UsageError
-        It is no address.
     """
 
     def __init__(self, address: str) -> None:
@@ -164,6 +178,9 @@ class TcpPort:
         if self._client is not None:
             with contextlib.suppress(OSError):  # it has gone, or does not read: the next read shows it
                 self._client.send(data)
+
+    def idle(self) -> None:
+        """See `Port`: who connects begins anew."""
 
     def close(self) -> None:
         """See `Port`."""

@@ -133,6 +133,7 @@ class SimulatedLine:
 
     def advance_to(self, now_ns: int) -> None:
         """Let time pass for the drives, up to ``now_ns`` after the start."""
+        self.port.idle()
         for drive in self._drives:
             drive.advance_to(now_ns)
         if self._reboots or self._boot_s is not None:
