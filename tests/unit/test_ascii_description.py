@@ -2,6 +2,8 @@
 
 import binascii
 import math
+import re
+from pathlib import Path
 
 import pytest
 from friction_hil_drivers.ascii import DESCRIPTIONS
@@ -53,6 +55,16 @@ def changed(path: str, value: object) -> dict[str, object]:
         place = place[key]
     place[last] = value
     return copy
+
+
+def test_the_example_of_the_readme_is_a_whole_description(tmp_path: Path) -> None:
+    text = (Path(__file__).parents[2] / "drivers" / "README.md").read_text()
+    (example,) = re.findall(r"^```yaml\n(version: 1\nprotocol: ascii\n.*?)^```", text, re.DOTALL | re.MULTILINE)
+    path = tmp_path / "example.yaml"
+    path.write_text(example)
+    description = read_section(path, AsciiDescription)
+    assert description.checksum is not None
+    assert set(description.modes) == {"cst"}
 
 
 def test_the_small_description_is_right() -> None:
