@@ -159,7 +159,12 @@ class Supervisor:
         if self._stale_cycles > self._max_stale_cycles:
             if not self._missing:  # the reason changes with each byte that comes, what is wrong does not
                 text = f"{name}: no usable feedback for more than {self._max_stale_cycles} cycles"
-                self._missing = f"{text}: {feedback.missing}" if feedback.missing else text
+                why = feedback.missing
+                if feedback.is_fresh:
+                    why = (
+                        f"its position jumps further than limits.velocity allows, now to {feedback.position:.4g} {unit}"
+                    )
+                self._missing = f"{text}: {why}" if why else text
             return self._missing
         self._missing = ""
         if feedback.state in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE):

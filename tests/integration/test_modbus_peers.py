@@ -267,7 +267,9 @@ def test_a_refusal_of_a_drive_from_another_hand_is_told_in_words(slave_program, 
     with c_drive(slave_program, tmp_path, "rtu", mode="csp", controller=None) as configuration:
         config = load(configuration)
         drives = ModbusDrives(config, config.axes, SteppedClock(), dry_run=False)
-        with pytest.raises(DriveError, match=r"0106h of unit 3: unit 3 refuses: illegal data value.*\(exception 3\)"):
+        with pytest.raises(
+            DriveError, match=r"^x: write [^:]* 0106h of unit 3: unit 3 refuses: illegal data value.*\(exception 3\)"
+        ):
             drives.connect()
         drives.close()
 

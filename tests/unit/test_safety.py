@@ -103,6 +103,18 @@ def test_feedback_that_stays_away_is_one_fault_however_its_reasons_change():
     assert said == [f"{text}: a"] * 3 + [f"{text}: d"] * 2
 
 
+def test_a_position_that_goes_on_jumping_is_told_as_such():
+    """As with the words of a counter in the wrong order."""
+    one = supervisor()
+    assert one.is_usable(heard(0.0))
+    for k in range(MAX_STALE_CYCLES + 1):
+        jumping = heard(65536.0 * (-1) ** k)
+        assert not one.is_usable(jumping)
+    text = one.fault(jumping, LoopState.RUNNING, 0.0, 0.0)
+    assert text is not None
+    assert "its position jumps further than limits.velocity allows, now to 6.554e+04 rad" in text
+
+
 def test_cycles_with_feedback_between_start_the_count_anew():
     one = supervisor()
     for _ in range(10):

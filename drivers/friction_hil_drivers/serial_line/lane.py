@@ -147,11 +147,11 @@ class Lane:
             conversation.give_up()
             if not conversation.line.is_open:
                 raise BusError(f"{axis}: {conversation.trouble}")
-        what = " and ".join(exchange.what for exchange in exchanges)
-        raise DriveError(
-            f"{axis}: {what}: {conversation.trouble or 'no reply'} ({attempts} attempts). Right address, "
-            f"port and baud rate ({conversation.line.options.baud})?"
-        )
+        options, told = conversation.line.options, conversation.trouble or "no reply"
+        if not any(exchange.what in told for exchange in exchanges):
+            told = f"{' and '.join(exchange.what for exchange in exchanges)}: {told}"
+        right = "address and port" if options.is_tcp else f"address, port and baud rate ({options.baud})"
+        raise DriveError(f"{axis}: {told} ({attempts} attempts). Right {right}?")
 
 
 def serve(conversations: Sequence[Conversation], limit_ns: int, *, until_answered: bool = True) -> bool:
