@@ -68,6 +68,15 @@ class BenchLine:
         self.is_open = False
 
 
+def cut(received: bytearray) -> bytes | None:
+    """Remove a reply with its semicolon; None while it is not complete."""
+    head, mark, rest = bytes(received).partition(b";")
+    if not mark:
+        return None
+    received[:] = rest
+    return head
+
+
 class Ask(Single):
     """A made-up exchange: ``NAME?`` is answered by a number and a semicolon; ``!`` is a refusal."""
 
@@ -84,10 +93,8 @@ class Ask(Single):
         return f"{self.name}?".encode()
 
     def take(self, received: bytearray) -> bool:
-        head, mark, rest = bytes(received).partition(b";")
-        if not mark:
+        if (head := cut(received)) is None:
             return False
-        received[:] = rest
         if head == b"!":
             raise ReplyError("the drive refuses", is_complete=True)
         try:
@@ -105,10 +112,8 @@ class Word(Ask):
         return isinstance(before, Word) and len(before.name) != len(self.name)
 
     def take(self, received: bytearray) -> bool:
-        head, mark, rest = bytes(received).partition(b";")
-        if not mark:
+        if (head := cut(received)) is None:
             return False
-        received[:] = rest
         name, _, number = head.decode().partition(" ")
         if name == "!":
             raise ReplyError("the drive refuses", is_unasked=True)
@@ -134,33 +139,24 @@ class Push(Single):
         return f"{self.name}={self.image.values[self.name]:g};".encode()
 
     def take(self, received: bytearray) -> bool:
-        head, mark, rest = bytes(received).partition(b";")
-        if not mark:
+        if (head := cut(received)) is None:
             return False
-        received[:] = rest
         raise ReplyError("the drive refuses", is_unasked=head == b"!")
 
 
-class Tell(Single):
+class Tell(Push):
     """A made-up command: ``NAME=NUMBER;``, answered by ``;`` where ``is_answered``."""
 
-    def __init__(self, image: Image, name: str, *, is_answered: bool = False) -> None:
-        self.image = image
-        self.name = name
-        self.what = f"writing {name}"
-        self.addressees = self.unanswered = frozenset(("a drive",))
-        self.reads: tuple[str, ...] = ()
-        self.writes: tuple[str, ...] = (name,)
-        self.request_size, self.reply_size = 12, int(is_answered)
+    tells_refusal = False
 
-    def encode(self) -> bytes:
-        return f"{self.name}={self.image.values[self.name]:g};".encode()
+    def __init__(self, image: Image, name: str, *, is_answered: bool = False) -> None:
+        super().__init__(image, name)
+        self.what = f"writing {name}"
+        self.reply_size = int(is_answered)
 
     def take(self, received: bytearray) -> bool:
-        head, mark, rest = bytes(received).partition(b";")
-        if not mark:
+        if (head := cut(received)) is None:
             return False
-        received[:] = rest
         if head:
             raise ReplyError("the drive refuses", is_complete=head == b"!")
         return True

@@ -61,18 +61,21 @@ class Bench:
             "simulation": {"line": faults or {}},
             **changes,
         }
+        self._set_up(given["driver"], {"x": given}, dry_run=dry_run)
+        self.feedback, self.command = Feedback(), Command()
+
+    def _set_up(self, driver, axes, *, dry_run=False):
         base = axis_dict(mode="cst", controller=CONTROLLER)
         del base["node"]
-        self.config = configuration(x={**base, **given})
+        self.config = configuration(**{name: {**base, **given} for name, given in axes.items()})
         self.clock = SteppedClock()
-        self._driver, simulated = PROTOCOLS[given["driver"]]
+        self._driver, simulated = PROTOCOLS[driver]
         self.simulated = simulated(self.config, self.config.axes, pace="sync")
         self.simulated.open()
         self._is_stopping = threading.Event()
         self._thread = threading.Thread(target=self.simulated.run, args=(self._is_stopping.is_set,))
         self._thread.start()
         self.drives = self.daemon(dry_run=dry_run)
-        self.feedback, self.command = Feedback(), Command()
 
     def daemon(self, *, dry_run=False):
         return self._driver(self.config, self.config.axes, self.clock, dry_run=dry_run)
@@ -300,17 +303,8 @@ class Chain(Bench):
 
     def __init__(self, kind, tmp_path, addresses, **line):
         given = {**KINDS[kind], "line": {"port": port_of(kind, tmp_path), **FAST_LINE, **line}}
-        base = axis_dict(mode="cst", controller=CONTROLLER) | {"is_watchdog_required": False, "simulation": {}}
-        del base["node"]
-        self.config = configuration(**{f"x{n}": {**base, **given, address: n} for address, n in addresses})
-        self.clock = SteppedClock()
-        self._driver, simulated = PROTOCOLS[given["driver"]]
-        self.simulated = simulated(self.config, self.config.axes, pace="sync")
-        self.simulated.open()
-        self._is_stopping = threading.Event()
-        self._thread = threading.Thread(target=self.simulated.run, args=(self._is_stopping.is_set,))
-        self._thread.start()
-        self.drives = self.daemon()
+        given |= {"is_watchdog_required": False, "simulation": {}}
+        self._set_up(given["driver"], {f"x{n}": {**given, address: n} for address, n in addresses})
         self.feedback, self.commands = [Feedback() for _ in addresses], [Command() for _ in addresses]
 
     def begin(self):
