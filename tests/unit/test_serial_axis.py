@@ -169,6 +169,17 @@ def test_a_state_that_is_not_told_for_long_is_an_error():
     assert "has not told its state for more than 0.5 s: exception 2" in feedback.message
 
 
+def test_after_a_silence_that_the_loop_bridges_the_state_has_time_to_be_told():
+    """Where the state is read in turns, position is back some cycles before it."""
+    axis, image = make()
+    hear(axis, image, 0.0, position=0, velocity=0, status=1, error=0)
+    for k in range(1, 100):
+        assert not hear(axis, image, 0.01 * k, "no reply in time").message
+    assert not hear(axis, image, 1.0, "no reply in time", position=0, velocity=0).message
+    assert not hear(axis, image, 1.4, "", position=0, velocity=0).message
+    assert hear(axis, image, 1.6, "exception 2", position=0, velocity=0).message
+
+
 def test_a_state_is_unknown_until_all_that_tells_it_was_heard():
     axis, image = make()
     assert hear(axis, image, position=0, velocity=0, status=1).state is DriveState.UNKNOWN

@@ -289,6 +289,29 @@ def test_a_refusal_is_complete_and_the_next_request_follows_at_once():
     assert "the drive refuses" in bench.talk.trouble
 
 
+def test_a_command_that_is_refused_each_time_counts_although_another_one_is_taken():
+    """As an offset beside a position that the drive takes: nothing would be compensated, and nobody told."""
+    bench = Bench(**{"position=1;": b";", "torque=1;": b"!;"})
+    bench.image.values.update(position=1.0, velocity=1.0, torque=1.0)
+    answered = [Tell(bench.image, name, is_answered=True) for name in ("position", "torque")]
+    for count in range(1, 4):
+        bench.talk.ask([Push(bench.image, "velocity"), *answered])
+        bench.go(5.0)
+        assert bench.talk.refusals == count
+
+
+def test_the_reason_of_a_silence_is_not_that_there_is_no_time_to_ask_again():
+    bench = Bench()
+    bench.cycle()
+    told = bench.talk.trouble
+    assert "no reply in time" in told
+    bench.go(REPLY_LIMIT_MS)  # nobody waits for that reply any more
+    bench.talk.limit_ns = bench.time.ns
+    bench.ask()
+    bench.talk.step()
+    assert bench.talk.trouble == told
+
+
 def test_refused_commands_are_counted_until_one_is_taken():
     bench = Bench(**{"torque_command=0;": b"!;"})
     bench.image.values["torque_command"] = 0.0

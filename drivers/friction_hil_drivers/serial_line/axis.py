@@ -110,7 +110,7 @@ class SerialAxis:
         self._counts: int | None = None
         self._position = self._velocity = 0.0
         self._position_s = math.nan
-        self._state_s = math.nan
+        self._state_s = self._filled_s = math.nan
         self._told: list[float | None] = []  # what the state follows from
         self.state_signals = state_signals(description)
 
@@ -139,6 +139,9 @@ class SerialAxis:
             self._state_s = time_s
         elif math.isnan(self._state_s):
             self._state_s = time_s
+        elif not is_fresh:  # while nothing comes at all, the loop counts: how long that is bridged is configured there
+            self._state_s += time_s - self._filled_s
+        self._filled_s = time_s
         fresh.clear()
         feedback.position = self._position
         feedback.velocity = self._velocity
@@ -149,7 +152,6 @@ class SerialAxis:
         feedback.error = self._error(number) if number else ""
         feedback.missing = "" if is_fresh else trouble
         feedback.message = self.sequencer.trouble
-        # while nothing comes at all, the loop counts: how long that is bridged is configured there
         if self._position_s - self._state_s > _STATUS_LOSS_S:
             feedback.message = f"the drive has not told its state for more than {_STATUS_LOSS_S:g} s: {trouble}"
 

@@ -101,6 +101,7 @@ class Conversation:
         self.trouble = ""
         self.limit_ns: int | None = None
         self.refusals = 0
+        self._refused: set[str] = set()  # signals of which these were: one that is taken says nothing of another
 
     @property
     def is_finished(self) -> bool:
@@ -205,7 +206,8 @@ class Conversation:
                 if self._is_of_unconfirmed(error):  # the reply proper follows
                     continue
                 self._done.pop(exchange, None)
-                self.refusals += bool(error.is_complete and exchange.writes)
+                if error.is_complete and exchange.writes:
+                    self._count_refusal(exchange)
                 self.trouble = f"{exchange.what}: {error}"
                 if not error.is_complete:
                     self._is_in_doubt = self._doubt_ns > 0
@@ -222,8 +224,8 @@ class Conversation:
                 self._is_noisy = False
                 if self._silent:
                     self._silent -= exchange.addressees
-                if exchange.writes:
-                    self.refusals = 0
+                if self.refusals and not self._refused.isdisjoint(exchange.writes):
+                    self._forget_refusals()
                 if self._unconfirmed or self._is_refused:
                     self._confirm(exchange)
                 self._unread_chars = 0
@@ -250,16 +252,27 @@ class Conversation:
         """Whether an error is that of a request without a reply; then that one is refused."""
         if not (error.is_unasked and self._unconfirmed):
             return False
-        self.refusals += 1
+        exchange = self._unconfirmed.pop()
+        self._count_refusal(exchange)
         self._is_refused = True
-        self.trouble = f"{self._unconfirmed.pop().what}: {error}"
+        self.trouble = f"{exchange.what}: {error}"
         return True
+
+    def _count_refusal(self, exchange: Exchange) -> None:
+        self.refusals += 1
+        self._refused.update(exchange.writes)
+
+    def _forget_refusals(self) -> None:
+        self.refusals = 0
+        self._refused.clear()
 
     def _confirm(self, exchange: Exchange) -> None:
         """Note that a drive answered: what was sent to it before, without a reply, it has not refused."""
         rest = [each for each in self._unconfirmed if not each.addressees <= exchange.addressees]
-        if len(rest) < len(self._unconfirmed) and not self._is_refused:
-            self.refusals = 0
+        if self.refusals and not self._is_refused:
+            taken = (each for each in self._unconfirmed if each not in rest)
+            if any(not self._refused.isdisjoint(each.writes) for each in taken):
+                self._forget_refusals()
         self._is_refused = False
         self._unconfirmed.clear()
         self._unconfirmed.extend(rest)
@@ -302,7 +315,8 @@ class Conversation:
             del queue[place]
             if self.limit_ns is not None and not self._has_time(exchange):
                 # the reply would be late, the next cycle begin with waiting for it, and so would all after that
-                self.trouble = f"{exchange.what}: no time was left for it"
+                if not self._silent:  # else that is the reason
+                    self.trouble = f"{exchange.what}: no time was left for it"
                 queue.clear()
                 break
             data += exchange.encode()
