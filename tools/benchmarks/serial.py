@@ -6,7 +6,9 @@ processes take to wake up. Last, the daemon itself: the demonstration's circle o
 """
 
 import contextlib
+import itertools
 import json
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -160,12 +162,14 @@ def _wire_s(drives: SerialDrives) -> float:
 
 
 def _back_to_back(drives: SerialDrives) -> tuple[float, float]:
-    """Time of all cycles, one after the other, and processor time of one, s."""
-    feedback = Feedback()
-    began, began_busy = time.perf_counter(), time.process_time()
+    """Time of all cycles, one after the other, and processor time of one (median), s."""
+    feedback, marks = Feedback(), [time.process_time()]
+    began = time.perf_counter()
     for _ in range(CYCLES):
         _cycle(drives, feedback)
-    return time.perf_counter() - began, (time.process_time() - began_busy) / CYCLES
+        marks.append(time.process_time())
+    took_s = time.perf_counter() - began
+    return took_s, statistics.median(after - before for before, after in itertools.pairwise(marks))
 
 
 def _paced(drives: SerialDrives, period_s: float) -> tuple[float, float, float]:
@@ -178,25 +182,27 @@ def _paced(drives: SerialDrives, period_s: float) -> tuple[float, float, float]:
     used_s : float
         Processor time of one, s, in user and system mode: all that the driver does to receive and to send, waking up
         for the replies included; not so the sleep until the deadline and the spin at its end, which are the loop's.
-        It is more than back to back, because caches are cold after a sleep.
+        The median: a hypervisor that takes the processor away for a while spoils the mean.
     rehearsed_s : float
-        Processor time of the rehearsal in that spin, s.
+        Processor time of the rehearsal in that spin, s, median.
     """
-    feedback, fresh, used_s, rehearsed_s, period_ns = Feedback(), 0, 0.0, 0.0, round(period_s * 1e9)
+    feedback, fresh, period_ns = Feedback(), 0, round(period_s * 1e9)
+    used_s: list[float] = []
+    rehearsed_s: list[float] = []
     clock = RealClock()
     deadline_ns = clock.now_ns() + period_ns
     for _ in range(CYCLES):
         if clock.doze_until(deadline_ns):
             began = time.process_time()
             drives.rehearse()
-            rehearsed_s += time.process_time() - began
+            rehearsed_s.append(time.process_time() - began)
         clock.sleep_until(deadline_ns)
         began = time.process_time()
         _cycle(drives, feedback, deadline_ns + period_ns - clock.now_ns())
-        used_s += time.process_time() - began
+        used_s.append(time.process_time() - began)
         fresh += feedback.is_fresh
         deadline_ns += period_ns
-    return fresh / CYCLES, used_s / CYCLES, rehearsed_s / CYCLES
+    return fresh / CYCLES, statistics.median(used_s), statistics.median(rehearsed_s)
 
 
 def _circle(folder: Path) -> Row:

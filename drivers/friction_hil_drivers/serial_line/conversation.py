@@ -132,19 +132,21 @@ class Conversation:
         if done is not None and self.queue:
             self._done[self.queue[-1]] = done
 
-    def step(self, *, is_ready: bool = False) -> None:
+    def step(self, *, is_ready: bool = False, is_heard: bool = False) -> None:
         """Do what can be done now.
 
         Parameters
         ----------
         is_ready : bool
             The operating system says that something has come.
+        is_heard : bool
+            What has come was read a moment ago.
         """
         if not self.line.is_open:
             self._reopen()
             return
         try:
-            if data := self.line.read(is_ready=is_ready):
+            if not is_heard and (data := self.line.read(is_ready=is_ready)):
                 self._received += data
                 self._heard_ns = self._now_ns()
             self._go_on()
@@ -198,7 +200,6 @@ class Conversation:
         awaited = self.awaited
         while awaited and self._received:
             exchange = awaited[0]
-            is_last = len(awaited) == 1
             try:
                 if not (self._take_in_vain(exchange) if self._is_in_doubt else exchange.take(self._received)):
                     return
@@ -211,14 +212,14 @@ class Conversation:
                 self.trouble = f"{exchange.what}: {error}"
                 if not error.is_complete:
                     self._is_in_doubt = self._doubt_ns > 0
-                    if is_last:  # where another reply follows, it is told from what is left of this one
+                    if len(awaited) == 1:  # where another reply follows, it is told from what is left of this one
                         self._settle(self._short_settle_ns)
             else:
                 done = self._done.pop(exchange, None) if self._done else None
                 if self._is_in_doubt:
                     done = None
                     self.trouble = f"{exchange.what}: the reply may have been one to an earlier request"
-                    if is_last:
+                    if len(awaited) == 1:
                         self._is_in_doubt = False
                         self._settle(self._doubt_ns)
                 self._is_noisy = False

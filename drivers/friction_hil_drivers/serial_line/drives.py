@@ -107,9 +107,10 @@ class SerialDrives:
         self._lanes: list[Lane] = []
         self._conversations: list[Conversation] = []
         self._axes: list[SerialAxis] = []  # in the order of the configuration
-        self._places = {name: place for place, name in enumerate(self._configs)}
+        self._heard: list[Conversation] = []  # on which each of these is
         self._is_commanding = False  # something has been written since the start
         self._is_started = False
+        self._is_heard = False  # what came until now, in a rehearsal
         self._end_ns = 0  # of the cycle
         self._timeouts = 0
 
@@ -135,6 +136,8 @@ class SerialDrives:
             facts.update((each.name, each) for each in connecting.prepare(lane, there))
         self._axes = [made[name] for name in self._configs]
         self._conversations = [lane.conversation for lane in self._lanes]
+        on = {axis.name: lane.conversation for lane in self._lanes for axis in lane.axes}
+        self._heard = [on[name] for name in self._configs]
         return [facts[name] for name in self._configs]
 
     def start(self) -> None:
@@ -154,20 +157,24 @@ class SerialDrives:
                 lane.end_turn(limit_ns)
             conversation.limit_ns = limit_ns
             conversation.ask((lane.plan if self._is_commanding else lane.listening).poll)
-        is_lost = not serve(self._conversations, limit_ns)
+        if serve(self._conversations, limit_ns, is_heard=self._is_heard):
+            self._timeouts = 0
+        elif not is_real:
+            self._note_timeout()
+        self._is_heard = False
         for conversation in self._conversations:
             conversation.give_up()
-        self._timeouts = self._timeouts + 1 if is_lost and not is_real else 0
+        time_s = self._clock.now_ns() * 1e-9
+        for told, axis, conversation in zip(feedback, self._axes, self._heard, strict=True):
+            axis.fill(told, time_s, conversation.trouble)
+            if conversation.refusals >= _REFUSALS:
+                told.message = f"the drive refuses its commands: {conversation.trouble}"
+
+    def _note_timeout(self) -> None:
+        self._timeouts += 1
         if self._timeouts >= _STEPPED_TIMEOUTS:
             waited_s = _STEPPED_TIMEOUTS * _STEPPED_TIMEOUT_NS * 1e-9
             raise DriveError(f"not every drive has answered for {waited_s:g} s: do they still run?")
-        time_s = self._clock.now_ns() * 1e-9
-        for lane in self._lanes:
-            for axis in lane.axes:
-                told = feedback[self._places[axis.name]]
-                axis.fill(told, time_s, lane.conversation.trouble)
-                if lane.conversation.refusals >= _REFUSALS:
-                    told.message = f"the drive refuses its commands: {lane.conversation.trouble}"
 
     def send(self, commands: Sequence[Command]) -> None:
         """Write the commands, or put them where the next poll takes them; a dry run only asks."""
@@ -201,6 +208,7 @@ class SerialDrives:
         for conversation in self._conversations:
             if conversation.line.is_open:  # to get it back may take time
                 conversation.step()
+        self._is_heard = True
 
     def close(self) -> None:
         """See that no drive keeps its power, and leave the lines."""

@@ -154,7 +154,9 @@ class Lane:
         raise DriveError(f"{axis}: {told} ({attempts} attempts). Right {right}?")
 
 
-def serve(conversations: Sequence[Conversation], limit_ns: int, *, until_answered: bool = True) -> bool:
+def serve(
+    conversations: Sequence[Conversation], limit_ns: int, *, until_answered: bool = True, is_heard: bool = False
+) -> bool:
     """Let conversations go on until all has been said, or until the monotonic clock is at ``limit_ns``.
 
     Parameters
@@ -164,6 +166,8 @@ def serve(conversations: Sequence[Conversation], limit_ns: int, *, until_answere
         Monotonic time, ns.
     until_answered : bool
         Wait for the replies, too, not only until all is sent.
+    is_heard : bool
+        What has come was read a moment ago.
 
     Returns
     -------
@@ -171,7 +175,7 @@ def serve(conversations: Sequence[Conversation], limit_ns: int, *, until_answere
         Whether that is done.
     """
     for conversation in conversations:
-        conversation.step()
+        conversation.step(is_heard=is_heard)
     while not are_done(conversations, until_answered=until_answered):
         now = time.monotonic_ns()
         if now >= limit_ns:
