@@ -4,6 +4,7 @@ A field in braces stands for a number, ``v {axis} {velocity_command:float}``; ``
 axis. Numbers are written without exponents: the readers of many drives know none.
 """
 
+import functools
 import math
 import re
 from collections.abc import Callable, Mapping
@@ -142,6 +143,9 @@ class LineFormat:
             A value is missing or not finite.
         """
         try:
+            if len(self._writers) == 1:  # a command: in every cycle
+                name, convert = self._writers[0]
+                return self._written % convert(values[name])
             return self._written % tuple([convert(values[name]) for name, convert in self._writers])
         except KeyError as error:
             raise ValueError(f"there is no value of {error.args[0]} to be sent yet") from error
@@ -181,7 +185,7 @@ def _writer(field: NumberField, signal: "AsciiSignal") -> tuple[bytes, Callable[
         end = 10.0**signal.whole_digits
         limit = min(end - 10.0**-digits, math.nextafter(end, 0.0))  # the difference may be lost in 16 digits
         size = 1 + signal.whole_digits + (digits + 1 if digits else 0)
-        return b"%%.%df" % digits, lambda value: saturated(value, -limit, limit), size
+        return b"%%.%df" % digits, functools.partial(saturated, low=-limit, high=limit), size
     low, high = _bounds(signal)
     span = high - low + 1
     if field.name in _WRAPPING:

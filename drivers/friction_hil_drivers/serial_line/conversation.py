@@ -332,7 +332,7 @@ class Conversation:
         for exchange in sent:
             if exchange.tells_refusal:
                 self._unconfirmed.append(exchange)
-            if exchange in self._done:
+            if self._done and exchange in self._done:
                 self._done.pop(exchange)()
         return not self.awaited
 

@@ -19,7 +19,7 @@ from friction_hil_drivers.serial_line.options import LineOptions, tcp_address
 
 _CONNECT_S = 2.0
 _PSEUDO_TERMINALS = Path("/dev/pts")
-_AT_ONCE = 4096  # bytes
+_AT_ONCE = 448  # bytes: more than a cycle's replies, and few enough for Python's pool of small objects
 _PARITY = {"none": serial.PARITY_NONE, "even": serial.PARITY_EVEN, "odd": serial.PARITY_ODD}
 
 
