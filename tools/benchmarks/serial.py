@@ -37,7 +37,7 @@ MODBUS_CPU_US, ASCII_CPU_US = 400.0, 150.0
 LEAST_REDUCTION = 2.0
 CIRCLE_S = 12.0
 _COMMAND = [sys.executable, "-m", "friction_hil"]
-_COMMANDS = [Command(Request.ENABLE)]
+_ENABLE = [Command(Request.ENABLE)]
 _COUNTS = 2**20 / 6.283185307179586
 MODBUS = {"driver": "modbus", "description": "generic_cia402", "counts_per_unit": _COUNTS, "rated_torque": 0.64}
 ODRIVE = {"driver": "ascii", "description": "odrive", "torque_constant": 0.1}
@@ -151,7 +151,7 @@ def _enabled(configuration: Configuration) -> SerialDrives:
 
 def _cycle(drives: SerialDrives, feedback: Feedback, patience_ns: int = 100_000_000) -> None:
     drives.receive([feedback], time.monotonic_ns() + patience_ns)
-    drives.send(_COMMANDS)
+    drives.send(_ENABLE)
 
 
 def _wire_s(drives: SerialDrives) -> float:

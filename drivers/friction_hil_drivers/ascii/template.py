@@ -143,9 +143,6 @@ class LineFormat:
             A value is missing or not finite.
         """
         try:
-            if len(self._writers) == 1:  # a command: in every cycle
-                name, convert = self._writers[0]
-                return self._written % convert(values[name])
             return self._written % tuple([convert(values[name]) for name, convert in self._writers])
         except KeyError as error:
             raise ValueError(f"there is no value of {error.args[0]} to be sent yet") from error

@@ -43,8 +43,12 @@ class Line:
         self._connecting: socket.socket | None = None
         self._peer: tuple[socket.AddressFamily, Any] | None = None  # found when the line was opened: names take time
         self._hang_up = select.poll()  # tells that a serial port is there no more
-        self.is_open = False
         self.descriptor = -1  # of the open line, for select; -1 where it is gone
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the line is there."""
+        return self.descriptor >= 0
 
     def open(self) -> None:
         """Open the line; a TCP connection may take two seconds.
@@ -92,13 +96,13 @@ class Line:
                     f"{options.port} cannot switch the direction of an RS-485 line ({error})",
                     "adapters that do it by themselves need is_rs485: false",
                 ) from error
-        self._port, self.descriptor, self.is_open = port, port.fileno(), True
+        self._port, self.descriptor = port, port.fileno()
         self._hang_up.register(self.descriptor, 0)
 
     def _take_socket(self, connection: socket.socket) -> None:
         connection.setblocking(False)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        self._socket, self.descriptor, self.is_open = connection, connection.fileno(), True
+        self._socket, self.descriptor = connection, connection.fileno()
 
     @property
     def latency_s(self) -> float:
@@ -197,7 +201,7 @@ class Line:
     def close(self) -> None:
         """Give the line back. Safe to call twice."""
         self._hang_up = select.poll()
-        self.descriptor, self.is_open = -1, False
+        self.descriptor = -1
         for part in (self._port, self._socket, self._connecting):
             if part is not None:
                 with contextlib.suppress(OSError):
