@@ -37,6 +37,8 @@ def examine(path: Path | None, root: Path = _ROOT) -> Iterator[Finding]:
     if path is not None:
         configuration, problems = _load(path)
         yield from map(_mistake, problems)
+        if configuration is not None:
+            yield from _missing_models(configuration)
         if not problems:
             yield Finding(CONFIGURATION, "pass", f"{path}: no mistakes")
     realtime = Realtime() if configuration is None else configuration.realtime
@@ -51,10 +53,17 @@ def _load(path: Path) -> "tuple[Configuration | None, list[Problem]]":
     from friction_hil.config import file_problems, load
 
     try:
-        configuration = load(path)
+        configuration = load(path, needs_models=False)
     except ConfigurationError as error:
         return None, list(error.problems)
     return configuration, file_problems(path, configuration)
+
+
+def _missing_models(configuration: "Configuration") -> Iterator[Finding]:
+    for name, axis in configuration.axes.items():
+        file = axis.model.source_path
+        if file is not None and not file.exists():
+            yield Finding(f"{name}: model", "warn", f"there is no {file} yet", "friction-hil tune makes it")
 
 
 def _mistake(problem: Problem) -> Finding:

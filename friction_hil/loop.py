@@ -16,6 +16,7 @@ from friction_hil.recordings import columns
 from friction_hil.safety import REQUESTS, REQUESTS_AFTER_FAULT, LoopState
 from friction_hil.sequence import Course, Facts
 from friction_hil.servo.trajectory import PathTime
+from friction_hil.stop import StopRequest
 
 _TIME, _CYCLE = columns.NAMES.index(columns.TIME), columns.NAMES.index(columns.CYCLE)
 _LATE = columns.NAMES.index("late_us")
@@ -42,15 +43,6 @@ class Sink(Protocol):
     def event(self, cycle: int, name: str, text: str) -> None:
         """Take something that happened in a cycle."""
         ...
-
-
-class StopRequest:
-    """Set from a signal handler, read by the loop."""
-
-    __slots__ = ("is_requested",)
-
-    def __init__(self) -> None:
-        self.is_requested = False
 
 
 @dataclass(frozen=True, slots=True)

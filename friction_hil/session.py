@@ -17,10 +17,11 @@ from friction_hil.errors import UsageError
 from friction_hil.findings import complaints
 from friction_hil.fingerprint import fingerprint
 from friction_hil.jit import Array
-from friction_hil.loop import Loop, LoopResult, LoopSettings, StopRequest
+from friction_hil.loop import Loop, LoopResult, LoopSettings
 from friction_hil.realtime import RealClock, SteppedClock, punctuality
 from friction_hil.recordings import columns
 from friction_hil.servo.trajectory import PathTime
+from friction_hil.stop import StopRequest
 
 if TYPE_CHECKING:
     from friction_hil.config import Configuration

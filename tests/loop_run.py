@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from friction_hil.drive import DriveState, Request
-from friction_hil.loop import StopRequest
+from friction_hil.stop import StopRequest
 from friction_hil.safety import LoopState
 from tests.servo_drives import PERIOD_S, TRUE_FRICTION, ServoDrives, axis_dict, configuration, make_loop
 

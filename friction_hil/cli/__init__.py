@@ -24,6 +24,7 @@ COMMANDS = {
     "simulate": "Simulate the drives of a configuration on its bus.",
     "replay": "Run recordings through friction models, or verify them.",
     "identify": "Find friction model and mechanics from recordings.",
+    "tune": "Let the axes of a machine learn their friction, and try it.",
     "train": "Train a network on the friction of recordings, or of a model.",
     "convert": "Convert a recording, or say what is in it.",
     "study": "Show what each friction model does to a servo.",

@@ -1,10 +1,8 @@
 """``friction-hil run``: the daemon."""
 
 import math
-import signal
 import sys
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import click
@@ -49,33 +47,26 @@ def command(
 
     from friction_hil.config import load, located
     from friction_hil.errors import OptionError
-    from friction_hil.loop import StopRequest
+    from friction_hil.stop import stop_on_signals
 
     configuration = load(config)
     # Before anything else is loaded: a signal during the start must not leave a half-configured drive either.
-    stop = StopRequest()
+    with stop_on_signals() as stop:
+        from friction_hil.session import SessionSettings, run_session
 
-    def on_signal(number: int, frame: FrameType | None) -> None:
-        stop.is_requested = True
-
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, on_signal)
-
-    from friction_hil.session import SessionSettings, run_session
-
-    settings = SessionSettings(
-        duration_s=math.inf if duration is None else duration,
-        record=record,
-        is_overwrite_allowed=force,
-        dry_run=dry_run,
-        is_fault_reset_wanted=reset_fault,
-        is_paced_by_sync=pace == "sync",
-        is_status_shown=not as_json and sys.stderr.isatty(),
-    )
-    try:
-        result = run_session(configuration, settings, stop, lambda line: click.echo(line, err=True))
-    except OptionError as error:
-        raise located(config, error) from None
+        settings = SessionSettings(
+            duration_s=math.inf if duration is None else duration,
+            record=record,
+            is_overwrite_allowed=force,
+            dry_run=dry_run,
+            is_fault_reset_wanted=reset_fault,
+            is_paced_by_sync=pace == "sync",
+            is_status_shown=not as_json and sys.stderr.isatty(),
+        )
+        try:
+            result = run_session(configuration, settings, stop, lambda line: click.echo(line, err=True))
+        except OptionError as error:
+            raise located(config, error) from None
     report = result.report
     paths = report.recording if report else ()
     summary: dict[str, Any] = {

@@ -35,7 +35,7 @@ def command(config: str, pace: str, ready_fd: int | None, exit_with_stdin: bool)
     from friction_hil.errors import UsageError
     from friction_hil.realtime import punctuality
 
-    configuration = load(config)
+    configuration = load(config, needs_models=False)
     axes = {name: axis for name, axis in configuration.axes.items() if axis.simulation is not None}
     if not axes:
         raise UsageError(f"{config}: no axis has a 'simulation' section; an empty one (simulation: {{}}) will do")

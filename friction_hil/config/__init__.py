@@ -19,12 +19,14 @@ from friction_hil.config.load import (
 from friction_hil.config.model_file import Friction, Gravity, Mechanics, ModelFile
 from friction_hil.config.schema import (
     AxisConfig,
+    AxisExperiment,
     BusConfig,
     Circle,
     Compensation,
     Configuration,
     Controller,
     Experiment,
+    ExperimentBounds,
     Hold,
     Limits,
     NoTrajectory,
@@ -39,12 +41,14 @@ from friction_hil.config.yaml_text import dump
 
 __all__ = [
     "AxisConfig",
+    "AxisExperiment",
     "BusConfig",
     "Circle",
     "Compensation",
     "Configuration",
     "Controller",
     "Experiment",
+    "ExperimentBounds",
     "Friction",
     "Gravity",
     "Hold",

@@ -80,6 +80,11 @@ def _limit_mistakes(axis: "AxisConfig", has_setpoint: bool) -> Iterator[Mistake]
     if speed > limits.velocity:
         message = f"is {limits.velocity:g}, but the trajectory moves at up to {speed:.4g} (rad/s or m/s)"
         yield ("limits", "velocity"), message
+    if axis.experiment is not None:
+        if axis.experiment.velocity > limits.velocity:
+            yield ("experiment", "velocity"), f"is beyond limits.velocity, {limits.velocity:g}"
+        if axis.experiment.axis not in (None, axis.model.axis):
+            yield ("experiment", "axis"), f"is {axis.experiment.axis}, but the model is of a {axis.model.axis} axis"
 
 
 def _peak_speed(axis: "AxisConfig") -> float:

@@ -2,6 +2,7 @@
 
 import os
 import re
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
@@ -18,16 +19,29 @@ from friction_hil.errors import ConfigurationError, OptionError, Problem, UsageE
 
 Model = TypeVar("Model", bound=BaseModel)
 
+# Of a model that is still to be made. The inertia is there for those who ask whether one is known, and does nothing.
+_WITHOUT_FRICTION = {
+    "friction": {"model": "coulomb", "parameters": {"coulomb": 0.0}},
+    "mechanics": {"inertia": sys.float_info.min},
+}
 
-def load(path: str | Path) -> Configuration:
+
+def load(path: str | Path, *, needs_models: bool = True) -> Configuration:
     """Read a configuration file and the model files that it names.
+
+    Parameters
+    ----------
+    path : path
+    needs_models : bool
+        Whether a model file that is not there is a mistake. Otherwise the axis gets a model without any friction, whose
+        ``source_path`` is where the file shall stand; ``experiment.axis`` says whether it is a rotary axis.
 
     Raises
     ------
     ConfigurationError
         It cannot be read or has mistakes; ``problems`` has each with its line.
     """
-    configuration = _configuration(yaml_text.read(path), Path(path).parent)
+    configuration = _configuration(yaml_text.read(path), Path(path).parent, needs_models=needs_models)
     configuration._source_path = Path(path).absolute()
     return configuration
 
@@ -166,14 +180,14 @@ def field_name(steps: Steps) -> str:
     return text.removeprefix(".")
 
 
-def _configuration(document: Document, directory: Path) -> Configuration:
+def _configuration(document: Document, directory: Path, *, needs_models: bool = True) -> Configuration:
     origins = _Origins(document)
     problems = list(document.problems)
     files: dict[Steps, Path] = {}
     value = document.value
     axes = value.get("axes") if isinstance(value, dict) else None
     if isinstance(axes, dict):
-        reader = _ModelReader(directory, origins, problems, files)
+        reader = _ModelReader(directory, origins, problems, files, needs_models)
         value = {**value, "axes": {name: reader.axis(name, axis) for name, axis in axes.items()}}
     configuration = _validate(Configuration, value, origins, problems)
     axes = {name: _anchored(axis, directory.absolute()) for name, axis in configuration.axes.items()}
@@ -207,11 +221,19 @@ def _with_paths(part: BaseModel, directory: Path) -> BaseModel:
 class _ModelReader:
     """Puts the content of model files where a configuration names them."""
 
-    def __init__(self, directory: Path, origins: _Origins, problems: list[Problem], files: dict[Steps, Path]) -> None:
+    def __init__(
+        self,
+        directory: Path,
+        origins: _Origins,
+        problems: list[Problem],
+        files: dict[Steps, Path],
+        needs_models: bool,
+    ) -> None:
         self._directory = directory
         self._origins = origins
         self._problems = problems
         self._files = files
+        self._needs_models = needs_models
 
     def axis(self, name: str, axis: Any) -> Any:
         """Return the plain values of an axis with its models inlined and the driver's keys apart."""
@@ -219,7 +241,13 @@ class _ModelReader:
             return axis
         inlined = dict(axis)
         if isinstance(axis.get("model"), str):
-            inlined["model"] = self._read(axis["model"], ("axes", name, "model"))
+            steps: Steps = ("axes", name, "model")
+            path = self._directory / axis["model"]
+            if self._needs_models or os.path.isfile(path):
+                inlined["model"] = self._read(axis["model"], steps)
+            else:
+                self._files[steps] = path
+                inlined["model"] = {"axis": _kind(axis), **_WITHOUT_FRICTION}
         if isinstance(axis.get("shadows"), list):
             inlined["shadows"] = [
                 self._shadow(item, ("axes", name, "shadows", index)) for index, item in enumerate(axis["shadows"])
@@ -241,7 +269,7 @@ class _ModelReader:
         path = self._directory / name
         if not os.path.isfile(path):  # unlike Path.is_file it says no to a name that is too long
             siblings = [str(Path(name).parent / item.name) for item in path.parent.glob("*.y*ml")]
-            message = f"there is no model file {path}; {choices(name, siblings)}"
+            message = f"there is no model file {path} ('friction-hil tune' makes one); {choices(name, siblings)}"
             self._problems.append(self._origins.locate(steps, message))
             self._origins.broken.append(steps)
             return None
@@ -255,6 +283,12 @@ class _ModelReader:
         self._origins.add(steps, document)
         self._files[steps] = path
         return document.value
+
+
+def _kind(axis: dict[str, Any]) -> str:
+    """Kind of an axis that has no model file yet; what is no kind is found when ``experiment`` is checked."""
+    experiment = axis.get("experiment")
+    return "linear" if isinstance(experiment, dict) and experiment.get("axis") == "linear" else "rotary"
 
 
 def _validate(model: type[Model], value: Any, origins: _Origins, problems: list[Problem]) -> Model:

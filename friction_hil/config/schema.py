@@ -153,15 +153,28 @@ class Triangle(Section):
     rounding: float = key("share of a quarter period over which a corner is rounded", "1", default=0.1, gt=0, le=0.5)
 
 
-class Experiment(Section):
-    """Swelling sines from presliding to full speed, back to the start, then rest: the motion for `identify`."""
+class ExperimentBounds(Section):
+    """How far and how fast an axis may move to show its friction."""
 
-    kind: Literal["experiment"]
     velocity: float = key("highest speed, where travel leaves room for it", VELOCITY, gt=0)
     travel: float = key("largest distance from the start, to either side", POSITION, gt=0)
     acceleration: float | None = key("highest acceleration", f"{VELOCITY} per s", default=None, gt=0)
     duration_s: float = key("length", "s", default=60.0, ge=10)
     ramp_s: float = _RAMP
+
+
+class AxisExperiment(ExperimentBounds):
+    """What `tune` has to be told of an axis."""
+
+    axis: Literal["rotary", "linear"] | None = key(
+        "kind of the axis while its model file is not there yet: rotary (by default) or linear", default=None
+    )
+
+
+class Experiment(ExperimentBounds):
+    """Swelling sines from presliding to full speed, back to the start, then rest: the motion for `identify`."""
+
+    kind: Literal["experiment"]
 
 
 class Hold(Section):
@@ -210,6 +223,9 @@ class AxisConfig(Section):
     shadows: tuple[Shadow, ...] = key("further models, recorded for comparison, never commanded", default=())
     trajectory: Trajectory = key("motion: kind circle, sine, triangle, experiment, hold or none")
     controller: Controller | None = key("the daemon's own controller (modes cst and csv)", default=None)
+    experiment: AxisExperiment | None = key(
+        "how far and how fast 'tune' may move the axis to learn its friction", default=None
+    )
     simulation: SerializeAsAny[BaseModel] | None = key("the drive that 'simulate' puts on the bus", default=None)
     options: SerializeAsAny[BaseModel] = Field(json_schema_extra={"is_key": False})
 

@@ -7,6 +7,9 @@ import numpy as np
 
 from friction_hil.errors import RecordingError
 from friction_hil.identification.fits import Fit
+from friction_hil.identification.refine import is_dynamic
+
+_MUCH_WORSE = 1.5  # times: seen with all that the encoder tells, an error falls by a third or so
 
 
 def _limit(fit: Fit) -> float:
@@ -63,6 +66,27 @@ def choose(fits: Sequence[Fit], blocks: str = "blocks") -> tuple[Fit, str]:
         f"{first}; {chosen.label} ({_percent(chosen)}) is the simplest within one standard error of it {shown}: "
         f"{chosen.count} parameters, not {lowest.count}"
     )
+
+
+def to_refine(best: Fit, fits: Sequence[Fit]) -> list[Fit]:
+    """The chosen fit, and the simplest one of each dynamic family that has not predicted much worse.
+
+    How an axis starts to move, ordinary records show but dimly; that is what sets these families apart, and what a
+    modifier then may seem to explain.
+    """
+    lowest: dict[str, float] = {}
+    simplest: dict[str, Fit] = {}
+    for each in filter(lambda each: is_dynamic(each.structure), fits):
+        family, error = each.structure.family, each.held_out.rmse
+        lowest[family] = min(lowest.get(family, math.inf), error)
+        simplest[family] = min(simplest.get(family, each), each, key=_simplicity)
+    limit = _MUCH_WORSE * best.held_out.rmse
+    found = [simplest[family] for family, error in lowest.items() if error <= limit]
+    return [best, *(each for each in found if each is not best)]
+
+
+def _simplicity(fit: Fit) -> tuple[int, int]:
+    return len(fit.structure.modifiers), len(fit.structure.without)
 
 
 def _percent(fit: Fit) -> str:

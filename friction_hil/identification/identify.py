@@ -10,7 +10,7 @@ import numpy as np
 from friction_hil import models
 from friction_hil.errors import RecordingError, UsageError, choices
 from friction_hil.identification import drive, modifiers, structures
-from friction_hil.identification.choice import choose, is_better
+from friction_hil.identification.choice import choose, is_better, to_refine
 from friction_hil.identification.data import LEAST_ROWS, Data, Record, prepare
 from friction_hil.identification.errors import is_grouped
 from friction_hil.identification.fine import fine_data, is_fine, shows_presliding
@@ -205,7 +205,7 @@ class _Search:
             fits = drive.usable(fits)
         best, reason = choose(fits, "groups of recordings" if is_grouped(self.data) else "blocks")
         if not self.known and is_dynamic(best.structure) and shows_presliding(self.data.records, self.settings.refine):
-            once_more = [self._refined(each) for each in _to_refine(best, fits)]
+            once_more = [self._refined(each) for each in to_refine(best, fits)]
             fits = [each for each in fits if each.label not in {other.label for other in once_more}] + once_more
             best, further = choose(once_more)
             reason += (
@@ -470,13 +470,6 @@ class _Search:
                 raise UsageError(f"no candidate has a parameter {name!r} to hold; {choices(name, known)}")
             if math.isnan(value):
                 raise UsageError(f"a value to hold is a number; {name} is {value}")
-
-
-def _to_refine(best: Fit, fits: Sequence[Fit]) -> list[Fit]:
-    """The chosen fit and the simplest of its family: what ordinary records leave, a modifier may seem to explain."""
-    family = [each for each in fits if each.structure.family == best.structure.family]
-    plain = min(family, key=lambda each: (len(each.structure.modifiers), len(each.structure.without)))
-    return [best] if plain is best else [best, plain]
 
 
 def _names(structure: Structure) -> set[str]:

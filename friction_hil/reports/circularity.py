@@ -9,26 +9,14 @@ import numpy as np
 
 from friction_hil.errors import RecordingError
 from friction_hil.recordings.recording import Array, Recording
+from friction_hil.reports import following
+from friction_hil.reports.following import SETTLE_S, Figures
 from friction_hil.safety import LoopState
 
 if TYPE_CHECKING:
     from friction_hil.config import Circle, Configuration
 
-SETTLE_S = 0.5  # until the drive's loops have forgotten a ramp or a fade
-RECOVERY_S = 0.03  # likewise a missed period: several time constants of a position loop
-RECOVERY_OF_MISSED = 5.0  # so many more periods for each that was missed
-RECOVERY_OF_LATE = 5.0  # periods; what arrives shortly after late feedback may be the answer to a former cycle
-_LEAST_SHARE = 0.5
-
-_COLUMNS = ("position", "position_demand", "velocity_estimate", "compensation", "is_fresh", "is_enabled", "state")
-
-
-@dataclass(frozen=True, slots=True)
-class Figures:
-    """Following error of one axis, rad or m: root mean square, and largest absolute value."""
-
-    rms: float
-    peak: float
+_COLUMNS = (*following.COLUMNS, "velocity_estimate", "compensation")
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,8 +136,8 @@ def analyse(recordings: Mapping[str, Recording]) -> Circularity:
     is_running = np.all([each["state"] == LoopState.RUNNING for each in columns.values()], axis=0)
     enabled = np.array([each["is_enabled"] for each in columns.values()])
     phases = {
-        "without": _settled(cycle, is_running & ~enabled.any(axis=0), starting),
-        "with": _settled(cycle, is_running & enabled.all(axis=0), fading),
+        "without": following.settled(cycle, is_running & ~enabled.any(axis=0), starting),
+        "with": following.settled(cycle, is_running & enabled.all(axis=0), fading),
     }
     count = min(int((stop - start) / lap + 1e-6) for start, stop in phases.values())
     if count < 1:
@@ -158,7 +146,7 @@ def analyse(recordings: Mapping[str, Recording]) -> Circularity:
         )
         raise RecordingError(f"{path}: a lap takes {lap * period_s:g} s; in steady motion there are only {present}")
 
-    is_usable = ~_is_recovering(cycle, columns, RECOVERY_S / period_s)
+    is_usable = ~following.is_recovering(cycle, list(columns.values()), period_s)
     in_last_lap = is_running & (cycle >= phases["with"][1] - lap) & (cycle < phases["with"][1])
     offsets = [_deviation(columns[name], 2.0 * np.pi * cycle / lap, in_last_lap) for name in recordings]
     angle, radius_error = np.arctan2(offsets[1], offsets[0]), np.hypot(*offsets) - circle.radius
@@ -168,11 +156,7 @@ def analyse(recordings: Mapping[str, Recording]) -> Circularity:
         rows = (cycle >= start - 1e-6) & (cycle < stop - 1e-6)
         used = rows & is_usable
         wanted = round(count * lap)
-        if np.count_nonzero(used) < _LEAST_SHARE * wanted:
-            raise RecordingError(
-                f"{path}: only {np.count_nonzero(used)} of {wanted} periods of the laps can be used; in the others "
-                "the loop or the drives were late: the computer was too busy"
-            )
+        following.refuse_too_few(path, int(np.count_nonzero(used)), wanted)
         place = ((cycle[used] - start) % lap).astype(np.intp)
         figures = {name: _figures(columns[name]["error"][used], place) for name in recordings}
         return Laps(count, (start * period_s, stop * period_s), wanted, angle[used], radius_error[used], figures)
@@ -213,25 +197,9 @@ def _aligned(recordings: Mapping[str, Recording]) -> tuple[Array, dict[str, dict
     cycle, *rows = np.intersect1d(first["cycle"], second["cycle"], return_indices=True)
     columns: dict[str, dict[str, Array]] = {}
     for (name, each), at in zip(recordings.items(), rows, strict=True):
-        taken = {column: each[column][at] for column in _COLUMNS}
-        taken["error"] = np.where(taken["is_fresh"] == 1.0, taken["position_demand"] - taken["position"], np.nan)
-        columns[name] = taken
+        columns[name] = {column: each[column][at] for column in _COLUMNS}
+        columns[name]["error"] = following.error(columns[name])
     return cycle, columns
-
-
-def _settled(cycle: Array, mask: Any, settle_cycles: float) -> tuple[float, float]:
-    """Cycles from and to between which ``mask`` holds and what went before it is forgotten."""
-    inside = cycle[mask]
-    return (float(inside[0]) + settle_cycles, float(inside[-1]) + 1.0) if inside.size else (0.0, 0.0)
-
-
-def _is_recovering(cycle: Array, columns: Mapping[str, Mapping[str, Array]], recovery_cycles: float) -> Any:
-    """Whether a period was missed, or feedback was late, in each row or shortly before it."""
-    missed = np.diff(cycle, prepend=cycle[:1] - 1.0) - 1.0
-    is_fresh = np.all([each["is_fresh"] == 1.0 for each in columns.values()], axis=0)
-    after_missed = np.where(missed > 0.0, recovery_cycles + RECOVERY_OF_MISSED * missed, 0.0)
-    after_late = np.where(is_fresh, 0.0, RECOVERY_OF_LATE)
-    return cycle < np.maximum.accumulate(cycle + np.maximum(after_missed, after_late))
 
 
 def _deviation(columns: Mapping[str, Array], turn: Array, in_steady_motion: Any) -> Array:

@@ -23,11 +23,12 @@ from friction_hil.drive import Command, Feedback
 from friction_hil.errors import FrictionHilError
 from friction_hil.findings import complaints
 from friction_hil.jit import Array
-from friction_hil.loop import Loop, LoopSettings, StopRequest
+from friction_hil.loop import Loop, LoopSettings
 from friction_hil.realtime import RealClock, punctuality
 from friction_hil.recordings import columns
 from friction_hil.safety import LoopState
 from friction_hil.servo.trajectory import PathTime
+from friction_hil.stop import StopRequest
 from tools.benchmarks.report import Row, against, note, percentile
 
 if TYPE_CHECKING:

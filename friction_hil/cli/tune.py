@@ -1,0 +1,193 @@
+"""``friction-hil tune``: commissioning on the drive."""
+
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from friction_hil.cli.output import console, noticed_compilation, option_json, print_json
+from friction_hil.errors import UsageError
+
+if TYPE_CHECKING:
+    from friction_hil.tuning import AxisTuning, Tuning
+
+_FOLDER = Path("out/tune")
+_WIDE = 1000
+
+
+@click.command("tune")
+@click.argument("config", type=click.Path(path_type=Path))
+@click.option("--axis", "names", multiple=True, metavar="NAME", help="Axis to tune; all by default. May be repeated.")
+@click.option("--models", default="all", metavar="all|NAME,NAME", help="Families of friction models to try.")
+@click.option(
+    "--output",
+    type=click.Path(file_okay=False, path_type=Path),
+    metavar="DIR",
+    help=f"Folder for recordings, models and report, new or empty; {_FOLDER} by default, the next ones with the time "
+    "in the name.",
+)
+@click.option("--yes", is_flag=True, help="Do not ask before the axes move.")
+@click.option(
+    "--pace",
+    type=click.Choice(["real", "sync"]),
+    default="real",
+    show_default=True,
+    help="sync: as fast as simulated drives that run with --pace sync answer; nothing is asked.",
+)
+@option_json
+def command(
+    config: Path,
+    names: tuple[str, ...],
+    models: str,
+    output: Path | None,
+    yes: bool,
+    pace: str,
+    as_json: bool,
+) -> int:
+    """Let the axes of CONFIG learn their friction on their drives, and try it.
+
+    Each axis moves as far and as fast as its 'experiment' says; a friction model and the inertia are identified from
+    that, tried on the axes' own motion, and kept if the following error is smaller with it. The model file that
+    CONFIG names need not be there: tune makes it. One that is there stays as it is; the new one is then in DIR.
+
+    Exit status 1 if a model did not help, or if there was a fault.
+    """
+    is_asked = pace == "real" and not yes
+    if is_asked and not sys.stdin.isatty():
+        raise click.UsageError("the machine moves several times, minutes apart: --yes says that nobody need be asked")
+
+    from friction_hil.config import load, located
+    from friction_hil.errors import OptionError
+
+    configuration = load(config, needs_models=False)
+
+    from friction_hil.companion import free_path
+    from friction_hil.tuning import Settings, tune
+
+    settings = Settings(
+        folder=free_path(_FOLDER, 0) if output is None else output,
+        names=names,
+        families=() if models == "all" else tuple(name.strip() for name in models.split(",")),
+        is_paced_by_sync=pace == "sync",
+        is_status_shown=not as_json and sys.stderr.isatty(),
+    )
+    try:
+        tuning = tune(configuration, settings, _Terminal(is_asked))
+    except OptionError as error:
+        raise located(config, error) from None
+    tuning.report = _report(settings.folder, tuning)
+    if as_json:
+        print_json(_as_dict(tuning))
+    else:
+        _print(tuning, config)
+    for warning in tuning.warnings:
+        click.echo(f"warning: {warning}", err=True)
+    failed = [name for name, axis in tuning.axes.items() if not axis.best.trial.has_helped]
+    for name in failed:
+        click.echo(f"{name}: compensation did not help: its model is not put to use", err=True)
+    return 1 if failed else 0
+
+
+def _report(folder: Path, tuning: "Tuning") -> Path | None:
+    from friction_hil.reports.figures import require_matplotlib
+
+    try:
+        require_matplotlib()
+    except UsageError as error:  # hours of a machine are worth more than a picture of them
+        click.echo(f"no report: {error}", err=True)
+        return None
+    from friction_hil.reports.tuning_report import write_reports
+
+    return write_reports(folder, tuning)
+
+
+class _Terminal:
+    """Speaks on stderr, and asks there."""
+
+    def __init__(self, is_asked: bool) -> None:
+        self._is_asked = is_asked
+
+    def tell(self, line: str) -> None:
+        click.echo(line, err=True)
+
+    def confirm(self, motion: str) -> None:
+        self.tell(motion)
+        if self._is_asked:
+            click.confirm("Is the way clear?", default=True, abort=True, err=True)
+
+    @contextmanager
+    def working(self, text: str) -> Iterator[Callable[[str], None]]:
+        with console(stderr=True).status(text) as line:
+            now = text
+
+            def show(what: str) -> None:
+                nonlocal now
+                now = what
+                line.update(now)
+
+            with noticed_compilation(lambda note: line.update(f"{now}: {note}")):
+                yield show
+
+
+def _as_dict(tuning: "Tuning") -> dict[str, Any]:
+    return {
+        "axes": {name: _axis(axis) for name, axis in tuning.axes.items()},
+        "recordings": tuning.recordings,
+        "report": tuning.report,
+        "warnings": tuning.warnings,
+    }
+
+
+def _axis(axis: "AxisTuning") -> dict[str, Any]:
+    best = axis.best
+    return {
+        "model": best.fit.label,
+        "file": axis.file,
+        "in_place": axis.is_in_place,
+        "reason": axis.identification.reason,
+        "flags": best.fit.flags,
+        "parameters": best.fit.friction[0],
+        "mechanics": best.model["mechanics"],
+        "tried": [
+            {
+                "model": each.fit.label,
+                "uncompensated": {"rms": each.trial.uncompensated.rms, "peak": each.trial.uncompensated.peak},
+                "compensated": {"rms": each.trial.compensated.rms, "peak": each.trial.compensated.peak},
+                "reduction": {"rms": each.trial.reduction.rms, "peak": each.trial.reduction.peak},
+            }
+            for each in axis.candidates
+        ],
+    }
+
+
+def _print(tuning: "Tuning", config: Path) -> None:
+    from rich.table import Table
+    from rich.text import Text
+
+    from friction_hil.reports.tuning_report import figures
+
+    out = console()
+    if not out.is_terminal:
+        out.width = _WIDE  # into a file or a pipe: no label is folded
+    table = Table("axis", "model", "following error", box=None, header_style="bold", pad_edge=False)
+    for head in ("without", "with compensation", "times lower"):
+        table.add_column(head, justify="right")
+    for name, axis in tuning.axes.items():
+        for each in axis.candidates:
+            kept = " (kept)" if each is axis.best and each.trial.has_helped else ""
+            for k, row in enumerate(figures(axis, each)):
+                table.add_row(*(("", "") if k else (name, Text(f"{each.fit.label}{kept}"))), *map(Text, row))
+    out.print(table)
+    for name, axis in tuning.axes.items():
+        for flag in axis.best.fit.flags:
+            out.print(f"{name}: {flag}", markup=False, soft_wrap=True)
+    for name, axis in tuning.axes.items():
+        seen = os.path.relpath(axis.file, config.parent)
+        use = "where the configuration looks for it" if axis.is_in_place else f"to use it, 'model: {seen}' in {config}"
+        out.print(f"{name}: model file: {axis.file}; {use}", markup=False, soft_wrap=True)
+    if tuning.report is not None:
+        out.print(f"report: {tuning.report}", markup=False, soft_wrap=True)

@@ -1,0 +1,95 @@
+"""A tuning as HTML: what each model is worth on the machine; beside it the identification of each axis."""
+
+import html
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from friction_hil import __version__
+from friction_hil.errors import FrictionHilError
+from friction_hil.reports.circularity import digits, readable
+from friction_hil.reports.circularity_picture import WITH, WITHOUT
+from friction_hil.reports.page import page, picture, table
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from friction_hil.tuning import AxisTuning, Candidate, Tuning
+
+NAME = "report.html"
+_MARK = f'<meta name="generator" content="friction-hil tune {__version__}">'
+_NO_FREE_RUN = {"relative_error": None, "reason": "the machine itself has tried the model"}
+
+
+def write_reports(folder: Path, tuning: "Tuning") -> Path:
+    """Write ``report.html`` and an identification report ``AXIS.html`` for each axis; return the path of the first.
+
+    Raises
+    ------
+    FrictionHilError
+        A file cannot be written.
+    """
+    from friction_hil.reports.identification_report import write_report
+
+    for name, axis in tuning.axes.items():
+        write_report(folder / f"{name}.html", axis.identification, _NO_FREE_RUN)
+    body = "<h1>Friction, learned on the drive</h1>" + "".join(
+        _section(name, axis) for name, axis in tuning.axes.items()
+    )
+    if tuning.warnings:
+        warnings = "".join(f"<li>{html.escape(line)}</li>" for line in tuning.warnings)
+        body += f"<h2>What the daemon warned of</h2><ul>{warnings}</ul>"
+    path = folder / NAME
+    try:
+        path.write_text(page("friction-hil: tuning", _MARK, body), encoding="utf-8")
+    except OSError as error:
+        raise FrictionHilError(f"{path} cannot be written: {error.strerror}") from None
+    return path
+
+
+def figures(axis: "AxisTuning", candidate: "Candidate") -> Iterator[tuple[str, ...]]:
+    """RMS and peak of the following error: name with unit, without, with compensation, how many times lower."""
+    trial = candidate.trial
+    unit = "rad" if axis.identification.settings.axis == "rotary" else "m"
+    factor, shown = readable(unit, [trial.uncompensated.rms, trial.compensated.rms])
+    for name in ("rms", "peak"):
+        values = (getattr(part, name) * factor for part in (trial.uncompensated, trial.compensated))
+        yield f"{name} [{shown}]", *map(digits, values), digits(getattr(trial.reduction, name), 2)
+
+
+def _section(name: str, axis: "AxisTuning") -> str:
+    best = axis.best
+    verdict = f"kept: {html.escape(str(axis.file))}" if best.trial.has_helped else "no model is put to use"
+    rows = []
+    for each in axis.candidates:
+        label = f"<strong>{html.escape(each.fit.label)}</strong>" if each is best else html.escape(each.fit.label)
+        rows += [("" if k else label, *row) for k, row in enumerate(figures(axis, each))]
+    header = ("", "following error", "without", "with compensation", "times lower")
+    link = f'<a href="{name}.html">how the models were identified, and how sure they are</a>'
+    return f"""
+<h2>{html.escape(name)}: {html.escape(best.fit.label)}</h2>
+<p>{verdict}; {link}.</p>
+{table(header, rows, ("text",))}
+{picture(_draw(axis), _CAPTION, "wide")}
+"""
+
+
+_CAPTION = "One period of the axis's motion. Where it reverses, friction changes its sign and leaves a spike."
+
+
+def _draw(axis: "AxisTuning") -> "Figure":
+    from matplotlib.figure import Figure
+
+    best = axis.best.trial
+    unit = "rad" if axis.identification.settings.axis == "rotary" else "m"
+    factor, shown = readable(unit, [best.uncompensated.rms, best.compensated.rms])
+    figure = Figure(figsize=(10.0, 3.4), facecolor="white", layout="constrained")
+    axes = figure.subplots()
+    for error, color, label in zip(
+        best.errors, (WITHOUT, WITH), ("without", f"with compensation by {axis.best.fit.label}"), strict=True
+    ):
+        axes.plot(best.time_s, error * factor, color=color, linewidth=1.2, label=label)
+    axes.set(xlabel="time [s]", ylabel=f"following error [{shown}]")
+    axes.grid(alpha=0.3)
+    axes.legend(loc="upper right")
+    return figure

@@ -1,0 +1,105 @@
+"""The runs that tune a machine, as configurations. Pure."""
+
+import math
+from collections.abc import Mapping
+
+from friction_hil.assembly import ramp_s
+from friction_hil.config import (
+    AxisConfig,
+    Compensation,
+    Configuration,
+    Experiment,
+    ExperimentBounds,
+    Hold,
+    ModelFile,
+    Sine,
+    Trajectory,
+)
+from friction_hil.errors import OptionError
+from friction_hil.reports.following import SETTLE_S
+
+_REST_S = 0.5  # behind a motion
+_TRIAL_S = 4.0  # of steady motion at least, without and with compensation
+_LEAST_PERIODS = 2
+_TRIAL_HZ = 0.5  # of an axis whose trajectory shows no friction
+_TRIAL_TRAVEL, _TRIAL_SPEED = 0.5, 0.3  # shares of what an experiment may
+
+
+def experiment_of(name: str, axis: AxisConfig) -> ExperimentBounds:
+    """How far and how fast an axis may move to show its friction.
+
+    Raises
+    ------
+    OptionError
+        Nothing says so, nothing would move the axis, or nothing may be tried afterwards.
+    """
+    if axis.trajectory.kind == "none":
+        raise OptionError(
+            name, "trajectory.kind", "is 'none': to move the axis, tune needs a set-point; try hold, with a controller"
+        )
+    if not axis.compensation.enabled:
+        raise OptionError(
+            name,
+            "compensation.enabled",
+            "is false, and tune tries what it finds: make it true (or record an experiment and use 'identify')",
+        )
+    if axis.experiment is not None:
+        return axis.experiment
+    if isinstance(axis.trajectory, Experiment):
+        return axis.trajectory
+    raise OptionError(
+        name,
+        "experiment",
+        "is missing: tune moves the axis by itself, and has to be told how far and how fast, e.g. "
+        f"experiment: {{velocity: {0.5 * axis.limits.velocity:g}, travel: ..., duration_s: 60}}",
+    )
+
+
+def experiment_run(configuration: Configuration, name: str) -> tuple[Configuration, float]:
+    """The run in which one axis makes its experiment and the others are held, all uncompensated; its length, s."""
+    bounds = experiment_of(name, configuration.axes[name])
+    motion = Experiment(kind="experiment", **{key: getattr(bounds, key) for key in ExperimentBounds.model_fields})
+    axes = {each: _held(axis) for each, axis in configuration.axes.items()}
+    axes[name] = axes[name].model_copy(update={"trajectory": motion})
+    run = configuration.model_copy(update={"axes": axes})
+    return run, motion.duration_s + ramp_s(axes.values()) + _REST_S
+
+
+def trial_run(configuration: Configuration, models: Mapping[str, ModelFile]) -> tuple[Configuration, float]:
+    """The run that tries models: so many periods of each axis's motion without, then with compensation; its length, s.
+
+    An axis without a periodic motion makes a small sine; one that has no model to try is held.
+    """
+    axes = {name: _held(axis) for name, axis in configuration.axes.items()}
+    for name, model in models.items():
+        axis = configuration.axes[name]
+        axes[name] = axis.model_copy(update={"trajectory": _trial_motion(name, axis), "model": model})
+    period = max(period_s(axes[name]) for name in models)
+    steady = period * max(_LEAST_PERIODS, math.ceil(_TRIAL_S / period))
+    fade = max(axes[name].compensation.fade_s for name in models)
+    baseline = ramp_s(axes.values()) + SETTLE_S + steady
+    for name in models:
+        compensation = axes[name].compensation.model_copy(update={"baseline_s": baseline})
+        axes[name] = axes[name].model_copy(update={"compensation": compensation})
+    return configuration.model_copy(update={"axes": axes}), baseline + fade + SETTLE_S + steady
+
+
+def period_s(axis: AxisConfig) -> float:
+    """Period of an axis's motion in a trial, s."""
+    return 1.0 / getattr(axis.trajectory, "frequency", _TRIAL_HZ)
+
+
+def _held(axis: AxisConfig) -> AxisConfig:
+    """The axis at rest; one that nothing but a hand moves stays free."""
+    trajectory = axis.trajectory if axis.trajectory.kind == "none" else Hold(kind="hold")
+    return axis.model_copy(
+        update={"trajectory": trajectory, "compensation": Compensation(enabled=False), "shadows": ()}
+    )
+
+
+def _trial_motion(name: str, axis: AxisConfig) -> Trajectory:
+    if axis.trajectory.kind in ("circle", "sine", "triangle"):
+        return axis.trajectory
+    bounds = experiment_of(name, axis)
+    amplitude = min(_TRIAL_TRAVEL * bounds.travel, _TRIAL_SPEED * bounds.velocity / (math.tau * _TRIAL_HZ))
+    return Sine(kind="sine", amplitude=amplitude, frequency=_TRIAL_HZ, ramp_s=bounds.ramp_s)

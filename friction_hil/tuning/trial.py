@@ -1,0 +1,98 @@
+"""What a model is worth on the machine: the following error of a recorded run, without and with it. Pure."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from friction_hil.config import AxisConfig
+from friction_hil.errors import RecordingError
+from friction_hil.jit import Array
+from friction_hil.recordings import Recording
+from friction_hil.reports import following
+from friction_hil.reports.following import SETTLE_S, Figures
+from friction_hil.safety import LoopState
+from friction_hil.tuning.motions import period_s
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trial:
+    """One axis in a run that tries a model.
+
+    Attributes
+    ----------
+    uncompensated, compensated : Figures
+        Of whole periods of the motion, as many without as with compensation.
+    time_s : (m,) array
+        Time in the motion's period, of one without and one with compensation: the last ones.
+    errors : ((m,) array, (m,) array)
+        Following error at these times, rad or m, without and with; NaN where the computer was late.
+    """
+
+    uncompensated: Figures
+    compensated: Figures
+    time_s: Array
+    errors: tuple[Array, Array]
+
+    @property
+    def reduction(self) -> Figures:
+        """How many times smaller the following error is with compensation."""
+        before, after = self.uncompensated, self.compensated
+        return Figures(before.rms / after.rms, before.peak / after.peak)
+
+    @property
+    def has_helped(self) -> bool:
+        """Whether the following error is smaller with compensation, in RMS and no larger at its peak."""
+        return self.reduction.rms > 1.0 and self.reduction.peak >= 1.0
+
+
+def judge(recording: Recording, axis: AxisConfig, cycle_s: float, start_s: float) -> Trial:
+    """Compare the last whole periods without compensation with the last ones of the run.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of the run of `friction_hil.tuning.motions.trial_run`.
+    axis : AxisConfig
+        The axis in that run.
+    cycle_s : float
+        Period of the loop, s.
+    start_s : float
+        How long the axes take to start.
+
+    Raises
+    ------
+    RecordingError
+        The run was too short, or too much of it was missed.
+    """
+    recording.require("cycle", *following.COLUMNS)
+    cycle, columns = recording["cycle"], {name: recording[name] for name in following.COLUMNS}
+    error = following.error(columns)
+    is_running, is_enabled = columns["state"] == LoopState.RUNNING, columns["is_enabled"] == 1.0
+    is_usable = ~following.is_recovering(cycle, [columns], cycle_s)
+    phases = (
+        following.settled(cycle, is_running & ~is_enabled, (start_s + SETTLE_S) / cycle_s),
+        following.settled(cycle, is_running & is_enabled, (axis.compensation.fade_s + SETTLE_S) / cycle_s),
+    )
+    length = period_s(axis) / cycle_s
+    count = min(int((stop - start) / length + 1e-6) for start, stop in phases)
+    if count < 1:
+        raise RecordingError(
+            f"{recording.path}: {recording.axis}: no whole period of {period_s(axis):g} s without and with compensation"
+        )
+    figures, errors = [], []
+    grid = np.arange(int(length))
+    for _, stop in phases:
+        rows = (cycle >= stop - count * length - 1e-6) & (cycle < stop - 1e-6) & is_usable
+        following.refuse_too_few(recording.path, int(np.count_nonzero(rows)), round(count * length))
+        figures.append(Figures(float(np.sqrt(np.mean(error[rows] ** 2))), float(np.max(np.abs(error[rows])))))
+        errors.append(_on_grid(cycle[rows] - (stop - length), error[rows], len(grid)))
+    return Trial(figures[0], figures[1], np.asarray(grid * cycle_s, dtype=np.float64), (errors[0], errors[1]))
+
+
+def _on_grid(place: Array, error: Array, count: int) -> Array:
+    """Error at each of ``count`` cycles of the last period; NaN where there is no row."""
+    values = np.full(count, np.nan)
+    at = np.floor(place + 1e-6).astype(np.intp)
+    is_inside = (at >= 0) & (at < count)
+    values[at[is_inside]] = error[is_inside]
+    return values

@@ -1,0 +1,315 @@
+"""Commissioning on the drive: each axis moves to show its friction, models of it are tried, the best one is kept."""
+
+import math
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+from friction_hil.assembly import ramp_s
+from friction_hil.config import Configuration, ModelFile, dump
+from friction_hil.errors import FrictionHilError, UsageError, choices
+from friction_hil.identification import Fit, Identification, identify
+from friction_hil.identification import Settings as IdentificationSettings
+from friction_hil.identification.export import as_model_file
+from friction_hil.identification.refine import is_dynamic
+from friction_hil.recordings import read, read_all
+from friction_hil.session import SessionResult, SessionSettings, run_session
+from friction_hil.stop import stop_on_signals
+from friction_hil.tuning.motions import experiment_of, experiment_run, trial_run
+from friction_hil.tuning.trial import Trial, judge
+
+
+class Talk(Protocol):
+    """What tuning says to the user, and asks. Nothing of it is called while axes move, but `tell`."""
+
+    def tell(self, line: str) -> None:
+        """Take a line about what is going on."""
+        ...
+
+    def confirm(self, motion: str) -> None:
+        """Let the user say that this may move now, or give up (``click.Abort``)."""
+        ...
+
+    def working(self, text: str) -> AbstractContextManager[Callable[[str], None]]:
+        """Show that long work goes on; the function takes what it is at."""
+        ...
+
+
+class TuningError(FrictionHilError):
+    """A run ended before it had shown what it was for. Example: a drive's fault."""
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What to tune, and where to leave it.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Axes to tune; empty for all.
+    folder : Path
+        For recordings, model files and reports; new or empty.
+    families : tuple of str
+        Friction models to look at; empty for all.
+    is_paced_by_sync, is_status_shown : bool
+        As of a session.
+    """
+
+    folder: Path
+    names: tuple[str, ...] = ()
+    families: tuple[str, ...] = ()
+    is_paced_by_sync: bool = False
+    is_status_shown: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Candidate:
+    """A model that was tried on the machine."""
+
+    fit: Fit
+    model: dict[str, Any]
+    trial: Trial
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AxisTuning:
+    """What an axis has learned.
+
+    Attributes
+    ----------
+    identification : Identification
+    candidates : tuple of Candidate
+        What was tried; the first is the one that the identification chose.
+    file : Path
+        Model file of the best of them.
+    is_in_place : bool
+        Whether it stands where the configuration looks for it.
+    """
+
+    identification: Identification
+    candidates: tuple[Candidate, ...]
+    file: Path
+    is_in_place: bool
+
+    @property
+    def best(self) -> Candidate:
+        """The candidate with the smallest RMS following error on the machine."""
+        return min(self.candidates, key=lambda each: each.trial.compensated.rms)
+
+
+@dataclass(slots=True, eq=False)
+class Tuning:
+    """What came of it.
+
+    Attributes
+    ----------
+    axes : dict of AxisTuning
+    recordings : list of Path
+    warnings : list of str
+        The daemon's.
+    report : Path, optional
+        Where one was written.
+    """
+
+    axes: dict[str, AxisTuning] = field(default_factory=dict)
+    recordings: list[Path] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    report: Path | None = None
+
+
+def tune(configuration: Configuration, settings: Settings, talk: Talk) -> Tuning:
+    """Let axes learn their friction.
+
+    One after another they make their experiment, the others being held. Of each recording friction model and mechanics
+    are identified; then all of them move once without, once with compensation by the model that was chosen, and once
+    more with the best one of the other kind, static or dynamic: what counts in the end is the following error of the
+    machine. A model that helped is put where the configuration names a file that is not there yet; a file that is
+    there stays as it is.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        From `friction_hil.config.load`; model files need not be there.
+    settings : Settings
+    talk : Talk
+
+    Raises
+    ------
+    OptionError, UsageError
+        The configuration does not say what is needed, or the folder is in use.
+    TuningError
+        A run met a fault.
+    KeyboardInterrupt
+        The user stopped a run; the axes are at rest.
+    """
+    names = _names(configuration, settings.names)
+    for name in names:
+        experiment_of(name, configuration.axes[name])
+    _claim(settings.folder)
+    return _Tuner(configuration, settings, names, talk).tune()
+
+
+class _Tuner:
+    def __init__(self, configuration: Configuration, settings: Settings, names: Sequence[str], talk: Talk) -> None:
+        self._configuration, self._settings, self._names, self._talk = configuration, settings, names, talk
+        self._told: set[str] = set()
+        self._result = Tuning()
+
+    def tune(self) -> Tuning:
+        paths = {name: self._experiment(name) for name in self._names}
+        found = {name: self._identified(name, path) for name, path in paths.items()}
+        tried: dict[str, list[Candidate]] = {name: [] for name in self._names}
+        choice = {name: _candidates(each) for name, each in found.items()}
+        for k in range(max(map(len, choice.values()))):
+            fits = {name: each[min(k, len(each) - 1)] for name, each in choice.items()}
+            for name, candidate in self._tried(fits, found, k + 1).items():
+                if k < len(choice[name]):
+                    tried[name].append(candidate)
+        for name in self._names:
+            self._result.axes[name] = self._kept(name, found[name], tuple(tried[name]))
+        return self._result
+
+    def _experiment(self, name: str) -> Path:
+        """Record the experiment of an axis; return the recording."""
+        bounds = experiment_of(name, self._configuration.axes[name])
+        run, duration_s = experiment_run(self._configuration, name)
+        held = ", ".join(each for each in run.axes if each != name)
+        unit = "rad" if self._configuration.axes[name].model.axis == "rotary" else "m"
+        self._talk.confirm(
+            f"{name} moves by up to {bounds.travel:g} {unit} to either side of where it stands, at up to "
+            f"{bounds.velocity:g} {unit}/s, for {duration_s:.0f} s, without compensation"
+            + (f"; {held} held" if held else "")
+        )
+        return self._run(run, duration_s, f"{name}_experiment.mcap")
+
+    def _identified(self, name: str, path: Path) -> Identification:
+        """Identify an axis from its experiment, and write the model that is chosen."""
+        kind = self._configuration.axes[name].model.axis
+        settings = IdentificationSettings(families=self._settings.families, axis=kind)
+        with self._talk.working(f"{name}: reading the recording") as show:
+            recording = read(path, name)
+            result = identify([recording], settings, progress=lambda label: show(f"{name}: fitting {label}"))
+        self._talk.tell(f"{name}: {result.best.label}: {result.reason}")
+        self._write(name, self._model(name, result, result.best))
+        return result
+
+    def _tried(self, fits: dict[str, Fit], found: dict[str, Identification], number: int) -> dict[str, Candidate]:
+        """Run the machine with a model for each axis."""
+        models = {name: self._model(name, found[name], fit) for name, fit in fits.items()}
+        run, duration_s = trial_run(
+            self._configuration, {name: ModelFile.model_validate(model) for name, model in models.items()}
+        )
+        labels = ", ".join(f"{name} by {fit.label}" for name, fit in fits.items())
+        motions = ", ".join(f"{name}: {run.axes[name].trajectory.kind}" for name in fits)
+        self._talk.confirm(
+            f"the axes move ({motions}) for {duration_s:.0f} s, the first half without compensation, then {labels}"
+        )
+        recordings = read_all(self._run(run, duration_s, f"trial_{number}.mcap"))
+        start_s = ramp_s(run.axes.values())
+        return {
+            name: Candidate(fit, models[name], judge(recordings[name], run.axes[name], run.period_s, start_s))
+            for name, fit in fits.items()
+        }
+
+    def _kept(self, name: str, found: Identification, candidates: tuple[Candidate, ...]) -> AxisTuning:
+        """Write the best model of an axis: into the folder, and where the configuration waits for it."""
+        best = AxisTuning(found, candidates, Path(), False).best
+        model = {**best.model, "fit": {**best.model["fit"], "trial": _figures(best.trial)}}
+        file = self._write(name, model)
+        wanted = self._configuration.axes[name].model.source_path
+        is_in_place = wanted is not None and not wanted.exists() and best.trial.has_helped
+        if wanted is not None and is_in_place:
+            file = _written(wanted, model)
+        return AxisTuning(found, candidates, file, is_in_place)
+
+    def _write(self, name: str, model: dict[str, Any]) -> Path:
+        return _written(self._settings.folder / f"{name}.yaml", model)
+
+    def _model(self, name: str, found: Identification, fit: Fit) -> dict[str, Any]:
+        """Model file of a fit; what no recording tells is taken from the axis's former one."""
+        model = as_model_file(found, fit)
+        before = self._configuration.axes[name].model.mechanics
+        model["mechanics"] |= {"delay_s": before.delay_s, "torque_lag_s": before.torque_lag_s}
+        return model
+
+    def _run(self, run: Configuration, duration_s: float, file: str) -> Path:
+        """Run the daemon once; return its recording."""
+        path = self._settings.folder / file
+        session = SessionSettings(
+            duration_s=duration_s,
+            record=path,
+            is_paced_by_sync=self._settings.is_paced_by_sync,
+            is_status_shown=self._settings.is_status_shown,
+        )
+        with stop_on_signals() as stop:
+            result = run_session(run, session, stop, self._tell_once)
+        self._note(result, path)
+        if stop.is_by_user:
+            raise KeyboardInterrupt
+        return path
+
+    def _note(self, result: SessionResult, path: Path) -> None:
+        report = result.report
+        self._result.warnings += [each for each in result.loop.warnings if each not in self._result.warnings]
+        if report is not None and report.recording:
+            self._result.recordings.append(path)
+        if result.loop.faults:
+            where = f"; the run is in {path}" if path.exists() else ""
+            raise TuningError("; ".join(result.loop.faults) + where)
+        if report is None or report.lost or not report.recording:
+            problems = "; ".join(report.problems) if report is not None and report.problems else "rows were lost"
+            raise TuningError(f"{path}: the recording is not whole: {problems}")
+
+    def _tell_once(self, line: str) -> None:
+        if line not in self._told:
+            self._told.add(line)
+            self._talk.tell(line)
+
+
+def _candidates(found: Identification) -> list[Fit]:
+    """The fit that was chosen, and the best one of the other kind, static or dynamic."""
+    best = found.best
+    others = [
+        each
+        for each in found.fits[1:]
+        if is_dynamic(each.structure) is not is_dynamic(best.structure) and math.isfinite(each.held_out.rmse)
+    ]
+    return [best, *others[:1]]
+
+
+def _names(configuration: Configuration, wanted: Sequence[str]) -> tuple[str, ...]:
+    for name in wanted:
+        if name not in configuration.axes:
+            raise UsageError(f"no axis is called {name!r}; {choices(name, configuration.axes)}")
+    return tuple(dict.fromkeys(wanted)) or tuple(configuration.axes)
+
+
+def _claim(folder: Path) -> None:
+    """Make the folder; refuse one in which something is."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        is_empty = not any(folder.iterdir())
+    except OSError as error:
+        raise UsageError(f"{folder} cannot be made: {error.strerror}; name another folder with --output") from None
+    if not is_empty:
+        raise UsageError(f"{folder} is not empty: what is in it stays; name another folder with --output")
+
+
+def _figures(trial: Trial) -> dict[str, Any]:
+    before, after = trial.uncompensated, trial.compensated
+    return {
+        "uncompensated": {"rms": before.rms, "peak": before.peak},
+        "compensated": {"rms": after.rms, "peak": after.peak},
+    }
+
+
+def _written(path: Path, model: dict[str, Any]) -> Path:
+    """Write a model file that can be read again."""
+    ModelFile.model_validate(model)
+    try:
+        path.write_text(dump(model), encoding="utf-8")
+    except OSError as error:
+        raise FrictionHilError(f"{path} cannot be written: {error.strerror}") from None
+    return path
