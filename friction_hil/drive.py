@@ -46,6 +46,11 @@ class DriveState(IntEnum):
         """Whether the power stage may produce torque."""
         return self in (self.OPERATION_ENABLED, self.QUICK_STOP_ACTIVE, self.FAULT_REACTION_ACTIVE)
 
+    @property
+    def words(self) -> str:
+        """Its name as it stands in a sentence: ``switch on disabled``."""
+        return self.name.lower().replace("_", " ")
+
 
 class Request(IntEnum):
     """What the loop wants a drive to be; the driver finds the way there, one step a cycle."""

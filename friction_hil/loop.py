@@ -279,10 +279,11 @@ class Loop:
             is_standing=all(self._is_standing(k, axis) for k, axis in enumerate(self._axes)),
             is_faded_out=all(axis.compensator.is_faded_out for axis in self._axes),
         )
+        before, told = self._course.state, self._course.fault
         if not self._course.advance(time_s, facts):
             return
-        if self._course.fault:
-            self._fault(cycle, self._course.fault)
+        if self._course.fault != told:
+            self._give_up(cycle, before)
         if self._course.state is LoopState.ENABLING:
             self._check_exchange(cycle)
         # set-points are sent ahead of time: what has been sent stays true
@@ -295,6 +296,25 @@ class Loop:
         elif self._course.state is LoopState.STOPPING:
             self._path_time.stop(later_s)
         self._sink.event(cycle, "state", self._course.state.name.lower())
+
+    def _give_up(self, cycle: int, awaited_in: LoopState) -> None:
+        """Note for which axes the course waited in vain while it was in a state, and what their drives are in."""
+        text = self._course.fault
+        late = [k for k, axis in enumerate(self._axes) if self._is_awaited(k, axis, awaited_in)]
+        for k in late:
+            feedback = self._feedback[k]
+            error = f" ({feedback.error})" if feedback.error else ""
+            self._fault(cycle, f"{self._axes[k].name}: {text}: the drive is in {feedback.state.words}{error}")
+        if not late:  # an axis that comes to rest now and then stands in this very cycle
+            self._fault(cycle, text)
+
+    def _is_awaited(self, k: int, axis: AxisLoop, state: LoopState) -> bool:
+        """Whether the course stays in ``state`` because of this axis."""
+        if state is LoopState.ENABLING:
+            return self._feedback[k].state is not DriveState.OPERATION_ENABLED
+        if state is LoopState.DISABLING:
+            return self._feedback[k].state.is_powered
+        return not self._is_standing(k, axis)
 
     def _fault(self, cycle: int, text: str) -> None:
         """Note a fault, once."""

@@ -173,7 +173,7 @@ class Supervisor:
         if state not in (LoopState.RUNNING, LoopState.STOPPING):
             return None
         if feedback.state is not DriveState.OPERATION_ENABLED:
-            return f"{name}: the drive left Operation enabled: {feedback.state.name.lower().replace('_', ' ')}"
+            return f"{name}: the drive left Operation enabled: {feedback.state.words}"
         if not abs(velocity) <= limits.velocity:
             return f"{name}: velocity {velocity:.4g} is beyond its limit of {limits.velocity:g} {unit}/s"
         position = self._last_position

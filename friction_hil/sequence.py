@@ -39,7 +39,7 @@ class Course:
     since_s : float
         When this state began.
     fault : str
-        Why the course itself gave up (an axis did not enable, or did not stop), or empty.
+        What the course itself has waited for in vain, last, or empty; for which axes, the loop tells.
     """
 
     __slots__ = ("_is_listening", "_moved_s", "fault", "since_s", "state")
@@ -72,7 +72,7 @@ class Course:
             if facts.is_stop_requested or facts.has_fault:
                 return LoopState.DISABLING
             if elapsed_s > ENABLE_TIMEOUT_S:
-                self.fault = f"not every drive was enabled within {ENABLE_TIMEOUT_S:g} s"
+                self.fault = f"not enabled within {ENABLE_TIMEOUT_S:g} s"
                 return LoopState.DISABLING
             return LoopState.RUNNING if facts.is_enabled else state
         if state in (LoopState.RUNNING, LoopState.STOPPING) and facts.has_fault:
@@ -92,7 +92,7 @@ class Course:
             if not facts.is_powered:
                 return LoopState.DONE
             if elapsed_s > DISABLE_TIMEOUT_S:
-                self.fault = f"a drive is still powered {DISABLE_TIMEOUT_S:g} s after it was told to disable"
+                self.fault = f"still powered {DISABLE_TIMEOUT_S:g} s after it was told to disable"
                 return LoopState.DONE
         return state
 

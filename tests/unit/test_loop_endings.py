@@ -152,14 +152,19 @@ def test_a_drive_that_leaves_operation_enabled_by_itself_is_a_fault():
     run.assert_left_disabled()
 
 
-def test_a_drive_that_is_never_enabled_is_given_up():
-    def refuses(cycle, feedback):
-        feedback[0].state = DriveState.SWITCH_ON_DISABLED
+def test_a_drive_that_is_never_enabled_is_given_up_by_its_name_and_state():
+    def refuse(cycle, feedback):
+        feedback[1].state = DriveState.SWITCH_ON_DISABLED
+        feedback[2].state, feedback[2].error = DriveState.SWITCHED_ON, "DC link undervoltage"
 
-    run = Run(disturb=refuses)
-    assert run.result.faults == ["not every drive was enabled within 5 s"]
-    assert run.requests() == ORDINARY
-    assert np.all(run.torques() == 0.0)
+    run = Run(axis(), axis(node=2), axis(node=3), disturb=refuse)
+    assert run.result.faults == [
+        "y: not enabled within 5 s: the drive is in switch on disabled",
+        "z: not enabled within 5 s: the drive is in switched on (DC link undervoltage)",
+    ]
+    for k in range(3):
+        assert run.requests(k) == ORDINARY
+        assert np.all(run.torques(k) == 0.0)
     run.assert_left_disabled()
 
 
@@ -168,7 +173,40 @@ def test_a_drive_that_stays_powered_is_told_of():
         feedback[0].state = DriveState.OPERATION_ENABLED
 
     run = Run(disturb=stays, duration_s=0.2)
-    assert run.result.faults == ["a drive is still powered 2 s after it was told to disable"]
+    assert run.result.faults == ["x: still powered 2 s after it was told to disable: the drive is in operation enabled"]
+
+
+def test_what_was_given_up_before_is_not_told_of_another_axis_later():
+    """One drive does not enable; the other one, which did, does not switch off either."""
+
+    def differ(cycle, feedback):
+        feedback[0].state = DriveState.SWITCH_ON_DISABLED
+        feedback[1].state = DriveState.OPERATION_ENABLED
+
+    assert Run(axis(), axis(node=2), disturb=differ).result.faults == [
+        "x: not enabled within 5 s: the drive is in switch on disabled",
+        "y: still powered 2 s after it was told to disable: the drive is in operation enabled",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("until", "axis_at_fault", "drive"),
+    [
+        (10_000, "y: ", ": the drive is in quick stop active"),
+        (5_270, "", ""),  # at rest in the cycle that gives up, but not for long enough
+    ],
+)
+def test_an_axis_that_its_quick_stop_does_not_stop_is_told_of(until, axis_at_fault, drive):
+    def creep(cycle, feedback):
+        feedback[1].position += 2e-4 * max(min(cycle, until) - 300, 0)
+        if cycle == 300:
+            feedback[0].message = "the node has been reset"
+
+    run = Run(axis(), axis(node=2), disturb=creep)
+    assert run.result.faults == [
+        "x: the node has been reset",
+        f"{axis_at_fault}no standstill within 5 s of the quick stop; disabled all the same{drive}",
+    ]
 
 
 # --- faults at the start

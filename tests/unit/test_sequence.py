@@ -101,7 +101,7 @@ def test_before_power_a_fault_or_a_stop_ends_the_run(what):
 @pytest.mark.parametrize(
     ("state", "held", "timeout_s", "after", "words"),
     [
-        (LoopState.ENABLING, {}, ENABLE_TIMEOUT_S, LoopState.DISABLING, "not every drive was enabled within 5 s"),
+        (LoopState.ENABLING, {}, ENABLE_TIMEOUT_S, LoopState.DISABLING, "not enabled within 5 s"),
         (LoopState.STOPPING, STANDING | {"is_standing": False}, STANDSTILL_TIMEOUT_S, LoopState.DISABLING, ""),
         (LoopState.FAULT_STOPPING, {"has_fault": True}, QUICK_STOP_TIMEOUT_S, LoopState.DISABLING, "no standstill"),
         (LoopState.DISABLING, {}, DISABLE_TIMEOUT_S, LoopState.DONE, "still powered 2 s after"),

@@ -63,7 +63,7 @@ def configure(
     state = profile.drive_state(access.read(objects.STATUSWORD))
     if state.is_powered and not dry_run:
         raise DriveError(
-            f"{name}: {access.where} is in state {state.name.lower().replace('_', ' ')} already: "
+            f"{name}: {access.where} is in state {state.words} already: "
             "another master is driving it, or a former one left it enabled; disable it first"
         )
     rpdo = None

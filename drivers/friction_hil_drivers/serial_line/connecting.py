@@ -205,7 +205,7 @@ class Connecting:
             raise DriveError(f"{axis.name}: the drive tells no state that its description knows: {told}")
         if state.is_powered and not self._dry_run:
             raise DriveError(
-                f"{axis.name}: the drive is in state {state.name.lower().replace('_', ' ')} already: another master "
+                f"{axis.name}: the drive is in state {state.words} already: another master "
                 "is driving it, or a former one left it enabled; disable it first"
             )
         if not self._dry_run:

@@ -153,7 +153,4 @@ def parting_writes(description: Description) -> list[Mapping[str, float]]:
 def _not_followed(step: Step, state: DriveState) -> str:
     written = ", ".join(f"{name} = {value:g}" for name, value in step.write.items())
     wanted = "acknowledge it" if step.until is None else f"lead to {step.until.replace('_', ' ')}"
-    return (
-        f"the drive does not follow: {written} should {wanted} within {step.timeout_s:g} s; "
-        f"it is in {state.name.lower().replace('_', ' ')}"
-    )
+    return f"the drive does not follow: {written} should {wanted} within {step.timeout_s:g} s; it is in {state.words}"
