@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from friction_hil import machine
 from friction_hil.drive import driver_names, load_driver
-from friction_hil.errors import ConfigurationError, FrictionHilError, Problem, UsageError
+from friction_hil.errors import ConfigurationError, FrictionHilError, Problem
 from friction_hil.findings import Finding, failure
 from friction_hil.realtime import punctuality
 
@@ -101,12 +101,6 @@ def _hardware(root: Path) -> Iterator[Finding]:
 
 def _daemon(configuration: "Configuration") -> Iterator[Finding]:
     """Tell what a run of this configuration would find on its way to the drives."""
-    from friction_hil.session import only_driver
-
-    try:
-        only_driver(configuration)
-    except UsageError as error:
-        yield failure("drivers", error)
     if configuration.recording is not None:
         yield machine.recording_folder(configuration.recording.path)
     for name, axis in configuration.axes.items():

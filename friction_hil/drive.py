@@ -12,7 +12,7 @@ from enum import IntEnum
 from importlib.metadata import entry_points
 from typing import TYPE_CHECKING, Any, Protocol
 
-from friction_hil.errors import UsageError, choices
+from friction_hil.errors import OptionError, UsageError, choices
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -245,3 +245,22 @@ def load_driver(name: str, group: str = DRIVERS) -> Any:
         if entry.name == name:
             return entry.load()
     raise UsageError(f"no driver is called {name!r}; {choices(name, driver_names(group))}")
+
+
+def only_driver(configuration: "Configuration") -> str:
+    """Driver of all axes.
+
+    Raises
+    ------
+    OptionError
+        There are several, which one run does not serve.
+    """
+    (first, axis), *others = configuration.axes.items()
+    for name, other in others:
+        if other.driver != axis.driver:
+            text = (
+                f"is {other.driver}, but that of {first} is {axis.driver}, and one run drives axes of one driver; "
+                "make a configuration of each driver's axes"
+            )
+            raise OptionError(name, "driver", text)
+    return axis.driver

@@ -12,8 +12,7 @@ from friction_hil.assembly import ramp_s
 from friction_hil.axis import AxisLoop
 from friction_hil.companion import Companion, CompanionReport, Job, free_path, prepare
 from friction_hil.config import self_contained
-from friction_hil.drive import AxisFacts, Clock, Drives, load_driver
-from friction_hil.errors import UsageError
+from friction_hil.drive import AxisFacts, Clock, Drives, load_driver, only_driver
 from friction_hil.findings import complaints
 from friction_hil.fingerprint import fingerprint
 from friction_hil.jit import Array
@@ -138,21 +137,6 @@ def run_session(
             report = companion.close()
     errors = {axis.name: {"rms": axis.stats.rms, "peak": axis.stats.peak, "stale": axis.stale} for axis in axes}
     return SessionResult(result, errors, report)
-
-
-def only_driver(configuration: "Configuration") -> str:
-    """Driver of all axes.
-
-    Raises
-    ------
-    UsageError
-        There are several, which one run does not serve.
-    """
-    names = sorted({axis.driver for axis in configuration.axes.values()})
-    if len(names) > 1:
-        detail = f"one run drives axes of one driver, and this configuration has {', '.join(names)}"
-        raise UsageError(detail, "make a configuration of each driver's axes")
-    return names[0]
 
 
 def _recording_path(configuration: "Configuration", settings: SessionSettings, started_ns: int) -> Path | None:

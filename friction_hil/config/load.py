@@ -14,7 +14,7 @@ from friction_hil.config.messages import mistakes_of, validate
 from friction_hil.config.model_file import ModelFile
 from friction_hil.config.schema import NAME_PATTERN, AxisConfig, Configuration, split_options
 from friction_hil.config.yaml_text import Document, Steps
-from friction_hil.drive import load_driver
+from friction_hil.drive import load_driver, only_driver
 from friction_hil.errors import ConfigurationError, OptionError, Problem, UsageError, choices
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -95,13 +95,17 @@ def read_section(path: str | Path, model: type[Model]) -> Model:
 
 
 def file_problems(path: str | Path, configuration: Configuration) -> list[Problem]:
-    """Mistakes that drivers find in ``configuration``, read from ``path``, and in the files that their keys name.
+    """Mistakes for which ``configuration``, read from ``path``, could be loaded but not run.
 
-    No bus is opened. A driver that has something to say has a classmethod ``check_files``; see
-    `friction_hil.drive.Driver`.
+    No bus is opened. A driver that has something to say of it, and of the files that its keys name, has a classmethod
+    ``check_files``; see `friction_hil.drive.Driver`.
     """
     origins = _Origins(yaml_text.read(path))
     found: list[Problem] = []
+    try:
+        only_driver(configuration)
+    except OptionError as mixed:
+        found.append(origins.at_option(mixed))
     for driver in dict.fromkeys(axis.driver for axis in configuration.axes.values()):
         check = getattr(load_driver(driver), "check_files", None)
         axes = {name: axis for name, axis in configuration.axes.items() if axis.driver == driver}
@@ -115,8 +119,7 @@ def file_problems(path: str | Path, configuration: Configuration) -> list[Proble
 
 def located(path: str | Path, error: OptionError) -> ConfigurationError:
     """Return the error with file and line of its key in the configuration that was read from ``path``."""
-    origins = _Origins(yaml_text.read(path))
-    return ConfigurationError([origins.locate(("axes", error.axis, *error.key.split(".")), error.text)])
+    return ConfigurationError([_Origins(yaml_text.read(path)).at_option(error)])
 
 
 def model_from_argument(argument: str) -> ModelFile:
@@ -172,6 +175,9 @@ class _Origins:
         start = max((known for known in self._documents if steps[: len(known)] == known), key=len)
         document, inner = self._documents[start], steps[len(start) :]
         return Problem(document.path, document.line(inner), field_name(inner), message)
+
+    def at_option(self, error: OptionError) -> Problem:
+        return self.locate(("axes", error.axis, *error.key.split(".")), error.text)
 
 
 def field_name(steps: Steps) -> str:

@@ -160,8 +160,8 @@ def test_what_config_check_finds_in_files_is_found_and_the_rest_is_told_all_the_
 
 def test_two_drivers_in_one_run_are_refused_beforehand(look, terminal):
     found, status = look(serial(terminal[1]), NODE, bus={"interface": "virtual", "channel": f"doctor-{os.getpid()}"})
-    assert status == 1
-    assert "canopen, modbus" in found["drivers"]["detail"]
+    assert status == 2
+    assert "one run drives axes of one driver" in found["configuration"]["detail"]
     assert found["line of x"]["result"] == found["bus"]["result"] == "pass"
 
 

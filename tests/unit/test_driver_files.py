@@ -131,3 +131,19 @@ def test_an_eds_that_cannot_be_read_is_told_at_its_key(check):
 def test_all_bounds_of_a_number_are_told_whichever_was_broken(check, value):
     (problem,) = check(**odrive(watchdog_s=value))
     assert problem["message"] == f"must be above 0 and at most 10, not {value}"
+
+
+def test_axes_of_two_drivers_are_told_by_check_as_by_run(tmp_path, capsys):
+    x, y = ({**axis_dict(mode="cst", controller=CONTROLLER), **changes} for changes in ({"node": 3}, odrive()))
+    del y["node"]
+    given = {"version": 1, "period_s": 4e-3, "bus": {"interface": "virtual", "channel": "no"}, "axes": {"x": x, "y": y}}
+    path = tmp_path / "config.yaml"
+    path.write_text(yaml.safe_dump(given))
+    told = []
+    for command in (["config", "check"], ["run"]):
+        assert main([*command, str(path)]) == 2
+        told.append(capsys.readouterr().err)
+    line = 1 + path.read_text().splitlines().index("    driver: ascii")
+    assert f"{path}:{line}: axes.y.driver: is ascii, but that of x is canopen" in told[0]
+    assert "make a configuration of each driver's axes" in told[0]
+    assert told[0] in told[1]
