@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 import pytest
+import yaml
 from friction_hil_drivers.ascii import DESCRIPTIONS
 from friction_hil_drivers.ascii.checksum import Checker, Checksum, checksum_function
 from friction_hil_drivers.ascii.description import AsciiDescription, AsciiSignal
@@ -17,6 +18,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from friction_hil.config import read_section
+from friction_hil.errors import ConfigurationError
 
 SMALL = {
     "version": 1,
@@ -109,6 +111,24 @@ def test_a_mistake_is_refused_with_what_would_be_right(path: str, value: object,
     with pytest.raises(ValidationError) as caught:
         AsciiDescription.model_validate(changed(path, value))
     assert words in str(caught.value)
+
+
+@pytest.mark.parametrize("key", ["overvoltage", "1.5", "012", "1_0", "true", "''", "1" * 401])
+def test_an_error_without_a_number_is_told_with_its_line_and_what_would_be_right(tmp_path: Path, key: str) -> None:
+    path = tmp_path / "drive.yaml"
+    text = yaml.safe_dump(SMALL) + "errors:\n  1: undervoltage\n"
+    path.write_text(text + f"  {key}: too hot\n")
+    with pytest.raises(ConfigurationError) as caught:
+        read_section(path, AsciiDescription)
+    (problem,) = caught.value.problems
+    assert (problem.line, problem.field) == (text.count("\n") + 1, f"errors.{key.strip(chr(39))}")
+    assert problem.message.startswith("is no whole number; write the number of the signal error")
+
+
+def test_errors_are_numbered_as_manuals_do(tmp_path: Path) -> None:
+    path = tmp_path / "drive.yaml"
+    path.write_text(yaml.safe_dump(SMALL) + "errors: {1: one, 0x3210: overvoltage, -2: too cold}\n")
+    assert read_section(path, AsciiDescription).errors == {1: "one", 0x3210: "overvoltage", -2: "too cold"}
 
 
 # Ready descriptions

@@ -4,11 +4,11 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Literal, Self, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
 
 from friction_hil.config import read_section
 from friction_hil.config.messages import Mistake, refuse
-from friction_hil.config.yaml_text import Steps
+from friction_hil.config.yaml_text import Steps, resolve
 from friction_hil.drive import DriveState
 from friction_hil.errors import UsageError, choices
 from friction_hil_drivers.serial_line import protocol
@@ -35,6 +35,22 @@ StateName = Literal[
     "fault_reaction_active",
     "fault",
 ]
+
+
+def _error_number(key: object) -> object:
+    """Read a key of ``errors``, which is text as all keys are, as YAML reads a value."""
+    try:
+        number = resolve(key) if isinstance(key, str) else key
+    except OverflowError:
+        number = None
+    if type(number) is not int:
+        raise ValueError(
+            "is no whole number; write the number of the signal error that the text explains, e.g. 16: or 0x10:"
+        )
+    return number
+
+
+ErrorNumber = Annotated[int, BeforeValidator(_error_number)]
 
 
 class Part(BaseModel):
@@ -152,7 +168,7 @@ class Description(Part):
     quick_stop: tuple[Step, ...] = Field((), description="as disable when not given")
     reset_fault: tuple[Step, ...] = ()
     watchdog: WatchdogDescription | None = None
-    errors: dict[int, str] = Field({}, description="what the numbers of the signal error mean")
+    errors: dict[ErrorNumber, str] = Field({}, description="what the numbers of the signal error mean")
 
     def units(self) -> dict[str, Signal]:
         """Signals by name; each protocol has its own."""
