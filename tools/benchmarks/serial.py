@@ -8,6 +8,7 @@ processes take to wake up. Last, the daemon itself: the demonstration's circle o
 import contextlib
 import itertools
 import json
+import math
 import statistics
 import subprocess
 import sys
@@ -185,7 +186,7 @@ def _paced(drives: SerialDrives, period_s: float) -> tuple[float, float, float]:
         for the replies included; not so the sleep until the deadline and the spin at its end, which are the loop's.
         The median: a hypervisor that takes the processor away for a while spoils the mean.
     rehearsed_s : float
-        Processor time of the rehearsal in that spin, s, median.
+        Processor time of the rehearsal in that spin, s, median; NaN where no cycle left time for one.
     """
     feedback, fresh, period_ns = Feedback(), 0, round(period_s * 1e9)
     used_s: list[float] = []
@@ -203,7 +204,9 @@ def _paced(drives: SerialDrives, period_s: float) -> tuple[float, float, float]:
         used_s.append(time.process_time() - began)
         fresh += feedback.is_fresh
         deadline_ns += period_ns
-    return fresh / CYCLES, statistics.median(used_s), statistics.median(rehearsed_s)
+    if not rehearsed_s:
+        note(f"at a period of {period_s * 1e3:g} ms no cycle left time for a rehearsal: its time is unknown")
+    return fresh / CYCLES, statistics.median(used_s), statistics.median(rehearsed_s or [math.nan])
 
 
 def _circle(folder: Path) -> Row:

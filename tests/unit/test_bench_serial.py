@@ -1,0 +1,29 @@
+"""What ``tools/bench serial`` makes of drives that leave its cycles no time."""
+
+import math
+
+from tools.benchmarks import serial
+
+
+class SlowDrives:
+    """Never answer in time, and notice whether they are asked to rehearse."""
+
+    is_rehearsed = False
+
+    def receive(self, feedback, end_ns):
+        feedback[0].is_fresh = False
+
+    def send(self, commands):
+        pass
+
+    def rehearse(self):
+        self.is_rehearsed = True
+
+
+def test_cycles_without_time_for_a_rehearsal_are_measured_all_the_same(capsys):
+    drives = SlowDrives()
+    fresh, used_s, rehearsed_s = serial._paced(drives, 1e-9)  # each deadline has passed when it is looked at
+    assert not drives.is_rehearsed
+    assert (fresh, math.isnan(rehearsed_s)) == (0.0, True)
+    assert 0.0 <= used_s < 1.0
+    assert "no cycle left time for a rehearsal" in capsys.readouterr().err
