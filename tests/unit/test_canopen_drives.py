@@ -1,8 +1,7 @@
 """The driver on a bus that hands every frame to a simulated drive and back: what it leaves behind."""
 
-import collections
+import queue
 import struct
-import time
 
 import can
 import numpy as np
@@ -26,7 +25,7 @@ class BenchBus(can.BusABC):
     def __init__(self, bench):
         super().__init__(channel="bench")
         self.bench = bench
-        self.answers = collections.deque()
+        self.answers = queue.SimpleQueue()
         self.sent = []
         self.refuse = lambda can_id, data: False
 
@@ -35,13 +34,13 @@ class BenchBus(can.BusABC):
         self.sent.append(frame)
         if not self.refuse(*frame):
             for can_id, data in self.bench.send(*frame):
-                self.answers.append(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
+                self.answers.put(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
 
     def _recv_internal(self, timeout):
-        if self.answers:
-            return self.answers.popleft(), True
-        time.sleep(min(timeout or 0.0, 1e-3))  # the library's reading thread must not spin
-        return None, True
+        try:
+            return self.answers.get(timeout=timeout), True
+        except queue.Empty:
+            return None, True
 
 
 class Driven:
