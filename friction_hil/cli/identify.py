@@ -6,13 +6,13 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from friction_hil.cli.fit_options import check_files, option_validate, result_options
 from friction_hil.cli.output import console, noticed_compilation, option_json, print_json
-from friction_hil.cli.recording_options import expanded, recording_options
+from friction_hil.cli.recording_options import read_recordings, recording_options
 from friction_hil.errors import UsageError
 
 if TYPE_CHECKING:
     from friction_hil.identification import Identification
-    from friction_hil.recordings import Recording
 
 _SHOWN = 12  # candidates in the table, and the simplest; JSON has all
 _WIDE = 1000
@@ -37,14 +37,7 @@ def _pairs(context: click.Context, parameter: click.Parameter, words: tuple[str,
 @click.command("identify")
 @click.argument("sources", metavar="RECORDING...", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option("--models", default="all", metavar="all|NAME,NAME", help="Families of friction models to try.")
-@click.option(
-    "--validate",
-    "kept_apart",
-    multiple=True,
-    type=click.Path(path_type=Path),
-    metavar="RECORDING",
-    help="Recording that candidates are judged on, and none is fitted to. May be repeated.",
-)
+@option_validate
 @click.option(
     "--fix", "held", multiple=True, callback=_pairs, metavar="NAME=VALUE", help="Hold a parameter. May be repeated."
 )
@@ -115,11 +108,7 @@ def _pairs(context: click.Context, parameter: click.Parameter, words: tuple[str,
     help="position_gain (1/s) and velocity_gain (torque per velocity) of the loop that made the motion: "
     "simulate it free, from position_demand.",
 )
-@click.option("--seed", type=int, default=0, show_default=True, help="Of the random starts.")
-@click.option("--output", type=click.Path(path_type=Path), metavar="MODEL.yaml", help="Write the chosen model.")
-@click.option(
-    "--report", type=click.Path(path_type=Path), metavar="FILE.html", help="Write pictures, parameters and candidates."
-)
+@result_options
 @option_json
 def command(
     sources: tuple[Path, ...],
@@ -170,14 +159,7 @@ def command(
         lowpass_hz=lowpass_hz,
         decimation=decimate,
     )
-    if output is not None and output.suffix not in (".yaml", ".yml"):
-        raise click.UsageError(f"--output {output}: a model file ends in .yaml")
-    if report is not None:
-        from friction_hil.reports.figures import require_matplotlib
-
-        require_matplotlib()
-        if report.suffix not in (".html", ".htm"):
-            raise click.UsageError(f"--report {report}: a report ends in .html")
+    check_files(output, report)
     if has_unknown_gain and controller:
         raise click.UsageError("--controller takes a measured torque: not with --unknown-gain")
     options: dict[str, Any] = {"columns": columns, "scale": scale, "where": where}
@@ -207,22 +189,6 @@ def command(
     else:
         _print(result, free, {"model file": output, "report": report})
     return 0
-
-
-def read_recordings(sources: tuple[Path, ...], axis: str | None, **options: Any) -> "list[Recording]":
-    """Read the recordings of one axis from files and patterns of files; options are those of `recordings.read`."""
-    from friction_hil import recordings
-
-    found = []
-    for source in expanded(sources):
-        if axis is not None:
-            found.append(recordings.read(source, axis, **options))
-            continue
-        several = recordings.read_all(source, **options)
-        if len(several) > 1:
-            raise UsageError(f"{source}: has the axes {', '.join(several)}; choose one with --axis")
-        found += several.values()
-    return found
 
 
 def _free_run(result: "Identification", controller: dict[str, float]) -> dict[str, Any]:

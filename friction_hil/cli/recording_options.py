@@ -4,11 +4,14 @@ import glob
 import math
 from collections.abc import Callable, Collection, Iterable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
 from friction_hil.errors import UsageError
+
+if TYPE_CHECKING:
+    from friction_hil.recordings import Recording
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -112,3 +115,27 @@ def expanded(words: Iterable[str | Path]) -> list[str]:
             raise UsageError(f"{word}: no file matches")
         found += matches
     return list(dict.fromkeys(found))
+
+
+def read_recordings(sources: Iterable[Path], axis: str | None, **options: Any) -> "list[Recording]":
+    """Read the recordings of one axis from files and patterns of files; options are those of `recordings.read`.
+
+    Raises
+    ------
+    UsageError
+        A pattern matches nothing, or a file has several axes and none is chosen.
+    RecordingError
+        A file cannot be read.
+    """
+    from friction_hil import recordings
+
+    found = []
+    for source in expanded(sources):
+        if axis is not None:
+            found.append(recordings.read(source, axis, **options))
+            continue
+        several = recordings.read_all(source, **options)
+        if len(several) > 1:
+            raise UsageError(f"{source}: has the axes {', '.join(several)}; choose one with --axis")
+        found += several.values()
+    return found

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from friction_hil.cli.fit_options import check_files, option_validate, result_options
 from friction_hil.cli.output import console, noticed_compilation, option_json, print_json
-from friction_hil.cli.recording_options import recording_options
+from friction_hil.cli.recording_options import read_recordings, recording_options
 from friction_hil.errors import UsageError
 
 if TYPE_CHECKING:
@@ -36,14 +37,7 @@ _INPUTS = ("position", "load_torque", "temperature")
     metavar="NAME,NAME",
     help="Inputs besides the velocity: position, load_torque, temperature.",
 )
-@click.option(
-    "--validate",
-    "kept_apart",
-    multiple=True,
-    type=click.Path(path_type=Path),
-    metavar="RECORDING",
-    help="Recording that the network is judged by, not trained on; else blocks are held out. May be repeated.",
-)
+@option_validate
 @click.option(
     "--from-model", "from_model", metavar="FILE_OR_NAME", help="Learn this model, along a designed excitation."
 )
@@ -58,9 +52,7 @@ _INPUTS = ("position", "load_torque", "temperature")
 @click.option("--linear", "is_linear", is_flag=True, help="The axis is a linear one, where no --base says so.")
 @recording_options
 @click.option("--lowpass", "lowpass_hz", type=float, metavar="HZ", help="Low-pass everything, without delay.")
-@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of the random starts.")
-@click.option("--output", type=click.Path(path_type=Path), metavar="NET.yaml", help="Write the model file.")
-@click.option("--report", type=click.Path(path_type=Path), metavar="FILE.html", help="Write pictures and figures.")
+@result_options
 @option_json
 def command(
     sources: tuple[Path, ...],
@@ -91,7 +83,7 @@ def command(
     """
     if bool(sources) == (from_model is not None):
         raise UsageError("train needs recordings, or --from-model; one of them")
-    _check_files(output, report)
+    check_files(output, report)
     from friction_hil import training
 
     wanted = training.Wanted(
@@ -108,8 +100,6 @@ def command(
             _model_file(from_model), period_s=period_s, samples=samples, top_speed=top_speed, seed=seed
         )
     else:
-        from friction_hil.cli.identify import read_recordings
-
         options: dict[str, Any] = {"columns": columns, "scale": scale, "where": where}
         with console(stderr=True).status("reading"):
             task = training.task_of_recordings(
@@ -138,17 +128,6 @@ def command(
     else:
         _print(candidate, seconds, {"model file": output, "report": report})
     return 0
-
-
-def _check_files(output: Path | None, report: Path | None) -> None:
-    if output is not None and output.suffix not in (".yaml", ".yml"):
-        raise click.UsageError(f"--output {output}: a model file ends in .yaml")
-    if report is not None:
-        from friction_hil.reports.figures import require_matplotlib
-
-        require_matplotlib()
-        if report.suffix not in (".html", ".htm"):
-            raise click.UsageError(f"--report {report}: a report ends in .html")
 
 
 def _numbers(text: str | None) -> tuple[int, ...]:

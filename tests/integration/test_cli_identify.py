@@ -75,6 +75,8 @@ def test_json_is_one_object_without_nan(swing: Path, capsys: pytest.CaptureFixtu
         (["--fix", "inertia"], 2, "has not the form 'name=1.5'"),
         (["--fix", "inertia=1", "--fix", "inertia=2"], 2, "given twice"),
         (["--output", "axis.json"], 2, "ends in .yaml"),
+        (["--report", "axis.pdf"], 2, "ends in .html"),
+        (["--seed", "-1"], 2, "x>=0"),
         (["--column", "torque=curent"], 2, "curent"),
         (["--models", "coulomb", "--controller", "kp=3"], 2, "--controller takes position_gain and velocity_gain"),
         (["--models", "coulomb", "--controller", "position_gain=3"], 2, "needs velocity_gain, too"),

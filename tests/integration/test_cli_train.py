@@ -98,6 +98,7 @@ def test_a_residual_of_the_emps_axis_beats_the_physical_model_on_held_out_blocks
         (["--from-model", LUGRE, "--structure", "lstm"], "gated"),
         (["--from-model", LUGRE, "--structure", "residual"], "recordings"),
         (["--from-model", LUGRE, "--output", "net.txt"], ".yaml"),
+        (["--from-model", LUGRE, "--report", "net.pdf"], ".html"),
         (["--from-model", "coulomb:coulomb=0.1"], "--speed"),
         (["nowhere.csv"], "nowhere.csv"),
     ],
