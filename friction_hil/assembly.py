@@ -64,7 +64,7 @@ def ramp_s(axes: "Iterable[AxisConfig]") -> float:
     return max([_LEAST_RAMP_S, *(getattr(axis.trajectory, "ramp_s", _LEAST_RAMP_S) for axis in axes)])
 
 
-def make_path(config: "AxisConfig", position_resolution: float) -> Path:
+def make_path(config: "AxisConfig", position_resolution: float, period_s: float) -> Path:
     """Path of the configured trajectory; an experiment begins with a few counts of the encoder.
 
     Raises
@@ -85,7 +85,12 @@ def make_path(config: "AxisConfig", position_resolution: float) -> Path:
         acceleration = math.inf if motion.acceleration is None else motion.acceleration
         return sweeps_path(
             experiment.plan(
-                motion.velocity, motion.travel, position_resolution, motion.duration_s, acceleration=acceleration
+                motion.velocity,
+                motion.travel,
+                position_resolution,
+                motion.duration_s,
+                acceleration=acceleration,
+                period_s=period_s,
             )
         )
     return still_path

@@ -1,7 +1,7 @@
 """Re-running the compensator over the daemon's own recording: what it gave must come out again, bit for bit."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -98,16 +98,17 @@ def verify(recording: Recording, configuration: "Configuration | None" = None) -
 
 
 def _facts(metadata: Mapping[str, Any], recording: Recording) -> AxisFacts:
-    names = [field.name for field in fields(AxisFacts)]
+    known = fields(AxisFacts)
+    needed = [field.name for field in known if field.default is MISSING]
     for facts in metadata["facts"]:
         if facts["name"] != recording.axis:
             continue
-        if missing := [name for name in names if name not in facts]:
+        if missing := [name for name in needed if name not in facts]:
             raise RecordingError(
                 f"{recording.path}: what it says about the drive of axis {recording.axis!r} lacks "
                 f"{', '.join(missing)}; it was made by another version, and can be verified by that one"
             )
-        return AxisFacts(**{name: facts[name] for name in names})
+        return AxisFacts(**{field.name: facts[field.name] for field in known if field.name in facts})
     raise RecordingError(f"{recording.path}: it says nothing about the drive of axis {recording.axis!r}")
 
 

@@ -121,6 +121,8 @@ class _Terminal:
 
     @contextmanager
     def working(self, text: str) -> Iterator[Callable[[str], None]]:
+        if not sys.stderr.isatty():
+            self.tell(f"{text} ...")
         with console(stderr=True).status(text) as line:
             now = text
 

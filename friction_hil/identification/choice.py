@@ -9,8 +9,6 @@ from friction_hil.errors import RecordingError
 from friction_hil.identification.fits import Fit
 from friction_hil.identification.refine import is_dynamic
 
-_MUCH_WORSE = 1.5  # times: seen with all that the encoder tells, an error falls by a third or so
-
 
 def _limit(fit: Fit) -> float:
     """Mean square error of held-out blocks plus its standard error."""
@@ -69,20 +67,17 @@ def choose(fits: Sequence[Fit], blocks: str = "blocks") -> tuple[Fit, str]:
 
 
 def to_refine(best: Fit, fits: Sequence[Fit]) -> list[Fit]:
-    """The chosen fit, and the simplest one of each dynamic family that has not predicted much worse.
+    """The simplest fit of each dynamic family, and the chosen one; none where no family has a state.
 
-    How an axis starts to move, ordinary records show but dimly; that is what sets these families apart, and what a
-    modifier then may seem to explain.
+    How an axis starts to move is what sets these families apart, and ordinary records hardly show it: their errors
+    there say nothing of those to come, and what a modifier seems to explain may be that.
     """
-    lowest: dict[str, float] = {}
     simplest: dict[str, Fit] = {}
-    for each in filter(lambda each: is_dynamic(each.structure), fits):
-        family, error = each.structure.family, each.held_out.rmse
-        lowest[family] = min(lowest.get(family, math.inf), error)
-        simplest[family] = min(simplest.get(family, each), each, key=_simplicity)
-    limit = _MUCH_WORSE * best.held_out.rmse
-    found = [simplest[family] for family, error in lowest.items() if error <= limit]
-    return [best, *(each for each in found if each is not best)]
+    for each in fits:
+        if is_dynamic(each.structure):
+            family = each.structure.family
+            simplest[family] = min(simplest.get(family, each), each, key=_simplicity)
+    return [best, *(each for each in simplest.values() if each is not best)] if simplest else []
 
 
 def _simplicity(fit: Fit) -> tuple[int, int]:

@@ -168,6 +168,12 @@ def prepare(
     held = [name for name in _SLOW if name in recording and np.mean(np.isfinite(recording[name])) >= _KNOWN_SHARE]
     grid = even_grid(recording, ["position", "torque", *(["velocity"] if has_velocity else [])], held)
     problems += grid.problems
+    delay_s = _torque_delay_s(recording)
+    if delay_s:
+        problems.append(f"the drive's torque was read {1e3 * delay_s:.3g} ms late: moved back by as much")
+        torque = grid.columns["torque"] = grid.columns["torque"].copy()
+        for part in grid.segments:
+            torque[part] = np.interp(grid.time_s[part] + delay_s, grid.time_s[part], torque[part])
     if not has_velocity and lowpass_hz is None:
         lowpass_hz = DEFAULT_LOWPASS_SHARE * grid.rate_hz
         problems.append(f"{why}: derived from the position below {lowpass_hz:.4g} Hz")
@@ -196,6 +202,12 @@ def prepare(
     records = [_record(recording, grid, part, lowpass_hz, factor, settling, tuple(problems)) for part in kept]
     records = [replace(each, group=group) for each in records]
     return records if least_speed == 0.0 else _moving(records, least_speed)
+
+
+def _torque_delay_s(recording: Recording) -> float:
+    """How much older the torque is than the position in the same row, as the driver stated it."""
+    facts = [each for each in recording.metadata.get("facts", ()) if each["name"] == recording.axis]
+    return float(facts[0].get("torque_delay_s", 0.0)) if facts else 0.0
 
 
 def _group(recording: Recording, group_by: str | None) -> str:

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from friction_hil.errors import UsageError
+from friction_hil.identification.fine import LEAST_RATE_HZ
 from friction_hil.jit import Array
 from friction_hil.servo.trajectory import Sweep, sweeps_path
 
@@ -47,6 +48,7 @@ def plan(
     duration_s: float = 60.0,
     *,
     acceleration: float = math.inf,
+    period_s: float = 0.0,
 ) -> tuple[Sweep, ...]:
     """Sweeps for an axis of which little is known.
 
@@ -64,6 +66,8 @@ def plan(
         Length of all sweeps together, at least 10 s; each is rounded to whole periods.
     acceleration : float
         Largest one wanted, rad/s^2 or m/s^2.
+    period_s : float
+        Of sampling, s. Where it is too long to see presliding, the slow sweeps take all the time.
 
     Raises
     ------
@@ -77,8 +81,10 @@ def plan(
             raise UsageError(f"an experiment needs {name} above zero and finite, not {value:g}")
     if not LEAST_S <= duration_s < math.inf:
         raise UsageError(f"an experiment takes {LEAST_S:g} s or more, not {duration_s:g} s")
+    is_presliding_seen = period_s * LEAST_RATE_HZ <= 1.0
+    shares = _SHARES if is_presliding_seen else [share / sum(_SHARES[:2]) for share in _SHARES[:2]]
     acceleration *= _SINE_SHARE
-    slowest = _LEAST_PERIODS / (_SHARES[0] * duration_s)
+    slowest = _LEAST_PERIODS / (shares[0] * duration_s)
     least_omega = math.tau * slowest
     largest = min(_TRAVEL_SHARE * travel, rated_velocity / least_omega, acceleration / _SECOND_FORCE / least_omega**2)
     speed = min(
@@ -88,7 +94,7 @@ def plan(
     second = _SECOND_SPEED * largest / _SECOND
     rows = [(slow, 0.1 * largest, largest), (_SECOND * slow, 0.1 * largest / _SECOND, second)]
     smallest = _LEAST_COUNTS * resolution
-    for frequency in _PRESLIDING_HZ:
+    for frequency in _PRESLIDING_HZ if is_presliding_seen else ():
         omega = math.tau * frequency
         most = min(largest, _PRESLIDING_SPEED * rated_velocity / omega, acceleration / omega**2)
         if most < _LEAST_SWELL * smallest:
@@ -100,7 +106,7 @@ def plan(
         rows.append((frequency, smallest, most))
     return tuple(
         Sweep(f, low, high, round(share * duration_s * f) / f)
-        for (f, low, high), share in zip(rows, _SHARES, strict=True)
+        for (f, low, high), share in zip(rows, shares, strict=True)
     )
 
 

@@ -17,7 +17,7 @@ from friction_hil.identification.fine import fine_data, is_fine, shows_preslidin
 from friction_hil.identification.fits import MECHANICS, Fit, fit, refined
 from friction_hil.identification.inference import VAGUE
 from friction_hil.identification.problem import BACK_EMF, INVERSE_GAIN, Problem
-from friction_hil.identification.refine import REPLICAS, is_dynamic
+from friction_hil.identification.refine import REPLICAS
 from friction_hil.identification.scales import scales as size_up
 from friction_hil.identification.structures import EQUAL_IN_FEEDFORWARD, EXTENDS, Structure
 from friction_hil.jit import Array
@@ -204,13 +204,14 @@ class _Search:
         if self.known:
             fits = drive.usable(fits)
         best, reason = choose(fits, "groups of recordings" if is_grouped(self.data) else "blocks")
-        if not self.known and is_dynamic(best.structure) and shows_presliding(self.data.records, self.settings.refine):
-            once_more = [self._refined(each) for each in to_refine(best, fits)]
+        again = to_refine(best, fits) if not self.known else []
+        if again and shows_presliding(self.data.records, self.settings.refine):
+            once_more = [self._refined(each) for each in again]
             fits = [each for each in fits if each.label not in {other.label for other in once_more}] + once_more
             best, further = choose(once_more)
-            reason += (
-                "; fitted once more with the position to a count and the model in several steps a sample, since the "
-                f"recording shows presliding, {further}"
+            reason = (
+                "the recording shows presliding, so that the dynamic families were fitted once more, with the position "
+                f"to a count and the model in several steps a sample: {further}"
             )
         others = sorted((each for each in fits if each is not best), key=lambda each: each.held_out.rmse)
         if self.known:  # only now: one number for all of a fit, but not the same one for all fits

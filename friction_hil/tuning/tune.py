@@ -3,22 +3,31 @@
 import math
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Protocol
 
+import numpy as np
+
+from friction_hil import models
 from friction_hil.assembly import ramp_s
 from friction_hil.config import Configuration, ModelFile, dump
 from friction_hil.errors import FrictionHilError, UsageError, choices
-from friction_hil.identification import Fit, Identification, identify
+from friction_hil.identification import Fit, Identification, identify, structures
 from friction_hil.identification import Settings as IdentificationSettings
+from friction_hil.identification.choice import is_determined
 from friction_hil.identification.export import as_model_file
+from friction_hil.identification.fine import LEAST_RATE_HZ
 from friction_hil.identification.refine import is_dynamic
-from friction_hil.recordings import read, read_all
+from friction_hil.recordings import Recording, read, read_all
 from friction_hil.session import SessionResult, SessionSettings, run_session
 from friction_hil.stop import stop_on_signals
 from friction_hil.tuning.motions import experiment_of, experiment_run, trial_run
 from friction_hil.tuning.trial import Trial, judge
+
+_LEAST_SPEED = 0.02  # of the highest: below, where presliding is not seen, friction is whatever holds the axis
+_LOOK_S = 0.02  # over which a speed is looked at: no count of an encoder matters
+_SWINGING = 2.0  # times the speed that was asked for
 
 
 class Talk(Protocol):
@@ -95,8 +104,8 @@ class AxisTuning:
 
     @property
     def best(self) -> Candidate:
-        """The candidate with the smallest RMS following error on the machine."""
-        return min(self.candidates, key=lambda each: each.trial.compensated.rms)
+        """The candidate with the smallest following error on the machine, RMS times peak."""
+        return min(self.candidates, key=lambda each: each.trial.compensated.rms * each.trial.compensated.peak)
 
 
 @dataclass(slots=True, eq=False)
@@ -186,10 +195,17 @@ class _Tuner:
 
     def _identified(self, name: str, path: Path) -> Identification:
         """Identify an axis from its experiment, and write the model that is chosen."""
-        kind = self._configuration.axes[name].model.axis
+        axis = self._configuration.axes[name]
+        kind, bounds = axis.model.axis, experiment_of(name, axis)
         settings = IdentificationSettings(families=self._settings.families, axis=kind)
-        with self._talk.working(f"{name}: reading the recording") as show:
+        if self._configuration.period_s * LEAST_RATE_HZ > 1.0:  # too slow to see presliding, and what follows from it
+            static = tuple(family for family in structures.families() if models.describe(family).is_static)
+            settings = replace(
+                settings, families=settings.families or static, least_speed=_LEAST_SPEED * bounds.velocity
+            )
+        with self._talk.working(f"{name}: identifying friction and inertia") as show:
             recording = read(path, name)
+            _refuse_swinging(recording, bounds.velocity)
             result = identify([recording], settings, progress=lambda label: show(f"{name}: fitting {label}"))
         self._talk.tell(f"{name}: {result.best.label}: {result.reason}")
         self._write(name, self._model(name, result, result.best))
@@ -268,13 +284,27 @@ class _Tuner:
             self._talk.tell(line)
 
 
+def _refuse_swinging(recording: Recording, velocity: float) -> None:
+    """Refuse an axis that has moved much faster than it was asked to: its loop swings by itself."""
+    position = recording["position"]
+    step = max(1, round(_LOOK_S / recording.period_s))
+    fastest = float(np.max(np.abs(position[step:] - position[:-step]))) / (step * recording.period_s)
+    if fastest > _SWINGING * velocity:
+        raise TuningError(
+            f"{recording.axis} has moved at {fastest:.3g}, where its experiment asks for {velocity:g} at most: the "
+            "loop that controls it swings; lower its velocity_gain (or the drive's), or take a shorter period_s"
+        )
+
+
 def _candidates(found: Identification) -> list[Fit]:
-    """The fit that was chosen, and the best one of the other kind, static or dynamic."""
+    """The fit that was chosen, and the best one of the other kind, static or dynamic, that the data determine."""
     best = found.best
     others = [
         each
         for each in found.fits[1:]
-        if is_dynamic(each.structure) is not is_dynamic(best.structure) and math.isfinite(each.held_out.rmse)
+        if is_dynamic(each.structure) is not is_dynamic(best.structure)
+        and math.isfinite(each.held_out.rmse)
+        and is_determined(each)
     ]
     return [best, *others[:1]]
 

@@ -296,7 +296,7 @@ def configured(**changes: Any) -> Any:
 
 
 def test_a_configuration_can_ask_for_the_experiment() -> None:
-    path = make_path(configured().axes["x"], COUNT)
+    path = make_path(configured().axes["x"], COUNT, PERIOD_S)
     times = np.linspace(0.0, 61.0, 500)
     position, velocity = experiment.demand(times, experiment.plan(2.0, 0.5, COUNT, 60.0))
     assert [path(float(t))[0] for t in times] == position.tolist()

@@ -255,6 +255,7 @@ class Connecting:
             setpoint_delay_s=_setpoint_delay_s(delay_s, config.mode, options.setpoint_delay_cycles, self._period_s),
             actuation_delay_s=delay_s,
             notes=(*notes, lane.rate) if lane.rate else tuple(notes),
+            torque_delay_s=_torque_delay_s(lane.plan, self._period_s),
         )
 
     def _arm_watchdog(self, lane: Lane, axis: SerialAxis, description: Description) -> list[str]:
@@ -354,6 +355,12 @@ def _write(lane: Lane, axis: SerialAxis, step: Step) -> None:
 def _read_state(lane: Lane, axis: SerialAxis) -> None:
     for name in axis.state_signals:
         lane.talk(axis.name, lane.protocol.read(axis.name, (name,)))
+
+
+def _torque_delay_s(plan: Plan, period_s: float) -> float:
+    """Mean age of a torque that is read in turns, as the position comes: at least a period, at most a round of them."""
+    is_in_turns = any("torque" in exchange.reads for exchange in plan.turns)
+    return 0.5 * (1 + len(plan.turns)) * period_s if is_in_turns else 0.0
 
 
 def _poll_s(lane: Lane) -> float:
