@@ -173,9 +173,16 @@ class _Tuner:
         choice = {name: _candidates(each) for name, each in found.items()}
         for k in range(max(map(len, choice.values()))):
             fits = {name: each[min(k, len(each) - 1)] for name, each in choice.items()}
-            for name, candidate in self._tried(fits, found, k + 1).items():
+            try:
+                candidates = self._tried(fits, found, k + 1)
+            except TuningError as error:
+                if not k:
+                    raise
+                self._result.warnings.append(f"the second models could not be tried: {error}")
+                break
+            for name in self._names:
                 if k < len(choice[name]):
-                    tried[name].append(candidate)
+                    tried[name].append(candidates[name])
         for name in self._names:
             self._result.axes[name] = self._kept(name, found[name], tuple(tried[name]))
         return self._result
@@ -191,7 +198,9 @@ class _Tuner:
             f"{bounds.velocity:g} {unit}/s, for {duration_s:.0f} s, without compensation"
             + (f"; {held} held" if held else "")
         )
-        return self._run(run, duration_s, f"{name}_experiment.mcap")
+        path = self._run(run, duration_s, f"{name}_experiment.mcap")
+        _refuse_swinging(read(path, name), bounds.velocity)
+        return path
 
     def _identified(self, name: str, path: Path) -> Identification:
         """Identify an axis from its experiment, and write the model that is chosen."""
@@ -204,18 +213,16 @@ class _Tuner:
                 settings, families=settings.families or static, least_speed=_LEAST_SPEED * bounds.velocity
             )
         with self._talk.working(f"{name}: identifying friction and inertia") as show:
-            recording = read(path, name)
-            _refuse_swinging(recording, bounds.velocity)
-            result = identify([recording], settings, progress=lambda label: show(f"{name}: fitting {label}"))
+            result = identify([read(path, name)], settings, progress=lambda label: show(f"{name}: fitting {label}"))
         self._talk.tell(f"{name}: {result.best.label}: {result.reason}")
         self._write(name, self._model(name, result, result.best))
         return result
 
     def _tried(self, fits: dict[str, Fit], found: dict[str, Identification], number: int) -> dict[str, Candidate]:
         """Run the machine with a model for each axis."""
-        models = {name: self._model(name, found[name], fit) for name, fit in fits.items()}
+        files = {name: self._model(name, found[name], fit) for name, fit in fits.items()}
         run, duration_s = trial_run(
-            self._configuration, {name: ModelFile.model_validate(model) for name, model in models.items()}
+            self._configuration, {name: ModelFile.model_validate(model) for name, model in files.items()}
         )
         labels = ", ".join(f"{name} by {fit.label}" for name, fit in fits.items())
         motions = ", ".join(f"{name}: {run.axes[name].trajectory.kind}" for name in fits)
@@ -225,7 +232,7 @@ class _Tuner:
         recordings = read_all(self._run(run, duration_s, f"trial_{number}.mcap"))
         start_s = ramp_s(run.axes.values())
         return {
-            name: Candidate(fit, models[name], judge(recordings[name], run.axes[name], run.period_s, start_s))
+            name: Candidate(fit, files[name], judge(recordings[name], run.axes[name], run.period_s, start_s))
             for name, fit in fits.items()
         }
 

@@ -1,0 +1,230 @@
+"""`friction-hil tune` against simulated drives of every kind: real processes, simulated time."""
+
+import json
+import os
+import pty
+import re
+import signal
+import subprocess
+
+import numpy as np
+import pytest
+import yaml
+
+import friction_hil as fh
+from friction_hil.config import load, load_model_file
+from friction_hil.reports.following import SETTLE_S
+from friction_hil.safety import LoopState
+from tests.peers.serial_processes import DRIVES, write_serial_configuration
+from tests.processes import COMMAND, run, simulated_drives, write_configuration
+from tests.servo_drives import TRUE_FRICTION
+
+SPEED, TRAVEL = 4.0, 1.0
+EXPERIMENT = {"velocity": SPEED, "travel": TRAVEL, "duration_s": 10.0, "ramp_s": 0.25}
+AXIS = {
+    "model": "learned.yaml",
+    "experiment": EXPERIMENT,
+    "limits": {"torque": 0.3, "torque_slew": 300.0, "velocity": 30.0, "following_error": 2.0},
+    "trajectory": {"kind": "sine", "amplitude": 0.5, "frequency": 0.5, "ramp_s": 0.25},
+}
+OWN_LOOPS = {"mode": "cst", "controller": {"position_gain": 15.0, "velocity_gain": 0.03, "integral_hz": 1.0}}
+
+
+def configured(kind, folder, **changes):
+    if kind == "canopen":
+        return write_configuration(folder, period_s=2e-3, x={**AXIS, **changes})
+    return write_serial_configuration(folder, kind, **{**AXIS, **OWN_LOOPS, **changes})
+
+
+def tuned(configuration, *options, check=True):
+    """Tune against drives of their own; return the JSON and the process."""
+    folder = configuration.parent / "tuned"
+    with simulated_drives(configuration):
+        done = run("tune", configuration, "--pace", "sync", "--output", folder, "--json", *options, check=check)
+    return (json.loads(done.stdout) if done.stdout else None), done
+
+
+@pytest.mark.parametrize("kind", ["canopen", *DRIVES])
+def test_an_axis_learns_its_friction_on_its_drive(kind, tmp_path) -> None:
+    configuration = configured(kind, tmp_path)
+
+    result, done = tuned(configuration, "--models", "coulomb")
+
+    learned = load_model_file(tmp_path / "learned.yaml")
+    friction = learned.friction_model.parameters
+    assert 0.8 * TRUE_FRICTION["coulomb"] < friction["coulomb"] < TRUE_FRICTION["static"]
+    x = result["axes"]["x"]
+    assert (x["in_place"], x["file"]) == (True, str(tmp_path / "learned.yaml"))
+    [tried] = x["tried"]
+    assert tried["reduction"]["rms"] > 2.0
+    assert learned.fit["trial"] == {name: tried[name] for name in ("uncompensated", "compensated")}
+    assert "x moves by up to 1 rad to either side" in done.stderr
+    assert [path.name for path in sorted((tmp_path / "tuned").iterdir())] == [
+        "report.html",
+        "trial_1.mcap",
+        "x.html",
+        "x.yaml",
+        "x_experiment.mcap",
+    ]
+
+    # what the JSON says is what the recording shows
+    trial = fh.recordings.read(tmp_path / "tuned" / "trial_1.mcap")
+    is_running = trial["state"] == LoopState.RUNNING
+    error = (trial["position_demand"] - trial["position"])[is_running & (trial["is_enabled"] == 1.0)]
+    steady = error[round((0.1 + SETTLE_S) / trial.period_s) :]
+    assert float(np.sqrt(np.mean(steady**2))) == pytest.approx(tried["compensated"]["rms"], rel=0.02)
+
+    # and the daemon runs with it as it is
+    with simulated_drives(configuration):
+        run("run", configuration, "--pace", "sync", "--duration", 0.5)
+
+
+def test_in_an_experiment_the_axis_stays_within_its_bounds_and_nothing_is_commanded(tmp_path) -> None:
+    configuration = configured("canopen", tmp_path)
+
+    tuned(configuration, "--models", "coulomb")
+
+    experiment = fh.recordings.read(tmp_path / "tuned" / "x_experiment.mcap")
+    position = experiment["position"]
+    assert float(np.max(np.abs(position - position[0]))) <= TRAVEL
+    assert float(np.nanmax(np.abs(experiment["velocity_demand"]))) <= SPEED * (1.0 + 1e-9)
+    assert not experiment["command"].any()
+
+
+def test_of_two_kinds_of_model_the_machine_decides_and_a_file_that_is_there_stays(tmp_path) -> None:
+    present = "version: 1\naxis: rotary\nfriction: {model: coulomb, parameters: {coulomb: 0.02}}\n"
+    (tmp_path / "learned.yaml").write_text(present + "mechanics: {torque_lag_s: 4e-4}\n")
+    configuration = configured("canopen", tmp_path)
+
+    result, _ = tuned(configuration, "--models", "coulomb,lugre")
+
+    x = result["axes"]["x"]
+    assert len(x["tried"]) == 2
+    errors = {each["model"]: each["compensated"]["rms"] * each["compensated"]["peak"] for each in x["tried"]}
+    assert x["model"] == min(errors, key=errors.get)
+    assert (x["in_place"], x["file"]) == (False, str(tmp_path / "tuned" / "x.yaml"))
+    assert (tmp_path / "learned.yaml").read_text().startswith(present)
+    assert load_model_file(x["file"]).mechanics.torque_lag_s == 4e-4
+    assert x["mechanics"]["inertia"] == pytest.approx(2e-4, rel=0.15)
+
+
+def test_other_axes_are_held_while_one_is_tuned(tmp_path) -> None:
+    still = {"node": 2, "trajectory": {"kind": "sine", "amplitude": 0.3, "frequency": 1.0}}
+    configuration = write_configuration(tmp_path, period_s=2e-3, x=AXIS, y=still)
+
+    result, done = tuned(configuration, "--axis", "x", "--models", "coulomb")
+
+    assert list(result["axes"]) == ["x"]
+    assert "; y held" in done.stderr
+    for name in ("x_experiment", "trial_1"):
+        y = fh.recordings.read(tmp_path / "tuned" / f"{name}.mcap", "y")
+        assert float(np.ptp(y["position"])) < 1e-4
+        assert not y["command"].any()
+
+
+def test_a_model_that_does_not_help_is_not_put_to_use(tmp_path) -> None:
+    wrong_way = {"enabled": True, "gain": 1.5, "source": "measured", "smoothing": 0.05, "fade_s": 0.1}
+    frictionless = {"friction": {"model": "coulomb", "parameters": {"coulomb": 1e-6}}, "mechanics": {"inertia": 2e-4}}
+    configuration = configured("canopen", tmp_path, compensation=wrong_way, simulation=frictionless)
+
+    result, done = tuned(configuration, "--models", "coulomb", check=False)
+
+    if result is not None:
+        assert done.returncode == (0 if result["axes"]["x"]["tried"][0]["reduction"]["rms"] > 1.0 else 1)
+    assert "Traceback" not in done.stderr
+    assert (done.returncode == 0) == (tmp_path / "learned.yaml").exists()
+
+
+def test_mistakes_are_told_before_anything_moves(tmp_path) -> None:
+    configuration = configured("canopen", tmp_path, experiment=None)
+    data = yaml.safe_load(configuration.read_text())
+    del data["axes"]["x"]["experiment"]
+    configuration.write_text(yaml.safe_dump(data))
+
+    missing = run("tune", configuration, "--pace", "sync", check=False)
+    nobody = run("tune", configuration, "--pace", "sync", "--axis", "z", check=False)
+    data["axes"]["x"]["experiment"] = EXPERIMENT
+    configuration.write_text(yaml.safe_dump(data))
+    (tmp_path / "used").mkdir()
+    (tmp_path / "used" / "notes.txt").touch()
+    used = run("tune", configuration, "--pace", "sync", "--output", tmp_path / "used", check=False)
+    unasked = run("tune", configuration, check=False, stdin=subprocess.DEVNULL)
+
+    assert re.search(r"axes\.yaml:\d+: axes\.x\.experiment: is missing: tune moves the axis", missing.stderr)
+    assert "no axis is called 'z'" in nobody.stderr
+    assert "is not empty" in used.stderr
+    assert "--yes" in unasked.stderr
+    assert {each.returncode for each in (missing, nobody, used, unasked)} == {2}
+
+
+def test_an_axis_that_swings_by_itself_is_not_identified(tmp_path) -> None:
+    hot = {"mode": "cst", "controller": {"position_gain": 30.0, "velocity_gain": 0.03, "integral_hz": 1.0}}
+    configuration = write_serial_configuration(tmp_path, "modbus rtu", **{**AXIS, **hot}, period_s=8e-3)
+
+    _, done = tuned(configuration, "--models", "coulomb", check=False)
+
+    assert done.returncode == 1
+    assert "the loop that controls it swings" in done.stderr or "following error" in done.stderr
+    assert not (tmp_path / "learned.yaml").exists()
+
+
+def test_nobody_moves_before_the_user_says_so(tmp_path) -> None:
+    """On a terminal: the motion is told, and Ctrl-C at the question ends it."""
+    configuration = configured("canopen", tmp_path)
+    terminal, of_process = pty.openpty()
+    with simulated_drives(configuration):
+        asked = subprocess.Popen(
+            [*COMMAND, "tune", str(configuration), "--output", str(tmp_path / "tuned")],
+            stdin=of_process,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        os.close(of_process)
+        said = asked.stderr.readline()
+        os.write(terminal, b"n\n")
+        _, rest = asked.communicate(timeout=60)
+        os.close(terminal)
+
+    assert said.startswith("x moves by up to")
+    assert "Is the way clear?" in rest
+    assert asked.returncode == 130
+    assert not (tmp_path / "tuned" / "x_experiment.mcap").exists()
+
+
+def test_ctrl_c_while_it_moves_brings_the_axis_to_rest(tmp_path) -> None:
+    configuration = configured("canopen", tmp_path, experiment={**EXPERIMENT, "duration_s": 600.0})
+    recording = tmp_path / "tuned" / "x_experiment.mcap"
+    with simulated_drives(configuration):
+        moving = subprocess.Popen(
+            [*COMMAND, "tune", str(configuration), "--pace", "sync", "--output", str(tmp_path / "tuned")],
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        for line in moving.stderr:
+            if "watches the daemon" in line:
+                break
+        while not (recording.exists() and recording.stat().st_size > 20_000):
+            assert moving.poll() is None
+        moving.send_signal(signal.SIGINT)
+        _, errors = moving.communicate(timeout=60)
+
+    assert moving.returncode == 130
+    assert "Traceback" not in errors
+    stopped = fh.recordings.read(recording)
+    assert stopped["state"][-1] == LoopState.DISABLING
+    assert abs(stopped["velocity_estimate"][-1]) < 0.05
+    assert not (tmp_path / "learned.yaml").exists()
+
+
+def test_simulate_and_doctor_do_without_the_model_that_tuning_makes(tmp_path) -> None:
+    configuration = configured("canopen", tmp_path, experiment={**EXPERIMENT, "axis": "rotary"})
+    findings = json.loads(run("doctor", configuration, "--json", check=False).stdout)
+    checked = run("config", "check", configuration, check=False)
+
+    assert {"check": "x: model", "result": "warn"}.items() <= next(
+        each for each in findings if each["check"] == "x: model"
+    ).items()
+    assert (checked.returncode, "'friction-hil tune' makes one" in checked.stderr) == (2, True)
+    assert load(configuration, needs_models=False).axes["x"].model.source_path == tmp_path / "learned.yaml"

@@ -1,0 +1,188 @@
+"""Tuning without a machine: the runs that it makes of a configuration, and what it reads from their recordings."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from friction_hil.assembly import make_path, ramp_s
+from friction_hil.config import from_dict
+from friction_hil.errors import OptionError, RecordingError
+from friction_hil.recordings import Recording
+from friction_hil.reports.following import RECOVERY_S, SETTLE_S
+from friction_hil.safety import LoopState
+from friction_hil.servo.trajectory import extent
+from friction_hil.tuning.motions import experiment_of, experiment_run, period_s, trial_run
+from friction_hil.tuning.trial import judge
+from tests.servo_drives import PERIOD_S, axis_dict
+
+EXPERIMENT = {"velocity": 5.0, "travel": 0.8, "acceleration": 400.0, "duration_s": 20.0, "ramp_s": 0.5}
+BY_HAND = {"mode": "cst", "trajectory": {"kind": "none"}, "limits": {"torque": 0.3, "velocity": 30.0}}
+COUNT = 2.0 * math.pi / 2**20
+
+
+def machine(**axes):
+    bus = {"interface": "virtual", "channel": "test"}
+    nodes = {name: {**axis, "node": node} for node, (name, axis) in enumerate(axes.items(), start=1)}
+    return from_dict({"version": 1, "period_s": PERIOD_S, "bus": bus, "axes": nodes}, "test")
+
+
+def axis(**changes):
+    return {**axis_dict(experiment=EXPERIMENT), **changes}
+
+
+def test_in_an_experiment_one_axis_moves_and_nothing_is_compensated() -> None:
+    shadows = [{"name": "other", "model": axis()["model"]}]
+    configuration = machine(x=axis(), y=axis(shadows=shadows), z=axis(**BY_HAND))
+
+    run, duration = experiment_run(configuration, "x")
+
+    assert [each.trajectory.kind for each in run.axes.values()] == ["experiment", "hold", "none"]
+    assert not any(each.compensation.enabled or each.shadows for each in run.axes.values())
+    assert all(run.axes[name].limits == configuration.axes[name].limits for name in run.axes)
+    assert duration >= EXPERIMENT["duration_s"] + 0.5 * ramp_s(run.axes.values())
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    velocity=st.floats(0.5, 20.0),
+    travel=st.floats(0.1, 5.0),
+    kind=st.sampled_from(["hold", "experiment", "sine"]),
+)
+def test_no_run_goes_further_or_faster_than_it_may(velocity, travel, kind) -> None:
+    motion = {
+        "hold": {"kind": "hold"},
+        "experiment": {"kind": "experiment", "velocity": velocity, "travel": travel},
+        "sine": {"kind": "sine", "amplitude": travel, "frequency": velocity / (2.0 * math.pi * travel)},
+    }[kind]
+    bounds = {"velocity": velocity, "travel": travel}
+    configuration = machine(x=axis(trajectory=motion, experiment=bounds))
+    model = configuration.axes["x"].model
+    for run, duration in (experiment_run(configuration, "x"), trial_run(configuration, {"x": model})):
+        low, high, speed = extent(make_path(run.axes["x"], COUNT, PERIOD_S), duration, 4000)
+
+        assert -travel <= low <= high <= travel
+        assert 0.0 < speed <= velocity * (1.0 + 1e-9)
+
+
+def test_a_trial_has_as_many_whole_periods_without_as_with_compensation() -> None:
+    slow = {"kind": "sine", "amplitude": 0.3, "frequency": 0.2, "ramp_s": 1.5}
+    configuration = machine(x=axis(trajectory=slow, compensation={"fade_s": 0.7}), y=axis())
+
+    run, duration = trial_run(configuration, {name: each.model for name, each in configuration.axes.items()})
+
+    baseline = run.axes["x"].compensation.baseline_s
+    assert baseline == run.axes["y"].compensation.baseline_s
+    before, after = baseline - ramp_s(run.axes.values()) - SETTLE_S, duration - baseline - 0.7 - SETTLE_S
+    assert before == pytest.approx(after)
+    for each in run.axes.values():
+        assert before / period_s(each) >= 2.0 - 1e-9
+
+
+def test_a_trial_holds_what_has_nothing_to_try_and_believes_the_new_model() -> None:
+    configuration = machine(x=axis(), y=axis())
+    model = configuration.axes["x"].model.model_copy(update={"fit": {"chosen": "new"}})
+
+    run, _ = trial_run(configuration, {"x": model})
+
+    assert run.axes["x"].model.fit == {"chosen": "new"}
+    assert run.axes["x"].compensation.enabled
+    assert (run.axes["y"].trajectory.kind, run.axes["y"].compensation.enabled) == ("hold", False)
+
+
+@pytest.mark.parametrize(
+    ("changes", "key"),
+    [
+        ({"experiment": None}, "experiment"),
+        ({"compensation": {"enabled": False}}, "compensation.enabled"),
+        (BY_HAND, "trajectory.kind"),
+    ],
+)
+def test_what_tuning_has_to_be_told_is_asked_for_by_its_key(changes, key) -> None:
+    with pytest.raises(OptionError) as caught:
+        experiment_of("x", machine(x=axis(**changes)).axes["x"])
+
+    assert (caught.value.axis, caught.value.key) == ("x", key)
+
+
+FADE_S, RAMP_S, FREQUENCY, PERIODS = 0.1, 0.25, 1.0, 3
+BEFORE = round((RAMP_S + SETTLE_S + PERIODS / FREQUENCY) / PERIOD_S)
+AFTER = round((FADE_S + SETTLE_S + PERIODS / FREQUENCY) / PERIOD_S)
+
+
+def recorded(without, compensated, *, fresh=None):
+    """A run whose following error over the time since it started is known; it is wild where nothing may count."""
+    cycle = np.arange(50.0, 50.0 + BEFORE + AFTER)
+    time = (cycle - 50.0) * PERIOD_S
+    is_enabled = np.arange(len(cycle)) >= BEFORE
+    error = np.where(is_enabled, compensated(time), without(time))
+    error[: round((RAMP_S + SETTLE_S) / PERIOD_S)] = 9.0
+    error[BEFORE : BEFORE + round((FADE_S + SETTLE_S) / PERIOD_S)] = 9.0
+    demand = np.sin(2.0 * np.pi * FREQUENCY * time)
+    columns = {
+        "time_s": cycle * PERIOD_S,
+        "cycle": cycle,
+        "position": demand - error,
+        "position_demand": demand,
+        "is_fresh": np.ones(len(cycle)) if fresh is None else fresh,
+        "is_enabled": is_enabled.astype(float),
+        "state": np.full(len(cycle), float(LoopState.RUNNING)),
+    }
+    return Recording("trial.mcap", "x", columns)
+
+
+def judged(recording):
+    trajectory = {"kind": "sine", "amplitude": 1.0, "frequency": FREQUENCY, "ramp_s": RAMP_S}
+    run = machine(x=axis(trajectory=trajectory, compensation={"fade_s": FADE_S}))
+    return judge(recording, run.axes["x"], PERIOD_S, RAMP_S)
+
+
+def wave(amplitude):
+    return lambda time: amplitude * np.sin(2.0 * np.pi * FREQUENCY * time)
+
+
+def test_figures_of_a_trial_are_those_of_whole_periods_of_settled_motion() -> None:
+    trial = judged(recorded(wave(4e-3), wave(1e-3)))
+
+    assert trial.uncompensated.rms == pytest.approx(4e-3 / math.sqrt(2.0), rel=1e-6)
+    assert trial.uncompensated.peak == pytest.approx(4e-3, rel=1e-4)
+    assert (trial.reduction.rms, trial.reduction.peak) == pytest.approx((4.0, 4.0), rel=1e-6)
+    assert trial.has_helped
+    for error, amplitude in zip(trial.errors, (4e-3, 1e-3), strict=True):
+        assert np.nanmax(np.abs(error)) == pytest.approx(amplitude, rel=1e-4)
+        assert len(error) == len(trial.time_s) == round(1.0 / (FREQUENCY * PERIOD_S))
+
+
+def test_worse_is_no_help() -> None:
+    assert not judged(recorded(wave(1e-3), wave(1.1e-3))).has_helped
+    assert not judged(recorded(wave(1e-3), lambda time: 0.5e-3 + 0.0 * time - 1.6e-3 * (time % 1.0 < 0.01))).has_helped
+
+
+def test_where_the_computer_was_late_nothing_counts() -> None:
+    whole = recorded(wave(4e-3), wave(1e-3))
+    late = replace(whole, columns={name: values.copy() for name, values in whole.columns.items()})
+    row = len(whole) - 1500
+    late.columns["position"][row : row + 4] += 7.0
+    late.columns["is_fresh"][row : row + 4] = 0.0
+    missing = np.delete(np.arange(len(whole)), slice(row, row + 40))
+    after = slice(row, row + round(RECOVERY_S / PERIOD_S))
+    gap = replace(whole, columns={name: values[missing] for name, values in whole.columns.items()})
+    gap.columns["position"][after] += 7.0
+
+    for damaged in (late, gap):
+        assert judged(damaged).compensated.peak == pytest.approx(1e-3, rel=1e-3)
+
+
+def test_a_run_that_is_too_short_or_was_mostly_missed_is_refused() -> None:
+    whole = recorded(wave(4e-3), wave(1e-3))
+    short = replace(whole, columns={name: values[: BEFORE + 900] for name, values in whole.columns.items()})
+    with pytest.raises(RecordingError, match="no whole period of 1 s"):
+        judged(short)
+
+    fresh = np.ones(len(whole))
+    fresh[-3000::7] = 0.0
+    with pytest.raises(RecordingError, match="periods of the laps can be used"):
+        judged(recorded(wave(4e-3), wave(1e-3), fresh=fresh))
