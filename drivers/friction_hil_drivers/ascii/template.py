@@ -158,7 +158,12 @@ class LineFormat:
         found = self._match(line)
         if found is None:
             return None
-        return [read(text) for read, text in zip(self._readers, found.groups())]  # noqa: B905  as many as each other
+        numbers = [read(text) for read, text in zip(self._readers, found.groups())]  # noqa: B905  as many as each other
+        if not all(map(math.isfinite, numbers)):
+            texts = zip(self.names, numbers, found.groups(), strict=True)
+            name, text = next((name, text) for name, number, text in texts if not math.isfinite(number))
+            raise ValueError(f"{text.decode()} is too large for {name}")
+        return numbers
 
 
 def _text_pattern(text: str, axis: str | None) -> bytes:
@@ -210,14 +215,7 @@ def _reader(field: NumberField, signal: "AsciiSignal") -> tuple[bytes, Callable[
     """How a number is read: expression, conversion of what it found."""
     name = field.name
     if field.type == FLOAT:
-
-        def read_float(text: bytes) -> float:
-            value = float(text)
-            if not math.isfinite(value):
-                raise ValueError(f"{text.decode()} is too large for {name}")
-            return value
-
-        return _FLOAT, read_float
+        return _FLOAT, float
     low, high = _bounds(signal)
     if field.type == HEXADECIMAL:
         span = high - low + 1
