@@ -30,9 +30,12 @@ class BenchLine:
         self.answer = answer
         self.sent: list[bytes] = []
         self.arrived = b""
-        self.is_open = True
         self.is_back = False
         self.descriptor = 3
+
+    @property
+    def is_open(self) -> bool:
+        return self.descriptor >= 0
 
     def read(self, *, is_ready: bool = True) -> bytes:
         if not self.is_open:
@@ -53,19 +56,19 @@ class BenchLine:
         """From now on every use fails, until `is_back`."""
 
         def gone(*_: object, **__: object) -> bytes:
-            self.is_open = False
+            self.descriptor = -1
             raise LineGoneError("/dev/bench is gone: unplugged")
 
         self.read = gone  # type: ignore[method-assign]
 
     def reopen(self) -> bool:
         if self.is_back:
-            self.is_open = True
+            self.descriptor = 3
             del self.read  # type: ignore[method-assign]
         return self.is_open
 
     def close(self) -> None:
-        self.is_open = False
+        self.descriptor = -1
 
 
 def cut(received: bytearray) -> bytes | None:

@@ -9,7 +9,7 @@ from friction_hil_drivers.modbus.codec import Request
 from friction_hil_drivers.modbus.framing import TcpFraming
 from friction_hil_drivers.modbus.registers import Block, Place
 from friction_hil_drivers.serial_line.conversation import Conversation
-from friction_hil_drivers.serial_line.lane import serve
+from friction_hil_drivers.serial_line.lane import attend
 from friction_hil_drivers.serial_line.line import Line
 from friction_hil_drivers.serial_line.options import LineOptions
 from friction_hil_drivers.serial_line.protocol import Image
@@ -62,7 +62,7 @@ def test_a_slave_that_was_late_once_is_not_late_for_ever(slave):
         for _ in range(cycles):
             image.fresh.clear()
             talk.ask((read,))
-            serve([talk], time.monotonic_ns() + CYCLE_NS)
+            attend([talk], time.monotonic_ns() + CYCLE_NS)
             count += "position" in image.fresh
             talk.give_up()
         return count

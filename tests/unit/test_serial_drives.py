@@ -4,6 +4,7 @@ The drives run in a thread and are paced by the driver's requests, so that nothi
 """
 
 import os
+import select
 import socket
 import threading
 import time
@@ -155,6 +156,19 @@ def test_a_rehearsal_takes_what_has_come_and_changes_nothing_else(kind, tmp_path
     plain = life(is_rehearsed=False)
     assert DriveState.OPERATION_ENABLED in {state for _, _, _, state, _, _ in plain}
     assert life(is_rehearsed=True) == plain
+
+
+@pytest.mark.parametrize("kind", ["rtu", "odrive"])
+def test_what_nobody_asked_for_is_dropped_before_the_drive_is_asked(tmp_path, kind):
+    with Bench(kind, tmp_path).begin().enable() as bench:
+        (lane,), (simulated,) = bench.drives._lanes, bench.simulated._lines
+        conversation = lane.conversation
+        wait_for(lambda: conversation.step() or conversation.is_finished)
+        simulated.port.write(b"noise\r\n")
+        wait_for(lambda: select.select([conversation.line.descriptor], [], [], 0.0)[0])
+        bench.cycle(Request.ENABLE)
+        assert bench.feedback.is_fresh, bench.feedback
+        assert conversation.trouble == "not asked for: 'noise\\r\\n'"
 
 
 def test_after_closing_in_motion_no_drive_keeps_its_power(kind, tmp_path):

@@ -75,8 +75,9 @@ class Conversation:
         self._images = tuple(images)
         self._now_ns = now_ns
         serial = not line.options.is_tcp
-        self._character_ns = character_s(line.options) * 1e9 if serial else 0.0
-        self._silence_ns = round(silence_chars * self._character_ns)
+        character_ns = character_s(line.options) * 1e9 if serial else 0.0
+        self._character_ns = round(character_ns)
+        self._silence_ns = round(silence_chars * character_ns)
         self._turnaround_ns = round(line.options.turnaround_s * 1e9)
         self._reply_limit_ns = round(reply_limit_s * 1e9)
         self._settle_ns = self._short_settle_ns = max(self._silence_ns, _SHORT_SILENCE_NS)
@@ -87,7 +88,7 @@ class Conversation:
         self.queue: deque[Exchange] = deque()
         self.awaited: deque[Exchange] = deque()
         self._done: dict[Exchange, Callable[[], None]] = {}  # to be told, of what is queued or awaited
-        self._wire_ns: dict[Exchange, float] = {}  # what each takes
+        self._wire_ns: dict[Exchange, int] = {}  # what each takes
         self._unconfirmed: deque[Exchange] = deque(maxlen=_MOST_UNCONFIRMED)  # sent without a reply: may be refused
         self._is_refused = False  # one of these was
         self._owed: list[tuple[Exchange, int]] = []  # not answered in time, and until when the reply may still come
@@ -111,7 +112,7 @@ class Conversation:
     @property
     def due_ns(self) -> int | None:
         """When `step` has something to do although nothing arrives; None: it has not."""
-        if not self.line.is_open:
+        if self.line.descriptor < 0:
             return None
         if self._is_settling:
             return min(self._heard_ns + self._settle_ns, self._settle_end_ns)
@@ -132,40 +133,35 @@ class Conversation:
         if done is not None and self.queue:
             self._done[self.queue[-1]] = done
 
-    def step(self, *, is_ready: bool = False, is_heard: bool = False) -> None:
+    def step(self, *, is_ready: bool = False) -> None:
         """Do what can be done now.
 
         Parameters
         ----------
         is_ready : bool
             The operating system says that something has come.
-        is_heard : bool
-            What has come was read a moment ago.
         """
-        if not self.line.is_open:
-            self._reopen()
-            return
         try:
-            if not is_heard and (data := self.line.read(is_ready=is_ready)):
+            if self.line.descriptor >= 0 and (data := self.line.read(is_ready=is_ready)):
                 self._received += data
                 self._heard_ns = self._now_ns()
-            self._go_on()
         except LineGoneError as gone:
             self._forget(gone)
+        self.go_on()
 
     def speak(self) -> None:
         """Send what can be sent now; what has to wait for a late reply is not sent in this cycle."""
         if self._owed:
             self.step()
             self.queue = deque(filter(self._may_be_asked, self.queue))
-        elif self.line.is_open:
-            try:
-                self._go_on()
-            except LineGoneError as gone:
-                self._forget(gone)
+        else:
+            self.go_on()
 
-    def _go_on(self) -> None:
-        """Deal with what came, then send what may be sent."""
+    def go_on(self) -> None:
+        """Deal with what was read, then send what may be sent."""
+        if self.line.descriptor < 0:  # not open; asked several times a cycle
+            self._reopen()
+            return
         if self._is_settling:
             self._settle_on(self._now_ns())
         elif self.awaited:
@@ -173,8 +169,11 @@ class Conversation:
                 self._await()
         elif self._owed:
             self._drop_late(self._now_ns())
-        while self.queue and self._is_free() and self._say():
-            pass
+        try:
+            while self.queue and self._is_free() and self._say():
+                pass
+        except LineGoneError as gone:
+            self._forget(gone)
 
     def _is_free(self) -> bool:
         """Whether the next request may be sent now, as far as the line goes."""
@@ -307,9 +306,9 @@ class Conversation:
         place = self._next_place() if is_disturbed else 0
         if place is None:
             return False
-        if self._received and not self.awaited:  # else it is the beginning of a reply that is due
+        queue, awaited, data = self.queue, self.awaited, b""
+        if self._received and not awaited:  # else it is the beginning of a reply that is due
             self._take_unasked()
-        queue, data = self.queue, b""
         sent: list[Exchange] = []
         while True:
             exchange = queue[place]
@@ -322,7 +321,7 @@ class Conversation:
                 break
             data += exchange.encode()
             if exchange.reply_size:
-                self.awaited.append(exchange)
+                awaited.append(exchange)
             else:
                 sent.append(exchange)
             if is_disturbed or not queue or not self._may_join(len(data)):
@@ -334,7 +333,7 @@ class Conversation:
                 self._unconfirmed.append(exchange)
             if self._done and exchange in self._done:
                 self._done.pop(exchange)()
-        return not self.awaited
+        return not awaited
 
     def _may_join(self, chars: int) -> bool:
         """Whether the next request may be sent together with those before it, which have so many characters."""
@@ -352,7 +351,7 @@ class Conversation:
         size = len(data)
         self._unread_chars += size
         self._sent_ns = now = self._now_ns()
-        self._busy_until_ns = max(now, self._busy_until_ns) + round(size * self._character_ns)
+        self._busy_until_ns = max(now, self._busy_until_ns) + size * self._character_ns
         if self._silence_ns and not self.awaited:
             self._quiet_until_ns = self._busy_until_ns + self._silence_ns
 

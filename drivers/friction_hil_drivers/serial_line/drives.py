@@ -23,7 +23,7 @@ from friction_hil_drivers.serial_line.axis import SerialAxis, unit_mistakes
 from friction_hil_drivers.serial_line.connecting import Connecting, by_port, descriptions_of, options_of
 from friction_hil_drivers.serial_line.conversation import Conversation
 from friction_hil_drivers.serial_line.description import Description
-from friction_hil_drivers.serial_line.lane import Lane, are_done, serve
+from friction_hil_drivers.serial_line.lane import Lane, attend
 from friction_hil_drivers.serial_line.line import Line, taken
 from friction_hil_drivers.serial_line.protocol import Exchange, ProtocolFactory
 
@@ -153,11 +153,15 @@ class SerialDrives:
         limit_ns = end_ns - self._margin_ns if is_real else time.monotonic_ns() + _STEPPED_TIMEOUT_NS
         for lane in self._lanes:
             conversation = lane.conversation
-            if not (conversation.is_finished or lane.protocol.ahead_chars):
+            if not (lane.protocol.ahead_chars or conversation.is_finished):
                 lane.end_turn(limit_ns)
             conversation.limit_ns = limit_ns
             conversation.ask((lane.plan if self._is_commanding else lane.listening).poll)
-        if serve(self._conversations, limit_ns, is_heard=self._is_heard):
+            if self._is_heard or conversation.awaited:  # a reply that is awaited is read when all has been asked
+                conversation.go_on()
+            else:
+                conversation.step()
+        if attend(self._conversations, limit_ns):
             self._timeouts = 0
         elif not is_real:
             self._note_timeout()
@@ -180,17 +184,17 @@ class SerialDrives:
         """Write the commands, or put them where the next poll takes them; a dry run only asks."""
         end_ns = self._end_ns if self._clock.is_real else None
         steps = {} if self._dry_run else self._steps(commands)
+        is_said = True
         for lane in self._lanes:
             if self._is_commanding:
                 lane.send(steps, end_ns)
             else:
                 lane.take_turn(lane.listening, end_ns)
-        for conversation in self._conversations:
-            conversation.speak()
-        if are_done(self._conversations, until_answered=False):
-            return  # the last reply is awaited at the start of the next cycle
-        limit_ns = time.monotonic_ns() + _STEPPED_TIMEOUT_NS if end_ns is None else end_ns
-        serve(self._conversations, limit_ns, until_answered=False)
+            lane.conversation.speak()
+            is_said = is_said and not lane.conversation.queue
+        if not is_said:  # a reply is awaited at the start of the next cycle only
+            limit_ns = time.monotonic_ns() + _STEPPED_TIMEOUT_NS if end_ns is None else end_ns
+            attend(self._conversations, limit_ns, until_answered=False)
 
     def _steps(self, commands: Sequence[Command]) -> dict[str, Mapping[str, float]]:
         """Take the commands; what is to be written beside them, by axis that needs anything."""

@@ -91,7 +91,8 @@ class Lane:
         """Wait for what the last cycle has asked, for a share of the time to a moment: others are to be asked too."""
         conversation = self.conversation
         now = time.monotonic_ns()
-        if not serve((conversation,), now + round(_TURN_SHARE * (limit_ns - now))):
+        conversation.step()
+        if not attend((conversation,), now + round(_TURN_SHARE * (limit_ns - now))):
             conversation.give_up()
 
     def write(self, axis: str, names: Iterable[str]) -> Exchange:
@@ -141,7 +142,8 @@ class Lane:
         limit_s = max(_ATTEMPT_S, 2.0 * (conversation.line.options.reply_limit_s or 0.0))
         for _ in range(attempts):
             conversation.ask(exchanges, done)
-            serve([conversation], time.monotonic_ns() + round(limit_s * 1e9))
+            conversation.step()
+            attend([conversation], time.monotonic_ns() + round(limit_s * 1e9))
             if is_done:
                 return
             conversation.give_up()
@@ -154,9 +156,7 @@ class Lane:
         raise DriveError(f"{axis}: {told} ({attempts} attempts). Right {right}?")
 
 
-def serve(
-    conversations: Sequence[Conversation], limit_ns: int, *, until_answered: bool = True, is_heard: bool = False
-) -> bool:
+def attend(conversations: Sequence[Conversation], limit_ns: int, *, until_answered: bool = True) -> bool:
     """Let conversations go on until all has been said, or until the monotonic clock is at ``limit_ns``.
 
     Parameters
@@ -166,17 +166,13 @@ def serve(
         Monotonic time, ns.
     until_answered : bool
         Wait for the replies, too, not only until all is sent.
-    is_heard : bool
-        What has come was read a moment ago.
 
     Returns
     -------
     bool
         Whether that is done.
     """
-    for conversation in conversations:
-        conversation.step(is_heard=is_heard)
-    while not are_done(conversations, until_answered=until_answered):
+    while not _are_done(conversations, until_answered):
         now = time.monotonic_ns()
         if now >= limit_ns:
             return False
@@ -197,7 +193,7 @@ def serve(
     return True
 
 
-def are_done(conversations: Sequence[Conversation], *, until_answered: bool) -> bool:
+def _are_done(conversations: Sequence[Conversation], until_answered: bool) -> bool:
     """Whether all has been sent, and answered if that is wanted."""
     for conversation in conversations:  # noqa: SIM110  asked several times a cycle: no generator
         if conversation.queue or (until_answered and conversation.awaited):
