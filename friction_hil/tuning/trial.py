@@ -13,6 +13,8 @@ from friction_hil.reports.following import SETTLE_S, Figures
 from friction_hil.safety import LoopState
 from friction_hil.tuning.motions import period_s
 
+LEAST_REDUCTION = 1.05  # of the RMS; less may be chance
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trial:
@@ -41,8 +43,8 @@ class Trial:
 
     @property
     def has_helped(self) -> bool:
-        """Whether the following error is smaller with compensation, in RMS and no larger at its peak."""
-        return self.reduction.rms > 1.0 and self.reduction.peak >= 1.0
+        """Whether the following error is clearly smaller with compensation, and no larger at its peak."""
+        return self.reduction.rms >= LEAST_REDUCTION and self.reduction.peak >= 1.0
 
 
 def judge(recording: Recording, axis: AxisConfig, cycle_s: float, start_s: float) -> Trial:

@@ -15,7 +15,7 @@ import friction_hil as fh
 from friction_hil.config import load, load_model_file
 from friction_hil.reports.following import SETTLE_S
 from friction_hil.safety import LoopState
-from tests.peers.serial_processes import DRIVES, write_serial_configuration
+from tests.peers.serial_processes import write_serial_configuration
 from tests.processes import COMMAND, run, simulated_drives, write_configuration
 from tests.servo_drives import TRUE_FRICTION
 
@@ -30,10 +30,17 @@ AXIS = {
 OWN_LOOPS = {"mode": "cst", "controller": {"position_gain": 15.0, "velocity_gain": 0.03, "integral_hz": 1.0}}
 
 
+SERVO = {
+    **{"driver": "dynamixel", "description": "xl330", "id": 1, "torque_constant": 0.2},
+    **dict.fromkeys(("unit", "counts_per_unit", "rated_torque")),
+}
+
+
 def configured(kind, folder, **changes):
     if kind == "canopen":
         return write_configuration(folder, period_s=2e-3, x={**AXIS, **changes})
-    return write_serial_configuration(folder, kind, **{**AXIS, **OWN_LOOPS, **changes})
+    own = SERVO if kind == "dynamixel" else {}
+    return write_serial_configuration(folder, "modbus rtu" if own else kind, **{**AXIS, **OWN_LOOPS, **own, **changes})
 
 
 def tuned(configuration, *options, check=True):
@@ -44,8 +51,10 @@ def tuned(configuration, *options, check=True):
     return (json.loads(done.stdout) if done.stdout else None), done
 
 
-@pytest.mark.parametrize("kind", ["canopen", *DRIVES])
+@pytest.mark.parametrize("kind", ["canopen", "modbus rtu", "odrive", "dynamixel"])
 def test_an_axis_learns_its_friction_on_its_drive(kind, tmp_path) -> None:
+    if kind == "dynamixel":
+        pytest.importorskip("dynamixel_sdk", reason="the extra 'dynamixel' is not installed")
     configuration = configured(kind, tmp_path)
 
     result, done = tuned(configuration, "--models", "coulomb")
@@ -67,28 +76,22 @@ def test_an_axis_learns_its_friction_on_its_drive(kind, tmp_path) -> None:
         "x_experiment.mcap",
     ]
 
+    experiment = fh.recordings.read(tmp_path / "tuned" / "x_experiment.mcap")
+    way = experiment["position"] - experiment["position"][0]
+    assert float(np.max(np.abs(way))) <= TRAVEL
+    assert float(np.nanmax(np.abs(experiment["velocity_demand"]))) <= SPEED * (1.0 + 1e-9)
+    assert not experiment["compensation"].any()
+
     # what the JSON says is what the recording shows
     trial = fh.recordings.read(tmp_path / "tuned" / "trial_1.mcap")
     is_running = trial["state"] == LoopState.RUNNING
     error = (trial["position_demand"] - trial["position"])[is_running & (trial["is_enabled"] == 1.0)]
     steady = error[round((0.1 + SETTLE_S) / trial.period_s) :]
-    assert float(np.sqrt(np.mean(steady**2))) == pytest.approx(tried["compensated"]["rms"], rel=0.02)
+    assert float(np.sqrt(np.mean(steady**2))) == pytest.approx(tried["compensated"]["rms"], rel=0.1)
 
     # and the daemon runs with it as it is
     with simulated_drives(configuration):
         run("run", configuration, "--pace", "sync", "--duration", 0.5)
-
-
-def test_in_an_experiment_the_axis_stays_within_its_bounds_and_nothing_is_commanded(tmp_path) -> None:
-    configuration = configured("canopen", tmp_path)
-
-    tuned(configuration, "--models", "coulomb")
-
-    experiment = fh.recordings.read(tmp_path / "tuned" / "x_experiment.mcap")
-    position = experiment["position"]
-    assert float(np.max(np.abs(position - position[0]))) <= TRAVEL
-    assert float(np.nanmax(np.abs(experiment["velocity_demand"]))) <= SPEED * (1.0 + 1e-9)
-    assert not experiment["command"].any()
 
 
 def test_of_two_kinds_of_model_the_machine_decides_and_a_file_that_is_there_stays(tmp_path) -> None:
@@ -123,16 +126,14 @@ def test_other_axes_are_held_while_one_is_tuned(tmp_path) -> None:
 
 
 def test_a_model_that_does_not_help_is_not_put_to_use(tmp_path) -> None:
-    wrong_way = {"enabled": True, "gain": 1.5, "source": "measured", "smoothing": 0.05, "fade_s": 0.1}
-    frictionless = {"friction": {"model": "coulomb", "parameters": {"coulomb": 1e-6}}, "mechanics": {"inertia": 2e-4}}
-    configuration = configured("canopen", tmp_path, compensation=wrong_way, simulation=frictionless)
+    configuration = configured("modbus rtu", tmp_path, compensation={"gain": 0.0, "fade_s": 0.1})
 
     result, done = tuned(configuration, "--models", "coulomb", check=False)
 
-    if result is not None:
-        assert done.returncode == (0 if result["axes"]["x"]["tried"][0]["reduction"]["rms"] > 1.0 else 1)
-    assert "Traceback" not in done.stderr
-    assert (done.returncode == 0) == (tmp_path / "learned.yaml").exists()
+    assert done.returncode == 1
+    assert "x: compensation did not help" in done.stderr
+    assert (result["axes"]["x"]["in_place"], (tmp_path / "learned.yaml").exists()) == (False, False)
+    assert (tmp_path / "tuned" / "x.yaml").exists()
 
 
 def test_mistakes_are_told_before_anything_moves(tmp_path) -> None:

@@ -12,9 +12,9 @@ from friction_hil.config import from_dict, self_contained
 from friction_hil.errors import RecordingError
 from friction_hil.recordings import Recording
 from friction_hil.reports.circularity import analyse, digits, duration_s, readable
-from friction_hil.reports.following import RECOVERY_S, SETTLE_S
 from friction_hil.reports.circularity_picture import WITH, WITHOUT, division, draw_circle, draw_error, draw_friction
 from friction_hil.reports.circularity_report import MARK, write_report
+from friction_hil.reports.following import RECOVERY_S, SETTLE_S
 from friction_hil.safety import LoopState
 from tests.servo_drives import PERIOD_S, axis_dict
 

@@ -156,8 +156,10 @@ def test_figures_of_a_trial_are_those_of_whole_periods_of_settled_motion() -> No
         assert len(error) == len(trial.time_s) == round(1.0 / (FREQUENCY * PERIOD_S))
 
 
-def test_worse_is_no_help() -> None:
+def test_worse_or_hardly_better_is_no_help() -> None:
     assert not judged(recorded(wave(1e-3), wave(1.1e-3))).has_helped
+    assert not judged(recorded(wave(1e-3), wave(0.97e-3))).has_helped
+    assert judged(recorded(wave(1e-3), wave(0.9e-3))).has_helped
     assert not judged(recorded(wave(1e-3), lambda time: 0.5e-3 + 0.0 * time - 1.6e-3 * (time % 1.0 < 0.01))).has_helped
 
 
