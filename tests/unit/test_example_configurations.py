@@ -10,6 +10,7 @@ import pytest
 
 from friction_hil.config import (
     AxisConfig,
+    AxisExperiment,
     Compensation,
     Configuration,
     Limits,
@@ -110,6 +111,7 @@ def test_the_first_example_lists_every_key():
         (value["axes"]["x"]["limits"], Limits),
         (value["axes"]["x"]["compensation"], Compensation),
         (value["axes"]["x"]["trajectory"], type(axis.trajectory)),
+        (value["axes"]["x"]["experiment"], AxisExperiment),
     ]:
         assert set(group) == set(keys(model))
     elsewhere = {"controller", "simulation"}
