@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from friction_hil.assembly import lead_s, make_compensator, make_controller, make_limits, make_path, make_shadows
 from friction_hil.compensator import input_checksum
 from friction_hil.drive import AxisFacts, Command, DriveState, Feedback, Mode
-from friction_hil.errors import UsageError
+from friction_hil.errors import OptionError, UsageError
 from friction_hil.jit import Array
 from friction_hil.recordings import columns
 from friction_hil.safety import MAX_STALE_CYCLES, LoopState, SlewLimiter, Supervisor
@@ -54,6 +54,7 @@ class AxisLoop:
         max_stale_cycles: int = MAX_STALE_CYCLES,
     ) -> None:
         self.name = name
+        _check_torque(name, config, facts)
         self.compensator = make_compensator(config, config.model, facts, period_s)
         self.shadows = make_shadows(config, facts, period_s)
         self.stats = FollowingError()
@@ -284,6 +285,16 @@ class AxisLoop:
             self._limits.torque,
         )
         return torque
+
+
+def _check_torque(name: str, config: "AxisConfig", facts: AxisFacts) -> None:
+    """Refuse what needs the torque of a drive that does not tell it."""
+    if facts.torque_delay_s is not None:
+        return
+    given = config.compensation
+    key = "velocity" if given.velocity == "kalman" else "adaptation" if given.adaptation is not None else None
+    if key:
+        raise OptionError(name, f"compensation.{key}", "needs the torque, which this drive does not tell")
 
 
 class FollowingError:

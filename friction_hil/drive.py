@@ -111,8 +111,8 @@ class AxisFacts:
         computed from that.
     notes : tuple of str
         What the user should know, e.g. which watchdog is armed.
-    torque_delay_s : float
-        How much older the torque of a cycle's feedback is than the position, on average.
+    torque_delay_s : float, optional
+        How much older the torque of a cycle's feedback is than the position, on average; None: the drive tells none.
     """
 
     name: str
@@ -122,7 +122,7 @@ class AxisFacts:
     setpoint_delay_s: float
     actuation_delay_s: float
     notes: tuple[str, ...] = field(default=())
-    torque_delay_s: float = 0.0
+    torque_delay_s: float | None = 0.0
 
 
 class Clock(Protocol):

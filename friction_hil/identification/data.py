@@ -207,7 +207,13 @@ def prepare(
 def _torque_delay_s(recording: Recording) -> float:
     """How much older the torque is than the position in the same row, as the driver stated it."""
     facts = [each for each in recording.metadata.get("facts", ()) if each["name"] == recording.axis]
-    return float(facts[0].get("torque_delay_s", 0.0)) if facts else 0.0
+    delay_s = facts[0].get("torque_delay_s", 0.0) if facts else 0.0
+    if delay_s is None and not recording["torque"].any():
+        raise RecordingError(
+            f"{recording.path}: the drive of axis {recording.axis} does not tell its torque; in mode cst the command "
+            "is nearly that: --column torque=command"
+        )
+    return float(delay_s or 0.0)
 
 
 def _group(recording: Recording, group_by: str | None) -> str:

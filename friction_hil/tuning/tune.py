@@ -1,5 +1,6 @@
 """Commissioning on the drive: each axis moves to show its friction, models of it are tried, the best one is kept."""
 
+import contextlib
 import math
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
@@ -157,7 +158,11 @@ def tune(configuration: Configuration, settings: Settings, talk: Talk) -> Tuning
     for name in names:
         experiment_of(name, configuration.axes[name])
     _claim(settings.folder)
-    return _Tuner(configuration, settings, names, talk).tune()
+    try:
+        return _Tuner(configuration, settings, names, talk).tune()
+    finally:
+        with contextlib.suppress(OSError):
+            settings.folder.rmdir()  # if nothing has come of it
 
 
 class _Tuner:
@@ -213,7 +218,11 @@ class _Tuner:
                 settings, families=settings.families or static, least_speed=_LEAST_SPEED * bounds.velocity
             )
         with self._talk.working(f"{name}: identifying friction and inertia") as show:
-            result = identify([read(path, name)], settings, progress=lambda label: show(f"{name}: fitting {label}"))
+            result = identify(
+                [_with_torque(read(path, name), axis.mode)],
+                settings,
+                progress=lambda label: show(f"{name}: fitting {label}"),
+            )
         self._talk.tell(f"{name}: {result.best.label}: {result.reason}")
         self._write(name, self._model(name, result, result.best))
         return result
@@ -301,6 +310,28 @@ def _refuse_swinging(recording: Recording, velocity: float) -> None:
             f"{recording.axis} has moved at {fastest:.3g}, where its experiment asks for {velocity:g} at most: the "
             "loop that controls it swings; lower its velocity_gain (or the drive's), or take a shorter period_s"
         )
+
+
+def _with_torque(recording: Recording, mode: str) -> Recording:
+    """The recording of an experiment; of a drive that does not tell its torque, with the commanded one as it acted.
+
+    Raises
+    ------
+    TuningError
+        The command is not the whole torque either.
+    """
+    [facts] = (each for each in recording.metadata["facts"] if each["name"] == recording.axis)
+    if facts["torque_delay_s"] is not None:
+        return recording
+    if mode != "cst":
+        raise TuningError(
+            f"{recording.axis}: its drive does not tell its torque, and in mode {mode} nobody else knows it; "
+            "tune it in mode cst"
+        )
+    time_s, delay_s = recording["time_s"], facts["actuation_delay_s"] + 0.5 * recording.period_s  # a mean, as measured
+    recording.columns["torque"] = np.interp(time_s - delay_s, time_s, recording["command"])
+    recording.problems.append("the drive does not tell its torque: the commanded one is taken")
+    return recording
 
 
 def _candidates(found: Identification) -> list[Fit]:

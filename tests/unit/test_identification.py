@@ -8,6 +8,8 @@ import pytest
 import friction_hil as fh
 from friction_hil.errors import RecordingError, UsageError
 from friction_hil.identification import Identification, Settings, identify
+from friction_hil.identification.choice import to_refine
+from friction_hil.identification.data import prepare
 from friction_hil.identification.export import as_json, as_model_file, model_file
 from friction_hil.recordings import Recording
 
@@ -365,3 +367,34 @@ def test_short_recording_is_refused() -> None:
     recording.columns = {name: values[:40] for name, values in recording.columns.items()}
     with pytest.raises(RecordingError, match="40 rows without a gap are too few"):
         found(recording, families=("coulomb",))
+
+
+def test_a_torque_that_was_read_late_is_moved_back() -> None:
+    whole = recorded("lugre")
+    late = Recording(whole.path, whole.axis, {**whole.columns, "torque": np.roll(whole["torque"], 3)})
+    late.columns["torque"][:3] = whole["torque"][0]
+    late.metadata["facts"] = [{"name": "y", "torque_delay_s": 1.0}, {"name": "x", "torque_delay_s": 3.0 * PERIOD_S}]
+    before = late["torque"].copy()
+
+    [moved], [known] = prepare(late), prepare(whole)
+
+    np.testing.assert_allclose(moved.torque[:-3], known.torque[:-3], rtol=0.0, atol=1e-9)
+    assert "the drive's torque was read 6 ms late: moved back by as much" in moved.problems
+    assert np.array_equal(late["torque"], before), "the recording itself is left as it is"
+    assert found(late, families=("lugre",)).best.train.relative_error < 0.02
+    del late.metadata["facts"]
+    assert found(late, families=("lugre",)).best.train.relative_error > 0.05
+
+
+def test_every_dynamic_family_is_refined_by_its_simplest_fit() -> None:
+    """Also one that ordinary records show to be much worse: what sets these families apart they do not show."""
+    result = found(recorded("stribeck", noise=0.01), families=("stribeck", "dahl", "lugre"))
+    [worst] = (each for each in result.fits if each.label == "dahl")
+    assert worst.held_out.rmse > 2.0 * result.best.held_out.rmse
+
+    again = to_refine(result.best, result.fits)
+
+    assert again[0] is result.best
+    assert {each.label for each in again} == {"stribeck", "dahl", "lugre"}
+    static = [each for each in result.fits if each.structure.family == "stribeck"]
+    assert to_refine(result.best, static) == []

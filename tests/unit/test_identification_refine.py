@@ -306,3 +306,12 @@ def test_a_configuration_can_ask_for_the_experiment() -> None:
 def test_an_experiment_faster_than_the_limit_is_refused() -> None:
     with pytest.raises(UsageError, match="moves at up to 2"):
         configured(limits={"torque": 0.3, "velocity": 1.5})
+
+
+def test_where_sampling_is_too_slow_for_presliding_the_slow_sweeps_take_all_the_time() -> None:
+    fast, slow = (experiment.plan(2.0, 0.5, COUNT, 60.0, period_s=period) for period in (2e-3, 4e-3))
+    assert fast == experiment.plan(2.0, 0.5, COUNT, 60.0)
+    assert max(sweep.frequency for sweep in slow) < 8.0 < max(sweep.frequency for sweep in fast)
+    assert experiment.duration_s(slow) == pytest.approx(60.0, abs=2.0)
+    # no encoder is too coarse for an experiment without presliding
+    assert len(experiment.plan(2.0, 0.5, 2.0 * math.pi / 500, 60.0, period_s=4e-3)) == len(slow)

@@ -9,6 +9,7 @@ import socket
 import threading
 import time
 
+import numpy as np
 import pytest
 from friction_hil_drivers.ascii.drives import AsciiDrives
 from friction_hil_drivers.ascii.simulated import SimulatedAsciiDrives
@@ -425,3 +426,22 @@ def test_a_position_in_turns_has_the_resolution_of_its_digits_or_of_the_encoder(
         assert bench.facts.torque_resolution < 1e-3
     with Bench(kind, tmp_path, counts_per_unit=8192 / 6.283185307179586).begin() as bench:
         assert bench.facts.position_resolution == pytest.approx(6.283185307179586 / 8192)
+
+
+@pytest.mark.parametrize(("kind", "in_force"), [("rtu, function 23", 2), ("dynamixel", 1), ("odrive", 1)])
+def test_how_old_a_torque_is_that_comes_in_turns_is_stated(kind, in_force, tmp_path):
+    """A torque that is raised in equal steps is behind by its age, beside the cycles until a command is in force."""
+    with Bench(kind, tmp_path).begin() as bench:
+        period_s, step = bench.config.period_s, 1e-3
+        bench.enable()
+        behind = []
+        for k in range(60):
+            bench.cycle(Request.ENABLE, step * k)
+            behind.append(k - bench.feedback.torque / step)
+        age = float(np.mean(behind[12:])) - in_force
+        assert bench.facts.torque_delay_s / period_s == pytest.approx(age, abs=0.6)
+
+
+def test_a_drive_that_tells_no_torque_says_so(tmp_path):
+    with Bench("rtu", tmp_path).begin() as bench:
+        assert bench.facts.torque_delay_s is None

@@ -357,10 +357,12 @@ def _read_state(lane: Lane, axis: SerialAxis) -> None:
         lane.talk(axis.name, lane.protocol.read(axis.name, (name,)))
 
 
-def _torque_delay_s(plan: Plan, period_s: float) -> float:
-    """Mean age of a torque that is read in turns, as the position comes: at least a period, at most a round of them."""
+def _torque_delay_s(plan: Plan, period_s: float) -> float | None:
+    """Mean age of the torque as the position comes: read in turns, at least a period and at most a round of them."""
+    if any("torque" in exchange.reads for exchange in plan.poll):
+        return 0.0
     is_in_turns = any("torque" in exchange.reads for exchange in plan.turns)
-    return 0.5 * (1 + len(plan.turns)) * period_s if is_in_turns else 0.0
+    return 0.5 * (1 + len(plan.turns)) * period_s if is_in_turns else None
 
 
 def _poll_s(lane: Lane) -> float:
