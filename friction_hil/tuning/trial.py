@@ -25,9 +25,9 @@ class Trial:
     uncompensated, compensated : Figures
         Of whole periods of the motion, as many without as with compensation.
     time_s : (m,) array
-        Time in the motion's period, of one without and one with compensation: the last ones.
+        Time in the motion's period; the demand at a time is the same without and with compensation.
     errors : ((m,) array, (m,) array)
-        Following error at these times, rad or m, without and with; NaN where the computer was late.
+        Following error at these times, rad or m, without and with; NaN where the computer was always late.
     """
 
     uncompensated: Figures
@@ -87,14 +87,12 @@ def judge(recording: Recording, axis: AxisConfig, cycle_s: float, start_s: float
         rows = (cycle >= stop - count * length - 1e-6) & (cycle < stop - 1e-6) & is_usable
         following.refuse_too_few(recording.path, int(np.count_nonzero(rows)), round(count * length))
         figures.append(Figures(float(np.sqrt(np.mean(error[rows] ** 2))), float(np.max(np.abs(error[rows])))))
-        errors.append(_on_grid(cycle[rows] - (stop - length), error[rows], len(grid)))
+        errors.append(_on_grid(cycle[rows] % length, error[rows], len(grid)))
     return Trial(figures[0], figures[1], np.asarray(grid * cycle_s, dtype=np.float64), (errors[0], errors[1]))
 
 
 def _on_grid(place: Array, error: Array, count: int) -> Array:
-    """Error at each of ``count`` cycles of the last period; NaN where there is no row."""
+    """The last error known of each of ``count`` places in a period; NaN where there is none."""
     values = np.full(count, np.nan)
-    at = np.floor(place + 1e-6).astype(np.intp)
-    is_inside = (at >= 0) & (at < count)
-    values[at[is_inside]] = error[is_inside]
+    values[np.minimum(np.floor(place + 1e-6).astype(np.intp), count - 1)] = error
     return values

@@ -154,6 +154,7 @@ def test_figures_of_a_trial_are_those_of_whole_periods_of_settled_motion() -> No
     for error, amplitude in zip(trial.errors, (4e-3, 1e-3), strict=True):
         assert np.nanmax(np.abs(error)) == pytest.approx(amplitude, rel=1e-4)
         assert len(error) == len(trial.time_s) == round(1.0 / (FREQUENCY * PERIOD_S))
+    assert trial.errors[0] == pytest.approx(4.0 * trial.errors[1], abs=1e-9), "both over the same demand"
 
 
 def test_worse_or_hardly_better_is_no_help() -> None:
