@@ -189,7 +189,12 @@ def _print(tuning: "Tuning", config: Path) -> None:
             out.print(f"{name}: {flag}", markup=False, soft_wrap=True)
     for name, axis in tuning.axes.items():
         seen = os.path.relpath(axis.file, config.parent)
-        use = "where the configuration looks for it" if axis.is_in_place else f"to use it, 'model: {seen}' in {config}"
+        if axis.is_in_place:
+            use = "where the configuration looks for it"
+        elif axis.best.trial.has_helped:
+            use = f"to use it, 'model: {seen}' in {config}"
+        else:
+            use = "for a look; it did not help"
         out.print(f"{name}: model file: {axis.file}; {use}", markup=False, soft_wrap=True)
     if tuning.report is not None:
         out.print(f"report: {tuning.report}", markup=False, soft_wrap=True)

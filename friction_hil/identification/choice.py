@@ -55,7 +55,7 @@ def choose(fits: Sequence[Fit], blocks: str = "blocks") -> tuple[Fit, str]:
     else:
         where = f"{blocks} held out in turn"
     if len(usable) == 1:
-        return chosen, f"{chosen.label} is the only candidate; it predicts {where} to {_percent(chosen)}"
+        return chosen, f"{chosen.label} is the only candidate; it predicts {where} with an error of {_percent(chosen)}"
     shown = "whose parameters the data determine" if sound else "though the data do not determine its parameters"
     first = f"of {len(usable)} candidates {lowest.label} predicts {where} best ({_percent(lowest)})"
     if chosen is lowest:

@@ -162,7 +162,7 @@ class _Search:
         progress: Callable[[str], None],
     ) -> None:
         self.settings, self.progress = settings, progress
-        self.families = _families(settings)
+        self.families = chosen_families(settings.families)
         self.known = drive.known_torque(settings.held) if settings.has_unknown_gain else {}
         self.data = Data(self._prepared(recordings), self.known)
         if len(self.data) < LEAST_ROWS:
@@ -480,12 +480,19 @@ def _names(structure: Structure) -> set[str]:
     return own | tied | set(structure.linear)
 
 
-def _families(settings: Settings) -> tuple[str, ...]:
-    if not settings.families:
+def chosen_families(names: Sequence[str]) -> tuple[str, ...]:
+    """Families of friction models to look at: those that are named, or all.
+
+    Raises
+    ------
+    UsageError
+        There is no such family, or no recording can be fitted with it.
+    """
+    if not names:
         return structures.families()
     known = (*structures.families(), *EQUAL_IN_FEEDFORWARD)
-    for name in settings.families:
+    for name in names:
         models.describe(name)
         if name not in known:
             raise UsageError(f"no recording can be fitted with {name!r}; {choices(name, known)}")
-    return tuple(dict.fromkeys(settings.families))
+    return tuple(dict.fromkeys(names))

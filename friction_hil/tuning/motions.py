@@ -15,7 +15,7 @@ from friction_hil.config import (
     Sine,
     Trajectory,
 )
-from friction_hil.errors import OptionError
+from friction_hil.errors import FrictionHilError, OptionError
 from friction_hil.reports.following import SETTLE_S
 
 _REST_S = 0.5  # behind a motion
@@ -23,6 +23,10 @@ _TRIAL_S = 4.0  # of steady motion at least, without and with compensation
 _LEAST_PERIODS = 2
 _TRIAL_HZ = 0.5  # of an axis whose trajectory shows no friction
 _TRIAL_TRAVEL, _TRIAL_SPEED = 0.5, 0.3  # shares of what an experiment may
+
+
+class TuningError(FrictionHilError):
+    """A run ended before it had shown what it was for. Example: a drive's fault."""
 
 
 def experiment_of(name: str, axis: AxisConfig) -> ExperimentBounds:
@@ -69,10 +73,16 @@ def trial_run(configuration: Configuration, models: Mapping[str, ModelFile]) -> 
     """The run that tries models: so many periods of each axis's motion without, then with compensation; its length, s.
 
     An axis without a periodic motion makes a small sine; one that has no model to try is held.
+
+    Raises
+    ------
+    TuningError
+        A model lacks the inertia, and the compensation is told to use it.
     """
     axes = {name: _held(axis) for name, axis in configuration.axes.items()}
     for name, model in models.items():
         axis = configuration.axes[name]
+        _refuse_unknown_inertia(name, axis, model)
         axes[name] = axis.model_copy(update={"trajectory": _trial_motion(name, axis), "model": model})
     period = max(period_s(axes[name]) for name in models)
     steady = period * max(_LEAST_PERIODS, math.ceil(_TRIAL_S / period))
@@ -103,3 +113,15 @@ def _trial_motion(name: str, axis: AxisConfig) -> Trajectory:
     bounds = experiment_of(name, axis)
     amplitude = min(_TRIAL_TRAVEL * bounds.travel, _TRIAL_SPEED * bounds.velocity / (math.tau * _TRIAL_HZ))
     return Sine(kind="sine", amplitude=amplitude, frequency=_TRIAL_HZ, ramp_s=bounds.ramp_s)
+
+
+def _refuse_unknown_inertia(name: str, axis: AxisConfig, model: ModelFile) -> None:
+    """Refuse to try a model that lacks the inertia where the compensation is told to use it."""
+    given = axis.compensation
+    if model.mechanics.inertia > 0.0 or (given.velocity != "kalman" and given.adaptation is None):
+        return
+    key = "velocity: kalman" if given.velocity == "kalman" else "adaptation"
+    raise TuningError(
+        f"{name}: the experiment does not show the inertia, which compensation: {{{key}}} needs: let it accelerate "
+        "harder (experiment: velocity, acceleration), or take that out of the compensation"
+    )

@@ -2,6 +2,7 @@
 
 import contextlib
 import math
+import os
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
@@ -12,18 +13,19 @@ import numpy as np
 
 from friction_hil import models
 from friction_hil.assembly import ramp_s
-from friction_hil.config import Configuration, ModelFile, dump
-from friction_hil.errors import FrictionHilError, UsageError, choices
+from friction_hil.config import AxisConfig, Configuration, ModelFile, dump
+from friction_hil.errors import FrictionHilError, OptionError, UsageError, choices
 from friction_hil.identification import Fit, Identification, identify, structures
 from friction_hil.identification import Settings as IdentificationSettings
 from friction_hil.identification.choice import is_determined
 from friction_hil.identification.export import as_model_file
 from friction_hil.identification.fine import LEAST_RATE_HZ
+from friction_hil.identification.identify import chosen_families
 from friction_hil.identification.refine import is_dynamic
 from friction_hil.recordings import Recording, read, read_all
 from friction_hil.session import SessionResult, SessionSettings, run_session
 from friction_hil.stop import stop_on_signals
-from friction_hil.tuning.motions import experiment_of, experiment_run, trial_run
+from friction_hil.tuning.motions import TuningError, experiment_of, experiment_run, trial_run
 from friction_hil.tuning.trial import Trial, judge
 
 _LEAST_SPEED = 0.02  # of the highest: below, where presliding is not seen, friction is whatever holds the axis
@@ -45,10 +47,6 @@ class Talk(Protocol):
     def working(self, text: str) -> AbstractContextManager[Callable[[str], None]]:
         """Show that long work goes on; the function takes what it is at."""
         ...
-
-
-class TuningError(FrictionHilError):
-    """A run ended before it had shown what it was for. Example: a drive's fault."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,8 +153,10 @@ def tune(configuration: Configuration, settings: Settings, talk: Talk) -> Tuning
         The user stopped a run; the axes are at rest.
     """
     names = _names(configuration, settings.names)
+    chosen_families(settings.families)
     for name in names:
         experiment_of(name, configuration.axes[name])
+        _refuse_no_place(name, configuration.axes[name])
     _claim(settings.folder)
     try:
         return _Tuner(configuration, settings, names, talk).tune()
@@ -204,7 +204,7 @@ class _Tuner:
             + (f"; {held} held" if held else "")
         )
         path = self._run(run, duration_s, f"{name}_experiment.mcap")
-        _refuse_swinging(read(path, name), bounds.velocity)
+        _refuse_swinging(read(path, name), bounds.velocity, unit)
         return path
 
     def _identified(self, name: str, path: Path) -> Identification:
@@ -300,15 +300,26 @@ class _Tuner:
             self._talk.tell(line)
 
 
-def _refuse_swinging(recording: Recording, velocity: float) -> None:
+def _refuse_no_place(name: str, axis: AxisConfig) -> None:
+    """Refuse a model file that cannot be made where the configuration names it, before anything moves for it."""
+    wanted = axis.model.source_path
+    if wanted is None or wanted.exists():
+        return
+    if not wanted.parent.is_dir():
+        raise OptionError(name, "model", f"there is no folder {wanted.parent} to make it in")
+    if not os.access(wanted.parent, os.W_OK):
+        raise OptionError(name, "model", f"cannot be made: nothing may be written to {wanted.parent}")
+
+
+def _refuse_swinging(recording: Recording, velocity: float, unit: str) -> None:
     """Refuse an axis that has moved much faster than it was asked to: its loop swings by itself."""
     position = recording["position"]
     step = max(1, round(_LOOK_S / recording.period_s))
     fastest = float(np.max(np.abs(position[step:] - position[:-step]))) / (step * recording.period_s)
     if fastest > _SWINGING * velocity:
         raise TuningError(
-            f"{recording.axis} has moved at {fastest:.3g}, where its experiment asks for {velocity:g} at most: the "
-            "loop that controls it swings; lower its velocity_gain (or the drive's), or take a shorter period_s"
+            f"{recording.axis} has moved at {fastest:.3g} {unit}/s, where its experiment asks for {velocity:g} at "
+            "most: the loop that controls it swings; lower its velocity_gain (or the drive's), or take a shorter period_s"
         )
 
 

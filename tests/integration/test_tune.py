@@ -125,11 +125,18 @@ def test_of_two_kinds_of_model_the_machine_decides_and_a_file_that_is_there_stay
 def test_a_model_that_does_not_help_is_not_put_to_use(tmp_path) -> None:
     configuration = configured("modbus rtu", tmp_path, compensation={"gain": 0.0, "fade_s": 0.1})
 
-    result, done = tuned(configuration, "--models", "coulomb", check=False)
+    with simulated_drives(configuration):
+        tuning = ("tune", configuration, "--pace", "sync", "--output", tmp_path / "tuned", "--models", "coulomb")
+        done = run(*tuning, check=False)
 
     assert done.returncode == 1
     assert "x: compensation did not help" in done.stderr
-    assert (result["axes"]["x"]["in_place"], (tmp_path / "learned.yaml").exists()) == (False, False)
+    assert ("(kept)" in done.stdout, "to use it" in done.stdout, "it did not help" in done.stdout) == (
+        False,
+        False,
+        True,
+    )
+    assert not (tmp_path / "learned.yaml").exists()
     assert (tmp_path / "tuned" / "x.yaml").exists()
 
 
@@ -147,12 +154,19 @@ def test_mistakes_are_told_before_anything_moves(tmp_path) -> None:
     (tmp_path / "used" / "notes.txt").touch()
     used = run("tune", configuration, *ONE, "--pace", "sync", "--output", tmp_path / "used", check=False)
     unasked = run("tune", configuration, check=False, stdin=subprocess.DEVNULL)
+    unfitted = run("tune", configuration, "--pace", "sync", "--models", "coulom", check=False)
+    data["axes"]["x"]["model"] = "models/learned.yaml"
+    configuration.write_text(yaml.safe_dump(data))
+    nowhere = run("tune", configuration, "--pace", "sync", check=False)
 
     assert re.search(r"axes\.yaml:\d+: axes\.x\.experiment: is missing: tune moves the axis", missing.stderr)
     assert "no axis is called 'z'" in nobody.stderr
     assert "is not empty" in used.stderr
     assert "--yes" in unasked.stderr
-    assert {each.returncode for each in (missing, nobody, used, unasked)} == {2}
+    assert "no friction model is called 'coulom'" in unfitted.stderr
+    assert re.search(r"axes\.yaml:\d+: axes\.x\.model: there is no folder .*models to make it in", nowhere.stderr)
+    for each in (missing, nobody, used, unasked, unfitted, nowhere):
+        assert (each.returncode, "moves by" in each.stderr) == (2, False)
 
 
 def test_an_axis_that_swings_by_itself_is_not_identified(tmp_path) -> None:

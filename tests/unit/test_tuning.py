@@ -15,7 +15,7 @@ from friction_hil.recordings import Recording
 from friction_hil.reports.following import RECOVERY_S, SETTLE_S
 from friction_hil.safety import LoopState
 from friction_hil.servo.trajectory import extent
-from friction_hil.tuning.motions import experiment_of, experiment_run, period_s, trial_run
+from friction_hil.tuning.motions import TuningError, experiment_of, experiment_run, period_s, trial_run
 from friction_hil.tuning.trial import judge
 from tests.servo_drives import PERIOD_S, axis_dict
 
@@ -91,6 +91,18 @@ def test_a_trial_holds_what_has_nothing_to_try_and_believes_the_new_model() -> N
     assert run.axes["x"].model.fit == {"chosen": "new"}
     assert run.axes["x"].compensation.enabled
     assert (run.axes["y"].trajectory.kind, run.axes["y"].compensation.enabled) == ("hold", False)
+
+
+@pytest.mark.parametrize("needy", [{"velocity": "kalman"}, {"adaptation": {}}])
+def test_a_compensation_that_needs_the_inertia_is_not_tried_without_it(needy) -> None:
+    """Otherwise the run ends as a mistake in the configuration, which it is not."""
+    configuration = machine(x=axis(compensation=needy))
+    model = configuration.axes["x"].model
+    unknown = model.model_copy(update={"mechanics": model.mechanics.model_copy(update={"inertia": 0.0})})
+
+    assert trial_run(configuration, {"x": model})
+    with pytest.raises(TuningError, match="x: the experiment does not show the inertia"):
+        trial_run(configuration, {"x": unknown})
 
 
 @pytest.mark.parametrize(
