@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from friction_hil.cli.output import console, noticed_compilation, option_json, print_json
-from friction_hil.errors import UsageError
+from friction_hil.errors import FrictionHilError, UsageError
 
 if TYPE_CHECKING:
     from friction_hil.tuning import AxisTuning, Tuning
@@ -102,7 +102,11 @@ def _report(folder: Path, tuning: "Tuning") -> Path | None:
         return None
     from friction_hil.reports.tuning_report import write_reports
 
-    return write_reports(folder, tuning)
+    try:
+        return write_reports(folder, tuning)
+    except FrictionHilError as error:  # e.g. a full disk
+        click.echo(f"no report: {error}", err=True)
+        return None
 
 
 class _Terminal:

@@ -319,7 +319,8 @@ def _refuse_swinging(recording: Recording, velocity: float, unit: str) -> None:
     if fastest > _SWINGING * velocity:
         raise TuningError(
             f"{recording.axis} has moved at {fastest:.3g} {unit}/s, where its experiment asks for {velocity:g} at "
-            "most: the loop that controls it swings; lower its velocity_gain (or the drive's), or take a shorter period_s"
+            "most: the loop that controls it swings; lower its velocity_gain (or the drive's), or take a shorter "
+            "period_s"
         )
 
 
