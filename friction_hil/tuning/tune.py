@@ -180,9 +180,9 @@ class _Tuner:
             fits = {name: each[min(k, len(each) - 1)] for name, each in choice.items()}
             try:
                 candidates = self._tried(fits, found, k + 1)
-            except TuningError as error:
+            except FrictionHilError as error:
                 if not k:
-                    raise
+                    raise  # else the first models have been tried, and are worth keeping
                 self._result.warnings.append(f"the second models could not be tried: {error}")
                 break
             for name in self._names:
@@ -217,12 +217,11 @@ class _Tuner:
             settings = replace(
                 settings, families=settings.families or static, least_speed=_LEAST_SPEED * bounds.velocity
             )
+        recording = _with_torque(read(path, name), axis.mode)
+        for problem in recording.problems:
+            self._talk.tell(f"{name}: {problem}")
         with self._talk.working(f"{name}: identifying friction and inertia") as show:
-            result = identify(
-                [_with_torque(read(path, name), axis.mode)],
-                settings,
-                progress=lambda label: show(f"{name}: fitting {label}"),
-            )
+            result = identify([recording], settings, progress=lambda label: show(f"{name}: fitting {label}"))
         self._talk.tell(f"{name}: {result.best.label}: {result.reason}")
         self._write(name, self._model(name, result, result.best))
         return result

@@ -100,10 +100,6 @@ def test_an_axis_learns_its_friction_on_its_drive(kind, tmp_path) -> None:
     steady = error[round((0.1 + SETTLE_S) / trial.period_s) :]
     assert float(np.sqrt(np.mean(steady**2))) == pytest.approx(tried["compensated"]["rms"], rel=0.1)
 
-    # and the daemon runs with it as it is
-    with simulated_drives(configuration):
-        run("run", configuration, "--pace", "sync", "--duration", 0.5)
-
 
 def test_of_two_kinds_of_model_the_machine_decides_and_a_file_that_is_there_stays(tmp_path) -> None:
     present = "version: 1\naxis: rotary\nfriction: {model: coulomb, parameters: {coulomb: 0.02}}\n"
@@ -120,6 +116,11 @@ def test_of_two_kinds_of_model_the_machine_decides_and_a_file_that_is_there_stay
     assert (tmp_path / "learned.yaml").read_text().startswith(present)
     assert load_model_file(x["file"]).mechanics.torque_lag_s == 4e-4
     assert x["mechanics"]["inertia"] == pytest.approx(2e-4, rel=0.15)
+
+    # and the daemon runs with the new one as it is
+    configuration.write_text(configuration.read_text().replace("learned.yaml", "tuned/x.yaml"))
+    with simulated_drives(configuration):
+        run("run", configuration, "--pace", "sync", "--duration", 0.5)
 
 
 def test_a_model_that_does_not_help_is_not_put_to_use(tmp_path) -> None:
