@@ -9,12 +9,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from friction_hil.assembly import make_path, ramp_s
+from friction_hil.cli.tune import _report
 from friction_hil.config import from_dict
 from friction_hil.errors import OptionError, RecordingError
 from friction_hil.recordings import Recording
 from friction_hil.reports.following import RECOVERY_S, SETTLE_S
 from friction_hil.safety import LoopState
 from friction_hil.servo.trajectory import extent
+from friction_hil.tuning import Tuning
 from friction_hil.tuning.motions import TuningError, experiment_of, experiment_run, period_s, trial_run
 from friction_hil.tuning.trial import judge
 from tests.servo_drives import PERIOD_S, axis_dict
@@ -201,3 +203,10 @@ def test_a_run_that_is_too_short_or_was_mostly_missed_is_refused() -> None:
     fresh[-3000::7] = 0.0
     with pytest.raises(RecordingError, match="periods of the laps can be used"):
         judged(recorded(wave(4e-3), wave(1e-3), fresh=fresh))
+
+
+def test_a_report_that_cannot_be_written_costs_no_result(tmp_path, capsys) -> None:
+    pytest.importorskip("matplotlib", reason="the extra 'report' is not installed")
+
+    assert _report(tmp_path / "gone", Tuning()) is None
+    assert "no report: " in capsys.readouterr().err
