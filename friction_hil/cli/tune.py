@@ -31,6 +31,7 @@ _WIDE = 1000
     "in the name.",
 )
 @click.option("--yes", is_flag=True, help="Do not ask before the axes move.")
+@click.option("--reset-fault", is_flag=True, help="Leave a drive's fault before enabling it.")
 @click.option(
     "--pace",
     type=click.Choice(["real", "sync"]),
@@ -45,6 +46,7 @@ def command(
     models: str,
     output: Path | None,
     yes: bool,
+    reset_fault: bool,
     pace: str,
     as_json: bool,
 ) -> int:
@@ -60,10 +62,12 @@ def command(
     if is_asked and not sys.stdin.isatty():
         raise click.UsageError("the machine moves several times, minutes apart: --yes says that nobody need be asked")
 
-    from friction_hil.config import load, located
-    from friction_hil.errors import OptionError
+    from friction_hil.config import file_problems, load, located
+    from friction_hil.errors import ConfigurationError, OptionError
 
     configuration = load(config, needs_models=False)
+    if problems := file_problems(config, configuration):
+        raise ConfigurationError(problems)
 
     from friction_hil.companion import free_path
     from friction_hil.tuning import Settings, tune
@@ -72,6 +76,7 @@ def command(
         folder=free_path(_FOLDER, 0) if output is None else output,
         names=names,
         families=() if models == "all" else tuple(name.strip() for name in models.split(",")),
+        is_fault_reset_wanted=reset_fault,
         is_paced_by_sync=pace == "sync",
         is_status_shown=not as_json and sys.stderr.isatty(),
     )

@@ -22,7 +22,7 @@ _NO_FREE_RUN = {"relative_error": None, "reason": "the machine itself has tried 
 
 
 def write_reports(folder: Path, tuning: "Tuning") -> Path:
-    """Write ``report.html`` and an identification report ``AXIS.html`` for each axis; return the path of the first.
+    """Write ``report.html`` and ``AXIS_identification.html`` for each axis; return the path of the first.
 
     Raises
     ------
@@ -32,7 +32,7 @@ def write_reports(folder: Path, tuning: "Tuning") -> Path:
     from friction_hil.reports.identification_report import write_report
 
     for name, axis in tuning.axes.items():
-        write_report(folder / f"{name}.html", axis.identification, _NO_FREE_RUN)
+        write_report(folder / _identification(name), axis.identification, _NO_FREE_RUN)
     body = "<h1>Friction, learned on the drive</h1>" + "".join(
         _section(name, axis) for name, axis in tuning.axes.items()
     )
@@ -57,6 +57,10 @@ def figures(axis: "AxisTuning", candidate: "Candidate") -> Iterator[tuple[str, .
         yield f"{name} [{shown}]", *map(digits, values), digits(getattr(trial.reduction, name), 2)
 
 
+def _identification(name: str) -> str:
+    return f"{name}_identification.html"
+
+
 def _section(name: str, axis: "AxisTuning") -> str:
     best = axis.best
     verdict = f"kept: {html.escape(str(axis.file))}" if best.trial.has_helped else "no model is put to use"
@@ -65,7 +69,7 @@ def _section(name: str, axis: "AxisTuning") -> str:
         label = f"<strong>{html.escape(each.fit.label)}</strong>" if each is best else html.escape(each.fit.label)
         rows += [("" if k else label, *row) for k, row in enumerate(figures(axis, each))]
     header = ("", "following error", "without", "with compensation", "times lower")
-    link = f'<a href="{name}.html">how the models were identified, and how sure they are</a>'
+    link = f'<a href="{_identification(name)}">how the models were identified, and how sure they are</a>'
     return f"""
 <h2>{html.escape(name)}: {html.escape(best.fit.label)}</h2>
 <p>{verdict}; {link}.</p>

@@ -61,13 +61,14 @@ class Settings:
         For recordings, model files and reports; new or empty.
     families : tuple of str
         Friction models to look at; empty for all.
-    is_paced_by_sync, is_status_shown : bool
+    is_fault_reset_wanted, is_paced_by_sync, is_status_shown : bool
         As of a session.
     """
 
     folder: Path
     names: tuple[str, ...] = ()
     families: tuple[str, ...] = ()
+    is_fault_reset_wanted: bool = False
     is_paced_by_sync: bool = False
     is_status_shown: bool = False
 
@@ -271,6 +272,7 @@ class _Tuner:
         session = SessionSettings(
             duration_s=duration_s,
             record=path,
+            is_fault_reset_wanted=self._settings.is_fault_reset_wanted,
             is_paced_by_sync=self._settings.is_paced_by_sync,
             is_status_shown=self._settings.is_status_shown,
         )
@@ -278,6 +280,7 @@ class _Tuner:
             result = run_session(run, session, stop, self._tell_once)
         self._note(result, path)
         if stop.is_by_user:
+            self._talk.tell(f"stopped, the axes are at rest; what there is so far is in {self._settings.folder}")
             raise KeyboardInterrupt
         return path
 
@@ -318,8 +321,8 @@ def _refuse_swinging(recording: Recording, velocity: float, unit: str) -> None:
     if fastest > _SWINGING * velocity:
         raise TuningError(
             f"{recording.axis} has moved at {fastest:.3g} {unit}/s, where its experiment asks for {velocity:g} at "
-            "most: the loop that controls it swings; lower its velocity_gain (or the drive's), or take a shorter "
-            "period_s"
+            "most: the loop that controls it swings (lower its velocity_gain, or the drive's, or take a shorter "
+            "period_s), or is too soft to follow and jumps (raise it, or the experiment's velocity)"
         )
 
 

@@ -75,9 +75,9 @@ def test_an_axis_learns_its_friction_on_its_drive(kind, tmp_path) -> None:
     assert [path.name for path in sorted((tmp_path / "tuned").iterdir())] == [
         "report.html",
         "trial_1.mcap",
-        "x.html",
         "x.yaml",
         "x_experiment.mcap",
+        "x_identification.html",
     ]
 
     experiment = fh.recordings.read(tmp_path / "tuned" / "x_experiment.mcap", "x")
@@ -223,6 +223,7 @@ def test_ctrl_c_while_it_moves_brings_the_axis_to_rest(tmp_path) -> None:
 
     assert moving.returncode == 130
     assert "Traceback" not in errors
+    assert "stopped, the axes are at rest; what there is so far is in" in errors
     stopped = fh.recordings.read(recording, "x")
     assert stopped["state"][-1] == LoopState.DISABLING
     assert abs(stopped["velocity_estimate"][-1]) < 0.05
