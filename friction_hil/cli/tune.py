@@ -4,6 +4,7 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -166,9 +167,8 @@ def _axis(axis: "AxisTuning") -> dict[str, Any]:
         "tried": [
             {
                 "model": each.fit.label,
-                "uncompensated": {"rms": each.trial.uncompensated.rms, "peak": each.trial.uncompensated.peak},
-                "compensated": {"rms": each.trial.compensated.rms, "peak": each.trial.compensated.peak},
-                "reduction": {"rms": each.trial.reduction.rms, "peak": each.trial.reduction.peak},
+                **each.trial.figures,
+                "reduction": asdict(each.trial.reduction),
             }
             for each in axis.candidates
         ],

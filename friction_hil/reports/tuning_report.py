@@ -1,6 +1,7 @@
 """A tuning as HTML: what each model is worth on the machine; beside it the identification of each axis."""
 
 import html
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -54,7 +55,8 @@ def figures(axis: "AxisTuning", candidate: "Candidate") -> Iterator[tuple[str, .
     factor, shown = readable(unit, [trial.uncompensated.rms, trial.compensated.rms])
     for name in ("rms", "peak"):
         values = (getattr(part, name) * factor for part in (trial.uncompensated, trial.compensated))
-        yield f"{name} [{shown}]", *map(digits, values), digits(getattr(trial.reduction, name), 2)
+        reduction = getattr(trial.reduction, name)
+        yield f"{name} [{shown}]", *map(digits, values), digits(reduction, 2) if math.isfinite(reduction) else "-"
 
 
 def _identification(name: str) -> str:

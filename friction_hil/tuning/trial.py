@@ -1,6 +1,7 @@
 """What a model is worth on the machine: the following error of a recorded run, without and with it. Pure."""
 
-from dataclasses import dataclass
+import math
+from dataclasses import asdict, dataclass
 
 import numpy as np
 
@@ -39,12 +40,24 @@ class Trial:
     def reduction(self) -> Figures:
         """How many times smaller the following error is with compensation."""
         before, after = self.uncompensated, self.compensated
-        return Figures(before.rms / after.rms, before.peak / after.peak)
+        return Figures(_ratio(before.rms, after.rms), _ratio(before.peak, after.peak))
+
+    @property
+    def figures(self) -> dict[str, dict[str, float]]:
+        """RMS and peak, ``uncompensated`` and ``compensated``, as plain values."""
+        return {"uncompensated": asdict(self.uncompensated), "compensated": asdict(self.compensated)}
 
     @property
     def has_helped(self) -> bool:
         """Whether the following error is clearly smaller with compensation, and no larger at its peak."""
         return self.reduction.rms >= LEAST_REDUCTION and self.reduction.peak >= 1.0
+
+
+def _ratio(before: float, after: float) -> float:
+    """How many times smaller; an error below the encoder's resolution is zero."""
+    if after == 0.0:
+        return math.inf if before > 0.0 else 1.0
+    return before / after
 
 
 def judge(recording: Recording, axis: AxisConfig, cycle_s: float, start_s: float) -> Trial:

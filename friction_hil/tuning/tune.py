@@ -104,8 +104,8 @@ class AxisTuning:
 
     @property
     def best(self) -> Candidate:
-        """The candidate with the smallest following error on the machine, RMS times peak."""
-        return min(self.candidates, key=lambda each: each.trial.compensated.rms * each.trial.compensated.peak)
+        """Of those that helped, if any: the one with the smallest following error on the machine, RMS times peak."""
+        return min(self.candidates, key=_rank)
 
 
 @dataclass(slots=True, eq=False)
@@ -248,7 +248,7 @@ class _Tuner:
     def _kept(self, name: str, found: Identification, candidates: tuple[Candidate, ...]) -> AxisTuning:
         """Write the best model of an axis: into the folder, and where the configuration waits for it."""
         best = AxisTuning(found, candidates, Path(), False).best
-        model = {**best.model, "fit": {**best.model["fit"], "trial": _figures(best.trial)}}
+        model = {**best.model, "fit": {**best.model["fit"], "trial": best.trial.figures}}
         file = self._write(name, model)
         wanted = self._configuration.axes[name].model.source_path
         is_in_place = wanted is not None and not wanted.exists() and best.trial.has_helped
@@ -379,12 +379,9 @@ def _claim(folder: Path) -> None:
         raise UsageError(f"{folder} is not empty: what is in it stays; name another folder with --output")
 
 
-def _figures(trial: Trial) -> dict[str, Any]:
-    before, after = trial.uncompensated, trial.compensated
-    return {
-        "uncompensated": {"rms": before.rms, "peak": before.peak},
-        "compensated": {"rms": after.rms, "peak": after.peak},
-    }
+def _rank(candidate: Candidate) -> tuple[bool, float]:
+    trial = candidate.trial
+    return not trial.has_helped, trial.compensated.rms * trial.compensated.peak
 
 
 def _written(path: Path, model: dict[str, Any]) -> Path:

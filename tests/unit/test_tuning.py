@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,12 +14,13 @@ from friction_hil.cli.tune import _report
 from friction_hil.config import from_dict
 from friction_hil.errors import OptionError, RecordingError
 from friction_hil.recordings import Recording
-from friction_hil.reports.following import RECOVERY_S, SETTLE_S
+from friction_hil.reports.following import RECOVERY_S, SETTLE_S, Figures
 from friction_hil.safety import LoopState
 from friction_hil.servo.trajectory import extent
 from friction_hil.tuning import Tuning
 from friction_hil.tuning.motions import TuningError, experiment_of, experiment_run, period_s, trial_run
-from friction_hil.tuning.trial import judge
+from friction_hil.tuning.trial import Trial, judge
+from friction_hil.tuning.tune import AxisTuning, Candidate
 from tests.servo_drives import PERIOD_S, axis_dict
 
 EXPERIMENT = {"velocity": 5.0, "travel": 0.8, "acceleration": 400.0, "duration_s": 20.0, "ramp_s": 0.5}
@@ -210,3 +212,23 @@ def test_a_report_that_cannot_be_written_costs_no_result(tmp_path, capsys) -> No
 
     assert _report(tmp_path / "gone", Tuning()) is None
     assert "no report: " in capsys.readouterr().err
+
+
+def test_an_error_below_the_resolution_is_no_division_by_zero() -> None:
+    trial = judged(recorded(wave(1e-3), wave(0.0)))
+
+    assert trial.reduction == Figures(math.inf, math.inf)
+    assert trial.has_helped
+    assert not judged(recorded(wave(0.0), wave(0.0))).has_helped
+
+
+def test_what_helped_goes_before_what_did_not() -> None:
+    """Even where RMS times peak is smaller with a model whose peak is higher than without any."""
+    before = Figures(10.0, 20.0)
+    spiky, steady = (
+        Candidate(None, {}, Trial(before, after, np.zeros(0), (np.zeros(0), np.zeros(0))))
+        for after in (Figures(1.0, 21.0), Figures(5.0, 10.0))
+    )
+
+    assert AxisTuning(None, (spiky, steady), Path(), False).best is steady
+    assert AxisTuning(None, (spiky,), Path(), False).best is spiky
