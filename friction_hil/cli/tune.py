@@ -38,7 +38,7 @@ _WIDE = 1000
     type=click.Choice(["real", "sync"]),
     default="real",
     show_default=True,
-    help="sync: as fast as simulated drives that run with --pace sync answer; nothing is asked.",
+    help="sync: as fast as simulated drives that run with --pace sync answer.",
 )
 @option_json
 def command(
@@ -59,8 +59,7 @@ def command(
 
     Exit status 1 if a model did not help, or if there was a fault.
     """
-    is_asked = pace == "real" and not yes
-    if is_asked and not sys.stdin.isatty():
+    if not yes and not sys.stdin.isatty():
         raise click.UsageError("the machine moves several times, minutes apart: --yes says that nobody need be asked")
 
     from friction_hil.config import file_problems, load, located
@@ -82,7 +81,7 @@ def command(
         is_status_shown=not as_json and sys.stderr.isatty(),
     )
     try:
-        tuning = tune(configuration, settings, _Terminal(is_asked))
+        tuning = tune(configuration, settings, _Terminal(is_asked=not yes))
     except OptionError as error:
         raise located(config, error) from None
     tuning.report = _report(settings.folder, tuning)
@@ -118,7 +117,7 @@ def _report(folder: Path, tuning: "Tuning") -> Path | None:
 class _Terminal:
     """Speaks on stderr, and asks there."""
 
-    def __init__(self, is_asked: bool) -> None:
+    def __init__(self, *, is_asked: bool) -> None:
         self._is_asked = is_asked
 
     def tell(self, line: str) -> None:

@@ -21,6 +21,7 @@ from tests.servo_drives import TRUE_FRICTION
 
 SPEED, TRAVEL = 4.0, 1.0
 ONE = ("--axis", "x")
+UNASKED = ("--pace", "sync", "--yes")
 EXPERIMENT = {"velocity": SPEED, "travel": TRAVEL, "duration_s": 10.0, "ramp_s": 0.25}
 AXIS = {
     "model": "learned.yaml",
@@ -51,7 +52,7 @@ def tuned(configuration, *options, check=True):
     """Tune against drives of their own; return the JSON and the process."""
     folder = configuration.parent / "tuned"
     with simulated_drives(configuration):
-        done = run("tune", configuration, *ONE, "--pace", "sync", "--output", folder, "--json", *options, check=check)
+        done = run("tune", configuration, *ONE, *UNASKED, "--output", folder, "--json", *options, check=check)
     return (json.loads(done.stdout) if done.stdout else None), done
 
 
@@ -127,7 +128,7 @@ def test_a_model_that_does_not_help_is_not_put_to_use(tmp_path) -> None:
     configuration = configured("modbus rtu", tmp_path, compensation={"gain": 0.0, "fade_s": 0.1})
 
     with simulated_drives(configuration):
-        tuning = ("tune", configuration, "--pace", "sync", "--output", tmp_path / "tuned", "--models", "coulomb")
+        tuning = ("tune", configuration, *UNASKED, "--output", tmp_path / "tuned", "--models", "coulomb")
         done = run(*tuning, check=False)
 
     assert done.returncode == 1
@@ -147,18 +148,18 @@ def test_mistakes_are_told_before_anything_moves(tmp_path) -> None:
     del data["axes"]["x"]["experiment"]
     configuration.write_text(yaml.safe_dump(data))
 
-    missing = run("tune", configuration, *ONE, "--pace", "sync", check=False)
-    nobody = run("tune", configuration, "--pace", "sync", "--axis", "z", check=False)
+    missing = run("tune", configuration, *ONE, *UNASKED, check=False)
+    nobody = run("tune", configuration, *UNASKED, "--axis", "z", check=False)
     data["axes"]["x"]["experiment"] = EXPERIMENT
     configuration.write_text(yaml.safe_dump(data))
     (tmp_path / "used").mkdir()
     (tmp_path / "used" / "notes.txt").touch()
-    used = run("tune", configuration, *ONE, "--pace", "sync", "--output", tmp_path / "used", check=False)
-    unasked = run("tune", configuration, check=False, stdin=subprocess.DEVNULL)
-    unfitted = run("tune", configuration, "--pace", "sync", "--models", "coulom", check=False)
+    used = run("tune", configuration, *ONE, *UNASKED, "--output", tmp_path / "used", check=False)
+    unasked = run("tune", configuration, "--pace", "sync", check=False, stdin=subprocess.DEVNULL)
+    unfitted = run("tune", configuration, *UNASKED, "--models", "coulom", check=False)
     data["axes"]["x"]["model"] = "models/learned.yaml"
     configuration.write_text(yaml.safe_dump(data))
-    nowhere = run("tune", configuration, "--pace", "sync", check=False)
+    nowhere = run("tune", configuration, *UNASKED, check=False)
 
     assert re.search(r"axes\.yaml:\d+: axes\.x\.experiment: is missing: tune moves the axis", missing.stderr)
     assert "no axis is called 'z'" in nobody.stderr
@@ -208,7 +209,7 @@ def test_ctrl_c_while_it_moves_brings_the_axis_to_rest(tmp_path) -> None:
     recording = tmp_path / "tuned" / "x_experiment.mcap"
     with simulated_drives(configuration):
         moving = subprocess.Popen(
-            [*COMMAND, "tune", str(configuration), *ONE, "--pace", "sync", "--output", str(tmp_path / "tuned")],
+            [*COMMAND, "tune", str(configuration), *ONE, *UNASKED, "--output", str(tmp_path / "tuned")],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             text=True,
