@@ -6,7 +6,7 @@ import termios
 import tty
 
 import pytest
-from friction_hil_drivers.serial_line.line import Line
+from friction_hil_drivers.serial_line.line import Line, LineGoneError
 from friction_hil_drivers.serial_line.options import LineOptions
 
 from friction_hil.errors import BusError
@@ -43,3 +43,33 @@ def test_a_port_whose_settings_are_refused_is_told(terminal, monkeypatch):
     monkeypatch.setattr(termios, "tcsetattr", refuse)
     with pytest.raises(BusError, match=r"cannot be opened: .*Invalid argument"):
         Line(LineOptions.model_validate({"port": terminal})).open()
+
+
+def test_the_link_of_a_drive_that_died_leads_to_nobody(tmp_path):
+    """The number of its pseudo-terminal is given to the next one who asks for any: a terminal window, another drive."""
+    link = tmp_path / "line"
+
+    def attached():
+        ours, theirs = pty.openpty()
+        tty.setraw(ours)
+        return ours, theirs, os.ttyname(theirs)
+
+    ours, theirs, name = attached()
+    link.symlink_to(name)
+    line = Line(LineOptions.model_validate({"port": str(link)}))
+    line.open()
+    os.close(theirs)
+    os.close(ours)
+    with pytest.raises(LineGoneError):
+        line.read()
+
+    others = [attached() for _ in range(8)]  # one of them is given the number, unless another process was faster
+    assert not line.reopen()
+
+    link.unlink()
+    link.symlink_to(others[0][2])
+    assert line.reopen()
+    line.close()
+    for ours, theirs, _ in others:
+        os.close(theirs)
+        os.close(ours)

@@ -39,6 +39,7 @@ class Line:
     def __init__(self, options: LineOptions) -> None:
         self.options = options
         self._port: Any = None  # serial.Serial
+        self._link: tuple[int, int] | None = None  # to the pseudo-terminal that was opened, and when it was made
         self._socket: socket.socket | None = None
         self._connecting: socket.socket | None = None
         self._peer: tuple[socket.AddressFamily, Any] | None = None  # found when the line was opened: names take time
@@ -73,9 +74,9 @@ class Line:
             self._open_port()
 
     def _open_port(self) -> None:
-        options = self.options
+        options, link = self.options, _link(self.options.port)
         # characters on a pseudo-terminal have no parity, and asking it for one a second time fails
-        has_parity = _PSEUDO_TERMINALS not in Path(options.port).resolve().parents
+        has_parity = not _is_pseudo(options.port)
         try:
             port = serial.Serial(
                 options.port,
@@ -96,7 +97,7 @@ class Line:
                     f"{options.port} cannot switch the direction of an RS-485 line ({error})",
                     "adapters that do it by themselves need is_rs485: false",
                 ) from error
-        self._port, self.descriptor = port, port.fileno()
+        self._port, self.descriptor, self._link = port, port.fileno(), link
         self._hang_up.register(self.descriptor, 0)
 
     def _take_socket(self, connection: socket.socket) -> None:
@@ -177,7 +178,9 @@ class Line:
         if self.is_open:
             return True
         if not self.options.is_tcp:
-            if os.path.exists(self.options.port):
+            # whoever made a link and died has left it behind: the pseudo-terminal of that number is somebody else's now
+            is_left = self._link is not None and self._link == _link(self.options.port)
+            if not is_left and os.path.exists(self.options.port):
                 with contextlib.suppress(BusError):
                     self._open_port()
             return self.is_open
@@ -207,6 +210,19 @@ class Line:
                 with contextlib.suppress(OSError):
                     part.close()
         self._port = self._socket = self._connecting = None
+
+
+def _is_pseudo(port: str) -> bool:
+    return _PSEUDO_TERMINALS in Path(port).resolve().parents
+
+
+def _link(port: str) -> tuple[int, int] | None:
+    """What tells a link to a pseudo-terminal from one of the same name that is made later; None: it is no such link."""
+    with contextlib.suppress(OSError):
+        if os.path.islink(port) and _is_pseudo(port):
+            found = os.lstat(port)
+            return found.st_ino, found.st_ctime_ns
+    return None
 
 
 def _reason(error: OSError) -> str:
