@@ -297,7 +297,7 @@ def test_a_command_that_is_refused_each_time_counts_although_another_one_is_take
     for count in range(1, 4):
         bench.talk.ask([Push(bench.image, "velocity"), *answered])
         bench.go(5.0)
-        assert bench.talk.refusals == count
+        assert bench.talk.refusals.count == count
 
 
 def test_the_reason_of_a_silence_is_not_that_there_is_no_time_to_ask_again():
@@ -319,11 +319,11 @@ def test_refused_commands_are_counted_until_one_is_taken():
     for count in range(1, 4):
         bench.talk.ask((tell,))
         bench.go(2.0)
-        assert bench.talk.refusals == count
+        assert bench.talk.refusals.count == count
     bench.answers["torque_command=0;"] = b";"
     bench.talk.ask((tell,))
     bench.go(2.0)
-    assert bench.talk.refusals == 0
+    assert bench.talk.refusals.count == 0
 
 
 def test_done_is_called_for_an_answer_in_time_and_for_no_other():
@@ -463,13 +463,13 @@ def test_a_refused_command_without_a_reply_counts_as_refused(comes):
         bench.line.arrived += (b"!;" if comes == "before its reply" else b"") + b"a 1;"
         bench.talk.step()
         assert bench.image.fresh == {"a"}, "the reply proper is not lost"
-        assert bench.talk.refusals == count
+        assert bench.talk.refusals.count == count
         assert bench.talk.trouble == "pushing torque: the drive refuses"
     bench.talk.ask((Push(bench.image, "torque"), bench.one))
     bench.talk.step()
     bench.line.arrived += b"a 1;"
     bench.talk.step()
-    assert bench.talk.refusals == 0, "who answers what came after it has not refused it"
+    assert bench.talk.refusals.count == 0, "who answers what came after it has not refused it"
 
 
 def test_an_error_is_that_of_the_request_where_nothing_was_commanded_before():
@@ -478,7 +478,7 @@ def test_an_error_is_that_of_the_request_where_nothing_was_commanded_before():
     bench.talk.step()
     bench.line.arrived += b"!;"
     bench.talk.step()
-    assert bench.talk.refusals == 0
+    assert bench.talk.refusals.count == 0
     assert bench.talk.trouble == "reading a: the drive refuses"
 
 

@@ -11,13 +11,13 @@ from friction_hil_drivers.ascii.options import AsciiOptions
 from friction_hil_drivers.serial_line.conversation import Conversation
 from friction_hil_drivers.serial_line.description import load_description
 from friction_hil_drivers.serial_line.protocol import Image, Wanted
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.serial_peers import MS, BenchLine, Time
 
 ODRIVE = load_description("odrive", None, AsciiDrives.descriptions, AsciiDescription)
-LISTENING = Wanted(("position", "velocity"), ("torque", "status", "error"), ())
+WANTED = Wanted(("position", "velocity"), ("torque", "status", "error"), ("torque_command",))
 STEP_MS, CYCLE_MS, TURN_MS, ANSWER_MS, PIECE_MS = 0.1, 2.0, 0.3, 0.1, 0.4
 REPLY_LIMIT_S, REPLY_S = 8e-3, 3e-3
 MAX_MISSED = 10  # four tenths of that is the limit above
@@ -33,17 +33,21 @@ class Bench:
         Of each reply: None, it is lost; else the time for which this one and all behind it are held up, ms.
     cut : int, optional
         Replies come in two pieces, so many characters and then the rest.
+    is_at_once : bool
+        What goes together is said at once wherever that can be.
+    is_ahead : bool
+        The drive takes requests in before it answers the first.
     """
 
-    def __init__(self, axes, fates=(), cut=None):
+    def __init__(self, axes, fates=(), cut=None, *, is_at_once=False, is_ahead=True):
         names = [str(number) for number in range(axes)]
         # without a checksum a part of a reply looks like one
         description = ODRIVE.model_copy(update={"checksum": None})
         line = {"port": "/dev/bench", "baud": 921600}
         options = {n: AsciiOptions.model_validate({"line": line, "description": "odrive", "axis": n}) for n in names}
-        self.images = {name: Image() for name in names}
+        self.images = {name: Image({"torque_command": 0.25}) for name in names}
         protocol = AsciiLine(dict.fromkeys(names, description), options, self.images)
-        self.plan = protocol.plan(dict.fromkeys(names, LISTENING))
+        self.plan = protocol.plan(dict.fromkeys(names, WANTED))
         self.time = Time()
         self.line = BenchLine(self._hear)
         self.talk = Conversation(
@@ -52,9 +56,11 @@ class Bench:
             0.0,
             REPLY_LIMIT_S,
             self.time,
-            ahead_chars=protocol.ahead_chars,
+            ahead_chars=protocol.ahead_chars if is_ahead else 0,
             doubt_s=0.0 if protocol.names_drives else REPLY_S,
         )
+        self._is_at_once = is_at_once
+        self.at_once = 0
         self.asked = dict.fromkeys(names, 0)
         self._language = Language(description, "0")
         self._fates, self._cut = iter(fates), cut
@@ -67,7 +73,7 @@ class Bench:
                 axis = request[2]
                 self.asked[axis] += 1
                 self._reply(f"{int(axis) * 1000 + self.asked[axis]}.0 {axis}.0")
-            else:
+            elif request[0] == "r":
                 self._reply({"I": "-1.25", "c": "8", "e": "4096"}[request.rpartition(".")[2][0]])
         return b""
 
@@ -91,26 +97,34 @@ class Bench:
             self.talk.step()
             self.time.pass_ms(STEP_MS)
 
-    def cycle(self):
-        """Poll, then ask for the next of what changes slowly; axes whose feedback came."""
+    def cycle(self, *, is_checked=True):
+        """Poll, then command, and ask for the next of what changes slowly; axes whose feedback came."""
         for image in self.images.values():
             image.fresh.clear()
-        self.talk.ask(self.plan.poll)
+        self.talk.step()
+        self._ask(self.plan.poll)
         self._pass(CYCLE_MS - TURN_MS)
         self.talk.give_up()
         fresh = {name for name, image in self.images.items() if image.fresh >= {"position", "velocity"}}
-        for name in fresh:
+        for name in fresh if is_checked else ():
             told = int(self.images[name].values["position"])
             assert told == int(name) * 1000 + self.asked[name], f"axis {name} was told {told}"
-        for image in self.images.values():
+        for image in self.images.values() if is_checked else ():
             assert image.values.get("torque", -1.25) == -1.25
             assert image.values.get("status", 8.0) == 8.0
             assert image.values.get("error", 4096.0) == 4096.0
         self._turn = (self._turn + 1) % len(self.plan.turns)
-        self.talk.ask((self.plan.turns[self._turn],))
-        self.talk.speak()
+        if not self._ask((*self.plan.push, self.plan.turns[self._turn])):
+            self.talk.speak()
         self._pass(TURN_MS)
         return fresh
+
+    def _ask(self, exchanges):
+        if self._is_at_once and self.talk.say_at_once(self.talk.batch(exchanges, 0.0), None):
+            self.at_once += 1
+            return True
+        self.talk.ask(exchanges)
+        return False
 
 
 @pytest.mark.parametrize("axes", [1, 2])
@@ -151,3 +165,32 @@ def test_of_one_axis_nothing_old_is_told_within_the_limit(before, stall_ms):
     bench = Bench(1, [0.0] * before + [stall_ms])
     for _ in range(30):
         bench.cycle()
+
+
+@settings(deadline=None)
+@given(
+    axes=st.integers(1, 2),
+    fates=st.lists(st.none() | st.just(0.0) | st.floats(0.0, 30.0), max_size=60),
+    cut=st.none() | st.integers(1, 5),
+    gone=st.none() | st.integers(0, 30),
+    is_ahead=st.booleans(),
+)
+def test_what_is_said_at_once_is_what_would_be_said_anyway(axes, fates, cut, gone, is_ahead):
+    """Same bytes, same feedback, same words, whatever happens on the line."""
+    one, other = (Bench(axes, fates, cut, is_at_once=each, is_ahead=is_ahead) for each in (False, True))
+    for number in range(120):
+        for bench in (one, other):
+            if number == gone:
+                bench.line.pull_out()
+            bench.line.is_back = gone is not None and number > gone + 3
+        assert one.cycle(is_checked=False) == other.cycle(is_checked=False)
+        assert one.line.sent == other.line.sent
+        assert one.images == other.images
+        assert one.talk.trouble == other.talk.trouble
+
+
+def test_an_undisturbed_line_is_spoken_on_at_once():
+    bench = Bench(1, is_at_once=True)
+    for _ in range(10):
+        assert bench.cycle() == {"0"}
+    assert bench.at_once == 20

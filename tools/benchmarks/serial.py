@@ -39,6 +39,7 @@ LEAST_REDUCTION = 2.0
 CIRCLE_S = 12.0
 _COMMAND = [sys.executable, "-m", "friction_hil"]
 _ENABLE = [Command(Request.ENABLE)]
+_MOVE = [Command(Request.ENABLE, torque=0.11)]  # more than the friction: replies that change have to be read anew
 _COUNTS = 2**20 / 6.283185307179586
 MODBUS = {"driver": "modbus", "description": "generic_cia402", "counts_per_unit": _COUNTS, "rated_torque": 0.64}
 ODRIVE = {"driver": "ascii", "description": "odrive", "torque_constant": 0.1}
@@ -143,16 +144,18 @@ def _enabled(configuration: Configuration) -> SerialDrives:
     drives.start()
     feedback = Feedback()
     for _ in range(ENABLE_CYCLES):
-        _cycle(drives, feedback)
+        _cycle(drives, feedback, _ENABLE)
         if feedback.state is DriveState.OPERATION_ENABLED:
             return drives
     drives.close()
     raise FrictionHilError(f"the simulated drive was not enabled: {feedback}")
 
 
-def _cycle(drives: SerialDrives, feedback: Feedback, patience_ns: int = 100_000_000) -> None:
+def _cycle(
+    drives: SerialDrives, feedback: Feedback, commands: list[Command] = _MOVE, patience_ns: int = 100_000_000
+) -> None:
     drives.receive([feedback], time.monotonic_ns() + patience_ns)
-    drives.send(_ENABLE)
+    drives.send(commands)
 
 
 def _wire_s(drives: SerialDrives) -> float:
@@ -200,7 +203,7 @@ def _paced(drives: SerialDrives, period_s: float) -> tuple[float, float, float]:
             rehearsed_s.append(time.process_time() - began)
         clock.sleep_until(deadline_ns)
         began = time.process_time()
-        _cycle(drives, feedback, deadline_ns + period_ns - clock.now_ns())
+        _cycle(drives, feedback, _MOVE, deadline_ns + period_ns - clock.now_ns())
         used_s.append(time.process_time() - began)
         fresh += feedback.is_fresh
         deadline_ns += period_ns

@@ -98,6 +98,8 @@ class Checker:
     ----------
     size : int
         Characters that a line becomes longer at most.
+    pattern : bytes
+        Regular expression of what stands behind a line; a group for the checksum itself.
     """
 
     def __init__(self, settings: Checksum) -> None:
@@ -110,7 +112,8 @@ class Checker:
         self._form = prefix.replace(b"%", b"%%") + (b"%%0%dX" % width if is_hex else b"%d")
         self._base = 16 if is_hex else 10
         number = b"[0-9A-Fa-f]{%d}" % width if is_hex else b"[0-9]{1,%d}" % width
-        self._split = re.compile(b"(.*)" + re.escape(prefix) + b"(" + number + b") *", re.DOTALL).fullmatch
+        self.pattern = re.escape(prefix) + b"(" + number + b") *"
+        self._split = re.compile(b"(.*)" + self.pattern, re.DOTALL).fullmatch
         self.size = len(prefix) + width
 
     def append(self, line: bytes) -> bytes:
@@ -129,7 +132,11 @@ class Checker:
         if found is None:
             raise ValueError("has no checksum")
         text, told = found.groups()
-        computed = self._compute(text[self._skip :])
-        if int(told, self._base) != computed:
-            raise ValueError(f"has a wrong checksum; right would be {(self._form % computed).decode()}")
+        if not self.is_right(text, told):
+            right = self._form % self._compute(text[self._skip :])
+            raise ValueError(f"has a wrong checksum; right would be {right.decode()}")
         return text
+
+    def is_right(self, line: bytes, told: bytes) -> bool:
+        """Whether ``told``, see `pattern`, is the checksum of a line."""
+        return int(told, self._base) == self._compute(line[self._skip :])

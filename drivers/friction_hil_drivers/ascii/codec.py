@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 from friction_hil.errors import UsageError
 from friction_hil_drivers.ascii.description import AsciiDescription, covering
-from friction_hil_drivers.ascii.messages import CompiledMessage, Language, take_line
+from friction_hil_drivers.ascii.messages import CompiledMessage, Language, reader, take_line
 from friction_hil_drivers.ascii.options import AsciiOptions
 from friction_hil_drivers.ascii.template import AXIS
 from friction_hil_drivers.serial_line.protocol import Exchange, Image, Plan, ReplyError, Wanted, shown
@@ -50,6 +50,7 @@ class AsciiExchange:
         longest = max(message.request.size for message in self._messages)
         self.request_size = language.sealed_size(longest, language.request_end)
         replies = self._first.replies
+        self._readers = [(form.names, reader(form, language)) for form in replies]
         self.reply_size = self.request_size if language.has_echo else 0
         if replies:
             self.reply_size += language.sealed_size(max(form.size for form in replies), language.reply_end)
@@ -78,7 +79,8 @@ class AsciiExchange:
             return self._constant
         values = self._image.values
         message = self._chosen(values) if self._is_fixed else self._first
-        self._sent = language.sealed(message.request.write(values), language.request_end)
+        line = message.request.write(values)
+        self._sent = (line if language.checker is None else language.checker.append(line)) + language.request_end
         if not self.writes:
             self._constant = self._sent
         return self._sent
@@ -110,9 +112,19 @@ class AsciiExchange:
         if line is None:
             return False
         if line != self._known:
-            self._names, self._numbers = self._understood(line)
-            self._known = line
-        self._image.put(self._names, self._numbers)
+            try:
+                for names, read in self._readers:
+                    numbers = read(line)
+                    if numbers is not None:
+                        self._known, self._names, self._numbers = line, names, numbers
+                        break
+                else:
+                    raise self._error(line)
+            except ValueError as error:
+                raise ReplyError(f"{self._story(line)}: {error}") from error
+        image = self._image
+        image.values.update(zip(self._names, self._numbers))  # noqa: B905  as many as each other, and finite
+        image.fresh.update(self._names)
         return True
 
     def _take_echo(self, received: bytearray) -> bool:
@@ -127,27 +139,24 @@ class AsciiExchange:
         self._is_echo_due = False
         return True
 
-    def _understood(self, line: bytes) -> tuple[tuple[str, ...], list[float]]:
-        """Names of the signals in a reply, and their numbers."""
+    def _error(self, line: bytes) -> ReplyError:
+        """What is wrong with a line that is none of the replies.
+
+        Raises
+        ------
+        ValueError
+            Its checksum.
+        """
         language = self._language
-        try:
-            text = line if language.checker is None else language.checker.remove(line)
-            meaning = language.meaning(text)
-            if meaning is None:
-                for form in self._first.replies:
-                    numbers = form.read(text)
-                    if numbers is not None:
-                        return form.names, numbers
-        except ValueError as error:
-            raise ReplyError(f"{self._story(line)}: {error}") from error
+        meaning = language.meaning(line if language.checker is None else language.checker.remove(line))
         if meaning is None:
             right = " or ".join(form.template for form in self._first.replies) or "none"
-            raise ReplyError(f"{self._story(line)}; right would be {right}")
+            return ReplyError(f"{self._story(line)}; right would be {right}")
         if language.is_answering_all:
-            raise ReplyError(f"{self._story(line)}: {meaning}", is_complete=True)
+            return ReplyError(f"{self._story(line)}: {meaning}", is_complete=True)
         # an error of a set-point to which nothing is replied comes unasked: the reply proper then follows
         before = ", or to what was sent before" if self._first.replies else ""
-        raise ReplyError(f"{self._story(line)}{before}: {meaning}", is_unasked=True)
+        return ReplyError(f"{self._story(line)}{before}: {meaning}", is_unasked=True)
 
     def _story(self, line: bytes) -> str:
         return f"{shown(line)} came in reply to {shown(self._sent)}"

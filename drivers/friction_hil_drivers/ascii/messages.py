@@ -1,7 +1,7 @@
 """The messages of a description compiled for one axis, for either end of the line."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from friction_hil_drivers.ascii.checksum import Checker
@@ -54,14 +54,11 @@ class Language:
         self.is_answering_all = description.is_answering_all
         self.has_error_replies = bool(description.error_replies)
         self._meanings = [(re.compile(form.encode()), text) for form, text in description.error_replies.items()]
-        every = b"|".join(b"(?:%s)" % form.pattern for form, _ in self._meanings)
-        self._is_error = re.compile(every).fullmatch if self._meanings else None
+        self.errors = b"|".join(b"(?:%s)" % form.pattern for form, _ in self._meanings)  # regular expression of all
 
     def meaning(self, line: bytes) -> str | None:
         """What an error reply means; None where it is none."""
-        if self._is_error is None or self._is_error(line) is None:
-            return None
-        return next(text for form, text in self._meanings if form.fullmatch(line))
+        return next((text for form, text in self._meanings if form.fullmatch(line)), None)
 
     def sealed(self, line: bytes, end: bytes) -> bytes:
         """Line with all that belongs behind it."""
@@ -70,6 +67,37 @@ class Language:
     def sealed_size(self, size: int, end: bytes) -> int:
         """Characters of a line of ``size``, with all that belongs behind it."""
         return size + (0 if self.checker is None else self.checker.size) + len(end)
+
+
+def reader(form: LineFormat, language: Language) -> Callable[[bytes], list[float] | None]:
+    """Make what reads one form of a reply at once: the line, its checksum, and that it is no error reply.
+
+    Returns
+    -------
+    callable
+        Takes a line; returns its numbers, in the order of the form's names, or None where there is anything else
+        about it. Raises ValueError where a number is beyond what its signal can hold.
+    """
+    checker = language.checker
+    end = b"" if checker is None else checker.pattern
+    error = b"(?!(?:" + language.errors + b")" + end + rb"\Z)" if language.errors else b""
+    match = re.compile(error + b"(" + form.pattern + b")" + end).fullmatch
+    place = re.compile(error).groups  # of the line in what is found; the numbers follow
+    places = slice(place + 1, place + 1 + len(form.names))
+    is_right = None if checker is None else checker.is_right
+    numbers = form.numbers
+
+    # a function, for it runs between a reply and its use, when hardly anything is in the caches: nothing is looked up
+    def read(line: bytes) -> list[float] | None:
+        found = match(line)
+        if found is None:
+            return None
+        texts = found.groups()
+        if is_right is not None and not is_right(texts[place], texts[-1]):
+            return None
+        return numbers(texts[places])
+
+    return read
 
 
 def take_line(received: bytearray, end: bytes) -> bytes | None:
@@ -81,12 +109,14 @@ def take_line(received: bytearray, end: bytes) -> bytes | None:
         No line is that long; all of it was removed.
     """
     while True:
-        line, found, rest = received.partition(end)
-        if len(line) > LONGEST_LINE or not found:
-            if len(line) < LONGEST_LINE + len(end):
-                return None
+        place = received.find(end)
+        size = len(received) if place < 0 else place
+        if size >= LONGEST_LINE + len(end):
             received.clear()
             raise ValueError(f"no line ends within {LONGEST_LINE} characters")
-        received[:] = rest
-        if line := line.strip(_BLANKS):
+        if place < 0:
+            return None
+        line = received[:place].strip(_BLANKS)
+        del received[: place + len(end)]
+        if line:
             return bytes(line)

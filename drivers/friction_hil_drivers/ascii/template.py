@@ -7,7 +7,7 @@ axis. Numbers are written without exponents: the readers of many drives know non
 import functools
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -100,6 +100,8 @@ class LineFormat:
         Signals in it, in their order.
     words : int
         Parts of the line between blanks.
+    pattern : bytes
+        Regular expression of a line that is read; a group for each number.
     size : int
         Characters of the longest line that can be written; of a line that is read, the longest with floats of no
         more than the signal's ``whole_digits`` before the point and its ``digits`` after it.
@@ -132,7 +134,9 @@ class LineFormat:
             pattern += b"(" + expression + b")"
             self._readers.append(read)
         self._written = written
-        self._match = re.compile(pattern + rb" *").fullmatch
+        self._are_floats = all(field.type == FLOAT for field in fields(parts))
+        self.pattern = pattern + rb" *"
+        self._match = re.compile(self.pattern).fullmatch
 
     def write(self, values: Mapping[str, float]) -> bytes:
         """Line with the numbers of ``values``, rounded, saturated and (integer positions) wrapped.
@@ -142,10 +146,13 @@ class LineFormat:
         ValueError
             A value is missing or not finite.
         """
+        numbers = []  # each cycle: a comprehension is one function more to be called
         try:
-            return self._written % tuple([convert(values[name]) for name, convert in self._writers])
+            for name, convert in self._writers:
+                numbers.append(convert(values[name]))
         except KeyError as error:
             raise ValueError(f"there is no value of {error.args[0]} to be sent yet") from error
+        return self._written % tuple(numbers)
 
     def read(self, line: bytes) -> list[float] | None:
         """Numbers in ``line``, in the order of `names`; None where it is another line.
@@ -156,12 +163,26 @@ class LineFormat:
             A number is beyond what its signal can hold.
         """
         found = self._match(line)
-        if found is None:
-            return None
-        numbers = [read(text) for read, text in zip(self._readers, found.groups())]  # noqa: B905  as many as each other
+        return None if found is None else self.numbers(found.groups())
+
+    def numbers(self, texts: Sequence[bytes]) -> list[float]:
+        """Numbers that `pattern` has found.
+
+        Raises
+        ------
+        ValueError
+            One is beyond what its signal can hold.
+        """
+        if self._are_floats:
+            numbers = list(map(float, texts))
+        else:
+            numbers = [read(text) for read, text in zip(self._readers, texts, strict=True)]
         if not all(map(math.isfinite, numbers)):
-            texts = zip(self.names, numbers, found.groups(), strict=True)
-            name, text = next((name, text) for name, number, text in texts if not math.isfinite(number))
+            name, text = next(
+                (name, text)
+                for name, number, text in zip(self.names, numbers, texts, strict=True)
+                if not math.isfinite(number)
+            )
             raise ValueError(f"{text.decode()} is too large for {name}")
         return numbers
 

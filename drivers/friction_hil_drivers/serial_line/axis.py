@@ -128,7 +128,10 @@ class SerialAxis:
         values, fresh = self.image.values, self.image.fresh
         is_fresh = fresh.issuperset(self._fast)
         if is_fresh:
-            position = self._unwrapped(values["position"]) * self._position_scale
+            number = values["position"]
+            if self._position_bits is not None:
+                number = self._unwrapped(number)
+            position = number * self._position_scale
             if self._velocity_scale is not None:
                 self._velocity = values["velocity"] * self._velocity_scale
             elif time_s > self._position_s:
@@ -158,7 +161,7 @@ class SerialAxis:
     def read_state(self) -> DriveState:
         """State that the image tells."""
         values = self.image.values
-        told = [values.get(name) for name in self.state_signals]
+        told = list(map(values.get, self.state_signals))
         if told != self._told:  # which is seldom
             self._told, self.state = told, state_of(self._description, values)
         return self.state

@@ -334,10 +334,10 @@ def _write(lane: Lane, axis: SerialAxis, step: Step) -> None:
     axis.image.values.update(step.write)
     exchange = lane.write(axis.name, step.write)
     lane.talk(axis.name, exchange)
-    refusals = lane.conversation.refusals
+    refusals = lane.conversation.refusals.count
     if exchange.tells_refusal:  # at once: before the reply to what is asked next
         _read_state(lane, axis)
-    if lane.conversation.refusals > refusals:
+    if lane.conversation.refusals.count > refusals:
         raise DriveError(f"{axis.name}: the drive refuses to be prepared: {lane.conversation.trouble}")
     end = time.monotonic() + step.timeout_s
     while step.until is not None:

@@ -15,16 +15,29 @@ a cycle then wakes up once.
 
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import dataclass
 
 from friction_hil_drivers.serial_line.line import Line, LineGoneError
 from friction_hil_drivers.serial_line.protocol import Exchange, Image, ReplyError, shown
+from friction_hil_drivers.serial_line.refusals import Refusals
 from friction_hil_drivers.serial_line.wire import character_s
 
 _SHORT_SILENCE_NS = 2_000_000  # USB adapters hand over what they have each millisecond
 _REOPEN_NS = 200_000_000
 _LONGEST_SETTLE_NS = 20_000_000  # a line that is not quiet by then will not be
-_MOST_UNCONFIRMED = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """Requests of a cycle that go out together, and what is known of them before; see `Conversation.batch`."""
+
+    exchanges: tuple[Exchange, ...]
+    answered: tuple[Exchange, ...]  # of them
+    refusable: tuple[Exchange, ...]  # of them: not answered, but for a refusal
+    ahead_chars: int  # that may be sent before the first of them is answered; 0: nothing follows one that is
+    wire_ns: int
+    are_joint: bool  # nothing forbids that they go together
 
 
 class Conversation:
@@ -52,8 +65,8 @@ class Conversation:
     ----------
     trouble : str
         What went wrong last, in words.
-    refusals : int
-        Commands in a row that the drive refused.
+    refusals : Refusals
+        Of commands, by the drives on the line.
     queue, awaited : deque of Exchange
         What is still to be sent; what was sent together, and is answered in this order.
     limit_ns : int or None
@@ -89,8 +102,6 @@ class Conversation:
         self.awaited: deque[Exchange] = deque()
         self._done: dict[Exchange, Callable[[], None]] = {}  # to be told, of what is queued or awaited
         self._wire_ns: dict[Exchange, int] = {}  # what each takes
-        self._unconfirmed: deque[Exchange] = deque(maxlen=_MOST_UNCONFIRMED)  # sent without a reply: may be refused
-        self._is_refused = False  # one of these was
         self._owed: list[tuple[Exchange, int]] = []  # not answered in time, and until when the reply may still come
         self._silent: frozenset[str] = frozenset()  # did not answer last time: asked after the others
         self._is_settling = False  # what comes belongs to a broken reply
@@ -101,8 +112,7 @@ class Conversation:
         self._next_reopen_ns = 0
         self.trouble = ""
         self.limit_ns: int | None = None
-        self.refusals = 0
-        self._refused: set[str] = set()  # signals of which these were: one that is taken says nothing of another
+        self.refusals = Refusals(is_of_one_drive=len(self._images) == 1)
 
     @property
     def is_finished(self) -> bool:
@@ -112,12 +122,10 @@ class Conversation:
     @property
     def due_ns(self) -> int | None:
         """When `step` has something to do although nothing arrives; None: it has not."""
-        if self.line.descriptor < 0:
+        if self.awaited or self.line.descriptor < 0:
             return None
         if self._is_settling:
             return min(self._heard_ns + self._settle_ns, self._settle_end_ns)
-        if self.awaited:
-            return None
         if not self._owed:
             return self._quiet_until_ns if self.queue else None
         moments = [until for _, until in self._owed]
@@ -126,6 +134,66 @@ class Conversation:
         if any(map(self._may_be_asked, self.queue)):
             moments.append(self._quiet_until_ns)
         return min(moments, default=None)
+
+    def batch(self, exchanges: Sequence[Exchange], wire_s: float) -> Batch:
+        """Work out how some exchanges go out together; ``wire_s`` is what they take."""
+        answered: list[Exchange] = []
+        size = ahead_chars = 0
+        are_joint = len(exchanges) < 2 or not self._silence_ns
+        for exchange in exchanges:
+            size += exchange.request_size
+            if answered:
+                ahead_chars = size
+                are_joint = are_joint and all(map(exchange.may_follow, answered))
+            if exchange.reply_size:
+                answered.append(exchange)
+        refusable = tuple(exchange for exchange in exchanges if exchange.tells_refusal)
+        return Batch(tuple(exchanges), tuple(answered), refusable, ahead_chars, round(1e9 * wire_s), are_joint)
+
+    def say_at_once(self, batch: Batch, limit_ns: int | None) -> bool:
+        """Send requests together where nothing at all stands in the way; whether that was so.
+
+        This is how an undisturbed cycle speaks. Whatever is unusual is left to `ask` and `go_on`.
+
+        Parameters
+        ----------
+        batch : Batch
+        limit_ns : int or None
+            When all has to be answered.
+        """
+        if (
+            self.queue
+            or self.awaited
+            or self._received
+            or self._owed
+            or self._silent
+            or self._is_settling
+            or self._is_noisy
+            or self._is_in_doubt
+            or self.line.descriptor < 0
+            or not batch.are_joint
+        ):
+            return False
+        now = self._now_ns()
+        if now < self._quiet_until_ns:
+            return False
+        if limit_ns is not None:
+            busy_ns = self._busy_until_ns
+            if (busy_ns if busy_ns > now else now) + batch.wire_ns > limit_ns:
+                return False
+        if batch.ahead_chars and self._unread_chars + batch.ahead_chars > self._ahead_chars:
+            return False
+        try:
+            data = b""
+            for exchange in batch.exchanges:
+                data += exchange.encode()
+            self._send(data, now, batch.answered)
+        except LineGoneError as gone:
+            self._forget(gone)
+            return True
+        self.awaited.extend(batch.answered)
+        self.refusals.unconfirmed.extend(batch.refusable)
+        return True
 
     def ask(self, exchanges: Iterable[Exchange], done: Callable[[], None] | None = None) -> None:
         """Queue requests; ``done`` is called when the last of them has been answered (sent, if no reply is due)."""
@@ -147,7 +215,11 @@ class Conversation:
                 self._heard_ns = self._now_ns()
         except LineGoneError as gone:
             self._forget(gone)
-        self.go_on()
+        if self.awaited and not self.queue:
+            if self._received:
+                self._await()
+        else:
+            self.go_on()
 
     def speak(self) -> None:
         """Send what can be sent now; what has to wait for a late reply is not sent in this cycle."""
@@ -196,43 +268,51 @@ class Conversation:
 
     def _await(self) -> None:
         """Take the replies that are complete; in the order of the requests."""
-        awaited = self.awaited
-        while awaited and self._received:
+        awaited, received, refusals = self.awaited, self._received, self.refusals
+        while awaited and received:
             exchange = awaited[0]
             try:
-                if not (self._take_in_vain(exchange) if self._is_in_doubt else exchange.take(self._received)):
+                if not (self._take_in_vain(exchange) if self._is_in_doubt else exchange.take(received)):
                     return
             except ReplyError as error:
-                if self._is_of_unconfirmed(error):  # the reply proper follows
+                if self._is_refusal(error):  # the reply proper follows
                     continue
-                self._done.pop(exchange, None)
-                if error.is_complete and exchange.writes:
-                    self._count_refusal(exchange)
-                self.trouble = f"{exchange.what}: {error}"
-                if not error.is_complete:
-                    self._is_in_doubt = self._doubt_ns > 0
-                    if len(awaited) == 1:  # where another reply follows, it is told from what is left of this one
-                        self._settle(self._short_settle_ns)
+                self._note_error(exchange, error)
             else:
-                done = self._done.pop(exchange, None) if self._done else None
-                if self._is_in_doubt:
-                    done = None
-                    self.trouble = f"{exchange.what}: the reply may have been one to an earlier request"
-                    if len(awaited) == 1:
-                        self._is_in_doubt = False
-                        self._settle(self._doubt_ns)
-                self._is_noisy = False
-                if self._silent:
-                    self._silent -= exchange.addressees
-                if self.refusals and not self._refused.isdisjoint(exchange.writes):
-                    self._forget_refusals()
-                if self._unconfirmed or self._is_refused:
-                    self._confirm(exchange)
                 self._unread_chars = 0
-                if done is not None:
-                    done()
+                if self._done or self._is_in_doubt or self._is_noisy or self._silent or refusals.count:
+                    self._note_reply(exchange)
+                if refusals.unconfirmed or refusals.is_told:
+                    refusals.note_reply(exchange)
             awaited.popleft()
-            self._quiet_until_ns = self._heard_ns + self._silence_ns if self._silence_ns else 0
+            if self._silence_ns:
+                self._quiet_until_ns = self._heard_ns + self._silence_ns
+
+    def _note_error(self, exchange: Exchange, error: ReplyError) -> None:
+        """Draw conclusions from a reply that is none."""
+        self._done.pop(exchange, None)
+        if error.is_complete and exchange.writes:
+            self.refusals.note(exchange)
+        self.trouble = f"{exchange.what}: {error}"
+        if not error.is_complete:
+            self._is_in_doubt = self._doubt_ns > 0
+            if len(self.awaited) == 1:  # where another reply follows, it is told from what is left of this one
+                self._settle(self._short_settle_ns)
+
+    def _note_reply(self, exchange: Exchange) -> None:
+        """Draw conclusions from a reply, where something is told by it besides what it says."""
+        done = self._done.pop(exchange, None)
+        if self._is_in_doubt:
+            done = None
+            self.trouble = f"{exchange.what}: the reply may have been one to an earlier request"
+            if len(self.awaited) == 1:
+                self._is_in_doubt = False
+                self._settle(self._doubt_ns)
+        self._is_noisy = False
+        self._silent -= exchange.addressees
+        self.refusals.note_taken((exchange,))
+        if done is not None:
+            done()
 
     def _settle(self, time_ns: int) -> None:
         """Drop all that comes, until the line has been quiet for so long."""
@@ -248,34 +328,12 @@ class Conversation:
             for image, (values, fresh) in zip(self._images, before, strict=True):
                 image.values, image.fresh = values, fresh
 
-    def _is_of_unconfirmed(self, error: ReplyError) -> bool:
-        """Whether an error is that of a request without a reply; then that one is refused."""
-        if not (error.is_unasked and self._unconfirmed):
-            return False
-        exchange = self._unconfirmed.pop()
-        self._count_refusal(exchange)
-        self._is_refused = True
-        self.trouble = f"{exchange.what}: {error}"
-        return True
-
-    def _count_refusal(self, exchange: Exchange) -> None:
-        self.refusals += 1
-        self._refused.update(exchange.writes)
-
-    def _forget_refusals(self) -> None:
-        self.refusals = 0
-        self._refused.clear()
-
-    def _confirm(self, exchange: Exchange) -> None:
-        """Note that a drive answered: what was sent to it before, without a reply, it has not refused."""
-        rest = [each for each in self._unconfirmed if not each.addressees <= exchange.addressees]
-        if self.refusals and not self._is_refused:
-            taken = (each for each in self._unconfirmed if each not in rest)
-            if any(not self._refused.isdisjoint(each.writes) for each in taken):
-                self._forget_refusals()
-        self._is_refused = False
-        self._unconfirmed.clear()
-        self._unconfirmed.extend(rest)
+    def _is_refusal(self, error: ReplyError) -> bool:
+        """Whether an error is that of a request without a reply; then it is told."""
+        exchange = self.refusals.unasked(error)
+        if exchange is not None:
+            self.trouble = f"{exchange.what}: {error}"
+        return exchange is not None
 
     def _drop_late(self, now: int) -> None:
         """Take a reply of an earlier cycle for what it is: nothing of it is used."""
@@ -285,7 +343,7 @@ class Conversation:
                 is_complete = self._take_in_vain(exchange)
             except ReplyError as error:
                 is_complete = False
-                if not self._is_of_unconfirmed(error):
+                if not self._is_refusal(error):
                     # of another one who owes a reply, or broken: who did not answer goes on owing
                     self._settle(self._short_settle_ns)
                     self.trouble = f"late, {exchange.what}: {error}"
@@ -327,10 +385,10 @@ class Conversation:
             if is_disturbed or not queue or not self._may_join(len(data)):
                 break
         if data:
-            self._send(data)
+            self._send(data, self._now_ns(), awaited)
         for exchange in sent:
             if exchange.tells_refusal:
-                self._unconfirmed.append(exchange)
+                self.refusals.unconfirmed.append(exchange)
             if self._done and exchange in self._done:
                 self._done.pop(exchange)()
         return not awaited
@@ -346,14 +404,16 @@ class Conversation:
             return False
         return all(map(following.may_follow, self.awaited))
 
-    def _send(self, data: bytes) -> None:
+    def _send(self, data: bytes, now: int, answered: Collection[Exchange]) -> None:
+        """Send requests, of which some are answered."""
         self.line.write(data)
         size = len(data)
         self._unread_chars += size
-        self._sent_ns = now = self._now_ns()
-        self._busy_until_ns = max(now, self._busy_until_ns) + size * self._character_ns
-        if self._silence_ns and not self.awaited:
-            self._quiet_until_ns = self._busy_until_ns + self._silence_ns
+        self._sent_ns = now
+        busy_ns = self._busy_until_ns
+        self._busy_until_ns = busy_ns = (busy_ns if busy_ns > now else now) + size * self._character_ns
+        if self._silence_ns and not answered:
+            self._quiet_until_ns = busy_ns + self._silence_ns
 
     def _has_time(self, exchange: Exchange) -> bool:
         """Whether an exchange can be over in this cycle."""
@@ -367,11 +427,12 @@ class Conversation:
 
     def _take_unasked(self) -> None:
         """Look at what came without a question: refusals of what has no reply; the rest is noise."""
-        while self._unconfirmed and self._received:
+        unconfirmed = self.refusals.unconfirmed
+        while unconfirmed and self._received:
             try:
-                self._unconfirmed[-1].take(self._received)
+                unconfirmed[-1].take(self._received)
             except ReplyError as error:
-                if self._is_of_unconfirmed(error):
+                if self._is_refusal(error):
                     continue
             break
         if self._received:
@@ -423,7 +484,7 @@ class Conversation:
         self._done.clear()
         self._received.clear()
         self._owe()  # a converter in between may keep it until the line is back
-        self._unconfirmed.clear()
+        self.refusals.unconfirmed.clear()
         self._is_settling = False
         self._next_reopen_ns = self._now_ns() + _REOPEN_NS
 

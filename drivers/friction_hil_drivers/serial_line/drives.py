@@ -152,15 +152,10 @@ class SerialDrives:
         self._end_ns = end_ns
         limit_ns = end_ns - self._margin_ns if is_real else time.monotonic_ns() + _STEPPED_TIMEOUT_NS
         for lane in self._lanes:
-            conversation = lane.conversation
-            if not (lane.protocol.ahead_chars or conversation.is_finished):
+            if not (lane.protocol.ahead_chars or lane.conversation.is_finished):
                 lane.end_turn(limit_ns)
-            conversation.limit_ns = limit_ns
-            conversation.ask((lane.plan if self._is_commanding else lane.listening).poll)
-            if self._is_heard or conversation.awaited:  # a reply that is awaited is read when all has been asked
-                conversation.go_on()
-            else:
-                conversation.step()
+            # in simulated time the wire is none: what it would take says nothing of when a reply comes
+            lane.poll(limit_ns if is_real else None, is_commanding=self._is_commanding, is_heard=self._is_heard)
         if attend(self._conversations, limit_ns):
             self._timeouts = 0
         elif not is_real:
@@ -171,7 +166,7 @@ class SerialDrives:
         time_s = self._clock.now_ns() * 1e-9
         for told, axis, conversation in zip(feedback, self._axes, self._heard, strict=True):
             axis.fill(told, time_s, conversation.trouble)
-            if conversation.refusals >= _REFUSALS:
+            if conversation.refusals.count >= _REFUSALS:
                 told.message = f"the drive refuses its commands: {conversation.trouble}"
 
     def _note_timeout(self) -> None:
@@ -183,29 +178,22 @@ class SerialDrives:
     def send(self, commands: Sequence[Command]) -> None:
         """Write the commands, or put them where the next poll takes them; a dry run only asks."""
         end_ns = self._end_ns if self._clock.is_real else None
-        steps = {} if self._dry_run else self._steps(commands)
+        time_s = self._clock.now_ns() * 1e-9
+        steps: dict[str, Mapping[str, float]] = {}  # what is to be written beside the commands
+        if not self._dry_run:
+            for axis, command in zip(self._axes, commands, strict=True):
+                if command.request is not Request.LISTEN:
+                    self._is_commanding = True
+                if step := axis.take(command, time_s):
+                    steps[axis.name] = step
         is_said = True
         for lane in self._lanes:
-            if self._is_commanding:
-                lane.send(steps, end_ns)
-            else:
-                lane.take_turn(lane.listening, end_ns)
-            lane.conversation.speak()
-            is_said = is_said and not lane.conversation.queue
+            lane.send(steps, end_ns, is_commanding=self._is_commanding)
+            if lane.conversation.queue:
+                is_said = False
         if not is_said:  # a reply is awaited at the start of the next cycle only
             limit_ns = time.monotonic_ns() + _STEPPED_TIMEOUT_NS if end_ns is None else end_ns
             attend(self._conversations, limit_ns, until_answered=False)
-
-    def _steps(self, commands: Sequence[Command]) -> dict[str, Mapping[str, float]]:
-        """Take the commands; what is to be written beside them, by axis that needs anything."""
-        time_s = self._clock.now_ns() * 1e-9
-        steps: dict[str, Mapping[str, float]] = {}
-        for axis, command in zip(self._axes, commands, strict=True):
-            if command.request is not Request.LISTEN:
-                self._is_commanding = True
-            if step := axis.take(command, time_s):
-                steps[axis.name] = step
-        return steps
 
     def rehearse(self) -> None:
         """Take what came since the cycle before, which the cycle need not do then; see `Drives.rehearse`."""

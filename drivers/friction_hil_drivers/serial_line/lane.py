@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from friction_hil.errors import BusError, DriveError
 from friction_hil_drivers.serial_line.axis import SerialAxis
-from friction_hil_drivers.serial_line.conversation import Conversation
+from friction_hil_drivers.serial_line.conversation import Batch, Conversation
 from friction_hil_drivers.serial_line.line import LineGoneError
 from friction_hil_drivers.serial_line.protocol import Exchange, LineProtocol, Plan
 from friction_hil_drivers.serial_line.wire import wire_s
@@ -15,6 +15,14 @@ from friction_hil_drivers.serial_line.wire import wire_s
 _ATTEMPTS = 5
 _ATTEMPT_S = 0.3
 _TURN_SHARE = 0.25
+
+
+@dataclass(frozen=True, slots=True)
+class _Batches:
+    """What goes out in a cycle in which nothing is unusual."""
+
+    poll: Batch
+    endings: tuple[Batch, ...]  # in turn: the push and one of the turns
 
 
 @dataclass(slots=True)
@@ -40,9 +48,44 @@ class Lane:
     first: int = 0  # axis that may send a step first
     steps: dict[tuple[str, tuple[str, ...]], Exchange] = field(default_factory=dict)
     turn_ns: dict[Exchange, int] = field(default_factory=dict)  # what the push and that turn take
+    _listening: _Batches = field(init=False)
+    _commanding: _Batches = field(init=False)
 
-    def send(self, steps: Mapping[str, Mapping[str, float]], end_ns: int | None) -> None:
-        """Ask for the push and for a step, of one axis and in every second cycle (one has to hear what it did).
+    def __post_init__(self) -> None:
+        self._listening, self._commanding = self._batches(self.listening), self._batches(self.plan)
+
+    def _batches(self, plan: Plan) -> _Batches:
+        endings = [(*plan.push, turn) for turn in plan.turns] or ([plan.push] if plan.push else [])
+        return _Batches(self._batch(plan.poll), tuple(map(self._batch, endings)))
+
+    def _batch(self, exchanges: tuple[Exchange, ...]) -> Batch:
+        return self.conversation.batch(exchanges, self.wire_s(*exchanges))
+
+    def poll(self, limit_ns: int | None, *, is_commanding: bool, is_heard: bool) -> None:
+        """Ask for the feedback of a cycle.
+
+        Parameters
+        ----------
+        limit_ns : int or None
+            When it has to be there: what would come later is not asked.
+        is_commanding : bool
+            As planned for a cycle in which all is written; else for one in which nothing is.
+        is_heard : bool
+            What has come before was read a moment ago.
+        """
+        conversation = self.conversation
+        conversation.limit_ns = limit_ns
+        batch = (self._commanding if is_commanding else self._listening).poll
+        if is_heard and conversation.say_at_once(batch, limit_ns):
+            return
+        conversation.ask(batch.exchanges)
+        if is_heard or conversation.awaited:  # a reply that is awaited is read when all has been asked
+            conversation.go_on()
+        else:
+            conversation.step()
+
+    def send(self, steps: Mapping[str, Mapping[str, float]], end_ns: int | None, *, is_commanding: bool) -> None:
+        """Write the push, and a step of one axis in every second cycle (one has to hear what it did).
 
         Where no step is due, one of the turns follows: so late that no command has to wait for it. Its reply is
         there when the next cycle begins.
@@ -53,12 +96,22 @@ class Lane:
             What is to be written for the state that is wanted, by axis; of those that need anything.
         end_ns : int or None
             When the next cycle begins; a turn that would reach into that is left out.
+        is_commanding : bool
+            As in `poll`; otherwise there are no steps.
         """
-        may_step = bool(steps) and not self.is_step_sent
-        self.is_step_sent = may_step and self._take_step(steps)
-        self.conversation.ask(self.plan.push)
+        conversation = self.conversation
+        endings = (self._commanding if is_commanding else self._listening).endings
+        if endings and not steps:
+            place = (self.turn + 1) % len(endings)
+            if conversation.say_at_once(endings[place], end_ns):
+                self.turn, self.is_step_sent = place, False
+                return
+        plan = self.plan if is_commanding else self.listening
+        self.is_step_sent = bool(steps) and not self.is_step_sent and self._take_step(steps)
+        conversation.ask(plan.push)
         if not self.is_step_sent:
-            self.take_turn(self.plan, end_ns)
+            self._take_turn(plan, end_ns)
+        conversation.speak()
 
     def _take_step(self, steps: Mapping[str, Mapping[str, float]]) -> bool:
         """Ask for a step of the next axis that has one; whether there is any."""
@@ -70,7 +123,7 @@ class Lane:
                 return True
         return False
 
-    def take_turn(self, plan: Plan, end_ns: int | None) -> None:
+    def _take_turn(self, plan: Plan, end_ns: int | None) -> None:
         """Ask for what changes slowly, for the next of the turns, if that is answered before the next cycle."""
         if not plan.turns:
             return
@@ -172,30 +225,25 @@ def attend(conversations: Sequence[Conversation], limit_ns: int, *, until_answer
     bool
         Whether that is done.
     """
-    while not _are_done(conversations, until_answered):
+    while True:
+        lines: list[int] = []
+        for conversation in conversations:
+            if conversation.queue or (until_answered and conversation.awaited):
+                # open: a line that is gone has nothing to say
+                lines.append(conversation.line.descriptor)  # noqa: PERF401  a comprehension is one function more
+        if not lines:
+            return True
         now = time.monotonic_ns()
         if now >= limit_ns:
             return False
-        next_ns, lines = limit_ns, []
+        next_ns = limit_ns
         for conversation in conversations:
-            due = conversation.due_ns
-            if due is not None and due < next_ns:
+            # who awaits a reply has no other date: asked several times a cycle
+            if not conversation.awaited and (due := conversation.due_ns) is not None and due < next_ns:
                 next_ns = due
-            descriptor = conversation.line.descriptor
-            if descriptor >= 0 and (conversation.queue or conversation.awaited):
-                lines.append(descriptor)
         ready = select.select(lines, (), (), (next_ns - now) * 1e-9 if next_ns > now else 0.0)[0]
         for conversation in conversations:
             if conversation.line.descriptor in ready:
                 conversation.step(is_ready=True)
             elif (due := conversation.due_ns) is not None and due <= time.monotonic_ns():
                 conversation.step()
-    return True
-
-
-def _are_done(conversations: Sequence[Conversation], until_answered: bool) -> bool:
-    """Whether all has been sent, and answered if that is wanted."""
-    for conversation in conversations:  # noqa: SIM110  asked several times a cycle: no generator
-        if conversation.queue or (until_answered and conversation.awaited):
-            return False
-    return True
