@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from friction_hil.errors import UsageError
-from friction_hil.identification.fine import LEAST_RATE_HZ
+from friction_hil.identification.fine import is_fast
 from friction_hil.jit import Array
 from friction_hil.servo.trajectory import Sweep, sweeps_path
 
@@ -81,7 +81,7 @@ def plan(
             raise UsageError(f"an experiment needs {name} above zero and finite, not {value:g}")
     if not LEAST_S <= duration_s < math.inf:
         raise UsageError(f"an experiment takes {LEAST_S:g} s or more, not {duration_s:g} s")
-    is_presliding_seen = period_s * LEAST_RATE_HZ <= 1.0
+    is_presliding_seen = period_s == 0.0 or is_fast(1.0 / period_s)
     shares = _SHARES if is_presliding_seen else [share / sum(_SHARES[:2]) for share in _SHARES[:2]]
     acceleration *= _SINE_SHARE
     slowest = _LEAST_PERIODS / (shares[0] * duration_s)

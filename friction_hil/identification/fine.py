@@ -23,6 +23,7 @@ from friction_hil.identification.data import Data, Record
 from friction_hil.jit import Array
 
 LEAST_RATE_HZ = 500.0
+_RATE_SLACK = 1e-3  # of it: a rate that comes from time stamps or from a period is rounded
 LEAST_S = 5.0  # of a record; its first and last second only let filters and states settle
 SLOWEST_SWING_HZ = 8.0
 _FASTEST_SWING_HZ = 80.0
@@ -105,12 +106,17 @@ class FineRecord(Record):
         return np.ascontiguousarray(kept[first : first + -(-(len(values) - 2 * edge) // every)])
 
 
+def is_fast(rate_hz: float) -> bool:
+    """Whether samples come often enough to show presliding: `LEAST_RATE_HZ` or more."""
+    return rate_hz >= (1.0 - _RATE_SLACK) * LEAST_RATE_HZ
+
+
 def is_fine(record: Record) -> bool:
     """Whether a record can be brought to fine steps: known counts, sampled fast and for long enough, all rows count."""
     if record.is_moving is not None:
         return False
     rate = record.rate_hz
-    return record.resolution is not None and rate >= LEAST_RATE_HZ and len(record.encoder) >= LEAST_S * rate
+    return record.resolution is not None and is_fast(rate) and len(record.encoder) >= LEAST_S * rate
 
 
 def is_presliding_excited(record: Record) -> bool:

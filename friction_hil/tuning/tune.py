@@ -19,7 +19,7 @@ from friction_hil.identification import Fit, Identification, identify, structure
 from friction_hil.identification import Settings as IdentificationSettings
 from friction_hil.identification.choice import is_determined
 from friction_hil.identification.export import as_model_file
-from friction_hil.identification.fine import LEAST_RATE_HZ
+from friction_hil.identification.fine import is_fast
 from friction_hil.identification.identify import chosen_families
 from friction_hil.identification.refine import is_dynamic
 from friction_hil.recordings import Recording, read, read_all
@@ -213,7 +213,7 @@ class _Tuner:
         axis = self._configuration.axes[name]
         kind, bounds = axis.model.axis, experiment_of(name, axis)
         settings = IdentificationSettings(families=self._settings.families, axis=kind)
-        if self._configuration.period_s * LEAST_RATE_HZ > 1.0:  # too slow to see presliding, and what follows from it
+        if not is_fast(1.0 / self._configuration.period_s):  # too slow to see presliding, and what follows from it
             static = tuple(family for family in structures.families() if models.describe(family).is_static)
             settings = replace(
                 settings, families=settings.families or static, least_speed=_LEAST_SPEED * bounds.velocity

@@ -16,7 +16,7 @@ from friction_hil.errors import RecordingError, UsageError
 from friction_hil.identification import Identification, Settings, experiment, identify
 from friction_hil.identification.data import prepare
 from friction_hil.identification.export import as_json, as_model_file
-from friction_hil.identification.fine import is_presliding_excited, velocity_by_bands
+from friction_hil.identification.fine import is_fine, is_presliding_excited, velocity_by_bands
 from friction_hil.recordings import Recording
 from friction_hil.servo.config import ServoConfig
 from friction_hil.servo.servo import Servo
@@ -306,6 +306,17 @@ def test_a_configuration_can_ask_for_the_experiment() -> None:
 def test_an_experiment_faster_than_the_limit_is_refused() -> None:
     with pytest.raises(UsageError, match="moves at up to 2"):
         configured(limits={"torque": 0.3, "velocity": 1.5})
+
+
+@pytest.mark.parametrize("first", range(0, 50, 7))
+def test_at_the_least_rate_it_does_not_matter_how_time_stamps_are_rounded(first: int) -> None:
+    """Of stamps every 2 ms the mean distance is 1 / 499.99999999999994 s as often as not."""
+    cycle = np.arange(first, first + 10_541)
+    position = COUNT * np.round(np.sin(1e-2 * cycle) / COUNT)
+    for period, is_fast in ((2e-3, True), (2.1e-3, False)):
+        columns = {"time_s": period * cycle, "position": position, "torque": np.sin(1e-2 * cycle)}
+        [record] = prepare(Recording("stamps.csv", "x", columns))
+        assert is_fine(record) is is_fast
 
 
 def test_where_sampling_is_too_slow_for_presliding_the_slow_sweeps_take_all_the_time() -> None:
