@@ -310,7 +310,7 @@ class Problem:
                 at = solution.at
                 torque, _ = self.friction(at)
                 linear = self.linear(torque, weights=weights, pinned=pinned)
-                wrong = [name for name, value in linear.items() if _is_positive(name) and value < 0.0]
+                wrong = [name for name, value in linear.items() if is_positive(name) and value < 0.0]
                 if not wrong:
                     break
                 pinned += wrong
@@ -346,7 +346,8 @@ def _rows(values: Array, rows: Mask | None, weights: Array | None) -> Array:
     return values if rows is None else values[rows]
 
 
-def _is_positive(name: str) -> bool:
+def is_positive(name: str) -> bool:
+    """Whether a linear parameter stays at or above zero."""
     return name.rpartition(".")[2] in _POSITIVE
 
 

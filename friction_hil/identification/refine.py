@@ -19,7 +19,7 @@ from friction_hil.identification import structures
 from friction_hil.identification.data import Data, linear_column
 from friction_hil.identification.fine import ROWS_HZ, FineRecord, local_rms, recounted
 from friction_hil.identification.inference import Inference, infer
-from friction_hil.identification.problem import Estimate, Problem
+from friction_hil.identification.problem import Estimate, Problem, is_positive
 from friction_hil.identification.structures import Scales, Structure
 from friction_hil.jit import Array
 
@@ -162,6 +162,8 @@ def _corrected(
         **estimate.values,
         **{name: estimate.values[name] - x for name, x in zip(names, shift.tolist(), strict=True)},
     }
+    below = tuple(name for name in problem.keys if is_positive(name) and values[name] < 0.0)
+    values.update(dict.fromkeys(below, 0.0))
     notes = []
     coordinates, is_inside = estimate.coordinates.copy(), True
     for i, each in enumerate(structure.coordinates):
@@ -176,7 +178,8 @@ def _corrected(
         values.update(structure.values(coordinates))  # tied ones
         linear = {name: values[name] for name in problem.keys}
         residual = problem.data.torque - problem.predict(coordinates, linear)
-        estimate = replace(estimate, values=values, coordinates=coordinates, residual=residual)
+        at_bound = tuple(dict.fromkeys((*estimate.at_bound, *below)))
+        estimate = replace(estimate, values=values, coordinates=coordinates, residual=residual, at_bound=at_bound)
     else:
         notes.append("the shift by the encoder's counts would leave the bounds: it is in the errors, not taken off")
     doubt = _SHIFT_DOUBT if is_inside else 1.0

@@ -16,7 +16,9 @@ from friction_hil.errors import RecordingError, UsageError
 from friction_hil.identification import Identification, Settings, experiment, identify
 from friction_hil.identification.data import prepare
 from friction_hil.identification.export import as_json, as_model_file
-from friction_hil.identification.fine import is_fine, is_presliding_excited, velocity_by_bands
+from friction_hil.identification.fine import fine_data, is_fine, is_presliding_excited, velocity_by_bands
+from friction_hil.identification.problem import Problem
+from friction_hil.identification.refine import _corrected
 from friction_hil.recordings import Recording
 from friction_hil.servo.config import ServoConfig
 from friction_hil.servo.servo import Servo
@@ -128,6 +130,25 @@ def test_unrefined_the_same_recording_does_not_tell_damping() -> None:
     fit = found(recorded(0), refine=False).best
     assert not fit.is_refined
     assert abs(fit.values["sigma1"] / LUGRE["sigma1"] - 1.0) > 0.2
+
+
+def test_taking_the_shift_off_leaves_viscous_friction_and_inertia_at_zero_or_above(
+    results: list[Identification],
+) -> None:
+    """A shift as large as the parameter itself: more taken off would be friction that drives the axis."""
+    fit = results[0].best
+    problem = Problem(fine_data(results[0].records, is_mean=True), fit.structure, ["inertia", "offset"])
+    estimate = problem.estimate(fit.coordinates)
+    size = np.array([{"sigma2": 1.5, "offset": 3.0}.get(name, 1e-3) * estimate.values[name] for name in estimate.names])
+    shifts = size * np.array([[0.9], [1.1]])
+
+    corrected, _, notes = _corrected(problem, estimate, fit.inference, shifts)
+
+    assert (corrected.values["sigma2"], corrected.at_bound, notes) == (0.0, ("sigma2",), [])
+    assert corrected.values["offset"] * estimate.values["offset"] < 0.0, "an offset may have any sign"
+    assert corrected.values["coulomb"] == pytest.approx(0.999 * estimate.values["coulomb"], rel=1e-5)
+    model = fit.structure.model({name: corrected.values[name] for name in fit.structure.names})
+    assert model.parameters["sigma2"] == 0.0
 
 
 def short(resolution: float | None, frequency: float, amplitude: float, seconds: float = 8.0) -> Recording:
