@@ -11,10 +11,10 @@ from friction_hil.drive import AxisFacts
 from friction_hil.jit import Record
 from friction_hil.safety import Limits
 from friction_hil.servo.control import CONTROLLER
-from friction_hil.servo.trajectory import Path, circle_path, sine_path, still_path, sweeps_path, triangle_path
+from friction_hil.servo.trajectory import Path, Sweep, circle_path, sine_path, still_path, sweeps_path, triangle_path
 
 if TYPE_CHECKING:
-    from friction_hil.config import AxisConfig, ModelFile
+    from friction_hil.config import AxisConfig, ExperimentBounds, ModelFile
 
 _LEAST_RAMP_S = 0.1
 
@@ -80,20 +80,28 @@ def make_path(config: "AxisConfig", position_resolution: float, period_s: float)
     if motion.kind == "triangle":
         return triangle_path(motion.amplitude, motion.frequency, motion.rounding)
     if motion.kind == "experiment":
-        from friction_hil.identification import experiment  # what identifies is no part of the loop otherwise
-
-        acceleration = math.inf if motion.acceleration is None else motion.acceleration
-        return sweeps_path(
-            experiment.plan(
-                motion.velocity,
-                motion.travel,
-                position_resolution,
-                motion.duration_s,
-                acceleration=acceleration,
-                period_s=period_s,
-            )
-        )
+        return sweeps_path(experiment_sweeps(motion, position_resolution, period_s))
     return still_path
+
+
+def experiment_sweeps(motion: "ExperimentBounds", position_resolution: float, period_s: float) -> tuple[Sweep, ...]:
+    """Sweeps of an experiment within these bounds; the arguments are those of `make_path`.
+
+    Raises
+    ------
+    UsageError
+        The encoder is too coarse.
+    """
+    from friction_hil.identification import experiment  # what identifies is no part of the loop otherwise
+
+    return experiment.plan(
+        motion.velocity,
+        motion.travel,
+        position_resolution,
+        motion.duration_s,
+        acceleration=math.inf if motion.acceleration is None else motion.acceleration,
+        period_s=period_s,
+    )
 
 
 def make_limits(config: "AxisConfig") -> Limits:

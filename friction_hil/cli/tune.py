@@ -159,7 +159,7 @@ def _axis(axis: "AxisTuning") -> dict[str, Any]:
         "model": best.fit.label,
         "file": axis.file,
         "in_place": axis.is_in_place,
-        "reason": axis.identification.reason,
+        "reason": best.identification.reason,
         "flags": best.fit.flags,
         "parameters": best.fit.friction[0],
         "mechanics": best.model["mechanics"],

@@ -130,6 +130,11 @@ def demand(time_s: ArrayLike, sweeps: tuple[Sweep, ...]) -> tuple[Array, Array]:
     return np.ascontiguousarray(points[:, 0]), np.ascontiguousarray(points[:, 1])
 
 
+def sliding_s(sweeps: tuple[Sweep, ...]) -> float:
+    """Length of the slow sweeps, s, which come first: an axis slides in them, and in the others hardly."""
+    return duration_s(tuple(sweep for sweep in sweeps if sweep.frequency < _PRESLIDING_HZ[0]))
+
+
 def duration_s(sweeps: tuple[Sweep, ...]) -> float:
     """Length of all sweeps together, s."""
     return math.fsum(sweep.duration_s for sweep in sweeps)

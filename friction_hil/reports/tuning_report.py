@@ -23,7 +23,7 @@ _NO_FREE_RUN = {"relative_error": None, "reason": "the machine itself has tried 
 
 
 def write_reports(folder: Path, tuning: "Tuning") -> Path:
-    """Write ``report.html`` and ``AXIS_identification.html`` for each axis; return the path of the first.
+    """Write ``report.html`` and a page on each identification; return the path of the first.
 
     Raises
     ------
@@ -33,7 +33,8 @@ def write_reports(folder: Path, tuning: "Tuning") -> Path:
     from friction_hil.reports.identification_report import write_report
 
     for name, axis in tuning.axes.items():
-        write_report(folder / _identification(name), axis.identification, _NO_FREE_RUN)
+        for file, candidate in _identifications(name, axis):
+            write_report(folder / file, candidate.identification, _NO_FREE_RUN)
     body = "<h1>Friction, learned on the drive</h1>" + "".join(
         _section(name, axis) for name, axis in tuning.axes.items()
     )
@@ -51,7 +52,7 @@ def write_reports(folder: Path, tuning: "Tuning") -> Path:
 def figures(axis: "AxisTuning", candidate: "Candidate") -> Iterator[tuple[str, ...]]:
     """RMS and peak of the following error: name with unit, without, with compensation, how many times lower."""
     trial = candidate.trial
-    unit = "rad" if axis.identification.settings.axis == "rotary" else "m"
+    unit = "rad" if axis.best.identification.settings.axis == "rotary" else "m"
     factor, shown = readable(unit, [trial.uncompensated.rms, trial.compensated.rms])
     for name in ("rms", "peak"):
         values = (getattr(part, name) * factor for part in (trial.uncompensated, trial.compensated))
@@ -59,8 +60,13 @@ def figures(axis: "AxisTuning", candidate: "Candidate") -> Iterator[tuple[str, .
         yield f"{name} [{shown}]", *map(digits, values), digits(reduction, 2) if math.isfinite(reduction) else "-"
 
 
-def _identification(name: str) -> str:
-    return f"{name}_identification.html"
+def _identifications(name: str, axis: "AxisTuning") -> Iterator[tuple[str, "Candidate"]]:
+    """Name of the page on each identification, and the first candidate that came of it."""
+    first: dict[int, Candidate] = {}
+    for each in axis.candidates:
+        first.setdefault(id(each.identification), each)
+    for number, each in enumerate(first.values(), start=1):
+        yield f"{name}_identification{f'_{number}' if number > 1 else ''}.html", each
 
 
 def _section(name: str, axis: "AxisTuning") -> str:
@@ -71,10 +77,12 @@ def _section(name: str, axis: "AxisTuning") -> str:
         label = f"<strong>{html.escape(each.fit.label)}</strong>" if each is best else html.escape(each.fit.label)
         rows += [("" if k else label, *row) for k, row in enumerate(figures(axis, each))]
     header = ("", "following error", "without", "with compensation", "times lower")
-    link = f'<a href="{_identification(name)}">how the models were identified, and how sure they are</a>'
+    links = ", ".join(
+        f'<a href="{file}">{html.escape(each.fit.label)}</a>' for file, each in _identifications(name, axis)
+    )
     return f"""
 <h2>{html.escape(name)}: {html.escape(best.fit.label)}</h2>
-<p>{verdict}; {link}.</p>
+<p>{verdict}. How the models were identified, and how sure they are: {links}.</p>
 {table(header, rows, ("text",))}
 {picture(_draw(axis), _CAPTION, "wide")}
 """
@@ -87,7 +95,7 @@ def _draw(axis: "AxisTuning") -> "Figure":
     from matplotlib.figure import Figure
 
     best = axis.best.trial
-    unit = "rad" if axis.identification.settings.axis == "rotary" else "m"
+    unit = "rad" if axis.best.identification.settings.axis == "rotary" else "m"
     factor, shown = readable(unit, [best.uncompensated.rms, best.compensated.rms])
     figure = Figure(figsize=(10.0, 3.4), facecolor="white", layout="constrained")
     axes = figure.subplots()

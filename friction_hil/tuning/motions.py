@@ -2,8 +2,9 @@
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 
-from friction_hil.assembly import ramp_s
+from friction_hil.assembly import experiment_sweeps, ramp_s
 from friction_hil.config import (
     AxisConfig,
     Compensation,
@@ -16,7 +17,10 @@ from friction_hil.config import (
     Trajectory,
 )
 from friction_hil.errors import FrictionHilError, OptionError
+from friction_hil.identification import experiment
+from friction_hil.recordings import Recording
 from friction_hil.reports.following import SETTLE_S
+from friction_hil.safety import LoopState
 
 _REST_S = 0.5  # behind a motion
 _TRIAL_S = 4.0  # of steady motion at least, without and with compensation
@@ -67,6 +71,32 @@ def experiment_run(configuration: Configuration, name: str) -> tuple[Configurati
     axes[name] = axes[name].model_copy(update={"trajectory": motion})
     run = configuration.model_copy(update={"axes": axes})
     return run, motion.duration_s + ramp_s(axes.values()) + _REST_S
+
+
+def sliding_part(recording: Recording, configuration: Configuration) -> Recording:
+    """The slow sweeps of the experiment of an axis, for models that know nothing of presliding.
+
+    In the fast ones torque goes with the position, as of a spring: any map of the velocity would be a compromise.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of the run of `experiment_run`.
+    configuration : Configuration
+        From which that run was made.
+    """
+    name = recording.axis
+    run, _ = experiment_run(configuration, name)
+    [facts] = (each for each in recording.metadata["facts"] if each["name"] == name)
+    bounds = experiment_of(name, configuration.axes[name])
+    sweeps = experiment_sweeps(bounds, facts["position_resolution"], configuration.period_s)
+    cycle = recording["cycle"]
+    start = cycle[recording["state"] == LoopState.RUNNING][0]
+    length_s = 0.5 * ramp_s(run.axes.values()) + experiment.sliding_s(
+        sweeps
+    )  # the path starts by half of its ramp late
+    is_kept = cycle < start + length_s / configuration.period_s
+    return replace(recording, columns={key: values[is_kept] for key, values in recording.columns.items()})
 
 
 def trial_run(configuration: Configuration, models: Mapping[str, ModelFile]) -> tuple[Configuration, float]:

@@ -3,7 +3,7 @@
 import contextlib
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,8 +14,8 @@ import numpy as np
 from friction_hil import models
 from friction_hil.assembly import ramp_s
 from friction_hil.config import AxisConfig, Configuration, ModelFile, dump
-from friction_hil.errors import FrictionHilError, OptionError, UsageError, choices
-from friction_hil.identification import Fit, Identification, identify, structures
+from friction_hil.errors import FrictionHilError, OptionError, RecordingError, UsageError, choices
+from friction_hil.identification import Fit, Identification, identify
 from friction_hil.identification import Settings as IdentificationSettings
 from friction_hil.identification.choice import is_determined
 from friction_hil.identification.export import as_model_file
@@ -25,10 +25,10 @@ from friction_hil.identification.refine import is_dynamic
 from friction_hil.recordings import Recording, read, read_all
 from friction_hil.session import SessionResult, SessionSettings, run_session
 from friction_hil.stop import stop_on_signals
-from friction_hil.tuning.motions import TuningError, experiment_of, experiment_run, trial_run
+from friction_hil.tuning.motions import TuningError, experiment_of, experiment_run, sliding_part, trial_run
 from friction_hil.tuning.trial import Trial, judge
 
-_LEAST_SPEED = 0.02  # of the highest: below, where presliding is not seen, friction is whatever holds the axis
+_LEAST_SPEED = 0.05  # of the highest: below, to a model without presliding friction is whatever holds the axis
 _LOOK_S = 0.02  # over which a speed is looked at: no count of an encoder matters
 _SWINGING = 2.0  # times the speed that was asked for
 
@@ -77,6 +77,7 @@ class Settings:
 class Candidate:
     """A model that was tried on the machine."""
 
+    identification: Identification
     fit: Fit
     model: dict[str, Any]
     trial: Trial
@@ -88,16 +89,14 @@ class AxisTuning:
 
     Attributes
     ----------
-    identification : Identification
     candidates : tuple of Candidate
-        What was tried; the first is the one that the identification chose.
+        What was tried.
     file : Path
         Model file of the best of them.
     is_in_place : bool
         Whether it stands where the configuration looks for it.
     """
 
-    identification: Identification
     candidates: tuple[Candidate, ...]
     file: Path
     is_in_place: bool
@@ -132,8 +131,8 @@ def tune(configuration: Configuration, settings: Settings, talk: Talk) -> Tuning
     """Let axes learn their friction.
 
     One after another they make their experiment, the others being held. Of each recording friction model and mechanics
-    are identified; then all of them move once without, once with compensation by the model that was chosen, and once
-    more with the best one of the other kind, static or dynamic: what counts in the end is the following error of the
+    are identified, dynamic models of all of it and static ones of where the axis slides; then all of them move once
+    without, once with compensation by the best one of each kind: what counts in the end is the following error of the
     machine. A model that helped is put where the configuration names a file that is not there yet; a file that is
     there stays as it is.
 
@@ -180,7 +179,7 @@ class _Tuner:
         for k in range(max(map(len, choice.values()))):
             fits = {name: each[min(k, len(each) - 1)] for name, each in choice.items()}
             try:
-                candidates = self._tried(fits, found, k + 1)
+                candidates = self._tried(fits, k + 1)
             except FrictionHilError as error:
                 if not k:
                     raise  # else the first models have been tried, and are worth keeping
@@ -190,7 +189,7 @@ class _Tuner:
                 if k < len(choice[name]):
                     tried[name].append(candidates[name])
         for name in self._names:
-            self._result.axes[name] = self._kept(name, found[name], tuple(tried[name]))
+            self._result.axes[name] = self._kept(name, tuple(tried[name]))
         return self._result
 
     def _experiment(self, name: str) -> Path:
@@ -208,32 +207,51 @@ class _Tuner:
         _refuse_swinging(read(path, name), bounds.velocity, unit)
         return path
 
-    def _identified(self, name: str, path: Path) -> Identification:
-        """Identify an axis from its experiment, and write the model that is chosen."""
-        axis = self._configuration.axes[name]
-        kind, bounds = axis.model.axis, experiment_of(name, axis)
-        settings = IdentificationSettings(families=self._settings.families, axis=kind)
-        if not is_fast(1.0 / self._configuration.period_s):  # too slow to see presliding, and what follows from it
-            static = tuple(family for family in structures.families() if models.describe(family).is_static)
-            settings = replace(
-                settings, families=settings.families or static, least_speed=_LEAST_SPEED * bounds.velocity
-            )
-        recording = _with_torque(read(path, name), axis.mode)
+    def _identified(self, name: str, path: Path) -> list[Identification]:
+        """Identify an axis from its experiment, and write the first model."""
+        recording = _with_torque(read(path, name), self._configuration.axes[name].mode)
         for problem in recording.problems:
             self._talk.tell(f"{name}: {problem}")
+        found = []
         with self._talk.working(f"{name}: identifying friction and inertia") as show:
-            result = identify([recording], settings, progress=lambda label: show(f"{name}: fitting {label}"))
-        self._talk.tell(f"{name}: {result.best.label}: {result.reason}")
-        self._write(name, self._model(name, result, result.best))
-        return result
+            for part, settings in self._views(name, recording):
+                try:
+                    found.append(identify([part], settings, progress=lambda label: show(f"{name}: fitting {label}")))
+                except RecordingError as error:  # e.g. an axis that hardly slides
+                    if not found:
+                        raise
+                    self._talk.tell(f"{name}: no static model: {error}")
+        tried = [fit for _, fit in _candidates(found)]
+        for each in found:
+            self._talk.tell(f"{name}: {each.best.label}: {each.reason}")
+            if each.best not in tried:
+                self._talk.tell(f"{name}: {each.best.label} is not tried: the data do not determine its parameters")
+        self._write(name, self._model(name, found[0], found[0].best))
+        return found
 
-    def _tried(self, fits: dict[str, Fit], found: dict[str, Identification], number: int) -> dict[str, Candidate]:
+    def _views(self, name: str, recording: Recording) -> Iterator[tuple[Recording, IdentificationSettings]]:
+        """What of an experiment is looked at, and for which models: dynamic ones, then static ones."""
+        axis, wanted = self._configuration.axes[name], self._settings.families
+        families = chosen_families(wanted)
+        static = tuple(family for family in families if models.describe(family).is_static)
+        dynamic = tuple(family for family in families if family not in static)
+        least_speed = _LEAST_SPEED * experiment_of(name, axis).velocity
+        sliding = IdentificationSettings(families=static, axis=axis.model.axis, least_speed=least_speed)
+        if not is_fast(1.0 / self._configuration.period_s):  # too slow to see presliding, and what follows from it
+            yield recording, replace(sliding, families=wanted or static)
+            return
+        if dynamic:
+            yield recording, IdentificationSettings(families=dynamic, axis=axis.model.axis)
+        if static:
+            yield sliding_part(recording, self._configuration), sliding
+
+    def _tried(self, fits: dict[str, tuple[Identification, Fit]], number: int) -> dict[str, Candidate]:
         """Run the machine with a model for each axis."""
-        files = {name: self._model(name, found[name], fit) for name, fit in fits.items()}
+        files = {name: self._model(name, *each) for name, each in fits.items()}
         run, duration_s = trial_run(
             self._configuration, {name: ModelFile.model_validate(model) for name, model in files.items()}
         )
-        labels = ", ".join(f"{name} by {fit.label}" for name, fit in fits.items())
+        labels = ", ".join(f"{name} by {fit.label}" for name, (_, fit) in fits.items())
         motions = ", ".join(f"{name}: {run.axes[name].trajectory.kind}" for name in fits)
         self._talk.confirm(
             f"the axes move ({motions}) for {duration_s:.0f} s, the first half without compensation, then {labels}"
@@ -241,20 +259,20 @@ class _Tuner:
         recordings = read_all(self._run(run, duration_s, f"trial_{number}.mcap"))
         start_s = ramp_s(run.axes.values())
         return {
-            name: Candidate(fit, files[name], judge(recordings[name], run.axes[name], run.period_s, start_s))
-            for name, fit in fits.items()
+            name: Candidate(*each, files[name], judge(recordings[name], run.axes[name], run.period_s, start_s))
+            for name, each in fits.items()
         }
 
-    def _kept(self, name: str, found: Identification, candidates: tuple[Candidate, ...]) -> AxisTuning:
+    def _kept(self, name: str, candidates: tuple[Candidate, ...]) -> AxisTuning:
         """Write the best model of an axis: into the folder, and where the configuration waits for it."""
-        best = AxisTuning(found, candidates, Path(), False).best
+        best = AxisTuning(candidates, Path(), False).best
         model = {**best.model, "fit": {**best.model["fit"], "trial": best.trial.figures}}
         file = self._write(name, model)
         wanted = self._configuration.axes[name].model.source_path
         is_in_place = wanted is not None and not wanted.exists() and best.trial.has_helped
         if wanted is not None and is_in_place:
             file = _written(wanted, model)
-        return AxisTuning(found, candidates, file, is_in_place)
+        return AxisTuning(candidates, file, is_in_place)
 
     def _write(self, name: str, model: dict[str, Any]) -> Path:
         return _written(self._settings.folder / f"{name}.yaml", model)
@@ -348,17 +366,24 @@ def _with_torque(recording: Recording, mode: str) -> Recording:
     return recording
 
 
-def _candidates(found: Identification) -> list[Fit]:
-    """The fit that was chosen, and the best one of the other kind, static or dynamic, that the data determine."""
-    best = found.best
-    others = [
-        each
-        for each in found.fits[1:]
-        if is_dynamic(each.structure) is not is_dynamic(best.structure)
-        and math.isfinite(each.held_out.rmse)
-        and is_determined(each)
-    ]
-    return [best, *others[:1]]
+def _candidates(found: Sequence[Identification]) -> list[tuple[Identification, Fit]]:
+    """The best sound static fit and the best sound dynamic one, in the order in which they were looked for."""
+    fits: dict[bool, tuple[Identification, Fit]] = {}
+    for identification in found:
+        for fit in identification.fits:
+            if math.isfinite(fit.held_out.rmse) and _is_sound(fit):
+                fits.setdefault(is_dynamic(fit.structure), (identification, fit))
+    return list(fits.values()) or [(found[0], found[0].best)]
+
+
+def _is_sound(fit: Fit) -> bool:
+    """Whether the data determine a fit, and no parameter of a static one ran into a bound.
+
+    Around a reversal presliding looks like a level near zero at standstill; fed forward by a model that has no
+    presliding, that takes the torque away just where the axis reverses.
+    """
+    is_at_bound = any(each.name in fit.estimate.at_bound for each in fit.structure.coordinates)
+    return is_determined(fit) and (is_dynamic(fit.structure) or not is_at_bound)
 
 
 def _names(configuration: Configuration, wanted: Sequence[str]) -> tuple[str, ...]:

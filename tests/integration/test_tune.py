@@ -124,6 +124,22 @@ def test_of_two_kinds_of_model_the_machine_decides_and_a_file_that_is_there_stay
         run("run", configuration, "--pace", "sync", "--duration", 0.5)
 
 
+def test_a_static_model_is_learned_where_the_axis_slides(tmp_path) -> None:
+    """Of a linear axis whose fast sweeps hardly leave presliding, which no map of the velocity explains."""
+    linear = {
+        "experiment": {"velocity": 0.5, "travel": 0.2, "duration_s": 10.0, "ramp_s": 0.25, "axis": "linear"},
+        "simulation": {"mechanics": {"axis": "linear"}, "encoder": {"counts": 1_000_000}},
+        "trajectory": {"kind": "sine", "amplitude": 0.1, "frequency": 0.5, "ramp_s": 0.25},
+    }
+    configuration = configured("canopen", tmp_path, **linear, counts_per_unit=1e6, rated_torque=0.64)
+
+    result, _ = tuned(configuration, "--models", "coulomb")
+
+    assert 0.8 * TRUE_FRICTION["coulomb"] < result["axes"]["x"]["parameters"]["coulomb"] < TRUE_FRICTION["static"]
+    [tried] = result["axes"]["x"]["tried"]
+    assert min(tried["reduction"].values()) > 2.0
+
+
 def test_a_model_that_does_not_help_is_not_put_to_use(tmp_path) -> None:
     configuration = configured("modbus rtu", tmp_path, compensation={"gain": 0.0, "fade_s": 0.1})
 

@@ -16,9 +16,16 @@ from friction_hil.errors import OptionError, RecordingError
 from friction_hil.recordings import Recording
 from friction_hil.reports.following import RECOVERY_S, SETTLE_S, Figures
 from friction_hil.safety import LoopState
-from friction_hil.servo.trajectory import extent
+from friction_hil.servo.trajectory import PathTime, Trajectory, extent
 from friction_hil.tuning import Tuning
-from friction_hil.tuning.motions import TuningError, experiment_of, experiment_run, period_s, trial_run
+from friction_hil.tuning.motions import (
+    TuningError,
+    experiment_of,
+    experiment_run,
+    period_s,
+    sliding_part,
+    trial_run,
+)
 from friction_hil.tuning.trial import Trial, judge
 from friction_hil.tuning.tune import AxisTuning, Candidate
 from tests.servo_drives import PERIOD_S, axis_dict
@@ -107,6 +114,36 @@ def test_a_compensation_that_needs_the_inertia_is_not_tried_without_it(needy) ->
     assert trial_run(configuration, {"x": model})
     with pytest.raises(TuningError, match="x: the experiment does not show the inertia"):
         trial_run(configuration, {"x": unknown})
+
+
+def test_static_models_are_shown_where_an_axis_slides_and_none_of_its_presliding() -> None:
+    """Of an experiment whose path begins amid the recording: the slow sweeps, up to where the fast ones begin."""
+    configuration = machine(x=axis(), y=axis())
+    run, duration = experiment_run(configuration, "x")
+    path_time = PathTime(ramp_s(run.axes.values()))
+    motion = Trajectory(make_path(run.axes["x"], COUNT, PERIOD_S), path_time)
+    motion.begin_at(0.0)
+    path_time.start(0.7)
+    time = np.arange(0.0, duration + 0.7, PERIOD_S)
+    demand = np.array([motion.at(t).position for t in time.tolist()])
+    columns = {
+        "cycle": 30.0 + np.arange(len(time)),
+        "state": np.where(time < 0.7, float(LoopState.ENABLING), float(LoopState.RUNNING)),
+        "position_demand": demand,
+    }
+    facts = [{"name": name, "position_resolution": resolution} for name, resolution in (("y", 1.0), ("x", COUNT))]
+    whole = Recording("x_experiment.mcap", "x", columns, {"facts": facts})
+
+    part = sliding_part(whole, configuration)
+
+    kept, rest = np.split(demand, [len(part)])
+    assert np.array_equal(part["position_demand"], kept)
+    assert np.array_equal(part["cycle"], columns["cycle"][: len(part)])
+    for positions, shortest, longest in ((kept, 1.0 / 9.0, math.inf), (rest, 0.0, 1.0 / 9.0)):
+        reversals = np.flatnonzero(np.diff(np.sign(np.diff(positions[positions != 0.0]))))
+        period = 2.0 * PERIOD_S * float(np.median(np.diff(reversals)))
+        assert shortest < period < longest
+    assert abs(kept[-1]) < 1e-3 * np.max(np.abs(kept)), "a sweep ends where it began"
 
 
 @pytest.mark.parametrize(
@@ -226,9 +263,9 @@ def test_what_helped_goes_before_what_did_not() -> None:
     """Even where RMS times peak is smaller with a model whose peak is higher than without any."""
     before = Figures(10.0, 20.0)
     spiky, steady = (
-        Candidate(None, {}, Trial(before, after, np.zeros(0), (np.zeros(0), np.zeros(0))))
+        Candidate(None, None, {}, Trial(before, after, np.zeros(0), (np.zeros(0), np.zeros(0))))
         for after in (Figures(1.0, 21.0), Figures(5.0, 10.0))
     )
 
-    assert AxisTuning(None, (spiky, steady), Path(), False).best is steady
-    assert AxisTuning(None, (spiky,), Path(), False).best is spiky
+    assert AxisTuning((spiky, steady), Path(), False).best is steady
+    assert AxisTuning((spiky,), Path(), False).best is spiky
