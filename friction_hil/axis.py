@@ -72,7 +72,10 @@ class AxisLoop:
         self._total = SlewLimiter(self._limits.torque, self._limits.torque_slew, period_s)
         self.standstill = max(_STANDSTILL_SHARE * self._limits.velocity, 2.0 * facts.position_resolution / period_s)
         self._has_setpoint = config.trajectory.kind != "none"
-        path = make_path(config, facts.position_resolution, period_s)
+        try:
+            path = make_path(config, facts.position_resolution, period_s)
+        except UsageError as error:
+            raise UsageError(f"{name}: {error}") from None
         motion = config.trajectory
         if motion.kind == "experiment":
             self._extent = extent(path, motion.duration_s, round(_EXTENT_HZ * motion.duration_s))

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from friction_hil.errors import UsageError
-from friction_hil.identification.fine import is_fast
+from friction_hil.identification.fine import LEAST_RATE_HZ, is_fast
 from friction_hil.jit import Array
 from friction_hil.servo.trajectory import Sweep, sweeps_path
 
@@ -97,17 +97,34 @@ def plan(
     for frequency in _PRESLIDING_HZ if is_presliding_seen else ():
         omega = math.tau * frequency
         most = min(largest, _PRESLIDING_SPEED * rated_velocity / omega, acceleration / omega**2)
-        if most < _LEAST_SWELL * smallest:
+        needed = _LEAST_SWELL * smallest
+        if most < needed:
+            enough = {  # of each bound, for this amplitude at the fastest frequency, which asks for the most
+                "velocity": (rated_velocity, needed * math.tau * _PRESLIDING_HZ[-1] / _PRESLIDING_SPEED),
+                "acceleration": (
+                    acceleration / _SINE_SHARE,
+                    needed * (math.tau * _PRESLIDING_HZ[-1]) ** 2 / _SINE_SHARE,
+                ),
+                "travel": (travel, needed / _TRAVEL_SHARE),
+            }
+            advice = " and ".join(f"{name} to {_up(least)}" for name, (given, least) in enough.items() if given < least)
             raise UsageError(
-                f"at {frequency:g} Hz velocity, acceleration and travel allow an amplitude of {most:.3g} rad or m, "
-                f"fewer than {_LEAST_SWELL * _LEAST_COUNTS:g} counts of the encoder ({resolution:.3g}): "
-                "presliding does not show; raise them, or use a finer encoder"
+                f"the encoder is too coarse for this experiment: at {frequency:g} Hz its amplitude is {most:.3g}, "
+                f"{most / resolution:.0f} counts of {resolution:.3g}, and presliding shows from "
+                f"{_LEAST_SWELL * _LEAST_COUNTS:g} on; raise {advice}, use a finer encoder, or take a period_s of more "
+                f"than {1.0 / LEAST_RATE_HZ:g}, at which nobody looks for presliding"
             )
         rows.append((frequency, smallest, most))
     return tuple(
         Sweep(f, low, high, round(share * duration_s * f) / f)
         for (f, low, high), share in zip(rows, shares, strict=True)
     )
+
+
+def _up(value: float) -> str:
+    """Two digits of a number, never less than it."""
+    step = 10.0 ** (math.floor(math.log10(value)) - 1)
+    return f"{math.ceil(value / step) * step:.2g}"
 
 
 def demand(time_s: ArrayLike, sweeps: tuple[Sweep, ...]) -> tuple[Array, Array]:

@@ -1,6 +1,7 @@
 """The experiment and the refinement: a servo whose truth is known moves as planned, and is identified."""
 
 import math
+import re
 from functools import cache
 from typing import Any
 
@@ -12,6 +13,8 @@ from numpy.typing import NDArray
 
 from friction_hil import config, filtering
 from friction_hil.assembly import make_path
+from friction_hil.axis import AxisLoop
+from friction_hil.drive import AxisFacts
 from friction_hil.errors import RecordingError, UsageError
 from friction_hil.identification import Identification, Settings, experiment, identify
 from friction_hil.identification.data import prepare
@@ -22,7 +25,7 @@ from friction_hil.identification.refine import _corrected
 from friction_hil.recordings import Recording
 from friction_hil.servo.config import ServoConfig
 from friction_hil.servo.servo import Servo
-from friction_hil.servo.trajectory import extent, sweeps_path
+from friction_hil.servo.trajectory import PathTime, extent, sweeps_path
 
 Array = NDArray[np.float64]
 
@@ -289,6 +292,28 @@ def test_an_impossible_experiment_is_refused(change: dict[str, float], told: str
         experiment.plan(**{"rated_velocity": 2.0, "travel": 0.5, "resolution": COUNT, **change})
 
 
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"rated_velocity": 0.05},
+        {"travel": 1e-4},
+        {"acceleration": 1.0},
+        {"resolution": 2.0 * math.pi / 4096, "acceleration": 20.0, "travel": 0.01},
+    ],
+)
+def test_what_a_coarse_encoder_asks_for_is_enough_and_hardly_more(change: dict[str, float]) -> None:
+    wanted = {"rated_velocity": 2.0, "travel": 0.5, "resolution": COUNT, **change}
+    with pytest.raises(UsageError, match="the encoder is too coarse") as refusal:
+        experiment.plan(**wanted)
+    asked = dict(re.findall(r"(velocity|acceleration|travel) to ([\d.e+-]+\d)", str(refusal.value)))
+    raised = {("rated_velocity" if name == "velocity" else name): float(value) for name, value in asked.items()}
+    assert experiment.plan(**{**wanted, **raised})
+    assert all(value > wanted[name] for name, value in raised.items())
+    for name, value in raised.items():
+        with pytest.raises(UsageError, match=f"raise {name.removeprefix('rated_')} to"):
+            experiment.plan(**{**wanted, **raised, name: 0.85 * value})
+
+
 AXIS = {
     "driver": "canopen",
     "node": 1,
@@ -322,6 +347,12 @@ def test_a_configuration_can_ask_for_the_experiment() -> None:
     position, velocity = experiment.demand(times, experiment.plan(2.0, 0.5, COUNT, 60.0))
     assert [path(float(t))[0] for t in times] == position.tolist()
     assert [path(float(t))[1] for t in times] == velocity.tolist()
+
+
+def test_an_encoder_that_is_too_coarse_is_told_with_the_axis() -> None:
+    facts = AxisFacts("x", "servo", 0.01, 1e-3, 1e-3, 1e-3)
+    with pytest.raises(UsageError, match=r"^x: the encoder is too coarse for this experiment"):
+        AxisLoop("x", configured(limits={"torque": 0.3, "velocity": 9.0}).axes["x"], facts, PERIOD_S, PathTime(1.0))
 
 
 def test_an_experiment_faster_than_the_limit_is_refused() -> None:
