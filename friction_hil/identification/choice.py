@@ -57,11 +57,11 @@ def choose(fits: Sequence[Fit], blocks: str = "blocks") -> tuple[Fit, str]:
     if len(usable) == 1:
         return chosen, f"{chosen.label} is the only candidate; it predicts {where} with an error of {_percent(chosen)}"
     shown = "whose parameters the data determine" if sound else "though the data do not determine its parameters"
-    first = f"of {len(usable)} candidates {lowest.label} predicts {where} best ({_percent(lowest)})"
+    first = f"of {len(usable)} candidates {lowest.label} predicts {where} best, with an error of {_percent(lowest)}"
     if chosen is lowest:
         return chosen, f"{first}, and no simpler one within one standard error of it does as well"
     return chosen, (
-        f"{first}; {chosen.label} ({_percent(chosen)}) is the simplest within one standard error of it {shown}: "
+        f"{first}; {chosen.label}, with {_percent(chosen)}, is the simplest within one standard error of it {shown}: "
         f"{chosen.count} parameters, not {lowest.count}"
     )
 
