@@ -23,6 +23,7 @@ from friction_hil.identification.fine import is_fast
 from friction_hil.identification.identify import chosen_families
 from friction_hil.identification.refine import is_dynamic
 from friction_hil.recordings import Recording, read, read_all
+from friction_hil.safety import LoopState
 from friction_hil.session import SessionResult, SessionSettings, run_session
 from friction_hil.stop import stop_on_signals
 from friction_hil.tuning.motions import TuningError, experiment_of, experiment_run, sliding_part, trial_run
@@ -308,7 +309,10 @@ class _Tuner:
         if report is not None and report.recording:
             self._result.recordings.append(path)
         if result.loop.faults:
-            where = f"; the run is in {path}" if path.exists() else ""
+            where = f"; the run is in {path}"
+            if not _has_run(path):
+                path.unlink(missing_ok=True)
+                where = "; nothing has moved"
             raise TuningError("; ".join(result.loop.faults) + where)
         if report is None or report.lost or not report.recording:
             problems = "; ".join(report.problems) if report is not None and report.problems else "rows were lost"
@@ -318,6 +322,14 @@ class _Tuner:
         if line not in self._told:
             self._told.add(line)
             self._talk.tell(line)
+
+
+def _has_run(path: Path) -> bool:
+    """Whether a recording tells of axes that were about to move."""
+    try:
+        return any(np.any(each["state"] == LoopState.RUNNING) for each in read_all(path).values())
+    except FrictionHilError:  # no row, or no file
+        return False
 
 
 def _refuse_no_place(name: str, axis: AxisConfig) -> None:

@@ -7,17 +7,27 @@ import re
 import signal
 import subprocess
 
+import can
 import numpy as np
 import pytest
 import yaml
+from friction_hil_drivers.canopen import objects
 
 import friction_hil as fh
 from friction_hil.config import load, load_model_file
 from friction_hil.reports.following import SETTLE_S
 from friction_hil.safety import LoopState
 from tests.peers.serial_processes import write_serial_configuration
-from tests.processes import COMMAND, run, simulated_drives, write_configuration
-from tests.servo_drives import TRUE_FRICTION
+from tests.processes import (
+    COMMAND,
+    listening,
+    run,
+    simulated_drives,
+    start_daemon,
+    wait_for_frames,
+    write_configuration,
+)
+from tests.servo_drives import TRUE_FRICTION, axis_dict
 
 SPEED, TRAVEL = 4.0, 1.0
 ONE = ("--axis", "x")
@@ -185,6 +195,29 @@ def test_mistakes_are_told_before_anything_moves(tmp_path) -> None:
     assert re.search(r"axes\.yaml:\d+: axes\.x\.model: there is no folder .*models to make it in", nowhere.stderr)
     for each in (missing, nobody, used, unasked, unfitted, nowhere):
         assert (each.returncode, "moves by" in each.stderr) == (2, False)
+
+
+def test_a_drive_in_fault_is_tuned_only_if_its_fault_may_be_reset(tmp_path) -> None:
+    configuration = configured("canopen", tmp_path, model=axis_dict()["model"])
+    tuning = ("tune", configuration, *ONE, *UNASKED, "--models", "coulomb", "--json", "--output")
+    with simulated_drives(configuration), listening(configuration) as bus:
+        daemon = start_daemon(configuration)
+        wait_for_frames(bus, objects.SYNC_ID, 400)
+        daemon.kill()
+        daemon.communicate(timeout=60)
+        while bus.recv(0.1) is not None:  # unread frames would fill the socket and push answers out
+            pass
+        for _ in range(400):  # the drive's time passes by them, until it misses the daemon
+            bus.send(can.Message(arbitration_id=objects.SYNC_ID, is_extended_id=False))
+            while bus.recv(0.001) is not None:
+                pass
+        refused = run(*tuning, tmp_path / "refused", check=False)
+        done = run(*tuning, tmp_path / "tuned", "--reset-fault")
+
+    assert refused.returncode == 1
+    assert re.search(r"x: the drive is in fault: .*; --reset-fault leaves it; nothing has moved", refused.stderr)
+    assert not (tmp_path / "refused").exists(), "there is no run to look at"
+    assert json.loads(done.stdout)["axes"]["x"]["tried"][0]["reduction"]["rms"] > 2.0
 
 
 def test_an_axis_that_swings_by_itself_is_not_identified(tmp_path) -> None:
