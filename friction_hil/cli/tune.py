@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from friction_hil.cli.output import console, noticed_compilation, option_json, print_json
-from friction_hil.errors import FrictionHilError, UsageError
+from friction_hil.errors import FrictionHilError
 
 if TYPE_CHECKING:
     from friction_hil.tuning import AxisTuning, Tuning
@@ -98,20 +98,19 @@ def command(
 
 
 def _report(folder: Path, tuning: "Tuning") -> Path | None:
+    """Write the report; whatever keeps it from being written is told: hours of a machine are worth more than it."""
     from friction_hil.reports.figures import require_matplotlib
 
     try:
         require_matplotlib()
-    except UsageError as error:  # hours of a machine are worth more than a picture of them
-        click.echo(f"no report: {error}", err=True)
-        return None
-    from friction_hil.reports.tuning_report import write_reports
+        from friction_hil.reports.tuning_report import write_reports
 
-    try:
         return write_reports(folder, tuning)
     except FrictionHilError as error:  # e.g. a full disk
         click.echo(f"no report: {error}", err=True)
-        return None
+    except Exception as error:  # noqa: BLE001  matplotlib draws on much that may be broken, and raises anything
+        click.echo(f"no report: {type(error).__name__}: {error}", err=True)
+    return None
 
 
 class _Terminal:

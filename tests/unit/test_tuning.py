@@ -1,8 +1,10 @@
 """Tuning without a machine: the runs that it makes of a configuration, and what it reads from their recordings."""
 
 import math
+import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -249,6 +251,23 @@ def test_a_report_that_cannot_be_written_costs_no_result(tmp_path, capsys) -> No
 
     assert _report(tmp_path / "gone", Tuning()) is None
     assert "no report: " in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("mistake", ["ImportError('a library is missing')", "RuntimeError('no display')"])
+def test_a_broken_matplotlib_costs_no_result(mistake, tmp_path, capsys, monkeypatch) -> None:
+    (tmp_path / "matplotlib").mkdir()
+    (tmp_path / "matplotlib" / "__init__.py").write_text(f"raise {mistake}\n")
+    for name in [name for name in sys.modules if name.partition(".")[0] == "matplotlib"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.syspath_prepend(tmp_path)
+    trial = judged(recorded(wave(4e-3), wave(1e-3)))
+    found = SimpleNamespace(settings=SimpleNamespace(axis="rotary"))
+    monkeypatch.setattr("friction_hil.reports.identification_report.write_report", lambda *_: None)
+    learned = AxisTuning((Candidate(found, SimpleNamespace(label="coulomb"), {}, trial),), tmp_path / "x.yaml", True)
+
+    assert _report(tmp_path, Tuning(axes={"x": learned})) is None
+    kind, _, text = mistake.partition("(")
+    assert capsys.readouterr().err == f"no report: {kind}: {text[1:-2]}\n"
 
 
 def test_an_error_below_the_resolution_is_no_division_by_zero() -> None:
