@@ -11,10 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from friction_hil import models
 from friction_hil.assembly import make_path, ramp_s
 from friction_hil.cli.tune import _report
 from friction_hil.config import from_dict
 from friction_hil.errors import OptionError, RecordingError
+from friction_hil.identification import Settings, identify
 from friction_hil.recordings import Recording
 from friction_hil.reports.following import RECOVERY_S, SETTLE_S, Figures
 from friction_hil.safety import LoopState
@@ -29,7 +31,7 @@ from friction_hil.tuning.motions import (
     trial_run,
 )
 from friction_hil.tuning.trial import Trial, judge
-from friction_hil.tuning.tune import AxisTuning, Candidate
+from friction_hil.tuning.tune import AxisTuning, Candidate, _candidates
 from tests.servo_drives import PERIOD_S, axis_dict
 
 EXPERIMENT = {"velocity": 5.0, "travel": 0.8, "acceleration": 400.0, "duration_s": 20.0, "ramp_s": 0.5}
@@ -244,6 +246,28 @@ def test_a_run_that_is_too_short_or_was_mostly_missed_is_refused() -> None:
     fresh[-3000::7] = 0.0
     with pytest.raises(RecordingError, match="periods of the laps can be used"):
         judged(recorded(wave(4e-3), wave(1e-3), fresh=fresh))
+
+
+def test_a_static_model_that_takes_presliding_for_no_friction_at_standstill_is_not_tried() -> None:
+    """Dahl's friction turns over a distance; a Stribeck curve that falls to zero at rest predicts that best."""
+    time = np.arange(0.0, 30.0, 4e-3)
+    swell = 0.2 + 0.8 * np.sin(np.pi * time / 30.0) ** 2
+    position = 0.2 * swell * np.sin(2.0 * np.pi * 0.4 * time) + 0.05 * np.sin(2.0 * np.pi * 1.1 * time)
+    velocity = np.gradient(position, 4e-3)
+    torque = models.create("dahl", sigma0=100.0, coulomb=0.1).simulate(velocity, 4e-3) + 2e-3 * velocity
+    noise = 1e-3 * np.random.default_rng(0).standard_normal(len(time))
+    recording = Recording("dahl.csv", "x", {"time_s": time, "position": position, "torque": torque + noise})
+    sought = Settings(families=("coulomb", "stribeck"), axis="linear", has_modifiers=False, least_speed=0.03)
+
+    found = identify([recording], sought)
+    alone = identify([recording], replace(sought, families=("stribeck",)))
+
+    assert found.best.structure.family == "stribeck"
+    assert found.best.values["static"] < 0.01 * found.best.values["coulomb"]
+    [(_, tried)] = _candidates([found])
+    assert (tried.label, tried.values["coulomb"]) == ("coulomb", pytest.approx(0.1, rel=0.2))
+    [(_, tried)] = _candidates([alone])
+    assert tried is alone.best, "if there is nothing else"
 
 
 def test_a_report_that_cannot_be_written_costs_no_result(tmp_path, capsys) -> None:
