@@ -22,6 +22,7 @@ from friction_hil.identification.export import as_model_file
 from friction_hil.identification.fine import is_fast
 from friction_hil.identification.identify import chosen_families
 from friction_hil.identification.refine import is_dynamic
+from friction_hil.jit import Array
 from friction_hil.recordings import Recording, read, read_all
 from friction_hil.safety import LoopState
 from friction_hil.session import SessionResult, SessionSettings, run_session
@@ -205,7 +206,8 @@ class _Tuner:
             + (f"; {held} held" if held else "")
         )
         path = self._run(run, duration_s, f"{name}_experiment.mcap")
-        _refuse_swinging(read(path, name), bounds.velocity, unit)
+        if jumps := _refuse_swinging(sliding_part(read(path, name), self._configuration), bounds.velocity, unit):
+            self._talk.tell(jumps)
         return path
 
     def _identified(self, name: str, path: Path) -> list[Identification]:
@@ -343,17 +345,44 @@ def _refuse_no_place(name: str, axis: AxisConfig) -> None:
         raise OptionError(name, "model", f"cannot be made: nothing may be written to {wanted.parent}")
 
 
-def _refuse_swinging(recording: Recording, velocity: float, unit: str) -> None:
-    """Refuse an axis that has moved much faster than it was asked to: its loop swings by itself."""
-    position = recording["position"]
+def _refuse_swinging(recording: Recording, velocity: float, unit: str) -> str:
+    """Refuse an axis whose loop swings by itself; return what is to be told of one that jumps.
+
+    Both move much faster than they were asked to. One that breaks away from friction jumps where its set-point goes,
+    once or a few times in each stroke; one that swings turns round at such a speed more often than its set-point does.
+
+    Parameters
+    ----------
+    recording : Recording
+        The slow sweeps: in fast ones any loop may lag behind by half a period.
+    velocity : float
+        Highest speed of the experiment.
+    unit : str
+        rad or m.
+    """
+    is_running = recording["state"] == LoopState.RUNNING
+    position, demand = recording["position"][is_running], recording["velocity_demand"][is_running]
     step = max(1, round(_LOOK_S / recording.period_s))
-    fastest = float(np.max(np.abs(position[step:] - position[:-step]))) / (step * recording.period_s)
-    if fastest > _SWINGING * velocity:
+    seen = (position[step:] - position[:-step]) / (step * recording.period_s)
+    fastest = float(np.max(np.abs(seen), initial=0.0))
+    if fastest <= _SWINGING * velocity:
+        return ""
+    what = f"{recording.axis} has moved at {fastest:.3g} {unit}/s, where its experiment asks for {velocity:g} at most"
+    if _reversals(seen, velocity) > _reversals(demand, 0.0):
         raise TuningError(
-            f"{recording.axis} has moved at {fastest:.3g} {unit}/s, where its experiment asks for {velocity:g} at "
-            "most: the loop that controls it swings (lower its velocity_gain, or the drive's, or take a shorter "
-            "period_s), or is too soft to follow and jumps (raise it, or the experiment's velocity)"
+            f"{what}: the loop that controls it swings (lower its velocity_gain, or the drive's, or take a shorter "
+            "period_s)"
         )
+    return (
+        f"{what}: the loop that controls it is soft, and the axis jumps where it breaks away (raise its velocity_gain, "
+        "or the experiment's velocity, for a better model)"
+    )
+
+
+def _reversals(velocity: Array, least: float) -> int:
+    """How often a velocity (n,) changes its sign, where it is above ``least``."""
+    signs = np.sign(velocity[np.abs(velocity) > least])
+    return int(np.count_nonzero(signs[1:] != signs[:-1]))
 
 
 def _with_torque(recording: Recording, mode: str) -> Recording:

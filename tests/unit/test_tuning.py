@@ -1,6 +1,7 @@
 """Tuning without a machine: the runs that it makes of a configuration, and what it reads from their recordings."""
 
 import math
+import re
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -31,7 +32,7 @@ from friction_hil.tuning.motions import (
     trial_run,
 )
 from friction_hil.tuning.trial import Trial, judge
-from friction_hil.tuning.tune import AxisTuning, Candidate, _candidates
+from friction_hil.tuning.tune import AxisTuning, Candidate, _candidates, _refuse_swinging
 from tests.servo_drives import PERIOD_S, axis_dict
 
 EXPERIMENT = {"velocity": 5.0, "travel": 0.8, "acceleration": 400.0, "duration_s": 20.0, "ramp_s": 0.5}
@@ -268,6 +269,44 @@ def test_a_static_model_that_takes_presliding_for_no_friction_at_standstill_is_n
     assert (tried.label, tried.values["coulomb"]) == ("coulomb", pytest.approx(0.1, rel=0.2))
     [(_, tried)] = _candidates([alone])
     assert tried is alone.best, "if there is nothing else"
+
+
+SLOW_HZ = 0.75
+
+
+def moved(velocity):
+    """An experiment with a slow sine of 2 rad/s, in which the axis has this velocity over the time."""
+    time = np.arange(0.0, 8.0, PERIOD_S)
+    columns = {
+        "time_s": time,
+        "state": np.where(time < 0.5, float(LoopState.ENABLING), float(LoopState.RUNNING)),
+        "position": np.cumsum(velocity(time)) * PERIOD_S,
+        "velocity_demand": np.where(time < 0.5, np.nan, 2.0 * np.sin(2.0 * np.pi * SLOW_HZ * time)),
+    }
+    return Recording("x_experiment.mcap", "x", columns)
+
+
+def jumps(time, speed, lag):
+    """Still in each stroke but for a tenth of it."""
+    phase = (2.0 * SLOW_HZ * time - lag) % 1.0
+    way = np.sign(np.sin(np.pi * (2.0 * SLOW_HZ * time - lag)))
+    return way * np.where((phase > 0.4) & (phase < 0.5), speed, 0.0)
+
+
+@settings(max_examples=30, deadline=None)
+@given(speed=st.floats(4.5, 50.0), lag=st.floats(0.0, 1.0), frequency=st.floats(4.0, 25.0))
+def test_a_jump_at_break_away_is_told_and_a_loop_that_swings_is_refused(speed, lag, frequency) -> None:
+    """At whatever speed, and however late the axis is."""
+    told = _refuse_swinging(moved(lambda time: jumps(time, speed, lag)), 2.0, "rad")
+    assert re.match(r"x has moved at .* rad/s, where its experiment asks for 2 at most: .* the axis jumps", told)
+
+    swing = moved(lambda time: 2.0 * speed * np.sin(2.0 * np.pi * frequency * time + lag))
+    with pytest.raises(TuningError, match="the loop that controls it swings"):
+        _refuse_swinging(swing, 2.0, "rad")
+
+
+def test_an_axis_that_follows_with_some_overshoot_is_neither() -> None:
+    assert _refuse_swinging(moved(lambda time: 2.8 * np.sin(2.0 * np.pi * SLOW_HZ * time - 1.0)), 2.0, "rad") == ""
 
 
 def test_a_report_that_cannot_be_written_costs_no_result(tmp_path, capsys) -> None:
