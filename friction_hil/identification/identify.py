@@ -166,7 +166,8 @@ class _Search:
         self.known = drive.known_torque(settings.held) if settings.has_unknown_gain else {}
         self.data = Data(self._prepared(recordings), self.known)
         if len(self.data) < LEAST_ROWS:
-            raise RecordingError(f"the axis moves in {len(self.data)} rows only; {LEAST_ROWS} are the least")
+            name = recordings[0].axis
+            raise RecordingError(f"axis {name} moves in {len(self.data)} rows only; {LEAST_ROWS} are the least")
         kept = self._prepared(validation)
         self.validation = Data(kept, self.known) if kept else None
         self.held = {} if self.known else {name: x for name, x in settings.held.items() if name in MECHANICS}
