@@ -159,6 +159,17 @@ def test_a_rehearsal_takes_what_has_come_and_changes_nothing_else(kind, tmp_path
     assert life(is_rehearsed=True) == plain
 
 
+def test_in_simulated_time_the_wire_is_never_busy(tmp_path, monkeypatch):
+    """What all characters would take on the wire sums up faster than cycles do that wait for nothing."""
+    with Bench("odrive", tmp_path).begin().enable() as bench:
+        monkeypatch.setattr(drives, "_STEPPED_TIMEOUT_NS", 2_000_000_000)
+        (lane,) = bench.drives._lanes
+        lane.conversation._busy_until_ns = time.monotonic_ns() + 60_000_000_000
+        for _ in range(5):
+            bench.cycle(Request.ENABLE)
+            assert bench.feedback.is_fresh, bench.feedback
+
+
 @pytest.mark.parametrize("kind", ["rtu", "odrive"])
 def test_what_nobody_asked_for_is_dropped_before_the_drive_is_asked(tmp_path, kind):
     with Bench(kind, tmp_path).begin().enable() as bench:
