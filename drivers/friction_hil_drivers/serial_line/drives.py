@@ -26,6 +26,7 @@ from friction_hil_drivers.serial_line.description import Description
 from friction_hil_drivers.serial_line.lane import Lane, attend
 from friction_hil_drivers.serial_line.line import Line, taken
 from friction_hil_drivers.serial_line.protocol import Exchange, ProtocolFactory
+from friction_hil_drivers.serial_line.ticker import Ticker
 
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig, Configuration
@@ -104,6 +105,7 @@ class SerialDrives:
         self._clock = clock
         self._dry_run = dry_run
         self._margin_ns = round(min(_COMPUTATION_S, 0.1 * configuration.period_s) * 1e9)
+        self._ticker: Ticker | None = None  # shortly before the end of each cycle
         self._lanes: list[Lane] = []
         self._conversations: list[Conversation] = []
         self._axes: list[SerialAxis] = []  # in the order of the configuration
@@ -144,6 +146,9 @@ class SerialDrives:
         """Begin the cyclic phase."""
         for axis in self._axes:
             axis.image.fresh.clear()  # what was read before
+        if self._clock.is_real:
+            with contextlib.suppress(OSError):  # each wait has its time-out then
+                self._ticker = Ticker(round(self._configuration.period_s * 1e9))
         self._is_started = True
 
     def receive(self, feedback: Sequence[Feedback], end_ns: int) -> None:
@@ -156,7 +161,7 @@ class SerialDrives:
                 lane.end_turn(limit_ns)
             # in simulated time the wire is none: what it would take says nothing of when a reply comes
             lane.poll(limit_ns if is_real else None, is_commanding=self._is_commanding, is_heard=self._is_heard)
-        if attend(self._conversations, limit_ns):
+        if attend(self._conversations, limit_ns, ticker=self._ticker):
             self._timeouts = 0
         elif not is_real:
             self._note_timeout()
@@ -200,6 +205,8 @@ class SerialDrives:
         for conversation in self._conversations:
             if conversation.line.is_open:  # to get it back may take time
                 conversation.step()
+        if self._ticker is not None:
+            self._ticker.clear()
         self._is_heard = True
 
     def close(self) -> None:
@@ -211,6 +218,9 @@ class SerialDrives:
         finally:
             for lane in self._lanes:
                 lane.conversation.line.close()
+            if self._ticker is not None:
+                self._ticker.close()
+                self._ticker = None
             self._is_started = False
 
     def _part(self, lane: Lane) -> None:

@@ -10,11 +10,13 @@ from friction_hil_drivers.serial_line.axis import SerialAxis
 from friction_hil_drivers.serial_line.conversation import Batch, Conversation
 from friction_hil_drivers.serial_line.line import LineGoneError
 from friction_hil_drivers.serial_line.protocol import Exchange, LineProtocol, Plan
+from friction_hil_drivers.serial_line.ticker import Ticker
 from friction_hil_drivers.serial_line.wire import wire_s
 
 _ATTEMPTS = 5
 _ATTEMPT_S = 0.3
 _TURN_SHARE = 0.25
+_TICK_S = 0.01  # of the system: a time-out beyond that costs nothing
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,7 +211,13 @@ class Lane:
         raise DriveError(f"{axis}: {told} ({attempts} attempts). Right {right}?")
 
 
-def attend(conversations: Sequence[Conversation], limit_ns: int, *, until_answered: bool = True) -> bool:
+def attend(
+    conversations: Sequence[Conversation],
+    limit_ns: int,
+    *,
+    until_answered: bool = True,
+    ticker: Ticker | None = None,
+) -> bool:
     """Let conversations go on until all has been said, or until the monotonic clock is at ``limit_ns``.
 
     Parameters
@@ -219,6 +227,8 @@ def attend(conversations: Sequence[Conversation], limit_ns: int, *, until_answer
         Monotonic time, ns.
     until_answered : bool
         Wait for the replies, too, not only until all is sent.
+    ticker : Ticker, optional
+        Expires shortly before the limit, where that is the same in each period.
 
     Returns
     -------
@@ -241,7 +251,13 @@ def attend(conversations: Sequence[Conversation], limit_ns: int, *, until_answer
             # who awaits a reply has no other date: asked several times a cycle
             if not conversation.awaited and (due := conversation.due_ns) is not None and due < next_ns:
                 next_ns = due
-        ready = select.select(lines, (), (), (next_ns - now) * 1e-9 if next_ns > now else 0.0)[0]
+        wait_s = (next_ns - now) * 1e-9 if next_ns > now else 0.0
+        if ticker is not None and next_ns == limit_ns and ticker.expires_before(limit_ns, now):
+            lines.append(ticker.descriptor)
+            wait_s += _TICK_S
+        ready = select.select(lines, (), (), wait_s)[0]
+        if ticker is not None and ticker.descriptor in ready:
+            ticker.clear()
         for conversation in conversations:
             if conversation.line.descriptor in ready:
                 conversation.step(is_ready=True)

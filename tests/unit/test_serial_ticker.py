@@ -1,0 +1,126 @@
+"""The timer that a cycle on a serial line waits with: it never ends a wait too late, and never hides a reply."""
+
+import os
+import select
+import time
+
+import pytest
+from friction_hil_drivers.serial_line.conversation import Conversation
+from friction_hil_drivers.serial_line.lane import attend
+from friction_hil_drivers.serial_line.protocol import Image
+from friction_hil_drivers.serial_line.ticker import Ticker
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.serial_peers import MS, Ask, BenchLine
+
+PERIOD_NS = 2 * MS
+MOST_LEAD_NS = 0.3 * MS
+FAR_S = 20.0  # a hang, where anything else would be a matter of microseconds
+
+
+@pytest.fixture
+def ticker():
+    made = Ticker(20 * MS)
+    yield made
+    made.close()
+
+
+@given(
+    phases=st.lists(st.integers(0, PERIOD_NS), min_size=1, max_size=3),
+    jitters=st.lists(st.integers(-50_000, 50_000), min_size=4, max_size=20),
+    since_ns=st.integers(0, PERIOD_NS),
+)
+def test_it_runs_from_the_second_period_on_wherever_the_moment_lies(phases, jitters, since_ns):
+    ticker = Ticker(PERIOD_NS)
+    now_ns = 1_000_000_000
+    for phase in phases:
+        for k, jitter in enumerate(jitters):
+            moment_ns = now_ns + phase + k * PERIOD_NS + jitter
+            before_ns = moment_ns - since_ns
+            told = ticker.expires_before(moment_ns, before_ns)
+            if k == 0:
+                continue
+            assert told == (since_ns > (moment_ns - ticker._expiry_ns) % PERIOD_NS)
+            assert not (told and since_ns == 0)
+            assert told or since_ns <= MOST_LEAD_NS
+        now_ns += 1000 * PERIOD_NS + 12345
+    ticker.close()
+
+
+def test_a_moment_that_is_not_of_this_period_leaves_it_alone(ticker):
+    now = time.monotonic_ns()
+    assert not ticker.expires_before(now + 15 * MS, now)
+    expiry = ticker._expiry_ns
+    assert not ticker.expires_before(now + 100 * MS + 7, now)
+    assert ticker._expiry_ns == expiry
+
+
+def test_it_expires_in_each_period_and_not_before_its_time(ticker):
+    moment = time.monotonic_ns() + 15 * MS
+    ticker.expires_before(moment, moment - 10 * MS)
+    for k in (1, 2, 3):
+        assert select.select([ticker.descriptor], (), (), FAR_S)[0]
+        assert time.monotonic_ns() >= moment + k * 20 * MS - MOST_LEAD_NS
+        ticker.clear()
+        ticker.clear()  # nothing is there to be forgotten
+
+
+def test_closed_twice(ticker):
+    ticker.close()
+    ticker.close()
+
+
+class Talk:
+    """A conversation on a pipe, with a timer that has been set up."""
+
+    def __init__(self, ticker):
+        self.theirs = 0
+        descriptor, self.theirs = os.pipe()
+        self.line = BenchLine(lambda _: b"")
+        self.line.descriptor = descriptor
+        self.image = Image()
+        self.talk = Conversation(self.line, [self.image], 0.0, 0.05)
+        self.ticker = ticker
+        self.limit_ns = time.monotonic_ns() + 30 * MS
+        ticker.expires_before(self.limit_ns, self.limit_ns - 1)
+
+    def wait(self):
+        """Ask, and wait until the first limit of a period to come."""
+        self.talk.ask((Ask(self.image, "position"),))
+        self.talk.step()
+        while time.monotonic_ns() > self.limit_ns - 10 * MS:
+            self.limit_ns += 20 * MS
+        is_done = attend([self.talk], self.limit_ns, ticker=self.ticker)
+        self.talk.give_up()
+        return is_done
+
+    def close(self):
+        os.close(self.line.descriptor)
+        os.close(self.theirs)
+
+
+@pytest.fixture
+def talk(ticker):
+    made = Talk(ticker)
+    yield made
+    made.close()
+
+
+def test_a_silent_line_is_waited_for_until_the_limit(talk):
+    for _ in range(3):
+        assert not talk.wait()
+        assert time.monotonic_ns() >= talk.limit_ns
+
+
+def test_an_expiry_that_nobody_has_seen_ends_no_wait(talk):
+    assert select.select([talk.ticker.descriptor], (), (), FAR_S)[0]
+    assert not talk.wait()
+    assert time.monotonic_ns() >= talk.limit_ns
+
+
+def test_a_reply_is_taken_when_it_is_there(talk):
+    talk.line.answer = lambda _: b"12;"
+    os.write(talk.theirs, b"!")  # select sees the pipe, the line has the reply
+    assert talk.wait()
+    assert talk.image.values["position"] == 12.0
