@@ -3,6 +3,7 @@
 import os
 import pty
 import termios
+import time
 import tty
 
 import pytest
@@ -10,6 +11,8 @@ from friction_hil_drivers.serial_line.line import Line, LineGoneError
 from friction_hil_drivers.serial_line.options import LineOptions
 
 from friction_hil.errors import BusError
+
+COARSE_CLOCK = 5  # Linux's CLOCK_REALTIME_COARSE, which gives files their times
 
 
 @pytest.fixture
@@ -58,10 +61,15 @@ def test_the_link_of_a_drive_that_died_leads_to_nobody(tmp_path):
     link.symlink_to(name)
     line = Line(LineOptions.model_validate({"port": str(link)}))
     line.open()
+    made_ns = os.stat(name).st_ctime_ns
+    line.close()  # as an adapter that hangs: the terminal is still the same
+    assert line.reopen()
     os.close(theirs)
     os.close(ours)
     with pytest.raises(LineGoneError):
         line.read()
+    while time.clock_gettime_ns(COARSE_CLOCK) <= made_ns:
+        pass  # the file system tells the times of two terminals apart no sooner
 
     others = [attached() for _ in range(8)]  # one of them is given the number, unless another process was faster
     assert not line.reopen()

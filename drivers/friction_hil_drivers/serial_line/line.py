@@ -8,7 +8,7 @@ import socket
 import termios
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import serial
 from serial.rs485 import RS485Settings
@@ -21,6 +21,13 @@ _CONNECT_S = 2.0
 _PSEUDO_TERMINALS = Path("/dev/pts")
 _AT_ONCE = 448  # bytes: more than a cycle's replies, and few enough for Python's pool of small objects
 _PARITY = {"none": serial.PARITY_NONE, "even": serial.PARITY_EVEN, "odd": serial.PARITY_ODD}
+
+
+class _Link(NamedTuple):
+    """What tells a link to a pseudo-terminal, and the terminal, from others of the same name that are made later."""
+
+    made: tuple[int, int]
+    terminal: tuple[int, int]
 
 
 class LineGoneError(Exception):
@@ -39,7 +46,7 @@ class Line:
     def __init__(self, options: LineOptions) -> None:
         self.options = options
         self._port: Any = None  # serial.Serial
-        self._link: tuple[int, int] | None = None  # to the pseudo-terminal that was opened, and when it was made
+        self._link: _Link | None = None  # to the pseudo-terminal that was opened
         self._socket: socket.socket | None = None
         self._connecting: socket.socket | None = None
         self._peer: tuple[socket.AddressFamily, Any] | None = None  # found when the line was opened: names take time
@@ -178,9 +185,7 @@ class Line:
         if self.is_open:
             return True
         if not self.options.is_tcp:
-            # whoever made a link and died has left it behind: the pseudo-terminal of that number is somebody else's now
-            is_left = self._link is not None and self._link == _link(self.options.port)
-            if not is_left and os.path.exists(self.options.port):
+            if os.path.exists(self.options.port) and not self._is_left_behind():
                 with contextlib.suppress(BusError):
                     self._open_port()
             return self.is_open
@@ -201,6 +206,11 @@ class Line:
                 connection.close()
         return self.is_open
 
+    def _is_left_behind(self) -> bool:
+        """Whether who made the link to a pseudo-terminal has died: the one of that number is somebody else's now."""
+        before, now = self._link, _link(self.options.port)
+        return before is not None and now is not None and now.made == before.made and now.terminal != before.terminal
+
     def close(self) -> None:
         """Give the line back. Safe to call twice."""
         self._hang_up = select.poll()
@@ -216,12 +226,11 @@ def _is_pseudo(port: str) -> bool:
     return _PSEUDO_TERMINALS in Path(port).resolve().parents
 
 
-def _link(port: str) -> tuple[int, int] | None:
-    """What tells a link to a pseudo-terminal from one of the same name that is made later; None: it is no such link."""
+def _link(port: str) -> _Link | None:
     with contextlib.suppress(OSError):
         if os.path.islink(port) and _is_pseudo(port):
-            found = os.lstat(port)
-            return found.st_ino, found.st_ctime_ns
+            link, terminal = os.lstat(port), os.stat(port)
+            return _Link((link.st_ino, link.st_ctime_ns), (terminal.st_rdev, terminal.st_ctime_ns))
     return None
 
 
