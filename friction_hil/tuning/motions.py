@@ -92,9 +92,8 @@ def sliding_part(recording: Recording, configuration: Configuration) -> Recordin
     sweeps = experiment_sweeps(bounds, facts["position_resolution"], configuration.period_s)
     cycle = recording["cycle"]
     start = cycle[recording["state"] == LoopState.RUNNING][0]
-    length_s = 0.5 * ramp_s(run.axes.values()) + experiment.sliding_s(
-        sweeps
-    )  # the path starts by half of its ramp late
+    # the path starts by half of its ramp late
+    length_s = 0.5 * ramp_s(run.axes.values()) + experiment.sliding_s(sweeps)
     is_kept = cycle < start + length_s / configuration.period_s
     return replace(recording, columns={key: values[is_kept] for key, values in recording.columns.items()})
 

@@ -66,9 +66,13 @@ def test_it_expires_in_each_period_and_not_before_its_time(ticker):
         ticker.clear()  # nothing is there to be forgotten
 
 
-def test_closed_twice(ticker):
+def test_closed_twice_gives_nothing_of_others_back(ticker):
+    descriptor = ticker.descriptor
     ticker.close()
-    ticker.close()
+    with open(os.devnull, "rb") as other:
+        assert other.fileno() == descriptor, "the number is given again"
+        ticker.close()
+        assert os.fstat(other.fileno())
 
 
 class Talk:

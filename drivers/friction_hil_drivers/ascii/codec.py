@@ -79,8 +79,7 @@ class AsciiExchange:
             return self._constant
         values = self._image.values
         message = self._chosen(values) if self._is_fixed else self._first
-        line = message.request.write(values)
-        self._sent = (line if language.checker is None else language.checker.append(line)) + language.request_end
+        self._sent = language.sealed(message.request.write(values), language.request_end)
         if not self.writes:
             self._constant = self._sent
         return self._sent
@@ -122,9 +121,7 @@ class AsciiExchange:
                     raise self._error(line)
             except ValueError as error:
                 raise ReplyError(f"{self._story(line)}: {error}") from error
-        image = self._image
-        image.values.update(zip(self._names, self._numbers))  # noqa: B905  as many as each other, and finite
-        image.fresh.update(self._names)
+        self._image.put(self._names, self._numbers)
         return True
 
     def _take_echo(self, received: bytearray) -> bool:

@@ -49,7 +49,6 @@ class Lane:
     is_step_sent: bool = False  # in the cycle before, in the place of a turn
     first: int = 0  # axis that may send a step first
     steps: dict[tuple[str, tuple[str, ...]], Exchange] = field(default_factory=dict)
-    turn_ns: dict[Exchange, int] = field(default_factory=dict)  # what the push and that turn take
     _listening: _Batches = field(init=False)
     _commanding: _Batches = field(init=False)
 
@@ -112,7 +111,7 @@ class Lane:
         self.is_step_sent = bool(steps) and not self.is_step_sent and self._take_step(steps)
         conversation.ask(plan.push)
         if not self.is_step_sent:
-            self._take_turn(plan, end_ns)
+            self._take_turn(plan, endings, end_ns)
         conversation.speak()
 
     def _take_step(self, steps: Mapping[str, Mapping[str, float]]) -> bool:
@@ -125,20 +124,16 @@ class Lane:
                 return True
         return False
 
-    def _take_turn(self, plan: Plan, end_ns: int | None) -> None:
+    def _take_turn(self, plan: Plan, endings: tuple[Batch, ...], end_ns: int | None) -> None:
         """Ask for what changes slowly, for the next of the turns, if that is answered before the next cycle."""
         if not plan.turns:
             return
         place = (self.turn + 1) % len(plan.turns)
         turn = plan.turns[place]
-        if end_ns is not None:
-            wire_ns = self.turn_ns.get(turn)
-            if wire_ns is None:
-                wire_ns = self.turn_ns[turn] = round(1e9 * self.wire_s(*plan.push, turn))
-            if time.monotonic_ns() + wire_ns > end_ns:
-                if not self.conversation.trouble:
-                    self.conversation.trouble = f"{turn.what}: no time was left for it"
-                return
+        if end_ns is not None and time.monotonic_ns() + endings[place].wire_ns > end_ns:
+            if not self.conversation.trouble:
+                self.conversation.trouble = f"{turn.what}: no time was left for it"
+            return
         self.turn = place
         self.conversation.ask((turn,))
 
