@@ -21,13 +21,10 @@ class RealClock:
     """Monotonic time; sleeps to absolute deadlines and spins through the last ``spin_us`` microseconds."""
 
     is_real = True
+    now_ns = staticmethod(time.monotonic_ns)
 
     def __init__(self, spin_us: int = 200) -> None:
         self._spin_ns = spin_us * 1000
-
-    def now_ns(self) -> int:
-        """Monotonic time, ns."""
-        return time.monotonic_ns()
 
     def doze_until(self, deadline_ns: int) -> bool:
         """Sleep until the spin before ``deadline_ns``; whether it has not begun yet."""

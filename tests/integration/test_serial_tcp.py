@@ -13,6 +13,7 @@ from friction_hil_drivers.serial_line.lane import attend
 from friction_hil_drivers.serial_line.line import Line
 from friction_hil_drivers.serial_line.options import LineOptions
 from friction_hil_drivers.serial_line.protocol import Image
+from friction_hil_drivers.serial_line.selector import LineSelector
 
 REQUEST_SIZE = 12
 CYCLES, CYCLE_NS = 60, 10_000_000
@@ -62,7 +63,7 @@ def test_a_slave_that_was_late_once_is_not_late_for_ever(slave):
         for _ in range(cycles):
             image.fresh.clear()
             talk.ask((read,))
-            attend([talk], time.monotonic_ns() + CYCLE_NS)
+            attend([talk], time.monotonic_ns() + CYCLE_NS, LineSelector())
             count += "position" in image.fresh
             talk.give_up()
         return count

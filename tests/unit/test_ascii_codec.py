@@ -8,6 +8,7 @@ from friction_hil_drivers.ascii import DESCRIPTIONS
 from friction_hil_drivers.ascii.checksum import Checker
 from friction_hil_drivers.ascii.codec import AsciiLine
 from friction_hil_drivers.ascii.description import AsciiDescription
+from friction_hil_drivers.ascii.messages import sealer
 from friction_hil_drivers.ascii.options import AsciiOptions
 from friction_hil_drivers.serial_line.description import ready
 from friction_hil_drivers.serial_line.protocol import Exchange, Image, Plan, ReplyError, Wanted
@@ -256,6 +257,14 @@ def test_a_reply_may_come_in_any_pieces(position: float, velocity: float, data: 
     assert not received
 
 
+@given(st.lists(st.tuples(st.sampled_from([b"", b"\r\n", b"\0"]), st.sampled_from([1.0, 2.0])), max_size=6))
+def test_stray_characters_before_a_reply_do_not_make_it_the_one_before(replies: list[tuple[bytes, float]]) -> None:
+    exchange, image = feedback_of(ODRIVE)
+    for stray, position in replies:
+        assert taken(exchange, stray + xored(b"%.1f 2.0" % position))
+        assert image.values["position"] == position
+
+
 def test_what_follows_a_reply_is_left_alone() -> None:
     exchange, _ = feedback_of(ODRIVE)
     received = bytearray(xored(b"1.0 2.0") + b"invalid mo")
@@ -444,7 +453,7 @@ def test_no_reply_to_one_of_requests_that_go_out_together_is_taken_for_one_to_an
     p: float, v: float, t: float
 ) -> None:
     assert ODRIVE.checksum is not None
-    seal = Checker(ODRIVE.checksum).append
+    seal = sealer(Checker(ODRIVE.checksum), b"")
     plan, _ = plan_of(ODRIVE, "cst")
     replies = {"position": seal(b"%.6f %.6f" % (p, v)), "torque": seal(b"%.6f" % t)}
     for asked, answered in (("position", "torque"), ("torque", "position")):
@@ -462,14 +471,16 @@ def test_on_a_line_with_one_pair_of_wires_nothing_is_sent_ahead(is_rs485: bool) 
 
 
 def test_an_error_line_is_a_refusal_of_a_set_point_without_a_reply_and_nothing_else_is() -> None:
+    assert ODRIVE.checksum is not None
+    seal = sealer(Checker(ODRIVE.checksum), b"\r\n")
     plan, _ = plan_of(ODRIVE, "cst")
     (push,) = plan.push
     push.encode()
     assert push.tells_refusal
     assert not push.take(bytearray(b"invalid mo"))
     with pytest.raises(ReplyError, match="has no axis of that number") as error:
-        push.take(bytearray(Checker(ODRIVE.checksum).append(b"invalid motor 7") + b"\r\n"))  # type: ignore[arg-type]
+        push.take(bytearray(seal(b"invalid motor 7")))
     assert error.value.is_unasked
     with pytest.raises(ReplyError) as error:
-        push.take(bytearray(Checker(ODRIVE.checksum).append(b"0.5") + b"\r\n"))  # type: ignore[arg-type]
+        push.take(bytearray(seal(b"0.5")))
     assert not error.value.is_unasked

@@ -10,6 +10,7 @@ import yaml
 from friction_hil_drivers.ascii import DESCRIPTIONS
 from friction_hil_drivers.ascii.checksum import Checker, Checksum, checksum_function
 from friction_hil_drivers.ascii.description import AsciiDescription, AsciiSignal
+from friction_hil_drivers.ascii.messages import sealer
 from friction_hil_drivers.ascii.options import AsciiOptions
 from friction_hil_drivers.ascii.template import LineFormat
 from friction_hil_drivers.serial_line.description import ready
@@ -199,14 +200,18 @@ def test_crc_16_is_that_of_the_standard_library(data: bytes) -> None:
     assert checksum_function(xmodem)(data) == binascii.crc_hqx(data, 0)
 
 
+def seal(checker: Checker, line: bytes) -> bytes:
+    return sealer(checker, b"")(line)
+
+
 def test_lines_of_the_manuals_have_the_checksums_that_stand_there() -> None:
     odrive = Checker(Checksum(kind="xor", form="decimal", prefix="*"))
-    assert odrive.append(b"r vbus_voltage ") == b"r vbus_voltage *93"
-    assert odrive.append(b"f 0") == b"f 0*118"  # 66h ^ 20h ^ 30h
+    assert seal(odrive, b"r vbus_voltage ") == b"r vbus_voltage *93"
+    assert seal(odrive, b"f 0") == b"f 0*118"  # 66h ^ 20h ^ 30h
     assert odrive.remove(b"f 0*118") == b"f 0"
     nmea = Checker(Checksum(kind="xor", prefix="*", skip=1))
     sentence = b"$GPGLL,5300.97914,N,00259.98174,E,125926,A"
-    assert nmea.append(sentence) == sentence + b"*28"
+    assert seal(nmea, sentence) == sentence + b"*28"
     assert nmea.remove(sentence + b"*28") == sentence
 
 
@@ -219,7 +224,7 @@ texts = st.text(st.characters(min_codepoint=32, max_codepoint=126), max_size=40)
 
 @given(checks, texts)
 def test_a_checksum_comes_off_again(checker: Checker, line: bytes) -> None:
-    sealed = checker.append(line)
+    sealed = seal(checker, line)
     assert checker.remove(sealed) == line
     assert checker.remove(line + sealed[len(line) :].lower()) == line  # some drives write hexadecimal so
     assert len(line) < len(sealed) <= len(line) + checker.size
@@ -227,7 +232,7 @@ def test_a_checksum_comes_off_again(checker: Checker, line: bytes) -> None:
 
 @given(checks, texts.filter(lambda line: len(line) > 2), st.data())
 def test_one_flipped_bit_is_found(checker: Checker, line: bytes, data: st.DataObject) -> None:
-    sealed = bytearray(checker.append(line))
+    sealed = bytearray(seal(checker, line))
     place = data.draw(st.integers(2, len(line) - 1))
     sealed[place] ^= 1 << data.draw(st.integers(0, 7))
     with pytest.raises(ValueError, match="wrong checksum"):

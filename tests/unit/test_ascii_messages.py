@@ -3,7 +3,7 @@
 import pytest
 from friction_hil_drivers.ascii import DESCRIPTIONS
 from friction_hil_drivers.ascii.description import AsciiDescription
-from friction_hil_drivers.ascii.messages import LONGEST_LINE, Language, reader, take_line
+from friction_hil_drivers.ascii.messages import LONGEST_LINE, Language, reader, sealer, take_line
 from friction_hil_drivers.serial_line.description import load_description
 from hypothesis import given
 from hypothesis import strategies as st
@@ -38,7 +38,7 @@ lines = st.lists(words | st.binary(max_size=3), max_size=5).map(b"".join)
 @given(st.sampled_from(sorted(CHECKSUMS)), lines, st.booleans())
 def test_at_once_is_read_what_is_read_step_by_step(checksum, text, is_sealed):
     language = LANGUAGES[checksum]
-    line = language.sealed(text, b"") if is_sealed else text
+    line = sealer(language.checker, b"")(text) if is_sealed else text
     for message in language.messages:
         for form in message.replies:
             try:
@@ -49,9 +49,11 @@ def test_at_once_is_read_what_is_read_step_by_step(checksum, text, is_sealed):
                 expected = None if bare is None or language.meaning(bare) is not None else form.read(bare)
             except ValueError as error:
                 with pytest.raises(ValueError, match=f"^{error}$"):
-                    reader(form, language)(line)
+                    reader(form, language)(line + language.reply_end)
             else:
-                assert reader(form, language)(line) == expected
+                read = reader(form, language)(line + language.reply_end + b"8")
+                assert read == (None if expected is None else (expected, len(line) + len(language.reply_end)))
+                assert reader(form, language)(line) is None  # it may go on
 
 
 @pytest.mark.parametrize("checksum", CHECKSUMS)
@@ -59,8 +61,9 @@ def test_an_error_that_looks_like_a_number_is_no_number(checksum):
     language = LANGUAGES[checksum]
     (state,) = (message for message in language.messages if message.reads == ("torque",))
     read = reader(state.replies[0], language)
-    assert read(language.sealed(b"-1.5", b"")) == [-1.5]
-    assert read(language.sealed(b"-1.0", b"")) is None
+    line = language.seal_reply(b"-1.5")
+    assert read(line) == ([-1.5], len(line))
+    assert read(language.seal_reply(b"-1.0")) is None
 
 
 @given(st.lists(st.binary(max_size=LONGEST_LINE + 40), max_size=3), st.integers(1, 400))

@@ -83,7 +83,7 @@ class Bench:
         self._free_ns = at_ns
         if fate is None:
             return
-        line = self._language.sealed(text.encode(), self._language.reply_end)
+        line = self._language.seal_reply(text.encode())
         cut = len(line) if self._cut is None else self._cut
         self._coming.append((at_ns, line[:cut]))
         self._free_ns = at_ns + round((0.0 if self._cut is None else PIECE_MS) * MS)
@@ -102,7 +102,8 @@ class Bench:
         for image in self.images.values():
             image.fresh.clear()
         self.talk.step()
-        self._ask(self.plan.poll)
+        if not self._ask(self.plan.poll):
+            self.talk.go_on()
         self._pass(CYCLE_MS - TURN_MS)
         self.talk.give_up()
         fresh = {name for name, image in self.images.items() if image.fresh >= {"position", "velocity"}}
@@ -120,7 +121,7 @@ class Bench:
         return fresh
 
     def _ask(self, exchanges):
-        if self._is_at_once and self.talk.say_at_once(self.talk.batch(exchanges, 0.0), None):
+        if self._is_at_once and self.talk.say_at_once(self.talk.batch(exchanges, 0.0, self.plan.turns), None):
             self.at_once += 1
             return True
         self.talk.ask(exchanges)

@@ -8,6 +8,7 @@ import pytest
 from friction_hil_drivers.serial_line.conversation import Conversation
 from friction_hil_drivers.serial_line.lane import attend
 from friction_hil_drivers.serial_line.protocol import Image
+from friction_hil_drivers.serial_line.selector import LineSelector
 from friction_hil_drivers.serial_line.ticker import Ticker
 from hypothesis import given
 from hypothesis import strategies as st
@@ -78,16 +79,20 @@ def test_closed_twice_gives_nothing_of_others_back(ticker):
 class Talk:
     """A conversation on a pipe, with a timer that has been set up."""
 
-    def __init__(self, ticker):
+    def __init__(self):
         self.theirs = 0
         descriptor, self.theirs = os.pipe()
         self.line = BenchLine(lambda _: b"")
         self.line.descriptor = descriptor
         self.image = Image()
         self.talk = Conversation(self.line, [self.image], 0.0, 0.05)
-        self.ticker = ticker
+        self.selector = LineSelector(20 * MS)
         self.limit_ns = time.monotonic_ns() + 30 * MS
-        ticker.expires_before(self.limit_ns, self.limit_ns - 1)
+        self.ticker.expires_before(self.limit_ns, self.limit_ns - 1)
+
+    @property
+    def ticker(self):
+        return self.selector._ticker
 
     def wait(self):
         """Ask, and wait until the first limit of a period to come."""
@@ -95,18 +100,19 @@ class Talk:
         self.talk.step()
         while time.monotonic_ns() > self.limit_ns - 10 * MS:
             self.limit_ns += 20 * MS
-        is_done = attend([self.talk], self.limit_ns, ticker=self.ticker)
+        is_done = attend([self.talk], self.limit_ns, self.selector)
         self.talk.give_up()
         return is_done
 
     def close(self):
+        self.selector.close()
         os.close(self.line.descriptor)
         os.close(self.theirs)
 
 
 @pytest.fixture
-def talk(ticker):
-    made = Talk(ticker)
+def talk():
+    made = Talk()
     yield made
     made.close()
 

@@ -43,7 +43,10 @@ class Checksum(Part):
 
 
 def checksum_function(settings: Checksum) -> Callable[[bytes], int]:
-    """Checksum of some bytes, all of them counted."""
+    """Checksum of a line, of which some characters may not be counted."""
+    if settings.skip:
+        skip, counted = settings.skip, checksum_function(settings.model_copy(update={"skip": 0}))
+        return lambda line: counted(line[skip:])
     if settings.kind == "xor":
         return lambda data: functools.reduce(operator.xor, data, 0)
     if settings.kind == "sum":
@@ -88,7 +91,7 @@ def _crc_table(polynomial: int, width: int, *, is_reflected: bool) -> tuple[int,
 
 
 class Checker:
-    """Puts checksums behind lines, and checks and takes off those that come.
+    """How checksums are written behind lines and read there.
 
     Parameters
     ----------
@@ -100,25 +103,26 @@ class Checker:
         Characters that a line becomes longer at most.
     pattern : bytes
         Regular expression of what stands behind a line; a group for the checksum itself.
+    compute : callable
+        Checksum of a line.
+    form : bytes
+        How it is written, for ``%``.
+    base : int
+        To read it.
     """
 
     def __init__(self, settings: Checksum) -> None:
-        self._compute = checksum_function(settings)
-        self._skip = settings.skip
+        self.compute = checksum_function(settings)
         bits = _WIDTHS[settings.kind]
         is_hex = settings.form == "hex"
         width = bits // 4 if is_hex else len(str((1 << bits) - 1))
         prefix = settings.prefix.encode()
-        self._form = prefix.replace(b"%", b"%%") + (b"%%0%dX" % width if is_hex else b"%d")
-        self._base = 16 if is_hex else 10
+        self.form = prefix.replace(b"%", b"%%") + (b"%%0%dX" % width if is_hex else b"%d")
+        self.base = 16 if is_hex else 10
         number = b"[0-9A-Fa-f]{%d}" % width if is_hex else b"[0-9]{1,%d}" % width
         self.pattern = re.escape(prefix) + b"(" + number + b") *"
         self._split = re.compile(b"(.*)" + self.pattern, re.DOTALL).fullmatch
         self.size = len(prefix) + width
-
-    def append(self, line: bytes) -> bytes:
-        """Line with its checksum."""
-        return line + self._form % self._compute(line[self._skip :])
 
     def remove(self, line: bytes) -> bytes:
         """Line without its checksum.
@@ -132,11 +136,7 @@ class Checker:
         if found is None:
             raise ValueError("has no checksum")
         text, told = found.groups()
-        if not self.is_right(text, told):
-            right = self._form % self._compute(text[self._skip :])
-            raise ValueError(f"has a wrong checksum; right would be {right.decode()}")
+        right = self.compute(text)
+        if int(told, self.base) != right:
+            raise ValueError(f"has a wrong checksum; right would be {(self.form % right).decode()}")
         return text
-
-    def is_right(self, line: bytes, told: bytes) -> bool:
-        """Whether ``told``, see `pattern`, is the checksum of a line."""
-        return int(told, self._base) == self._compute(line[self._skip :])

@@ -37,7 +37,7 @@ class AsciiExchange:
         self._image = image
         self._sent = b""
         self._constant = b""  # the request, where there are no numbers in it
-        self._known = b""  # the last reply, and what it tells: what changes slowly says the same again and again
+        self._known: bytes | None = None  # the last reply, and what it tells: it often comes again
         self._names: tuple[str, ...] = ()
         self._numbers: list[float] = []
         self._is_echo_due = False
@@ -79,7 +79,7 @@ class AsciiExchange:
             return self._constant
         values = self._image.values
         message = self._chosen(values) if self._is_fixed else self._first
-        self._sent = language.sealed(message.request.write(values), language.request_end)
+        self._sent = language.seal_request(message.request.write(values))
         if not self.writes:
             self._constant = self._sent
         return self._sent
@@ -104,25 +104,50 @@ class AsciiExchange:
             return False
         if not self._first.replies and not self.tells_refusal:
             return True
+        known = self._known
+        if known is not None and received.startswith(known):
+            del received[: len(known)]
+        else:
+            found = None
+            for names, read in self._readers:
+                try:
+                    found = read(received)
+                except ValueError:  # told below
+                    break
+                if found is not None:
+                    self._numbers, size = found
+                    self._names, self._known = names, bytes(received[:size])
+                    del received[:size]
+                    break
+            if found is None and not self._read_line(received):
+                return False
+        self._image.put(self._names, self._numbers)
+        return True
+
+    def _read_line(self, received: bytearray) -> bool:
+        """Take whatever line has come off; whether it was complete.
+
+        Raises
+        ------
+        ReplyError
+            As `take`.
+        """
+        language = self._language
         try:
-            line = take_line(received, self._language.reply_end)
+            line = take_line(received, language.reply_end)
         except ValueError as error:
             raise ReplyError(str(error)) from error
         if line is None:
             return False
-        if line != self._known:
-            try:
-                for names, read in self._readers:
-                    numbers = read(line)
-                    if numbers is not None:
-                        self._known, self._names, self._numbers = line, names, numbers
-                        break
-                else:
-                    raise self._error(line)
-            except ValueError as error:
-                raise ReplyError(f"{self._story(line)}: {error}") from error
-        self._image.put(self._names, self._numbers)
-        return True
+        whole = line + language.reply_end
+        try:
+            for names, read in self._readers:
+                if (found := read(whole)) is not None:
+                    self._names, self._numbers, self._known = names, found[0], whole
+                    return True
+            raise self._error(line)
+        except ValueError as error:
+            raise ReplyError(f"{self._story(line)}: {error}") from error
 
     def _take_echo(self, received: bytearray) -> bool:
         # the other half of a line end like \r\n, of which the drive's reply before has left one

@@ -50,6 +50,8 @@ class Language:
         self.checker = None if description.checksum is None else Checker(description.checksum)
         self.request_end = description.request_end.encode()
         self.reply_end = description.reply_end.encode()
+        self.seal_request = sealer(self.checker, self.request_end)
+        self.seal_reply = sealer(self.checker, self.reply_end)
         self.has_echo = description.echo
         self.is_answering_all = description.is_answering_all
         self.has_error_replies = bool(description.error_replies)
@@ -60,42 +62,50 @@ class Language:
         """What an error reply means; None where it is none."""
         return next((text for form, text in self._meanings if form.fullmatch(line)), None)
 
-    def sealed(self, line: bytes, end: bytes) -> bytes:
-        """Line with all that belongs behind it."""
-        return (line if self.checker is None else self.checker.append(line)) + end
-
     def sealed_size(self, size: int, end: bytes) -> int:
         """Characters of a line of ``size``, with all that belongs behind it."""
         return size + (0 if self.checker is None else self.checker.size) + len(end)
 
 
-def reader(form: LineFormat, language: Language) -> Callable[[bytes], list[float] | None]:
-    """Make what reads one form of a reply at once: the line, its checksum, and that it is no error reply.
+def sealer(checker: Checker | None, end: bytes) -> Callable[[bytes], bytes]:
+    """Make what puts all that belongs there behind a line."""
+    if checker is None:
+        return lambda line: line + end
+    form, compute = checker.form + end, checker.compute  # no line end has a % in it
+    return lambda line: line + form % compute(line)
+
+
+def reader(form: LineFormat, language: Language) -> Callable[[bytes | bytearray], tuple[list[float], int] | None]:
+    """Make what reads one form of a reply at once: line, checksum and line end, and that it is no error reply.
 
     Returns
     -------
     callable
-        Takes a line; returns its numbers, in the order of the form's names, or None where there is anything else
-        about it. Raises ValueError where a number is beyond what its signal can hold.
+        Takes what came; returns the numbers, in the order of the form's names, and the size of the line with all that
+        belongs to it; None where there is anything unusual about it, or it is not complete. Raises ValueError where a
+        number is beyond what its signal can hold.
     """
     checker = language.checker
-    end = b"" if checker is None else checker.pattern
-    error = b"(?!(?:" + language.errors + b")" + end + rb"\Z)" if language.errors else b""
-    match = re.compile(error + b"(" + form.pattern + b")" + end).fullmatch
+    end = (b"" if checker is None else checker.pattern) + re.escape(language.reply_end)
+    error = b"(?!(?:" + language.errors + b")" + end + b")" if language.errors else b""
+    match = re.compile(error + b"(" + form.pattern + b")" + end).match
     place = re.compile(error).groups  # of the line in what is found; the numbers follow
     places = slice(place + 1, place + 1 + len(form.names))
-    is_right = None if checker is None else checker.is_right
     numbers = form.numbers
+    if checker is None:
+        compute, base = None, 0
+    else:
+        compute, base = checker.compute, checker.base
 
     # a function, for it runs between a reply and its use, when hardly anything is in the caches: nothing is looked up
-    def read(line: bytes) -> list[float] | None:
-        found = match(line)
+    def read(received: bytes | bytearray) -> tuple[list[float], int] | None:
+        found = match(received)
         if found is None:
             return None
         texts = found.groups()
-        if is_right is not None and not is_right(texts[place], texts[-1]):
+        if compute is not None and int(texts[-1], base) != compute(texts[place]):
             return None
-        return numbers(texts[places])
+        return numbers(texts[places]), found.end()
 
     return read
 

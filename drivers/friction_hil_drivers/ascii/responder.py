@@ -43,7 +43,7 @@ class _Speaker:
 
     def reply(self, text: bytes) -> bytes:
         """Line with all that belongs behind it."""
-        return self.language.sealed(text, self.language.reply_end)
+        return self.language.seal_reply(text)
 
     def _carry_out(self, message: CompiledMessage, numbers: Mapping[str, float]) -> bytes:
         if "position" in message.reads:

@@ -20,6 +20,7 @@ AXIS = "axis"
 FLOAT, INTEGER, HEXADECIMAL = "float", "int", "hex"
 _TYPES = (FLOAT, INTEGER, HEXADECIMAL)
 _BRACES = re.compile(r"\{([^{}]*)\}")
+_NEVER = math.inf, -math.inf  # bounds that no number keeps
 _WRAPPING = ("position", "position_command")
 # Bounded, and no two parts that can share a character: the time to match is linear.
 _FLOAT = rb"[-+]?(?:[0-9]{1,40}(?:\.[0-9]{0,40})?|\.[0-9]{1,40})(?:[eE][-+]?[0-9]{1,3})?"
@@ -114,7 +115,7 @@ class LineFormat:
         self.words = len(template.replace(f"{{{AXIS}}}", "" if axis is None else axis).split())
         self.size = 0
         written, pattern = b"", rb" *"
-        self._writers: list[tuple[str, Callable[[float], float]]] = []
+        self._writers: list[tuple[str, float, float, Callable[[float], float]]] = []
         self._readers: list[Callable[[bytes], float]] = []
         for index, part in enumerate(parts):
             if isinstance(part, str):
@@ -126,10 +127,10 @@ class LineFormat:
                 pattern += _text_pattern(part, axis)
                 continue
             signal = signals[part.name]
-            form, convert, size = _writer(part, signal)
+            form, low, high, convert, size = _writer(part, signal)
             written += form
             self.size += size
-            self._writers.append((part.name, convert))
+            self._writers.append((part.name, low, high, convert))
             expression, read = _reader(part, signal)
             pattern += b"(" + expression + b")"
             self._readers.append(read)
@@ -148,8 +149,9 @@ class LineFormat:
         """
         numbers = []  # each cycle: a comprehension is one function more to be called
         try:
-            for name, convert in self._writers:
-                numbers.append(convert(values[name]))
+            for name, low, high, convert in self._writers:
+                value = values[name]
+                numbers.append(value if low <= value <= high else convert(value))
         except KeyError as error:
             raise ValueError(f"there is no value of {error.args[0]} to be sent yet") from error
         return self._written % tuple(numbers)
@@ -201,14 +203,14 @@ def _text_pattern(text: str, axis: str | None) -> bytes:
     return expression
 
 
-def _writer(field: NumberField, signal: "AsciiSignal") -> tuple[bytes, Callable[[float], float], int]:
-    """How a number is written: %-format, conversion before it, most characters."""
+def _writer(field: NumberField, signal: "AsciiSignal") -> tuple[bytes, float, float, Callable[[float], float], int]:
+    """How a number is written: %-format, bounds between which it needs no conversion, conversion, most characters."""
     if field.type == FLOAT:
         digits = signal.digits
         end = 10.0**signal.whole_digits
         limit = min(end - 10.0**-digits, math.nextafter(end, 0.0))  # the difference may be lost in 16 digits
         size = 1 + signal.whole_digits + (digits + 1 if digits else 0)
-        return b"%%.%df" % digits, functools.partial(saturated, low=-limit, high=limit), size
+        return b"%%.%df" % digits, -limit, limit, functools.partial(saturated, low=-limit, high=limit), size
     low, high = _bounds(signal)
     span = high - low + 1
     if field.name in _WRAPPING:
@@ -221,9 +223,9 @@ def _writer(field: NumberField, signal: "AsciiSignal") -> tuple[bytes, Callable[
             return _rounded(saturated(value, low, high))
 
     if field.type == INTEGER:
-        return b"%d", convert, max(len(str(low)), len(str(high)))
+        return b"%d", *_NEVER, convert, max(len(str(low)), len(str(high)))
     width = len(f"{span - 1:X}")
-    return b"%%0%dX" % width, lambda value: convert(value) % span, width
+    return b"%%0%dX" % width, *_NEVER, lambda value: convert(value) % span, width
 
 
 def _rounded(value: float) -> int:

@@ -35,9 +35,11 @@ class Batch:
     exchanges: tuple[Exchange, ...]
     answered: tuple[Exchange, ...]  # of them
     refusable: tuple[Exchange, ...]  # of them: not answered, but for a refusal
+    chars: int
     ahead_chars: int  # that may be sent before the first of them is answered; 0: nothing follows one that is
     wire_ns: int
     are_joint: bool  # nothing forbids that they go together
+    may_follow: frozenset[Exchange]  # what may still be awaited when they go out
 
 
 class Conversation:
@@ -91,10 +93,9 @@ class Conversation:
         character_ns = character_s(line.options) * 1e9 if serial else 0.0
         self._character_ns = round(character_ns)
         self._silence_ns = round(silence_chars * character_ns)
-        self._turnaround_ns = round(line.options.turnaround_s * 1e9)
         self._reply_limit_ns = round(reply_limit_s * 1e9)
-        self._settle_ns = self._short_settle_ns = max(self._silence_ns, _SHORT_SILENCE_NS)
-        self._doubt_ns = max(self._short_settle_ns, round(doubt_s * 1e9)) if doubt_s else 0
+        self._settle_ns = self._short_settle_ns
+        self._doubt_ns = max(self._settle_ns, round(doubt_s * 1e9)) if doubt_s else 0
         self._is_in_doubt = False  # what comes next may be a reply to something before
         self._ahead_chars = ahead_chars
         self._unread_chars = 0  # sent since a drive answered last: it may not have looked at them yet
@@ -113,6 +114,10 @@ class Conversation:
         self.trouble = ""
         self.limit_ns: int | None = None
         self.refusals = Refusals(is_of_one_drive=len(self._images) == 1)
+
+    @property
+    def _short_settle_ns(self) -> int:
+        return max(self._silence_ns, _SHORT_SILENCE_NS)
 
     @property
     def is_finished(self) -> bool:
@@ -135,8 +140,17 @@ class Conversation:
             moments.append(self._quiet_until_ns)
         return min(moments, default=None)
 
-    def batch(self, exchanges: Sequence[Exchange], wire_s: float) -> Batch:
-        """Work out how some exchanges go out together; ``wire_s`` is what they take."""
+    def batch(self, exchanges: Sequence[Exchange], wire_s: float, before: Iterable[Exchange] = ()) -> Batch:
+        """Work out how some exchanges go out together.
+
+        Parameters
+        ----------
+        exchanges : sequence of Exchange
+        wire_s : float
+            What they take.
+        before : iterable of Exchange
+            What they may find awaited.
+        """
         answered: list[Exchange] = []
         size = ahead_chars = 0
         are_joint = len(exchanges) < 2 or not self._silence_ns
@@ -147,8 +161,18 @@ class Conversation:
                 are_joint = are_joint and all(map(exchange.may_follow, answered))
             if exchange.reply_size:
                 answered.append(exchange)
-        refusable = tuple(exchange for exchange in exchanges if exchange.tells_refusal)
-        return Batch(tuple(exchanges), tuple(answered), refusable, ahead_chars, round(1e9 * wire_s), are_joint)
+        return Batch(
+            exchanges=tuple(exchanges),
+            answered=tuple(answered),
+            refusable=tuple(exchange for exchange in exchanges if exchange.tells_refusal),
+            chars=size,
+            ahead_chars=ahead_chars,
+            wire_ns=round(1e9 * wire_s),
+            are_joint=are_joint,
+            may_follow=frozenset(
+                each for each in before if not self._silence_ns and all(late.may_follow(each) for late in exchanges)
+            ),
+        )
 
     def say_at_once(self, batch: Batch, limit_ns: int | None) -> bool:
         """Send requests together where nothing at all stands in the way; whether that was so.
@@ -163,7 +187,6 @@ class Conversation:
         """
         if (
             self.queue
-            or self.awaited
             or self._received
             or self._owed
             or self._silent
@@ -174,6 +197,11 @@ class Conversation:
             or not batch.are_joint
         ):
             return False
+        ahead_chars = batch.ahead_chars
+        if self.awaited:
+            if not batch.may_follow.issuperset(self.awaited):
+                return False
+            ahead_chars = batch.chars
         now = self._now_ns()
         if now < self._quiet_until_ns:
             return False
@@ -181,7 +209,7 @@ class Conversation:
             busy_ns = self._busy_until_ns
             if (busy_ns if busy_ns > now else now) + batch.wire_ns > limit_ns:
                 return False
-        if batch.ahead_chars and self._unread_chars + batch.ahead_chars > self._ahead_chars:
+        if ahead_chars and self._unread_chars + ahead_chars > self._ahead_chars:
             return False
         try:
             data = b""
@@ -420,8 +448,9 @@ class Conversation:
         assert self.limit_ns is not None
         wire_ns = self._wire_ns.get(exchange)
         if wire_ns is None:
-            silence = self._silence_ns if exchange.reply_size else 0
-            wire_ns = (exchange.request_size + exchange.reply_size) * self._character_ns + silence + self._turnaround_ns
+            wire_ns = (exchange.request_size + exchange.reply_size) * self._character_ns
+            if exchange.reply_size:
+                wire_ns += self._silence_ns + round(self.line.options.turnaround_s * 1e9)
             self._wire_ns[exchange] = wire_ns
         return max(self._now_ns(), self._busy_until_ns) + wire_ns <= self.limit_ns
 

@@ -26,7 +26,7 @@ from friction_hil_drivers.serial_line.description import Description
 from friction_hil_drivers.serial_line.lane import Lane, attend
 from friction_hil_drivers.serial_line.line import Line, taken
 from friction_hil_drivers.serial_line.protocol import Exchange, ProtocolFactory
-from friction_hil_drivers.serial_line.ticker import Ticker
+from friction_hil_drivers.serial_line.selector import LineSelector
 
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig, Configuration
@@ -105,7 +105,7 @@ class SerialDrives:
         self._clock = clock
         self._dry_run = dry_run
         self._margin_ns = round(min(_COMPUTATION_S, 0.1 * configuration.period_s) * 1e9)
-        self._ticker: Ticker | None = None  # shortly before the end of each cycle
+        self._selector = LineSelector()  # for the wait that ends at the same time in each period
         self._lanes: list[Lane] = []
         self._conversations: list[Conversation] = []
         self._axes: list[SerialAxis] = []  # in the order of the configuration
@@ -114,6 +114,7 @@ class SerialDrives:
         self._is_started = False
         self._is_heard = False  # what came until now, in a rehearsal
         self._end_ns = 0  # of the cycle
+        self._time_s = 0.0  # of its feedback
         self._timeouts = 0
 
     def connect(self) -> Sequence[AxisFacts]:
@@ -147,8 +148,7 @@ class SerialDrives:
         for axis in self._axes:
             axis.image.fresh.clear()  # what was read before
         if self._clock.is_real:
-            with contextlib.suppress(OSError):  # each wait has its time-out then
-                self._ticker = Ticker(round(self._configuration.period_s * 1e9))
+            self._selector = LineSelector(round(self._configuration.period_s * 1e9))
         self._is_started = True
 
     def receive(self, feedback: Sequence[Feedback], end_ns: int) -> None:
@@ -161,14 +161,16 @@ class SerialDrives:
                 lane.end_turn(limit_ns)
             # in simulated time the wire is none: what it would take says nothing of when a reply comes
             lane.poll(limit_ns if is_real else None, is_commanding=self._is_commanding, is_heard=self._is_heard)
-        if attend(self._conversations, limit_ns, ticker=self._ticker):
+        is_over = attend(self._conversations, limit_ns, self._selector)
+        if is_over:
             self._timeouts = 0
         elif not is_real:
             self._note_timeout()
         self._is_heard = False
         for conversation in self._conversations:
-            conversation.give_up()
-        time_s = self._clock.now_ns() * 1e-9
+            if not is_over or conversation.limit_ns is not None:
+                conversation.give_up()
+        self._time_s = time_s = self._clock.now_ns() * 1e-9
         for told, axis, conversation in zip(feedback, self._axes, self._heard, strict=True):
             axis.fill(told, time_s, conversation.trouble)
             if conversation.refusals.count >= _REFUSALS:
@@ -183,13 +185,12 @@ class SerialDrives:
     def send(self, commands: Sequence[Command]) -> None:
         """Write the commands, or put them where the next poll takes them; a dry run only asks."""
         end_ns = self._end_ns if self._clock.is_real else None
-        time_s = self._clock.now_ns() * 1e-9
         steps: dict[str, Mapping[str, float]] = {}  # what is to be written beside the commands
         if not self._dry_run:
             for axis, command in zip(self._axes, commands, strict=True):
                 if command.request is not Request.LISTEN:
                     self._is_commanding = True
-                if step := axis.take(command, time_s):
+                if step := axis.take(command, self._time_s):
                     steps[axis.name] = step
         is_said = True
         for lane in self._lanes:
@@ -198,15 +199,14 @@ class SerialDrives:
                 is_said = False
         if not is_said:  # a reply is awaited at the start of the next cycle only
             limit_ns = time.monotonic_ns() + _STEPPED_TIMEOUT_NS if end_ns is None else end_ns
-            attend(self._conversations, limit_ns, until_answered=False)
+            attend(self._conversations, limit_ns, LineSelector(), until_answered=False)
 
     def rehearse(self) -> None:
         """Take what came since the cycle before, which the cycle need not do then; see `Drives.rehearse`."""
         for conversation in self._conversations:
             if conversation.line.is_open:  # to get it back may take time
                 conversation.step()
-        if self._ticker is not None:
-            self._ticker.clear()
+        self._selector.forget()
         self._is_heard = True
 
     def close(self) -> None:
@@ -218,9 +218,7 @@ class SerialDrives:
         finally:
             for lane in self._lanes:
                 lane.conversation.line.close()
-            if self._ticker is not None:
-                self._ticker.close()
-                self._ticker = None
+            self._selector.close()
             self._is_started = False
 
     def _part(self, lane: Lane) -> None:

@@ -10,13 +10,12 @@ from friction_hil_drivers.serial_line.axis import SerialAxis
 from friction_hil_drivers.serial_line.conversation import Batch, Conversation
 from friction_hil_drivers.serial_line.line import LineGoneError
 from friction_hil_drivers.serial_line.protocol import Exchange, LineProtocol, Plan
-from friction_hil_drivers.serial_line.ticker import Ticker
+from friction_hil_drivers.serial_line.selector import LineSelector
 from friction_hil_drivers.serial_line.wire import wire_s
 
 _ATTEMPTS = 5
 _ATTEMPT_S = 0.3
 _TURN_SHARE = 0.25
-_TICK_S = 0.01  # of the system: a time-out beyond that costs nothing
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,10 +56,11 @@ class Lane:
 
     def _batches(self, plan: Plan) -> _Batches:
         endings = [(*plan.push, turn) for turn in plan.turns] or ([plan.push] if plan.push else [])
-        return _Batches(self._batch(plan.poll), tuple(map(self._batch, endings)))
-
-    def _batch(self, exchanges: tuple[Exchange, ...]) -> Batch:
-        return self.conversation.batch(exchanges, self.wire_s(*exchanges))
+        batch = self.conversation.batch
+        return _Batches(
+            batch(plan.poll, self.wire_s(*plan.poll), plan.turns),
+            tuple(batch(ending, self.wire_s(*ending)) for ending in endings),
+        )
 
     def poll(self, limit_ns: int | None, *, is_commanding: bool, is_heard: bool) -> None:
         """Ask for the feedback of a cycle.
@@ -75,12 +75,13 @@ class Lane:
             What has come before was read a moment ago.
         """
         conversation = self.conversation
-        conversation.limit_ns = limit_ns
         batch = (self._commanding if is_commanding else self._listening).poll
+        is_heard = is_heard or bool(conversation.awaited)  # what is awaited is read when all has been asked
         if is_heard and conversation.say_at_once(batch, limit_ns):
             return
+        conversation.limit_ns = limit_ns
         conversation.ask(batch.exchanges)
-        if is_heard or conversation.awaited:  # a reply that is awaited is read when all has been asked
+        if is_heard:
             conversation.go_on()
         else:
             conversation.step()
@@ -142,7 +143,7 @@ class Lane:
         conversation = self.conversation
         now = time.monotonic_ns()
         conversation.step()
-        if not attend((conversation,), now + round(_TURN_SHARE * (limit_ns - now))):
+        if not attend((conversation,), now + round(_TURN_SHARE * (limit_ns - now)), LineSelector()):
             conversation.give_up()
 
     def write(self, axis: str, names: Iterable[str]) -> Exchange:
@@ -193,7 +194,7 @@ class Lane:
         for _ in range(attempts):
             conversation.ask(exchanges, done)
             conversation.step()
-            attend([conversation], time.monotonic_ns() + round(limit_s * 1e9))
+            attend([conversation], time.monotonic_ns() + round(limit_s * 1e9), LineSelector())
             if is_done:
                 return
             conversation.give_up()
@@ -209,9 +210,9 @@ class Lane:
 def attend(
     conversations: Sequence[Conversation],
     limit_ns: int,
+    selector: LineSelector,
     *,
     until_answered: bool = True,
-    ticker: Ticker | None = None,
 ) -> bool:
     """Let conversations go on until all has been said, or until the monotonic clock is at ``limit_ns``.
 
@@ -220,10 +221,10 @@ def attend(
     conversations : sequence of Conversation
     limit_ns : int
         Monotonic time, ns.
+    selector : LineSelector
+        If it knows a period, the limit is to be the same in each.
     until_answered : bool
         Wait for the replies, too, not only until all is sent.
-    ticker : Ticker, optional
-        Expires shortly before the limit, where that is the same in each period.
 
     Returns
     -------
@@ -246,13 +247,7 @@ def attend(
             # who awaits a reply has no other date: asked several times a cycle
             if not conversation.awaited and (due := conversation.due_ns) is not None and due < next_ns:
                 next_ns = due
-        wait_s = (next_ns - now) * 1e-9 if next_ns > now else 0.0
-        if ticker is not None and next_ns == limit_ns and ticker.expires_before(limit_ns, now):
-            lines.append(ticker.descriptor)
-            wait_s += _TICK_S
-        ready = select.select(lines, (), (), wait_s)[0]
-        if ticker is not None and ticker.descriptor in ready:
-            ticker.clear()
+        ready = selector.wait(lines, next_ns, now, is_periodic=next_ns == limit_ns)
         for conversation in conversations:
             if conversation.line.descriptor in ready:
                 conversation.step(is_ready=True)
