@@ -8,6 +8,7 @@ from friction_hil_drivers.ascii.description import AsciiDescription
 from friction_hil_drivers.ascii.drives import AsciiDrives
 from friction_hil_drivers.ascii.messages import Language
 from friction_hil_drivers.ascii.options import AsciiOptions
+from friction_hil_drivers.serial_line.batch import Batch
 from friction_hil_drivers.serial_line.conversation import Conversation
 from friction_hil_drivers.serial_line.description import load_description
 from friction_hil_drivers.serial_line.protocol import Image, Wanted
@@ -121,7 +122,8 @@ class Bench:
         return fresh
 
     def _ask(self, exchanges):
-        if self._is_at_once and self.talk.say_at_once(self.talk.batch(exchanges, 0.0, self.plan.turns), None):
+        batch = Batch.of(exchanges, 0.0, self.plan.turns, keeps_silence=self.talk.keeps_silence)
+        if self._is_at_once and self.talk.say_at_once(batch, None):
             self.at_once += 1
             return True
         self.talk.ask(exchanges)
@@ -190,8 +192,10 @@ def test_what_is_said_at_once_is_what_would_be_said_anyway(axes, fates, cut, gon
         assert one.talk.trouble == other.talk.trouble
 
 
-def test_an_undisturbed_line_is_spoken_on_at_once():
-    bench = Bench(1, is_at_once=True)
+@pytest.mark.parametrize("turn_ms", [0.0, TURN_MS])
+def test_an_undisturbed_line_is_spoken_on_at_once(turn_ms):
+    """Also while the reply to the last cycle's turn is still on its way."""
+    bench = Bench(1, [0.0, turn_ms] * 10, is_at_once=True)
     for _ in range(10):
         assert bench.cycle() == {"0"}
     assert bench.at_once == 20

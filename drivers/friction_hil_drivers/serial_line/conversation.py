@@ -16,8 +16,8 @@ a cycle then wakes up once.
 import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Sequence
-from dataclasses import dataclass
 
+from friction_hil_drivers.serial_line.batch import Batch
 from friction_hil_drivers.serial_line.line import Line, LineGoneError
 from friction_hil_drivers.serial_line.protocol import Exchange, Image, ReplyError, shown
 from friction_hil_drivers.serial_line.refusals import Refusals
@@ -26,20 +26,6 @@ from friction_hil_drivers.serial_line.wire import character_s
 _SHORT_SILENCE_NS = 2_000_000  # USB adapters hand over what they have each millisecond
 _REOPEN_NS = 200_000_000
 _LONGEST_SETTLE_NS = 20_000_000  # a line that is not quiet by then will not be
-
-
-@dataclass(frozen=True, slots=True)
-class Batch:
-    """Requests of a cycle that go out together, and what is known of them before; see `Conversation.batch`."""
-
-    exchanges: tuple[Exchange, ...]
-    answered: tuple[Exchange, ...]  # of them
-    refusable: tuple[Exchange, ...]  # of them: not answered, but for a refusal
-    chars: int
-    ahead_chars: int  # that may be sent before the first of them is answered; 0: nothing follows one that is
-    wire_ns: int
-    are_joint: bool  # nothing forbids that they go together
-    may_follow: frozenset[Exchange]  # what may still be awaited when they go out
 
 
 class Conversation:
@@ -116,6 +102,11 @@ class Conversation:
         self.refusals = Refusals(is_of_one_drive=len(self._images) == 1)
 
     @property
+    def keeps_silence(self) -> bool:
+        """Whether silence has to pass between frames."""
+        return self._silence_ns > 0
+
+    @property
     def _short_settle_ns(self) -> int:
         return max(self._silence_ns, _SHORT_SILENCE_NS)
 
@@ -139,40 +130,6 @@ class Conversation:
         if any(map(self._may_be_asked, self.queue)):
             moments.append(self._quiet_until_ns)
         return min(moments, default=None)
-
-    def batch(self, exchanges: Sequence[Exchange], wire_s: float, before: Iterable[Exchange] = ()) -> Batch:
-        """Work out how some exchanges go out together.
-
-        Parameters
-        ----------
-        exchanges : sequence of Exchange
-        wire_s : float
-            What they take.
-        before : iterable of Exchange
-            What they may find awaited.
-        """
-        answered: list[Exchange] = []
-        size = ahead_chars = 0
-        are_joint = len(exchanges) < 2 or not self._silence_ns
-        for exchange in exchanges:
-            size += exchange.request_size
-            if answered:
-                ahead_chars = size
-                are_joint = are_joint and all(map(exchange.may_follow, answered))
-            if exchange.reply_size:
-                answered.append(exchange)
-        return Batch(
-            exchanges=tuple(exchanges),
-            answered=tuple(answered),
-            refusable=tuple(exchange for exchange in exchanges if exchange.tells_refusal),
-            chars=size,
-            ahead_chars=ahead_chars,
-            wire_ns=round(1e9 * wire_s),
-            are_joint=are_joint,
-            may_follow=frozenset(
-                each for each in before if not self._silence_ns and all(late.may_follow(each) for late in exchanges)
-            ),
-        )
 
     def say_at_once(self, batch: Batch, limit_ns: int | None) -> bool:
         """Send requests together where nothing at all stands in the way; whether that was so.

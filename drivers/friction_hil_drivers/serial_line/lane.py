@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 
 from friction_hil.errors import BusError, DriveError
 from friction_hil_drivers.serial_line.axis import SerialAxis
-from friction_hil_drivers.serial_line.conversation import Batch, Conversation
+from friction_hil_drivers.serial_line.batch import Batch
+from friction_hil_drivers.serial_line.conversation import Conversation
 from friction_hil_drivers.serial_line.line import LineGoneError
 from friction_hil_drivers.serial_line.protocol import Exchange, LineProtocol, Plan
 from friction_hil_drivers.serial_line.selector import LineSelector
@@ -56,11 +57,11 @@ class Lane:
 
     def _batches(self, plan: Plan) -> _Batches:
         endings = [(*plan.push, turn) for turn in plan.turns] or ([plan.push] if plan.push else [])
-        batch = self.conversation.batch
-        return _Batches(
-            batch(plan.poll, self.wire_s(*plan.poll), plan.turns),
-            tuple(batch(ending, self.wire_s(*ending)) for ending in endings),
-        )
+        return _Batches(self._batch(plan.poll, plan.turns), tuple(map(self._batch, endings)))
+
+    def _batch(self, exchanges: tuple[Exchange, ...], before: Iterable[Exchange] = ()) -> Batch:
+        keeps_silence = self.conversation.keeps_silence
+        return Batch.of(exchanges, self.wire_s(*exchanges), before, keeps_silence=keeps_silence)
 
     def poll(self, limit_ns: int | None, *, is_commanding: bool, is_heard: bool) -> None:
         """Ask for the feedback of a cycle.
