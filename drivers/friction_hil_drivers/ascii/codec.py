@@ -36,7 +36,7 @@ class AsciiExchange:
         self._is_fixed = any(message.sets for message in self._messages)
         self._image = image
         self._sent = b""
-        self._constant = b""  # the request, where there are no numbers in it
+        self.constant = b""
         self._known: bytes | None = None  # the last reply, and what it tells: it often comes again
         self._names: tuple[str, ...] = ()
         self._numbers: list[float] = []
@@ -75,13 +75,13 @@ class AsciiExchange:
         """
         language = self._language
         self._is_echo_due = language.has_echo
-        if self._constant:
-            return self._constant
+        if self._sent and not self.writes:
+            return self._sent
         values = self._image.values
         message = self._chosen(values) if self._is_fixed else self._first
         self._sent = language.seal_request(message.request.write(values))
-        if not self.writes:
-            self._constant = self._sent
+        if not (self.writes or language.has_echo):
+            self.constant = self._sent
         return self._sent
 
     def _chosen(self, values: Mapping[str, float]) -> CompiledMessage:

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from math import isfinite
 
 from friction_hil_drivers.ascii.checksum import Checker
 from friction_hil_drivers.ascii.description import AsciiDescription
@@ -91,7 +92,7 @@ def reader(form: LineFormat, language: Language) -> Callable[[bytes | bytearray]
     match = re.compile(error + b"(" + form.pattern + b")" + end).match
     place = re.compile(error).groups  # of the line in what is found; the numbers follow
     places = slice(place + 1, place + 1 + len(form.names))
-    numbers = form.numbers
+    numbers, are_floats = form.numbers, form.are_floats
     if checker is None:
         compute, base = None, 0
     else:
@@ -105,6 +106,10 @@ def reader(form: LineFormat, language: Language) -> Callable[[bytes | bytearray]
         texts = found.groups()
         if compute is not None and int(texts[-1], base) != compute(texts[place]):
             return None
+        if are_floats:
+            told = list(map(float, texts[places]))
+            if isfinite(sum(told)):
+                return told, found.end()
         return numbers(texts[places]), found.end()
 
     return read

@@ -101,6 +101,8 @@ class LineFormat:
         Signals in it, in their order.
     words : int
         Parts of the line between blanks.
+    are_floats : bool
+        All numbers in it are.
     pattern : bytes
         Regular expression of a line that is read; a group for each number.
     size : int
@@ -135,7 +137,7 @@ class LineFormat:
             pattern += b"(" + expression + b")"
             self._readers.append(read)
         self._written = written
-        self._are_floats = all(field.type == FLOAT for field in fields(parts))
+        self.are_floats = all(field.type == FLOAT for field in fields(parts))
         self.pattern = pattern + rb" *"
         self._match = re.compile(self.pattern).fullmatch
 
@@ -175,7 +177,7 @@ class LineFormat:
         ValueError
             One is beyond what its signal can hold.
         """
-        if self._are_floats:
+        if self.are_floats:
             numbers = list(map(float, texts))
         else:
             numbers = [read(text) for read, text in zip(self._readers, texts, strict=True)]

@@ -171,7 +171,7 @@ class Conversation:
         try:
             data = b""
             for exchange in batch.exchanges:
-                data += exchange.encode()
+                data += exchange.constant or exchange.encode()
             self._send(data, now, batch.answered)
         except LineGoneError as gone:
             self._forget(gone)

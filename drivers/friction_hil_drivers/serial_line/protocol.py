@@ -72,6 +72,7 @@ class Exchange(Protocol):
     request_size: int  # characters on the line, the most there can be
     reply_size: int  # likewise; 0: no reply comes
     tells_refusal: bool  # no reply comes, but an error does where the drive refuses
+    constant: bytes  # all that `encode` would do is to return this; empty: it has to be called
 
     @property
     def unanswered(self) -> frozenset[str]:
@@ -111,6 +112,7 @@ class Single:
     """What an `Exchange` has that is made by itself, whole or not at all, and whose drives do not err unasked."""
 
     tells_refusal = False
+    constant = b""
 
     def may_follow(self, before: Exchange) -> bool:
         """See `Exchange`."""
