@@ -66,7 +66,7 @@ def compiled(function: Function) -> Function:
 
 def inlined(function: Function) -> Function:
     """Compile ``function`` into each compiled function that calls it: what is constant there costs nothing."""
-    return _compiled(function, nogil=True, forceinline=True, no_cpython_wrapper=True)
+    return _compiled(function, nogil=True, forceinline=True)
 
 
 def compiled_for_one_sample(function: Function) -> Function:
