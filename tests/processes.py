@@ -2,7 +2,6 @@
 
 import contextlib
 import json
-import os
 import random
 import subprocess
 import sys
@@ -11,6 +10,7 @@ from pathlib import Path
 import can
 import yaml
 
+from tests.launcher import start
 from tests.servo_drives import axis_dict
 
 COMMAND = [sys.executable, "-m", "friction_hil"]
@@ -39,12 +39,11 @@ def write_configuration(folder: Path, *, port=None, bus=None, period_s=1e-3, **a
 @contextlib.contextmanager
 def simulated_drives(configuration: Path, *options: str):
     """Simulated drives on the bus, paced by SYNC; they end with this test, however it ends."""
-    process = subprocess.Popen(
-        [*COMMAND, "simulate", str(configuration), "--pace", "sync", "--exit-with-stdin", *options],
+    process = start(
+        *("simulate", configuration, "--pace", "sync", "--exit-with-stdin", *options),
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
-        text=True,
     )
     try:
         ready = process.stdout.readline()
@@ -59,9 +58,13 @@ def simulated_drives(configuration: Path, *options: str):
 
 def run(*arguments, check=True, **options) -> subprocess.CompletedProcess:
     """One command of friction-hil, to its end."""
-    done = subprocess.run(
-        [*COMMAND, *map(str, arguments)], capture_output=True, text=True, timeout=240, check=False, **options
-    )
+    with start(*arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **options) as process:
+        try:
+            output, errors = process.communicate(timeout=240)
+        except BaseException:
+            process.kill()
+            raise
+    done = subprocess.CompletedProcess(process.args, process.returncode, output, errors)
     if check:
         assert done.returncode == 0, done.stderr + done.stdout
     return done
@@ -75,13 +78,8 @@ def run_daemon(configuration: Path, *options, check=True) -> tuple[dict, subproc
 
 def start_daemon(configuration: Path, *options) -> subprocess.Popen:
     """The daemon in the background; the caller ends it."""
-    return subprocess.Popen(
-        [*COMMAND, "run", str(configuration), "--pace", "sync", "--json", *map(str, options)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env=os.environ.copy(),
-    )
+    words = ("run", configuration, "--pace", "sync", "--json", *options)
+    return start(*words, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
 
 @contextlib.contextmanager

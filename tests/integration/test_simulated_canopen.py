@@ -15,6 +15,7 @@ import pytest
 import yaml
 
 from friction_hil.cli import main
+from tests.launcher import start
 
 GROUP = "239.74.163.2"
 INERTIA, FRICTION, RATED = 2e-4, 0.02, 0.5
@@ -67,12 +68,11 @@ class Drives:
         path = folder / "axes.yaml"
         path.write_text(yaml.safe_dump(configuration(port)))
         self.bus = can.Bus(interface="udp_multicast", channel=GROUP, port=port, hop_limit=0)
-        self.process = subprocess.Popen(
-            command(path, "--pace", pace, "--exit-with-stdin"),
+        self.process = start(
+            *("simulate", path, "--pace", pace, "--exit-with-stdin"),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
-            text=True,
         )
         assert self.process.stdout is not None
         self.ready = self.process.stdout.readline()

@@ -1,0 +1,37 @@
+"""What tests take for commands of friction-hil are such."""
+
+import os
+import signal
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from tests import launcher
+from tests.processes import write_configuration
+
+PIPES = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+
+
+def test_a_command_ends_with_its_status_and_its_words() -> None:
+    with launcher.start("run", "there_is_none.yaml", **PIPES) as command:
+        said = command.communicate(timeout=60)
+    assert command.returncode == 2
+    assert said == ("", "there_is_none.yaml: cannot be read: No such file or directory\n")
+
+
+def test_a_command_is_a_process_of_its_own_and_a_child_of_the_test(tmp_path: Path) -> None:
+    path = write_configuration(tmp_path)
+    with launcher.start("simulate", path, **PIPES) as running, launcher.start("--version", **PIPES) as other:
+        assert other.communicate(timeout=60)[0].startswith("friction-hil ")
+        assert other.returncode == 0
+        assert running.poll() is None
+        os.kill(running.pid, signal.SIGKILL)
+        assert running.wait(60) == -signal.SIGKILL
+
+
+def test_with_an_environment_of_its_own_a_command_is_started_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FRICTION_HIL_TEST", "1")
+    with launcher.start("--version", **PIPES) as command:
+        assert type(command) is subprocess.Popen
+        assert command.communicate(timeout=60)[0].startswith("friction-hil ")
