@@ -55,7 +55,7 @@ class _Server:
         process = subprocess.Popen(words, pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL)
         theirs.close()
         atexit.register(process.wait)
-        atexit.register(self.control.close)  # which comes first, and ends it
+        atexit.register(self.control.shutdown, socket.SHUT_RDWR)  # which comes first, and ends it
 
 
 @cache
@@ -74,7 +74,10 @@ class _Forked(subprocess.Popen[str]):
         control = _server().control
         with _taking_in_orphans():
             socket.send_fds(control, [job], streams)
-            self.pid = int(control.recv(_LONGEST_JOB))
+            answer = control.recv(_LONGEST_JOB)
+        if not answer:
+            raise RuntimeError("the process that forks commands has ended; python -m tests.launcher 0 may tell why")
+        self.pid = int(answer)
         self._child_created = True
         self._close_pipe_fds(*pipes)  # type: ignore[attr-defined]
 

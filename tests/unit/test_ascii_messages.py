@@ -16,7 +16,11 @@ CHECKSUMS = {
     "crc16": {"kind": "crc16", "form": "hex", "prefix": "~", "polynomial": 0x8005, "initial": 0xFFFF},
 }
 # the second one looks like a number of errors, and has a group of its own
-ERRORS = {"unknown command": "the drive does not know it", r"-(1|2)(\.0)?": "a number that means an error"}
+ERRORS = {
+    "unknown command": "the drive does not know it",
+    r"-(1|2)(\.0)?": "a number that means an error",
+    "^1e2$": "an expression that says where the line ends",
+}
 
 
 def language_of(checksum):
@@ -63,7 +67,9 @@ def test_an_error_that_looks_like_a_number_is_no_number(checksum):
     read = reader(state.replies[0], language)
     line = language.seal_reply(b"-1.5")
     assert read(line) == ([-1.5], len(line))
-    assert read(language.seal_reply(b"-1.0")) is None
+    for error in (b"-1.0", b"1e2"):
+        assert read(language.seal_reply(error)) is None
+        assert read(language.seal_reply(error) + b"8") is None
 
 
 @given(st.lists(st.binary(max_size=LONGEST_LINE + 40), max_size=3), st.integers(1, 400))

@@ -194,6 +194,24 @@ def test_after_closing_in_motion_no_drive_keeps_its_power(kind, tmp_path):
         assert not bench.feedback.state.is_powered
 
 
+def test_a_cycle_that_was_broken_off_does_not_keep_the_power_from_being_taken_away(kind, tmp_path, monkeypatch):
+    with Bench(kind, tmp_path).begin().enable() as bench:
+        (lane,) = bench.drives._lanes
+        (there,) = bench.simulated._lines[0]._drives
+        bench.clock.is_real = True
+
+        def interrupted(*_, **__):
+            raise KeyboardInterrupt
+
+        with monkeypatch.context() as patch:
+            patch.setattr(drives, "attend", interrupted)
+            with pytest.raises(KeyboardInterrupt):
+                bench.cycle(Request.ENABLE, 0.1)
+        lane.conversation.limit_ns = 1  # which is over
+        bench.drives.close()
+        wait_for(lambda: not there.state.is_powered)
+
+
 def test_a_drive_that_is_powered_already_is_refused(kind, tmp_path):
     """A daemon that was killed leaves it so, until the drive's watchdog ends it."""
     with Bench(kind, tmp_path).begin().enable() as bench:

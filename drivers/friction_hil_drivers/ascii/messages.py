@@ -57,7 +57,8 @@ class Language:
         self.is_answering_all = description.is_answering_all
         self.has_error_replies = bool(description.error_replies)
         self._meanings = [(re.compile(form.encode()), text) for form, text in description.error_replies.items()]
-        self.errors = b"|".join(b"(?:%s)" % form.pattern for form, _ in self._meanings)  # regular expression of all
+        errors = b"|".join(b"(?:%s)" % form.pattern for form, _ in self._meanings)
+        self.is_error = re.compile(errors).fullmatch if errors else None
 
     def meaning(self, line: bytes) -> str | None:
         """What an error reply means; None where it is none."""
@@ -88,10 +89,9 @@ def reader(form: LineFormat, language: Language) -> Callable[[bytes | bytearray]
     """
     checker = language.checker
     end = (b"" if checker is None else checker.pattern) + re.escape(language.reply_end)
-    error = b"(?!(?:" + language.errors + b")" + end + b")" if language.errors else b""
-    match = re.compile(error + b"(" + form.pattern + b")" + end).match
-    place = re.compile(error).groups  # of the line in what is found; the numbers follow
-    places = slice(place + 1, place + 1 + len(form.names))
+    match = re.compile(b"(" + form.pattern + b")" + end).match
+    is_error = language.is_error
+    places = slice(1, 1 + len(form.names))  # of the numbers in what is found, behind the line
     numbers, are_floats = form.numbers, form.are_floats
     if checker is None:
         compute, base = None, 0
@@ -104,7 +104,10 @@ def reader(form: LineFormat, language: Language) -> Callable[[bytes | bytearray]
         if found is None:
             return None
         texts = found.groups()
-        if compute is not None and int(texts[-1], base) != compute(texts[place]):
+        line = texts[0]
+        if compute is not None and int(texts[-1], base) != compute(line):
+            return None
+        if is_error is not None and is_error(line):
             return None
         if are_floats:
             told = list(map(float, texts[places]))

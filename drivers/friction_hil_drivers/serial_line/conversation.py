@@ -58,7 +58,7 @@ class Conversation:
     queue, awaited : deque of Exchange
         What is still to be sent; what was sent together, and is answered in this order.
     limit_ns : int or None
-        When replies have to be there: what cannot be answered by then is not asked.
+        When replies have to be there to what was not said at once: what cannot be answered by then is not asked.
     """
 
     def __init__(

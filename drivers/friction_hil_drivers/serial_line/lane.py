@@ -109,6 +109,7 @@ class Lane:
             if conversation.say_at_once(endings[place], end_ns):
                 self.turn, self.is_step_sent = place, False
                 return
+        conversation.limit_ns = None  # of a poll that did not come to its end
         plan = self.plan if is_commanding else self.listening
         self.is_step_sent = bool(steps) and not self.is_step_sent and self._take_step(steps)
         conversation.ask(plan.push)
@@ -142,6 +143,7 @@ class Lane:
     def end_turn(self, limit_ns: int) -> None:
         """Wait for what the last cycle has asked, for a share of the time to a moment: others are to be asked too."""
         conversation = self.conversation
+        conversation.limit_ns = None  # as in `send`
         now = time.monotonic_ns()
         conversation.step()
         if not attend((conversation,), now + round(_TURN_SHARE * (limit_ns - now)), LineSelector()):

@@ -32,7 +32,7 @@ class Ticker:
     Attributes
     ----------
     descriptor : int
-        For select: it is ready when the timer has expired since `clear`.
+        It is ready when the timer has expired since `clear`.
 
     Raises
     ------
@@ -64,7 +64,7 @@ class Ticker:
             return False
         lead_ns = (moment_ns - self._expiry_ns) % self._period_ns
         if lead_ns <= _MOST_LEAD_NS and self._expiry_ns:
-            return moment_ns - lead_ns > now_ns
+            return max(now_ns + 1, self._expiry_ns) <= moment_ns - lead_ns  # not so in the period in which it was set
         self._expiry_ns = moment_ns - _LEAD_NS + self._period_ns
         period, first = divmod(self._period_ns, 1_000_000_000), divmod(self._expiry_ns, 1_000_000_000)
         setting = _Setting(_Time(*period), _Time(*first))
