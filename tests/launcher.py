@@ -17,8 +17,7 @@ from collections.abc import Iterator
 from functools import cache
 from typing import Any
 
-from numba.core.registry import cpu_target
-
+COMMAND = [sys.executable, "-m", "friction_hil"]
 _PRELOADED = (
     "friction_hil.cli.run",
     "friction_hil.cli.simulate",
@@ -36,7 +35,7 @@ _LONGEST_JOB = 65536
 
 def start(*arguments: object, **options: Any) -> "subprocess.Popen[str]":
     """Start a command of friction-hil; ``options`` are those of Popen."""
-    words = [sys.executable, "-m", "friction_hil", *map(str, arguments)]
+    words = [*COMMAND, *map(str, arguments)]
     is_plain = set(options) <= {"stdin", "stdout", "stderr"} and _environment() == _server().environment
     return (_Forked if is_plain else subprocess.Popen)(words, text=True, **options)
 
@@ -70,7 +69,7 @@ class _Forked(subprocess.Popen[str]):
         # as Popen has them behind the program: ..., p2cread, p2cwrite, c2pread, c2pwrite, errread, errwrite, ...
         pipes = rest[9:15]
         streams = [theirs if theirs >= 0 else own for own, theirs in enumerate((pipes[0], pipes[3], pipes[5]))]
-        job = json.dumps({"arguments": args[3:], "cwd": os.getcwd()}).encode()
+        job = json.dumps({"arguments": args[len(COMMAND) :], "cwd": os.getcwd()}).encode()
         control = _server().control
         with _taking_in_orphans():
             socket.send_fds(control, [job], streams)
@@ -125,6 +124,8 @@ def _main() -> int:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does before it imports
     for name in _PRELOADED:
         importlib.import_module(name)
+    from numba.core.registry import cpu_target
+
     cpu_target.target_context.refresh()  # which else comes with the first kernel
     arguments = _serve(socket.socket(fileno=int(sys.argv[1])))
     if arguments is None:

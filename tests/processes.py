@@ -4,7 +4,6 @@ import contextlib
 import json
 import random
 import subprocess
-import sys
 from pathlib import Path
 
 import can
@@ -13,7 +12,6 @@ import yaml
 from tests.launcher import start
 from tests.servo_drives import axis_dict
 
-COMMAND = [sys.executable, "-m", "friction_hil"]
 GROUP = "239.74.163.2"
 
 

@@ -17,7 +17,7 @@ import friction_hil as fh
 from friction_hil import cluster
 from friction_hil.cli import main
 from friction_hil.recordings import Recording
-from tests.processes import COMMAND
+from tests.launcher import COMMAND
 
 pytest.importorskip("distributed", reason='distributed is not installed: pip install "friction-hil[cluster]"')
 psutil = pytest.importorskip("psutil", reason="psutil comes with distributed")

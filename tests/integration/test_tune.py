@@ -17,9 +17,9 @@ import friction_hil as fh
 from friction_hil.config import load, load_model_file
 from friction_hil.reports.following import SETTLE_S
 from friction_hil.safety import LoopState
+from tests.launcher import COMMAND
 from tests.peers.serial_processes import write_serial_configuration
 from tests.processes import (
-    COMMAND,
     listening,
     run,
     simulated_drives,

@@ -31,6 +31,9 @@ def test_a_command_is_a_process_of_its_own_and_a_child_of_the_test(tmp_path: Pat
 
 
 def test_with_an_environment_of_its_own_a_command_is_started_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    with launcher.start("--version", **PIPES) as command:
+        assert type(command) is not subprocess.Popen
+        command.communicate(timeout=60)
     monkeypatch.setenv("FRICTION_HIL_TEST", "1")
     with launcher.start("--version", **PIPES) as command:
         assert type(command) is subprocess.Popen
