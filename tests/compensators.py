@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import friction_hil as fh
 from friction_hil.compensator import INPUTS, STATE, Compensator, CompensatorSettings
-from friction_hil.jit import Array
+from friction_hil.numerics.jit import Array
 
 PERIOD_S = 1e-3
 INERTIA = 2e-4

@@ -22,7 +22,7 @@ _PRELOADED = (
     "friction_hil.cli.run",
     "friction_hil.cli.simulate",
     "friction_hil.config",
-    "friction_hil.session",
+    "friction_hil.daemon.session",
     "friction_hil.models",
     "friction_hil_drivers.ascii",
     "friction_hil_drivers.canopen",

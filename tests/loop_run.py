@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from friction_hil.daemon.safety import LoopState
+from friction_hil.daemon.stop import StopRequest
 from friction_hil.drive import DriveState, Request
-from friction_hil.safety import LoopState
-from friction_hil.stop import StopRequest
 from tests.servo_drives import PERIOD_S, TRUE_FRICTION, ServoDrives, axis_dict, configuration, make_loop
 
 BELIEVED = TRUE_FRICTION | {"coulomb": 0.07, "static": 0.13, "sigma0": 2400.0, "stribeck_velocity": 0.23}

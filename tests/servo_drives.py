@@ -4,16 +4,16 @@ import math
 import os
 from collections.abc import Callable, Sequence
 
-from friction_hil.axis import AxisLoop
 from friction_hil.config import from_dict
+from friction_hil.daemon.axis import AxisLoop
+from friction_hil.daemon.loop import Loop, LoopResult, LoopSettings
+from friction_hil.daemon.realtime import SteppedClock
+from friction_hil.daemon.stop import StopRequest
 from friction_hil.drive import AxisFacts, Command, DriveState, Feedback, Mode, Request
-from friction_hil.loop import Loop, LoopResult, LoopSettings
-from friction_hil.realtime import SteppedClock
+from friction_hil.motion.trajectory import PathTime
 from friction_hil.recordings import columns
 from friction_hil.servo.config import ServoConfig
 from friction_hil.servo.servo import Servo
-from friction_hil.servo.trajectory import PathTime
-from friction_hil.stop import StopRequest
 
 PERIOD_S = 1e-3
 TRUE_FRICTION = {

@@ -48,7 +48,8 @@ def check(files: tuple[str, ...], as_json: bool) -> int:
 @click.argument("file", metavar="FILE")
 def show(file: str) -> None:
     """Print the configuration FILE with its defaults filled in and its models inlined, as YAML."""
-    from friction_hil.config import dump, load, self_contained
+    from friction_hil.checked_yaml.text import dump
+    from friction_hil.config import load, self_contained
 
     click.echo(dump(self_contained(load(file))), nl=False)
 

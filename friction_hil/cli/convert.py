@@ -168,7 +168,8 @@ def _print(name: str, facts: dict[str, Any]) -> None:
 
 
 def _write_onnx(source: Path, target: Path, force: bool) -> None:
-    from friction_hil import models, onnx_file
+    from friction_hil import models
+    from friction_hil.models import onnx_file
 
     model = models.load(source)
     if target.exists() and not force:

@@ -12,7 +12,7 @@ import click
 from friction_hil.cli.output import console, option_json, print_json
 
 if TYPE_CHECKING:
-    from friction_hil.demo import Demo
+    from friction_hil.demo.demonstration import Demo
 
 
 @click.command("demo")
@@ -39,7 +39,7 @@ def command(output: Path, pace: str, as_json: bool) -> int:
     Needs no hardware and takes about 20 s. Simulated drives and the daemon run as separate processes on a virtual
     CAN bus. Exit status 1 if compensation did not help, or if a process failed.
     """
-    from friction_hil.demo import run_demo
+    from friction_hil.demo.demonstration import run_demo
 
     for number in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is not signal.SIG_IGN:
@@ -107,7 +107,7 @@ def _as_dict(demo: "Demo") -> dict[str, Any]:
 def _print(demo: "Demo") -> None:
     from rich.table import Table
 
-    from friction_hil.reports.circularity import digits, unit_of_figures
+    from friction_hil.reports.numbers import digits, unit_of_figures
 
     circularity, loop = demo.circularity, demo.loop
     factor, unit = unit_of_figures(circularity)

@@ -11,7 +11,7 @@ from friction_hil.cli.output import console, print_json
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from friction_hil.findings import Finding
+    from friction_hil.drive.finding import Finding
 
 _STYLES = {"pass": "green", "warn": "yellow", "fail": "bold red"}
 _INDENT = " " * 6
@@ -29,7 +29,7 @@ def command(config: Path | None, as_json: bool) -> int:
     """
     from dataclasses import asdict
 
-    from friction_hil.doctor import CONFIGURATION, examine
+    from friction_hil.doctor.checks import CONFIGURATION, examine
 
     out = console()
     findings = []

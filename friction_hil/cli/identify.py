@@ -221,7 +221,7 @@ def _free_run(result: "Identification", controller: dict[str, float]) -> dict[st
 
 
 def _write(result: "Identification", output: Path) -> None:
-    from friction_hil.config import dump
+    from friction_hil.checked_yaml.text import dump
     from friction_hil.identification.export import as_model_file, model_file
 
     model_file(result)  # what is written can be read

@@ -16,9 +16,9 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from friction_hil.config import ModelFile
+    from friction_hil.friction.parameters import Parameter
     from friction_hil.models import Family, FrictionModel
-    from friction_hil.models.parameters import Parameter
+    from friction_hil.models.model_file import ModelFile
 
 _PIPED_WIDTH = 100  # columns, where no terminal has a width
 _OPTION = "--model "  # how the messages about a model argument begin
@@ -61,7 +61,7 @@ def command(name: str | None, picture: Path | None, as_json: bool) -> None:
 def _find(name: str) -> "tuple[Family, ModelFile | None]":
     """Find what NAME stands for: a family, or a model with values."""
     from friction_hil import models
-    from friction_hil.config import model_from_argument
+    from friction_hil.models.files import model_from_argument
 
     if name in models.names() or name == models.NETWORK_ALONE.name:
         return models.describe(name), None
@@ -91,7 +91,7 @@ def _draw(family: "Family", own: "ModelFile | None", name: str, picture: Path) -
 
 def _list(as_json: bool) -> None:
     from friction_hil import models
-    from friction_hil.models.modifiers import NAMES
+    from friction_hil.friction.modifiers import NAMES
 
     families = [models.describe(name) for name in models.names()]
     modifiers = [_modifier(name) for name in NAMES]
@@ -139,7 +139,7 @@ def _in_unit(unit: str) -> str:
 
 def _modifier(name: str) -> dict[str, Any]:
     """Everything about a modifier, as in JSON."""
-    from friction_hil.models.modifiers import HARMONIC, LOAD, SIDES, TEMPERATURE, VISCOUS
+    from friction_hil.friction.modifiers import HARMONIC, LOAD, SIDES, TEMPERATURE, VISCOUS
 
     if name == "direction":
         sides = [
@@ -210,7 +210,7 @@ def _parameter(parameter: "Parameter") -> dict[str, Any]:
 
 
 def _print(family: "Family", own: "ModelFile | None", name: str) -> None:
-    from friction_hil.models.modifiers import NAMES
+    from friction_hil.friction.modifiers import NAMES
 
     out = _console()
     model = None if own is None else own.friction_model
@@ -287,7 +287,7 @@ def _unit(text: str, model: "FrictionModel | None") -> str:
 
 def _yaml(content: dict[str, Any], width: int) -> str:
     """YAML that can be pasted: no line is broken but between the elements of a collection."""
-    from friction_hil.config import dump
+    from friction_hil.checked_yaml.text import dump
 
     lines: list[str] = []
     for line in re.sub(r",\n +", ", ", dump(content)).splitlines():

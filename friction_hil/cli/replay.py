@@ -16,7 +16,7 @@ from friction_hil.errors import UsageError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from friction_hil.replay_many import Outcome
+    from friction_hil.replay.task import Outcome
 
 
 _WIDE = 1000
@@ -73,8 +73,11 @@ def command(
     --verify feeds the recording through the whole compensator, which must give the recorded compensation again:
     exit status 1 and the first cycle that differs otherwise.
     """
-    from friction_hil.config import load, model_from_argument
-    from friction_hil.replay_many import Task, replay_many
+    from friction_hil.config import load
+    from friction_hil.models.files import model_from_argument
+    from friction_hil.replay.batch import replay_many
+    from friction_hil.replay.task import Task
+    from friction_hil.reports.replay_picture import draw
 
     if output is not None and is_verifying and not model_arguments:
         raise click.UsageError("--output draws models: give --model")
@@ -100,6 +103,7 @@ def command(
             lowpass_hz=lowpass_hz,
             decimate=decimate,
             picture=None if output is None else str(output),
+            draw=None if output is None else draw,
             name=name,
             is_only=len(files) == 1,
         )

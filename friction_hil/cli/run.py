@@ -46,13 +46,13 @@ def command(
         raise click.UsageError("--force goes with --record FILE")
 
     from friction_hil.config import load, located
+    from friction_hil.daemon.stop import stop_on_signals
     from friction_hil.errors import OptionError
-    from friction_hil.stop import stop_on_signals
 
     configuration = load(config)
     # Before anything else is loaded: a signal during the start must not leave a half-configured drive either.
     with stop_on_signals() as stop:
-        from friction_hil.session import SessionSettings, run_session
+        from friction_hil.daemon.session import SessionSettings, run_session
 
         settings = SessionSettings(
             duration_s=math.inf if duration is None else duration,

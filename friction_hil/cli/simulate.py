@@ -31,9 +31,9 @@ def command(config: str, pace: str, ready_fd: int | None, exit_with_stdin: bool)
     'ready: ...' on standard output says that the drives are on the bus.
     """
     from friction_hil.config import load
-    from friction_hil.drive import SIMULATED_DRIVES, load_driver
+    from friction_hil.config.drivers import SIMULATED_DRIVES, load_driver
+    from friction_hil.daemon.realtime import punctuality
     from friction_hil.errors import UsageError
-    from friction_hil.realtime import punctuality
 
     configuration = load(config, needs_models=False)
     axes = {name: axis for name, axis in configuration.axes.items() if axis.simulation is not None}

@@ -116,7 +116,7 @@ def command(
         candidate = training.train_task(task, wanted, lambda progress: show(progress) or goes_on())
     seconds = time.monotonic() - begin
     if output is not None:
-        from friction_hil.config import dump
+        from friction_hil.checked_yaml.text import dump
 
         output.write_text(dump(candidate.model_file()), encoding="utf-8")
     if report is not None:
@@ -140,7 +140,7 @@ def _numbers(text: str | None) -> tuple[int, ...]:
 
 
 def _model_file(argument: str) -> Any:
-    from friction_hil.config import model_from_argument
+    from friction_hil.models.files import model_from_argument
 
     return model_from_argument(argument)
 

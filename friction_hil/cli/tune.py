@@ -69,7 +69,7 @@ def command(
     if problems := file_problems(config, configuration):
         raise ConfigurationError(problems)
 
-    from friction_hil.companion import free_path
+    from friction_hil.daemon.companion import free_path
     from friction_hil.tuning import Settings, tune
 
     settings = Settings(

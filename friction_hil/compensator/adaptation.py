@@ -9,7 +9,7 @@ weight of one full forgetting time, and stays between bounds.
 import math
 from typing import Any
 
-from friction_hil.jit import inlined
+from friction_hil.numerics.jit import inlined
 
 FILTER_S = 0.02
 _SETTLED = 5.0  # filter times of motion in one direction until it learns

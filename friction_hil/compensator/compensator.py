@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from friction_hil.compensator import adaptation, intent, kernel
+from friction_hil.compensator import adaptation, intent, kernel, velocity
 from friction_hil.compensator.intent import SOURCES
+from friction_hil.compensator.velocity import VelocityEstimator
 from friction_hil.errors import UsageError
-from friction_hil.jit import Array, Record
-from friction_hil.models import FrictionModel
-from friction_hil.velocity import VelocityEstimator
+from friction_hil.friction import FrictionModel
+from friction_hil.numerics.jit import Array, Record
 
 INPUTS = (
     "cycle",
@@ -69,7 +69,7 @@ class CompensatorSettings:
         Time for fading in and out, s, above zero.
     velocity : str
         ``difference``, ``tracking``, ``kalman`` or ``drive``: how the measured velocity is estimated, see
-        `friction_hil.velocity`.
+        `friction_hil.compensator.velocity`.
     smoothing : float
         Coefficient of the one-pole filter of ``difference`` and ``drive``, 0 < smoothing <= 1; 1 filters nothing.
     acceleration : float
@@ -239,8 +239,6 @@ def _place(name: str) -> int:
 
 
 def _place_of_velocity() -> int:
-    from friction_hil import velocity
-
     assert velocity.STATE.fields is not None
     return _place("motion") + int(velocity.STATE.fields["velocity"][1]) // 8
 

@@ -20,7 +20,7 @@ answered when it comes, not later by the whole delay.
 import math
 from typing import Any
 
-from friction_hil.jit import inlined
+from friction_hil.numerics.jit import inlined
 
 AUTO, MEASURED, DEMAND = 0, 1, 2
 SOURCES = {"auto": AUTO, "measured": MEASURED, "demand": DEMAND}

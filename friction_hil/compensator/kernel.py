@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from friction_hil import velocity as motion
 from friction_hil.compensator import adaptation, intent, limit_cycle
-from friction_hil.jit import Array, Record, compiled
-from friction_hil.models import kernel
+from friction_hil.compensator import velocity as motion
+from friction_hil.friction import kernel
+from friction_hil.numerics.jit import Array, Record, compiled
 
 WAKING_S = 0.01  # without a demand: time in which the compensation comes when the axis begins to move
 RESTING_S = 0.3  # without motion it rests, and in as much time again the compensation goes

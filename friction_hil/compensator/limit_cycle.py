@@ -9,7 +9,7 @@ slips, as it would without compensation and worse, has some of them too.
 import math
 from typing import Any
 
-from friction_hil.jit import inlined
+from friction_hil.numerics.jit import inlined
 
 FORGETTING_S = 0.5
 TOO_MANY = 6.0

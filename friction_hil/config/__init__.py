@@ -1,43 +1,21 @@
-"""The configuration and the model file: YAML, checked as a whole, every mistake with its line.
+"""The configuration of a machine: every key with its meaning, checked as a whole, each mistake with its line."""
 
->>> import friction_hil.config
->>> friction_hil.config.model_from_argument("coulomb:coulomb=0.08,viscous=2e-3").friction.parameters
-{'coulomb': 0.08, 'static': 0.08, 'viscous': 0.002}
-"""
-
+from friction_hil.config.axis import AxisConfig, Compensation, Controller, Limits, Shadow
+from friction_hil.config.bus import BusConfig
 from friction_hil.config.json_schema import json_schema
-from friction_hil.config.load import (
-    file_problems,
-    from_dict,
-    load,
-    load_model_file,
-    located,
-    model_from_argument,
-    read_section,
-    self_contained,
-)
-from friction_hil.config.model_file import Friction, Gravity, Mechanics, ModelFile
-from friction_hil.config.schema import (
-    AxisConfig,
+from friction_hil.config.load import file_problems, from_dict, load, located, self_contained
+from friction_hil.config.schema import Configuration, Realtime, RecordingConfig
+from friction_hil.config.trajectories import (
     AxisExperiment,
-    BusConfig,
     Circle,
-    Compensation,
-    Configuration,
-    Controller,
     Experiment,
     ExperimentBounds,
     Hold,
-    Limits,
     NoTrajectory,
-    Realtime,
-    RecordingConfig,
-    Shadow,
     Sine,
     Trajectory,
     Triangle,
 )
-from friction_hil.config.yaml_text import dump
 
 __all__ = [
     "AxisConfig",
@@ -49,12 +27,8 @@ __all__ = [
     "Controller",
     "Experiment",
     "ExperimentBounds",
-    "Friction",
-    "Gravity",
     "Hold",
     "Limits",
-    "Mechanics",
-    "ModelFile",
     "NoTrajectory",
     "Realtime",
     "RecordingConfig",
@@ -62,14 +36,10 @@ __all__ = [
     "Sine",
     "Trajectory",
     "Triangle",
-    "dump",
     "file_problems",
     "from_dict",
     "json_schema",
     "load",
-    "load_model_file",
     "located",
-    "model_from_argument",
-    "read_section",
     "self_contained",
 ]

@@ -1,16 +1,17 @@
 """The JSON Schema of a configuration file, with the keys of the installed drivers."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pydantic
 from pydantic import BaseModel
 
-from friction_hil.config.schema import Configuration, driver_options
-from friction_hil.drive import DRIVERS, SIMULATED_DRIVES, driver_names
-
-if TYPE_CHECKING:
-    from friction_hil.models.parameters import Parameter
+from friction_hil import friction
+from friction_hil.config.axis import driver_options
+from friction_hil.config.drivers import DRIVERS, SIMULATED_DRIVES, driver_names
+from friction_hil.config.schema import Configuration
+from friction_hil.friction.modifiers import HARMONIC, LOAD, MAX_HARMONICS, SIDES, TEMPERATURE, VISCOUS
+from friction_hil.friction.parameters import Choice, NumberList, Parameter, PointList
 
 _PATH_OR_MODEL = {
     "description": "friction model: a model file (a path, seen from this file), or its content",
@@ -64,17 +65,15 @@ def json_schema() -> dict[str, Any]:
 
 def _friction(general: dict[str, Any]) -> dict[str, Any]:
     """The models of the registry, each with its parameters."""
-    from friction_hil import models
-    from friction_hil.models.modifiers import SIDES
 
-    names = models.names()
+    names = friction.names()
     properties = general["properties"]
     properties["model"] = {"description": properties["model"]["description"], "enum": names}
     general_modifiers = {**properties["modifiers"], "additionalProperties": False, "properties": _modifiers()}
     properties["modifiers"] = general_modifiers
     choices = []
     for name in names:
-        known = models.describe(name).parameters
+        known = friction.describe(name).parameters
         side = {**_parameters(known), "required": []}
         sides = {"type": "object", "properties": dict.fromkeys(SIDES, side), "additionalProperties": False}
         choices.append(
@@ -91,7 +90,7 @@ def _friction(general: dict[str, Any]) -> dict[str, Any]:
     return {**general, "properties": properties, "allOf": choices}
 
 
-def _parameters(parameters: "Sequence[Parameter]") -> dict[str, Any]:
+def _parameters(parameters: Sequence[Parameter]) -> dict[str, Any]:
     return {
         "type": "object",
         "properties": {
@@ -103,9 +102,8 @@ def _parameters(parameters: "Sequence[Parameter]") -> dict[str, Any]:
     }
 
 
-def _value(parameter: "Parameter") -> dict[str, Any]:
+def _value(parameter: Parameter) -> dict[str, Any]:
     """Which values a parameter may have."""
-    from friction_hil.models.parameters import Choice, NumberList, PointList
 
     if isinstance(parameter, Choice):
         return {"enum": list(parameter.words)}
@@ -124,7 +122,6 @@ def _value(parameter: "Parameter") -> dict[str, Any]:
 
 def _modifiers() -> dict[str, Any]:
     """The modifiers that are the same for every model, each with its keys; those of `direction` are the model's."""
-    from friction_hil.models.modifiers import HARMONIC, LOAD, MAX_HARMONICS, TEMPERATURE, VISCOUS
 
     fixed = {
         each.name: {"description": each.summary, **_parameters(each.parameters)}

@@ -5,19 +5,17 @@ import re
 import sys
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 
-from friction_hil.config import yaml_text
-from friction_hil.config.messages import mistakes_of, validate
-from friction_hil.config.model_file import ModelFile
-from friction_hil.config.schema import NAME_PATTERN, AxisConfig, Configuration, split_options
-from friction_hil.config.yaml_text import Document, Steps
-from friction_hil.drive import load_driver, only_driver
-from friction_hil.errors import ConfigurationError, OptionError, Problem, UsageError, choices
-
-Model = TypeVar("Model", bound=BaseModel)
+from friction_hil.checked_yaml import text as yaml_text
+from friction_hil.checked_yaml.files import Origins, validated
+from friction_hil.checked_yaml.text import Document, Steps
+from friction_hil.config.axis import NAME_PATTERN, AxisConfig, split_options
+from friction_hil.config.drivers import load_driver
+from friction_hil.config.schema import Configuration
+from friction_hil.errors import ConfigurationError, OptionError, Problem, choices
 
 # Of a model that is still to be made. The inertia is there for those who ask whether one is known, and does nothing.
 _WITHOUT_FRICTION = {
@@ -69,31 +67,6 @@ def self_contained(configuration: Configuration) -> dict[str, Any]:
     return configuration.model_dump(mode="json")
 
 
-def load_model_file(path: str | Path) -> ModelFile:
-    """Read a model file.
-
-    Raises
-    ------
-    ConfigurationError
-        It cannot be read or has mistakes; ``problems`` has each with its line.
-    """
-    model_file = read_section(path, ModelFile)
-    model_file._source_path = Path(path).absolute()
-    return model_file
-
-
-def read_section(path: str | Path, model: type[Model]) -> Model:
-    """Read a YAML file that has the keys of ``model``; drivers keep descriptions of drives in such files.
-
-    Raises
-    ------
-    ConfigurationError
-        It cannot be read or has mistakes; ``problems`` has each with its line.
-    """
-    document = yaml_text.read(path)
-    return _validate(model, document.value, _Origins(document), list(document.problems))
-
-
 def file_problems(path: str | Path, configuration: Configuration) -> list[Problem]:
     """Mistakes for which ``configuration``, read from ``path``, could be loaded but not run.
 
@@ -117,73 +90,40 @@ def file_problems(path: str | Path, configuration: Configuration) -> list[Proble
     return list(dict.fromkeys(found))
 
 
+def only_driver(configuration: Configuration) -> str:
+    """Driver of all axes.
+
+    Raises
+    ------
+    OptionError
+        There are several, which one run does not serve.
+    """
+    (first, axis), *others = configuration.axes.items()
+    for name, other in others:
+        if other.driver != axis.driver:
+            text = (
+                f"is {other.driver}, but that of {first} is {axis.driver}, and one run drives axes of one driver; "
+                "make a configuration of each driver's axes"
+            )
+            raise OptionError(name, "driver", text)
+    return axis.driver
+
+
 def located(path: str | Path, error: OptionError) -> ConfigurationError:
     """Return the error with file and line of its key in the configuration that was read from ``path``."""
     return ConfigurationError([_Origins(yaml_text.read(path)).at_option(error)])
 
 
-def model_from_argument(argument: str) -> ModelFile:
-    """Understand ``--model``: a model file, or ``NAME:coulomb=0.08,viscous=2e-3`` (a rotary axis).
-
-    Raises
-    ------
-    ConfigurationError
-        The model file cannot be read or has mistakes.
-    UsageError
-        The model or a parameter does not exist, or a value does not fit.
-    """
-    from friction_hil import models
-
-    if argument.endswith((".yaml", ".yml")) or os.path.isfile(argument):
-        return load_model_file(argument)
-    name, _, rest = argument.partition(":")
-    if name not in models.names():
-        raise UsageError(
-            f"--model {argument}: there is no such file, and no such friction model; {choices(name, models.names())}"
-        )
-    parameters: dict[str, Any] = {}
-    for part in re.split(r",(?=\s*\w+\s*=)", rest) if rest else ():
-        key, equals, text = part.partition("=")
-        if not equals or key.strip() in parameters:
-            wanted = f"{name}:parameter=value,parameter=value" if not equals else "each parameter once"
-            raise UsageError(f"--model {argument}: {part.strip()!r} does not fit; write {wanted}")
-        value = yaml_text.parse(text, f"--model {argument}")
-        if value.problems:
-            raise ConfigurationError(value.problems)
-        parameters[key.strip()] = value.value
-    try:
-        model = models.create(name, **parameters)
-    except UsageError as error:
-        raise UsageError(f"--model {argument}: {error}") from None
-    friction = {"model": name, "parameters": dict(model.given)}
-    return ModelFile.model_validate({"axis": "rotary", "friction": friction})
-
-
-class _Origins:
-    """Which file, line and key a place of a configuration comes from, model files included."""
-
-    def __init__(self, main: Document) -> None:
-        self._documents: dict[Steps, Document] = {(): main}
-        self.broken: list[Steps] = []  # places whose file could not be read
-
-    def add(self, steps: Steps, document: Document) -> None:
-        self._documents[steps] = document
+class _Origins(Origins):
+    """Origins of the values of a configuration, in whose file the driver's keys stand beside those of the axis."""
 
     def locate(self, steps: Steps, message: str) -> Problem:
-        if steps[:1] == ("axes",) and steps[2:3] == ("options",):  # these keys stand flat in the file
+        if steps[:1] == ("axes",) and steps[2:3] == ("options",):
             steps = (*steps[:2], *steps[3:])
-        start = max((known for known in self._documents if steps[: len(known)] == known), key=len)
-        document, inner = self._documents[start], steps[len(start) :]
-        return Problem(document.path, document.line(inner), field_name(inner), message)
+        return super().locate(steps, message)
 
     def at_option(self, error: OptionError) -> Problem:
         return self.locate(("axes", error.axis, *error.key.split(".")), error.text)
-
-
-def field_name(steps: Steps) -> str:
-    """Write the way to a value, e.g. ``axes.x.shadows[0].name``."""
-    text = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in steps)
-    return text.removeprefix(".")
 
 
 def _configuration(document: Document, directory: Path, *, needs_models: bool = True) -> Configuration:
@@ -195,7 +135,7 @@ def _configuration(document: Document, directory: Path, *, needs_models: bool = 
     if isinstance(axes, dict):
         reader = _ModelReader(directory, origins, problems, files, needs_models)
         value = {**value, "axes": {name: reader.axis(name, axis) for name, axis in axes.items()}}
-    configuration = _validate(Configuration, value, origins, problems)
+    configuration = validated(Configuration, value, origins, problems)
     axes = {name: _anchored(axis, directory.absolute()) for name, axis in configuration.axes.items()}
     configuration = configuration.model_copy(update={"axes": axes})
     for steps, path in files.items():
@@ -295,21 +235,3 @@ def _kind(axis: dict[str, Any]) -> str:
     """Kind of an axis that has no model file yet; what is no kind is found when ``experiment`` is checked."""
     experiment = axis.get("experiment")
     return "linear" if isinstance(experiment, dict) and experiment.get("axis") == "linear" else "rotary"
-
-
-def _validate(model: type[Model], value: Any, origins: _Origins, problems: list[Problem]) -> Model:
-    known_lines = {(problem.path, problem.line) for problem in problems}
-    result: Model | None = None
-    try:
-        result = validate(model, value)
-    except ValidationError as error:
-        for steps, message in mistakes_of(error, model, value):
-            if any(steps[: len(broken)] == broken for broken in origins.broken):
-                continue
-            problem = origins.locate(steps, message)
-            if problem.line is None or (problem.path, problem.line) not in known_lines:
-                problems.append(problem)
-    if problems or result is None:
-        unique = dict.fromkeys(problems)
-        raise ConfigurationError(sorted(unique, key=lambda problem: (problem.path, problem.line or 0)))
-    return result

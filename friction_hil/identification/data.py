@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from friction_hil import filtering
 from friction_hil.errors import RecordingError, UsageError, choices
-from friction_hil.jit import Array
+from friction_hil.numerics import filtering
+from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
 from friction_hil.recordings.even import EvenParts, even_grid
 from friction_hil.recordings.quality import is_coarse, resolution

@@ -12,14 +12,14 @@ Back-EMF and viscous friction are both proportional to the velocity: only their 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from friction_hil import models
+from friction_hil import friction as models
 from friction_hil.errors import RecordingError, UsageError, choices
+from friction_hil.friction.modifiers import HARMONIC, VISCOUS
 from friction_hil.identification.errors import PredictionError
 from friction_hil.identification.fits import MECHANICS, Curves, Fit
 from friction_hil.identification.inference import flags, infer
 from friction_hil.identification.problem import BACK_EMF, GAIN, INVERSE_GAIN, Estimate
 from friction_hil.identification.structures import Structure
-from friction_hil.models.modifiers import HARMONIC, VISCOUS
 
 _SCALING = ("inertia", "gravity.constant", "gravity.sine", "gravity.cosine")
 _TOGETHER = ("viscous", "viscous.positive", "viscous.negative")  # columns that make up the one of back-EMF

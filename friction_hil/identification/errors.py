@@ -9,7 +9,7 @@ import numpy as np
 
 from friction_hil.identification.data import Data, Mask
 from friction_hil.identification.problem import Estimate, Problem
-from friction_hil.jit import Array
+from friction_hil.numerics.jit import Array
 
 BLOCKS = 6
 SPEED_GROUPS = 4

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 
 from friction_hil import __version__
-from friction_hil.config import ModelFile
 from friction_hil.identification.errors import PredictionError
 from friction_hil.identification.fits import Fit
 from friction_hil.identification.identify import Identification
+from friction_hil.models.model_file import ModelFile
 
 _DIGITS = 10  # significant ones in a model file: far beyond any standard error, and readable
 

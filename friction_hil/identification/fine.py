@@ -20,10 +20,9 @@ import numpy as np
 
 from friction_hil.errors import RecordingError
 from friction_hil.identification.data import Data, Record
-from friction_hil.jit import Array
+from friction_hil.motion.experiment import LEAST_RATE_HZ, is_fast
+from friction_hil.numerics.jit import Array
 
-LEAST_RATE_HZ = 500.0
-_RATE_SLACK = 1e-3  # of it: a rate that comes from time stamps or from a period is rounded
 LEAST_S = 5.0  # of a record; its first and last second only let filters and states settle
 SLOWEST_SWING_HZ = 8.0
 _FASTEST_SWING_HZ = 80.0
@@ -104,11 +103,6 @@ class FineRecord(Record):
         kept: Any = signal.upfirdn(kernel, values[edge - half - ahead :], down=every, axis=0)
         first = (2 * half + ahead) // every
         return np.ascontiguousarray(kept[first : first + -(-(len(values) - 2 * edge) // every)])
-
-
-def is_fast(rate_hz: float) -> bool:
-    """Whether samples come often enough to show presliding: `LEAST_RATE_HZ` or more."""
-    return rate_hz >= (1.0 - _RATE_SLACK) * LEAST_RATE_HZ
 
 
 def is_fine(record: Record) -> bool:

@@ -20,7 +20,7 @@ from friction_hil.identification.inference import Inference, flags, infer
 from friction_hil.identification.problem import BACK_EMF, INVERSE_GAIN, Estimate, Problem
 from friction_hil.identification.refine import refine
 from friction_hil.identification.structures import Scales, Structure
-from friction_hil.jit import Array
+from friction_hil.numerics.jit import Array
 
 _FIRST_EVALUATIONS = 5  # of each start; the best goes on
 _EVALUATIONS = 60

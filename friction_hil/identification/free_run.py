@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from friction_hil.config import ModelFile
 from friction_hil.errors import UsageError
-from friction_hil.jit import Array
+from friction_hil.models.model_file import ModelFile
+from friction_hil.numerics.jit import Array
 
 Controller = Callable[[int, float, float], float]  # sample, position, velocity -> torque
 

@@ -7,8 +7,9 @@ from typing import Literal
 
 import numpy as np
 
-from friction_hil import models
+from friction_hil import friction as models
 from friction_hil.errors import RecordingError, UsageError, choices
+from friction_hil.friction.modifiers import SIDES
 from friction_hil.identification import drive, modifiers, structures
 from friction_hil.identification.choice import choose, is_better, to_refine
 from friction_hil.identification.data import LEAST_ROWS, Data, Record, prepare
@@ -20,8 +21,7 @@ from friction_hil.identification.problem import BACK_EMF, INVERSE_GAIN, Problem
 from friction_hil.identification.refine import REPLICAS
 from friction_hil.identification.scales import scales as size_up
 from friction_hil.identification.structures import EQUAL_IN_FEEDFORWARD, EXTENDS, Structure
-from friction_hil.jit import Array
-from friction_hil.models.modifiers import SIDES
+from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
 
 GravityKind = Literal["auto", "none", "constant", "pendulum"]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from friction_hil.identification.problem import Estimate
-from friction_hil.jit import Array
+from friction_hil.numerics.jit import Array
 
 COLLINEAR = 0.98  # correlation from which two parameters count as one
 VAGUE = 0.5  # standard error over value from which a parameter counts as not excited

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from friction_hil.jit import Array, compiled
+from friction_hil.numerics.jit import Array, compiled
 
 _FIRST_DAMPING = 1e-6
 _LEAST_GAIN = 1e-4  # of the decrease that the linear model promises: a smaller one is no step

@@ -8,7 +8,7 @@ import numpy as np
 
 from friction_hil.identification.data import Data
 from friction_hil.identification.structures import Coordinate, Scales, Structure
-from friction_hil.jit import Array
+from friction_hil.numerics.jit import Array
 
 _LEAST_LOAD = 0.1  # of the friction level: a smaller change of the load says nothing
 _LEAST_WARMING = 3.0  # K

@@ -15,7 +15,7 @@ from friction_hil.errors import UsageError
 from friction_hil.identification.data import Data, Mask
 from friction_hil.identification.least_squares import Solution, minimise, project_out
 from friction_hil.identification.structures import Structure
-from friction_hil.jit import Array
+from friction_hil.numerics.jit import Array
 
 # Linear parameters that stay at or above zero: what would drive the axis is no friction, and a torque that bends
 # down with the speed (which power_law can) must not turn around beyond the speeds that were seen.

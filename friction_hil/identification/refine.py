@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from friction_hil import models
+from friction_hil import friction as models
 from friction_hil.errors import UsageError
 from friction_hil.identification import structures
 from friction_hil.identification.data import Data, linear_column
@@ -21,7 +21,7 @@ from friction_hil.identification.fine import ROWS_HZ, FineRecord, local_rms, rec
 from friction_hil.identification.inference import Inference, infer
 from friction_hil.identification.problem import Estimate, Problem, is_positive
 from friction_hil.identification.structures import Scales, Structure
-from friction_hil.jit import Array
+from friction_hil.numerics.jit import Array
 
 REPLICAS = 8
 _REWEIGHTINGS = 2

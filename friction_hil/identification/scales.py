@@ -4,11 +4,11 @@ import math
 
 import numpy as np
 
-from friction_hil import models
+from friction_hil import friction as models
 from friction_hil.errors import RecordingError
 from friction_hil.identification.data import Data
 from friction_hil.identification.structures import TABLE_POINTS, Scales
-from friction_hil.jit import Array
+from friction_hil.numerics.jit import Array
 
 _DEFLECTIONS = 12  # sizes that are tried
 _VELOCITIES = 10

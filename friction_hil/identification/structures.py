@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from friction_hil import models
+from friction_hil import friction as models
 from friction_hil.errors import UsageError, choices
-from friction_hil.models import FrictionModel
-from friction_hil.models.model import Axis
-from friction_hil.models.modifiers import SIDES
+from friction_hil.friction import FrictionModel
+from friction_hil.friction.model import Axis
+from friction_hil.friction.modifiers import SIDES
 
 GMS_ELEMENTS = 4
 TABLE_POINTS = 6

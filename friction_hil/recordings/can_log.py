@@ -1,6 +1,6 @@
 """Read logs of raw CAN frames, by what the drivers of a configuration know about their frames."""
 
-from friction_hil.drive import load_driver
+from friction_hil.config.drivers import load_driver
 from friction_hil.errors import UsageError
 from friction_hil.recordings.recording import Recording
 from friction_hil.recordings.source import Source

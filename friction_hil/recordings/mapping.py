@@ -89,7 +89,7 @@ def mapping_beside(path: Path) -> Mapped:
 
 
 def _read(path: Path) -> Mapped:
-    from friction_hil.config import yaml_text
+    from friction_hil.checked_yaml import text as yaml_text
 
     document = yaml_text.read(path)
     if document.problems:

@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from friction_hil.reports.circularity import Circularity, Laps, digits, readable, unit_of_figures
+from friction_hil.analysis.circularity import Circularity, Laps
+from friction_hil.reports.numbers import digits, readable, unit_of_figures
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -6,14 +6,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from friction_hil import __version__
-from friction_hil.reports.circularity import Circularity, digits, unit_of_figures
+from friction_hil.analysis.circularity import Circularity
 from friction_hil.reports.circularity_picture import WITH, WITHOUT, draw_error, draw_friction
+from friction_hil.reports.numbers import digits, unit_of_figures
 from friction_hil.reports.page import page, picture, table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from friction_hil.models import FrictionModel
+    from friction_hil.friction import FrictionModel
 
 MARK = '<meta name="generator" content="friction-hil demo'
 
@@ -179,7 +180,7 @@ def _parameters(circularity: Circularity, axis: str) -> str:
 
 def _shared_quantities(model: "FrictionModel") -> list[tuple[str, str, float | None, str]]:
     """Name, unit, value and meaning of what most models have in common; None for what this one has not."""
-    from friction_hil.models.parameters import COULOMB, STATIC, STRIBECK_VELOCITY, VISCOUS
+    from friction_hil.friction.parameters import COULOMB, STATIC, STRIBECK_VELOCITY, VISCOUS
 
     named = [
         (each.name, each.unit, model.parameters.get(each.name), each.meaning)

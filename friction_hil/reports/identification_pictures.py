@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from friction_hil.identification.fits import Curves
-from friction_hil.jit import Array
+from friction_hil.numerics.jit import Array
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

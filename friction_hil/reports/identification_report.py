@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from friction_hil import __version__
-from friction_hil.config import ModelFile
 from friction_hil.errors import FrictionHilError
 from friction_hil.identification import Identification
 from friction_hil.identification.export import as_model_file, standard_errors
 from friction_hil.identification.fine import LAST_BAND_SHARE, RESIDUAL_HZ, ROWS_HZ
 from friction_hil.identification.fits import MECHANICS, Fit
+from friction_hil.models.model_file import ModelFile
 from friction_hil.reports.identification_pictures import draw_loops, draw_residuals, draw_time, draw_velocity
 from friction_hil.reports.page import page, picture, table
 

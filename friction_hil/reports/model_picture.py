@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from friction_hil import models
-from friction_hil.jit import Array
-from friction_hil.models import FrictionModel
+from friction_hil import friction as models
+from friction_hil.friction import FrictionModel
+from friction_hil.numerics.jit import Array
 from friction_hil.reports.figures import new_figure, save
 
 if TYPE_CHECKING:

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from friction_hil.replay import Array, Replay
+from friction_hil.replay.comparison import Array, Replay
 from friction_hil.reports.figures import new_figure, save
 
 _MOST_POINTS = 100_000  # in a line: far more than a picture can show

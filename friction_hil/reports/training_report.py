@@ -8,7 +8,7 @@ import numpy as np
 
 from friction_hil import __version__
 from friction_hil.errors import FrictionHilError
-from friction_hil.jit import Array
+from friction_hil.numerics.jit import Array
 from friction_hil.reports.page import page, picture, table
 from friction_hil.training import Candidate, Samples
 

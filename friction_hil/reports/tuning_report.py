@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from friction_hil import __version__
 from friction_hil.errors import FrictionHilError
-from friction_hil.reports.circularity import digits, readable
 from friction_hil.reports.circularity_picture import WITH, WITHOUT
+from friction_hil.reports.numbers import digits, readable
 from friction_hil.reports.page import page, picture, table
 
 if TYPE_CHECKING:

@@ -1,12 +1,12 @@
 """What a simulated servo is: the servo part of an axis's ``simulation`` in the configuration."""
 
 import math
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-if TYPE_CHECKING:
-    from friction_hil.models import FrictionModel
+from friction_hil.errors import UsageError
+from friction_hil.friction import FrictionModel, create
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
@@ -50,9 +50,6 @@ class TrueFriction(_Part):
 
     @model_validator(mode="after")
     def _exists(self) -> "TrueFriction":
-        from friction_hil.errors import UsageError
-        from friction_hil.models import create
-
         try:
             create(self.model, modifiers=self.modifiers, **self.parameters)
         except UsageError as error:
@@ -115,9 +112,8 @@ class ServoConfig(_Part):
         return self
 
     @property
-    def friction_model(self) -> "FrictionModel":
+    def friction_model(self) -> FrictionModel:
         """The friction model, made anew at each call."""
-        from friction_hil.models import create
 
         friction = self.friction
         return create(friction.model, modifiers=friction.modifiers, axis=self.mechanics.axis, **friction.parameters)

@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 
-from friction_hil.jit import Record, compiled
-from friction_hil.models import kernel
-from friction_hil.servo.control import cascade
+from friction_hil.friction import kernel
+from friction_hil.motion.controller import cascade
+from friction_hil.numerics.jit import Record, compiled
 
 _BALANCE = 1e-12  # relative difference of torque and friction that counts as none
 BRIDGED_PERIODS = 10.0  # of missing targets

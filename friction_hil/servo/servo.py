@@ -5,9 +5,9 @@ import math
 import numpy as np
 
 from friction_hil.errors import UsageError
+from friction_hil.motion.controller import CONTROLLER
 from friction_hil.servo import plant
 from friction_hil.servo.config import ServoConfig
-from friction_hil.servo.control import CONTROLLER
 
 
 def _place(name: str) -> int:

@@ -5,11 +5,11 @@ import math
 import numpy as np
 
 from friction_hil.compensator import Compensator, CompensatorSettings
-from friction_hil.jit import Array
+from friction_hil.motion.trajectory import circle_path
+from friction_hil.numerics.jit import Array
 from friction_hil.servo.config import Mechanics, ServoConfig, TrueFriction
 from friction_hil.servo.plant import CSP
 from friction_hil.servo.servo import Servo
-from friction_hil.servo.trajectory import circle_path
 from friction_hil.study.mass import PERIOD_S
 from friction_hil.study.outcome import Outcome, thin
 from friction_hil.study.subjects import matched, servo_levels

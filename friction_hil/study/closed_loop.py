@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from friction_hil.models import FrictionModel
+from friction_hil.friction import FrictionModel
 from friction_hil.study.mass import PERIOD_S, Loop, run
 from friction_hil.study.outcome import Outcome, thin
 from friction_hil.study.subjects import REFERENCE, matched, without_viscous

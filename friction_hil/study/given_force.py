@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from friction_hil.jit import Array
+from friction_hil.numerics.jit import Array
 from friction_hil.study.mass import push
 from friction_hil.study.outcome import Outcome, thin
 from friction_hil.study.subjects import REFERENCE, break_away, matched

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from friction_hil.jit import Array
-from friction_hil.models import FrictionModel, kernel
+from friction_hil.friction import FrictionModel, kernel
+from friction_hil.numerics.jit import Array
 from friction_hil.study.outcome import Outcome, thin
 from friction_hil.study.subjects import REFERENCE, matched
 

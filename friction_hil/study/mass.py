@@ -7,10 +7,10 @@ import numpy as np
 
 from friction_hil import compensator as compensation
 from friction_hil.compensator import Compensator, CompensatorSettings
-from friction_hil.jit import Array, Record, compiled
-from friction_hil.models import FrictionModel, kernel
-from friction_hil.models.dispatch import family_step
-from friction_hil.models.elementary import part
+from friction_hil.friction import FrictionModel, kernel
+from friction_hil.friction.dispatch import family_step
+from friction_hil.friction.elementary import part
+from friction_hil.numerics.jit import Array, Record, compiled
 
 PERIOD_S = 1e-3
 GAIN = 0.9  # about standstill, where too much compensation makes an axis unstable

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from friction_hil.jit import Array
+from friction_hil.numerics.jit import Array
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
-from friction_hil import models
+from friction_hil import friction as models
 from friction_hil.errors import UsageError
 from friction_hil.study.circle import reversal
 from friction_hil.study.closed_loop import hunting, stick_slip

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from friction_hil.models import FrictionModel, create, describe
+from friction_hil.friction import FrictionModel, create, describe
 
 Example = Mapping[str, Any]
 

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from friction_hil.jit import Array
-from friction_hil.models import Structure, network, network_runs
+from friction_hil.friction import Structure, network, network_runs
+from friction_hil.numerics.jit import Array
 
 REST_S = 600.0
 _PARTS = 60  # of the rest, each looked at by itself

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from friction_hil.jit import Array
-from friction_hil.models import Structure
+from friction_hil.friction import Structure
+from friction_hil.numerics.jit import Array
 
 CONTRACTIONS = {"gated": 0.8, "narx": 4.0, "static": 1.0}  # 0.98 is half as good for other sampling periods
 _SHARPNESS = 4.0  # of the bend where feedback comes to its bound: the larger, the less it is felt below

@@ -5,16 +5,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from friction_hil import filtering
 from friction_hil.errors import UsageError
-from friction_hil.jit import Array
+from friction_hil.numerics import filtering
+from friction_hil.numerics.jit import Array
 from friction_hil.training.excitation import excitation
 from friction_hil.training.layout import Samples, join
 
 if TYPE_CHECKING:
-    from friction_hil.config import Mechanics
+    from friction_hil.friction import FrictionModel
     from friction_hil.identification.data import Record
-    from friction_hil.models import FrictionModel
+    from friction_hil.models.model_file import Mechanics
 
 _BLOCKS = 20  # of a record, of which each fourth is held out
 _HELD_OUT = 4

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 
 from friction_hil.errors import UsageError
-from friction_hil.jit import Array
+from friction_hil.numerics.jit import Array
 
 _DECADES = 3.0  # of amplitude below the top speed
 _SEGMENT_S = (0.25, 0.8)

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from friction_hil import __version__
-from friction_hil.models import NETWORK_ALONE, FrictionModel, Network
+from friction_hil.friction import NETWORK_ALONE, FrictionModel, Network
 from friction_hil.training.train import Trained
 
 if TYPE_CHECKING:
-    from friction_hil.config import ModelFile
+    from friction_hil.models.model_file import ModelFile
 
 _SLOW_SPEEDS = 32  # at which the level is looked for
 

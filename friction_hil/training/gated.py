@@ -3,10 +3,9 @@
 What needs no sensitivities is calculated for a block of samples first; then every sample takes one pass over them.
 """
 
-from friction_hil.jit import Array, compiled, inlined
-from friction_hil.models.elementary import part, whole
-from friction_hil.models.lanes import LANES, add_scaled, carry, put_products, put_scaled, put_slopes
-from friction_hil.models.network import (
+from friction_hil.friction.elementary import part, whole
+from friction_hil.friction.lanes import LANES, add_scaled, carry, put_products, put_scaled, put_slopes
+from friction_hil.friction.network import (
     BOUND,
     FEEDBACKS,
     GATE_FEATURES,
@@ -22,6 +21,7 @@ from friction_hil.models.network import (
     output_weights,
     summed,
 )
+from friction_hil.numerics.jit import Array, compiled, inlined
 
 
 @inlined

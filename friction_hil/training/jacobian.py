@@ -7,12 +7,10 @@ time for every sample, and it needs no more memory than a block of rows.
 
 import numpy as np
 
-from friction_hil.dual import fma
-from friction_hil.jit import Array, compiled
-from friction_hil.models import network
-from friction_hil.models.elementary import approach, part, toward, whole
-from friction_hil.models.lanes import LANES, add_scaled, put_scaled
-from friction_hil.models.network import (
+from friction_hil.friction import network
+from friction_hil.friction.elementary import approach, part, toward, whole
+from friction_hil.friction.lanes import LANES, add_scaled, put_scaled
+from friction_hil.friction.network import (
     BOUND,
     FEEDBACKS,
     GATE_FEATURES,
@@ -31,6 +29,8 @@ from friction_hil.models.network import (
     VELOCITY_FEATURES,
     WIDTH,
 )
+from friction_hil.numerics.dual import fma
+from friction_hil.numerics.jit import Array, compiled
 from friction_hil.training.gated import (
     gated_row,
     layer_slopes,

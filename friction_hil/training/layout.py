@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from friction_hil.errors import UsageError
-from friction_hil.jit import Array, compiled
-from friction_hil.models import network
-from friction_hil.models.network_model import KINDS, Structure
+from friction_hil.friction import network
+from friction_hil.friction.network_model import KINDS, Structure
+from friction_hil.numerics.jit import Array, compiled
 
 _STROKES = 60  # that are tried
 _LEAST_SHARE = 1e-9  # of a stop's square beside the curve over the velocity: below, it is that curve

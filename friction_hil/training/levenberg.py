@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from friction_hil.jit import Array
+from friction_hil.numerics.jit import Array
 from friction_hil.training.normal import solve
 
 _FIRST_DAMPING = 1e-2

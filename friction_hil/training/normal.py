@@ -11,10 +11,10 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 
-from friction_hil.dual import intrinsic
-from friction_hil.jit import Array, compiled
-from friction_hil.models import lanes
-from friction_hil.models.lanes import cgutils
+from friction_hil.friction import lanes
+from friction_hil.friction.lanes import cgutils
+from friction_hil.numerics.dual import intrinsic
+from friction_hil.numerics.jit import Array, compiled
 
 # of the tile of the result that stays in registers while the rows of a block go by: 12 sums of 4 numbers, so that no
 # multiply-add waits for the one before it

@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from friction_hil.jit import Array
-from friction_hil.models import network
+from friction_hil.friction import network
+from friction_hil.numerics.jit import Array
 from friction_hil.training import jacobian
 from friction_hil.training.constraints import Constraint
 from friction_hil.training.layout import Samples

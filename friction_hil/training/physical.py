@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from friction_hil.jit import Array
-from friction_hil.models import Axis, FrictionModel, create
+from friction_hil.friction import Axis, FrictionModel, create
+from friction_hil.numerics.jit import Array
 from friction_hil.training.layout import Samples
 
 if TYPE_CHECKING:

@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from friction_hil.errors import UsageError, choices
-from friction_hil.jit import Array
-from friction_hil.models import FrictionModel, Network, Structure
-from friction_hil.models.network_model import INPUTS
+from friction_hil.friction import FrictionModel, Network, Structure
+from friction_hil.friction.network_model import INPUTS
+from friction_hil.numerics.jit import Array
 from friction_hil.training import data, export, physical
 from friction_hil.training.excitation import excitation
 from friction_hil.training.layout import Samples
 from friction_hil.training.train import Options, Progress, Trained, train
 
 if TYPE_CHECKING:
-    from friction_hil.config import ModelFile
     from friction_hil.identification.data import Record
+    from friction_hil.models.model_file import ModelFile
     from friction_hil.recordings import Recording
 
 _HIDDEN = {"gated": (10,), "narx": (10,), "static": (8,), "residual": (4,)}

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from friction_hil.errors import UsageError
-from friction_hil.jit import Array
-from friction_hil.models import Structure, network
+from friction_hil.friction import Structure, network
+from friction_hil.numerics.jit import Array
 from friction_hil.training import constraints, levenberg
 from friction_hil.training.checks import Rest, at_rest
 from friction_hil.training.constraints import Constraint

@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 
-from friction_hil.assembly import experiment_sweeps, ramp_s
+from friction_hil.analysis.following import SETTLE_S
 from friction_hil.config import (
     AxisConfig,
     Compensation,
@@ -12,15 +12,15 @@ from friction_hil.config import (
     Experiment,
     ExperimentBounds,
     Hold,
-    ModelFile,
     Sine,
     Trajectory,
 )
+from friction_hil.daemon.assembly import experiment_sweeps, ramp_s
+from friction_hil.daemon.safety import LoopState
 from friction_hil.errors import FrictionHilError, OptionError
-from friction_hil.identification import experiment
+from friction_hil.models.model_file import ModelFile
+from friction_hil.motion import experiment
 from friction_hil.recordings import Recording
-from friction_hil.reports.following import SETTLE_S
-from friction_hil.safety import LoopState
 
 _REST_S = 0.5  # behind a motion
 _TRIAL_S = 4.0  # of steady motion at least, without and with compensation

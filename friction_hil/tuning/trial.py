@@ -5,13 +5,13 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
+from friction_hil.analysis import following
+from friction_hil.analysis.following import SETTLE_S, Figures
 from friction_hil.config import AxisConfig
+from friction_hil.daemon.safety import LoopState
 from friction_hil.errors import RecordingError
-from friction_hil.jit import Array
+from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
-from friction_hil.reports import following
-from friction_hil.reports.following import SETTLE_S, Figures
-from friction_hil.safety import LoopState
 from friction_hil.tuning.motions import period_s
 
 LEAST_REDUCTION = 1.05  # of the RMS; less may be chance

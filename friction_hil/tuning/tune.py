@@ -11,22 +11,24 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from friction_hil import models
-from friction_hil.assembly import ramp_s
-from friction_hil.config import AxisConfig, Configuration, ModelFile, dump
+from friction_hil import friction as models
+from friction_hil.checked_yaml.text import dump
+from friction_hil.config import AxisConfig, Configuration
+from friction_hil.daemon.assembly import ramp_s
+from friction_hil.daemon.safety import LoopState
+from friction_hil.daemon.session import SessionResult, SessionSettings, run_session
+from friction_hil.daemon.stop import stop_on_signals
 from friction_hil.errors import FrictionHilError, OptionError, RecordingError, UsageError, choices
 from friction_hil.identification import Fit, Identification, identify
 from friction_hil.identification import Settings as IdentificationSettings
 from friction_hil.identification.choice import is_determined
 from friction_hil.identification.export import as_model_file
-from friction_hil.identification.fine import is_fast
 from friction_hil.identification.identify import chosen_families
 from friction_hil.identification.refine import is_dynamic
-from friction_hil.jit import Array
+from friction_hil.models.model_file import ModelFile
+from friction_hil.motion.experiment import is_fast
+from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording, read, read_all
-from friction_hil.safety import LoopState
-from friction_hil.session import SessionResult, SessionSettings, run_session
-from friction_hil.stop import stop_on_signals
 from friction_hil.tuning.motions import TuningError, experiment_of, experiment_run, sliding_part, trial_run
 from friction_hil.tuning.trial import Trial, judge
 

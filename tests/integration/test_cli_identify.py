@@ -8,7 +8,7 @@ import pytest
 
 import friction_hil as fh
 from friction_hil.cli import main
-from friction_hil.config import load_model_file
+from friction_hil.models.files import load_model_file
 from friction_hil.recordings import Recording
 
 EMPS = Path(__file__).parents[3] / "shared" / "data" / "emps" / "DATA_EMPS.mat"

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import friction_hil as fh
-from friction_hil.companion import Companion, CompanionReport, Job, free_path
+from friction_hil.daemon.companion import Companion, CompanionReport, Job, free_path
 from friction_hil.errors import RecordingError, UsageError
 from friction_hil.recordings.columns import NAMES
 
@@ -264,9 +264,9 @@ def test_the_status_line_tells_how_it_goes(job: Job, capfd: pytest.CaptureFixtur
 
 def test_the_companion_needs_no_compiler() -> None:
     code = (
-        "import sys, friction_hil.companion.__main__ as main\n"
+        "import sys, friction_hil.daemon.companion.__main__ as main\n"
         "assert 'numpy' not in sys.modules\n"
-        "import friction_hil.companion.worker\n"
+        "import friction_hil.daemon.companion.worker\n"
         "assert 'numba' not in sys.modules\n"
         "assert 'scipy' not in sys.modules\n"
     )

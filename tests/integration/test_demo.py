@@ -12,12 +12,12 @@ from pathlib import Path
 
 import pytest
 
-from friction_hil import demo
+from friction_hil.analysis.circularity import analyse
 from friction_hil.cli import main
+from friction_hil.demo import demonstration as demo
 from friction_hil.errors import UsageError
 from friction_hil.recordings import read_all
-from friction_hil.reports.circularity import analyse
-from friction_hil.verify import verify
+from friction_hil.replay.verify import verify
 from tests.unit.test_circularity import make_circle
 
 COMMAND = [sys.executable, "-m", "friction_hil", "demo"]

@@ -17,10 +17,10 @@ from friction_hil_drivers.modbus.drives import ModbusDrives
 
 import friction_hil as fh
 from friction_hil.config import load
+from friction_hil.daemon.realtime import SteppedClock
+from friction_hil.daemon.safety import LoopState
 from friction_hil.drive import Command, DriveState, Feedback, Request
 from friction_hil.errors import DriveError
-from friction_hil.realtime import SteppedClock
-from friction_hil.safety import LoopState
 from tests.peers.serial_processes import (
     COUNTS,
     LONG_S,

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 import friction_hil as fh
-from friction_hil import cluster
 from friction_hil.cli import main
 from friction_hil.recordings import Recording
+from friction_hil.replay import cluster
 from tests.launcher import COMMAND
 
 pytest.importorskip("distributed", reason='distributed is not installed: pip install "friction-hil[cluster]"')

@@ -9,10 +9,10 @@ from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.cia402 import profile
 
 import friction_hil as fh
+from friction_hil.daemon.safety import LoopState
 from friction_hil.drive import DriveState
 from friction_hil.recordings import read_all
-from friction_hil.safety import LoopState
-from friction_hil.verify import verify
+from friction_hil.replay.verify import verify
 from tests.processes import (
     listening,
     run,

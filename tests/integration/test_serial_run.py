@@ -20,8 +20,8 @@ from friction_hil_drivers.serial_line.line import Line, LineGoneError
 from friction_hil_drivers.serial_line.options import LineOptions
 
 import friction_hil as fh
+from friction_hil.daemon.safety import LoopState
 from friction_hil.drive import DriveState
-from friction_hil.safety import LoopState
 from tests.peers.serial_processes import (
     DRIVES,
     process,

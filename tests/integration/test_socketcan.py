@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import friction_hil as fh
-from friction_hil.safety import LoopState
-from friction_hil.verify import verify
+from friction_hil.daemon.safety import LoopState
+from friction_hil.replay.verify import verify
 from tests.processes import run_daemon, simulated_drives, write_configuration
 
 INTERFACE = "vcan0"

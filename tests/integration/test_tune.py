@@ -14,9 +14,10 @@ import yaml
 from friction_hil_drivers.canopen import objects
 
 import friction_hil as fh
-from friction_hil.config import load, load_model_file
-from friction_hil.reports.following import SETTLE_S
-from friction_hil.safety import LoopState
+from friction_hil.analysis.following import SETTLE_S
+from friction_hil.config import load
+from friction_hil.daemon.safety import LoopState
+from friction_hil.models.files import load_model_file
 from tests.launcher import COMMAND
 from tests.peers.serial_processes import write_serial_configuration
 from tests.processes import (

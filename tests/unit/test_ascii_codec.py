@@ -15,7 +15,7 @@ from friction_hil_drivers.serial_line.protocol import Exchange, Image, Plan, Rep
 from hypothesis import given
 from hypothesis import strategies as st
 
-from friction_hil.config import read_section
+from friction_hil.checked_yaml.files import read_section
 from friction_hil.errors import UsageError
 
 FAST, SLOW = ("position", "velocity"), ("torque", "status", "error")

@@ -18,7 +18,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
-from friction_hil.config import read_section
+from friction_hil.checked_yaml.files import read_section
 from friction_hil.errors import ConfigurationError
 
 SMALL = {

@@ -17,7 +17,7 @@ from friction_hil_drivers.serial_line.units import AxisUnits
 from hypothesis import given
 from hypothesis import strategies as st
 
-from friction_hil.config import read_section
+from friction_hil.checked_yaml.files import read_section
 from friction_hil.drive import DriveState, Mode, Request
 from friction_hil.servo.config import ServoConfig
 from friction_hil.servo.servo import Servo

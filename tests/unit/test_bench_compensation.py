@@ -14,7 +14,7 @@ from scipy.linalg import expm
 
 from friction_hil.compensator import Compensator
 from friction_hil.errors import FrictionHilError
-from friction_hil.servo.control import CONTROLLER
+from friction_hil.motion.controller import CONTROLLER
 from tests.compensation_grids import LUGRE, TINY, grid_of
 from tools.benchmarks.compensation import run, simulation
 from tools.benchmarks.compensation.grid import Compliance, Drive, Plant

@@ -9,8 +9,8 @@ import pytest
 from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.drives import CanopenDrives
 
+from friction_hil.daemon.realtime import SteppedClock
 from friction_hil.drive import Command, DriveState, Feedback, Request
-from friction_hil.realtime import SteppedClock
 from tests.canopen_bench import NODE, Bench
 from tests.servo_drives import axis_dict, configuration
 

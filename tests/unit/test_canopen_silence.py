@@ -7,9 +7,9 @@ import pytest
 from friction_hil_drivers.canopen import drives as driver
 from friction_hil_drivers.canopen import objects
 
+from friction_hil.daemon.realtime import SteppedClock
 from friction_hil.drive import Feedback
 from friction_hil.errors import DriveError
-from friction_hil.realtime import SteppedClock
 from tests.canopen_bench import NODE, Bench
 from tests.servo_drives import axis_dict, configuration
 

@@ -8,14 +8,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from friction_hil.analysis.circularity import analyse, duration_s
+from friction_hil.analysis.following import RECOVERY_S, SETTLE_S
 from friction_hil.config import from_dict, self_contained
+from friction_hil.daemon.safety import LoopState
 from friction_hil.errors import RecordingError
 from friction_hil.recordings import Recording
-from friction_hil.reports.circularity import analyse, digits, duration_s, readable
 from friction_hil.reports.circularity_picture import WITH, WITHOUT, division, draw_circle, draw_error, draw_friction
 from friction_hil.reports.circularity_report import MARK, write_report
-from friction_hil.reports.following import RECOVERY_S, SETTLE_S
-from friction_hil.safety import LoopState
+from friction_hil.reports.numbers import digits, readable
 from tests.servo_drives import PERIOD_S, axis_dict
 
 RADIUS, FREQUENCY, BASELINE_S, FADE_S, RAMP_S = 0.5, 2.0, 2.0, 0.1, 0.25

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from friction_hil.assembly import lead_s, make_compensator
+from friction_hil.daemon.assembly import lead_s, make_compensator
 from friction_hil.drive import AxisFacts
 from friction_hil.errors import ConfigurationError, UsageError
 from tests.servo_drives import PERIOD_S, axis_dict, configuration

@@ -10,16 +10,10 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from friction_hil.config import (
-    dump,
-    from_dict,
-    json_schema,
-    load,
-    load_model_file,
-    model_from_argument,
-    self_contained,
-)
+from friction_hil.checked_yaml.text import dump
+from friction_hil.config import from_dict, json_schema, load, self_contained
 from friction_hil.errors import ConfigurationError, UsageError
+from friction_hil.models.files import load_model_file, model_from_argument
 from tests.fake_drivers import GOOD, changed, good, install
 
 

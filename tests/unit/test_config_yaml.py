@@ -8,7 +8,7 @@ import yaml
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from friction_hil.config import yaml_text
+from friction_hil.checked_yaml import text as yaml_text
 from friction_hil.errors import ConfigurationError
 
 # The table of section 10.3.2 of the YAML 1.2.2 specification, as it stands there.

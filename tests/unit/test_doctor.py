@@ -13,9 +13,9 @@ import yaml
 from friction_hil_drivers.canopen.exclusive import AxisLock
 from friction_hil_drivers.serial_line import ports
 
-from friction_hil import doctor
 from friction_hil.cli import main
 from friction_hil.config import load
+from friction_hil.doctor import checks as doctor
 from friction_hil.errors import BusError, ConfigurationError, ParameterError, UsageError
 from tests.servo_drives import axis_dict
 from tests.system_files import lay

@@ -8,6 +8,8 @@ import jsonschema
 import pydantic
 import pytest
 
+from friction_hil.checked_yaml.section import keys
+from friction_hil.checked_yaml.text import dump, parse, read
 from friction_hil.config import (
     AxisConfig,
     AxisExperiment,
@@ -15,15 +17,12 @@ from friction_hil.config import (
     Configuration,
     Limits,
     Realtime,
-    dump,
     from_dict,
     json_schema,
     load,
-    load_model_file,
     self_contained,
 )
-from friction_hil.config.section import keys
-from friction_hil.config.yaml_text import parse, read
+from friction_hil.models.files import load_model_file
 
 DIRECTORY = Path(__file__).parents[2] / "config"
 EXAMPLES = sorted(DIRECTORY.glob("*.yaml"))

@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 
-from friction_hil.fingerprint import differences, fingerprint
+from friction_hil.recordings.fingerprint import differences, fingerprint
 
 
 def test_it_is_the_same_twice_and_fits_into_json() -> None:

@@ -307,7 +307,7 @@ def test_several_recordings_are_one_fit() -> None:
 
 def test_model_file_predicts_what_was_fitted() -> None:
     """What is written gives the error that was stated, through replay, which knows nothing of identification."""
-    from friction_hil.replay import replay
+    from friction_hil.replay.comparison import replay
 
     recording = recorded("lugre", noise=0.02)
     result = found(recording, families=("lugre",), decimation=1)

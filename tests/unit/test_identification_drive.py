@@ -11,9 +11,9 @@ import pytest
 import friction_hil as fh
 from friction_hil import recordings
 from friction_hil.cli import main
-from friction_hil.config import load_model_file
 from friction_hil.errors import RecordingError, UsageError
 from friction_hil.identification import Identification, Settings, identify
+from friction_hil.models.files import load_model_file
 from friction_hil.recordings import Recording
 
 BAM = Path(__file__).parents[3] / "shared" / "data" / "bam_xl330"

@@ -8,8 +8,6 @@ from numpy.typing import NDArray
 from scipy import optimize, signal
 
 import friction_hil as fh
-from friction_hil import filtering
-from friction_hil.config import ModelFile
 from friction_hil.errors import UsageError
 from friction_hil.identification import structures
 from friction_hil.identification.data import Data, prepare
@@ -18,6 +16,8 @@ from friction_hil.identification.inference import infer
 from friction_hil.identification.least_squares import minimise
 from friction_hil.identification.problem import Estimate, Problem
 from friction_hil.identification.scales import scales
+from friction_hil.models.model_file import ModelFile
+from friction_hil.numerics import filtering
 from friction_hil.recordings import Recording
 
 Array = NDArray[np.float64]

@@ -11,21 +11,23 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from friction_hil import config, filtering
-from friction_hil.assembly import make_path
-from friction_hil.axis import AxisLoop
+from friction_hil import config
+from friction_hil.daemon.assembly import make_path
+from friction_hil.daemon.axis import AxisLoop
 from friction_hil.drive import AxisFacts
 from friction_hil.errors import RecordingError, UsageError
-from friction_hil.identification import Identification, Settings, experiment, identify
+from friction_hil.identification import Identification, Settings, identify
 from friction_hil.identification.data import prepare
 from friction_hil.identification.export import as_json, as_model_file
 from friction_hil.identification.fine import fine_data, is_fine, is_presliding_excited, velocity_by_bands
 from friction_hil.identification.problem import Problem
 from friction_hil.identification.refine import _corrected
+from friction_hil.motion import experiment
+from friction_hil.motion.trajectory import PathTime, extent, sweeps_path
+from friction_hil.numerics import filtering
 from friction_hil.recordings import Recording
 from friction_hil.servo.config import ServoConfig
 from friction_hil.servo.servo import Servo
-from friction_hil.servo.trajectory import PathTime, extent, sweeps_path
 
 Array = NDArray[np.float64]
 

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from friction_hil.daemon.realtime import SteppedClock
+from friction_hil.daemon.safety import LoopState
 from friction_hil.drive import DriveState, Request
-from friction_hil.realtime import SteppedClock
-from friction_hil.safety import LoopState
 from friction_hil.servo.config import ServoConfig
 from tests.loop_run import BELIEVED, LIMITS, MODES, ORDINARY, SINE, STOPPED_BY_FAULT, Run, axis, model
 from tests.servo_drives import PERIOD_S

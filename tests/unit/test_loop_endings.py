@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from friction_hil import compensator
+from friction_hil.daemon.realtime import SteppedClock
+from friction_hil.daemon.safety import LoopState
 from friction_hil.drive import DriveState, Request
 from friction_hil.errors import BusError
-from friction_hil.realtime import SteppedClock
-from friction_hil.safety import LoopState
 from tests.loop_run import CONTROLLER, LIMITS, MODES, ORDINARY, SINE, STOPPED_BY_FAULT, Drives, Run, axis
 from tests.servo_drives import PERIOD_S, configuration, make_loop
 

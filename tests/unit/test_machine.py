@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from friction_hil import jit, machine
+from friction_hil.doctor import machine
+from friction_hil.numerics import jit
 from tests.system_files import lay
 
 VERSION = "proc__sys__kernel__version"

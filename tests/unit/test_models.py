@@ -11,8 +11,8 @@ from scipy.integrate import solve_ivp
 
 import friction_hil as fh
 from friction_hil.errors import ConfigurationError, UsageError
+from friction_hil.friction.parameters import Choice
 from friction_hil.models import InvalidParameterError
-from friction_hil.models.parameters import Choice
 
 LUGRE = {
     "sigma0": 2000.0,

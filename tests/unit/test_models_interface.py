@@ -10,7 +10,7 @@ from scipy.interpolate import PchipInterpolator
 
 import friction_hil as fh
 from friction_hil.errors import UsageError
-from friction_hil.models.model import as_dict
+from friction_hil.friction.model import as_dict
 from tests.compensators import PERIOD_S, columns, compensator
 
 LUGRE = fh.models.describe("lugre").example

@@ -167,7 +167,7 @@ def test_a_compensator_gives_the_whole_model(make):
 
 def test_the_level_behind_the_intent_does_not_turn_the_direction():
     """With the measured velocity on the other side, the features creep on the side of the intent."""
-    from friction_hil.models import network
+    from friction_hil.friction import network
 
     p = random_network().values
     assert network.seen_velocity(p, 0.5, 0.3) == 0.3

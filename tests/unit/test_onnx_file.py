@@ -13,7 +13,7 @@ from tests.networks import STRUCTURES, alone, beside, model_file, random_network
 onnxruntime = pytest.importorskip("onnxruntime", reason="onnxruntime is not installed")
 pytest.importorskip("onnx", reason="onnx is not installed")
 
-from friction_hil import onnx_file  # noqa: E402 - after it is known that there is an onnx
+from friction_hil.models import onnx_file  # noqa: E402 - after it is known that there is an onnx
 
 
 def run(path, velocity, dt, **inputs):

@@ -8,8 +8,8 @@ import resource
 
 import pytest
 
-from friction_hil import realtime
-from friction_hil.realtime import RealClock, SteppedClock, punctuality
+from friction_hil.daemon import realtime
+from friction_hil.daemon.realtime import RealClock, SteppedClock, punctuality
 
 
 def test_simulated_time_passes_only_in_sleep_and_never_backward():

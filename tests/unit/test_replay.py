@@ -10,11 +10,12 @@ from scipy import signal
 
 import friction_hil as fh
 from friction_hil.cli import main
-from friction_hil.config import ModelFile, load, self_contained
+from friction_hil.config import load, self_contained
 from friction_hil.errors import RecordingError, UsageError
+from friction_hil.models.model_file import ModelFile
 from friction_hil.recordings import Recording
 from friction_hil.recordings.mcap_writer import McapWriter
-from friction_hil.replay import derive, predict, replay
+from friction_hil.replay.comparison import derive, predict, replay
 
 ROOT = Path(__file__).parents[2]
 EMPS = ROOT.parent / "shared" / "data" / "emps" / "DATA_EMPS.mat"

@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from friction_hil.config import ModelFile
 from friction_hil.errors import RecordingError
-from friction_hil.filtering import decimate, decimated_rows, lowpass
+from friction_hil.models.model_file import ModelFile
+from friction_hil.numerics.filtering import decimate, decimated_rows, lowpass
 from friction_hil.recordings import Recording
 from friction_hil.recordings.quality import find_jumps, find_wrap, resolution, spread, unwrap
-from friction_hil.replay import Motion, Replay, derive, predict, replay
+from friction_hil.replay.comparison import Motion, Replay, derive, predict, replay
 
 RATE = 1000.0
 AMPLITUDE = 3.0

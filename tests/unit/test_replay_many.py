@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import friction_hil as fh
-from friction_hil import replay_many as farm
 from friction_hil.cli import main
 from friction_hil.errors import FrictionHilError
 from friction_hil.recordings import Recording
+from friction_hil.replay import batch as farm
 
 NUMBER = {"type": ["number", "null"]}
 SCHEMA = {

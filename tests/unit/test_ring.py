@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from friction_hil.ring import EVENT_SLOTS, RingReader, RingWriter
+from friction_hil.daemon.ring import EVENT_SLOTS, RingReader, RingWriter
 
 WIDTH, CAPACITY = 3, 8
 

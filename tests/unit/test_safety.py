@@ -6,8 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from friction_hil.daemon.safety import MAX_STALE_CYCLES, REQUESTS, Limits, LoopState, SlewLimiter, Supervisor
 from friction_hil.drive import DriveState, Feedback, Request
-from friction_hil.safety import MAX_STALE_CYCLES, REQUESTS, Limits, LoopState, SlewLimiter, Supervisor
 
 PERIOD_S = 1e-3
 ENABLED = DriveState.OPERATION_ENABLED

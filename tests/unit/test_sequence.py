@@ -4,9 +4,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from friction_hil.drive import Request
-from friction_hil.safety import REQUESTS, LoopState
-from friction_hil.sequence import (
+from friction_hil.daemon.safety import REQUESTS, LoopState
+from friction_hil.daemon.sequence import (
     DISABLE_TIMEOUT_S,
     ENABLE_TIMEOUT_S,
     QUICK_STOP_TIMEOUT_S,
@@ -16,6 +15,7 @@ from friction_hil.sequence import (
     Course,
     Facts,
 )
+from friction_hil.drive import Request
 
 DT = 0.01
 STANDING = {"is_standing": True, "is_setpoint_standing": True, "is_faded_out": True}

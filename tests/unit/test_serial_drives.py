@@ -20,9 +20,9 @@ from friction_hil_drivers.modbus.simulated import SimulatedModbusDrives
 from friction_hil_drivers.serial_line import drives
 from friction_hil_drivers.serial_line.lane import Lane
 
+from friction_hil.daemon.realtime import SteppedClock
 from friction_hil.drive import Command, DriveState, Feedback, Request
 from friction_hil.errors import DriveError, UsageError
-from friction_hil.realtime import SteppedClock
 from tests.servo_drives import axis_dict, configuration
 
 PERIOD_S = 1e-3

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 from scipy.optimize import least_squares
 
 from friction_hil.errors import UsageError
-from friction_hil.models import Structure, network
+from friction_hil.friction import network
+from friction_hil.models import Structure
 from friction_hil.training import constraints, gated, jacobian, levenberg, normal
 from friction_hil.training.checks import at_rest, simulate
 from friction_hil.training.excitation import excitation

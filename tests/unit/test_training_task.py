@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import friction_hil as fh
-from friction_hil.config import ModelFile
+from friction_hil.models.model_file import ModelFile
 from friction_hil.recordings import Recording
 from friction_hil.training import task_of_recordings
 from friction_hil.training.excitation import excitation

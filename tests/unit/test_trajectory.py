@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from friction_hil.servo.trajectory import (
+from friction_hil.motion.trajectory import (
     PathTime,
     Trajectory,
     circle_path,

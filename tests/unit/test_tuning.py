@@ -13,24 +13,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from friction_hil import models
-from friction_hil.assembly import make_path, ramp_s
+from friction_hil.analysis.following import RECOVERY_S, SETTLE_S, Figures
 from friction_hil.cli.tune import _report
 from friction_hil.config import from_dict
+from friction_hil.daemon.assembly import make_path, ramp_s
+from friction_hil.daemon.safety import LoopState
 from friction_hil.errors import OptionError, RecordingError
 from friction_hil.identification import Settings, identify
+from friction_hil.motion.trajectory import PathTime, Trajectory, extent
 from friction_hil.recordings import Recording
-from friction_hil.reports.following import RECOVERY_S, SETTLE_S, Figures
-from friction_hil.safety import LoopState
-from friction_hil.servo.trajectory import PathTime, Trajectory, extent
 from friction_hil.tuning import Tuning
-from friction_hil.tuning.motions import (
-    TuningError,
-    experiment_of,
-    experiment_run,
-    period_s,
-    sliding_part,
-    trial_run,
-)
+from friction_hil.tuning.motions import TuningError, experiment_of, experiment_run, period_s, sliding_part, trial_run
 from friction_hil.tuning.trial import Trial, judge
 from friction_hil.tuning.tune import AxisTuning, Candidate, _candidates, _refuse_swinging
 from tests.servo_drives import PERIOD_S, axis_dict

@@ -7,10 +7,11 @@ import pytest
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 
-from friction_hil import velocity
+from friction_hil.compensator import velocity
+from friction_hil.compensator.velocity import KINDS, MAX_GAP_CYCLES, VelocityEstimator
+from friction_hil.drive.encoder import unwrap
 from friction_hil.errors import UsageError
-from friction_hil.jit import compiled
-from friction_hil.velocity import KINDS, MAX_GAP_CYCLES, VelocityEstimator, unwrap
+from friction_hil.numerics.jit import compiled
 
 PERIOD_S = 2.0**-10
 RESOLUTION = 2.0**-18  # both exact in binary: shifts by whole counts are exact

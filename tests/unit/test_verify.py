@@ -10,18 +10,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from friction_hil import recordings
-from friction_hil.axis import AxisLoop
 from friction_hil.compensator import INPUTS, input_checksum
 from friction_hil.config import from_dict, self_contained
+from friction_hil.daemon.axis import AxisLoop
+from friction_hil.daemon.loop import Loop, LoopSettings
+from friction_hil.daemon.realtime import SteppedClock
+from friction_hil.daemon.stop import StopRequest
 from friction_hil.errors import RecordingError
-from friction_hil.fingerprint import fingerprint
-from friction_hil.loop import Loop, LoopSettings
-from friction_hil.realtime import SteppedClock
+from friction_hil.motion.trajectory import PathTime
 from friction_hil.recordings import columns
+from friction_hil.recordings.fingerprint import fingerprint
 from friction_hil.recordings.mcap_writer import McapWriter
-from friction_hil.servo.trajectory import PathTime
-from friction_hil.stop import StopRequest
-from friction_hil.verify import verify
+from friction_hil.replay.verify import verify
 from tests.servo_drives import TRUE_FRICTION, Rows, ServoDrives, axis_dict, configuration
 
 CHECKED = ("compensation", "velocity_estimate", "shadow_dahl")

@@ -17,18 +17,18 @@ from friction_hil_drivers.canopen.frames import Frame, FrameBus
 from friction_hil_drivers.canopen.simulated import SimulatedCanopenDrives
 
 from friction_hil import config
-from friction_hil.axis import AxisLoop
 from friction_hil.compensator import Compensator
+from friction_hil.daemon.axis import AxisLoop
+from friction_hil.daemon.loop import Loop, LoopSettings
+from friction_hil.daemon.realtime import RealClock, punctuality
+from friction_hil.daemon.safety import LoopState
+from friction_hil.daemon.stop import StopRequest
 from friction_hil.drive import Command, Feedback
+from friction_hil.drive.finding import complaints
 from friction_hil.errors import FrictionHilError
-from friction_hil.findings import complaints
-from friction_hil.jit import Array
-from friction_hil.loop import Loop, LoopSettings
-from friction_hil.realtime import RealClock, punctuality
+from friction_hil.motion.trajectory import PathTime
+from friction_hil.numerics.jit import Array
 from friction_hil.recordings import columns
-from friction_hil.safety import LoopState
-from friction_hil.servo.trajectory import PathTime
-from friction_hil.stop import StopRequest
 from tools.benchmarks.report import Row, against, note, percentile
 
 if TYPE_CHECKING:

@@ -11,8 +11,8 @@ import shutil
 import subprocess
 
 from friction_hil.config.schema import Realtime
+from friction_hil.daemon.realtime import RealClock, punctuality
 from friction_hil.errors import FrictionHilError
-from friction_hil.realtime import RealClock, punctuality
 from tools.benchmarks.report import Row, compare, note, percentile, rounds
 
 ROUNDS = 7

@@ -20,8 +20,8 @@ import numpy as np
 
 import friction_hil as fh
 from friction_hil.errors import FrictionHilError
-from friction_hil.jit import Array
 from friction_hil.models import FrictionModel
+from friction_hil.numerics.jit import Array
 from tools.benchmarks.report import Row, against, compare, note, rounds
 
 Loop = Callable[..., Array]

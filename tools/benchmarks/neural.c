@@ -1,6 +1,6 @@
 /* A gated friction network as a plain C loop: what tools/bench neural measures our compiled network against.
  *
- * One hidden layer, one state, velocity as the only input; p as friction_hil.models.network describes it.
+ * One hidden layer, one state, velocity as the only input; p as friction_hil.friction.network describes it.
  */
 
 #include <math.h>

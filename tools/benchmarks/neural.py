@@ -23,10 +23,11 @@ import numpy as np
 from scipy.optimize import least_squares
 
 import friction_hil as fh
-from friction_hil.config import ModelFile
 from friction_hil.errors import FrictionHilError
-from friction_hil.jit import Array
-from friction_hil.models import Structure, network
+from friction_hil.friction import network
+from friction_hil.models import Structure
+from friction_hil.models.model_file import ModelFile
+from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
 from friction_hil.training import Wanted, levenberg, normal, task_of_recordings, train_task
 from friction_hil.training.checks import simulate
@@ -155,7 +156,7 @@ def whole_array() -> list[Row]:
 
 def single_step() -> Row:
     """Time one step from Python."""
-    from friction_hil.jit import compiled_for_one_sample
+    from friction_hil.numerics.jit import compiled_for_one_sample
 
     inner = network.step
 

@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 
 import friction_hil as fh
-from friction_hil.config import model_from_argument
 from friction_hil.errors import FrictionHilError
-from friction_hil.jit import Array
+from friction_hil.models.files import model_from_argument
+from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
 from friction_hil.recordings.columns import NAMES
 from friction_hil.recordings.mcap_format import ROW_SCHEMA
-from friction_hil.replay import replay
+from friction_hil.replay.comparison import replay
 from tools.benchmarks import models
 from tools.benchmarks.models import DT, Work, example, in_turns
 from tools.benchmarks.report import Row, compare, note

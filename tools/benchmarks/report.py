@@ -11,7 +11,7 @@ from statistics import median
 import click
 
 from friction_hil.cli.output import console, print_json
-from friction_hil.fingerprint import fingerprint
+from friction_hil.recordings.fingerprint import fingerprint
 
 
 @dataclass(frozen=True, slots=True)

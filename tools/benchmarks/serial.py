@@ -22,11 +22,13 @@ from friction_hil_drivers.serial_line.drives import SerialDrives
 from friction_hil_drivers.serial_line.protocol import Exchange
 
 from friction_hil import config
+from friction_hil.checked_yaml.text import dump
 from friction_hil.config import Configuration
-from friction_hil.drive import Command, DriveState, Feedback, Request, load_driver
+from friction_hil.config.drivers import load_driver
+from friction_hil.daemon.realtime import RealClock, punctuality
+from friction_hil.drive import Command, DriveState, Feedback, Request
+from friction_hil.drive.finding import complaints
 from friction_hil.errors import FrictionHilError
-from friction_hil.findings import complaints
-from friction_hil.realtime import RealClock, punctuality
 from friction_hil.servo.config import TrueFriction
 from tools.benchmarks.report import Row, against, note
 
@@ -88,7 +90,7 @@ def _configuration(folder: Path, drive: dict[str, Any], baud: int, period_s: flo
     if drive is MODBUS:
         axis["unit"] = 1
     path = folder / "axis.yaml"
-    path.write_text(config.dump({"version": 1, "period_s": period_s, "axes": {"x": axis}}))
+    path.write_text(dump({"version": 1, "period_s": period_s, "axes": {"x": axis}}))
     return path
 
 

@@ -6,8 +6,8 @@ from typing import Literal
 
 from pydantic import Field, field_validator
 
-from friction_hil.config.messages import Mistake
-from friction_hil.config.yaml_text import Steps
+from friction_hil.checked_yaml.messages import Mistake
+from friction_hil.checked_yaml.text import Steps
 from friction_hil.errors import choices
 from friction_hil_drivers.ascii.checksum import Checksum
 from friction_hil_drivers.ascii.template import FLOAT, NumberField, fields, parse

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from friction_hil.drive import Mode
+from friction_hil.drive.finding import Finding, failure
 from friction_hil.errors import DriveError, FrictionHilError
-from friction_hil.findings import Finding, failure
 from friction_hil_drivers.canopen import interfaces
 from friction_hil_drivers.canopen.bus import bus_name, open_bus, require_known
 from friction_hil_drivers.canopen.exclusive import AxisLock

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from friction_hil.findings import NOT_TOLD, Finding, system_text
+from friction_hil.drive.finding import NOT_TOLD, Finding, system_text
 
 _ROOT = Path("/")
 _ARPHRD_CAN = "280"

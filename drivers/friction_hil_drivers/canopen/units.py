@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from friction_hil.velocity import unwrap
+from friction_hil.drive.encoder import unwrap
 
 PER_MILLE = 1000.0
 _I32 = 1 << 32

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from friction_hil.config.messages import Mistake
+from friction_hil.checked_yaml.messages import Mistake
 from friction_hil_drivers.modbus.registers import (
     BIT_TABLES,
     BOUNDS,

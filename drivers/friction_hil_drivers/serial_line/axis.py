@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from friction_hil.drive import Command, DriveState, Feedback, Request
+from friction_hil.drive.encoder import unwrap
 from friction_hil.errors import OptionError
-from friction_hil.velocity import unwrap
 from friction_hil_drivers.cia402 import profile
 from friction_hil_drivers.serial_line.description import Description, Signal, Step
 from friction_hil_drivers.serial_line.protocol import COMMANDS, Image

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from friction_hil.drive import AxisFacts, DriveState
+from friction_hil.drive.finding import Finding
 from friction_hil.errors import DriveError, OptionError
-from friction_hil.findings import Finding
 from friction_hil_drivers.serial_line import ports
 from friction_hil_drivers.serial_line.axis import Scales, SerialAxis, make_scales
 from friction_hil_drivers.serial_line.conversation import Conversation

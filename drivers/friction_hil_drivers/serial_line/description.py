@@ -6,9 +6,9 @@ from typing import Annotated, Literal, Self, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_validator, model_validator
 
-from friction_hil.config import read_section
-from friction_hil.config.messages import Mistake, refuse
-from friction_hil.config.yaml_text import Steps, resolve
+from friction_hil.checked_yaml.files import read_section
+from friction_hil.checked_yaml.messages import Mistake, refuse
+from friction_hil.checked_yaml.text import Steps, resolve
 from friction_hil.drive import DriveState
 from friction_hil.errors import UsageError, choices
 from friction_hil_drivers.serial_line import protocol

@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from friction_hil.drive import AxisFacts, Clock, Command, Feedback, Request
+from friction_hil.drive.finding import Finding, failure
 from friction_hil.errors import BusError, DriveError, FrictionHilError, OptionError, UsageError
-from friction_hil.findings import Finding, failure
 from friction_hil_drivers.serial_line import ports
 from friction_hil_drivers.serial_line.axis import SerialAxis, unit_mistakes
 from friction_hil_drivers.serial_line.connecting import Connecting, by_port, descriptions_of, options_of

@@ -10,7 +10,7 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
-from friction_hil.findings import Finding, system_text
+from friction_hil.drive.finding import Finding, system_text
 
 _ROOT = Path("/")
 _GOOD_LATENCY_MS = 1

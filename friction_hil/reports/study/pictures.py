@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from friction_hil.jit import Array
-from friction_hil.reports.circularity import digits
+from friction_hil.numerics.jit import Array
+from friction_hil.reports.numbers import digits
 from friction_hil.reports.study.panels import FAINT, INK, WITH, WITHOUT, matrix, new_figure, panels, together
 from friction_hil.study import Study
 from friction_hil.study.circle import RADIUS

@@ -4,7 +4,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from friction_hil.reports.circularity import digits
+from friction_hil.reports.numbers import digits
 
 Facts = Mapping[str, float]
 

@@ -4,8 +4,8 @@ from collections.abc import Container, Mapping
 from typing import Any
 
 from friction_hil import models
+from friction_hil.friction.modifiers import SIDES
 from friction_hil.models import FrictionModel
-from friction_hil.models.modifiers import SIDES
 
 # The same quantity under two names
 SYNONYMS = {"sigma0": "stiffness", "stiffness": "sigma0", "sigma2": "viscous", "viscous": "sigma2"}

@@ -8,16 +8,16 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, ValidationError, model_validator
 
 from friction_hil import models
+from friction_hil.checked_yaml import text as yaml_text
+from friction_hil.checked_yaml.files import field_name
+from friction_hil.checked_yaml.messages import Mistake, mistakes_of, refuse, validate
+from friction_hil.checked_yaml.section import Section, key
+from friction_hil.checked_yaml.text import Document, Steps
 from friction_hil.compensator import Compensator, CompensatorSettings
-from friction_hil.config import yaml_text
-from friction_hil.config.load import field_name
-from friction_hil.config.messages import Mistake, mistakes_of, refuse, validate
-from friction_hil.config.model_file import Friction
-from friction_hil.config.section import Section, key
-from friction_hil.config.yaml_text import Document, Steps
 from friction_hil.errors import ConfigurationError, Problem, UsageError, choices
+from friction_hil.friction.parameters import InvalidParameterError
 from friction_hil.models import FrictionModel
-from friction_hil.models.parameters import InvalidParameterError
+from friction_hil.models.model_file import Friction
 from tools.benchmarks.compensation.belief import changed, converted, has_factor
 from tools.benchmarks.compensation.machine import MOST_DELAY_CYCLES
 from tools.benchmarks.compensation.motions import Motion

@@ -8,9 +8,9 @@ import math
 import numpy as np
 
 from friction_hil import compensator as compensation
-from friction_hil.jit import Array, Record, compiled
-from friction_hil.models import kernel
-from friction_hil.servo.control import cascade
+from friction_hil.friction import kernel
+from friction_hil.motion.controller import cascade
+from friction_hil.numerics.jit import Array, Record, compiled
 
 MOST_DELAY_CYCLES = 8
 NONE, TRUE_LATE, MEASURED, OURS = range(4)  # where the feed-forward torque comes from

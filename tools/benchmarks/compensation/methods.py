@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from friction_hil.jit import Record
 from friction_hil.models import FrictionModel
+from friction_hil.numerics.jit import Record
 from tools.benchmarks.compensation import machine
 from tools.benchmarks.compensation.belief import converted
 

@@ -6,9 +6,9 @@ from typing import Literal, Self
 import numpy as np
 from pydantic import model_validator
 
-from friction_hil.config.messages import refuse
-from friction_hil.config.section import Section, key
-from friction_hil.jit import Array
+from friction_hil.checked_yaml.messages import refuse
+from friction_hil.checked_yaml.section import Section, key
+from friction_hil.numerics.jit import Array
 
 # Position (rad), velocity and acceleration, each (n,)
 Course = tuple[Array, Array, Array]

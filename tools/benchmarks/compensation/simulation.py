@@ -15,9 +15,9 @@ import numpy as np
 from friction_hil import compensator as compensation
 from friction_hil.compensator import Compensator
 from friction_hil.errors import FrictionHilError
-from friction_hil.jit import Array, Record
 from friction_hil.models import FrictionModel
-from friction_hil.servo.control import CONTROLLER
+from friction_hil.motion.controller import CONTROLLER
+from friction_hil.numerics.jit import Array, Record
 from tools.benchmarks.compensation import machine
 from tools.benchmarks.compensation.grid import Drive, Grid, Plant
 from tools.benchmarks.compensation.methods import METHODS, NONE, feedforward

@@ -1,0 +1,214 @@
+"""The circularity test of machine builders: a recorded circle, without and with compensation. Pure: rows -> figures."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from friction_hil.analysis import following
+from friction_hil.analysis.following import SETTLE_S, Figures
+from friction_hil.config import Circle, Configuration, from_dict
+from friction_hil.daemon.assembly import ramp_s
+from friction_hil.daemon.safety import LoopState
+from friction_hil.errors import RecordingError
+from friction_hil.recordings.recording import Array, Recording
+
+_COLUMNS = (*following.COLUMNS, "velocity_estimate", "compensation")
+
+
+@dataclass(frozen=True, slots=True)
+class Laps:
+    """Whole laps in steady motion, either all without or all with compensation.
+
+    Attributes
+    ----------
+    count : int
+    interval_s : (float, float)
+        From and to, in the recording's time.
+    rows : int
+        How many rows were asked for: all periods of the laps.
+    angle : (n,) array
+        Where on the circle each row that counts is, rad; -pi to pi, from the first axis towards the second.
+    radius_error : (n,) array
+        Measured radius less the nominal one, about the nominal centre, rad or m.
+    figures : dict
+        By axis.
+    """
+
+    count: int
+    interval_s: tuple[float, float]
+    rows: int
+    angle: Array
+    radius_error: Array
+    figures: dict[str, Figures]
+
+    @property
+    def left_out(self) -> int:
+        """Periods that do not count, because the computer was too late in them or shortly before."""
+        return self.rows - self.angle.size
+
+    @property
+    def circular_range(self) -> float:
+        """Largest less smallest radius error, rad or m."""
+        return float(np.ptp(self.radius_error))
+
+
+@dataclass(frozen=True, slots=True)
+class Circularity:
+    """A circle that was drawn without and with compensation.
+
+    Attributes
+    ----------
+    configuration : Configuration
+        What the daemon ran with.
+    axes : (str, str)
+        Names; the first is drawn to the right, the second upwards.
+    radius : float
+        Nominal, rad or m.
+    unit : str
+        Of position: rad or m.
+    uncompensated, compensated : Laps
+    columns : dict of dict of (n,) arrays
+        Columns of the recording by axis, in the rows that both axes have; beside them ``time_s``, the following
+        ``error`` (NaN without fresh feedback), and ``is_usable``: 0 where the computer was late.
+    """
+
+    configuration: Configuration
+    axes: tuple[str, str]
+    radius: float
+    unit: str
+    uncompensated: Laps
+    compensated: Laps
+    columns: dict[str, dict[str, Array]]
+
+    def factor(self, axis: str, figure: str) -> float:
+        """How many times smaller ``figure`` (rms or peak) is with compensation."""
+        return float(
+            getattr(self.uncompensated.figures[axis], figure) / getattr(self.compensated.figures[axis], figure)
+        )
+
+    @property
+    def not_helped(self) -> list[str]:
+        """Axes and figures that compensation did not make smaller; empty is good."""
+        return [f"{axis} {name}" for axis in self.axes for name in ("rms", "peak") if not self.factor(axis, name) > 1.0]
+
+
+def duration_s(configuration: Configuration, laps: int) -> float:
+    """Time of motion that `analyse` needs for so many laps with compensation."""
+    axes = configuration.axes.values()
+    before = max(axis.compensation.baseline_s + axis.compensation.fade_s for axis in axes)
+    lap = max(1.0 / getattr(axis.trajectory, "frequency", 1.0) for axis in axes)
+    return before + SETTLE_S + laps * lap + 0.1
+
+
+def analyse(recordings: Mapping[str, Recording]) -> Circularity:
+    """Take the whole laps in steady motion of a run with ``baseline_s``, as many without as with compensation.
+
+    The first laps end where the compensation fades in, the others where the motion ends. Where the computer was too
+    late, that is where a period was missed or feedback did not arrive in its period, the rows until the drives have
+    recovered do not count in either lap: the error there is not one of friction.
+
+    Parameters
+    ----------
+    recordings : dict
+        The two axes of a run, by name, with its configuration.
+
+    Raises
+    ------
+    RecordingError
+        It is no circle of two axes, a lap is missing, or too few rows of the laps can be used.
+    """
+    configuration, circle = _circle(recordings)
+    first, second = recordings
+    path = recordings[first].path
+    cycle, columns = _aligned(recordings)
+    period_s = configuration.period_s
+    lap = 1.0 / (circle.frequency * period_s)
+    axes = configuration.axes.values()
+    starting = (ramp_s(axes) + SETTLE_S) / period_s
+    fading = (max(axis.compensation.fade_s for axis in axes) + SETTLE_S) / period_s
+
+    is_running = np.all([each["state"] == LoopState.RUNNING for each in columns.values()], axis=0)
+    enabled = np.array([each["is_enabled"] for each in columns.values()])
+    phases = {
+        "without": following.settled(cycle, is_running & ~enabled.any(axis=0), starting),
+        "with": following.settled(cycle, is_running & enabled.all(axis=0), fading),
+    }
+    count = min(int((stop - start) / lap + 1e-6) for start, stop in phases.values())
+    if count < 1:
+        present = ", ".join(
+            f"{max(stop - start, 0) * period_s:.3g} s {name} compensation" for name, (start, stop) in phases.items()
+        )
+        raise RecordingError(f"{path}: a lap takes {lap * period_s:g} s; in steady motion there are only {present}")
+
+    is_usable = ~following.is_recovering(cycle, list(columns.values()), period_s)
+    in_last_lap = is_running & (cycle >= phases["with"][1] - lap) & (cycle < phases["with"][1])
+    offsets = [_deviation(columns[name], 2.0 * np.pi * cycle / lap, in_last_lap) for name in recordings]
+    angle, radius_error = np.arctan2(offsets[1], offsets[0]), np.hypot(*offsets) - circle.radius
+
+    def laps(stop: float) -> Laps:
+        start = stop - count * lap
+        rows = (cycle >= start - 1e-6) & (cycle < stop - 1e-6)
+        used = rows & is_usable
+        wanted = round(count * lap)
+        following.refuse_too_few(path, int(np.count_nonzero(used)), wanted)
+        place = ((cycle[used] - start) % lap).astype(np.intp)
+        figures = {name: _figures(columns[name]["error"][used], place) for name in recordings}
+        return Laps(count, (start * period_s, stop * period_s), wanted, angle[used], radius_error[used], figures)
+
+    without, with_compensation = (laps(stop) for _, stop in phases.values())
+    for each in columns.values():
+        each.update(time_s=cycle * period_s, is_usable=is_usable.astype(np.float64))
+    unit = "rad" if configuration.axes[first].model.axis == "rotary" else "m"
+    return Circularity(configuration, (first, second), circle.radius, unit, without, with_compensation, columns)
+
+
+def _circle(recordings: Mapping[str, Recording]) -> tuple[Configuration, Circle]:
+    """Configuration of a run and its circle; the axes must agree on it, a quarter of a turn apart."""
+    path = next((each.path for each in recordings.values()), "")
+    if len(recordings) != 2:
+        raise RecordingError(f"{path}: a circle takes two axes, here are {len(recordings)}")
+    first, second = recordings.values()
+    if "configuration" not in first.metadata:
+        raise RecordingError(f"{path}: there is no configuration in it: it is no recording of 'friction-hil run'")
+    configuration = from_dict(first.metadata["configuration"], f"{path} (configuration inside)")
+    paths = [configuration.axes[each.axis].trajectory for each in (first, second)]
+    if not (isinstance(a := paths[0], Circle) and isinstance(b := paths[1], Circle)):
+        kinds = ", ".join(f"{each.axis}: {p.kind}" for each, p in zip((first, second), paths, strict=True))
+        raise RecordingError(f"{path}: the trajectories are no circle: {kinds}")
+    same = a.radius == b.radius and a.frequency == b.frequency
+    if not same or abs(np.cos(a.phase - b.phase)) > 1e-6:
+        raise RecordingError(f"{path}: a circle needs one radius and frequency, and phases a quarter of a turn apart")
+    return configuration, a
+
+
+def _aligned(recordings: Mapping[str, Recording]) -> tuple[Array, dict[str, dict[str, Array]]]:
+    """Numbers of the cycles that all axes have, and the columns in them, with the following error."""
+    for each in recordings.values():
+        each.require("cycle", *_COLUMNS)
+    first, second = recordings.values()
+    cycle, *rows = np.intersect1d(first["cycle"], second["cycle"], return_indices=True)
+    columns: dict[str, dict[str, Array]] = {}
+    for (name, each), at in zip(recordings.items(), rows, strict=True):
+        columns[name] = {column: each[column][at] for column in _COLUMNS}
+        columns[name]["error"] = following.error(columns[name])
+    return cycle, columns
+
+
+def _deviation(columns: Mapping[str, Array], turn: Array, in_steady_motion: Any) -> Array:
+    """Position relative to the centre of the demanded circle, (n,).
+
+    The centre comes from a fit of the demand, which is exact in steady motion whichever rows are missing.
+    """
+    angle = turn[in_steady_motion]
+    design = np.stack([np.cos(angle), np.sin(angle), np.ones_like(angle)], axis=1)
+    _, _, centre = np.linalg.lstsq(design, columns["position_demand"][in_steady_motion])[0]
+    return np.asarray(columns["position"] - centre)
+
+
+def _figures(error: Array, place: Any) -> Figures:
+    """Figures of an error over its place in the lap; each place counts once, however many laps it is known of."""
+    known = np.bincount(place)
+    square = np.bincount(place, error * error)[known > 0] / known[known > 0]
+    return Figures(rms=float(np.sqrt(square.mean())), peak=float(np.abs(error).max()))

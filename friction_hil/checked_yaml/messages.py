@@ -1,0 +1,283 @@
+"""What is wrong with a value, in plain words: pydantic's errors retold, with units, choices and advice."""
+
+import json
+import re
+from collections.abc import Collection, Iterable, Sequence
+from types import NoneType, UnionType
+from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
+
+from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
+from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
+
+from friction_hil.checked_yaml.section import keys
+from friction_hil.checked_yaml.text import Steps, resolve
+from friction_hil.errors import choices
+
+Mistake = tuple[Steps, str]  # where, seen from the value in question, and what
+Model = TypeVar("Model", bound=BaseModel)
+
+_OWN = "friction_hil"  # type of the errors that already carry a finished message
+_WANTED = {
+    "float_type": "a number",
+    "int_type": "a whole number",
+    "int_from_float": "a whole number",
+    "bool_type": "true or false",
+    "string_type": "text",
+    "path_type": "a path",
+    "list_type": "a list",
+    "tuple_type": "a list",
+    "set_type": "a list",
+    "dict_type": "a group of keys",
+    "model_type": "a group of keys",
+    "model_attributes_type": "a group of keys",
+}
+_TRUTH = {"on": "true", "yes": "true", "y": "true", "off": "false", "no": "false", "n": "false"}
+_BOUNDS = {"gt": "above", "ge": "at least", "lt": "below", "le": "at most"}
+
+
+def validate(model: type[Model], value: Any, known: Collection[str] = ()) -> Model:
+    """Make a ``model`` of plain values: no text becomes a number, and no number text.
+
+    Parameters
+    ----------
+    known
+        Keys that stand beside those of the model, for the message about an unknown one.
+
+    Raises
+    ------
+    ValidationError
+        With finished messages; see `mistakes_of`.
+    """
+    try:
+        # strict JSON is what YAML means: a list may become a tuple and text a path, nothing else is converted
+        return model.model_validate_json(json.dumps(value), strict=True)
+    except ValidationError as error:
+        raise _refusal(model.__name__, mistakes_of(error, model, value, known)) from None
+
+
+def refuse(section: BaseModel, mistakes: Iterable[Mistake]) -> None:
+    """Raise the ``mistakes``, if there are any, from within a validator of ``section``."""
+    if found := list(mistakes):
+        raise _refusal(type(section).__name__, found)
+
+
+def mistakes_of(
+    error: ValidationError, model: type[BaseModel], value: Any, known: Collection[str] = ()
+) -> list[Mistake]:
+    """Retell pydantic's ``error`` about ``value`` as ``model``, one mistake a place."""
+    told: dict[Steps, list[str]] = {}
+    for item in error.errors(include_url=False):
+        steps, message = _retell(item, model, value, known)
+        told.setdefault(steps, [])
+        if message not in told[steps]:
+            told[steps].append(message)
+    return [(steps, "; or ".join(messages)) for steps, messages in told.items()]
+
+
+def _refusal(title: str, mistakes: Sequence[Mistake]) -> ValidationError:
+    return ValidationError.from_exception_data(
+        title,
+        [
+            InitErrorDetails(
+                type=PydanticCustomError(_OWN, "{message}", {"message": message, "steps": len(steps)}),
+                loc=steps,
+                input=None,
+            )
+            for steps, message in mistakes
+        ],
+    )
+
+
+def _retell(item: ErrorDetails, model: type[BaseModel], value: Any, known: Collection[str]) -> Mistake:
+    location = item["loc"]
+    context = item.get("ctx", {})
+    if item["type"] == _OWN:
+        split = len(location) - context["steps"]
+        return (*_present(location[:split], value), *location[split:]), context["message"]
+    if item["type"] == "missing":
+        field, _ = _find(model, location)
+        if isinstance(location[-1], int):
+            return _present(location, value), f"needs at least {location[-1] + 1} values"
+        meaning = f": {field.description}" if field is not None and field.description else ""
+        return (*_present(location[:-1], value), location[-1]), f"is missing{meaning}"
+    if item["type"] == "extra_forbidden":
+        _, holders = _find(model, location[:-1])
+        names = {name for holder in holders for name in keys(holder)}
+        if len(location) == 1:
+            names |= set(known)
+        return _present(location, value), f"is no key here; {choices(str(location[-1]), names)}"
+    if item["type"] == "union_tag_invalid":
+        name = context["discriminator"].strip("'")
+        message = f"must be one of {context['expected_tags']}, not {show(item['input'][name])}"
+        return (*_present(location, value), name), message
+    field, holders = _find(model, location)
+    return _present(location, value), _describe(item, context, field, holders)
+
+
+def _describe(
+    item: ErrorDetails, context: dict[str, Any], field: FieldInfo | None, holders: Sequence[type[BaseModel]]
+) -> str:
+    kind, given = item["type"], item["input"]
+    unit = _unit(field)
+    if kind in _WANTED:
+        wanted = _WANTED[kind] + (f" [{unit}]" if unit and "number" in _WANTED[kind] else "")
+        if wanted == "a group of keys" and holders:
+            wanted += f" ({', '.join(dict.fromkeys(name for holder in holders for name in keys(holder)))})"
+        return f"must be {wanted}, not {show(given)}{_advice(kind, given)}"
+    if kind == "finite_number":
+        return f"must be a finite number, not {show(given)}"
+    if kind in ("greater_than", "greater_than_equal", "less_than", "less_than_equal"):
+        return f"must be {_bounds(field, context)}{f' {unit}' if unit else ''}, not {show(given)}"
+    if kind in ("literal_error", "enum"):
+        return f"must be {context['expected']}, not {show(given)}"
+    if kind == "union_tag_not_found":
+        return f"needs the key {context['discriminator']}, which says what it is"
+    if kind == "string_pattern_mismatch":
+        return f"{given!r} is no name: small letters, digits and _, a letter first"
+    if kind in ("too_long", "too_short"):
+        bound = context.get("max_length", context.get("min_length"))
+        return f"needs {'at most' if kind == 'too_long' else 'at least'} {bound}, has {context['actual_length']}"
+    if kind in ("value_error", "assertion_error"):
+        return str(context["error"])
+    return f"{item['msg'][:1].lower()}{item['msg'][1:]}"
+
+
+def show(value: Any) -> str:
+    """Name a value of a YAML file in a sentence."""
+    if value is None:
+        return "empty"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return f"the text {value if len(value) <= 40 else value[:37] + '...'!r}"
+    if isinstance(value, dict):
+        return "a group of keys"
+    if isinstance(value, list | tuple):
+        return "a list"
+    if isinstance(value, float) and not abs(value) < float("inf"):
+        return {"inf": ".inf", "-inf": "-.inf", "nan": ".nan"}[str(value)]
+    return f"{value!r}"
+
+
+def _advice(kind: str, given: Any) -> str:
+    """What the author of a text that should be a number, true or false most likely meant."""
+    if not isinstance(given, str):
+        if kind.startswith("int") and isinstance(given, float) and given.is_integer():
+            return f"; write {int(given)}"
+        return ""
+    text = given.strip()
+    if kind == "bool_type":
+        meant = _TRUTH.get(text.lower())
+        return f" (it is text in YAML 1.2; write {meant})" if meant else ""
+    if kind not in ("float_type", "int_type"):
+        return ""
+    if re.fullmatch(r"[0-9]+(:[0-5]?[0-9])+", text):
+        seconds = 0
+        for part in text.split(":"):
+            seconds = 60 * seconds + int(part)
+        return f" (it is text in YAML 1.2; write {seconds})"
+    if match := re.fullmatch(r"([-+]?)0+([0-9]+)", text):
+        return f" (leading zeros make it ambiguous; write {match[1]}{match[2]})"
+    for pattern, template in (
+        (r"[-+]?[0-9][0-9_]*", "without '_': write {}"),
+        (r"[-+]?[0-9]*,[0-9]+(?:[eE][-+]?[0-9]+)?", "with a decimal point: write {}"),
+    ):
+        if re.fullmatch(pattern, text):
+            return " (" + template.format(text.replace("_", "").replace(",", ".")) + ")"
+    if re.fullmatch(r"[-+]?(?:inf|infinity)", text.lower()):
+        return " (infinity is written .inf)"
+    try:
+        if isinstance(resolve(text), int | float):
+            return " (without quotes it would be a number)"
+    except OverflowError:
+        return ""
+    if match := re.fullmatch(r"([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*[A-Za-zµ°%].*", text):
+        return f" (write the number alone, {match[1]}, in the unit of the key)"
+    return ""
+
+
+def _bounds(field: FieldInfo | None, context: dict[str, Any]) -> str:
+    """All bounds of a number, whichever of them was broken: those of the key and those of its type."""
+    found: dict[str, list[float]] = {name: [context[name]] if name in context else [] for name in _BOUNDS}
+    for item in () if field is None else (*field.metadata, *_constraints(field.annotation)):
+        for name, bounds in found.items():
+            if (bound := getattr(item, name, None)) is not None:
+                bounds.append(bound)
+    narrowest = {name: max(bounds) if name in ("gt", "ge") else min(bounds) for name, bounds in found.items() if bounds}
+    return " and ".join(f"{_BOUNDS[name]} {bound:g}" for name, bound in narrowest.items())
+
+
+def _constraints(annotation: Any) -> list[Any]:
+    """What the parts of a type demand, e.g. of ``Annotated[float, Field(gt=0.0)] | None``."""
+    if get_origin(annotation) is Annotated:
+        kind, *demands = get_args(annotation)
+        own = [part for demand in demands for part in getattr(demand, "metadata", (demand,))]
+        return [*own, *_constraints(kind)]
+    if get_origin(annotation) in (Union, UnionType):
+        return [part for item in get_args(annotation) for part in _constraints(item)]
+    return []
+
+
+def _unit(field: FieldInfo | None) -> str:
+    extra = field.json_schema_extra if field is not None else None
+    unit = extra.get("unit") if isinstance(extra, dict) else None
+    return "" if unit in (None, "1") else str(unit)
+
+
+def _present(location: Sequence[str | int], value: Any) -> Steps:
+    """The steps of pydantic's location that the value really has, without its names of union branches."""
+    steps: list[str | int] = []
+    for step in location:
+        try:
+            value = value[step]
+        except (KeyError, IndexError, TypeError):
+            continue
+        steps.append(step)
+    return tuple(steps)
+
+
+def _find(model: type[BaseModel], location: Sequence[str | int]) -> tuple[FieldInfo | None, list[type[BaseModel]]]:
+    """The field that a location leads to, and the models that may stand there."""
+    field: FieldInfo | None = None
+    kinds: list[Any] = [model]
+    for step in location:
+        models = [kind for kind in kinds if _is_model(kind)]
+        holder = next((kind for kind in models if step in kind.model_fields), None)
+        if holder is not None:
+            field = holder.model_fields[step]
+            kinds = _members(field.annotation)
+        elif narrowed := [kind for kind in models if step in _tags(kind)]:
+            kinds = narrowed
+        else:
+            kinds = [part for kind in kinds for part in _members_of_items(kind)]
+    return field, [kind for kind in kinds if _is_model(kind)]
+
+
+def _members(annotation: Any) -> list[Any]:
+    if get_origin(annotation) is Annotated:
+        return _members(get_args(annotation)[0])
+    if get_origin(annotation) in (Union, UnionType):
+        return [part for item in get_args(annotation) for part in _members(item)]
+    return [] if annotation is NoneType else [annotation]
+
+
+def _members_of_items(kind: Any) -> list[Any]:
+    if get_origin(kind) is dict:
+        return _members(get_args(kind)[1])
+    if get_origin(kind) in (list, tuple):
+        return [part for item in get_args(kind) if item is not Ellipsis for part in _members(item)]
+    return []
+
+
+def _tags(model: type[BaseModel]) -> set[Any]:
+    """What names a model in a union: the values of its fields that are fixed, and its name."""
+    tags: set[Any] = {model.__name__}
+    for field in model.model_fields.values():
+        if field.is_required():
+            tags.update(item for item in get_args(field.annotation) if isinstance(item, str))
+    return tags
+
+
+def _is_model(kind: Any) -> bool:
+    return isinstance(kind, type) and issubclass(kind, BaseModel)

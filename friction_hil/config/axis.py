@@ -1,0 +1,258 @@
+"""One axis in the configuration: limits, model, compensation, motion, and the keys of its driver."""
+
+import functools
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import (
+    BaseModel,
+    Field,
+    SerializeAsAny,
+    SerializerFunctionWrapHandler,
+    StringConstraints,
+    ValidationInfo,
+    field_validator,
+    model_serializer,
+    model_validator,
+)
+
+from friction_hil.checked_yaml.messages import Mistake, refuse, validate
+from friction_hil.checked_yaml.section import POSITION, TORQUE, VELOCITY, Section, key, keys
+from friction_hil.compensator import Compensator, CompensatorSettings
+from friction_hil.config.drivers import DRIVERS, SIMULATED_DRIVES, driver_names, load_driver
+from friction_hil.config.trajectories import AxisExperiment, Trajectory, peak_speed
+from friction_hil.errors import UsageError
+from friction_hil.models.model_file import ModelFile
+
+NAME_PATTERN = "^[a-z][a-z0-9_]*$"
+Name = Annotated[str, StringConstraints(pattern=NAME_PATTERN)]
+
+
+class Limits(Section):
+    """Limits that hold in every cycle; passing one is a fault, but torque and slew, which are clipped."""
+
+    torque: float = key("bound on abs(compensation) in csp and csv, on the whole torque in cst", TORQUE, gt=0)
+    torque_slew: float | None = key("fastest change of the torque", f"{TORQUE} per s", default=None, gt=0)
+    velocity: float = key("bound on abs(velocity)", VELOCITY, gt=0)
+    following_error: float | None = key("bound on abs(position demand - position)", POSITION, default=None, gt=0)
+    position: tuple[float, float] | None = key("lowest and highest position", POSITION, default=None)
+
+
+class Adaptation(Section):
+    """Slow, bounded adaptation of the friction level to what the torque shows, for each direction."""
+
+    time_s: float = key("time over which it learns, of steady sliding", "s", default=20.0, ge=0.1)
+    bound: float = key("largest relative change of the level", "1", default=0.3, gt=0, lt=1)
+
+
+class Compensation(Section):
+    """How the model's torque becomes the compensation."""
+
+    enabled: bool = key("false: computed and recorded, never commanded", default=True)
+    gain: float = key("share of the model's torque that is applied", "1", default=0.9, ge=0, le=1.5)
+    gain_negative: float | None = key(
+        "the same for negative torque; by default as gain", "1", default=None, ge=0, le=1.5
+    )
+    source: Literal["auto", "measured", "demand"] = key(
+        "velocity that the model sees: measured, demanded, or of both what helps and is safe", default="auto"
+    )
+    fade_s: float = key("time to fade in and out", "s", default=0.5, gt=0)
+    baseline_s: float = key("motion without compensation first, to compare with", "s", default=0.0, ge=0)
+    velocity: Literal["difference", "tracking", "kalman", "drive"] = key(
+        "measured velocity: encoder difference, tracking loop, Kalman observer with the torque, or the drive's own",
+        default="difference",
+    )
+    smoothing: float = key(
+        "one-pole coefficient on the difference or the drive's velocity; 1 does not smooth",
+        "1",
+        default=1.0,
+        gt=0,
+        le=1,
+    )
+    acceleration: float | None = key(
+        "largest acceleration that the tracking loop follows", f"{VELOCITY} per s", default=None, gt=0
+    )
+    max_acceleration: float | None = key(
+        "a position that would need more is passed over as a glitch", f"{VELOCITY} per s", default=None, gt=0
+    )
+    dead_band: float = key("velocity below which less is applied, in proportion", VELOCITY, default=0.0, ge=0)
+    adaptation: Adaptation | None = key("slow adaptation of the friction level; off by default", default=None)
+
+    @model_validator(mode="after")
+    def _is_complete(self) -> "Compensation":
+        if self.velocity == "tracking" and self.acceleration is None:
+            raise ValueError("velocity: tracking needs acceleration, the largest that is to be followed")
+        return self
+
+
+class Controller(Section):
+    """The daemon's own loops: position P and velocity PI in cst; position P alone over the drive's loop in csv."""
+
+    position_gain: float = key("velocity per position error", "1/s", ge=0)
+    velocity_gain: float = key("torque per velocity error (cst)", "N m s/rad or N s/m", default=0.0, ge=0)
+    integral_hz: float = key("corner frequency of the velocity loop's integral part (cst)", "Hz", default=0.0, ge=0)
+
+
+class Shadow(Section):
+    """A model that is evaluated and recorded, never commanded."""
+
+    name: Name = key("its column in the recording is shadow_NAME")
+    model: ModelFile = key("model file (a path), or its content")
+
+
+class AxisConfig(Section):
+    """One motor with its drive.
+
+    In a file the driver's own keys stand beside these; `split_options` gathers them under ``options``.
+    """
+
+    driver: str = key("which driver speaks to the drive")
+    mode: Literal["csp", "csv", "cst"] = key(
+        "what is commanded each cycle: position, velocity (both plus torque offset), or torque"
+    )
+    limits: Limits = key("limits that hold in every cycle")
+    model: ModelFile = key("friction model of the axis: a model file (a path), or its content")
+    compensation: Compensation = key("how the model's torque is applied", default=Compensation())
+    shadows: tuple[Shadow, ...] = key("further models, recorded for comparison, never commanded", default=())
+    trajectory: Trajectory = key("motion: kind circle, sine, triangle, experiment, hold or none")
+    controller: Controller | None = key("the daemon's own controller (modes cst and csv)", default=None)
+    experiment: AxisExperiment | None = key(
+        "how far and how fast 'tune' may move the axis to learn its friction", default=None
+    )
+    simulation: SerializeAsAny[BaseModel] | None = key("the drive that 'simulate' puts on the bus", default=None)
+    options: SerializeAsAny[BaseModel] = Field(json_schema_extra={"is_key": False})
+
+    @field_validator("driver")
+    @classmethod
+    def _is_installed(cls, name: str) -> str:
+        try:
+            driver_options(name, DRIVERS)
+        except UsageError as error:
+            raise ValueError(str(error)) from None
+        return name
+
+    @field_validator("options", mode="plain")
+    @classmethod
+    def _validate_options(cls, value: Any, info: ValidationInfo) -> BaseModel:
+        if "driver" not in info.data:  # already a mistake of its own
+            return Section()
+        return validate(driver_options(info.data["driver"], DRIVERS), value, keys(cls))
+
+    @field_validator("simulation", mode="plain")
+    @classmethod
+    def _validate_simulation(cls, value: Any, info: ValidationInfo) -> BaseModel | None:
+        if value is None or "driver" not in info.data:
+            return None
+        driver = info.data["driver"]
+        try:
+            options = driver_options(driver, SIMULATED_DRIVES)
+        except UsageError as error:
+            simulated = ", ".join(driver_names(SIMULATED_DRIVES))
+            raise ValueError(f"simulated drives exist for {simulated}: {error}") from None
+        return validate(options, value)
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        refuse(self, _mistakes(self))
+        return self
+
+    @model_serializer(mode="wrap")
+    def _flatten(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        values: dict[str, Any] = handler(self)
+        return {"driver": values.pop("driver"), **values.pop("options"), **values}
+
+
+def split_options(axis: Mapping[str, Any]) -> dict[str, Any]:
+    """Gather the keys of an axis that are not common to all drivers under ``options``."""
+    common = {name: value for name, value in axis.items() if name in keys(AxisConfig)}
+    return {**common, "options": {name: value for name, value in axis.items() if name not in common}}
+
+
+@functools.cache
+def driver_options(driver: str, group: str) -> type[BaseModel]:
+    """Return the model of a driver's own keys.
+
+    Raises
+    ------
+    UsageError
+        No such driver is installed, or it is broken.
+    """
+    try:
+        options = load_driver(driver, group).Options
+    except ImportError as error:
+        raise UsageError(f"the driver {driver!r} cannot be imported: {error}") from error
+    if not (isinstance(options, type) and issubclass(options, BaseModel)):
+        raise UsageError(f"the driver {driver!r} is broken: its Options is no pydantic model")
+    return options
+
+
+def _mistakes(axis: AxisConfig) -> Iterator[Mistake]:
+    """Check mode, trajectory, controller and limits of an axis against each other."""
+    kind = axis.trajectory.kind
+    has_setpoint = kind != "none"
+    if not has_setpoint and axis.mode != "cst":
+        yield ("trajectory", "kind"), f"'none' has no set-point, which mode {axis.mode} needs; try kind: hold"
+    yield from _controller_mistakes(axis, has_setpoint)
+    yield from _limit_mistakes(axis, has_setpoint)
+    yield from _compensation_mistakes(axis)
+    names = [shadow.name for shadow in axis.shadows]
+    for index, name in enumerate(names):
+        if name in names[:index]:
+            yield (
+                ("shadows", index),
+                f"a shadow is called {name!r} already; give one another: {{name: ..., model: ...}}",
+            )
+
+
+def _controller_mistakes(axis: AxisConfig, has_setpoint: bool) -> Iterator[Mistake]:
+    given = axis.controller
+    if axis.mode == "cst" and has_setpoint:
+        if given is None:
+            yield ("controller",), "is missing: mode cst needs position_gain, velocity_gain and integral_hz"
+        elif given.velocity_gain == 0.0:
+            yield ("controller", "velocity_gain"), "must be above zero in mode cst, where the daemon closes this loop"
+    elif given is not None and axis.mode == "cst":
+        yield ("controller",), "has nothing to control: trajectory kind none has no set-point"
+    elif given is not None and axis.mode == "csp":
+        yield ("controller",), "belongs to modes cst and csv; in csp the drive's own controller is at work"
+    elif given is not None and (given.velocity_gain or given.integral_hz):
+        yield ("controller",), "in csv the drive closes the velocity loop: only position_gain can be given"
+
+
+def _limit_mistakes(axis: AxisConfig, has_setpoint: bool) -> Iterator[Mistake]:
+    limits = axis.limits
+    if limits.following_error is not None and not has_setpoint:
+        yield ("limits", "following_error"), "there is none without a set-point (trajectory kind none): remove it"
+    if limits.position is not None and not limits.position[0] < limits.position[1]:
+        low, high = limits.position
+        yield ("limits", "position"), f"must be [lowest, highest], not [{low:g}, {high:g}]"
+    speed = peak_speed(axis.trajectory)
+    if speed > limits.velocity:
+        message = f"is {limits.velocity:g}, but the trajectory moves at up to {speed:.4g} (rad/s or m/s)"
+        yield ("limits", "velocity"), message
+    if axis.experiment is not None:
+        if axis.experiment.velocity > limits.velocity:
+            yield ("experiment", "velocity"), f"is beyond limits.velocity, {limits.velocity:g}"
+        if axis.experiment.axis not in (None, axis.model.axis):
+            yield ("experiment", "axis"), f"is {axis.experiment.axis}, but the model is of a {axis.model.axis} axis"
+
+
+def _compensation_mistakes(axis: AxisConfig) -> Iterator[Mistake]:
+    given = axis.compensation
+    knows_inertia = axis.model.mechanics.inertia > 0.0
+    if given.velocity == "kalman" and not knows_inertia:
+        yield ("compensation", "velocity"), "kalman needs the inertia, in the mechanics of the model file"
+    elif given.adaptation is not None and not knows_inertia:
+        yield ("compensation", "adaptation"), "needs the inertia, in the mechanics of the model file"
+    elif given.velocity in ("difference", "drive"):
+        settings = CompensatorSettings(
+            period_s=1e-3,
+            position_resolution=1e-6,
+            torque_limit=axis.limits.torque,
+            velocity=given.velocity,
+            smoothing=given.smoothing,
+        )
+        try:
+            Compensator(axis.model.friction_model, settings)
+        except UsageError as error:
+            yield ("compensation", "smoothing"), str(error)

@@ -1,0 +1,70 @@
+"""The CAN bus in the configuration."""
+
+import math
+from collections.abc import Iterator
+from typing import Any, Self
+
+from pydantic import ConfigDict, model_validator
+
+from friction_hil.checked_yaml.messages import Mistake, refuse, show
+from friction_hil.checked_yaml.section import Section, key
+from friction_hil.errors import choices
+
+# For these interfaces every key is known here: those of BusConfig that they have beside interface and channel.
+_BUS_KEYS = {
+    "udp_multicast": ("port", "hop_limit"),
+    "virtual": (),
+    "socketcan": ("bitrate",),
+    "slcan": ("bitrate",),
+}
+
+
+class BusConfig(Section):
+    """The bus, as python-can knows it."""
+
+    # what an interface with options of its own takes beside these keys goes to python-can as it is
+    model_config = ConfigDict(extra="allow")
+
+    interface: str = key("interface of python-can: socketcan, slcan, udp_multicast, virtual, pcan, kvaser, ...")
+    channel: int | str = key("channel of the interface: can0, /dev/ttyACM0, 239.74.163.2, ...")
+    bitrate: int | None = key(
+        "bit rate; for socketcan what 'ip link' has set, to compute the bus load", "bit/s", default=None, gt=0
+    )
+    port: int | None = key("UDP port of udp_multicast", default=None, ge=1, le=65535)
+    hop_limit: int | None = key(
+        "how many routers udp_multicast passes; 0 stays on this machine", default=None, ge=0, le=255
+    )
+
+    @model_validator(mode="before")
+    @classmethod
+    def _stay_on_this_machine(cls, value: Any) -> Any:
+        if isinstance(value, dict) and value.get("interface") == "udp_multicast":
+            return {**value, "hop_limit": 0 if value.get("hop_limit") is None else value["hop_limit"]}
+        return value
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        refuse(self, _mistakes(self))
+        return self
+
+    @property
+    def further(self) -> dict[str, Any]:
+        """Keys that this version does not know, for python-can."""
+        return dict(self.model_extra or {})
+
+
+def _mistakes(bus: BusConfig) -> Iterator[Mistake]:
+    """Check that an interface has the keys that are given for it."""
+    for name, value in bus.further.items():
+        if isinstance(value, dict | list):
+            yield (name,), "must be a single value: it is handed to python-can as it is"
+        elif isinstance(value, float) and not math.isfinite(value):
+            yield (name,), f"must be a finite number, not {show(value)}"
+    allowed = _BUS_KEYS.get(bus.interface)
+    if allowed is None:
+        return
+    for name in bus.further:
+        yield (name,), f"is no key here; {choices(name, ('interface', 'channel', *allowed))}"
+    for name in ("bitrate", "port", "hop_limit"):
+        if getattr(bus, name) is not None and name not in allowed:
+            yield (name,), f"has no meaning for the interface {bus.interface}: remove it"

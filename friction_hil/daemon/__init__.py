@@ -1,0 +1,1 @@
+"""The daemon: the fixed-period loop between drives and compensators, and the companion process that records."""

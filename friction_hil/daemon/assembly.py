@@ -1,0 +1,131 @@
+"""From a configuration to the pure objects of an axis, the same for the loop and for replay."""
+
+import math
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from friction_hil.compensator import Compensator, CompensatorSettings
+from friction_hil.daemon.safety import Limits
+from friction_hil.drive import AxisFacts
+from friction_hil.motion import experiment
+from friction_hil.motion.controller import CONTROLLER
+from friction_hil.motion.trajectory import Path, Sweep, circle_path, sine_path, still_path, sweeps_path, triangle_path
+from friction_hil.numerics.jit import Record
+
+if TYPE_CHECKING:
+    from friction_hil.config import AxisConfig, ExperimentBounds
+    from friction_hil.models.model_file import ModelFile
+
+_LEAST_RAMP_S = 0.1
+
+
+def make_compensator(config: "AxisConfig", model: "ModelFile", facts: AxisFacts, period_s: float) -> Compensator:
+    """Compensator of an axis for one of its models, as the loop and replay both build it."""
+    gravity, given = model.mechanics.gravity, config.compensation
+    settings = CompensatorSettings(
+        period_s=period_s,
+        position_resolution=facts.position_resolution,
+        lead_s=lead_s(model, facts, period_s),
+        inertia=model.mechanics.inertia,
+        gravity=(gravity.constant, gravity.sine, gravity.cosine),
+        torque_limit=config.limits.torque,
+        torque_slew=math.inf if config.limits.torque_slew is None else config.limits.torque_slew,
+        gain=given.gain,
+        gain_negative=given.gain_negative,
+        source=given.source,
+        fade_s=given.fade_s,
+        velocity=given.velocity,
+        smoothing=given.smoothing,
+        acceleration=math.nan if given.acceleration is None else given.acceleration,
+        max_acceleration=math.inf if given.max_acceleration is None else given.max_acceleration,
+        dead_band=given.dead_band,
+        adaptation_s=0.0 if given.adaptation is None else given.adaptation.time_s,
+        adaptation_bound=0.0 if given.adaptation is None else given.adaptation.bound,
+    )
+    return Compensator(model.friction_model, settings)
+
+
+def make_shadows(config: "AxisConfig", facts: AxisFacts, period_s: float) -> dict[str, Compensator]:
+    """Compensators of the shadow models, by name."""
+    return {shadow.name: make_compensator(config, shadow.model, facts, period_s) for shadow in config.shadows}
+
+
+def lead_s(model: "ModelFile", facts: AxisFacts, period_s: float) -> float:
+    """Time from sampling the position to the middle of the period in which the torque acts.
+
+    That is the driver's to know; the model file's ``delay_s``, to the torque's start, goes before it.
+    """
+    delay = model.mechanics.delay_s
+    return (delay + 0.5 * period_s if delay > 0.0 else facts.actuation_delay_s) + model.mechanics.torque_lag_s
+
+
+def ramp_s(axes: "Iterable[AxisConfig]") -> float:
+    """Time in which all axes together start and stop: the longest that one of them asks for."""
+    return max([_LEAST_RAMP_S, *(getattr(axis.trajectory, "ramp_s", _LEAST_RAMP_S) for axis in axes)])
+
+
+def make_path(config: "AxisConfig", position_resolution: float, period_s: float) -> Path:
+    """Path of the configured trajectory; an experiment begins with a few counts of the encoder.
+
+    Raises
+    ------
+    UsageError
+        The encoder is too coarse for an experiment.
+    """
+    motion = config.trajectory
+    if motion.kind == "circle":
+        return circle_path(motion.radius, motion.frequency, motion.phase)
+    if motion.kind == "sine":
+        return sine_path(motion.amplitude, motion.frequency, motion.phase)
+    if motion.kind == "triangle":
+        return triangle_path(motion.amplitude, motion.frequency, motion.rounding)
+    if motion.kind == "experiment":
+        return sweeps_path(experiment_sweeps(motion, position_resolution, period_s))
+    return still_path
+
+
+def experiment_sweeps(motion: "ExperimentBounds", position_resolution: float, period_s: float) -> tuple[Sweep, ...]:
+    """Sweeps of an experiment within these bounds; the arguments are those of `make_path`.
+
+    Raises
+    ------
+    UsageError
+        The encoder is too coarse.
+    """
+    return experiment.plan(
+        motion.velocity,
+        motion.travel,
+        position_resolution,
+        motion.duration_s,
+        acceleration=math.inf if motion.acceleration is None else motion.acceleration,
+        period_s=period_s,
+    )
+
+
+def make_limits(config: "AxisConfig") -> Limits:
+    """Limits of an axis; infinity where the configuration gives none."""
+    limits = config.limits
+    low, high = limits.position or (-math.inf, math.inf)
+    return Limits(
+        torque=limits.torque,
+        velocity=limits.velocity,
+        torque_slew=math.inf if limits.torque_slew is None else limits.torque_slew,
+        following_error=math.inf if limits.following_error is None else limits.following_error,
+        position_low=low,
+        position_high=high,
+    )
+
+
+def make_controller(config: "AxisConfig") -> Record:
+    """The loop's own controller, all zero where the configuration has none."""
+    record = np.zeros(1, CONTROLLER)
+    given = config.controller
+    if given is not None:
+        record[0]["position_gain"] = given.position_gain
+        record[0]["velocity_gain"] = given.velocity_gain
+        record[0]["integral_hz"] = given.integral_hz
+        record[0]["velocity_feedforward"] = 1.0
+        record[0]["inertia"] = config.model.mechanics.inertia
+    return record

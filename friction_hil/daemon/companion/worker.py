@@ -1,0 +1,135 @@
+"""The worker: drains the ring, writes the recording, prints the status line."""
+
+import os
+import select
+from pathlib import Path
+
+from friction_hil.daemon.companion.job import CANNOT_OPEN, Job, say, segment_path, warn
+from friction_hil.daemon.companion.status import StatusLine
+from friction_hil.daemon.ring import RingReader
+from friction_hil.errors import RecordingError
+from friction_hil.recordings.columns import CYCLE
+from friction_hil.recordings.mcap_writer import McapWriter
+from friction_hil.recordings.recording import Array
+
+_INPUT = 0
+_PAUSE_MS = 20
+
+
+def work(job: Job, ring_descriptor: int, number: int) -> int:
+    """Serve the ring until it is closed and drained, or the control process is gone.
+
+    Parameters
+    ----------
+    job : Job
+        What to do.
+    ring_descriptor : int
+        File descriptor of the ring's memory.
+    number : int
+        1 for the first worker of a run; a later one writes the next segment of the recording.
+
+    Returns
+    -------
+    int
+        Exit status: 0, or ``CANNOT_OPEN``, and then the control process has been told why.
+    """
+    ring = RingReader(ring_descriptor)
+    recorder = _Recorder(job, ring)
+    path = None
+    if job.path is not None:
+        path = segment_path(Path(job.path), number)
+        try:
+            recorder.open(path, overwrite=job.overwrite and number == 1)
+        except (OSError, RecordingError) as error:
+            reason = f"{path} cannot be written: {error.strerror if isinstance(error, OSError) else error}"
+            if number == 1:
+                say(failed=reason)
+                return CANNOT_OPEN
+            warn(reason)
+            path = None
+    say(opened=path and str(path), pid=os.getpid())
+    status = StatusLine(job) if job.status_line else None
+    control = select.poll()
+    control.register(_INPUT, 0)  # no event but the hang-up that is always told
+    while True:
+        is_gone = bool(control.poll(0))
+        is_last = is_gone or ring.is_closed
+        rows = ring.drain()
+        recorder.take(rows, ring.drain_events())
+        if status:
+            status.show(rows, ring.lost)
+        if is_last and ring.is_drained:
+            break
+        if not len(rows):
+            control.poll(_PAUSE_MS)
+    recorder.close(was_abandoned=is_gone and not ring.is_closed)
+    if status:
+        status.close(ring.lost)
+    return 0
+
+
+class _Recorder:
+    """Writes what comes from the ring, and tells the ring what is safe on disk.
+
+    A worker that is killed just between the two leaves a chunk that its successor writes once more: rather
+    twice than not at all.
+    """
+
+    def __init__(self, job: Job, ring: RingReader) -> None:
+        self._job = job
+        self._ring = ring
+        self._writer: McapWriter | None = None
+        self._cycle_column = job.columns.index(CYCLE) if CYCLE in job.columns else None
+        self._rows = self._events = 0  # told to the ring as safe
+        self._cycle = 0.0
+
+    def open(self, path: Path, *, overwrite: bool) -> None:
+        self._writer = McapWriter(
+            path,
+            self._job.axes,
+            self._job.columns,
+            state_width=self._job.state_width,
+            started_unix_ns=self._job.started_unix_ns,
+            metadata=self._job.metadata,
+            overwrite=overwrite,
+            on_flush=self._release,
+        )
+
+    def take(self, rows: Array, events: list[tuple[float, str, str]]) -> None:
+        if self._job.path is None:
+            self._ring.release(len(rows), len(events))
+            return
+        if self._writer is None:
+            self._ring.discard()
+            return
+        if len(rows) and self._cycle_column is not None:
+            self._cycle = float(rows[-1, self._cycle_column])
+        try:
+            self._writer.write(rows)
+            for event in events:
+                self._writer.write_event(*event)
+        except OSError as error:
+            self._give_up(error)
+
+    def close(self, *, was_abandoned: bool) -> None:
+        if self._writer is None:
+            return
+        try:
+            if was_abandoned:
+                self._writer.write_event(self._cycle, "abandoned", "the control process ended without a word")
+                self._events += 1  # this one is not from the ring
+            self._writer.close()
+        except OSError as error:
+            self._give_up(error)
+
+    def _release(self) -> None:
+        if self._writer is None:  # it is being made
+            return
+        self._ring.release(self._writer.rows_kept - self._rows, self._writer.events_kept - self._events)
+        self._rows, self._events = self._writer.rows_kept, self._writer.events_kept
+
+    def _give_up(self, error: OSError) -> None:
+        """The disk is full or gone: the run goes on without a recording, and the user is told."""
+        warn(f"the recording ended early: {error.strerror}")
+        self._ring.discard()
+        self._writer = None

@@ -1,0 +1,142 @@
+"""Time for the loop: clocks, and what the operating system has to be asked for punctuality."""
+
+import contextlib
+import ctypes
+import gc
+import os
+import re
+import resource
+import struct
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from friction_hil.drive.finding import Finding, system_text
+
+_MCL_CURRENT, _MCL_FUTURE = 1, 2
+_CAP_IPC_LOCK = 14
+
+
+class RealClock:
+    """Monotonic time; sleeps to absolute deadlines and spins through the last ``spin_us`` microseconds."""
+
+    is_real = True
+    now_ns = staticmethod(time.monotonic_ns)
+
+    def __init__(self, spin_us: int = 200) -> None:
+        self._spin_ns = spin_us * 1000
+
+    def doze_until(self, deadline_ns: int) -> bool:
+        """Sleep until the spin before ``deadline_ns``; whether it has not begun yet."""
+        left = deadline_ns - self._spin_ns - time.monotonic_ns()
+        if left > 0:
+            time.sleep(left * 1e-9)
+        return left > 0 and self._spin_ns > 0
+
+    def sleep_until(self, deadline_ns: int) -> None:
+        """Return at ``deadline_ns``, at once when it has passed."""
+        self.doze_until(deadline_ns)
+        while time.monotonic_ns() < deadline_ns:
+            pass
+
+
+class SteppedClock:
+    """Simulated time, which passes only while the loop sleeps: everything happens in no time at all."""
+
+    is_real = False
+
+    def __init__(self) -> None:
+        self._now_ns = 0
+
+    def now_ns(self) -> int:
+        """Simulated time, ns."""
+        return self._now_ns
+
+    def doze_until(self, deadline_ns: int) -> bool:
+        """Do nothing: there is no time in which to get ready."""
+        return False
+
+    def sleep_until(self, deadline_ns: int) -> None:
+        """Go on to ``deadline_ns``."""
+        self._now_ns = max(self._now_ns, deadline_ns)
+
+
+@contextlib.contextmanager
+def punctuality(priority: int) -> Iterator[list[Finding]]:
+    """Ask for everything that makes a process wake up on time, and give it back afterwards.
+
+    SCHED_FIFO, locked memory, no garbage collection, no deep sleep of the processor.
+
+    Parameters
+    ----------
+    priority : int
+        SCHED_FIFO priority 1 to 99; 0 asks for nothing at all.
+
+    Yields
+    ------
+    list of Finding
+        What was granted, and what was not, with what would help.
+    """
+    if priority == 0:
+        yield []
+        return
+    with contextlib.ExitStack() as stack:
+        findings = [_lock_memory(stack), _take_priority(priority, stack), _stay_awake(stack)]
+        gc.collect()
+        gc.freeze()
+        if gc.isenabled():
+            gc.disable()
+            stack.callback(gc.enable)
+        stack.callback(gc.unfreeze)
+        yield findings
+
+
+def _lock_memory(stack: contextlib.ExitStack) -> Finding:
+    check, fix = "memory", "raise memlock in /etc/security/limits.conf (of a container: --ulimit memlock=-1)"
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) != 0:
+        return Finding(check, "warn", f"memory is not locked ({os.strerror(ctypes.get_errno())})", fix)
+    stack.callback(libc.munlockall)
+    limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
+    if limit == resource.RLIM_INFINITY or _may_lock_anything():
+        return Finding(check, "pass", "memory is locked")
+    detail = f"memory is locked, but the limit of {limit / 1e6:.0f} MB leaves little room: more is not granted"
+    return Finding(check, "warn", detail, fix)
+
+
+def _may_lock_anything() -> bool:
+    """Whether the limit is not for this process: it has the capability CAP_IPC_LOCK."""
+    status = system_text(Path("/proc/self/status")) or ""
+    found = re.search(r"^CapEff:\s*([0-9a-f]+)$", status, re.MULTILINE)
+    return found is not None and bool(int(found[1], 16) >> _CAP_IPC_LOCK & 1)
+
+
+def _take_priority(priority: int, stack: contextlib.ExitStack) -> Finding:
+    check = "priority"
+    try:
+        before = os.sched_getscheduler(0), os.sched_getparam(0)
+        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+    except OSError as error:
+        return Finding(
+            check,
+            "warn",
+            f"no SCHED_FIFO priority {priority} ({error.strerror}): the loop runs at ordinary priority",
+            "run as root (in a container: --cap-add SYS_NICE), or give the user rtprio in /etc/security/limits.conf",
+        )
+    stack.callback(os.sched_setscheduler, 0, *before)
+    return Finding(check, "pass", f"SCHED_FIFO priority {priority} is granted")
+
+
+def _stay_awake(stack: contextlib.ExitStack) -> Finding:
+    check = "processor sleep"
+    try:
+        # held open, it keeps the processor out of states that take long to wake from
+        latency = os.open("/dev/cpu_dma_latency", os.O_WRONLY)
+        stack.callback(os.close, latency)
+        os.write(latency, struct.pack("i", 0))
+    except OSError as error:
+        detail = f"/dev/cpu_dma_latency cannot be held ({error.strerror}): wake-ups may take longer"
+        is_there = not isinstance(error, FileNotFoundError)
+        fix = "run as root, or let a udev rule give the user write access to it"
+        return Finding(check, "warn", detail, fix if is_there else "a container needs --device /dev/cpu_dma_latency")
+    return Finding(check, "pass", "/dev/cpu_dma_latency can be held: the processor stays out of deep sleep")

@@ -1,0 +1,175 @@
+"""A run of the daemon from its configuration: driver, axes, companion and loop put together and taken apart."""
+
+import contextlib
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from friction_hil.config import self_contained
+from friction_hil.config.drivers import load_driver
+from friction_hil.config.load import only_driver
+from friction_hil.daemon.assembly import ramp_s
+from friction_hil.daemon.axis import AxisLoop
+from friction_hil.daemon.companion import Companion, CompanionReport, Job, free_path, prepare
+from friction_hil.daemon.loop import Loop, LoopResult, LoopSettings
+from friction_hil.daemon.realtime import RealClock, SteppedClock, punctuality
+from friction_hil.daemon.stop import StopRequest
+from friction_hil.drive import AxisFacts, Clock, Drives
+from friction_hil.drive.finding import complaints
+from friction_hil.motion.trajectory import PathTime
+from friction_hil.numerics.jit import Array
+from friction_hil.recordings import columns
+from friction_hil.recordings.fingerprint import fingerprint
+
+if TYPE_CHECKING:
+    from friction_hil.config import Configuration
+
+
+@dataclass(frozen=True, slots=True)
+class SessionSettings:
+    """What the command line adds to a configuration."""
+
+    duration_s: float = math.inf
+    record: Path | None = None
+    is_overwrite_allowed: bool = False
+    dry_run: bool = False
+    is_fault_reset_wanted: bool = False
+    is_paced_by_sync: bool = False
+    is_status_shown: bool = False
+
+
+@dataclass(slots=True)
+class SessionResult:
+    """What a run amounts to, for people and for scripts."""
+
+    loop: LoopResult
+    axes: dict[str, dict[str, float]] = field(default_factory=dict)
+    report: CompanionReport | None = None
+
+
+class _CompanionSink:
+    """Hands rows to the companion; in simulated time it waits for room, so that no row is lost."""
+
+    def __init__(self, companion: Companion, is_real: bool) -> None:
+        self._companion = companion
+        self.push = companion.push if is_real else self._push_when_free
+
+    def _push_when_free(self, row: Array) -> None:
+        while self._companion.free_slots() == 0 and self._companion.is_alive:
+            time.sleep(0.001)
+        self._companion.push(row)
+
+    def event(self, cycle: int, name: str, text: str) -> None:
+        self._companion.push_event(cycle, name, text)
+
+
+def run_session(
+    configuration: "Configuration",
+    settings: SessionSettings,
+    stop: StopRequest,
+    tell: Callable[[str], None],
+) -> SessionResult:
+    """Run the daemon until its duration is over, ``stop`` is requested, or a fault has been dealt with.
+
+    Parameters
+    ----------
+    configuration : Configuration
+    settings : SessionSettings
+    stop : StopRequest
+        May be set at any time, from a signal handler.
+    tell : callable
+        Takes a line about what is going on; not called during the cyclic phase.
+
+    Raises
+    ------
+    FrictionHilError
+        Before anything moved: the bus, a drive or the recording is not as it should be. Later faults are in
+        the result.
+    """
+    realtime = configuration.realtime
+    clock: Clock = SteppedClock() if settings.is_paced_by_sync else RealClock(realtime.spin_us)
+    driver = only_driver(configuration)
+    started_ns = 0 if settings.is_paced_by_sync else time.time_ns()
+    path = _recording_path(configuration, settings, started_ns)
+    if path is not None:
+        prepare(path, overwrite=settings.is_overwrite_allowed)  # a wrong path is found before any drive is touched
+    with contextlib.ExitStack() as stack:
+        drives: Drives = load_driver(driver)(configuration, configuration.axes, clock, dry_run=settings.dry_run)
+        stack.callback(drives.close)
+        facts = drives.connect()
+        for fact in facts:
+            tell(f"{fact.name}: {fact.identity}")
+            for note in (*fact.notes, *configuration.axes[fact.name].model.friction_model.notes):
+                tell(f"{fact.name}: {note}")
+        path_time = PathTime(ramp_s(configuration.axes.values()))
+        shadows = sorted({shadow.name for axis in configuration.axes.values() for shadow in axis.shadows})
+        axes = [
+            AxisLoop(
+                fact.name,
+                configuration.axes[fact.name],
+                fact,
+                configuration.period_s,
+                path_time,
+                shadows,
+                realtime.max_missed,
+            )
+            for fact in facts
+        ]
+        for axis in axes:
+            axis.warm_up()
+        companion = Companion.start(_job(configuration, settings, path, started_ns, facts, axes, shadows))
+        try:
+            with punctuality(0 if settings.is_paced_by_sync else realtime.priority) as findings:
+                for line in complaints(findings):
+                    tell(line)
+                loop_settings = LoopSettings(
+                    period_s=configuration.period_s,
+                    duration_s=settings.duration_s,
+                    max_missed=realtime.max_missed,
+                    dry_run=settings.dry_run,
+                    is_fault_reset_wanted=settings.is_fault_reset_wanted,
+                )
+                sink = _CompanionSink(companion, clock.is_real)
+                loop = Loop(drives, axes, path_time, clock, sink, loop_settings, stop)
+                result = loop.run()
+        finally:
+            report = companion.close()
+    errors = {axis.name: {"rms": axis.stats.rms, "peak": axis.stats.peak, "stale": axis.stale} for axis in axes}
+    return SessionResult(result, errors, report)
+
+
+def _recording_path(configuration: "Configuration", settings: SessionSettings, started_ns: int) -> Path | None:
+    if settings.record is None and configuration.recording is not None:
+        return free_path(configuration.recording.path, started_ns)
+    return settings.record
+
+
+def _job(
+    configuration: "Configuration",
+    settings: SessionSettings,
+    path: Path | None,
+    started_ns: int,
+    facts: Sequence[AxisFacts],
+    axes: Sequence[AxisLoop],
+    shadows: Sequence[str],
+) -> Job:
+    """What the companion has to know to record and to show a run."""
+    return Job(
+        axes=[axis.name for axis in axes],
+        columns=[*columns.NAMES, *(columns.shadow(name) for name in shadows)],
+        state_width=max(axis.state_width for axis in axes),
+        period_s=configuration.period_s,
+        started_unix_ns=started_ns,
+        path=None if path is None else str(path),
+        overwrite=settings.is_overwrite_allowed,
+        metadata={
+            "configuration": self_contained(configuration),
+            "facts": [{**asdict(fact), "lead_s": axis.lead_s} for fact, axis in zip(facts, axes, strict=True)],
+            "fingerprint": fingerprint(),
+        },
+        status_line=settings.is_status_shown,
+        kinds=[configuration.axes[axis.name].model.axis for axis in axes],
+    )

@@ -1,0 +1,1 @@
+"""``friction-hil doctor``: checks of this machine, and of the connection to the drives."""

@@ -1,0 +1,148 @@
+"""From the number of a family to its functions, when a kernel is compiled or while it runs.
+
+A kernel gets the family as its number, or as its *tag*: a tuple whose length says the number. Numbers are asked
+for in every sample; a tag is part of a type, so that numba compiles the kernel for each family by itself, with
+nothing of the others inside.
+"""
+
+from typing import Any
+
+from numba import types
+
+from friction_hil.friction import (
+    armstrong,
+    bouc_wen,
+    coulomb,
+    dahl,
+    elasto_plastic,
+    gms,
+    karnopp,
+    lugre,
+    power_law,
+    stribeck,
+    table,
+)
+from friction_hil.numerics.dual import overloaded
+from friction_hil.numerics.jit import Array, compiled
+
+_ORDER = (coulomb, stribeck, karnopp, table, power_law, armstrong, dahl, lugre, elasto_plastic, gms, bouc_wen)
+COULOMB, STRIBECK, KARNOPP, TABLE, POWER_LAW, ARMSTRONG, DAHL, LUGRE, ELASTO_PLASTIC, GMS, BOUC_WEN = range(11)
+LAST_STATIC = POWER_LAW
+FAMILIES = {module.FAMILY.name: module.FAMILY for module in _ORDER}
+KINDS = {name: kind for kind, name in enumerate(FAMILIES)}
+FAMILY_STATES = max(armstrong.STATES, gms.STATES)
+
+_STEPS = [module.step for module in _ORDER]
+_coulomb, _stribeck, _karnopp, _table, _power_law, _armstrong, _dahl, _lugre, _elasto_plastic, _gms, _bouc_wen = _STEPS
+
+
+def tag(kind: int) -> tuple[int, ...]:
+    """Tag of the family with this number."""
+    return (0,) * (kind + 1)
+
+
+def number(kind: Any) -> int:
+    """Number of a family that is given as such or as a tag."""
+    return kind if isinstance(kind, int) else len(kind) - 1
+
+
+@overloaded(number)
+def _choose_number(kind: Any) -> Any:
+    if not isinstance(kind, types.UniTuple):
+        return lambda kind: kind
+    known = kind.count - 1
+    return lambda kind: known
+
+
+@compiled
+def _step_by_number(
+    kind: int,
+    p: Array,
+    s: Array,
+    velocity: float,
+    level_velocity: float,
+    dt: float,
+    extra: float,
+    scale: float,
+    applied_torque: float,
+    epsilon: float,
+) -> float:
+    if kind == LUGRE:
+        return _lugre(p, s, velocity, level_velocity, dt, extra, scale, applied_torque, epsilon)
+    if kind == GMS:
+        return _gms(p, s, velocity, level_velocity, dt, extra, scale, applied_torque, epsilon)
+    if kind == DAHL:
+        return _dahl(p, s, velocity, level_velocity, dt, extra, scale, applied_torque, epsilon)
+    if kind == STRIBECK:
+        return _stribeck(p, s, velocity, level_velocity, dt, extra, scale, applied_torque, epsilon)
+    if kind == KARNOPP:
+        return _karnopp(p, s, velocity, level_velocity, dt, extra, scale, applied_torque, epsilon)
+    if kind == ARMSTRONG:
+        return _armstrong(p, s, velocity, level_velocity, dt, extra, scale, applied_torque, epsilon)
+    if kind == TABLE:
+        return _table(p, s, velocity, level_velocity, dt, extra, scale, applied_torque, epsilon)
+    if kind == POWER_LAW:
+        return _power_law(p, s, velocity, level_velocity, dt, extra, scale, applied_torque, epsilon)
+    if kind == ELASTO_PLASTIC:
+        return _elasto_plastic(p, s, velocity, level_velocity, dt, extra, scale, applied_torque, epsilon)
+    if kind == BOUC_WEN:
+        return _bouc_wen(p, s, velocity, level_velocity, dt, extra, scale, applied_torque, epsilon)
+    return _coulomb(p, s, velocity, level_velocity, dt, extra, scale, applied_torque, epsilon)
+
+
+def family_step(kind: Any, *arguments: Any) -> float:
+    """``step`` of the family, with its arguments."""
+    return float(_STEPS[number(kind)](*arguments))
+
+
+@overloaded(family_step)
+def _choose_step(kind: Any, *arguments: Any) -> Any:
+    chosen = _STEPS[kind.count - 1] if isinstance(kind, types.UniTuple) else None
+    if chosen is not None:
+        return lambda kind, *arguments: chosen(*arguments)
+    return lambda kind, *arguments: _step_by_number(kind, *arguments)
+
+
+def family_steady(kind: Any, *arguments: Any) -> float:
+    """``steady`` of the family, with its arguments; by tag only."""
+    return float(_ORDER[number(kind)].steady(*arguments))
+
+
+@overloaded(family_steady)
+def _choose_steady(kind: Any, *arguments: Any) -> Any:
+    chosen = _ORDER[kind.count - 1].steady
+    return lambda kind, *arguments: chosen(*arguments)
+
+
+@compiled
+def each_step(kind: Any, p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, torque: Array) -> bool:
+    """`family_run`, by number as well: slower, but compiled once for all families."""
+    for k in range(velocity.shape[0]):
+        v = velocity[k]
+        torque[k] = family_step(kind, p, s, v, v, dt, 0.0, 1.0, applied_torque, 0.0)
+    return False
+
+
+def family_run(kind: Any, *arguments: Any) -> bool:
+    """Whole-array form of the family's ``step`` with an even ``dt``: its own, if it has one that is faster.
+
+    Its arguments are p, s, velocity (n,), dt, applied_torque, torque (n,); it fills the last. By tag only.
+    Returns whether it has seen, on its way, that every velocity is finite. A static map, which takes little longer
+    than to read them, looks; a dynamic model does not.
+    """
+    return each_step(kind, *arguments)
+
+
+@overloaded(family_run)
+def _choose_run(kind: Any, *arguments: Any) -> Any:
+    chosen = getattr(_ORDER[kind.count - 1], "run", None)
+    if chosen is None:
+        return lambda kind, *arguments: each_step(kind, *arguments)
+    if kind.count - 1 <= LAST_STATIC:
+        return lambda kind, *arguments: chosen(*arguments)
+
+    def dynamic(kind, *arguments):  # type: ignore[no-untyped-def]
+        chosen(*arguments)
+        return False
+
+    return dynamic

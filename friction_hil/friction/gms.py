@@ -1,0 +1,185 @@
+"""Generalised Maxwell-slip: elastic elements in parallel that slip one by one; hysteresis with non-local memory."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from friction_hil.friction.curves import direction, gaussian_level, modified, sliding
+from friction_hil.friction.elementary import approach, buffer, whole
+from friction_hil.friction.family import Family, Packed
+from friction_hil.friction.parameters import (
+    COULOMB,
+    STATIC,
+    STRIBECK_VELOCITY,
+    VISCOUS,
+    InvalidParameterError,
+    NumberList,
+    Parameter,
+    positive,
+)
+from friction_hil.numerics.dual import primal
+from friction_hil.numerics.jit import Array, inlined
+
+MAX_ELEMENTS = 20
+STATES = 2 * MAX_ELEMENTS
+_HEAD = 6  # places before the elements: attraction, coulomb, static, stribeck_velocity, viscous, their number
+_SUM_TOLERANCE = 1e-6
+_BLOCK = 256  # samples; their intermediate results stay in the nearest cache
+
+_STIFFNESS = NumberList(
+    "stiffness",
+    "k_i",
+    "N m/rad",
+    "stiffness of each element",
+    is_lower_allowed=False,
+    least=2,
+    most=MAX_ELEMENTS,
+)
+_WEIGHT = NumberList(
+    "weight",
+    "alpha_i",
+    "1",
+    "share of each element in the level; they sum to 1",
+    is_lower_allowed=False,
+    least=2,
+    most=MAX_ELEMENTS,
+)
+_ATTRACTION = Parameter(
+    "attraction", "C", "N m/s", "how fast a slipping element comes to its level", is_lower_allowed=False
+)
+
+
+@inlined
+def _level_at(p: Array, velocity: float, extra: float, scale: float) -> float:
+    """Level s(v), N m."""
+    return modified(gaussian_level(velocity, p[1], p[2], p[3]), extra, scale)
+
+
+@inlined
+def _share(p: Array, level: float, dt: float) -> float:
+    """Share of the way to its level that a slipping element makes in ``dt``."""
+    return approach(p[0] * dt / level)
+
+
+@inlined
+def _advanced(
+    torque: float, slip: float, sign: float, bound: float, share: float, stretched: float
+) -> tuple[float, float]:
+    """Torque of an element, and the direction in which it slips, after a step that began with these.
+
+    ``sign`` is the direction of motion, ``bound`` the element's level, and ``stretched`` what its spring gains
+    while it sticks.
+    """
+    if sign != 0.0 and (slip == sign or torque * sign > bound):
+        return torque + share * (bound * sign - torque), sign
+    torque = torque + stretched
+    if torque * sign >= bound:
+        return bound * sign, sign
+    return torque, 0.0
+
+
+@inlined
+def step(
+    p: Array,
+    s: Array,
+    velocity: float,
+    level_velocity: float,
+    dt: float,
+    extra: float,
+    scale: float,
+    applied_torque: float,
+    epsilon: float,
+) -> float:
+    """Torque of one sample, exact for ``velocity`` held over ``dt``; see `friction_hil.friction.kernel`.
+
+    State of element i: its torque in s[2 i], and in s[2 i + 1] the direction in which it slips, 0 while it
+    sticks. An element that breaks away within a step does so at its level, where it then stays.
+    """
+    level = _level_at(p, level_velocity, extra, scale)
+    count = whole(p[5])
+    sign = direction(velocity, 0.0)
+    share = _share(p, level, dt)
+    total = p[4] * level_velocity
+    for i in range(count):
+        bound = p[_HEAD + count + i] * level
+        s[2 * i], s[2 * i + 1] = _advanced(s[2 * i], s[2 * i + 1], sign, bound, share, p[_HEAD + i] * (velocity * dt))
+        total = total + s[2 * i]
+    return total
+
+
+@inlined
+def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, torque: Array) -> None:
+    """Fill ``torque`` with that of every sample: the bits of `step`, faster.
+
+    What does not depend on the state first, in loops that the compiler turns into vector instructions; then one
+    element after the other, whose state stays in registers.
+    """
+    count = whole(p[5])
+    level, share, total = buffer(p, _BLOCK), buffer(p, _BLOCK), buffer(p, _BLOCK)
+    for begin in range(0, velocity.shape[0], _BLOCK):
+        v = velocity[begin : begin + _BLOCK]
+        for k in range(v.shape[0]):
+            level[k] = _level_at(p, v[k], 0.0, 1.0)
+        for k in range(v.shape[0]):
+            share[k] = _share(p, level[k], dt)
+        for k in range(v.shape[0]):
+            total[k] = p[4] * v[k]
+        for i in range(count):
+            stiffness, weight = p[_HEAD + i], p[_HEAD + count + i]
+            held, slip = s[2 * i], primal(s[2 * i + 1])
+            for k in range(v.shape[0]):
+                sign = direction(v[k], 0.0)
+                held, slip = _advanced(held, slip, sign, weight * level[k], share[k], stiffness * (v[k] * dt))
+                total[k] = total[k] + held
+            s[2 * i], s[2 * i + 1] = held, slip
+        for k in range(v.shape[0]):
+            torque[begin + k] = total[k]
+
+
+@inlined
+def steady(p: Array, velocity: float, extra: float, scale: float) -> float:
+    """Torque at constant ``velocity``; 0 at rest."""
+    return sliding(_level_at(p, velocity, extra, scale), p[4], velocity, velocity, 0.0)
+
+
+def _check(parameters: Mapping[str, Any]) -> None:
+    stiffness, weight = parameters["stiffness"], parameters["weight"]
+    if len(stiffness) != len(weight):
+        raise InvalidParameterError(
+            f"gms: weight has {len(weight)} elements and stiffness {len(stiffness)}: they must be as many", "weight"
+        )
+    if abs(sum(weight) - 1.0) > _SUM_TOLERANCE:
+        raise InvalidParameterError(f"gms: the elements of weight sum to {sum(weight):.9g}, not to 1", "weight")
+
+
+def _pack(parameters: Mapping[str, Any]) -> Packed:
+    stiffness, weight = parameters["stiffness"], parameters["weight"]
+    scalars = ("attraction", "coulomb", "static", "stribeck_velocity", "viscous")
+    return Packed(
+        [*(parameters[name] for name in scalars), float(len(weight)), *stiffness, *weight],
+        [*scalars, None, *_STIFFNESS.element_names(len(weight)), *_WEIGHT.element_names(len(weight))],
+    )
+
+
+FAMILY = Family(
+    name="gms",
+    summary="Maxwell-slip elements: presliding hysteresis with non-local memory, Stribeck curve, lag",
+    formula=(
+        "element i sticks: dF_i/dt = k_i v, until |F_i| = alpha_i s(v);  "
+        "it slips: dF_i/dt = C (alpha_i sgn v - F_i / s(v)), until v crosses zero;  "
+        "s(v) = Fc + (Fs - Fc) exp(-(v/vs)^2);  F = sum F_i + Fv v"
+    ),
+    source="Lampaert, Al-Bender, Swevers, Proceedings of the International Tribology Conference / IEEE PhysCon, 2003",
+    parameters=(_STIFFNESS, _WEIGHT, _ATTRACTION, positive(COULOMB), positive(STATIC), STRIBECK_VELOCITY, VISCOUS),
+    states=("torque of each element [N m]", "direction in which each slips"),
+    example={
+        "stiffness": [1600.0, 560.0, 200.0, 60.0],
+        "weight": [0.25, 0.3, 0.25, 0.2],
+        "attraction": 10.0,
+        "coulomb": 0.08,
+        "static": 0.12,
+        "stribeck_velocity": 0.2,
+        "viscous": 2e-3,
+    },
+    check=_check,
+    pack=_pack,
+)

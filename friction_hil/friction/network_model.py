@@ -1,0 +1,373 @@
+"""A trained network as an object: its structure, its numbers, and how a model file holds them."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from friction_hil.errors import UsageError, choices
+from friction_hil.friction import network
+from friction_hil.friction.family import Family, Packed
+from friction_hil.friction.parameters import InvalidParameterError
+from friction_hil.numerics.jit import Array
+
+Kind = Literal["static", "gated", "narx"]
+KINDS = {"static": network.STATIC, "gated": network.GATED, "narx": network.NARX}
+INPUTS = ("position", "load_torque", "temperature")  # besides the velocity, in the order of the kernel
+
+MOST_UNITS = 64
+MOST_STATES = 5
+MOST_LAGS = 8
+MOST_WEIGHTS = 1400
+_SAME_PERIOD = 1e-3  # relative
+LARGEST_WEIGHT = 1e4  # beyond it a unit is a switch: the training has run away
+
+NETWORK_ALONE = Family(
+    name="network",
+    summary="trained network, from a model file ('friction-hil train')",
+    formula=(
+        "F = c + l x + sum y + B(x, y) sum dy/dt;  dy/dt = kappa |v| limited(T(x, y) - y, w)  (gated);  "
+        "F = T(x, past v, past F)  (narx);  F = T(x)  (static)"
+    ),
+    source="friction_hil/friction/network.py",
+    parameters=(),
+    states=("what is fed back [N m]",),
+    example={},
+    pack=lambda _: Packed([0.0, 0.0, 0.0], [None, None, None]),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Structure:
+    """Structure of a network.
+
+    Attributes
+    ----------
+    kind : {"gated", "narx", "static"}
+    hidden : tuple of int
+        Tanh units of each hidden layer, one or two.
+    states : int
+        States of a gated network, past torques of a narx; 0 of a static one.
+    lags : int
+        Past velocities of a narx; 0 of the others.
+    has_position, has_load, has_temperature : bool
+        Whether they are inputs besides the velocity.
+    orders : tuple of float
+        Harmonics of position that are inputs, per rad.
+    """
+
+    kind: Kind = "gated"
+    hidden: tuple[int, ...] = (10,)
+    states: int = 1
+    lags: int = 0
+    has_position: bool = False
+    has_load: bool = False
+    has_temperature: bool = False
+    orders: tuple[float, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise UsageError(f"no network structure is called {self.kind!r}; {choices(str(self.kind), KINDS)}")
+        if not 1 <= len(self.hidden) <= 2 or not all(1 <= units <= MOST_UNITS for units in self.hidden):
+            raise UsageError(f"hidden has one or two layers of 1 to {MOST_UNITS} units, not {self.hidden}")
+        if (self.kind == "static") != (self.states == 0) or not 0 <= self.states <= MOST_STATES:
+            raise UsageError(f"a {self.kind} network has {_states_allowed(self.kind)}, not {self.states}")
+        if not 0 <= self.lags <= MOST_LAGS or (self.lags and self.kind != "narx"):
+            raise UsageError(f"past velocities are inputs of a narx alone, and at most {MOST_LAGS}")
+        if len(self.orders) > network.MAX_HARMONICS or not all(map(math.isfinite, self.orders)):
+            raise UsageError(f"orders are at most {network.MAX_HARMONICS} finite numbers, not {self.orders}")
+
+    @property
+    def inputs(self) -> int:
+        """How many numbers go into the first layer, without what is fed back."""
+        others = self.has_position + self.has_load + self.has_temperature + 2 * len(self.orders)
+        return network.VELOCITY_FEATURES * (1 + self.lags) + (self.kind == "gated") + others
+
+    @property
+    def feedback_weights(self) -> tuple[int, int]:
+        """Places of the weights of what is fed back in the first layer, first and behind the last."""
+        begin = self.hidden[0] * (1 + self.inputs)
+        return begin, begin + self.hidden[0] * self.states
+
+    @property
+    def outputs_begin(self) -> int:
+        """Place of the first weight of the outputs."""
+        second = self.hidden[1] * (1 + self.hidden[0]) if len(self.hidden) == 2 else 0
+        return self.feedback_weights[1] + second
+
+    @property
+    def output_weights(self) -> int:
+        """How many weights each output has."""
+        return 1 + self.hidden[-1] + self.inputs + (self.states if self.kind == "narx" else 0)
+
+    @property
+    def outputs(self) -> int:
+        """How many outputs the layers have: of a gated network one for every state, and the damping."""
+        return self.states + 1 if self.kind == "gated" else 1
+
+    @property
+    def weights(self) -> int:
+        """How many numbers are trained."""
+        direct = 1 + self.inputs + self.states * network.GATES * network.GATE_WEIGHTS if self.kind == "gated" else 0
+        return self.outputs_begin + self.outputs * self.output_weights + direct
+
+    @property
+    def state_room(self) -> int:
+        """Length of the state array of the step."""
+        past = network.MEMORIES if self.kind == "gated" else network.VELOCITY_FEATURES * self.lags
+        return (
+            self.states
+            + past
+            + self.inputs
+            + network.GATE_FEATURES
+            + 1
+            + self.states
+            + sum(self.hidden)
+            + network.SPARE
+        )
+
+
+def _states_allowed(kind: str) -> str:
+    return "no states" if kind == "static" else f"1 to {MOST_STATES} states"
+
+
+def _rates(p: Array) -> tuple[float, float]:
+    middle, half = float(p[network.RATE_MIDDLE]), float(p[network.RATE_HALF])
+    return math.exp(middle - half), math.exp(middle + half)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Network:
+    """A trained network.
+
+    Attributes
+    ----------
+    structure : Structure
+    period_s : float
+        At which it was trained, s; a narx runs at no other.
+    torque_scale : float
+        N m.
+    bound : float
+        Of its torque, in torque scales.
+    speed_limit : float
+        Largest speed of the training, rad/s.
+    speeds : tuple of 3 float
+        Speeds at which friction changes, rad/s.
+    stroke : float
+        Of a gated network's stop, rad; 0 of the others.
+    rates : (float, float)
+        Bounds of the rate of a gated network's states, rad^-1; none of the others.
+    ranges : mapping of str to (float, float)
+        Smallest and largest value of every other input in the training; its names are among `INPUTS`.
+    level : float
+        Largest torque of slow motion, together with the model beside it, N m.
+    weights : (structure.weights,) array
+    is_residual : bool
+        Whether a model stands beside it: then it fades out beyond the speed limit, else its torque stays what it
+        is there.
+
+    Raises
+    ------
+    InvalidParameterError
+        A number is not finite, out of its bounds, or there are too many or too few; ``parameter`` says which.
+    """
+
+    structure: Structure
+    period_s: float
+    torque_scale: float
+    bound: float
+    speed_limit: float
+    speeds: Sequence[float]
+    rates: Sequence[float]
+    ranges: Mapping[str, Sequence[float]]
+    level: float
+    weights: Array
+    is_residual: bool = False
+    stroke: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("period_s", "torque_scale", "bound", "speed_limit", "level"):
+            value = getattr(self, name)
+            if not 0.0 < value < math.inf:
+                raise InvalidParameterError(f"{name} is {value}, but must be finite and above zero", name)
+        if len(self.speeds) != 3 or not all(0.0 < speed < math.inf for speed in self.speeds):
+            raise InvalidParameterError(f"speeds are three finite numbers above zero, not {self.speeds}", "speeds")
+        self._check_rates()
+        wanted = [name for name, has in zip(INPUTS, self._has, strict=True) if has]
+        for name in wanted:
+            low, high = self.ranges.get(name) or (math.nan, math.nan)
+            if not -math.inf < low < high < math.inf:
+                raise InvalidParameterError(
+                    f"ranges.{name} must be the smallest and the largest value of the training, not {[low, high]}",
+                    "ranges",
+                )
+        is_gated = self.structure.kind == "gated"
+        if not (0.0 < self.stroke < math.inf if is_gated else self.stroke == 0.0):
+            raise InvalidParameterError(
+                "stroke is that of a gated network's stop, finite and above zero, and 0 of any other; not "
+                f"{self.stroke}. Networks of earlier versions have none: train them anew",
+                "stroke",
+            )
+        weights = np.ascontiguousarray(self.weights, dtype=np.float64)
+        if weights.shape != (self.structure.weights,):
+            raise InvalidParameterError(
+                f"weights has {weights.size} numbers; this structure has {self.structure.weights}", "weights"
+            )
+        if weights.size > MOST_WEIGHTS:
+            raise InvalidParameterError(f"weights has {weights.size} numbers; {MOST_WEIGHTS} are the most", "weights")
+        wrong = np.flatnonzero(~(np.abs(weights) <= LARGEST_WEIGHT))
+        if wrong.size:
+            raise InvalidParameterError(
+                f"weights[{wrong[0]}] is {weights[wrong[0]]:g}, but must be finite and within +-{LARGEST_WEIGHT:g}",
+                "weights",
+            )
+        object.__setattr__(self, "weights", weights)
+
+    def _check_rates(self) -> None:
+        rates = tuple(self.rates)
+        if self.structure.kind != "gated":
+            is_right = not rates
+        else:
+            is_right = len(rates) == 2 and 0.0 < rates[0] < rates[1] < math.inf
+        if not is_right:
+            raise InvalidParameterError(
+                f"rates are the least and the largest rate of a gated network, finite and above zero, and none of any "
+                f"other; not {list(rates)}",
+                "rates",
+            )
+
+    def __repr__(self) -> str:
+        hidden = "-".join(map(str, self.structure.hidden))
+        return f"{self.structure.kind} {self.structure.inputs}-{hidden}-1, {self.weights.size} weights"
+
+    @property
+    def _has(self) -> tuple[bool, bool, bool]:
+        return self.structure.has_position, self.structure.has_load, self.structure.has_temperature
+
+    @property
+    def beyond(self) -> str:
+        """What happens to its torque beyond the speed limit, in words."""
+        return "it fades out" if self.is_residual else "its torque stays what it is there"
+
+    @property
+    def values(self) -> Array:
+        """The flat array that `friction_hil.friction.network.step` takes."""
+        structure = self.structure
+        p = np.zeros(network.HEADER + structure.weights)
+        p[network.STRUCTURE] = KINDS[structure.kind]
+        p[network.INPUTS], p[network.FEEDBACKS], p[network.LAGS] = structure.inputs, structure.states, structure.lags
+        p[network.WIDTH] = structure.hidden[0]
+        p[network.SECOND] = structure.hidden[1] if len(structure.hidden) == 2 else 0
+        p[network.HARMONICS] = len(structure.orders)
+        p[network.HAS_POSITION : network.HAS_POSITION + 3] = self._has
+        p[network.TRAINED_DT] = self.period_s
+        p[network.TORQUE_SCALE], p[network.BOUND] = self.torque_scale, self.bound
+        p[network.SPEED_LIMIT] = self.speed_limit
+        if self.rates:
+            lowest, highest = np.log(self.rates)
+            p[network.RATE_MIDDLE], p[network.RATE_HALF] = 0.5 * (lowest + highest), 0.5 * (highest - lowest)
+        p[network.STROKE] = self.stroke
+        p[network.SPEEDS : network.SPEEDS + 3] = self.speeds
+        p[network.FEATURE_FACTORS : network.FEATURE_FACTORS + 2] = 1.0 / np.arcsinh(
+            self.speed_limit / np.array(self.speeds[:2])
+        )
+        for place, (name, has) in enumerate(zip(INPUTS, self._has, strict=True)):
+            low, high = self.ranges[name] if has else (-1.0, 1.0)
+            p[network.MIDDLES + place], p[network.HALF_RANGES + place] = 0.5 * (low + high), 0.5 * (high - low)
+        p[network.ORDERS : network.ORDERS + len(structure.orders)] = structure.orders
+        p[network.IS_RESIDUAL] = self.is_residual
+        p[network.HEADER :] = self.weights
+        return p
+
+    @classmethod
+    def of_values(cls, p: Array, level: float, *, is_residual: bool = False) -> "Network":
+        """Make one from a flat array, as training has it."""
+        second = int(p[network.SECOND])
+        kinds = {number: kind for kind, number in KINDS.items()}
+        structure = Structure(
+            kind=kinds[int(p[network.STRUCTURE])],  # type: ignore[arg-type]
+            hidden=(int(p[network.WIDTH]), *([second] if second else [])),
+            states=int(p[network.FEEDBACKS]),
+            lags=int(p[network.LAGS]),
+            has_position=bool(p[network.HAS_POSITION]),
+            has_load=bool(p[network.HAS_LOAD]),
+            has_temperature=bool(p[network.HAS_TEMPERATURE]),
+            orders=tuple(p[network.ORDERS : network.ORDERS + int(p[network.HARMONICS])].tolist()),
+        )
+        middles, halves = p[network.MIDDLES : network.MIDDLES + 3], p[network.HALF_RANGES : network.HALF_RANGES + 3]
+        return cls(
+            structure=structure,
+            period_s=float(p[network.TRAINED_DT]),
+            torque_scale=float(p[network.TORQUE_SCALE]),
+            bound=float(p[network.BOUND]),
+            speed_limit=float(p[network.SPEED_LIMIT]),
+            speeds=(float(p[network.SPEEDS]), float(p[network.SPEEDS + 1]), float(p[network.SPEEDS + 2])),
+            rates=_rates(p) if structure.kind == "gated" else (),
+            ranges={
+                name: (float(middle - half), float(middle + half))
+                for name, middle, half in zip(INPUTS, middles, halves, strict=True)
+            },
+            level=level,
+            weights=p[network.HEADER :].copy(),
+            is_residual=is_residual,
+            stroke=float(p[network.STROKE]),
+        )
+
+    @property
+    def presliding_stiffness(self) -> float:
+        """Slope of torque over position when motion begins, N m/rad; 0 of a network whose state is no deflection."""
+        if self.structure.kind != "gated":
+            return 0.0
+        p, s = self.values, np.zeros(network.STATE_ROOM)
+        speed, distance = self.speeds[2], 1e-4 / self.rates[1]
+        inputs = (speed, speed, distance / speed, 0.0, 0.0, math.nan)
+        first, second = network.step_apart(p, s, *inputs), network.step_apart(p, s, *inputs)
+        return max((second - first) / distance, 0.0)
+
+    def require(self, has_position: bool, has_load: bool, period_s: float | None = None) -> None:
+        """Refuse a simulation without an input that the network has, or at a period at which it does not run.
+
+        Raises
+        ------
+        UsageError
+            It names the input, or the period.
+        """
+        is_narx = self.structure.kind == "narx"
+        if is_narx and period_s is not None and abs(period_s / self.period_s - 1.0) > _SAME_PERIOD:
+            raise UsageError(
+                f"a narx runs only at the period that it was trained at, {self.period_s:g} s, not at {period_s:g} s; a "
+                "gated network runs at any"
+            )
+        if not has_position and (self.structure.has_position or self.structure.orders):
+            raise UsageError("this network has the position among its inputs, in rad or m: give it")
+        if not has_load and self.structure.has_load:
+            raise UsageError("this network has the load_torque among its inputs, in N m or N: give it")
+
+    def as_dict(self) -> dict[str, Any]:
+        """What a model file says under ``network``, but for the model beside it."""
+        structure = self.structure
+        named = [name for name, has in zip(INPUTS, self._has, strict=True) if has]
+        content: dict[str, Any] = {"structure": structure.kind, "hidden": list(structure.hidden)}
+        if structure.states:
+            content["states"] = structure.states
+        if structure.lags:
+            content["lags"] = structure.lags
+        if named:
+            content["inputs"] = named
+        if structure.orders:
+            content["orders"] = list(structure.orders)
+        return {
+            **content,
+            "period_s": self.period_s,
+            "torque_scale": self.torque_scale,
+            "bound": self.bound,
+            "speed_limit": self.speed_limit,
+            "speeds": list(self.speeds),
+            **({"rates": list(self.rates)} if self.rates else {}),
+            **({"stroke": self.stroke} if self.stroke else {}),
+            **({"ranges": {name: list(self.ranges[name]) for name in named}} if named else {}),
+            "level": self.level,
+            "weights": self.weights.tolist(),
+        }

@@ -1,0 +1,65 @@
+"""Gradient of the simulated torque: the kernel itself, run on dual numbers (forward sensitivities)."""
+
+from typing import Any
+
+import numpy as np
+
+from friction_hil.friction import kernel
+from friction_hil.numerics.dual import WIDTH, borrowed, dual_array
+from friction_hil.numerics.jit import Array, compiled
+
+_run = kernel.run
+_BLOCK = 1024
+
+
+@compiled
+def _of_block(values: Array, begin: int, end: int) -> Array:
+    """Samples of an input that has one element for all, or one a sample."""
+    return values[begin:end] if values.shape[0] > 1 else values
+
+
+@compiled
+def run(
+    kind: Any,
+    p: Array,
+    seeds: Array,
+    s: Array,
+    state_gradient: Array,
+    velocity: Array,
+    dt: Array,
+    position: Array,
+    load_torque: Array,
+    temperature: Array,
+    applied_torque: Array,
+    torque: Array,
+    gradient: Array,
+    first: int,
+) -> None:
+    """Do what `friction_hil.friction.kernel.run` does, and fill up to WIDTH columns of ``gradient`` from ``first`` on.
+
+    ``seeds`` (PLAIN_ROOM, WIDTH) is 1 in the column that an element of ``p`` counts for. ``state_gradient``
+    (STATE_ROOM, WIDTH) belongs to ``s`` and is advanced with it.
+    """
+    parameters, state = (
+        dual_array(borrowed(p, 0), borrowed(seeds, 0)),
+        dual_array(borrowed(s, 0), borrowed(state_gradient, 0)),
+    )
+    partials = np.empty((_BLOCK, WIDTH))
+    columns = min(WIDTH, gradient.shape[1] - first)
+    for begin in range(0, velocity.shape[0], _BLOCK):
+        end = min(begin + _BLOCK, velocity.shape[0])
+        _run(
+            kind,
+            parameters,
+            state,
+            velocity[begin:end],
+            _of_block(dt, begin, end),
+            _of_block(position, begin, end),
+            _of_block(load_torque, begin, end),
+            _of_block(temperature, begin, end),
+            _of_block(applied_torque, begin, end),
+            dual_array(borrowed(torque, begin), borrowed(partials, 0)),
+        )
+        for k in range(end - begin):
+            for i in range(columns):
+                gradient[begin + k, first + i] = partials[k, i]

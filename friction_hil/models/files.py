@@ -1,0 +1,78 @@
+"""Model files, and models given on the command line.
+
+>>> from friction_hil.models.files import model_from_argument
+>>> model_from_argument("coulomb:coulomb=0.08,viscous=2e-3").friction.parameters
+{'coulomb': 0.08, 'static': 0.08, 'viscous': 0.002}
+"""
+
+import os
+import re
+from pathlib import Path
+from typing import Any
+
+from friction_hil import friction
+from friction_hil.checked_yaml import text as yaml_text
+from friction_hil.checked_yaml.files import read_section
+from friction_hil.errors import ConfigurationError, UsageError, choices
+from friction_hil.friction import FrictionModel
+from friction_hil.models.model_file import ModelFile
+
+
+def load(path: str | Path) -> FrictionModel:
+    """Read the friction model of a model file (YAML).
+
+    Raises
+    ------
+    ConfigurationError
+        The file cannot be read or has mistakes; the message has each with its line.
+    """
+    return load_model_file(path).friction_model
+
+
+def load_model_file(path: str | Path) -> ModelFile:
+    """Read a model file.
+
+    Raises
+    ------
+    ConfigurationError
+        It cannot be read or has mistakes; ``problems`` has each with its line.
+    """
+    model_file = read_section(path, ModelFile)
+    model_file._source_path = Path(path).absolute()
+    return model_file
+
+
+def model_from_argument(argument: str) -> ModelFile:
+    """Understand ``--model``: a model file, or ``NAME:coulomb=0.08,viscous=2e-3`` (a rotary axis).
+
+    Raises
+    ------
+    ConfigurationError
+        The model file cannot be read or has mistakes.
+    UsageError
+        The model or a parameter does not exist, or a value does not fit.
+    """
+
+    if argument.endswith((".yaml", ".yml")) or os.path.isfile(argument):
+        return load_model_file(argument)
+    name, _, rest = argument.partition(":")
+    if name not in friction.names():
+        raise UsageError(
+            f"--model {argument}: there is no such file, and no such friction model; {choices(name, friction.names())}"
+        )
+    parameters: dict[str, Any] = {}
+    for part in re.split(r",(?=\s*\w+\s*=)", rest) if rest else ():
+        key, equals, text = part.partition("=")
+        if not equals or key.strip() in parameters:
+            wanted = f"{name}:parameter=value,parameter=value" if not equals else "each parameter once"
+            raise UsageError(f"--model {argument}: {part.strip()!r} does not fit; write {wanted}")
+        value = yaml_text.parse(text, f"--model {argument}")
+        if value.problems:
+            raise ConfigurationError(value.problems)
+        parameters[key.strip()] = value.value
+    try:
+        model = friction.create(name, **parameters)
+    except UsageError as error:
+        raise UsageError(f"--model {argument}: {error}") from None
+    content = {"model": name, "parameters": dict(model.given)}
+    return ModelFile.model_validate({"axis": "rotary", "friction": content})

@@ -1,0 +1,221 @@
+"""The model file: friction, mechanics and provenance of one axis."""
+
+import re
+from pathlib import Path
+from typing import Any, Literal, Self
+
+import numpy as np
+from pydantic import PrivateAttr, model_validator
+
+from friction_hil import friction
+from friction_hil.checked_yaml.messages import Mistake, refuse
+from friction_hil.checked_yaml.section import Section, key
+from friction_hil.errors import UsageError
+from friction_hil.friction import Axis, FrictionModel, InvalidParameterError, Network, Structure
+from friction_hil.friction.modifiers import check_modifiers
+from friction_hil.friction.parameters import check_all
+
+NETWORK = "network"  # name of the model that is no family of the registry
+
+
+class Base(Section):
+    """A model of the registry and its parameters."""
+
+    model: str = key("name of the friction model; 'friction-hil models' lists them")
+    parameters: dict[str, Any] = key("the model's parameters, SI; 'friction-hil models NAME' describes them")
+    modifiers: dict[str, Any] = key(
+        "what changes the friction of any model: direction, viscous, load, temperature, ripple", default={}
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        refuse(self, friction_mistakes(self.model, self.parameters, self.modifiers))
+        return self
+
+
+class TrainedNetwork(Section):
+    """A trained network, as 'friction-hil train' writes it; see friction_hil/friction/network.py."""
+
+    structure: Literal["gated", "narx", "static"] = key("how it is built")
+    hidden: list[int] = key("tanh units of each hidden layer, one or two")
+    states: int = key("states of a gated network, past torques of a narx", default=0)
+    lags: int = key("past velocities of a narx", default=0)
+    inputs: list[Literal["position", "load_torque", "temperature"]] = key("inputs besides the velocity", default=[])
+    orders: list[float] = key("harmonics of position that are inputs", "1/rad or 1/m", default=[])
+    period_s: float = key("sampling period of the training", "s")
+    torque_scale: float = key("unit of its torques", "N m or N")
+    bound: float = key("largest torque, in torque scales")
+    speed_limit: float = key("largest speed of the training", "rad/s or m/s")
+    rates: list[float] = key("bounds of the rate of a gated network's states", "1/rad or 1/m", default=[])
+    stroke: float = key("stroke of a gated network's stop", "rad or m", default=0.0)
+    speeds: list[float] = key("three speeds at which friction changes", "rad/s or m/s")
+    ranges: dict[str, tuple[float, float]] = key("smallest and largest value of each other input", default={})
+    level: float = key("largest torque of slow motion", "N m or N")
+    weights: list[float] = key("its weights, in the order of friction_hil/friction/network.py")
+    base: Base | None = key("the model to which its torque is added; none: it stands alone", default=None)
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+
+        try:
+            _ = self.network
+        except InvalidParameterError as error:
+            refuse(self, [((error.parameter,) if error.parameter else (), str(error))])
+        except UsageError as error:
+            refuse(self, [(("structure",), str(error))])
+        return self
+
+    @property
+    def network(self) -> Network:
+        """The network itself."""
+
+        structure = Structure(
+            kind=self.structure,
+            hidden=tuple(self.hidden),
+            states=self.states,
+            lags=self.lags,
+            has_position="position" in self.inputs,
+            has_load="load_torque" in self.inputs,
+            has_temperature="temperature" in self.inputs,
+            orders=tuple(self.orders),
+        )
+        return Network(
+            structure=structure,
+            period_s=self.period_s,
+            torque_scale=self.torque_scale,
+            bound=self.bound,
+            speed_limit=self.speed_limit,
+            speeds=self.speeds,
+            rates=self.rates,
+            stroke=self.stroke,
+            ranges=self.ranges,
+            level=self.level,
+            weights=np.array(self.weights),
+            is_residual=self.base is not None,
+        )
+
+
+class Friction(Section):
+    """A model of the registry and its parameters, or a trained network."""
+
+    model: str = key("name of the friction model ('friction-hil models' lists them), or network")
+    parameters: dict[str, Any] = key(
+        "the model's parameters, SI; 'friction-hil models NAME' describes them", default={}
+    )
+    modifiers: dict[str, Any] = key(
+        "what changes the friction of any model: direction, viscous, load, temperature, ripple", default={}
+    )
+    network: TrainedNetwork | None = key("of the model network: what was trained", default=None)
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        refuse(self, self._mistakes())
+        return self
+
+    def _mistakes(self) -> list[Mistake]:
+        if self.model != NETWORK:
+            if self.network is not None:
+                return [(("network",), f"belongs to the model {NETWORK}, not to {self.model}")]
+            if not self.parameters and "parameters" not in self.model_fields_set:
+                return [(("parameters",), "is missing: the model's parameters, SI")]
+            return friction_mistakes(self.model, self.parameters, self.modifiers)
+        if self.network is None:
+            return [(("network",), "is missing: what was trained; 'friction-hil train' writes it")]
+        if self.parameters:
+            return [(("parameters",), "a network has none; those of the model beside it stand under network.base")]
+        if self.network.base is not None:
+            return [(("modifiers",), "stand under network.base")] if self.modifiers else []
+        own = sorted(set(self.modifiers) - {"viscous", "ripple"})
+        return [(("modifiers", name), "a network alone has no levels that it could change") for name in own]
+
+    def create(self, axis: Axis) -> FrictionModel:
+        """Make the model, anew at each call."""
+
+        if self.network is None:
+            return friction.create(self.model, modifiers=self.modifiers, axis=axis, **self.parameters)
+        base = self.network.base
+        if base is None:
+            return friction.FrictionModel(friction.NETWORK_ALONE, {}, self.modifiers, axis, self.network.network)
+        family = friction.describe(base.model)
+        return friction.FrictionModel(family, base.parameters, base.modifiers, axis, self.network.network)
+
+
+class Gravity(Section):
+    """Torque of gravity over position q: constant + sine sin(q) + cosine cos(q)."""
+
+    constant: float = key("constant part", "N m or N", default=0.0)
+    sine: float = key("factor of sin(position)", "N m or N", default=0.0)
+    cosine: float = key("factor of cos(position)", "N m or N", default=0.0)
+
+
+class Mechanics(Section):
+    """What the axis is beside its friction."""
+
+    inertia: float = key("inertia or mass, seen at the axis", "kg m^2 or kg", default=0.0, ge=0)
+    offset: float = key("constant torque that is no friction", "N m or N", default=0.0)
+    gravity: Gravity = key("torque of gravity", default=Gravity())
+    delay_s: float = key("from commanding a torque to its start", "s", default=0.0, ge=0)
+    torque_lag_s: float = key("time constant of the torque", "s", default=0.0, ge=0)
+
+
+class ModelFile(Section):
+    """What is known of one axis: its friction model and mechanics."""
+
+    version: Literal[1] = key("version of this format", default=1)
+    axis: Literal["rotary", "linear"] = key("rotary: rad, N m; linear: m, N")
+    friction: Friction = key("friction model")
+    mechanics: Mechanics = key("inertia, offset, gravity, delays", default=Mechanics())
+    fit: dict[str, Any] | None = key("provenance: recordings, errors, range of validity", default=None)
+
+    _source_path: Path | None = PrivateAttr(default=None)
+
+    @property
+    def source_path(self) -> Path | None:
+        """The file that this was loaded from; None for what stood inline."""
+        return self._source_path
+
+    @property
+    def friction_model(self) -> FrictionModel:
+        """The friction model, made anew at each call."""
+        return self.friction.create(self.axis)
+
+
+def friction_mistakes(model: str, parameters: dict[str, Any], modifiers: dict[str, Any]) -> list[Mistake]:
+    """Check model, parameters and modifiers against the registry of friction models."""
+    try:
+        family = friction.describe(model)
+    except UsageError as error:
+        return [(("model",), str(error))]
+    known = {parameter.name: parameter for parameter in family.parameters}
+    mistakes: list[Mistake] = []
+    for name, value in parameters.items():
+        try:
+            if name in known:
+                known[name].check(model, value)
+            else:
+                check_all(model, family.parameters, {name: value})
+        except UsageError as error:
+            mistakes.append((("parameters", name), str(error)))
+    for name, parameter in known.items():
+        if parameter.default is None and name not in parameters:
+            try:
+                check_all(model, family.parameters, {**family.example, name: None})
+            except UsageError as error:
+                mistakes.append((("parameters", name), str(error)))
+    if mistakes:
+        return mistakes
+    try:
+        family.check(check_all(model, family.parameters, parameters))
+    except InvalidParameterError as error:
+        return [(("parameters", *([error.parameter] if error.parameter else [])), str(error))]
+    for name, content in modifiers.items():
+        try:
+            check_modifiers(family, parameters, {name: content})
+        except InvalidParameterError as error:
+            mistakes.append((("modifiers", *_steps(error.parameter or name)), str(error)))
+    return mistakes
+
+
+def _steps(place: str) -> list[str | int]:
+    """Turn ``ripple[0].order`` into ``ripple, 0, order``."""
+    return [int(step) if step.isdigit() else step for step in re.findall(r"\w+", place)]

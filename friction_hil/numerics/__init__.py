@@ -1,0 +1,1 @@
+"""Compilation, automatic differentiation and filters that several rooms use."""

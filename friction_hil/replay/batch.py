@@ -1,0 +1,71 @@
+"""Many recordings through many models: one task a file, on all cores or on a cluster."""
+
+import multiprocessing
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+
+from friction_hil.errors import FrictionHilError
+from friction_hil.replay.cluster import run_on_cluster
+from friction_hil.replay.task import Outcome, Task, run
+
+_MANY, _LARGE = 16, 16 << 20  # files, bytes: less is done before a pool of processes has started
+
+
+def replay_many(
+    tasks: Sequence[Task],
+    *,
+    scheduler: str | None = None,
+    on_done: Callable[[], None] = lambda: None,
+    on_note: Callable[[str], None] = lambda _: None,
+) -> list[list[Outcome]]:
+    """Run tasks on all cores or on a cluster, and give their outcomes in the order of the tasks.
+
+    Parameters
+    ----------
+    tasks : sequence of Task
+        One a file.
+    scheduler : str, optional
+        Address of a Dask scheduler, ``tcp://host:port``, whose workers do the work; the results are the same.
+    on_done : callable
+        Called when a file is done.
+    on_note : callable
+        Called with a sentence where the work has to wait for workers.
+
+    Raises
+    ------
+    FrictionHilError
+        A worker process of this machine died, or the cluster cannot do the work; see `run_on_cluster`.
+    """
+    outcomes: list[list[Outcome]] = [[] for _ in tasks]
+    results = _map(tasks) if scheduler is None else run_on_cluster(tasks, scheduler, on_note=on_note)
+    for index, found in results:
+        outcomes[index] = found
+        on_done()
+    return outcomes
+
+
+def _map(tasks: Sequence[Task]) -> Iterator[tuple[int, list[Outcome]]]:
+    workers = min(len(tasks), len(os.sched_getaffinity(0)))
+    size = sum(os.path.getsize(task.source) for task in tasks if os.path.isfile(task.source))
+    if workers < 2 or (len(tasks) < _MANY and size < _LARGE):
+        for index, task in enumerate(tasks):
+            yield index, run(task)
+        return
+    # a fork would copy whatever threads numerical libraries have started here
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["friction_hil.replay.task"])
+    with ProcessPoolExecutor(workers, mp_context=context) as pool:
+        indexs = {pool.submit(run, task): index for index, task in enumerate(tasks)}
+        try:
+            for future in as_completed(indexs):
+                yield indexs[future], future.result()
+        except BrokenProcessPool:
+            left = sum(not future.done() or future.exception() is not None for future in indexs)
+            raise FrictionHilError(
+                f"a worker process died, perhaps for want of memory; {left} of {len(tasks)} recordings are not done"
+            ) from None
+        finally:
+            for future in indexs:
+                future.cancel()

@@ -1,0 +1,180 @@
+"""One file of a replay: read it, run it through models or verify it.
+
+A task is plain values, and so is its outcome: the same function runs in this process, in a pool, or on a cluster.
+"""
+
+import os
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from friction_hil import recordings
+from friction_hil.config import Configuration, from_dict, load
+from friction_hil.errors import FrictionHilError, UsageError
+from friction_hil.models.files import model_from_argument
+from friction_hil.models.model_file import ModelFile
+from friction_hil.recordings import Recording
+from friction_hil.replay.comparison import Replay, replay
+from friction_hil.replay.verify import Verification, verify
+
+_NEEDED = ("time_s", "cycle", "position", "velocity", "torque", "load_torque", "temperature")
+
+
+@dataclass(frozen=True, slots=True)
+class Task:
+    """One file to be replayed; see ``friction-hil replay`` for the options.
+
+    Attributes
+    ----------
+    models : tuple of str
+        Arguments of ``--model``; without any, the model that the recording carries is used.
+    picture : str or None
+        File to draw into. ``name`` and the axis are added to it unless the file ``is_only`` and has one axis.
+    draw : callable or None
+        Draws a replay into ``picture``; a function of a module, so that other processes can import it.
+    folder : str
+        Directory from which relative paths of input files start; empty: the current one.
+    """
+
+    source: str
+    models: tuple[str, ...] = ()
+    is_verifying: bool = False
+    config: str | None = None
+    axis: str | None = None
+    columns: Mapping[str, str] = field(default_factory=dict)
+    scale: Mapping[str, float] = field(default_factory=dict)
+    where: str | None = None
+    lowpass_hz: float | None = None
+    decimate: int = 1
+    picture: str | None = None
+    draw: Callable[[Replay, Path], None] | None = None
+    name: str = ""
+    is_only: bool = True
+    folder: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What became of one axis of a file, or of the whole file where it could not be read.
+
+    Attributes
+    ----------
+    facts : dict
+        As in the JSON of ``replay``; with ``error`` in place of the models where it failed.
+    exit_status : int
+        0, 1 where a verification failed, else that of the error.
+    picture : str or None
+        What was drawn.
+    """
+
+    facts: dict[str, Any]
+    exit_status: int = 0
+    picture: str | None = None
+
+
+def run(task: Task) -> list[Outcome]:
+    """Replay one file; a mistake becomes an outcome, so that it costs only this file."""
+    try:
+        found = _read(task)
+        return [_replay(task, recording, is_only=task.is_only and len(found) == 1) for recording in found]
+    except FrictionHilError as error:
+        return [failed(task.source, task.axis, error)]
+
+
+def failed(path: str, axis: str | None, error: FrictionHilError) -> Outcome:
+    """Make the outcome of a file, or an axis of it, that could not be replayed."""
+    facts: dict[str, Any] = {
+        "path": path,
+        "axis": axis,
+        "rows": None,
+        "duration_s": None,
+        "problems": [],
+        "verified": None,
+        "models": [],
+    }
+    return Outcome(facts | {"error": str(error)}, error.exit_status)
+
+
+def _read(task: Task) -> list[Recording]:
+    options: dict[str, Any] = {
+        "columns": task.columns,
+        "scale": task.scale,
+        "where": task.where,
+        "only": None if task.is_verifying else _NEEDED,
+        "configuration": None if task.config is None else load(os.path.join(task.folder, task.config)),
+    }
+    path = os.path.join(task.folder, task.source)
+    if task.axis is None:
+        found = list(recordings.read_all(path, **options).values())
+    else:
+        found = [recordings.read(path, task.axis, **options)]
+    for recording in found:
+        recording.path = str(Path(task.source))  # as the user wrote it, wherever this process runs
+    return found
+
+
+def _replay(task: Task, recording: Recording, *, is_only: bool) -> Outcome:
+    verification: Verification | None = None
+    compared: Replay | None = None
+    drawn = None
+    try:
+        configuration = None if task.config is None else load(os.path.join(task.folder, task.config))
+        if task.is_verifying:
+            verification = verify(recording, configuration)
+        if task.models or not task.is_verifying:
+            models = {argument: model_from_argument(_model_argument(task, argument)) for argument in task.models}
+            models = models or _own_model(recording, configuration)
+            compared = replay(recording, models, lowpass_hz=task.lowpass_hz, decimate=task.decimate)
+            if task.picture is not None and task.draw is not None:
+                picture = Path(task.picture)
+                if not is_only:
+                    picture = picture.with_stem(f"{picture.stem}_{task.name}_{recording.axis}")
+                task.draw(compared, picture)
+                drawn = str(picture)
+    except FrictionHilError as error:
+        return failed(recording.path, recording.axis, error)
+    is_bad = verification is not None and not verification.is_verified
+    return Outcome(_facts(recording, compared, verification), int(is_bad), drawn)
+
+
+def _model_argument(task: Task, argument: str) -> str:
+    path = os.path.join(task.folder, argument)
+    return path if os.path.isfile(path) else argument  # an argument may also be NAME:coulomb=0.08
+
+
+def _own_model(recording: Recording, configuration: Configuration | None) -> dict[str, ModelFile]:
+    """The model that the daemon ran with, from the configuration inside its recording."""
+    if configuration is None and "configuration" in recording.metadata:
+        inside = f"{recording.path} (configuration inside)"
+        configuration = from_dict(recording.metadata["configuration"], inside)
+    if configuration is None or recording.axis not in configuration.axes:
+        raise UsageError(f"{recording.path}: no model is known for axis {recording.axis!r}; give --model FILE_OR_NAME")
+    model = configuration.axes[recording.axis].model
+    return {f"{model.friction.model} (as recorded)": model}
+
+
+def _facts(recording: Recording, compared: Replay | None, verification: Verification | None) -> dict[str, Any]:
+    facts: dict[str, Any] = {
+        "path": recording.path,
+        "axis": recording.axis,
+        "rows": len(recording),
+        "duration_s": recording.duration_s,
+        "problems": list(compared.problems if compared else recording.problems),
+        "verified": verification and verification.is_verified,
+        "models": [],
+    }
+    if verification:
+        facts["verification"] = {
+            "rows": verification.rows,
+            "tolerance": verification.tolerance,
+            "differences": verification.differences,
+            "reason": verification.reason,
+        }
+    if compared:
+        facts["segments"] = len(compared.segments)
+        facts["models"] = [
+            {"model": each.model, "rmse": each.rmse, "relative_error": each.relative_error, "unit": each.unit}
+            for each in compared.predictions
+        ]
+    return facts

@@ -1,0 +1,174 @@
+"""Re-running the compensator over the daemon's own recording: what it gave must come out again, bit for bit."""
+
+from collections.abc import Mapping
+from dataclasses import MISSING, dataclass, fields
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from friction_hil.compensator import INPUTS, Compensator, input_checksum
+from friction_hil.config import from_dict
+from friction_hil.daemon.assembly import make_compensator, make_shadows
+from friction_hil.drive import AxisFacts
+from friction_hil.errors import RecordingError
+from friction_hil.numerics.jit import Array
+from friction_hil.recordings import Recording, columns, fingerprint
+
+if TYPE_CHECKING:
+    from friction_hil.config import AxisConfig, Configuration
+
+_RELATIVE_TOLERANCE = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Verification:
+    """What re-running one axis showed.
+
+    Attributes
+    ----------
+    is_verified : bool
+    rows : int
+        Rows that were compared.
+    tolerance : float
+        0 where equal bits are demanded, else the allowed difference, N m.
+    differences : tuple of str
+        How the machine or the software differs from those of the recording.
+    reason : str
+        Where and how the first difference shows; empty if there is none.
+    """
+
+    axis: str
+    is_verified: bool
+    rows: int
+    tolerance: float
+    differences: tuple[str, ...]
+    reason: str
+
+
+def verify(recording: Recording, configuration: "Configuration | None" = None) -> Verification:
+    """Run the compensator of a recording again and compare.
+
+    It starts from the recorded state, and again from each further one, which the daemon wrote at the start of
+    every chunk and after every gap.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of the daemon.
+    configuration : Configuration, optional
+        In place of the one inside the recording.
+
+    Raises
+    ------
+    RecordingError
+        The recording is not the daemon's own: configuration, states or columns are missing.
+    """
+    metadata = recording.metadata
+    has_inputs = all(name in recording.columns for name in INPUTS) and "checksum" in recording
+    is_ours = has_inputs and "configuration" in metadata and "facts" in metadata
+    # an altered cycle number can make the states unplaceable: then the checksum says why
+    altered = _altered_row(recording) if is_ours else None
+    if not is_ours or (altered is None and not recording.restarts):
+        raise RecordingError(
+            f"{recording.path}: only the daemon's own MCAP recording can be verified; this one has no states of the "
+            "compensator"
+        )
+    recording.require("compensation", "velocity_estimate", "checksum", "cycle", "position", "velocity")
+    configuration = configuration or from_dict(metadata["configuration"], f"{recording.path} (configuration inside)")
+    if recording.axis not in configuration.axes:
+        raise RecordingError(
+            f"{recording.path}: its axis {recording.axis!r} is not in the configuration, which has "
+            f"{', '.join(configuration.axes)}"
+        )
+    axis = configuration.axes[recording.axis]
+    compensators = _compensators(axis, _facts(metadata, recording), configuration.period_s)
+    differences = tuple(fingerprint.differences(metadata.get("fingerprint", {}), fingerprint.fingerprint()))
+    tolerance = _RELATIVE_TOLERANCE * axis.model.friction_model.level if differences else 0.0
+    recording.require(*compensators)
+    rows = len(recording) - recording.restarts[0][0] if recording.restarts else 0
+    if altered is not None:
+        row, reason = altered, "the recorded inputs are not those that the daemon saw (checksum)"
+    else:
+        row, reason = _first_difference(recording, compensators, tolerance)
+    if reason:
+        # by its time: the number of the cycle is an input too, and may be what was altered
+        reason = f"cycle {round(float(recording.columns[columns.TIME][row]) / configuration.period_s)}: {reason}"
+    return Verification(recording.axis, not reason, rows, tolerance, differences, reason)
+
+
+def _facts(metadata: Mapping[str, Any], recording: Recording) -> AxisFacts:
+    known = fields(AxisFacts)
+    needed = [field.name for field in known if field.default is MISSING]
+    for facts in metadata["facts"]:
+        if facts["name"] != recording.axis:
+            continue
+        if missing := [name for name in needed if name not in facts]:
+            raise RecordingError(
+                f"{recording.path}: what it says about the drive of axis {recording.axis!r} lacks "
+                f"{', '.join(missing)}; it was made by another version, and can be verified by that one"
+            )
+        return AxisFacts(**{field.name: facts[field.name] for field in known if field.name in facts})
+    raise RecordingError(f"{recording.path}: it says nothing about the drive of axis {recording.axis!r}")
+
+
+def _compensators(axis: "AxisConfig", facts: AxisFacts, period_s: float) -> dict[str, Compensator]:
+    """The compensator and the shadows, by the column that each filled."""
+    shadows = make_shadows(axis, facts, period_s)
+    return {
+        "compensation": make_compensator(axis, axis.model, facts, period_s),
+        **{columns.shadow(name): shadow for name, shadow in shadows.items()},
+    }
+
+
+def _altered_row(recording: Recording) -> int | None:
+    """The first row whose inputs are not those that the daemon saw, if there is one."""
+    inputs = zip(*(recording.columns[name] for name in INPUTS), strict=True)
+    for row, (values, checksum) in enumerate(zip(inputs, recording.columns["checksum"], strict=True)):
+        if input_checksum(*values) != checksum:
+            return row
+    return None
+
+
+def _first_difference(
+    recording: Recording, compensators: Mapping[str, Compensator], tolerance: float
+) -> tuple[int, str]:
+    """Row and description of the first difference; an empty description if there is none."""
+    needed = sum(compensator.state.size for compensator in compensators.values())
+    bounds = [row for row, _ in recording.restarts] + [len(recording)]
+    for (first, state), end in zip(recording.restarts, bounds[1:], strict=True):
+        inputs = [np.ascontiguousarray(recording.columns[name][first:end]) for name in INPUTS]
+        if state.size < needed:
+            raise RecordingError(
+                f"{recording.path}: the recorded state has {state.size} numbers, but these compensators have {needed}: "
+                "it was recorded with other models, or by another version"
+            )
+        place = 0
+        worst: tuple[int, str] | None = None
+        for column, compensator in compensators.items():
+            size = compensator.state.size
+            compensator.state[:] = state[place : place + size]
+            place += size
+            torque, estimate = compensator.replay(inputs)
+            results = [(column, torque)]
+            if column == "compensation":
+                results.append(("velocity_estimate", estimate))
+            for name, values in results:
+                row = _first_unequal(recording.columns[name][first:end], values, tolerance)
+                if row is not None and (worst is None or first + row < worst[0]):
+                    recorded = recording.columns[name][first + row]
+                    worst = (
+                        first + row,
+                        f"{name} was {float(recorded)!r} and comes out as {float(values[row])!r}",
+                    )
+        if worst is not None:
+            return worst
+    return 0, ""
+
+
+def _first_unequal(recorded: Array, values: Array, tolerance: float) -> int | None:
+    if tolerance == 0.0:
+        unequal = np.ascontiguousarray(recorded).view(np.int64) != values.view(np.int64)
+    else:
+        unequal = ~(np.abs(values - recorded) <= tolerance)
+    rows = np.flatnonzero(unequal)
+    return int(rows[0]) if rows.size else None
