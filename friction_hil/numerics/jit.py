@@ -22,10 +22,16 @@ Array = NDArray[np.float64]
 Record = NDArray[np.void]  # structured array of length 1: kernels read and change its fields by name
 Function = TypeVar("Function", bound=Callable[..., object])
 
+_PACKAGE = Path(__file__).parents[1]
 _KEPT_DAYS = 14
 # A kernel is called from Python and from other kernels, not from C: a third entry would only take time to compile.
 OPTIONS: Any = {"error_model": "numpy", "no_cfunc_wrapper": True}
 _HAS_KERNELS = re.compile(rb"@(compiled|inlined)|numba")
+
+
+def kernel_sources() -> list[Path]:
+    """Source files of the whole package that contain kernels, sorted."""
+    return sorted(path for path in _PACKAGE.rglob("*.py") if _HAS_KERNELS.search(path.read_bytes()))
 
 
 @cache
@@ -36,10 +42,8 @@ def cache_folder() -> str | None:
     folder's name is a digest of all sources that have kernels.
     """
     digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.rglob("*.py")):
-        source = path.read_bytes()
-        if _HAS_KERNELS.search(source):
-            digest.update(path.name.encode() + b"\0" + source)
+    for path in kernel_sources():
+        digest.update(path.name.encode() + b"\0" + path.read_bytes())
     try:
         base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "friction_hil"
         folder = base / digest.hexdigest()[:16]

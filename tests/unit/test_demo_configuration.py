@@ -13,7 +13,7 @@ AXES = load(DEMO).axes
 
 
 def test_the_product_carries_the_very_same_file():
-    assert (files("friction_hil") / "demo.yaml").read_bytes() == DEMO.read_bytes()
+    assert (files("friction_hil.demo") / "demo.yaml").read_bytes() == DEMO.read_bytes()
 
 
 def ratios(axis):

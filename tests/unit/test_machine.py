@@ -81,6 +81,11 @@ def test_a_user_without_a_home_keeps_no_kernels_and_starts_all_the_same(monkeypa
     assert jit.cache_folder.__wrapped__() is None
 
 
+def test_kernels_of_every_room_decide_which_compiled_code_is_current():
+    names = {path.parent.name for path in jit.kernel_sources()}
+    assert {"friction", "compensator", "servo", "motion", "training"} <= names
+
+
 def test_a_recording_goes_into_a_folder_that_is_not_there_yet_and_is_not_made(tmp_path):
     found = machine.recording_folder(tmp_path / "new" / "deep" / "run.mcap")
     assert found.result == "pass"
