@@ -169,7 +169,7 @@ def test_signals_of_the_terminal_are_left_to_the_control_process(companion: Comp
 CONTROL = """
 import json, os, sys
 sys.path.insert(0, sys.argv[2])
-from friction_hil.companion import Companion, Job
+from friction_hil.daemon.companion import Companion, Job
 from test_companion import push
 companion = Companion.start(Job(**json.loads(sys.argv[1])))
 push(companion, 0, 1500)

@@ -141,7 +141,7 @@ def test_memory_that_is_no_ring() -> None:
 READER = """
 import sys
 import numpy as np
-from friction_hil.ring import RingReader
+from friction_hil.daemon.ring import RingReader
 reader = RingReader(int(sys.argv[1]))
 seen = 0
 print("ready", flush=True)
