@@ -169,7 +169,7 @@ def test_signals_of_the_terminal_are_left_to_the_control_process(companion: Comp
 CONTROL = """
 import json, os, sys
 sys.path.insert(0, sys.argv[2])
-from friction_hil.companion import Companion, Job
+from friction_hil.daemon.companion import Companion, Job
 from test_companion import push
 companion = Companion.start(Job(**json.loads(sys.argv[1])))
 push(companion, 0, 1500)
@@ -270,4 +270,5 @@ def test_the_companion_needs_no_compiler() -> None:
         "assert 'numba' not in sys.modules\n"
         "assert 'scipy' not in sys.modules\n"
     )
-    subprocess.run([sys.executable, "-P", "-c", code], check=True)
+    done = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
