@@ -1,7 +1,8 @@
-"""Commands of friction-hil as processes that need not import: each is a fork of one process that has imported all.
+"""Start commands of friction-hil without the cost of their imports.
 
-To import takes a second of processor time, and tests start hundreds of commands. What is forked here is what a shell
-would start: a process of its own, with its own streams, signals and exit status, that runs the command line's `main`.
+Importing takes a second of processor time, and the tests start hundreds of commands. One server process imports
+everything once and forks for each command. What it forks is what a shell would start: a process of its own, with its
+own streams, signals and exit status, that runs the command line's `main`.
 """
 
 import atexit
@@ -10,12 +11,16 @@ import ctypes
 import importlib
 import json
 import os
+import select
+import signal
 import socket
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Iterator
 from functools import cache
-from typing import Any
+from typing import IO, Any
 
 COMMAND = [sys.executable, "-m", "friction_hil"]
 _PRELOADED = (
@@ -28,33 +33,54 @@ _PRELOADED = (
     "friction_hil_drivers.canopen",
     "friction_hil_drivers.modbus",
 )
-_OF_PYTEST = ("PYTEST_CURRENT_TEST",)  # is another one in each test
+_SET_BY_PYTEST = ("PYTEST_CURRENT_TEST",)  # changes with each test
+_STREAMS = ("stdin", "stdout", "stderr")
 _PR_SET_CHILD_SUBREAPER = 36
-_LONGEST_JOB = 65536
+_MAX_JOB_BYTES = 65536
 
 
-def start(*arguments: object, **options: Any) -> "subprocess.Popen[str]":
-    """Start a command of friction-hil; ``options`` are those of Popen."""
+def start(*arguments: object, **options: Any) -> "Command | subprocess.Popen[str]":
+    """Start a command of friction-hil.
+
+    Parameters
+    ----------
+    arguments : object
+        Words of the command line behind ``friction-hil``.
+    options
+        Those of Popen. With any other than ``stdin``, ``stdout`` and ``stderr``, or after a change of the
+        environment, Popen starts an interpreter of its own.
+    """
     words = [*COMMAND, *map(str, arguments)]
-    is_plain = set(options) <= {"stdin", "stdout", "stderr"} and _environment() == _server().environment
-    return (_Forked if is_plain else subprocess.Popen)(words, text=True, **options)
+    if set(options) <= set(_STREAMS) and _environment() == _server().environment:
+        return Command(words, **options)
+    return subprocess.Popen(words, text=True, **options)
 
 
 def _environment() -> dict[str, str]:
-    return {name: value for name, value in os.environ.items() if name not in _OF_PYTEST}
+    return {name: value for name, value in os.environ.items() if name not in _SET_BY_PYTEST}
 
 
 class _Server:
-    """The process that forks, as others see it."""
+    """The process that forks, seen from the tests."""
 
     def __init__(self) -> None:
         self.environment = _environment()
-        self.control, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._control, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         words = [sys.executable, "-m", "tests.launcher", str(theirs.fileno())]
         process = subprocess.Popen(words, pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL)
         theirs.close()
         atexit.register(process.wait)
-        atexit.register(self.control.shutdown, socket.SHUT_RDWR)  # which comes first, and ends it
+        atexit.register(self._control.shutdown, socket.SHUT_RDWR)  # runs first, and ends the server
+
+    def fork(self, arguments: list[str], streams: list[int]) -> int:
+        """Run a command with the given three streams as a child of this process; return its process id."""
+        job = json.dumps({"arguments": arguments, "cwd": os.getcwd()}).encode()
+        with _adopting_orphans():
+            socket.send_fds(self._control, [job], streams)
+            answer = self._control.recv(_MAX_JOB_BYTES)
+        if not answer:
+            raise RuntimeError("the process that forks commands has ended; python -m tests.launcher 0 may show why")
+        return int(answer)
 
 
 @cache
@@ -62,28 +88,138 @@ def _server() -> _Server:
     return _Server()
 
 
-class _Forked(subprocess.Popen[str]):
-    """A command that is forked by the server, and becomes a child of this process."""
+class Command:
+    """A command forked by the server, with the part of Popen's interface that tests use; all streams are text."""
 
-    def _execute_child(self, args: list[str], *rest: Any) -> None:
-        # as Popen has them behind the program: ..., p2cread, p2cwrite, c2pread, c2pwrite, errread, errwrite, ...
-        pipes = rest[9:15]
-        streams = [theirs if theirs >= 0 else own for own, theirs in enumerate((pipes[0], pipes[3], pipes[5]))]
-        job = json.dumps({"arguments": args[len(COMMAND) :], "cwd": os.getcwd()}).encode()
-        control = _server().control
-        with _taking_in_orphans():
-            socket.send_fds(control, [job], streams)
-            answer = control.recv(_LONGEST_JOB)
-        if not answer:
-            raise RuntimeError("the process that forks commands has ended; python -m tests.launcher 0 may tell why")
-        self.pid = int(answer)
-        self._child_created = True
-        self._close_pipe_fds(*pipes)  # type: ignore[attr-defined]
+    def __init__(
+        self,
+        args: list[str],
+        *,
+        stdin: int | IO[Any] | None = None,
+        stdout: int | IO[Any] | None = None,
+        stderr: int | IO[Any] | None = None,
+    ) -> None:
+        self.args = args
+        self.returncode: int | None = None
+        self.stdin: IO[str] | None = None
+        self.stdout: IO[str] | None = None
+        self.stderr: IO[str] | None = None
+        self._readers: dict[str, _Reader] = {}
+        theirs: list[int] = []
+        with contextlib.ExitStack() as opened:
+            for name, wanted in zip(_STREAMS, (stdin, stdout, stderr), strict=True):
+                theirs.append(self._open(name, wanted, theirs, opened))
+            self.pid = _server().fork(args[len(COMMAND) :], theirs)
+        # only now, so that nothing is left behind when forking fails
+        self._exit = os.pidfd_open(self.pid)
+
+    def _open(self, name: str, wanted: int | IO[Any] | None, before: list[int], opened: contextlib.ExitStack) -> int:
+        """Return the command's end of one stream; what is opened for it alone is closed with ``opened``."""
+        own = _STREAMS.index(name)
+        if wanted is None:
+            return own
+        if wanted == subprocess.STDOUT:
+            return before[1]
+        if wanted == subprocess.DEVNULL:
+            theirs = os.open(os.devnull, os.O_RDWR)
+        elif wanted == subprocess.PIPE:
+            read_end, write_end = os.pipe()
+            theirs, ours = (read_end, write_end) if name == "stdin" else (write_end, read_end)
+            setattr(self, name, os.fdopen(ours, "w" if name == "stdin" else "r"))
+        else:
+            return wanted if isinstance(wanted, int) else wanted.fileno()
+        opened.callback(os.close, theirs)
+        return theirs
+
+    def poll(self) -> int | None:
+        """Return the exit status, or None while the command runs."""
+        return self._reap(0.0)
+
+    def wait(self, timeout: float | None = None) -> int:
+        """Return the exit status when the command has ended; minus the number of the signal that ended it."""
+        status = self._reap(timeout)
+        if status is None:
+            assert timeout is not None
+            raise subprocess.TimeoutExpired(self.args, timeout)
+        return status
+
+    def _reap(self, timeout: float | None) -> int | None:
+        if self.returncode is None:
+            poll = select.poll()
+            poll.register(self._exit, select.POLLIN)
+            if poll.poll(None if timeout is None else timeout * 1e3):
+                self.returncode = os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1])
+                os.close(self._exit)
+        return self.returncode
+
+    def send_signal(self, number: int) -> None:
+        """Send a signal, unless the command has ended."""
+        if self.poll() is None:
+            signal.pidfd_send_signal(self._exit, number)
+
+    def terminate(self) -> None:
+        """Send SIGTERM."""
+        self.send_signal(signal.SIGTERM)
+
+    def kill(self) -> None:
+        """Send SIGKILL."""
+        self.send_signal(signal.SIGKILL)
+
+    def communicate(self, input: str | None = None, timeout: float | None = None) -> tuple[str, str]:
+        """Write ``input``, close standard input and return all output and errors once the command has ended.
+
+        A stream that is no pipe gives an empty text. After `TimeoutExpired` another call goes on from there.
+        """
+        deadline = None if timeout is None else time.monotonic() + timeout
+        for name in ("stdout", "stderr"):
+            if (stream := getattr(self, name)) is not None and name not in self._readers:
+                self._readers[name] = _Reader(stream)
+        if self.stdin is not None and not self.stdin.closed:
+            with contextlib.suppress(BrokenPipeError):
+                self.stdin.write(input or "")
+            with contextlib.suppress(BrokenPipeError):
+                self.stdin.close()
+        for reader in self._readers.values():
+            reader.join(_left(deadline))
+            if reader.is_alive():
+                assert timeout is not None
+                raise subprocess.TimeoutExpired(self.args, timeout)
+        self.wait(_left(deadline))
+        output, errors = (self._readers[name].text if name in self._readers else "" for name in _STREAMS[1:])
+        return output, errors
+
+    def __enter__(self) -> "Command":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for stream in (self.stdout, self.stderr, self.stdin):
+            if stream is not None:
+                with contextlib.suppress(BrokenPipeError):
+                    stream.close()
+        self.wait()
+
+
+class _Reader(threading.Thread):
+    """Reads a stream to its end."""
+
+    def __init__(self, stream: IO[str]) -> None:
+        super().__init__(daemon=True)
+        self.text = ""
+        self._stream = stream
+        self.start()
+
+    def run(self) -> None:
+        with self._stream:
+            self.text = self._stream.read()
+
+
+def _left(deadline: float | None) -> float | None:
+    return None if deadline is None else max(0.0, deadline - time.monotonic())
 
 
 @contextlib.contextmanager
-def _taking_in_orphans() -> Iterator[None]:
-    """Become the parent of what loses its own."""
+def _adopting_orphans() -> Iterator[None]:
+    """Become the parent of descendants whose own parent ends."""
     libc = ctypes.CDLL(None)
     libc.prctl(_PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
     try:
@@ -93,9 +229,9 @@ def _taking_in_orphans() -> Iterator[None]:
 
 
 def _serve(control: socket.socket) -> list[str] | None:
-    """Fork for each job; return its arguments in the fork, None in the server when nobody has jobs any more."""
+    """Fork for each job; return its arguments in the fork, None in the server once the tests have ended."""
     while True:
-        data, streams, _, _ = socket.recv_fds(control, _LONGEST_JOB, 3)
+        data, streams, _, _ = socket.recv_fds(control, _MAX_JOB_BYTES, 3)
         if not data:
             return None
         read_end, write_end = os.pipe()
@@ -115,7 +251,7 @@ def _serve(control: socket.socket) -> list[str] | None:
                 os.close(stream)
             return list(job["arguments"])
         os.waitpid(between, 0)
-        control.send(os.read(read_end, _LONGEST_JOB))
+        control.send(os.read(read_end, _MAX_JOB_BYTES))
         for descriptor in (*streams, read_end, write_end):
             os.close(descriptor)
 
@@ -126,7 +262,7 @@ def _main() -> int:
         importlib.import_module(name)
     from numba.core.registry import cpu_target
 
-    cpu_target.target_context.refresh()  # which else comes with the first kernel
+    cpu_target.target_context.refresh()  # else done with the first kernel
     arguments = _serve(socket.socket(fileno=int(sys.argv[1])))
     if arguments is None:
         return 0

@@ -158,7 +158,9 @@ def test_unused_pdos_are_switched_off_once(drive):
 
 def test_a_pdo_that_the_drive_does_not_have_needs_no_switching_off(make):
     drive = make(missing=[0x1803, 0x1A03])
+    drive.wire.requests.clear()
     switch_off(drive.access, is_receive=False, number=3, node=NODE)
+    assert [data[0] for data in drive.wire.requests] == [0x40]  # one look, and nothing written
 
 
 # --- time on the wire: figures of CAN at 1 Mbit/s with worst-case stuffing

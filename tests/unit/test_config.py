@@ -248,7 +248,11 @@ def test_what_does_not_fit_together(changes, field, message):
     ],
 )
 def test_what_fits_together(changes):
-    from_dict(changed(**changes), "test")
+    given = changed(**changes)
+    config = from_dict(given, "test")
+    assert list(config.axes) == list(given["axes"])
+    assert config.axes["x"].mode == given["axes"]["x"]["mode"]
+    assert config.axes["x"].trajectory.kind == given["axes"]["x"]["trajectory"]["kind"]
 
 
 def test_further_keys_of_an_interface_are_kept_for_python_can():

@@ -248,7 +248,7 @@ class Pytest(Copy):
         executable(self.root / "tools/vcan-run", '#!/bin/sh\n[ "$1" = --setup ] || { shift 3; exec "$@"; }\n')
         return self
 
-    def test(self, *arguments: str, **statuses: int) -> "subprocess.CompletedProcess[str]":
+    def run_tests(self, *arguments: str, **statuses: int) -> "subprocess.CompletedProcess[str]":
         for name, status in ({"collected": 0, "rest": 0, "socketcan": 0} | statuses).items():
             (self.answers / name).write_text(str(status))
         return self.run(str(self.root / "tools/test"), *arguments)
@@ -272,24 +272,24 @@ def project(made_project: Pytest) -> Pytest:
     ("rest", "socketcan", "status"), [(0, 0, 0), (1, 0, 1), (0, 1, 1), (1, 1, 1), (5, 0, 0), (0, 125, 1)]
 )
 def test_status_is_of_both_halves(project: Pytest, rest: int, socketcan: int, status: int) -> None:
-    assert project.test(rest=rest, socketcan=socketcan).returncode == status
+    assert project.run_tests(rest=rest, socketcan=socketcan).returncode == status
     assert project.called("socketcan") is not None
 
 
 @pytest.mark.parametrize("status", [2, 3, 4])
 def test_interruption_and_wrong_use_end_at_once(project: Pytest, status: int) -> None:
-    assert project.test(rest=status).returncode == status
+    assert project.run_tests(rest=status).returncode == status
     assert project.called("socketcan") is None
 
 
 @pytest.mark.parametrize("status", [0, 1, 5])
 def test_selection_without_socketcan_boots_nothing(project: Pytest, status: int) -> None:
-    assert project.test("-k", "foo", collected=5, rest=status).returncode == status
+    assert project.run_tests("-k", "foo", collected=5, rest=status).returncode == status
     assert project.called("socketcan") is None
 
 
 def test_arguments_reach_pytest(project: Pytest) -> None:
-    project.test("tests/unit", "-k", "a or b")
+    project.run_tests("tests/unit", "-k", "a or b")
     called = project.called("rest") or []
     assert called[-3:] == ["tests/unit", "-k", "a or b"]
     assert called[called.index("-n") + 1] == "auto"
@@ -298,26 +298,26 @@ def test_arguments_reach_pytest(project: Pytest) -> None:
 
 @pytest.mark.parametrize("path", ["tests/unit/test_a.py", "tests/unit/test_a.py::test_b[1]"])
 def test_single_files_need_no_workers(project: Pytest, path: str) -> None:
-    project.test(path)
+    project.run_tests(path)
     assert "-n" not in (project.called("rest") or ["-n"])
 
 
 def test_files_without_socketcan_tests_are_not_imported_there(project: Pytest) -> None:
     (project.root / "tests/test_a.py").write_text("import numba\n")
     (project.root / "tests/test_b.py").write_text("@pytest.mark.socketcan\n")
-    project.test()
+    project.run_tests()
     called = project.called("socketcan") or []
     assert [word for word in called if "ignore" in word] == ["--ignore=tests/test_a.py"]
 
 
 @pytest.mark.parametrize("mark", [["-m", "socketcan"], ["-msocketcan"]])
 def test_socketcan_alone(project: Pytest, mark: list[str]) -> None:
-    assert project.test(*mark, socketcan=1).returncode == 1
+    assert project.run_tests(*mark, socketcan=1).returncode == 1
     assert project.called("rest") is None
 
 
 def test_other_mark_expression_is_taken_as_it_is(project: Pytest) -> None:
-    project.test("-m", "not socketcan")
+    project.run_tests("-m", "not socketcan")
     called = project.called("rest") or []
     assert called[-2:] == ["-m", "not socketcan"]
     assert called.count("-m") == 1
@@ -328,7 +328,7 @@ def test_other_mark_expression_is_taken_as_it_is(project: Pytest) -> None:
 @pytest.mark.parametrize(("arguments", "status"), [([], 0), (["-m", "socketcan"], 1)])
 def test_no_kernel_for_socketcan_is_said(project: Pytest, arguments: list[str], status: int) -> None:
     executable(project.root / "tools/vcan-run", "#!/bin/sh\necho vcan-run: no kernel >&2\nexit 125\n")
-    done = project.test(*arguments)
+    done = project.run_tests(*arguments)
     assert done.returncode == status
     assert "no interface vcan0 here" in done.stderr
     assert "vcan-run: no kernel" in done.stderr

@@ -1,0 +1,301 @@
+"""What a contract test of drives needs: a driver, simulated drives behind it, and a count of what it commands."""
+
+import math
+import os
+import struct
+import threading
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import can
+
+from friction_hil.config import Configuration, from_dict
+from friction_hil.config.drivers import DRIVERS, SIMULATED_DRIVES, load_driver
+from friction_hil.drive import AxisFacts, Command, Drives, DriveState, Feedback, Request
+
+PERIOD_S = 1e-3
+INERTIA, FRICTION = 2e-4, 0.01  # of the simulated axes, kg m^2 and N m
+COUNTS = 2**20 / (2.0 * math.pi)  # per rad
+RATED_TORQUE = 0.64
+PLANT = {
+    "mechanics": {"inertia": INERTIA},
+    "friction": {"model": "coulomb", "parameters": {"coulomb": FRICTION}},
+}
+AXES = ("x", "y")
+
+
+class SteppedTime:
+    """Simulated time: it advances only by the cycles of a test."""
+
+    is_real = False
+
+    def __init__(self) -> None:
+        self.ns = 0
+
+    def now_ns(self) -> int:
+        return self.ns
+
+    def doze_until(self, deadline_ns: int) -> bool:
+        return False
+
+    def sleep_until(self, deadline_ns: int) -> None:
+        self.ns = max(self.ns, deadline_ns)
+
+
+class Rig(ABC):
+    """Two axes in CST with simulated drives, and the driver under test.
+
+    A subclass names its drives and counts commands; the rest has defaults for drivers that have entry points.
+
+    Attributes
+    ----------
+    configuration : Configuration
+        Of both axes.
+    inertia, friction : float
+        Of each simulated axis, kg m^2 and N m: torque t accelerates it by (t - friction) / inertia.
+    torque_tolerance : float
+        Torque to which the drive's own units may round a command, N m.
+    """
+
+    inertia, friction = INERTIA, FRICTION
+    torque_tolerance = 2e-3
+
+    def __init__(self, configuration: Configuration) -> None:
+        self.configuration = configuration
+        self.clock = SteppedTime()
+
+    @abstractmethod
+    def make_drives(self, *, dry_run: bool = False) -> Drives:
+        """Make the drives of both axes, not connected yet."""
+
+    @abstractmethod
+    def count_commands(self) -> int:
+        """Return how often something was written to the drives so far that changes them."""
+
+    @abstractmethod
+    def silence(self) -> None:
+        """Make every drive fall silent, as if the cable were cut."""
+
+    @abstractmethod
+    def trip(self) -> None:
+        """Bring the drive of the first axis into its fault state."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """End the simulated drives."""
+
+
+class Connection:
+    """Drives of a rig, driven as the loop does it; closed at the end of the context."""
+
+    def __init__(self, rig: Rig, *, dry_run: bool = False, is_enabled: bool = False) -> None:
+        self.rig = rig
+        self._is_enabled = is_enabled
+        self.drives = rig.make_drives(dry_run=dry_run)
+        self.feedback = [Feedback() for _ in AXES]
+        self._commands = [Command() for _ in AXES]
+        self.facts: tuple[AxisFacts, ...] = ()
+
+    def __enter__(self) -> "Connection":
+        try:
+            self.facts = tuple(self.drives.connect())
+            self.drives.start()
+            if self._is_enabled:
+                self.enable()
+        except BaseException:
+            self.drives.close()
+            raise
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.drives.close()
+
+    @property
+    def states(self) -> list[DriveState]:
+        return [each.state for each in self.feedback]
+
+    def cycle(self, request: Request, *torques: float) -> None:
+        """One cycle: one torque for all axes, or one an axis."""
+        clock = self.rig.clock
+        clock.ns += round(PERIOD_S * 1e9)
+        # where nobody replies, the deadline has passed already: nothing waits
+        self.drives.receive(self.feedback, 0 if clock.is_real else clock.ns + round(PERIOD_S * 1e9))
+        for k, command in enumerate(self._commands):
+            command.request = request
+            command.position, command.velocity = self.feedback[k].position, 0.0
+            command.torque = torques[k % len(torques)] if torques else 0.0
+        self.drives.send(self._commands)
+
+    def cycles(self, count: int, request: Request, *torques: float) -> Iterator[list[Feedback]]:
+        for _ in range(count):
+            self.cycle(request, *torques)
+            yield self.feedback
+
+    def run(self, count: int, request: Request, *torques: float) -> None:
+        for _ in self.cycles(count, request, *torques):
+            pass
+
+    def enable(self) -> None:
+        for _ in self.cycles(100, Request.ENABLE):
+            if self.states == [DriveState.OPERATION_ENABLED] * len(AXES):
+                return
+        raise AssertionError(self.feedback)
+
+
+class InstalledRig(Rig):
+    """A rig of an installed driver and its counterpart, both by their entry points; the counterpart has a thread.
+
+    Parameters
+    ----------
+    driver : str
+        Name of both entry points.
+    axes : dict
+        For each axis, the driver's own keys.
+    """
+
+    def __init__(self, driver: str, axes: dict[str, dict[str, Any]], bus: dict[str, Any] | None = None) -> None:
+        base = {
+            "driver": driver,
+            "mode": "cst",
+            "limits": {"torque": 0.3, "velocity": 1000.0},
+            "model": {"axis": "rotary", "friction": PLANT["friction"], "mechanics": PLANT["mechanics"]},
+            "trajectory": {"kind": "none"},
+            "simulation": PLANT,
+        }
+        data = {
+            "version": 1,
+            "period_s": PERIOD_S,
+            **({"bus": bus} if bus else {}),
+            "axes": {name: {**base, **keys} for name, keys in axes.items()},
+        }
+        super().__init__(from_dict(data, "contract"))
+        self._driver = load_driver(driver, DRIVERS)
+        self.counterpart = load_driver(driver, SIMULATED_DRIVES)(
+            self.configuration, self.configuration.axes, pace="sync"
+        )
+        self.ready: str = self.counterpart.open()
+        self._is_stopping = threading.Event()
+        self._thread = threading.Thread(target=self.counterpart.run, args=(self._is_stopping.is_set,))
+        self._thread.start()
+
+    def make_drives(self, *, dry_run: bool = False) -> Drives:
+        config = self.configuration
+        drives: Drives = self._driver(config, config.axes, self.clock, dry_run=dry_run)
+        return drives
+
+    def silence(self) -> None:
+        self.stop()
+        self.clock.is_real = True  # in simulated time a driver would wait for replies
+
+    def stop(self) -> bool:
+        """End `run` of the counterpart; True when it has ended."""
+        self._is_stopping.set()
+        self._thread.join(60.0)
+        return not self._thread.is_alive()
+
+    def close(self) -> None:
+        self.stop()
+        self.counterpart.close()
+
+
+class CanRig(InstalledRig):
+    """CANopen drives on python-can's virtual bus."""
+
+    def __init__(self, folder: Path) -> None:
+        bus = {"interface": "virtual", "channel": str(folder)}
+        self._listener = can.Bus(interface="virtual", channel=str(folder))
+        self._count = 0
+        super().__init__("canopen", {"x": {"node": 1}, "y": {"node": 2}}, bus)
+
+    def count_commands(self) -> int:
+        while (message := self._listener.recv(0.0)) is not None:
+            self._count += _commands_can(message.arbitration_id, bytes(message.data))
+        return self._count
+
+    def trip(self) -> None:
+        """See `Rig.trip`."""
+        self.counterpart._nodes[0].drive.fault(0x2310, 0)
+
+    def close(self) -> None:
+        super().close()
+        self._listener.shutdown()
+
+
+def _commands_can(can_id: int, data: bytes) -> bool:
+    """True for what changes a drive: PDOs to it, SDO downloads and NMT, but for what makes it send feedback."""
+    if can_id == 0x000:
+        return data[0] != 0x01  # start
+    if 0x600 < can_id < 0x680:
+        index = struct.unpack_from("<H", data, 1)[0]
+        return data[0] & 0xE0 == 0x20 and not 0x1800 <= index < 0x1C00  # PDOs that the drive sends
+    return 0x200 <= can_id < 0x580 and (can_id & 0x80) == 0
+
+
+class SerialRig(InstalledRig):
+    """Drives on one line; what the driver's thread writes to it is taken apart by the protocol's grammar."""
+
+    def __init__(self, driver: str, port: str, axes: dict[str, dict[str, Any]], grammar: Any, patch: Any) -> None:
+        line = {"port": port, "baud": 4_000_000, "reply_limit_s": 0.05}
+        common = {"line": line, "is_watchdog_required": False}
+        super().__init__(driver, {name: {**common, **keys} for name, keys in axes.items()})
+        self._grammar = grammar
+        self._written = bytearray()
+        self._patch = patch
+        owner, write = threading.get_ident(), os.write
+
+        def tapped(descriptor: int, data: bytes) -> int:
+            count = write(descriptor, data)
+            if threading.get_ident() == owner:
+                self._written += bytes(data)[:count]
+            return count
+
+        patch.setattr(os, "write", tapped)
+
+    def count_commands(self) -> int:
+        return sum(self._grammar(bytes(self._written)))
+
+    def trip(self) -> None:
+        """See `Rig.trip`."""
+        (line,) = self.counterpart._lines
+        line._drives[0].fail()
+
+
+# Requests of each protocol, one after the other: True for those that change a drive.
+
+
+def modbus_rtu(data: bytes) -> Iterator[bool]:
+    """Requests of Modbus RTU."""
+    at = 0
+    while at < len(data):
+        function = data[at + 1]
+        yield function in (5, 6, 15, 16, 23)
+        if function == 23:
+            at += 13 + data[at + 10]
+        else:
+            at += 9 + data[at + 6] if function in (15, 16) else 8
+
+
+def modbus_tcp(data: bytes) -> Iterator[bool]:
+    """Requests of Modbus TCP."""
+    at = 0
+    while at < len(data):
+        yield data[at + 7] in (5, 6, 15, 16, 23)
+        at += 6 + int.from_bytes(data[at + 4 : at + 6], "big")
+
+
+def dynamixel(data: bytes) -> Iterator[bool]:
+    """Packets of Dynamixel protocol 2."""
+    at = 0
+    while at < len(data):
+        assert data[at : at + 4] == b"\xff\xff\xfd\x00"
+        yield data[at + 7] not in (0x01, 0x02, 0x82, 0x8A, 0x92, 0x9A)  # ping and the reads
+        at += 7 + int.from_bytes(data[at + 5 : at + 7], "little")
+
+
+def odrive(data: bytes) -> Iterator[bool]:
+    """Lines of ODrive's ASCII protocol."""
+    for line in data.split(b"\n"):
+        if line.strip():
+            yield not line.startswith((b"r ", b"f "))
