@@ -8,12 +8,11 @@ import pytest
 from friction_hil_drivers.modbus.codec import Request
 from friction_hil_drivers.modbus.framing import TcpFraming
 from friction_hil_drivers.modbus.registers import Block, Place
-from friction_hil_drivers.serial_line.conversation import Conversation
-from friction_hil_drivers.serial_line.lane import attend
 from friction_hil_drivers.serial_line.line import Line
 from friction_hil_drivers.serial_line.options import LineOptions
 from friction_hil_drivers.serial_line.protocol import Image
-from friction_hil_drivers.serial_line.selector import LineSelector
+from friction_hil_drivers.serial_line.scheduler import BusScheduler
+from friction_hil_drivers.serial_line.waiting import LineSelector, run_schedulers
 
 REQUEST_SIZE = 12
 CYCLES, CYCLE_NS = 60, 10_000_000
@@ -55,17 +54,17 @@ def test_a_slave_that_was_late_once_is_not_late_for_ever(slave):
     """Neither side switches Nagle's algorithm off for the other: replies would stay one request behind."""
     line, image = Line(LineOptions.model_validate({"port": slave.port})), Image()
     read = Request(TcpFraming(), 1, image, read=Block("holding", 0, 1, (Place("position", "holding", 0, "uint16"),)))
-    talk = Conversation(line, [image], 0.0, 0.0)
+    scheduler = BusScheduler(line, [image], 0.0, 0.0)
     line.open()
 
     def answered(cycles):
         count = 0
         for _ in range(cycles):
             image.fresh.clear()
-            talk.ask((read,))
-            attend([talk], time.monotonic_ns() + CYCLE_NS, LineSelector())
+            scheduler.enqueue((read,))
+            run_schedulers([scheduler], time.monotonic_ns() + CYCLE_NS, LineSelector())
             count += "position" in image.fresh
-            talk.give_up()
+            scheduler.end_cycle()
         return count
 
     try:

@@ -178,7 +178,7 @@ class AsciiExchange:
             return ReplyError(f"{self._story(line)}: {meaning}", is_complete=True)
         # an error of a set-point to which nothing is replied comes unasked: the reply proper then follows
         before = ", or to what was sent before" if self._first.replies else ""
-        return ReplyError(f"{self._story(line)}{before}: {meaning}", is_unasked=True)
+        return ReplyError(f"{self._story(line)}{before}: {meaning}", is_unsolicited=True)
 
     def _story(self, line: bytes) -> str:
         return f"{shown(line)} came in reply to {shown(self._sent)}"

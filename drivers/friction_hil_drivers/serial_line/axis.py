@@ -11,7 +11,7 @@ from friction_hil.velocity import unwrap
 from friction_hil_drivers.cia402 import profile
 from friction_hil_drivers.serial_line.description import Description, Signal, Step
 from friction_hil_drivers.serial_line.protocol import COMMANDS, Image
-from friction_hil_drivers.serial_line.sequences import Sequencer, parting_writes, state_of, state_signals
+from friction_hil_drivers.serial_line.sequences import Sequencer, disable_writes, state_of, state_signals
 from friction_hil_drivers.serial_line.units import LINEAR, NEEDS, ROTARY, UNITS, AxisUnits
 
 _WANTED = {
@@ -166,9 +166,9 @@ class SerialAxis:
             self._told, self.state = told, state_of(self._description, values)
         return self.state
 
-    def parting(self) -> list[Mapping[str, float]]:
-        """All there is to write so that the drive is disabled."""
-        return parting_writes(self._description)
+    def disable_writes(self) -> list[Mapping[str, float]]:
+        """Return the values to write, in order, that disable the drive."""
+        return disable_writes(self._description)
 
     def _unwrapped(self, number: float) -> float:
         if self._position_bits is None:

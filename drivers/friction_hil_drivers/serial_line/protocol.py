@@ -22,14 +22,14 @@ class ReplyError(Exception):
     is_complete : bool
         The drive has said all it has to say (an exception code, an error text). Otherwise more may come, and the
         line has to fall silent before the next request.
-    is_unasked : bool
+    is_unsolicited : bool
         It is an error that may belong to a request before this one, to which nothing is replied otherwise.
     """
 
-    def __init__(self, message: str, *, is_complete: bool = False, is_unasked: bool = False) -> None:
+    def __init__(self, message: str, *, is_complete: bool = False, is_unsolicited: bool = False) -> None:
         super().__init__(message)
         self.is_complete = is_complete
-        self.is_unasked = is_unasked
+        self.is_unsolicited = is_unsolicited
 
 
 @dataclass(slots=True)
@@ -160,7 +160,7 @@ class Plan:
     """The exchanges of a cycle on one line."""
 
     poll: tuple[Exchange, ...]  # each cycle, before the computation
-    turns: tuple[Exchange, ...]  # one of them each cycle, after the poll
+    background: tuple[Exchange, ...]  # one of them each cycle, after the push
     push: tuple[Exchange, ...]  # each cycle, after the computation; none where the poll of the next cycle writes
 
 
