@@ -5,9 +5,9 @@ import threading
 import time
 
 import pytest
-from friction_hil_drivers.modbus.codec import Request
+from friction_hil_drivers.modbus.codec import ModbusExchange
 from friction_hil_drivers.modbus.framing import TcpFraming
-from friction_hil_drivers.modbus.registers import Block, Place
+from friction_hil_drivers.modbus.registers import RegisterBlock, RegisterField
 from friction_hil_drivers.serial_line.line import Line
 from friction_hil_drivers.serial_line.options import LineOptions
 from friction_hil_drivers.serial_line.protocol import Image
@@ -53,7 +53,12 @@ def slave():
 def test_a_slave_that_was_late_once_is_not_late_for_ever(slave):
     """Neither side switches Nagle's algorithm off for the other: replies would stay one request behind."""
     line, image = Line(LineOptions.model_validate({"port": slave.port})), Image()
-    read = Request(TcpFraming(), 1, image, read=Block("holding", 0, 1, (Place("position", "holding", 0, "uint16"),)))
+    read = ModbusExchange(
+        TcpFraming(),
+        1,
+        image,
+        read=RegisterBlock("holding", 0, 1, (RegisterField("position", "holding", 0, "uint16"),)),
+    )
     scheduler = BusScheduler(line, [image], 0.0, 0.0)
     line.open()
 

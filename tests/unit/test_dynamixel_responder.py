@@ -10,7 +10,7 @@ from friction_hil_drivers.dynamixel.options import DynamixelOptions
 from friction_hil_drivers.dynamixel.packets import Packets
 from friction_hil_drivers.dynamixel.responder import DynamixelResponder
 from friction_hil_drivers.serial_line.description import load_description
-from friction_hil_drivers.serial_line.protocol import Exchange, Image, ReplyError, Wanted
+from friction_hil_drivers.serial_line.protocol import CycleSignals, Exchange, Image, ReplyError
 from friction_hil_drivers.serial_line.sequences import state_of
 from friction_hil_drivers.serial_line.simulated import SimulatedDrive
 from friction_hil_drivers.serial_line.units import AxisUnits
@@ -22,7 +22,7 @@ from friction_hil.servo.config import ServoConfig
 from friction_hil.servo.servo import Servo
 from tests.serial_bench import PLAIN, STEPS_PER_MS
 
-WANTED = Wanted(("position", "velocity"), ("torque", "status", "error", "watchdog"), ("torque_command",))
+WANTED = CycleSignals(("position", "velocity"), ("torque", "status", "error", "watchdog"), ("torque_command",))
 READ_POSITION = "FF FF FD 00 01 07 00 02 84 00 04 00 1D 15"  # ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from friction_hil_drivers.serial_line import line_state
-from friction_hil_drivers.serial_line.line_state import Event, LineState, Permission, Reception, Timeliness
+from friction_hil_drivers.serial_line.line_state import LineEvent, LineState, Permission, Reception, Timeliness
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -28,7 +28,7 @@ def table(heading):
 @pytest.mark.parametrize(("names_drives", "column"), [(True, 2), (False, 3)])
 def test_the_documented_transitions_are_those_of_the_code(names_drives, column):
     documented = {
-        (STATES[row[0]], Event[row[1]]): STATES[row[column]]
+        (STATES[row[0]], LineEvent[row[1]]): STATES[row[column]]
         for row in table("| state | event | next state |")
         if row[column] != row[0]
     }
@@ -45,7 +45,7 @@ def test_the_documented_permissions_are_those_of_the_code(names_drives, index):
 
 def test_every_state_and_event_is_documented():
     text = README.read_text()
-    for name in (*STATES, *Event.__members__):
+    for name in (*STATES, *LineEvent.__members__):
         assert re.search(rf"`{name}`", text), name
 
 
@@ -55,23 +55,29 @@ def test_no_key_of_the_table_stands_for_two_states():
     assert not set(map(int, Reception)) & set(map(int, Timeliness))
 
 
-@given(st.booleans(), st.lists(st.sampled_from(Event)))
+@given(st.booleans(), st.lists(st.sampled_from(LineEvent)))
 def test_from_every_state_a_well_behaved_line_becomes_normal_again(names_drives, events):
     state = LineState(names_drives=names_drives)
     for event in events:
         state.apply(event)
-    for event in (Event.LINE_QUIET, Event.LAST_REPLY, Event.LINE_QUIET, Event.NO_REPLY_LATE, Event.ALL_ANSWERED):
+    for event in (
+        LineEvent.LINE_QUIET,
+        LineEvent.LAST_REPLY,
+        LineEvent.LINE_QUIET,
+        LineEvent.NO_REPLY_LATE,
+        LineEvent.ALL_ANSWERED,
+    ):
         state.apply(event)
     assert state.is_normal
     assert state.permission == Permission(*5 * (True,))
 
 
-@given(st.booleans(), st.lists(st.sampled_from(Event)))
+@given(st.booleans(), st.lists(st.sampled_from(LineEvent)))
 def test_commands_pass_in_every_state_but_while_a_line_becomes_quiet(names_drives, events):
     """A line that never becomes quiet must not keep a drive from being disabled."""
     state = LineState(names_drives=names_drives)
     for event in events:
         state.apply(event)
     if not state.permission.commands:
-        state.apply(Event.LINE_NEVER_QUIET)
+        state.apply(LineEvent.LINE_NEVER_QUIET)
     assert state.permission.commands

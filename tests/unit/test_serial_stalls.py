@@ -9,7 +9,7 @@ from friction_hil_drivers.ascii.drives import AsciiDrives
 from friction_hil_drivers.ascii.messages import Language
 from friction_hil_drivers.ascii.options import AsciiOptions
 from friction_hil_drivers.serial_line.description import load_description
-from friction_hil_drivers.serial_line.protocol import Image, Wanted
+from friction_hil_drivers.serial_line.protocol import CycleSignals, Image
 from friction_hil_drivers.serial_line.scheduler import BusScheduler
 from friction_hil_drivers.serial_line.wire import Batch
 from hypothesis import given, settings
@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from tests.serial_peers import MS, BenchLine, Time
 
 ODRIVE = load_description("odrive", None, AsciiDrives.descriptions, AsciiDescription)
-WANTED = Wanted(("position", "velocity"), ("torque", "status", "error"), ("torque_command",))
+WANTED = CycleSignals(("position", "velocity"), ("torque", "status", "error"), ("torque_command",))
 STEP_MS, CYCLE_MS, TURN_MS, ANSWER_MS, PIECE_MS = 0.1, 2.0, 0.3, 0.1, 0.4
 REPLY_LIMIT_S, REPLY_S = 8e-3, 3e-3
 MAX_MISSED = 10  # four tenths of that is the limit above

@@ -8,7 +8,7 @@ from friction_hil_drivers.ascii.description import AsciiDescription, covering
 from friction_hil_drivers.ascii.messages import CompiledMessage, Language, reader, take_line
 from friction_hil_drivers.ascii.options import AsciiOptions
 from friction_hil_drivers.ascii.template import AXIS
-from friction_hil_drivers.serial_line.protocol import Exchange, Image, Plan, ReplyError, Wanted, shown
+from friction_hil_drivers.serial_line.protocol import CycleSignals, Exchange, Image, Plan, ReplyError, shown
 
 
 class AsciiExchange:
@@ -253,7 +253,7 @@ class AsciiLine:
             for name, description in descriptions.items()
         }
 
-    def plan(self, wanted: Mapping[str, Wanted]) -> Plan:
+    def plan(self, wanted: Mapping[str, CycleSignals]) -> Plan:
         """Put a cycle together from as few exchanges as there can be, for the axes by name.
 
         Raises

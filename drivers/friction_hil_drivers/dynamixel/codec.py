@@ -20,8 +20,8 @@ from friction_hil_drivers.dynamixel.packets import (
     WRITE,
     Packets,
 )
-from friction_hil_drivers.dynamixel.table import Block, Place
-from friction_hil_drivers.serial_line.protocol import Exchange, Image, Plan, ReplyError, Single, Wanted, only
+from friction_hil_drivers.dynamixel.table import Item, ItemBlock
+from friction_hil_drivers.serial_line.protocol import CycleSignals, Exchange, Image, Plan, ReplyError, Single, only
 
 ALERT = 0x80  # beside the number of an error: something is in Hardware Error Status, which is a signal of its own
 # ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0, Status Packet
@@ -42,7 +42,7 @@ class Member:
 
     id: int
     image: Image
-    block: Block
+    block: ItemBlock
     has_fast_read: bool
 
     def __str__(self) -> str:
@@ -50,9 +50,9 @@ class Member:
 
     def put(self, data: bytes) -> None:
         """Put the bytes of the block into the image."""
-        first, places = self.block.address, self.block.places
-        numbers = [place.number(data[place.address - first : place.end - first]) for place in places]
-        self.image.put([place.name for place in places], numbers)
+        first, items = self.block.address, self.block.items
+        numbers = [item.number(data[item.address - first : item.end - first]) for item in items]
+        self.image.put([item.name for item in items], numbers)
 
 
 class _Request(Single):
@@ -226,7 +226,7 @@ class Read(_Request):
         self._order = order
         self._known_breaks = 0
         self._others: dict[frozenset[str], Exchange | None] = {}
-        self._place = _words(block.address, block.size)
+        self._span = _words(block.address, block.size)
         self._request = self._pack()
         self.request_size = len(self._request)
         self.reply_size = len(members) * (PREFIX + self._longest)
@@ -234,8 +234,8 @@ class Read(_Request):
     def _pack(self) -> bytes:
         servos = bytes(self._members)
         if len(servos) == 1:
-            return self._packets.pack(servos[0], READ, self._place)
-        return self._packets.pack(BROADCAST, SYNC_READ, self._place + servos)
+            return self._packets.pack(servos[0], READ, self._span)
+        return self._packets.pack(BROADCAST, SYNC_READ, self._span + servos)
 
     def encode(self) -> bytes:
         """Make the request."""
@@ -273,7 +273,7 @@ class FastRead(Read):
         self.reply_size = PREFIX + length
 
     def _pack(self) -> bytes:
-        return self._packets.pack(BROADCAST, FAST_SYNC_READ, self._place + bytes(self._members))
+        return self._packets.pack(BROADCAST, FAST_SYNC_READ, self._span + bytes(self._members))
 
     def encode(self) -> bytes:
         """Make the request."""
@@ -350,7 +350,7 @@ class SyncWrite(_Request):
         block = members[0].block
         super().__init__(packets, f"write {block}", members, 0)
         self.writes = _names(members)
-        self._place = _words(block.address, block.size)
+        self._span = _words(block.address, block.size)
         # no ID is FDh or FFh, so that what has to be stuffed lies within the data of one servo
         self.request_size = REQUEST_SIZE + 4 + len(members) * (1 + block.size + _stuffing(block.size))
 
@@ -362,7 +362,7 @@ class SyncWrite(_Request):
         ValueError
             A number is not finite.
         """
-        parts = [self._place]
+        parts = [self._span]
         for servo, member in self._members.items():
             parts += bytes((servo,)), _packed(member, self.what)
         return self._packets.pack(BROADCAST, SYNC_WRITE, b"".join(parts))
@@ -399,8 +399,8 @@ class DynamixelLine:
         self._options = options
         self._images = images
 
-    def plan(self, wanted: Mapping[str, Wanted]) -> Plan:
-        """Put a cycle together: what lies at the same place of several servos is one request.
+    def plan(self, wanted: Mapping[str, CycleSignals]) -> Plan:
+        """Put a cycle together: items at the same addresses of several servos are one request.
 
         What changes slowly is read with the rest where it lies beside it, else in turns.
         """
@@ -409,7 +409,7 @@ class DynamixelLine:
         commands: list[Member] = []
         for axis, needs in wanted.items():
             for member in self._members(axis, (*needs.fast, *needs.slow)):
-                is_fast = any(place.name in needs.fast for place in member.block.places)
+                is_fast = any(item.name in needs.fast for item in member.block.items)
                 (fast if is_fast else slow).append(member)
             commands += self._members(axis, needs.commands)
         poll = tuple(_read(self._packets, group, self._order) for group in _alike(fast))
@@ -447,7 +447,7 @@ def _read(packets: Packets, members: Sequence[Member], order: Order) -> Exchange
 
 
 def _alike(members: Sequence[Member]) -> list[list[Member]]:
-    """Group those of the same place and size: one request serves them."""
+    """Group those of the same item and size: one request serves them."""
     groups: dict[tuple[int, int], list[Member]] = {}
     for member in members:
         groups.setdefault((member.block.address, member.block.size), []).append(member)
@@ -455,8 +455,8 @@ def _alike(members: Sequence[Member]) -> list[list[Member]]:
 
 
 def _names(members: Sequence[Member]) -> tuple[str, ...]:
-    places: list[Place] = [place for member in members for place in member.block.places]
-    return tuple(dict.fromkeys(place.name for place in places))
+    items: list[Item] = [item for member in members for item in member.block.items]
+    return tuple(dict.fromkeys(item.name for item in items))
 
 
 def _packed(member: Member, what: str) -> bytes:

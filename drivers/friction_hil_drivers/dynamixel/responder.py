@@ -36,12 +36,12 @@ class _Servo:
 
     def __init__(self, drive: "SimulatedDrive", description: DynamixelDescription) -> None:
         self._drive = drive
-        self._places = [place for block in description.blocks(description.signals) for place in block.places]
+        self._items = [item for block in description.blocks(description.signals) for item in block.items]
 
     @property
     def alert(self) -> int:
         """Bit of the error field that says whether the servo has an error."""
-        has_error = any(place.name == "error" for place in self._places)
+        has_error = any(item.name == "error" for item in self._items)
         return ALERT if has_error and self._drive.read("error") else 0
 
     def fed(self) -> None:
@@ -57,12 +57,12 @@ class _Servo:
             Not all of them are anything.
         """
         end = address + size
-        there = [place for place in self._places if place.address < end and address < place.end]
-        if sum(min(place.end, end) - max(place.address, address) for place in there) != size or not size:
+        there = [item for item in self._items if item.address < end and address < item.end]
+        if sum(min(item.end, end) - max(item.address, address) for item in there) != size or not size:
             raise RequestError(ACCESS_ERROR)
-        if any(place.name == "position" for place in there):
+        if any(item.name == "position" for item in there):
             self._drive.sample()
-        data = b"".join(place.pack(self._drive.read(place.name)) for place in there)
+        data = b"".join(item.pack(self._drive.read(item.name)) for item in there)
         skipped = address - there[0].address
         return data[skipped : skipped + size]
 
@@ -75,15 +75,15 @@ class _Servo:
             They belong to nothing, do not fill what they belong to, or the drive refuses them.
         """
         end = address + len(data)
-        there = [place for place in self._places if place.address < end and address < place.end]
-        if any(place.address < address or place.end > end for place in there):
+        there = [item for item in self._items if item.address < end and address < item.end]
+        if any(item.address < address or item.end > end for item in there):
             raise RequestError(LENGTH_ERROR)
-        if sum(place.size for place in there) != len(data) or not data:
+        if sum(item.size for item in there) != len(data) or not data:
             raise RequestError(ACCESS_ERROR)
         try:
-            for place in there:
-                number = place.number(data[place.address - address : place.end - address])
-                self._drive.write(place.name, number)
+            for item in there:
+                number = item.number(data[item.address - address : item.end - address])
+                self._drive.write(item.name, number)
         except RefusedError:
             raise RequestError(RANGE_ERROR) from None
 

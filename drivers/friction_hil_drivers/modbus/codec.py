@@ -22,8 +22,9 @@ from pymodbus.pdu.register_message import (
 from friction_hil_drivers.modbus.description import ModbusDescription
 from friction_hil_drivers.modbus.framing import REFUSED, Framing, RtuFraming, TcpFraming
 from friction_hil_drivers.modbus.options import ModbusOptions
-from friction_hil_drivers.modbus.registers import BIT_TABLES, Block, Layout
-from friction_hil_drivers.serial_line.protocol import Image, Plan, ReplyError, Single, Wanted, only
+from friction_hil_drivers.modbus.registers import BIT_TABLES, Layout, RegisterBlock
+from friction_hil_drivers.serial_line.blocks import representable_numbers
+from friction_hil_drivers.serial_line.protocol import CycleSignals, Image, Plan, ReplyError, Single, only
 from friction_hil_drivers.serial_line.wire import character_s
 
 _SILENCE_CHARS = 3.5
@@ -48,7 +49,7 @@ EXCEPTIONS = {
 }
 
 
-class Request(Single):
+class ModbusExchange(Single):
     """A request to one drive and its reply; see `friction_hil_drivers.serial_line.protocol.Exchange`.
 
     Parameters
@@ -59,7 +60,7 @@ class Request(Single):
         Address of the drive.
     image : Image
         Filled by the reply; the numbers to write are in it.
-    read, write : Block or None
+    read, write : RegisterBlock or None
         What is read, what is written; both in one exchange are function 23.
     write_functions : sequence of int
         Functions for writing that the drive has.
@@ -71,8 +72,8 @@ class Request(Single):
         unit: int,
         image: Image,
         *,
-        read: Block | None = None,
-        write: Block | None = None,
+        read: RegisterBlock | None = None,
+        write: RegisterBlock | None = None,
         write_functions: Sequence[int] = (),
     ) -> None:
         self._framing = framing
@@ -148,10 +149,10 @@ class Request(Single):
         return True
 
 
-def _bits(block: Block, data: bytes) -> list[float]:
+def _bits(block: RegisterBlock, data: bytes) -> list[float]:
     response = ReadCoilsResponse()
     response.decode(data)
-    return [float(response.bits[place.address - block.address]) for place in block.places]
+    return [float(response.bits[field.address - block.address]) for field in block.fields]
 
 
 def _pdu(request: ModbusPDU) -> bytes:
@@ -161,7 +162,7 @@ def _pdu(request: ModbusPDU) -> bytes:
 _Writer = tuple[bytes, Callable[[Mapping[str, float]], bytes]]  # request for zeros, and what makes one for numbers
 
 
-def _writer(block: Block, functions: Sequence[int]) -> _Writer:
+def _writer(block: RegisterBlock, functions: Sequence[int]) -> _Writer:
     is_single = block.count == 1
     if block.table == "coil":
         return _coil_writer(
@@ -171,29 +172,25 @@ def _writer(block: Block, functions: Sequence[int]) -> _Writer:
     return _register_writer(_pdu(kind(address=block.address, registers=[0] * block.count)), block)
 
 
-def _both(read: Block, write: Block) -> _Writer:
+def _both(read: RegisterBlock, write: RegisterBlock) -> _Writer:
     zeros = [0] * write.count
     return _register_writer(
         _pdu(ReadWriteMultipleRegistersRequest(read.address, read.count, write.address, zeros)), write
     )
 
 
-def _register_writer(pdu: bytes, block: Block) -> _Writer:
+def _register_writer(pdu: bytes, block: RegisterBlock) -> _Writer:
     """What writes registers: in each of these requests they are the end, and all before them stays the same."""
     layout = Layout(block)
     head = pdu[: -layout.size]
     return pdu, lambda values: head + layout.pack(values)
 
 
-def _coil_writer(block: Block, kind: type[ModbusPDU]) -> _Writer:
+def _coil_writer(block: RegisterBlock, kind: type[ModbusPDU]) -> _Writer:
     def make(values: Mapping[str, float]) -> bytes:
         bits = [False] * block.count
-        for place in block.places:
-            try:
-                (bit,) = place.words(values[place.name])
-            except ValueError as error:
-                raise ValueError(f"{place.name}: {error}") from None
-            bits[place.address - block.address] = bool(bit)
+        for field, number in zip(block.fields, representable_numbers(block.fields, values), strict=True):
+            bits[field.address - block.address] = bool(number)
         return _pdu(kind(address=block.address, bits=bits))
 
     return make(dict.fromkeys(block.names, 0.0)), make
@@ -225,16 +222,16 @@ class ModbusLine:
         self.ahead_chars = 0
         self.silence_chars = 0.0 if line.is_tcp else max(_SILENCE_CHARS, silence_s / character_s(line))
 
-    def plan(self, wanted: Mapping[str, Wanted]) -> Plan:
+    def plan(self, wanted: Mapping[str, CycleSignals]) -> Plan:
         """Put a cycle together from as few requests as there can be, for the axes by name.
 
         Slow signals are read with the fast ones where that costs no request. Where the drive has function 23, all
         commands are written in the poll: those that find no read to ride with, in requests of their own after it,
         so that commands of one computation stay together.
         """
-        poll: list[Request] = []
-        turns: list[Request] = []
-        push: list[Request] = []
+        poll: list[ModbusExchange] = []
+        turns: list[ModbusExchange] = []
+        push: list[ModbusExchange] = []
         for axis, needs in wanted.items():
             description = self._descriptions[axis]
             fast, slow = _reads(description, needs)
@@ -249,8 +246,8 @@ class ModbusLine:
                 push += [self._request(axis, write=block) for block in writes]
         return Plan(tuple(poll), tuple(turns), tuple(push))
 
-    def read(self, axis: str, names: Sequence[str]) -> Request:
-        """Request that reads some signals of an axis.
+    def read(self, axis: str, names: Sequence[str]) -> ModbusExchange:
+        """ModbusExchange that reads some signals of an axis.
 
         Raises
         ------
@@ -259,8 +256,8 @@ class ModbusLine:
         """
         return self._request(axis, read=only(self._descriptions[axis].read_blocks(tuple(names)), "read", names))
 
-    def write(self, axis: str, names: Sequence[str]) -> Request:
-        """Request that writes some signals of an axis.
+    def write(self, axis: str, names: Sequence[str]) -> ModbusExchange:
+        """ModbusExchange that writes some signals of an axis.
 
         Raises
         ------
@@ -269,8 +266,10 @@ class ModbusLine:
         """
         return self._request(axis, write=only(self._descriptions[axis].write_blocks(tuple(names)), "write", names))
 
-    def _request(self, axis: str, read: Block | None = None, write: Block | None = None) -> Request:
-        return Request(
+    def _request(
+        self, axis: str, read: RegisterBlock | None = None, write: RegisterBlock | None = None
+    ) -> ModbusExchange:
+        return ModbusExchange(
             self._framing,
             self._options[axis].unit,
             self._images[axis],
@@ -280,7 +279,7 @@ class ModbusLine:
         )
 
 
-def _reads(description: ModbusDescription, needs: Wanted) -> tuple[list[Block], list[Block]]:
+def _reads(description: ModbusDescription, needs: CycleSignals) -> tuple[list[RegisterBlock], list[RegisterBlock]]:
     """Blocks to be read in every cycle, and those to be read in turns."""
     slow_names = tuple(name for name in needs.slow if name not in needs.fast)
     together = description.read_blocks((*needs.fast, *slow_names))

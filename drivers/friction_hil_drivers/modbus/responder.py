@@ -15,7 +15,7 @@ from friction_hil.velocity import unwrap
 from friction_hil_drivers.modbus.description import ModbusDescription
 from friction_hil_drivers.modbus.framing import REFUSED
 from friction_hil_drivers.modbus.options import ModbusOptions
-from friction_hil_drivers.modbus.registers import Place, Table
+from friction_hil_drivers.modbus.registers import RegisterField, Table
 from friction_hil_drivers.serial_line.simulated.drive import RefusedError, RequestError
 
 if TYPE_CHECKING:
@@ -48,11 +48,11 @@ class _RegisterSpace:
     def __init__(self, drive: "SimulatedDrive", description: ModbusDescription) -> None:
         self._drive = drive
         self._description = description
-        self._at: dict[tuple[Table, int], tuple[Place, int]] = {}  # signal there, and which of its registers
+        self._at: dict[tuple[Table, int], tuple[RegisterField, int]] = {}  # signal there, and which of its registers
         for name in description.signals:
-            place = description.place(name)
-            for k in range(place.end - place.address):
-                self._at[place.table, place.address + k] = place, k
+            field = description.field(name)
+            for k in range(field.end - field.address):
+                self._at[field.table, field.address + k] = field, k
         tables = {table for table, _ in self._at}
         self._functions = {function for function, table in _READS.items() if table in tables or table == "holding"}
         self._functions |= {f for f in description.write_functions if _WRITES[f] in tables}
@@ -103,7 +103,7 @@ class _RegisterSpace:
         if not 0 < given == count <= self._description.max_write_registers or not byte_count == sent == 2 * count:
             raise RequestError(ILLEGAL_VALUE)
 
-    def _found(self, table: Table, address: int, count: int) -> list[tuple[Place, int] | None]:
+    def _found(self, table: Table, address: int, count: int) -> list[tuple[RegisterField, int] | None]:
         """What lies at these addresses; None where nothing is and a real drive would not mind.
 
         Raises
@@ -114,50 +114,50 @@ class _RegisterSpace:
         description = self._description
         if table in ("holding", "input") and not 0 < count <= description.max_read_registers:
             raise RequestError(ILLEGAL_VALUE)
-        found = list(self._places(table, address, count))
+        found = list(self._fields(table, address, count))
         minds = description.max_gap_registers == 0 and description.alignment == 1
         if not any(found) or (minds and not all(found)):
             raise RequestError(ILLEGAL_ADDRESS)
         return found
 
-    def _places(self, table: Table, address: int, count: int) -> Iterator[tuple[Place, int] | None]:
+    def _fields(self, table: Table, address: int, count: int) -> Iterator[tuple[RegisterField, int] | None]:
         alignment = self._description.alignment
         if address % alignment or count % alignment:
             raise RequestError(ILLEGAL_ADDRESS)
         for k in range(count):
             yield self._at.get((table, address + k))
 
-    def _sample(self, found: Sequence[tuple[Place, int] | None]) -> None:
+    def _sample(self, found: Sequence[tuple[RegisterField, int] | None]) -> None:
         if any(entry is not None and entry[0].name == "position" for entry in found):
             self._drive.sample()
 
-    def _words(self, found: Sequence[tuple[Place, int] | None]) -> list[int]:
-        places = {entry[0].name: entry[0] for entry in found if entry is not None}
-        words = {name: place.words(self._drive.read(name)) for name, place in places.items()}
+    def _words(self, found: Sequence[tuple[RegisterField, int] | None]) -> list[int]:
+        fields = {entry[0].name: entry[0] for entry in found if entry is not None}
+        words = {name: field.words(self._drive.read(name)) for name, field in fields.items()}
         return [0 if entry is None else words[entry[0].name][entry[1]] for entry in found]
 
     def _write(self, table: Table, address: int, words: Sequence[int]) -> None:
-        found = list(self._places(table, address, len(words)))
+        found = list(self._fields(table, address, len(words)))
         if not any(found) or (self._description.alignment == 1 and not all(found)):
             raise RequestError(ILLEGAL_ADDRESS)
         for entry, word in zip(found, words, strict=True):
             if entry is not None:
                 self._write_word(*entry, word)
 
-    def _write_word(self, place: Place, k: int, word: int) -> None:
+    def _write_word(self, field: RegisterField, k: int, word: int) -> None:
         """Take one register; a number of two takes effect with the second."""
-        if place.name not in self._half_written:
-            self._half_written[place.name] = place.words(self._drive.read(place.name))
-        words = self._half_written[place.name]
+        if field.name not in self._half_written:
+            self._half_written[field.name] = field.words(self._drive.read(field.name))
+        words = self._half_written[field.name]
         words[k] = word
         if k < len(words) - 1:
             return
-        del self._half_written[place.name]
+        del self._half_written[field.name]
         try:
-            number = place.number(words)
+            number = field.number(words)
             if not math.isfinite(number):
-                raise RefusedError(f"{place.name} cannot be {number}")
-            self._drive.write(place.name, self._unwrapped(number) if place.name == "position_command" else number)
+                raise RefusedError(f"{field.name} cannot be {number}")
+            self._drive.write(field.name, self._unwrapped(number) if field.name == "position_command" else number)
         except RefusedError:
             raise RequestError(ILLEGAL_VALUE) from None
 

@@ -23,7 +23,7 @@ _STATUS_LOSS_S = 0.5  # without having heard the state that long, nobody knows i
 
 
 @dataclass(frozen=True, slots=True)
-class Scales:
+class SignalScales:
     """SI value of one in the drive's numbers, by signal; negative where the axis is turned round."""
 
     of: Mapping[str, float]
@@ -49,7 +49,7 @@ def _scaled(description: Description) -> dict[str, Signal]:
     return {name: signal for name, signal in description.units().items() if name in known}
 
 
-def make_scales(axis: str, description: Description, units: AxisUnits, *, kind: str, is_inverted: bool) -> Scales:
+def make_scales(axis: str, description: Description, units: AxisUnits, *, kind: str, is_inverted: bool) -> SignalScales:
     """Scales of a drive on one axis.
 
     Raises
@@ -65,7 +65,7 @@ def make_scales(axis: str, description: Description, units: AxisUnits, *, kind: 
         if not (math.isfinite(scale) and scale):
             raise OptionError(axis, "description", f"one of {name} would be {scale:g}: no scale of a drive is that")
         scales[name] = -scale if is_inverted else scale
-    return Scales(scales, description.units()["position"].counter_bits)
+    return SignalScales(scales, description.units()["position"].counter_bits)
 
 
 class SerialAxis:
@@ -75,7 +75,7 @@ class SerialAxis:
     ----------
     name : str
     description : Description
-    scales : Scales
+    scales : SignalScales
     image : Image
         Filled and read by the exchanges on the line.
     commands : sequence of str
@@ -88,7 +88,7 @@ class SerialAxis:
         self,
         name: str,
         description: Description,
-        scales: Scales,
+        scales: SignalScales,
         image: Image,
         commands: tuple[str, ...],
         before: Sequence[Step] = (),

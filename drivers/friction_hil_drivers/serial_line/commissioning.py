@@ -12,12 +12,12 @@ from friction_hil.drive import AxisFacts, DriveState
 from friction_hil.errors import DriveError, OptionError
 from friction_hil.findings import Finding
 from friction_hil_drivers.serial_line import ports
-from friction_hil_drivers.serial_line.axis import Scales, SerialAxis, make_scales
+from friction_hil_drivers.serial_line.axis import SerialAxis, SignalScales, make_scales
 from friction_hil_drivers.serial_line.bus import SerialBus
 from friction_hil_drivers.serial_line.description import Description, Step, load_description
 from friction_hil_drivers.serial_line.line import Line
 from friction_hil_drivers.serial_line.options import SerialOptions
-from friction_hil_drivers.serial_line.protocol import FAST, SLOW, Exchange, Image, Plan, ProtocolFactory, Wanted
+from friction_hil_drivers.serial_line.protocol import FAST, SLOW, CycleSignals, Exchange, Image, Plan, ProtocolFactory
 from friction_hil_drivers.serial_line.scheduler import BusScheduler
 from friction_hil_drivers.serial_line.sequences import state_signals, watchdog_steps
 from friction_hil_drivers.serial_line.wire import character_s, check_rate, wire_s
@@ -93,8 +93,8 @@ class Commissioning:
             )
             fast = tuple(signal for signal in FAST if signal in signals)
             slow = tuple(signal for signal in signals if signal in (*SLOW, *state_signals(description)))
-            wanted[name] = Wanted(fast, slow, mode.commands)
-            heard[name] = Wanted(fast, slow, ())
+            wanted[name] = CycleSignals(fast, slow, mode.commands)
+            heard[name] = CycleSignals(fast, slow, ())
             before = (*mode.prepare, *self._watchdog_steps(name, description))
             axes.append(SerialAxis(name, description, scales, images[name], mode.commands, before))
             self._check_counter(name, scales)
@@ -140,7 +140,7 @@ class Commissioning:
             )
         return options.reply_limit_s
 
-    def _check_counter(self, axis: str, scales: Scales) -> None:
+    def _check_counter(self, axis: str, scales: SignalScales) -> None:
         """See that a counter cannot go half round while feedback is bridged."""
         if scales.position_bits is None:
             return

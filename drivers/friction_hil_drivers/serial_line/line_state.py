@@ -31,7 +31,7 @@ class Timeliness(IntEnum):
 State = Reception | Timeliness
 
 
-class Event(IntEnum):
+class LineEvent(IntEnum):
     """Something that may change the state."""
 
     REPLY = 0  # a valid reply; replies to other requests are still outstanding
@@ -49,42 +49,42 @@ class Event(IntEnum):
     ALL_ANSWERED = 12  # no drive is left that did not answer the last request to it
 
 
-TRANSITIONS: Final[dict[tuple[State, Event], State]] = {
-    (Reception.IN_SYNC, Event.LAST_REPLY_BROKEN): Reception.DISCARDING,
-    (Reception.IN_SYNC, Event.LATE_REPLY_BROKEN): Reception.DISCARDING,
-    (Reception.OUT_OF_SYNC, Event.LAST_REPLY): Reception.DISCARDING,
-    (Reception.OUT_OF_SYNC, Event.LAST_REPLY_BROKEN): Reception.DISCARDING_OUT_OF_SYNC,
-    (Reception.OUT_OF_SYNC, Event.LATE_REPLY_BROKEN): Reception.DISCARDING_OUT_OF_SYNC,
-    (Reception.NOISY, Event.REPLY): Reception.IN_SYNC,
-    (Reception.NOISY, Event.LAST_REPLY): Reception.IN_SYNC,
-    (Reception.NOISY, Event.LAST_REPLY_BROKEN): Reception.DISCARDING_NOISY,
-    (Reception.NOISY, Event.LATE_REPLY_BROKEN): Reception.DISCARDING_NOISY,
-    (Reception.DISCARDING, Event.LINE_QUIET): Reception.IN_SYNC,
-    (Reception.DISCARDING, Event.LINE_NEVER_QUIET): Reception.NOISY,
-    (Reception.DISCARDING, Event.LINE_LOST): Reception.IN_SYNC,
-    (Reception.DISCARDING_OUT_OF_SYNC, Event.LINE_QUIET): Reception.OUT_OF_SYNC,
-    (Reception.DISCARDING_OUT_OF_SYNC, Event.LINE_NEVER_QUIET): Reception.NOISY,
-    (Reception.DISCARDING_OUT_OF_SYNC, Event.LINE_LOST): Reception.OUT_OF_SYNC,
-    (Reception.DISCARDING_NOISY, Event.LINE_QUIET): Reception.IN_SYNC,
-    (Reception.DISCARDING_NOISY, Event.LINE_NEVER_QUIET): Reception.NOISY,
-    (Reception.DISCARDING_NOISY, Event.LINE_LOST): Reception.NOISY,
-    (Timeliness.ON_TIME, Event.REPLY_OVERDUE): Timeliness.LATE,
-    (Timeliness.ON_TIME, Event.REPLY_MISSED): Timeliness.SILENT,
-    (Timeliness.SILENT, Event.REPLY_OVERDUE): Timeliness.LATE,
-    (Timeliness.SILENT, Event.ALL_ANSWERED): Timeliness.ON_TIME,
-    (Timeliness.LATE, Event.NO_REPLY_LATE): Timeliness.SILENT,
+TRANSITIONS: Final[dict[tuple[State, LineEvent], State]] = {
+    (Reception.IN_SYNC, LineEvent.LAST_REPLY_BROKEN): Reception.DISCARDING,
+    (Reception.IN_SYNC, LineEvent.LATE_REPLY_BROKEN): Reception.DISCARDING,
+    (Reception.OUT_OF_SYNC, LineEvent.LAST_REPLY): Reception.DISCARDING,
+    (Reception.OUT_OF_SYNC, LineEvent.LAST_REPLY_BROKEN): Reception.DISCARDING_OUT_OF_SYNC,
+    (Reception.OUT_OF_SYNC, LineEvent.LATE_REPLY_BROKEN): Reception.DISCARDING_OUT_OF_SYNC,
+    (Reception.NOISY, LineEvent.REPLY): Reception.IN_SYNC,
+    (Reception.NOISY, LineEvent.LAST_REPLY): Reception.IN_SYNC,
+    (Reception.NOISY, LineEvent.LAST_REPLY_BROKEN): Reception.DISCARDING_NOISY,
+    (Reception.NOISY, LineEvent.LATE_REPLY_BROKEN): Reception.DISCARDING_NOISY,
+    (Reception.DISCARDING, LineEvent.LINE_QUIET): Reception.IN_SYNC,
+    (Reception.DISCARDING, LineEvent.LINE_NEVER_QUIET): Reception.NOISY,
+    (Reception.DISCARDING, LineEvent.LINE_LOST): Reception.IN_SYNC,
+    (Reception.DISCARDING_OUT_OF_SYNC, LineEvent.LINE_QUIET): Reception.OUT_OF_SYNC,
+    (Reception.DISCARDING_OUT_OF_SYNC, LineEvent.LINE_NEVER_QUIET): Reception.NOISY,
+    (Reception.DISCARDING_OUT_OF_SYNC, LineEvent.LINE_LOST): Reception.OUT_OF_SYNC,
+    (Reception.DISCARDING_NOISY, LineEvent.LINE_QUIET): Reception.IN_SYNC,
+    (Reception.DISCARDING_NOISY, LineEvent.LINE_NEVER_QUIET): Reception.NOISY,
+    (Reception.DISCARDING_NOISY, LineEvent.LINE_LOST): Reception.NOISY,
+    (Timeliness.ON_TIME, LineEvent.REPLY_OVERDUE): Timeliness.LATE,
+    (Timeliness.ON_TIME, LineEvent.REPLY_MISSED): Timeliness.SILENT,
+    (Timeliness.SILENT, LineEvent.REPLY_OVERDUE): Timeliness.LATE,
+    (Timeliness.SILENT, LineEvent.ALL_ANSWERED): Timeliness.ON_TIME,
+    (Timeliness.LATE, LineEvent.NO_REPLY_LATE): Timeliness.SILENT,
 }
 
 # Where replies do not tell which of several drives they are from, these rows apply in place of those above: a reply
 # that was lost or broken may still come, and would then be taken for that of another drive.
-ANONYMOUS_TRANSITIONS: Final[dict[tuple[State, Event], State]] = {
-    (Reception.IN_SYNC, Event.BROKEN_REPLY): Reception.OUT_OF_SYNC,
-    (Reception.IN_SYNC, Event.LAST_REPLY_BROKEN): Reception.DISCARDING_OUT_OF_SYNC,
-    (Reception.IN_SYNC, Event.LATE_REPLY_EXPIRED): Reception.OUT_OF_SYNC,
-    (Reception.NOISY, Event.REPLY): Reception.OUT_OF_SYNC,
-    (Reception.NOISY, Event.LAST_REPLY): Reception.DISCARDING,
-    (Reception.DISCARDING, Event.LATE_REPLY_EXPIRED): Reception.DISCARDING_OUT_OF_SYNC,
-    (Reception.DISCARDING_NOISY, Event.LINE_QUIET): Reception.OUT_OF_SYNC,
+ANONYMOUS_TRANSITIONS: Final[dict[tuple[State, LineEvent], State]] = {
+    (Reception.IN_SYNC, LineEvent.BROKEN_REPLY): Reception.OUT_OF_SYNC,
+    (Reception.IN_SYNC, LineEvent.LAST_REPLY_BROKEN): Reception.DISCARDING_OUT_OF_SYNC,
+    (Reception.IN_SYNC, LineEvent.LATE_REPLY_EXPIRED): Reception.OUT_OF_SYNC,
+    (Reception.NOISY, LineEvent.REPLY): Reception.OUT_OF_SYNC,
+    (Reception.NOISY, LineEvent.LAST_REPLY): Reception.DISCARDING,
+    (Reception.DISCARDING, LineEvent.LATE_REPLY_EXPIRED): Reception.DISCARDING_OUT_OF_SYNC,
+    (Reception.DISCARDING_NOISY, LineEvent.LINE_QUIET): Reception.OUT_OF_SYNC,
 }
 
 
@@ -143,7 +143,7 @@ class LineState:
         self.timeliness = Timeliness.ON_TIME
         self._update()
 
-    def apply(self, event: Event) -> None:
+    def apply(self, event: LineEvent) -> None:
         """Change the state as the table says; an event without a row for the present state changes nothing."""
         for state in (self.reception, self.timeliness):
             following = self._transitions.get((state, event))

@@ -147,7 +147,7 @@ def shown(data: bytes | bytearray) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
+class CycleSignals:
     """What a cycle of one axis needs, by names of signals."""
 
     fast: tuple[str, ...]  # to be read in every cycle
@@ -172,7 +172,7 @@ class LineProtocol(Protocol):
     names_drives: bool  # a reply tells which of the drives it is from
     ahead_chars: int  # of requests that the drives take in before they answer the first; 0: one at a time
 
-    def plan(self, wanted: Mapping[str, Wanted]) -> Plan:
+    def plan(self, wanted: Mapping[str, CycleSignals]) -> Plan:
         """Put a cycle together from as few exchanges as there can be, for the axes by name."""
         ...
 

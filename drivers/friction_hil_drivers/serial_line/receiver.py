@@ -8,7 +8,7 @@ for as long as a reply takes: drives answer in order, so that all older replies 
 from collections import deque
 from collections.abc import Callable, Sequence
 
-from friction_hil_drivers.serial_line.line_state import Event, LineState
+from friction_hil_drivers.serial_line.line_state import LineEvent, LineState
 from friction_hil_drivers.serial_line.protocol import Exchange, Image, ReplyError, shown
 from friction_hil_drivers.serial_line.replies import LateReplies, Refusals
 
@@ -73,9 +73,10 @@ class ReplyReceiver:
         """Take the replies that are complete, in the order of the requests."""
         outstanding, received, refusals, state = self.outstanding, self._received, self.refusals, self.state
         while outstanding and received:
-            exchange = outstanding[0]
+            exchange, is_normal = outstanding[0], state.is_normal
             try:
-                if not (exchange.take(received) if state.permission.replies_used else self._take_unused(exchange)):
+                is_used = is_normal or state.permission.replies_used
+                if not (exchange.take(received) if is_used else self._take_unused(exchange)):
                     return
             except ReplyError as error:
                 if self._note_refusal(error):  # the reply proper follows
@@ -83,7 +84,7 @@ class ReplyReceiver:
                 self._note_error(exchange, error)
             else:
                 self._unread_chars = 0
-                if self._callbacks or not state.is_normal or refusals.count:
+                if self._callbacks or not is_normal or refusals.count:
                     self._note_reply(exchange)
                 if refusals.unconfirmed or refusals.is_refused:
                     refusals.note_reply(exchange)
@@ -100,7 +101,7 @@ class ReplyReceiver:
         if not error.is_complete:
             # where another reply follows, it is found in what is left of this one
             is_last = len(self.outstanding) == 1
-            self._apply(Event.LAST_REPLY_BROKEN if is_last else Event.BROKEN_REPLY, self._min_discard_ns)
+            self._apply(LineEvent.LAST_REPLY_BROKEN if is_last else LineEvent.BROKEN_REPLY, self._min_discard_ns)
 
     def _note_reply(self, exchange: Exchange) -> None:
         """Handle a valid reply while anything is out of the ordinary."""
@@ -108,7 +109,7 @@ class ReplyReceiver:
         if not self.state.permission.replies_used:
             callback = None
             self.last_error = f"{exchange.what}: the reply may have been one to an earlier request"
-        self._apply(Event.LAST_REPLY if len(self.outstanding) == 1 else Event.REPLY, self._stale_ns)
+        self._apply(LineEvent.LAST_REPLY if len(self.outstanding) == 1 else LineEvent.REPLY, self._stale_ns)
         self._late.note_answer(exchange)
         self._note_all_answered()
         self.refusals.note_accepted((exchange,))
@@ -117,9 +118,9 @@ class ReplyReceiver:
 
     def _note_all_answered(self) -> None:
         if not self._late.silent:
-            self.state.apply(Event.ALL_ANSWERED)
+            self.state.apply(LineEvent.ALL_ANSWERED)
 
-    def _apply(self, event: Event, discard_ns: int) -> None:
+    def _apply(self, event: LineEvent, discard_ns: int) -> None:
         """Change the state; if that begins to drop bytes, do so until the line was quiet for ``discard_ns``."""
         self.state.apply(event)
         if self.state.is_discarding:
@@ -130,9 +131,9 @@ class ReplyReceiver:
         """Drop what belongs to a broken reply, for as long as it comes."""
         self._received.clear()
         if now >= self._received_ns + self._discard_ns:
-            self.state.apply(Event.LINE_QUIET)
+            self.state.apply(LineEvent.LINE_QUIET)
         elif now >= self._discard_end_ns:
-            self.state.apply(Event.LINE_NEVER_QUIET)
+            self.state.apply(LineEvent.LINE_NEVER_QUIET)
 
     def _take_unused(self, exchange: Exchange) -> bool:
         """Take a reply without using its contents; return True if it was complete."""
@@ -161,15 +162,15 @@ class ReplyReceiver:
                 is_complete = False
                 if not self._note_refusal(error):
                     # broken, or of another drive that is late: this one's reply is still expected
-                    self._apply(Event.LATE_REPLY_BROKEN, self._min_discard_ns)
+                    self._apply(LineEvent.LATE_REPLY_BROKEN, self._min_discard_ns)
                     self.last_error = f"late, {exchange.what}: {error}"
             if is_complete:
                 del late.expected[0]
                 self._quiet_until_ns = now + self._silence_ns
         if late.drop_expired(now):
-            self.state.apply(Event.LATE_REPLY_EXPIRED)
+            self.state.apply(LineEvent.LATE_REPLY_EXPIRED)
         if not late.expected:
-            self.state.apply(Event.NO_REPLY_LATE)
+            self.state.apply(LineEvent.NO_REPLY_LATE)
             self._note_all_answered()
 
     def _take_unsolicited(self) -> None:
@@ -190,5 +191,5 @@ class ReplyReceiver:
         """Go on without the outstanding replies; they may still come."""
         if self._reply_limit_ns and self.outstanding:
             self._late.expect(self.outstanding, self._sent_ns + self._reply_limit_ns)
-            self.state.apply(Event.REPLY_OVERDUE)
+            self.state.apply(LineEvent.REPLY_OVERDUE)
         self.outstanding.clear()

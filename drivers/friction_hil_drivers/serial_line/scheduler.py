@@ -17,7 +17,7 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from enum import IntEnum
 
 from friction_hil_drivers.serial_line.line import Line, LineGoneError
-from friction_hil_drivers.serial_line.line_state import Event, Timeliness
+from friction_hil_drivers.serial_line.line_state import LineEvent, Timeliness
 from friction_hil_drivers.serial_line.protocol import Exchange, Image
 from friction_hil_drivers.serial_line.receiver import ReplyReceiver
 from friction_hil_drivers.serial_line.wire import Batch, character_s
@@ -150,7 +150,8 @@ class BusScheduler(ReplyReceiver):
             self._lose_line(gone)
             return True
         self.outstanding.extend(batch.answered)
-        self.refusals.unconfirmed.extend(batch.refusable)
+        if batch.refusable:
+            self.refusals.unconfirmed.extend(batch.refusable)
         return True
 
     def poll(self, *, is_ready: bool = False) -> None:
@@ -208,7 +209,7 @@ class BusScheduler(ReplyReceiver):
             self.last_error = f"{self.outstanding[0].what}: no reply in time"
             self._late.note_silent(self.outstanding)
             if not self._reply_limit_ns:
-                self.state.apply(Event.REPLY_MISSED)
+                self.state.apply(LineEvent.REPLY_MISSED)
             self._expect_late()
             self.line.acknowledge()
 
@@ -345,7 +346,7 @@ class BusScheduler(ReplyReceiver):
         self._received.clear()
         self._expect_late()  # a converter in between may keep them until the line is back
         self.refusals.unconfirmed.clear()
-        self.state.apply(Event.LINE_LOST)
+        self.state.apply(LineEvent.LINE_LOST)
         self._next_reopen_ns = self._now_ns() + _REOPEN_NS
 
     def _reopen(self) -> None:
