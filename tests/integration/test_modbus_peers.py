@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import yaml
 from friction_hil_drivers.modbus.description import DESCRIPTIONS
-from friction_hil_drivers.modbus.drives import ModbusDrives
+from friction_hil_drivers.modbus.driver import ModbusDrives
 
 import friction_hil as fh
 from friction_hil.config import load

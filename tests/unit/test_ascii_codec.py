@@ -6,8 +6,8 @@ from collections.abc import Mapping
 import pytest
 from friction_hil_drivers.ascii import DESCRIPTIONS
 from friction_hil_drivers.ascii.checksum import Checker
-from friction_hil_drivers.ascii.codec import AsciiLine
 from friction_hil_drivers.ascii.description import AsciiDescription
+from friction_hil_drivers.ascii.driver import AsciiLine
 from friction_hil_drivers.ascii.messages import sealer
 from friction_hil_drivers.ascii.options import AsciiOptions
 from friction_hil_drivers.serial_line.description import ready

@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 from friction_hil_drivers.ascii import DESCRIPTIONS
-from friction_hil_drivers.ascii.codec import AsciiLine
 from friction_hil_drivers.ascii.description import AsciiDescription
+from friction_hil_drivers.ascii.driver import AsciiLine
 from friction_hil_drivers.ascii.options import AsciiOptions
-from friction_hil_drivers.ascii.responder import AsciiResponder
+from friction_hil_drivers.ascii.simulated import AsciiResponder
 from friction_hil_drivers.serial_line.description import ready
 from friction_hil_drivers.serial_line.protocol import CycleSignals, Exchange, Image
 from friction_hil_drivers.serial_line.sequences import Sequencer, state_of

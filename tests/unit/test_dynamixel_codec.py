@@ -7,8 +7,8 @@ import sys
 
 import pytest
 from dynamixel_sdk import PacketHandler
-from friction_hil_drivers.dynamixel.codec import DynamixelLine
 from friction_hil_drivers.dynamixel.description import DynamixelDescription
+from friction_hil_drivers.dynamixel.driver import DynamixelLine
 from friction_hil_drivers.dynamixel.options import DynamixelOptions
 from friction_hil_drivers.dynamixel.packets import HEADER, Packets
 from friction_hil_drivers.dynamixel.table import Item

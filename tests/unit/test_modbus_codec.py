@@ -6,8 +6,9 @@ import math
 import struct
 
 import pytest
-from friction_hil_drivers.modbus.codec import ModbusExchange, ModbusLine
+from friction_hil_drivers.modbus.codec import ModbusExchange
 from friction_hil_drivers.modbus.description import ModbusDescription
+from friction_hil_drivers.modbus.driver import ModbusLine
 from friction_hil_drivers.modbus.framing import RtuFraming, TcpFraming
 from friction_hil_drivers.modbus.options import ModbusOptions
 from friction_hil_drivers.modbus.registers import RegisterBlock, RegisterField

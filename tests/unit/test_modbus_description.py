@@ -6,8 +6,9 @@ from pathlib import Path
 from random import Random
 
 import pytest
-from friction_hil_drivers.modbus.codec import ModbusExchange, ModbusLine
+from friction_hil_drivers.modbus.codec import ModbusExchange
 from friction_hil_drivers.modbus.description import DESCRIPTIONS, ModbusDescription
+from friction_hil_drivers.modbus.driver import ModbusLine
 from friction_hil_drivers.modbus.options import ModbusOptions
 from friction_hil_drivers.serial_line.description import load_description, ready
 from friction_hil_drivers.serial_line.protocol import FAST, SLOW, CycleSignals, Image, Plan

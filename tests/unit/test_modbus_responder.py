@@ -4,10 +4,10 @@ import struct
 from typing import cast
 
 import pytest
-from friction_hil_drivers.modbus.codec import ModbusLine
 from friction_hil_drivers.modbus.description import ModbusDescription
+from friction_hil_drivers.modbus.driver import ModbusLine
 from friction_hil_drivers.modbus.options import ModbusOptions
-from friction_hil_drivers.modbus.responder import ModbusResponder
+from friction_hil_drivers.modbus.simulated import ModbusResponder
 from friction_hil_drivers.serial_line.protocol import CycleSignals, Image, ReplyError
 from friction_hil_drivers.serial_line.simulated.drive import RefusedError, SimulatedDrive
 from hypothesis import assume, given, settings

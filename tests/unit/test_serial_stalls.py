@@ -3,9 +3,8 @@
 from collections import deque
 
 import pytest
-from friction_hil_drivers.ascii.codec import AsciiLine
 from friction_hil_drivers.ascii.description import AsciiDescription
-from friction_hil_drivers.ascii.drives import AsciiDrives
+from friction_hil_drivers.ascii.driver import AsciiDrives, AsciiLine
 from friction_hil_drivers.ascii.messages import Language
 from friction_hil_drivers.ascii.options import AsciiOptions
 from friction_hil_drivers.serial_line.description import load_description

@@ -1,10 +1,8 @@
 """Dynamixel Protocol 2.0 as it is spoken on one line: requests made of commands, status packets put into images."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from friction_hil_drivers.dynamixel.description import DynamixelDescription
-from friction_hil_drivers.dynamixel.options import DynamixelOptions
 from friction_hil_drivers.dynamixel.packets import (
     BROADCAST,
     CRC,
@@ -21,7 +19,7 @@ from friction_hil_drivers.dynamixel.packets import (
     Packets,
 )
 from friction_hil_drivers.dynamixel.table import Item, ItemBlock
-from friction_hil_drivers.serial_line.protocol import CycleSignals, Exchange, Image, Plan, ReplyError, Single, only
+from friction_hil_drivers.serial_line.protocol import Exchange, Image, ReplyError, Single
 
 ALERT = 0x80  # beside the number of an error: something is in Hardware Error Status, which is a signal of its own
 # ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0, Status Packet
@@ -251,7 +249,7 @@ class Read(_Request):
         """Read the same of all other servos; made once for each choice of them."""
         if addressees not in self._others:
             rest = [member for servo, member in self._members.items() if str(servo) not in addressees]
-            self._others[addressees] = _read(self._packets, rest, self._order) if rest else None
+            self._others[addressees] = read_exchange(self._packets, rest, self._order) if rest else None
         return self._others[addressees]
 
 
@@ -368,86 +366,14 @@ class SyncWrite(_Request):
         return self._packets.pack(BROADCAST, SYNC_WRITE, b"".join(parts))
 
 
-class DynamixelLine:
-    """Dynamixel Protocol 2.0 to the axes on one line; see `friction_hil_drivers.serial_line.protocol.LineProtocol`.
-
-    Parameters
-    ----------
-    descriptions, options, images : mapping
-        Of the axes on this line, by name.
-
-    Raises
-    ------
-    UsageError
-        The vendor's SDK is not installed.
-    """
-
-    numbers_replies = False
-    names_drives = True
-    ahead_chars = 0
-    silence_chars = 0.0  # a header begins a packet, whatever was before
-
-    def __init__(
-        self,
-        descriptions: Mapping[str, DynamixelDescription],
-        options: Mapping[str, DynamixelOptions],
-        images: Mapping[str, Image],
-    ) -> None:
-        self._packets = Packets()
-        self._order = Order()
-        self._descriptions = descriptions
-        self._options = options
-        self._images = images
-
-    def plan(self, wanted: Mapping[str, CycleSignals]) -> Plan:
-        """Put a cycle together: items at the same addresses of several servos are one request.
-
-        What changes slowly is read with the rest where it lies beside it, else in turns.
-        """
-        fast: list[Member] = []
-        slow: list[Member] = []
-        commands: list[Member] = []
-        for axis, needs in wanted.items():
-            for member in self._members(axis, (*needs.fast, *needs.slow)):
-                is_fast = any(item.name in needs.fast for item in member.block.items)
-                (fast if is_fast else slow).append(member)
-            commands += self._members(axis, needs.commands)
-        poll = tuple(_read(self._packets, group, self._order) for group in _alike(fast))
-        turns = tuple(_read(self._packets, group, self._order) for group in _alike(slow))
-        return Plan(poll, turns, tuple(SyncWrite(self._packets, group) for group in _alike(commands)))
-
-    def read(self, axis: str, names: Sequence[str]) -> Read:
-        """Request that reads some signals of an axis.
-
-        Raises
-        ------
-        ValueError
-            One request cannot read them all.
-        """
-        return Read(self._packets, [only(self._members(axis, names), "read", names)], self._order)
-
-    def write(self, axis: str, names: Sequence[str]) -> Write:
-        """Request that writes some signals of an axis.
-
-        Raises
-        ------
-        ValueError
-            One request cannot write them all.
-        """
-        return Write(self._packets, only(self._members(axis, names), "write", names))
-
-    def _members(self, axis: str, names: Sequence[str]) -> list[Member]:
-        servo, image, description = self._options[axis].id, self._images[axis], self._descriptions[axis]
-        return [Member(servo, image, block, description.fast_sync_read) for block in description.blocks(names)]
-
-
-def _read(packets: Packets, members: Sequence[Member], order: Order) -> Exchange:
+def read_exchange(packets: Packets, members: Sequence[Member], order: Order) -> Exchange:
+    """Return the exchange that reads the same bytes of some servos, as a fast one where all of them have that."""
     is_fast = len(members) > 1 and all(member.has_fast_read for member in members)
     return FastRead(packets, members, order) if is_fast else Read(packets, members, order)
 
 
-def _alike(members: Sequence[Member]) -> list[list[Member]]:
-    """Group those of the same item and size: one request serves them."""
+def alike(members: Sequence[Member]) -> list[list[Member]]:
+    """Group members whose blocks have the same address and size: one request serves each group."""
     groups: dict[tuple[int, int], list[Member]] = {}
     for member in members:
         groups.setdefault((member.block.address, member.block.size), []).append(member)
