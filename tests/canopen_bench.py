@@ -7,8 +7,8 @@ from typing import Any
 
 from friction_hil_drivers.canopen.eds import SIMULATED_SERVO
 from friction_hil_drivers.canopen.simulated.dictionary import Dictionary
-from friction_hil_drivers.canopen.simulated.drive import Drive
-from friction_hil_drivers.canopen.simulated.node import Node
+from friction_hil_drivers.canopen.simulated.drive import SimulatedCia402Drive
+from friction_hil_drivers.canopen.simulated.node import SimulatedNode
 
 from friction_hil.drive import Mode
 from friction_hil.servo.config import ServoConfig
@@ -39,10 +39,10 @@ class Bench:
     ) -> None:
         self.sent: list[Frame] = []
         self.servo = Servo(ServoConfig.model_validate(servo or {}), position)
-        self.node = Node(
+        self.node = SimulatedNode(
             NODE,
             Dictionary.from_eds(eds, NODE, missing),
-            lambda dictionary, emergencies: Drive(self.servo, dictionary, emergencies, modes),
+            lambda dictionary, emergencies: SimulatedCia402Drive(self.servo, dictionary, emergencies, modes),
             lambda can_id, data: self.sent.append((can_id, bytes(data))),
             sync_steps=STEPS_PER_MS if is_paced_by_sync else None,
             lock_steps=STEPS_PER_MS if is_locked else None,

@@ -119,7 +119,7 @@ class Word(Ask):
             return False
         name, _, number = head.decode().partition(" ")
         if name == "!":
-            raise ReplyError("the drive refuses", is_unasked=True)
+            raise ReplyError("the drive refuses", is_unsolicited=True)
         if len(name) != len(self.name):
             raise ReplyError(f"{name} in place of {self.name}")
         self.image.put((self.name,), (float(number),))
@@ -144,7 +144,7 @@ class Push(Single):
     def take(self, received: bytearray) -> bool:
         if (head := cut(received)) is None:
             return False
-        raise ReplyError("the drive refuses", is_unasked=head == b"!")
+        raise ReplyError("the drive refuses", is_unsolicited=head == b"!")
 
 
 class Tell(Push):

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 import yaml
 from friction_hil_drivers.modbus.description import DESCRIPTIONS
-from friction_hil_drivers.modbus.drives import ModbusDrives
+from friction_hil_drivers.modbus.driver import ModbusDrives
 
 import friction_hil as fh
 from friction_hil.config import load
@@ -280,8 +280,8 @@ def test_a_fault_of_a_drive_from_another_hand_is_told_and_reset(slave_program, t
         mbpoll = Mbpoll(port_in(configuration))
         cycles = Cycles(configuration).__enter__()
         cycles.pass_(Request.ENABLE, 0.0, count=20)
-        for lane in cycles.drives._lanes:
-            lane.conversation.line.close()  # as if the daemon had died
+        for bus in cycles.drives._buses:
+            bus.scheduler.line.close()  # as if the daemon had died
         wait_until(lambda: mbpoll.read(STATUS)[0] & 0x6F == 0x08, "the drive's watchdog")
         with Cycles(configuration) as again:
             again.pass_(Request.LISTEN)

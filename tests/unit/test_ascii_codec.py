@@ -6,12 +6,12 @@ from collections.abc import Mapping
 import pytest
 from friction_hil_drivers.ascii import DESCRIPTIONS
 from friction_hil_drivers.ascii.checksum import Checker
-from friction_hil_drivers.ascii.codec import AsciiLine
 from friction_hil_drivers.ascii.description import AsciiDescription
+from friction_hil_drivers.ascii.driver import AsciiLine
 from friction_hil_drivers.ascii.messages import sealer
 from friction_hil_drivers.ascii.options import AsciiOptions
 from friction_hil_drivers.serial_line.description import ready
-from friction_hil_drivers.serial_line.protocol import Exchange, Image, Plan, ReplyError, Wanted
+from friction_hil_drivers.serial_line.protocol import CycleSignals, Exchange, Image, Plan, ReplyError
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -80,7 +80,7 @@ def plan_of(description: AsciiDescription, mode: str | None, axis: str = "0") ->
     commands = description.modes[mode].commands if mode else ()  # type: ignore[index]
     slow = tuple(name for name in SLOW if name in description.signals)
     image.values.update(position_command=-2.0, velocity_command=3.25, torque_command=-0.125)
-    return line.plan({"x": Wanted(FAST, slow, commands)}), image
+    return line.plan({"x": CycleSignals(FAST, slow, commands)}), image
 
 
 def requests(exchanges: tuple[Exchange, ...]) -> list[bytes]:
@@ -101,7 +101,7 @@ def xored(text: bytes) -> bytes:
 def test_an_odrive_is_asked_for_its_feedback_and_commanded_as_its_manual_says() -> None:
     plan, _ = plan_of(ODRIVE, "cst")
     assert requests(plan.poll) == [b"f 0*118\n"]
-    assert [line.split(b"*")[0] for line in requests(plan.turns)] == [
+    assert [line.split(b"*")[0] for line in requests(plan.background)] == [
         b"r axis0.motor.current_control.Iq_measured",
         b"r axis0.current_state",
         b"r axis0.error",
@@ -116,7 +116,7 @@ def test_a_copley_drive_is_asked_one_by_one_and_acknowledges() -> None:
     plan, image = plan_of(COPLEY, "cst", "")
     image.values["torque_command"] = -150.4
     assert requests(plan.poll) == [b"g r0x32\r", b"g r0x18\r"]
-    assert requests(plan.turns) == [b"g r0x0c\r", b"g r0xa0\r", b"g r0xa4\r"]
+    assert requests(plan.background) == [b"g r0x0c\r", b"g r0xa0\r", b"g r0xa4\r"]
     assert requests(plan.push) == [b"s r0x02 -150\r"]
     assert plan.push[0].take(bytearray(b"ok\r"))
 
@@ -124,7 +124,7 @@ def test_a_copley_drive_is_asked_one_by_one_and_acknowledges() -> None:
 def test_what_comes_along_is_not_asked_for_again() -> None:
     heard, _ = plan_of(BUS, None)
     assert [exchange.reads for exchange in heard.poll] == [("position", "velocity", "torque")]
-    assert [exchange.reads for exchange in heard.turns] == [("status",)]
+    assert [exchange.reads for exchange in heard.background] == [("status",)]
     assert heard.push == ()
     torque, _ = plan_of(BUS, "cst")
     assert [exchange.reads for exchange in torque.poll] == [("position", "velocity")]
@@ -156,7 +156,7 @@ def test_every_mode_and_every_step_has_its_messages(description: AsciiDescriptio
             image.values.update(step.write)
             exchange = line.write("x", tuple(step.write))
             assert len(exchange.encode()) <= exchange.request_size
-    for exchange in plan_of(description, None)[0].turns:
+    for exchange in plan_of(description, None)[0].background:
         for name in exchange.reads:
             assert name in line.read("x", (name,)).reads
 
@@ -170,7 +170,7 @@ def test_what_no_message_has_is_refused_with_its_name() -> None:
     with pytest.raises(UsageError, match="writes just status"):
         line.write("x", ("status",))
     with pytest.raises(UsageError, match="position_command"):
-        line.plan({"x": Wanted(("position",), (), ("position_command",))})
+        line.plan({"x": CycleSignals(("position",), (), ("position_command",))})
 
 
 def test_a_fixed_number_chooses_its_message() -> None:
@@ -425,7 +425,7 @@ def test_random_bytes_never_change_a_command(mode: str, chunks: list[bytes]) -> 
             continue
         plan, image = plan_of(description, mode)
         before = dict(image.values)
-        for exchange in (*plan.poll, *plan.turns, *plan.push):
+        for exchange in (*plan.poll, *plan.background, *plan.push):
             request = exchange.encode()
             received = bytearray()
             for chunk in chunks:
@@ -440,7 +440,7 @@ def test_random_bytes_never_change_a_command(mode: str, chunks: list[bytes]) -> 
 
 def test_requests_may_go_out_together_whose_replies_differ_in_their_words() -> None:
     plan, _ = plan_of(ODRIVE, "cst")
-    (feedback,), (first, second, *_) = plan.poll, plan.turns
+    (feedback,), (first, second, *_) = plan.poll, plan.background
     assert first.may_follow(feedback)
     assert feedback.may_follow(first)
     assert not second.may_follow(first)
@@ -457,7 +457,7 @@ def test_no_reply_to_one_of_requests_that_go_out_together_is_taken_for_one_to_an
     plan, _ = plan_of(ODRIVE, "cst")
     replies = {"position": seal(b"%.6f %.6f" % (p, v)), "torque": seal(b"%.6f" % t)}
     for asked, answered in (("position", "torque"), ("torque", "position")):
-        exchange = next(each for each in (*plan.poll, *plan.turns) if asked in each.reads)
+        exchange = next(each for each in (*plan.poll, *plan.background) if asked in each.reads)
         exchange.encode()
         with pytest.raises(ReplyError):
             exchange.take(bytearray(replies[answered] + b"\r\n"))
@@ -480,7 +480,7 @@ def test_an_error_line_is_a_refusal_of_a_set_point_without_a_reply_and_nothing_e
     assert not push.take(bytearray(b"invalid mo"))
     with pytest.raises(ReplyError, match="has no axis of that number") as error:
         push.take(bytearray(seal(b"invalid motor 7")))
-    assert error.value.is_unasked
+    assert error.value.is_unsolicited
     with pytest.raises(ReplyError) as error:
         push.take(bytearray(seal(b"0.5")))
-    assert not error.value.is_unasked
+    assert not error.value.is_unsolicited

@@ -5,12 +5,12 @@ from typing import Any
 
 import pytest
 from friction_hil_drivers.ascii import DESCRIPTIONS
-from friction_hil_drivers.ascii.codec import AsciiLine
 from friction_hil_drivers.ascii.description import AsciiDescription
+from friction_hil_drivers.ascii.driver import AsciiLine
 from friction_hil_drivers.ascii.options import AsciiOptions
-from friction_hil_drivers.ascii.responder import AsciiResponder
+from friction_hil_drivers.ascii.simulated import AsciiResponder
 from friction_hil_drivers.serial_line.description import ready
-from friction_hil_drivers.serial_line.protocol import Exchange, Image, Wanted
+from friction_hil_drivers.serial_line.protocol import CycleSignals, Exchange, Image
 from friction_hil_drivers.serial_line.sequences import Sequencer, state_of
 from friction_hil_drivers.serial_line.simulated.drive import SimulatedDrive
 from friction_hil_drivers.serial_line.units import AxisUnits
@@ -198,7 +198,7 @@ class Talk:
         self.line = AsciiLine({"x": description}, {"x": options(axis)}, {"x": self.image})
         part: Any = description.modes[mode.name.lower()]  # type: ignore[index]
         slow = ("torque", "status", "error")
-        self.plan = self.line.plan({"x": Wanted(("position", "velocity"), slow, part.commands)})
+        self.plan = self.line.plan({"x": CycleSignals(("position", "velocity"), slow, part.commands)})
         self.commands = part.commands
         self.image.values.update(dict.fromkeys(part.commands, 0.0))
         self.sequencer = Sequencer(description)
@@ -222,7 +222,7 @@ class Talk:
         self.say(self.line.write("x", tuple(values)))
 
     def cycle(self, request: Request, time_s: float) -> DriveState:
-        for exchange in (*self.plan.poll, *self.plan.turns):
+        for exchange in (*self.plan.poll, *self.plan.background):
             self.say(exchange)
         state = state_of(self.description, self.image.values)
         if step := self.sequencer.next_write(request, state, time_s):

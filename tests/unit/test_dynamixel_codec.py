@@ -7,12 +7,12 @@ import sys
 
 import pytest
 from dynamixel_sdk import PacketHandler
-from friction_hil_drivers.dynamixel.codec import DynamixelLine
 from friction_hil_drivers.dynamixel.description import DynamixelDescription
+from friction_hil_drivers.dynamixel.driver import DynamixelLine
 from friction_hil_drivers.dynamixel.options import DynamixelOptions
 from friction_hil_drivers.dynamixel.packets import HEADER, Packets
-from friction_hil_drivers.dynamixel.table import Place
-from friction_hil_drivers.serial_line.protocol import Exchange, Image, ReplyError, Wanted
+from friction_hil_drivers.dynamixel.table import Item
+from friction_hil_drivers.serial_line.protocol import CycleSignals, Exchange, Image, ReplyError
 from hypothesis import example, given
 from hypothesis import strategies as st
 
@@ -40,7 +40,7 @@ SIGNALS = {
     "velocity": {"address": 128, "size": 4, "unit": "rpm"},
     "position": {"address": 132, "size": 4, "unit": "turn"},
 }
-ALL = Wanted(("position", "velocity"), ("torque", "status", "error"), ("torque_command",))
+ALL = CycleSignals(("position", "velocity"), ("torque", "status", "error"), ("torque_command",))
 BYTES = st.sampled_from([0x00, 0x01, 0x55, 0xFD, 0xFE, 0xFF])  # those of which headers and stuffing are made
 
 
@@ -95,7 +95,7 @@ def feedback(torque: int, velocity: int, position: int) -> bytes:
     return b"".join(number.to_bytes(size, "little", signed=True) for number, size in parts)
 
 
-def poll(line: DynamixelLine, images: dict[str, Image], wanted: Wanted = ALL) -> Exchange:
+def poll(line: DynamixelLine, images: dict[str, Image], wanted: CycleSignals = ALL) -> Exchange:
     """The one exchange before the computation, its request made."""
     (exchange,) = line.plan(dict.fromkeys(images, wanted)).poll
     exchange.encode()
@@ -116,7 +116,7 @@ def test_packets_are_those_of_the_manual() -> None:
     assert line.read("1", ("position",)).encode() == unhex(READ)
     images["1"].values["position_command"] = 512.0
     assert line.write("1", ("position_command",)).encode() == unhex(WRITE)
-    wanted = Wanted(("position",), (), ("position_command",))
+    wanted = CycleSignals(("position",), (), ("position_command",))
     plan = line.plan(dict.fromkeys(images, wanted))
     assert [exchange.encode() for exchange in plan.poll] == [unhex(SYNC_READ)]
     images["1"].values["position_command"], images["2"].values["position_command"] = 150.0, 170.0
@@ -125,7 +125,7 @@ def test_packets_are_those_of_the_manual() -> None:
 
 def test_replies_of_the_manual_are_understood() -> None:
     line, images = on_line(1, 2)
-    exchange = poll(line, images, Wanted(("position",), (), ()))
+    exchange = poll(line, images, CycleSignals(("position",), (), ()))
     received = bytearray(unhex(READ_STATUS + READ_STATUS_2))
     assert exchange.take(received)
     assert not received
@@ -138,7 +138,7 @@ def test_replies_of_the_manual_are_understood() -> None:
 
 def test_fast_read_of_the_manual() -> None:
     line, images = on_line(3, 7, 4, fast_sync_read=True)
-    (exchange,) = line.plan(dict.fromkeys(images, Wanted(("position",), (), ()))).poll
+    (exchange,) = line.plan(dict.fromkeys(images, CycleSignals(("position",), (), ()))).poll
     assert exchange.encode() == unhex(FAST_READ)
     reply = unhex(FAST_STATUS)
     assert exchange.reply_size == len(reply)
@@ -187,7 +187,7 @@ def test_requests_are_those_that_the_vendors_sdk_makes(current: int, other: int,
 def test_every_number_comes_back(data: st.DataObject, size: int, is_signed: bool, name: str) -> None:
     low = -(1 << 8 * size - 1) if is_signed else 0
     number = data.draw(st.integers(low, low + (1 << 8 * size) - 1))
-    place = Place(name, 0, size, is_signed)
+    place = Item(name, 0, size, is_signed)
     packed = place.pack(float(number))
     assert len(packed) == size
     assert place.number(packed) == number
@@ -195,9 +195,9 @@ def test_every_number_comes_back(data: st.DataObject, size: int, is_signed: bool
 
 @given(st.floats(allow_nan=False, allow_infinity=False))
 def test_commands_stay_within_the_servos_limit_and_positions_wrap(number: float) -> None:
-    command = Place("torque_command", 0, 2, True, limit=1193)
+    command = Item("torque_command", 0, 2, True, limit=1193)
     assert command.number(command.pack(number)) == round(min(max(number, -1193.0), 1193.0))
-    position = Place("position_command", 0, 4, True)
+    position = Item("position_command", 0, 4, True)
     packed = position.number(position.pack(number))
     assert -(2**31) <= packed < 2**31
     assert (int(packed) - round(number)) % 2**32 == 0
@@ -235,9 +235,9 @@ def test_a_cycle_of_servos_on_a_line() -> None:
     assert [(e.what, e.reads) for e in plan.poll] == [
         ("read 10 bytes at 126 of id 1, 2, 3", ("torque", "velocity", "position"))
     ]
-    assert [e.reads for e in plan.turns] == [("status",), ("error",)]
+    assert [e.reads for e in plan.background] == [("status",), ("error",)]
     assert [(e.writes, e.reply_size) for e in plan.push] == [(("torque_command",), 0)]
-    assert line.plan(dict.fromkeys(images, Wanted(ALL.fast, ALL.slow, ()))).push == ()
+    assert line.plan(dict.fromkeys(images, CycleSignals(ALL.fast, ALL.slow, ()))).push == ()
 
 
 def test_servos_of_different_tables_are_asked_apart() -> None:
@@ -313,7 +313,7 @@ def test_a_missing_servo_is_named_and_the_others_are_fresh() -> None:
 
 def test_a_missing_servo_ends_a_fast_reply_but_not_those_before_it() -> None:
     line, images = on_line(3, 7, 4, fast_sync_read=True)
-    exchange = poll(line, images, Wanted(("position",), (), ()))
+    exchange = poll(line, images, CycleSignals(("position",), (), ()))
     assert not exchange.take(bytearray(unhex(FAST_STATUS)[:-8]))
     assert [images[axis].fresh for axis in "374"] == [{"position"}, {"position"}, set()]
     assert exchange.what.endswith("(4 missing)")
@@ -322,7 +322,7 @@ def test_a_missing_servo_ends_a_fast_reply_but_not_those_before_it() -> None:
 @pytest.mark.parametrize("place", range(8, 32))
 def test_a_flipped_bit_in_a_fast_reply_costs_what_comes_from_there(place: int) -> None:
     line, images = on_line(3, 7, 4, fast_sync_read=True)
-    exchange = poll(line, images, Wanted(("position",), (), ()))
+    exchange = poll(line, images, CycleSignals(("position",), (), ()))
     reply = bytearray(unhex(FAST_STATUS))
     reply[place] ^= 0x10
     with pytest.raises(ReplyError, match=r"wrong CRC"):
@@ -370,7 +370,7 @@ def test_noise_as_long_as_a_reply_does_not_cost_the_reply_that_has_begun() -> No
 
 def test_a_fast_reply_without_its_head_is_not_waited_for() -> None:
     line, images = on_line(3, 7, 4, fast_sync_read=True)
-    exchange = poll(line, images, Wanted(("position",), (), ()))
+    exchange = poll(line, images, CycleSignals(("position",), (), ()))
     reply = bytearray(unhex(FAST_STATUS))
     reply[2] ^= 1
     with pytest.raises(ReplyError, match=r"no packet of id 3, 7, 4$"):

@@ -4,13 +4,14 @@ from typing import Any
 
 import pytest
 from dynamixel_sdk import COMM_SUCCESS, PacketHandler
-from friction_hil_drivers.dynamixel.codec import DynamixelLine
 from friction_hil_drivers.dynamixel.description import DESCRIPTIONS, DynamixelDescription
+from friction_hil_drivers.dynamixel.driver import DynamixelLine
 from friction_hil_drivers.dynamixel.options import DynamixelOptions
 from friction_hil_drivers.dynamixel.packets import Packets
-from friction_hil_drivers.dynamixel.responder import DynamixelResponder
+from friction_hil_drivers.dynamixel.simulated import DynamixelResponder
 from friction_hil_drivers.serial_line.description import load_description
-from friction_hil_drivers.serial_line.protocol import Exchange, Image, ReplyError, Wanted
+from friction_hil_drivers.serial_line.protocol import CycleSignals, Exchange, Image, ReplyError
+from friction_hil_drivers.serial_line.scheduler import BusScheduler
 from friction_hil_drivers.serial_line.sequences import state_of
 from friction_hil_drivers.serial_line.simulated import SimulatedDrive
 from friction_hil_drivers.serial_line.units import AxisUnits
@@ -21,8 +22,9 @@ from friction_hil.drive import DriveState, Mode
 from friction_hil.servo.config import ServoConfig
 from friction_hil.servo.servo import Servo
 from tests.serial_bench import PLAIN, STEPS_PER_MS
+from tests.serial_peers import BenchLine, Time
 
-WANTED = Wanted(("position", "velocity"), ("torque", "status", "error", "watchdog"), ("torque_command",))
+WANTED = CycleSignals(("position", "velocity"), ("torque", "status", "error", "watchdog"), ("torque_command",))
 READ_POSITION = "FF FF FD 00 01 07 00 02 84 00 04 00 1D 15"  # ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0
 
 
@@ -280,3 +282,32 @@ def test_what_the_servo_does_not_take_is_told() -> None:
     bench.images["1"].values["operating_mode"] = 5.0
     with pytest.raises(ReplyError, match=r"id 1 refuses: data range error"):
         bench.talk(bench.line.write("1", ("operating_mode",)))
+
+
+@pytest.mark.parametrize("silent", ["1", "2", "3"])
+def test_a_silent_servo_costs_its_neighbours_no_more_than_a_few_cycles(silent: str) -> None:
+    """Behind it in a Sync Read nobody answers: it must come last, and be left out for most of the time."""
+    bench, time = Bench(1, 2, 3), Time()
+    del bench.responder._servos[int(silent)]
+
+    def answer(data: bytes) -> bytes:
+        received, replies = bytearray(data), []
+        while (reply := bench.responder.take(received)) is not None:
+            replies.append(reply)
+        return b"".join(replies)
+
+    scheduler = BusScheduler(BenchLine(answer, baud=4_000_000), list(bench.images.values()), 0.0, 0.05, time)  # type: ignore[arg-type]
+    cycles, warm_up = 80, 30
+    heard = dict.fromkeys(bench.images, 0)
+    for cycle in range(cycles):
+        for image in bench.images.values():
+            image.fresh.clear()
+        scheduler.enqueue(bench.plan.poll)
+        for _ in range(20):
+            scheduler.poll()
+            time.pass_ms(0.25)
+        scheduler.end_cycle()
+        for axis, image in bench.images.items():
+            heard[axis] += cycle >= warm_up and {"position", "velocity"} <= image.fresh
+    assert heard.pop(silent) == 0
+    assert all(count > 0.8 * (cycles - warm_up) for count in heard.values()), heard

@@ -6,11 +6,12 @@ import math
 import struct
 
 import pytest
-from friction_hil_drivers.modbus.codec import ModbusLine, Request
+from friction_hil_drivers.modbus.codec import ModbusExchange
 from friction_hil_drivers.modbus.description import ModbusDescription
+from friction_hil_drivers.modbus.driver import ModbusLine
 from friction_hil_drivers.modbus.framing import RtuFraming, TcpFraming
 from friction_hil_drivers.modbus.options import ModbusOptions
-from friction_hil_drivers.modbus.registers import Block, Place
+from friction_hil_drivers.modbus.registers import RegisterBlock, RegisterField
 from friction_hil_drivers.serial_line.protocol import Image, ReplyError
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
@@ -66,16 +67,16 @@ def with_crc(text: str | bytes) -> bytes:
     return frame + struct.pack("<H", crc)
 
 
-def reader(count: int = 3, *, unit: int = 1) -> tuple[Request, Image]:
+def reader(count: int = 3, *, unit: int = 1) -> tuple[ModbusExchange, Image]:
     """Exchange of function 3 that reads 16-bit signals s0, s1, ... from 006Bh on, its request sent."""
     image = Image({"torque_command": 7.0})
-    places = tuple(Place(f"s{k}", "holding", 0x6B + k, "int16") for k in range(count))
-    request = Request(RtuFraming(), unit, image, read=Block("holding", 0x6B, count, places))
+    places = tuple(RegisterField(f"s{k}", "holding", 0x6B + k, "int16") for k in range(count))
+    request = ModbusExchange(RtuFraming(), unit, image, read=RegisterBlock("holding", 0x6B, count, places))
     assert request.encode() == with_crc(bytes((unit, 3, 0, 0x6B, 0, count)))
     return request, image
 
 
-class TestPlace:
+class TestRegisterField:
     @pytest.mark.parametrize("word_order", ["big", "little"])
     @pytest.mark.parametrize("byte_order", ["big", "little"])
     @pytest.mark.parametrize("kind", ["int16", "uint16", "int32", "uint32", "bool"])
@@ -83,18 +84,18 @@ class TestPlace:
     @given(data=st.data())
     def test_every_integer_comes_back(self, kind: str, byte_order: str, word_order: str, data: st.DataObject) -> None:
         number = data.draw(st.integers(*RANGES[kind]))
-        place = Place("torque", "holding", 0, kind, word_order, byte_order)  # type: ignore[arg-type]
-        words = place.words(float(number))
+        field = RegisterField("torque", "holding", 0, kind, word_order, byte_order)  # type: ignore[arg-type]
+        words = field.words(float(number))
         assert all(0 <= word < 2**16 for word in words)
-        assert place.number(words) == number
+        assert field.number(words) == number
 
     @pytest.mark.parametrize("word_order", ["big", "little"])
     @pytest.mark.parametrize("byte_order", ["big", "little"])
     @settings(deadline=None)
     @given(number=st.floats(width=32, allow_nan=False, allow_infinity=False))
     def test_every_float_comes_back(self, byte_order: str, word_order: str, number: float) -> None:
-        place = Place("position", "holding", 0, "float32", word_order, byte_order)  # type: ignore[arg-type]
-        assert place.number(place.words(number)) == number
+        field = RegisterField("position", "holding", 0, "float32", word_order, byte_order)  # type: ignore[arg-type]
+        assert field.number(field.words(number)) == number
 
     @pytest.mark.parametrize(
         ("word_order", "byte_order", "words"),
@@ -106,16 +107,16 @@ class TestPlace:
         ],
     )
     def test_orders_of_32_bits(self, word_order: str, byte_order: str, words: list[int]) -> None:
-        place = Place("x", "holding", 0, "uint32", word_order, byte_order)  # type: ignore[arg-type]
-        assert place.words(float(0x12345678)) == words
+        field = RegisterField("x", "holding", 0, "uint32", word_order, byte_order)  # type: ignore[arg-type]
+        assert field.words(float(0x12345678)) == words
 
     @pytest.mark.parametrize("kind", ["int16", "uint16", "int32", "uint32", "bool"])
     @settings(deadline=None)
     @given(number=st.floats(allow_nan=False, allow_infinity=False))
     def test_what_does_not_fit_saturates(self, kind: str, number: float) -> None:
         low, high = RANGES[kind]
-        place = Place("torque_command", "holding", 0, kind)  # type: ignore[arg-type]
-        sent = place.number(place.words(number))
+        field = RegisterField("torque_command", "holding", 0, kind)  # type: ignore[arg-type]
+        sent = field.number(field.words(number))
         assert sent == min(max(round(number), low), high)
 
     @pytest.mark.parametrize("kind", ["int16", "uint16", "int32", "uint32"])
@@ -123,21 +124,21 @@ class TestPlace:
     @given(number=st.integers(-(2**50), 2**50))
     def test_positions_wrap(self, kind: str, number: int) -> None:
         low, high = RANGES[kind]
-        place = Place("position_command", "holding", 0, kind)  # type: ignore[arg-type]
-        sent = place.number(place.words(float(number)))
+        field = RegisterField("position_command", "holding", 0, kind)  # type: ignore[arg-type]
+        sent = field.number(field.words(float(number)))
         assert low <= sent <= high
         assert (sent - number) % (high - low + 1) == 0
 
     def test_floats_stay_finite(self) -> None:
-        place = Place("torque_command", "holding", 0, "float32")
-        assert place.number(place.words(1e300)) == pytest.approx(3.4028235e38)
+        field = RegisterField("torque_command", "holding", 0, "float32")
+        assert field.number(field.words(1e300)) == pytest.approx(3.4028235e38)
 
     @pytest.mark.parametrize("name", ["torque_command", "position_command"])
     @pytest.mark.parametrize("kind", ["int16", "float32", "int32"])
     @pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf])
     def test_refuses_what_is_not_finite(self, kind: str, name: str, number: float) -> None:
         with pytest.raises(ValueError, match="cannot be sent"):
-            Place(name, "holding", 0, kind).words(number)  # type: ignore[arg-type]
+            RegisterField(name, "holding", 0, kind).words(number)  # type: ignore[arg-type]
 
 
 class TestKnownFrames:
@@ -187,7 +188,7 @@ class TestKnownFrames:
         signals |= {f"w{k}": {"address": 0xE + k, "type": "uint16"} for k in range(3)}
         image = Image({f"w{k}": 255.0 for k in range(3)})
         description = described(SIGNALS | signals)
-        request = Request(
+        request = ModbusExchange(
             RtuFraming(),
             0x11,
             image,
@@ -366,7 +367,7 @@ class TestReplies:
 
 
 class TestTcp:
-    def reader(self) -> tuple[Request, Image]:
+    def reader(self) -> tuple[ModbusExchange, Image]:
         line, image = on_line(described(), TCP)
         return line.read("a", ("torque",)), image
 

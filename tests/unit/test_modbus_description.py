@@ -6,11 +6,12 @@ from pathlib import Path
 from random import Random
 
 import pytest
-from friction_hil_drivers.modbus.codec import ModbusLine, Request
+from friction_hil_drivers.modbus.codec import ModbusExchange
 from friction_hil_drivers.modbus.description import DESCRIPTIONS, ModbusDescription
+from friction_hil_drivers.modbus.driver import ModbusLine
 from friction_hil_drivers.modbus.options import ModbusOptions
 from friction_hil_drivers.serial_line.description import load_description, ready
-from friction_hil_drivers.serial_line.protocol import FAST, SLOW, Image, Plan, Wanted
+from friction_hil_drivers.serial_line.protocol import FAST, SLOW, CycleSignals, Image, Plan
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydantic import ValidationError
@@ -56,12 +57,12 @@ def planned(description: ModbusDescription, commands: tuple[str, ...] = ("torque
     line, _ = on_line(description)
     fast = tuple(name for name in FAST if name in description.signals)
     slow = tuple(name for name in SLOW if name in description.signals)
-    return line.plan({"a": Wanted(fast, slow, commands)})
+    return line.plan({"a": CycleSignals(fast, slow, commands)})
 
 
 def told(plan: Plan) -> list[list[str]]:
     """What a plan says, without the words that are always there."""
-    return [[e.what.removesuffix(" of unit 1") for e in part] for part in (plan.poll, plan.turns, plan.push)]
+    return [[e.what.removesuffix(" of unit 1") for e in part] for part in (plan.poll, plan.background, plan.push)]
 
 
 class TestMistakes:
@@ -136,7 +137,7 @@ class TestMistakes:
             name: signal | {"word_order": "little"} for name, signal in SIGNALS.items() if signal.get("type") == "int32"
         }
         description = described(wide, word_order=None)
-        assert description.place("position").word_order == "little"
+        assert description.field("position").word_order == "little"
 
 
 class TestOptions:
@@ -157,7 +158,7 @@ class TestReady:
         line, image = on_line(description)
         for mode in description.modes.values():
             plan = planned(description, mode.commands)
-            read = {signal for part in (plan.poll, plan.turns) for exchange in part for signal in exchange.reads}
+            read = {signal for part in (plan.poll, plan.background) for exchange in part for signal in exchange.reads}
             assert read >= {"position", "status"}
             assert {s for part in (plan.poll, plan.push) for e in part for s in e.writes} == set(mode.commands)
         for steps in description.sequences.values():
@@ -274,7 +275,7 @@ def crc(frame: bytes) -> bytes:
     return frame + struct.pack("<H", value)
 
 
-def exchange(request: Request, memory: dict[int, int], most: int) -> None:
+def exchange(request: ModbusExchange, memory: dict[int, int], most: int) -> None:
     sent = request.encode()
     assert len(sent) == request.request_size
     assert crc(sent[:-2]) == sent
@@ -325,20 +326,20 @@ def test_a_planned_cycle_moves_the_same_numbers_as_single_requests(description: 
         exchange(line.read("a", (name,)), memory, most)
         single[name] = image.values[name]
     image.values.clear()
-    plan = line.plan({"a": Wanted(FAST, SLOW, CSP)})
+    plan = line.plan({"a": CycleSignals(FAST, SLOW, CSP)})
     commands = {name: float(random.randrange(2**15)) for name in CSP}
     image.values.update(commands)
     before = dict(memory)
-    for request in (*plan.poll, *plan.turns, *plan.push):
-        assert isinstance(request, Request)
+    for request in (*plan.poll, *plan.background, *plan.push):
+        assert isinstance(request, ModbusExchange)
         exchange(request, memory, most)
     assert image.values == single | commands
     polled = [name for request in plan.poll for name in request.reads]
     assert set(polled) >= set(FAST)
     assert len(polled) == len(set(polled))
     touched = {address for address in memory if memory[address] != before[address]}
-    places = [description.place(name) for name in CSP]
-    assert touched <= {address for place in places for address in range(place.address, place.end)}
+    fields = [description.field(name) for name in CSP]
+    assert touched <= {address for field in fields for address in range(field.address, field.end)}
     for name in CSP:
         exchange(line.read("a", (name,)), memory, most)
         assert image.values[name] == commands[name]
@@ -350,4 +351,4 @@ def test_a_plan_has_no_more_requests_than_single_ones(description: ModbusDescrip
     plan = planned(description, CSP)
     assert len(plan.poll) + len(plan.push) <= len(FAST) + len(CSP)
     alone = description.model_copy(update={"max_read_registers": 125, "max_gap_registers": 120})
-    assert len(planned(alone).turns) == 0
+    assert len(planned(alone).background) == 0

@@ -4,11 +4,11 @@ import struct
 from typing import cast
 
 import pytest
-from friction_hil_drivers.modbus.codec import ModbusLine
 from friction_hil_drivers.modbus.description import ModbusDescription
+from friction_hil_drivers.modbus.driver import ModbusLine
 from friction_hil_drivers.modbus.options import ModbusOptions
-from friction_hil_drivers.modbus.responder import ModbusResponder
-from friction_hil_drivers.serial_line.protocol import Image, ReplyError, Wanted
+from friction_hil_drivers.modbus.simulated import ModbusResponder
+from friction_hil_drivers.serial_line.protocol import CycleSignals, Image, ReplyError
 from friction_hil_drivers.serial_line.simulated.drive import RefusedError, SimulatedDrive
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
@@ -330,9 +330,9 @@ class TestDriver:
         image = Image({"torque_command": float(torque), "position_command": float(position + target)})
         line = ModbusLine({"a": bench.descriptions["a"]}, {"a": bench.options["a"]}, {"a": image})
         commands = ("torque_command", "position_command")
-        plan = line.plan({"a": Wanted(("position", "velocity"), ("torque", "status", "error"), commands)})
+        plan = line.plan({"a": CycleSignals(("position", "velocity"), ("torque", "status", "error"), commands)})
         assert bool(plan.push) != joins
-        for request in (*plan.poll, *plan.turns, *plan.push):
+        for request in (*plan.poll, *plan.background, *plan.push):
             reply = bench.responder.take(bytearray(request.encode()))
             assert reply is not None
             assert request.take(bytearray(reply))

@@ -3,22 +3,21 @@
 from collections import deque
 
 import pytest
-from friction_hil_drivers.ascii.codec import AsciiLine
 from friction_hil_drivers.ascii.description import AsciiDescription
-from friction_hil_drivers.ascii.drives import AsciiDrives
+from friction_hil_drivers.ascii.driver import AsciiDrives, AsciiLine
 from friction_hil_drivers.ascii.messages import Language
 from friction_hil_drivers.ascii.options import AsciiOptions
-from friction_hil_drivers.serial_line.batch import Batch
-from friction_hil_drivers.serial_line.conversation import Conversation
 from friction_hil_drivers.serial_line.description import load_description
-from friction_hil_drivers.serial_line.protocol import Image, Wanted
+from friction_hil_drivers.serial_line.protocol import CycleSignals, Image
+from friction_hil_drivers.serial_line.scheduler import BusScheduler
+from friction_hil_drivers.serial_line.wire import Batch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.serial_peers import MS, BenchLine, Time
 
 ODRIVE = load_description("odrive", None, AsciiDrives.descriptions, AsciiDescription)
-WANTED = Wanted(("position", "velocity"), ("torque", "status", "error"), ("torque_command",))
+WANTED = CycleSignals(("position", "velocity"), ("torque", "status", "error"), ("torque_command",))
 STEP_MS, CYCLE_MS, TURN_MS, ANSWER_MS, PIECE_MS = 0.1, 2.0, 0.3, 0.1, 0.4
 REPLY_LIMIT_S, REPLY_S = 8e-3, 3e-3
 MAX_MISSED = 10  # four tenths of that is the limit above
@@ -51,14 +50,14 @@ class Bench:
         self.plan = protocol.plan(dict.fromkeys(names, WANTED))
         self.time = Time()
         self.line = BenchLine(self._hear)
-        self.talk = Conversation(
+        self.scheduler = BusScheduler(
             self.line,
             list(self.images.values()),
             0.0,
             REPLY_LIMIT_S,
             self.time,
             ahead_chars=protocol.ahead_chars if is_ahead else 0,
-            doubt_s=0.0 if protocol.names_drives else REPLY_S,
+            anonymous_reply_s=0.0 if protocol.names_drives else REPLY_S,
         )
         self._is_at_once = is_at_once
         self.at_once = 0
@@ -95,18 +94,18 @@ class Bench:
         while self.time.ns < end:
             while self._coming and self._coming[0][0] <= self.time.ns:
                 self.line.arrived += self._coming.popleft()[1]
-            self.talk.step()
+            self.scheduler.poll()
             self.time.pass_ms(STEP_MS)
 
     def cycle(self, *, is_checked=True):
         """Poll, then command, and ask for the next of what changes slowly; axes whose feedback came."""
         for image in self.images.values():
             image.fresh.clear()
-        self.talk.step()
+        self.scheduler.poll()
         if not self._ask(self.plan.poll):
-            self.talk.go_on()
+            self.scheduler.advance()
         self._pass(CYCLE_MS - TURN_MS)
-        self.talk.give_up()
+        self.scheduler.end_cycle()
         fresh = {name for name, image in self.images.items() if image.fresh >= {"position", "velocity"}}
         for name in fresh if is_checked else ():
             told = int(self.images[name].values["position"])
@@ -115,18 +114,18 @@ class Bench:
             assert image.values.get("torque", -1.25) == -1.25
             assert image.values.get("status", 8.0) == 8.0
             assert image.values.get("error", 4096.0) == 4096.0
-        self._turn = (self._turn + 1) % len(self.plan.turns)
-        if not self._ask((*self.plan.push, self.plan.turns[self._turn])):
-            self.talk.speak()
+        self._turn = (self._turn + 1) % len(self.plan.background)
+        if not self._ask((*self.plan.push, self.plan.background[self._turn])):
+            self.scheduler.flush()
         self._pass(TURN_MS)
         return fresh
 
     def _ask(self, exchanges):
-        batch = Batch.of(exchanges, 0.0, self.plan.turns, keeps_silence=self.talk.keeps_silence)
-        if self._is_at_once and self.talk.say_at_once(batch, None):
+        batch = Batch.of(exchanges, 0, self.plan.background, keeps_silence=self.scheduler.keeps_silence)
+        if self._is_at_once and self.scheduler.send_batch(batch, None):
             self.at_once += 1
             return True
-        self.talk.ask(exchanges)
+        self.scheduler.enqueue(exchanges)
         return False
 
 
@@ -138,7 +137,7 @@ def test_the_beginning_of_a_reply_stays_when_the_next_request_joins(axes, cut):
     for _ in range(12):
         assert len(bench.cycle()) == axes
     assert bench.images["0"].values["error"] == 4096.0
-    assert bench.talk.trouble == ""
+    assert bench.scheduler.last_error == ""
 
 
 # one stall at a time: whatever was held up comes in a row, longer than any limit or not, and then the line is well
@@ -189,7 +188,7 @@ def test_what_is_said_at_once_is_what_would_be_said_anyway(axes, fates, cut, gon
         assert one.cycle(is_checked=False) == other.cycle(is_checked=False)
         assert one.line.sent == other.line.sent
         assert one.images == other.images
-        assert one.talk.trouble == other.talk.trouble
+        assert one.scheduler.last_error == other.scheduler.last_error
 
 
 @pytest.mark.parametrize("turn_ms", [0.0, TURN_MS])

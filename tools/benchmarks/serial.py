@@ -162,9 +162,9 @@ def _cycle(
 
 def _wire_s(drives: SerialDrives) -> float:
     """What a cycle takes on the wire, s: push, poll, and each of the turns in turn."""
-    (lane,) = drives._lanes
-    turns: list[tuple[Exchange, ...]] = [(turn,) for turn in lane.plan.turns] or [()]
-    cycles = [lane.wire_s(*lane.plan.push, *turn, *lane.plan.poll) for turn in turns]
+    (bus,) = drives._buses
+    turns: list[tuple[Exchange, ...]] = [(turn,) for turn in bus.plan.background] or [()]
+    cycles = [bus.wire_s(*bus.plan.push, *turn, *bus.plan.poll) for turn in turns]
     return sum(cycles) / len(cycles)
 
 

@@ -1,16 +1,153 @@
-"""Simulated drives that speak in lines of text."""
+"""The drives' end of a line of text in the simulation: requests taken off the line, answered from simulated drives."""
 
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from friction_hil.velocity import unwrap
 from friction_hil_drivers.ascii import DESCRIPTIONS
-from friction_hil_drivers.ascii.codec import AsciiLine
 from friction_hil_drivers.ascii.description import AsciiDescription
-from friction_hil_drivers.ascii.responder import AsciiResponder
+from friction_hil_drivers.ascii.driver import AsciiLine
+from friction_hil_drivers.ascii.messages import CompiledMessage, Language, take_line
+from friction_hil_drivers.ascii.options import AsciiOptions
+from friction_hil_drivers.serial_line.simulated.drive import RefusedError
 from friction_hil_drivers.serial_line.simulated.drives import SimulatedSerialDrives
+
+if TYPE_CHECKING:
+    from friction_hil_drivers.serial_line.simulated.drive import SimulatedDrive
+
+_NO_REPLY = b""
+
+
+class _Speaker:
+    """One drive on the line."""
+
+    def __init__(self, drive: "SimulatedDrive", description: AsciiDescription, axis: str) -> None:
+        self.language = Language(description, axis)
+        self._anybody = Language(description, None)
+        self._drive = drive
+        self._position_bits = description.signals["position"].bits
+        self._refusal = description.refusal.encode()
+
+    def is_meant_for_another(self, line: bytes) -> bool:
+        """Whether it would be understood under another name."""
+        return any(_numbers(message, line) is not None for message in self._anybody.messages)
+
+    def answer(self, line: bytes) -> bytes | None:
+        """Carry a request out; the reply, or None where it is not understood here."""
+        for message in self.language.messages:
+            numbers = _numbers(message, line)
+            if numbers is not None:
+                return self._carry_out(message, numbers)
+        return None
+
+    def refusal(self) -> bytes:
+        """What the drive says to what it does not understand."""
+        return self.reply(self._refusal) if self._refusal else _NO_REPLY
+
+    def reply(self, text: bytes) -> bytes:
+        """Line with all that belongs behind it."""
+        return self.language.seal_reply(text)
+
+    def _carry_out(self, message: CompiledMessage, numbers: Mapping[str, float]) -> bytes:
+        if "position" in message.reads:
+            self._drive.sample()
+        if message.feeds_watchdog:
+            self._drive.fed()
+        try:
+            for name, number in (*numbers.items(), *message.sets.items()):
+                self._drive.write(name, self._unwrapped(number) if name == "position_command" else number)
+        except RefusedError:
+            return self.refusal()
+        if not message.replies:
+            return _NO_REPLY
+        return self.reply(message.replies[0].write({name: self._drive.read(name) for name in message.reads}))
+
+    def _unwrapped(self, number: float) -> float:
+        if self._position_bits is None:
+            return number
+        return float(unwrap(round(self._drive.read("position")), int(number), self._position_bits))
+
+
+def _numbers(message: CompiledMessage, line: bytes) -> Mapping[str, float] | None:
+    """Numbers in a request by signal; None where it is another one."""
+    try:
+        numbers = message.request.read(line)
+    except ValueError:
+        return None
+    return None if numbers is None else dict(zip(message.request.names, numbers, strict=True))
+
+
+class AsciiResponder:
+    """Answers for the simulated drives on one line; see the simulation's `Responder`.
+
+    Parameters
+    ----------
+    drives : mapping of str to SimulatedDrive
+        By axis.
+    descriptions, options : mapping
+        Of the same axes; how lines end, how they are checked and whether they are echoed, the first one says.
+    """
+
+    def __init__(
+        self,
+        drives: "Mapping[str, SimulatedDrive]",
+        descriptions: Mapping[str, AsciiDescription],
+        options: Mapping[str, AsciiOptions],
+    ) -> None:
+        self._speakers = [
+            _Speaker(drives[axis], descriptions[axis], descriptions[axis].axis_name(options[axis].axis))
+            for axis in drives
+        ]
+        self._language = self._speakers[0].language
+        self.request_end = self._language.request_end
+        self._is_too_long = False  # the rest of an overlong line is still to come
+
+    def take(self, received: bytearray) -> bytes | None:
+        """Remove one whole request and answer it.
+
+        Returns
+        -------
+        bytes or None
+            The reply; empty where none is due: a set-point, a request for nobody here, or a broken one. None: more
+            has to come.
+        """
+        language = self._language
+        try:
+            line = take_line(received, language.request_end)
+        except ValueError:
+            self._is_too_long = True
+            return None
+        if line is None:
+            return None
+        if self._is_too_long:
+            self._is_too_long = False
+            return _NO_REPLY
+        echo = line + language.request_end if language.has_echo else _NO_REPLY
+        if language.checker is not None:
+            try:
+                line = language.checker.remove(line)
+            except ValueError:
+                return echo
+        return echo + self._answer(line)
+
+    def _answer(self, line: bytes) -> bytes:
+        # what names no axis is meant for all
+        replies = [reply for speaker in self._speakers if (reply := speaker.answer(line)) is not None]
+        if replies:
+            return replies[0]
+        if any(speaker.is_meant_for_another(line) for speaker in self._speakers):
+            return _NO_REPLY
+        return self._speakers[0].refusal()
+
+    def forget(self) -> None:
+        """Take what comes next for the beginning of a line."""
+        self._is_too_long = False
 
 
 class SimulatedAsciiDrives(SimulatedSerialDrives):
-    """Drives that answer lines of text."""
+    """Simulated drives that answer lines of text."""
 
     description_type = AsciiDescription
     descriptions = DESCRIPTIONS
-    responder = AsciiResponder
     protocol = AsciiLine
+    responder = AsciiResponder

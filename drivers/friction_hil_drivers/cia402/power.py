@@ -5,7 +5,7 @@ from enum import IntEnum
 from friction_hil.drive import DriveState
 
 
-class Command(IntEnum):
+class PowerCommand(IntEnum):
     """Device control commands, decoded from the controlword's bits 0 to 3."""
 
     DISABLE_VOLTAGE = 0
@@ -15,37 +15,37 @@ class Command(IntEnum):
     ENABLE_OPERATION = 4
 
 
-def command(controlword: int) -> Command:
+def command(controlword: int) -> PowerCommand:
     """Device control command in a controlword."""
     if not controlword & 0x02:
-        return Command.DISABLE_VOLTAGE
+        return PowerCommand.DISABLE_VOLTAGE
     if not controlword & 0x04:
-        return Command.QUICK_STOP
+        return PowerCommand.QUICK_STOP
     if not controlword & 0x01:
-        return Command.SHUTDOWN
-    return Command.ENABLE_OPERATION if controlword & 0x08 else Command.SWITCH_ON
+        return PowerCommand.SHUTDOWN
+    return PowerCommand.ENABLE_OPERATION if controlword & 0x08 else PowerCommand.SWITCH_ON
 
 
 _DISABLED, _READY = DriveState.SWITCH_ON_DISABLED, DriveState.READY_TO_SWITCH_ON
 _ON, _ENABLED = DriveState.SWITCHED_ON, DriveState.OPERATION_ENABLED
 _STOPPING = DriveState.QUICK_STOP_ACTIVE
 
-TRANSITIONS: dict[tuple[DriveState, Command], DriveState] = {
-    (_DISABLED, Command.SHUTDOWN): _READY,  # 2
-    (_READY, Command.SWITCH_ON): _ON,  # 3
-    (_READY, Command.ENABLE_OPERATION): _ON,  # 3, then 4
-    (_ON, Command.ENABLE_OPERATION): _ENABLED,  # 4
-    (_ENABLED, Command.SWITCH_ON): _ON,  # 5
-    (_ON, Command.SHUTDOWN): _READY,  # 6
-    (_READY, Command.DISABLE_VOLTAGE): _DISABLED,  # 7
-    (_READY, Command.QUICK_STOP): _DISABLED,  # 7
-    (_ENABLED, Command.SHUTDOWN): _READY,  # 8
-    (_ENABLED, Command.DISABLE_VOLTAGE): _DISABLED,  # 9
-    (_ON, Command.DISABLE_VOLTAGE): _DISABLED,  # 10
-    (_ON, Command.QUICK_STOP): _DISABLED,  # 10
-    (_ENABLED, Command.QUICK_STOP): _STOPPING,  # 11
-    (_STOPPING, Command.DISABLE_VOLTAGE): _DISABLED,  # 12
-    (_STOPPING, Command.ENABLE_OPERATION): _ENABLED,  # 16, where the quick stop option allows it
+TRANSITIONS: dict[tuple[DriveState, PowerCommand], DriveState] = {
+    (_DISABLED, PowerCommand.SHUTDOWN): _READY,  # 2
+    (_READY, PowerCommand.SWITCH_ON): _ON,  # 3
+    (_READY, PowerCommand.ENABLE_OPERATION): _ON,  # 3, then 4
+    (_ON, PowerCommand.ENABLE_OPERATION): _ENABLED,  # 4
+    (_ENABLED, PowerCommand.SWITCH_ON): _ON,  # 5
+    (_ON, PowerCommand.SHUTDOWN): _READY,  # 6
+    (_READY, PowerCommand.DISABLE_VOLTAGE): _DISABLED,  # 7
+    (_READY, PowerCommand.QUICK_STOP): _DISABLED,  # 7
+    (_ENABLED, PowerCommand.SHUTDOWN): _READY,  # 8
+    (_ENABLED, PowerCommand.DISABLE_VOLTAGE): _DISABLED,  # 9
+    (_ON, PowerCommand.DISABLE_VOLTAGE): _DISABLED,  # 10
+    (_ON, PowerCommand.QUICK_STOP): _DISABLED,  # 10
+    (_ENABLED, PowerCommand.QUICK_STOP): _STOPPING,  # 11
+    (_STOPPING, PowerCommand.DISABLE_VOLTAGE): _DISABLED,  # 12
+    (_STOPPING, PowerCommand.ENABLE_OPERATION): _ENABLED,  # 16, where the quick stop option allows it
 }
 _UPWARD = ((_DISABLED, _READY), (_READY, _ON), (_ON, _ENABLED), (_STOPPING, _ENABLED))
 

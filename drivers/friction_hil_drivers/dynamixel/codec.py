@@ -1,10 +1,8 @@
 """Dynamixel Protocol 2.0 as it is spoken on one line: requests made of commands, status packets put into images."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from friction_hil_drivers.dynamixel.description import DynamixelDescription
-from friction_hil_drivers.dynamixel.options import DynamixelOptions
 from friction_hil_drivers.dynamixel.packets import (
     BROADCAST,
     CRC,
@@ -20,8 +18,8 @@ from friction_hil_drivers.dynamixel.packets import (
     WRITE,
     Packets,
 )
-from friction_hil_drivers.dynamixel.table import Block, Place
-from friction_hil_drivers.serial_line.protocol import Exchange, Image, Plan, ReplyError, Single, Wanted, only
+from friction_hil_drivers.dynamixel.table import Item, ItemBlock
+from friction_hil_drivers.serial_line.protocol import Exchange, Image, ReplyError, Single
 
 ALERT = 0x80  # beside the number of an error: something is in Hardware Error Status, which is a signal of its own
 # ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0, Status Packet
@@ -42,7 +40,7 @@ class Member:
 
     id: int
     image: Image
-    block: Block
+    block: ItemBlock
     has_fast_read: bool
 
     def __str__(self) -> str:
@@ -50,9 +48,9 @@ class Member:
 
     def put(self, data: bytes) -> None:
         """Put the bytes of the block into the image."""
-        first, places = self.block.address, self.block.places
-        numbers = [place.number(data[place.address - first : place.end - first]) for place in places]
-        self.image.put([place.name for place in places], numbers)
+        first, items = self.block.address, self.block.items
+        numbers = [item.number(data[item.address - first : item.end - first]) for item in items]
+        self.image.put([item.name for item in items], numbers)
 
 
 class _Request(Single):
@@ -226,7 +224,7 @@ class Read(_Request):
         self._order = order
         self._known_breaks = 0
         self._others: dict[frozenset[str], Exchange | None] = {}
-        self._place = _words(block.address, block.size)
+        self._span = _words(block.address, block.size)
         self._request = self._pack()
         self.request_size = len(self._request)
         self.reply_size = len(members) * (PREFIX + self._longest)
@@ -234,8 +232,8 @@ class Read(_Request):
     def _pack(self) -> bytes:
         servos = bytes(self._members)
         if len(servos) == 1:
-            return self._packets.pack(servos[0], READ, self._place)
-        return self._packets.pack(BROADCAST, SYNC_READ, self._place + servos)
+            return self._packets.pack(servos[0], READ, self._span)
+        return self._packets.pack(BROADCAST, SYNC_READ, self._span + servos)
 
     def encode(self) -> bytes:
         """Make the request."""
@@ -251,7 +249,7 @@ class Read(_Request):
         """Read the same of all other servos; made once for each choice of them."""
         if addressees not in self._others:
             rest = [member for servo, member in self._members.items() if str(servo) not in addressees]
-            self._others[addressees] = _read(self._packets, rest, self._order) if rest else None
+            self._others[addressees] = read_exchange(self._packets, rest, self._order) if rest else None
         return self._others[addressees]
 
 
@@ -273,7 +271,7 @@ class FastRead(Read):
         self.reply_size = PREFIX + length
 
     def _pack(self) -> bytes:
-        return self._packets.pack(BROADCAST, FAST_SYNC_READ, self._place + bytes(self._members))
+        return self._packets.pack(BROADCAST, FAST_SYNC_READ, self._span + bytes(self._members))
 
     def encode(self) -> bytes:
         """Make the request."""
@@ -350,7 +348,7 @@ class SyncWrite(_Request):
         block = members[0].block
         super().__init__(packets, f"write {block}", members, 0)
         self.writes = _names(members)
-        self._place = _words(block.address, block.size)
+        self._span = _words(block.address, block.size)
         # no ID is FDh or FFh, so that what has to be stuffed lies within the data of one servo
         self.request_size = REQUEST_SIZE + 4 + len(members) * (1 + block.size + _stuffing(block.size))
 
@@ -362,92 +360,20 @@ class SyncWrite(_Request):
         ValueError
             A number is not finite.
         """
-        parts = [self._place]
+        parts = [self._span]
         for servo, member in self._members.items():
             parts += bytes((servo,)), _packed(member, self.what)
         return self._packets.pack(BROADCAST, SYNC_WRITE, b"".join(parts))
 
 
-class DynamixelLine:
-    """Dynamixel Protocol 2.0 to the axes on one line; see `friction_hil_drivers.serial_line.protocol.LineProtocol`.
-
-    Parameters
-    ----------
-    descriptions, options, images : mapping
-        Of the axes on this line, by name.
-
-    Raises
-    ------
-    UsageError
-        The vendor's SDK is not installed.
-    """
-
-    numbers_replies = False
-    names_drives = True
-    ahead_chars = 0
-    silence_chars = 0.0  # a header begins a packet, whatever was before
-
-    def __init__(
-        self,
-        descriptions: Mapping[str, DynamixelDescription],
-        options: Mapping[str, DynamixelOptions],
-        images: Mapping[str, Image],
-    ) -> None:
-        self._packets = Packets()
-        self._order = Order()
-        self._descriptions = descriptions
-        self._options = options
-        self._images = images
-
-    def plan(self, wanted: Mapping[str, Wanted]) -> Plan:
-        """Put a cycle together: what lies at the same place of several servos is one request.
-
-        What changes slowly is read with the rest where it lies beside it, else in turns.
-        """
-        fast: list[Member] = []
-        slow: list[Member] = []
-        commands: list[Member] = []
-        for axis, needs in wanted.items():
-            for member in self._members(axis, (*needs.fast, *needs.slow)):
-                is_fast = any(place.name in needs.fast for place in member.block.places)
-                (fast if is_fast else slow).append(member)
-            commands += self._members(axis, needs.commands)
-        poll = tuple(_read(self._packets, group, self._order) for group in _alike(fast))
-        turns = tuple(_read(self._packets, group, self._order) for group in _alike(slow))
-        return Plan(poll, turns, tuple(SyncWrite(self._packets, group) for group in _alike(commands)))
-
-    def read(self, axis: str, names: Sequence[str]) -> Read:
-        """Request that reads some signals of an axis.
-
-        Raises
-        ------
-        ValueError
-            One request cannot read them all.
-        """
-        return Read(self._packets, [only(self._members(axis, names), "read", names)], self._order)
-
-    def write(self, axis: str, names: Sequence[str]) -> Write:
-        """Request that writes some signals of an axis.
-
-        Raises
-        ------
-        ValueError
-            One request cannot write them all.
-        """
-        return Write(self._packets, only(self._members(axis, names), "write", names))
-
-    def _members(self, axis: str, names: Sequence[str]) -> list[Member]:
-        servo, image, description = self._options[axis].id, self._images[axis], self._descriptions[axis]
-        return [Member(servo, image, block, description.fast_sync_read) for block in description.blocks(names)]
-
-
-def _read(packets: Packets, members: Sequence[Member], order: Order) -> Exchange:
+def read_exchange(packets: Packets, members: Sequence[Member], order: Order) -> Exchange:
+    """Return the exchange that reads the same bytes of some servos, as a fast one where all of them have that."""
     is_fast = len(members) > 1 and all(member.has_fast_read for member in members)
     return FastRead(packets, members, order) if is_fast else Read(packets, members, order)
 
 
-def _alike(members: Sequence[Member]) -> list[list[Member]]:
-    """Group those of the same place and size: one request serves them."""
+def alike(members: Sequence[Member]) -> list[list[Member]]:
+    """Group members whose blocks have the same address and size: one request serves each group."""
     groups: dict[tuple[int, int], list[Member]] = {}
     for member in members:
         groups.setdefault((member.block.address, member.block.size), []).append(member)
@@ -455,8 +381,8 @@ def _alike(members: Sequence[Member]) -> list[list[Member]]:
 
 
 def _names(members: Sequence[Member]) -> tuple[str, ...]:
-    places: list[Place] = [place for member in members for place in member.block.places]
-    return tuple(dict.fromkeys(place.name for place in places))
+    items: list[Item] = [item for member in members for item in member.block.items]
+    return tuple(dict.fromkeys(item.name for item in items))
 
 
 def _packed(member: Member, what: str) -> bytes:

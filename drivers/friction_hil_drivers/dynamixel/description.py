@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from friction_hil.checked_yaml.messages import Mistake
-from friction_hil_drivers.dynamixel.table import Block, Place, side_by_side
+from friction_hil.config.messages import Mistake
+from friction_hil_drivers.dynamixel.table import Item, ItemBlock, side_by_side
 from friction_hil_drivers.serial_line.description import Description, Signal
 
 DESCRIPTIONS = Path(__file__).parent / "descriptions"
@@ -57,22 +57,22 @@ class DynamixelDescription(Description):
         """Signals by name."""
         return dict(self.signals)
 
-    def blocks(self, names: Iterable[str]) -> list[Block]:
+    def blocks(self, names: Iterable[str]) -> list[ItemBlock]:
         """Fewest blocks of bytes that hold the signals."""
-        return side_by_side(map(self._place, dict.fromkeys(names)))
+        return side_by_side(map(self._item, dict.fromkeys(names)))
 
-    def _place(self, name: str) -> Place:
+    def _item(self, name: str) -> Item:
         signal = self.signals[name]
-        return Place(name, signal.address, signal.size, signal.is_signed, signal.limit)
+        return Item(name, signal.address, signal.size, signal.is_signed, signal.limit)
 
     def _mistakes(self) -> Iterator[Mistake]:
         yield from super()._mistakes()
-        places = sorted(map(self._place, self.signals), key=lambda place: place.address)
-        for first, second in pairwise(places):
+        items = sorted(map(self._item, self.signals), key=lambda item: item.address)
+        for first, second in pairwise(items):
             if second.address < first.end:
                 text = f"{first.name} ({first.size} bytes at {first.address}) reaches into {second.name}"
                 yield ("signals", first.name), text
-        for place in places:
-            if place.end - 1 > _LAST_ADDRESS:
-                yield ("signals", place.name), f"{place.name} does not end before address {_LAST_ADDRESS + 1}"
+        for item in items:
+            if item.end - 1 > _LAST_ADDRESS:
+                yield ("signals", item.name), f"{item.name} does not end before address {_LAST_ADDRESS + 1}"
         yield from self._scattered_steps(self.blocks)

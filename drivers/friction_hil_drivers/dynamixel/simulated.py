@@ -1,15 +1,224 @@
-"""Simulated Dynamixel servos."""
+"""The servos' end of Dynamixel Protocol 2.0 in the simulation: requests taken off a line, answered from drives."""
 
-from friction_hil_drivers.dynamixel.codec import DynamixelLine
+import itertools
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+from friction_hil_drivers.dynamixel.codec import ALERT
 from friction_hil_drivers.dynamixel.description import DESCRIPTIONS, DynamixelDescription
-from friction_hil_drivers.dynamixel.responder import DynamixelResponder
+from friction_hil_drivers.dynamixel.driver import DynamixelLine
+from friction_hil_drivers.dynamixel.options import DynamixelOptions
+from friction_hil_drivers.dynamixel.packets import (
+    BROADCAST,
+    CRC,
+    FAST_SYNC_READ,
+    HEADER,
+    PING,
+    READ,
+    STATUS,
+    SYNC_READ,
+    SYNC_WRITE,
+    WRITE,
+    Packet,
+    Packets,
+)
+from friction_hil_drivers.serial_line.simulated.drive import RefusedError, RequestError
 from friction_hil_drivers.serial_line.simulated.drives import SimulatedSerialDrives
+
+if TYPE_CHECKING:
+    from friction_hil_drivers.serial_line.simulated.drive import SimulatedDrive
+
+INSTRUCTION_ERROR, RANGE_ERROR, LENGTH_ERROR, ACCESS_ERROR = 2, 4, 5, 7
+_LONGEST = 1017  # the vendor's SDK makes packets of 1024 bytes at most
+_IDENTITY = bytes(3)  # model number and firmware that ping tells: those of no real servo
+
+
+class _Servo:
+    """Control table of one simulated drive."""
+
+    def __init__(self, drive: "SimulatedDrive", description: DynamixelDescription) -> None:
+        self._drive = drive
+        self._items = [item for block in description.blocks(description.signals) for item in block.items]
+
+    @property
+    def alert(self) -> int:
+        """Bit of the error field that says whether the servo has an error."""
+        has_error = any(item.name == "error" for item in self._items)
+        return ALERT if has_error and self._drive.read("error") else 0
+
+    def fed(self) -> None:
+        """Feed the bus watchdog, to which any instruction is as good as another."""
+        self._drive.fed()
+
+    def read(self, address: int, size: int) -> bytes:
+        """Bytes of the table.
+
+        Raises
+        ------
+        RequestError
+            Not all of them are anything.
+        """
+        end = address + size
+        there = [item for item in self._items if item.address < end and address < item.end]
+        if sum(min(item.end, end) - max(item.address, address) for item in there) != size or not size:
+            raise RequestError(ACCESS_ERROR)
+        if any(item.name == "position" for item in there):
+            self._drive.sample()
+        data = b"".join(item.pack(self._drive.read(item.name)) for item in there)
+        skipped = address - there[0].address
+        return data[skipped : skipped + size]
+
+    def write(self, address: int, data: bytes) -> None:
+        """Write bytes of the table.
+
+        Raises
+        ------
+        RequestError
+            They belong to nothing, do not fill what they belong to, or the drive refuses them.
+        """
+        end = address + len(data)
+        there = [item for item in self._items if item.address < end and address < item.end]
+        if any(item.address < address or item.end > end for item in there):
+            raise RequestError(LENGTH_ERROR)
+        if sum(item.size for item in there) != len(data) or not data:
+            raise RequestError(ACCESS_ERROR)
+        try:
+            for item in there:
+                number = item.number(data[item.address - address : item.end - address])
+                self._drive.write(item.name, number)
+        except RefusedError:
+            raise RequestError(RANGE_ERROR) from None
+
+
+class DynamixelResponder:
+    """Answers for the simulated drives on one line; see the simulation's `Responder`.
+
+    Parameters
+    ----------
+    drives : mapping of str to SimulatedDrive
+        By axis.
+    descriptions, options : mapping
+        Of the same axes.
+
+    Raises
+    ------
+    UsageError
+        The vendor's SDK is not installed.
+    """
+
+    request_end = b""
+
+    def __init__(
+        self,
+        drives: "Mapping[str, SimulatedDrive]",
+        descriptions: Mapping[str, DynamixelDescription],
+        options: Mapping[str, DynamixelOptions],
+    ) -> None:
+        self._packets = Packets()
+        self._servos = {options[axis].id: _Servo(drives[axis], descriptions[axis]) for axis in drives}
+        self._has_fast_read = {options[axis].id: descriptions[axis].fast_sync_read for axis in drives}
+
+    def take(self, received: bytearray) -> bytes | None:
+        """Remove one whole request and return its reply; ``b""``: none is due; None: more has to come first."""
+        while (packet := self._packets.cut(received, _LONGEST)) is not None:
+            if packet.is_whole and packet.instruction != STATUS:
+                return self._answer(packet)
+        return None
+
+    def forget(self) -> None:
+        """Do nothing: what is left of a request is told from the next one by its header."""
+
+    def _answer(self, packet: Packet) -> bytes:
+        if packet.id == BROADCAST:
+            for everyone in self._servos.values():
+                everyone.fed()
+            return self._answer_all(packet)
+        servo = self._servos.get(packet.id)
+        if servo is None:
+            return b""
+        servo.fed()
+        p = packet.parameters
+        try:
+            if packet.instruction == PING:
+                return self._status(packet.id, _IDENTITY)
+            if packet.instruction == READ:
+                if len(p) != 4:
+                    raise RequestError(LENGTH_ERROR)
+                return self._status(packet.id, servo.read(_word(p, 0), _word(p, 2)))
+            if packet.instruction != WRITE:
+                raise RequestError(INSTRUCTION_ERROR)
+            if len(p) < 2:
+                raise RequestError(LENGTH_ERROR)
+            servo.write(_word(p, 0), p[2:])
+            return self._status(packet.id)
+        except RequestError as error:
+            return self._status(packet.id, error=error.number)
+
+    def _answer_all(self, packet: Packet) -> bytes:
+        p = packet.parameters
+        if packet.instruction == PING:
+            return b"".join(self._status(servo, _IDENTITY) for servo in sorted(self._servos))
+        if packet.instruction == WRITE and len(p) > 2:
+            for servo in self._servos:
+                self._write(servo, _word(p, 0), p[2:])
+        if len(p) <= 4:
+            return b""
+        address, size, rest = _word(p, 0), _word(p, 2), p[4:]
+        if packet.instruction == SYNC_READ:
+            # each waits for the one before it to answer: behind one that does not, nobody answers
+            there = itertools.takewhile(self._servos.__contains__, rest)
+            return b"".join(self._read(servo, address, size) for servo in there)
+        if packet.instruction == FAST_SYNC_READ:
+            return self._read_fast(address, size, rest)
+        if packet.instruction == SYNC_WRITE:
+            for k in range(0, len(rest) - size, size + 1):
+                self._write(rest[k], address, rest[k + 1 : k + 1 + size])
+        return b""
+
+    def _read(self, servo: int, address: int, size: int) -> bytes:
+        try:
+            return self._status(servo, self._servos[servo].read(address, size))
+        except RequestError as error:
+            return self._status(servo, error=error.number)
+
+    def _read_fast(self, address: int, size: int, servos: bytes) -> bytes:
+        """One packet that the servos write together; it ends where one of them is not there."""
+        length = 1 + len(servos) * (2 + size + CRC)
+        if length > _LONGEST:
+            return b""
+        packet = bytearray(HEADER + bytes((BROADCAST,)) + length.to_bytes(2, "little") + bytes((STATUS,)))
+        for k, servo in enumerate(servos):
+            if not self._has_fast_read.get(servo, False):
+                return bytes(packet) if k else b""
+            error, data = 0, bytes(size)
+            try:
+                data = self._servos[servo].read(address, size)
+            except RequestError as refusal:
+                error = refusal.number
+            packet += bytes((error | self._servos[servo].alert, servo)) + data
+            packet += self._packets.crc(packet).to_bytes(CRC, "little")
+        return bytes(packet)
+
+    def _write(self, servo: int, address: int, data: bytes) -> None:
+        """Write where nobody answers, so that a refusal is not told."""
+        if servo in self._servos:
+            try:
+                self._servos[servo].write(address, data)
+            except RequestError:
+                return
+
+    def _status(self, servo: int, data: bytes = b"", error: int = 0) -> bytes:
+        return self._packets.pack(servo, STATUS, bytes((error | self._servos[servo].alert,)) + data)
+
+
+def _word(data: bytes, at: int) -> int:
+    return int.from_bytes(data[at : at + 2], "little")
 
 
 class SimulatedDynamixelDrives(SimulatedSerialDrives):
-    """Servos that answer Dynamixel requests."""
+    """Simulated servos that answer Dynamixel requests."""
 
     description_type = DynamixelDescription
     descriptions = DESCRIPTIONS
-    responder = DynamixelResponder
     protocol = DynamixelLine
+    responder = DynamixelResponder

@@ -1,7 +1,6 @@
 """Modbus as it is spoken on one line: requests made of commands, replies put into process images."""
 
 from collections.abc import Callable, Mapping, Sequence
-from itertools import zip_longest
 
 from pymodbus.pdu import ModbusPDU
 from pymodbus.pdu.bit_message import (
@@ -19,14 +18,11 @@ from pymodbus.pdu.register_message import (
     WriteSingleRegisterRequest,
 )
 
-from friction_hil_drivers.modbus.description import ModbusDescription
-from friction_hil_drivers.modbus.framing import REFUSED, Framing, RtuFraming, TcpFraming
-from friction_hil_drivers.modbus.options import ModbusOptions
-from friction_hil_drivers.modbus.registers import BIT_TABLES, Block, Layout
-from friction_hil_drivers.serial_line.protocol import Image, Plan, ReplyError, Single, Wanted, only
-from friction_hil_drivers.serial_line.wire import character_s
+from friction_hil_drivers.modbus.framing import REFUSED, Framing
+from friction_hil_drivers.modbus.registers import BIT_TABLES, Layout, RegisterBlock
+from friction_hil_drivers.serial_line.blocks import representable_numbers
+from friction_hil_drivers.serial_line.protocol import Image, ReplyError, Single
 
-_SILENCE_CHARS = 3.5
 _READ_REQUESTS: dict[str, type[ModbusPDU]] = {
     "holding": ReadHoldingRegistersRequest,
     "input": ReadInputRegistersRequest,
@@ -48,7 +44,7 @@ EXCEPTIONS = {
 }
 
 
-class Request(Single):
+class ModbusExchange(Single):
     """A request to one drive and its reply; see `friction_hil_drivers.serial_line.protocol.Exchange`.
 
     Parameters
@@ -59,7 +55,7 @@ class Request(Single):
         Address of the drive.
     image : Image
         Filled by the reply; the numbers to write are in it.
-    read, write : Block or None
+    read, write : RegisterBlock or None
         What is read, what is written; both in one exchange are function 23.
     write_functions : sequence of int
         Functions for writing that the drive has.
@@ -71,8 +67,8 @@ class Request(Single):
         unit: int,
         image: Image,
         *,
-        read: Block | None = None,
-        write: Block | None = None,
+        read: RegisterBlock | None = None,
+        write: RegisterBlock | None = None,
         write_functions: Sequence[int] = (),
     ) -> None:
         self._framing = framing
@@ -148,10 +144,10 @@ class Request(Single):
         return True
 
 
-def _bits(block: Block, data: bytes) -> list[float]:
+def _bits(block: RegisterBlock, data: bytes) -> list[float]:
     response = ReadCoilsResponse()
     response.decode(data)
-    return [float(response.bits[place.address - block.address]) for place in block.places]
+    return [float(response.bits[field.address - block.address]) for field in block.fields]
 
 
 def _pdu(request: ModbusPDU) -> bytes:
@@ -161,7 +157,7 @@ def _pdu(request: ModbusPDU) -> bytes:
 _Writer = tuple[bytes, Callable[[Mapping[str, float]], bytes]]  # request for zeros, and what makes one for numbers
 
 
-def _writer(block: Block, functions: Sequence[int]) -> _Writer:
+def _writer(block: RegisterBlock, functions: Sequence[int]) -> _Writer:
     is_single = block.count == 1
     if block.table == "coil":
         return _coil_writer(
@@ -171,120 +167,25 @@ def _writer(block: Block, functions: Sequence[int]) -> _Writer:
     return _register_writer(_pdu(kind(address=block.address, registers=[0] * block.count)), block)
 
 
-def _both(read: Block, write: Block) -> _Writer:
+def _both(read: RegisterBlock, write: RegisterBlock) -> _Writer:
     zeros = [0] * write.count
     return _register_writer(
         _pdu(ReadWriteMultipleRegistersRequest(read.address, read.count, write.address, zeros)), write
     )
 
 
-def _register_writer(pdu: bytes, block: Block) -> _Writer:
+def _register_writer(pdu: bytes, block: RegisterBlock) -> _Writer:
     """What writes registers: in each of these requests they are the end, and all before them stays the same."""
     layout = Layout(block)
     head = pdu[: -layout.size]
     return pdu, lambda values: head + layout.pack(values)
 
 
-def _coil_writer(block: Block, kind: type[ModbusPDU]) -> _Writer:
+def _coil_writer(block: RegisterBlock, kind: type[ModbusPDU]) -> _Writer:
     def make(values: Mapping[str, float]) -> bytes:
         bits = [False] * block.count
-        for place in block.places:
-            try:
-                (bit,) = place.words(values[place.name])
-            except ValueError as error:
-                raise ValueError(f"{place.name}: {error}") from None
-            bits[place.address - block.address] = bool(bit)
+        for field, number in zip(block.fields, representable_numbers(block.fields, values), strict=True):
+            bits[field.address - block.address] = bool(number)
         return _pdu(kind(address=block.address, bits=bits))
 
     return make(dict.fromkeys(block.names, 0.0)), make
-
-
-class ModbusLine:
-    """Modbus to the axes on one line; see `friction_hil_drivers.serial_line.protocol.LineProtocol`.
-
-    Parameters
-    ----------
-    descriptions, options, images : mapping
-        Of the axes on this line, by name.
-    """
-
-    def __init__(
-        self,
-        descriptions: Mapping[str, ModbusDescription],
-        options: Mapping[str, ModbusOptions],
-        images: Mapping[str, Image],
-    ) -> None:
-        self._descriptions = descriptions
-        self._options = options
-        self._images = images
-        line = next(iter(options.values())).line
-        self._framing: Framing = TcpFraming() if line.is_tcp else RtuFraming()
-        silence_s = max(description.silence_s for description in descriptions.values())
-        self.numbers_replies = line.is_tcp
-        self.names_drives = True
-        self.ahead_chars = 0
-        self.silence_chars = 0.0 if line.is_tcp else max(_SILENCE_CHARS, silence_s / character_s(line))
-
-    def plan(self, wanted: Mapping[str, Wanted]) -> Plan:
-        """Put a cycle together from as few requests as there can be, for the axes by name.
-
-        Slow signals are read with the fast ones where that costs no request. Where the drive has function 23, all
-        commands are written in the poll: those that find no read to ride with, in requests of their own after it,
-        so that commands of one computation stay together.
-        """
-        poll: list[Request] = []
-        turns: list[Request] = []
-        push: list[Request] = []
-        for axis, needs in wanted.items():
-            description = self._descriptions[axis]
-            fast, slow = _reads(description, needs)
-            writes = description.write_blocks(needs.commands)
-            turns += [self._request(axis, read=block) for block in slow]
-            joining = [block for block in fast if block.table == "holding"] if description.read_write_multiple else []
-            if writes and joining and all(block.table == "holding" for block in writes[: len(joining)]):
-                poll += [self._request(axis, read=r, write=w) for r, w in zip_longest(joining, writes)]
-                poll += [self._request(axis, read=block) for block in fast if block not in joining]
-            else:
-                poll += [self._request(axis, read=block) for block in fast]
-                push += [self._request(axis, write=block) for block in writes]
-        return Plan(tuple(poll), tuple(turns), tuple(push))
-
-    def read(self, axis: str, names: Sequence[str]) -> Request:
-        """Request that reads some signals of an axis.
-
-        Raises
-        ------
-        ValueError
-            One request cannot read them all.
-        """
-        return self._request(axis, read=only(self._descriptions[axis].read_blocks(tuple(names)), "read", names))
-
-    def write(self, axis: str, names: Sequence[str]) -> Request:
-        """Request that writes some signals of an axis.
-
-        Raises
-        ------
-        ValueError
-            One request cannot write them all.
-        """
-        return self._request(axis, write=only(self._descriptions[axis].write_blocks(tuple(names)), "write", names))
-
-    def _request(self, axis: str, read: Block | None = None, write: Block | None = None) -> Request:
-        return Request(
-            self._framing,
-            self._options[axis].unit,
-            self._images[axis],
-            read=read,
-            write=write,
-            write_functions=self._descriptions[axis].write_functions,
-        )
-
-
-def _reads(description: ModbusDescription, needs: Wanted) -> tuple[list[Block], list[Block]]:
-    """Blocks to be read in every cycle, and those to be read in turns."""
-    slow_names = tuple(name for name in needs.slow if name not in needs.fast)
-    together = description.read_blocks((*needs.fast, *slow_names))
-    fast = [block for block in together if not set(block.names).isdisjoint(needs.fast)]
-    if len(fast) > len(description.read_blocks(needs.fast)):  # what is slow took the room in a block
-        return description.read_blocks(needs.fast), description.read_blocks(slow_names)
-    return fast, [block for block in together if block not in fast]

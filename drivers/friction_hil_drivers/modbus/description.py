@@ -12,10 +12,10 @@ from friction_hil_drivers.modbus.registers import (
     BOUNDS,
     WIDTHS,
     WRITABLE_TABLES,
-    Block,
     Kind,
     Order,
-    Place,
+    RegisterBlock,
+    RegisterField,
     Table,
     merged,
 )
@@ -77,29 +77,29 @@ class ModbusDescription(Description):
         """Signals by name."""
         return dict(self.signals)
 
-    def place(self, name: str) -> Place:
+    def field(self, name: str) -> RegisterField:
         """Where a signal is found."""
         signal = self.signals[name]
         word_order = signal.word_order or self.word_order or "big"
-        return Place(
+        return RegisterField(
             name, signal.function, signal.address, signal.type, word_order, signal.byte_order or self.byte_order
         )
 
-    def read_blocks(self, names: tuple[str, ...]) -> list[Block]:
+    def read_blocks(self, names: tuple[str, ...]) -> list[RegisterBlock]:
         """Fewest blocks of registers that hold the signals."""
         return merged(
-            map(self.place, names),
+            map(self.field, names),
             max_gap=self.max_gap_registers,
             max_count=self.max_read_registers,
             alignment=self.alignment,
         )
 
-    def write_blocks(self, names: tuple[str, ...]) -> list[Block]:
+    def write_blocks(self, names: tuple[str, ...]) -> list[RegisterBlock]:
         """Fewest blocks of registers that are written when the signals are; nothing else lies in them."""
-        places = [self.place(name) for name in names]
-        blocks: list[Block] = []
+        fields = [self.field(name) for name in names]
+        blocks: list[RegisterBlock] = []
         for table, joining in (("holding", 16), ("coil", 15)):
-            there = [place for place in places if place.table == table]
+            there = [field for field in fields if field.table == table]
             most = self.max_write_registers if joining in self.write_functions else 1
             blocks += merged(there, max_gap=0, max_count=most, alignment=self.alignment)
         return blocks
@@ -133,30 +133,30 @@ class ModbusDescription(Description):
 
     def _divided_numbers(self) -> Iterator[Mistake]:
         """Signals that begin inside of a number of 32 bits."""
-        places = [self.place(name) for name in self.signals]
-        for wide in places:
-            for other in places:
+        fields = [self.field(name) for name in self.signals]
+        for wide in fields:
+            for other in fields:
                 if other.table == wide.table and wide.address < other.address < wide.end:
                     at = f"at {wide.address:04X}h"
                     yield ("signals", wide.name), f"{wide.name} (2 registers {at}) reaches into {other.name}"
 
     def _writing_mistakes(self) -> Iterator[Mistake]:
-        places = [self.place(name) for name in self.signals]
+        fields = [self.field(name) for name in self.signals]
         for name in self.written:
-            place = self.place(name)
-            if place.table not in WRITABLE_TABLES:
-                text = f"{name} is written, so it can be a holding register or a coil, not {place.table}"
+            field = self.field(name)
+            if field.table not in WRITABLE_TABLES:
+                text = f"{name} is written, so it can be a holding register or a coil, not {field.table}"
                 yield ("signals", name), text
                 continue
-            width = place.end - place.address
-            joining, single = (15, 5) if place.table == "coil" else (16, 6)
+            width = field.end - field.address
+            joining, single = (15, 5) if field.table == "coil" else (16, 6)
             is_wide = width > 1 or self.alignment > 1
             if joining not in self.write_functions and (is_wide or single not in self.write_functions):
                 needed = f"{joining}" if is_wide else f"{single} or {joining}"
                 text = f"{name} is written, which takes function {needed}; write_functions has not"
                 yield ("signals", name), text
-            start, end = place.address - place.address % self.alignment, place.end + -place.end % self.alignment
-            for other in places:
-                if other.name != name and other.table == place.table and other.address < end and start < other.end:
+            start, end = field.address - field.address % self.alignment, field.end + -field.end % self.alignment
+            for other in fields:
+                if other.name != name and other.table == field.table and other.address < end and start < other.end:
                     at = f"{other.name} ({other.address:04X}h)"
-                    yield ("signals", name), f"writing {name} ({place.address:04X}h) would overwrite {at}"
+                    yield ("signals", name), f"writing {name} ({field.address:04X}h) would overwrite {at}"

@@ -1,4 +1,4 @@
-"""Numbers in registers, and registers side by side. Pure."""
+"""Numbers in Modbus registers and coils, and registers side by side. Pure."""
 
 import functools
 import operator
@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from friction_hil_drivers.serial_line.blocks import merge, nearest_integer, representable_numbers
 from friction_hil_drivers.serial_line.units import saturated
 
 Table = Literal["holding", "input", "coil", "discrete"]
@@ -25,27 +26,26 @@ BOUNDS: dict[Kind, tuple[int, int]] = {
     "bool": (0, 1),
 }
 _FLOAT32_MAX = 3.4028234663852886e38
-_CYCLIC = ("position", "position_command")
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
-    """Where a signal is found, and how its number is written there.
+class RegisterField:
+    """Registers (or the coil) that hold a signal, and how its number is stored.
 
     Attributes
     ----------
     name : str
-        Of the signal.
+        Name of the signal.
     table : str
         Holding or input registers, coils or discrete inputs.
     address : int
-        Of its first register, as on the wire: from 0.
+        Address of its first register, as on the wire: from 0.
     kind : str
         Type of the number.
     word_order : str
-        Whether the high (big) or the low word of 32 bits has the lower address.
+        Word of 32 bits that has the lower address: the high one (big) or the low one.
     byte_order : str
-        Whether the high (big) or the low byte of a register goes first on the wire; big is Modbus.
+        Byte of a register that goes first on the wire: the high one (big), as Modbus says, or the low one.
     """
 
     name: str
@@ -61,7 +61,7 @@ class Place:
         return self.address + WIDTHS[self.kind]
 
     def representable(self, number: float) -> float:
-        """What of a number can be written: rounded and kept within the range of its type.
+        """Return the number nearest to ``number`` that can be written: rounded, and kept within the range of its type.
 
         A position wraps in it instead, as the drive's counter does.
 
@@ -72,14 +72,11 @@ class Place:
         """
         if self.kind == "float32":
             return saturated(number, -_FLOAT32_MAX, _FLOAT32_MAX)
-        low, high = BOUNDS[self.kind]
-        kept = saturated(number, low, high)
-        if self.name in _CYCLIC:
-            return (round(number) - low) % (high - low + 1) + low
-        return round(kept)
+        bounds = BOUNDS[self.kind]
+        return nearest_integer(self.name, number, bounds, bounds)
 
     def words(self, number: float) -> list[int]:
-        """Registers (or the coil) for a number; see `representable`.
+        """Return the registers (or the coil) for a number; see `representable`.
 
         Raises
         ------
@@ -92,25 +89,25 @@ class Place:
         return list(struct.unpack(f">{len(data) // 2}H", data))
 
     def number(self, words: Sequence[int]) -> float:
-        """Number that the registers (or the bit) hold."""
+        """Return the number that the registers (or the bit) hold."""
         if self.kind == "bool":
             return float(words[0])
         return float(_layout_of(self).unpack(struct.pack(f">{len(words)}H", *words))[0])
 
 
 @dataclass(frozen=True, slots=True)
-class Block:
+class RegisterBlock:
     """Registers side by side that one request reads or writes, and the signals in them."""
 
     table: Table
     address: int
     count: int
-    places: tuple[Place, ...]
+    fields: tuple[RegisterField, ...]
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Signals in it."""
-        return tuple(place.name for place in self.places)
+        """Names of the signals in it."""
+        return tuple(field.name for field in self.fields)
 
     def __str__(self) -> str:
         if self.table in BIT_TABLES:
@@ -121,12 +118,12 @@ class Block:
 
 
 class Layout:
-    """How the numbers of a block of registers lie in its bytes, as they are on the wire.
+    """Conversion between the numbers of a block of registers and its bytes, as they are on the wire.
 
     Parameters
     ----------
-    block : Block
-        Not of bits.
+    block : RegisterBlock
+        Of holding or input registers.
 
     Attributes
     ----------
@@ -134,11 +131,11 @@ class Layout:
         Bytes of the block.
     """
 
-    def __init__(self, block: Block) -> None:
+    def __init__(self, block: RegisterBlock) -> None:
         self.size = 2 * block.count
-        self._places = block.places
-        self._numbers = struct.Struct(">" + "".join(_FORMATS[place.kind] for place in block.places))
-        order = [at for place in block.places for at in _byte_places(place, block.address)]
+        self._fields = block.fields
+        self._numbers = struct.Struct(">" + "".join(_FORMATS[field.kind] for field in block.fields))
+        order = [at for field in block.fields for at in _byte_offsets(field, block.address)]
         self._is_plain = order == list(range(self.size))
         self._out_of = operator.itemgetter(*order)
         # bytes that belong to no signal are zero: one more byte stands for them
@@ -146,65 +143,53 @@ class Layout:
         self._into = operator.itemgetter(*into)
 
     def unpack(self, data: bytes) -> tuple[float, ...]:
-        """Numbers of the block, in the order of its places, from as many bytes as it has."""
+        """Return the numbers of the block, in the order of its fields, from as many bytes as it has."""
         return self._numbers.unpack(data if self._is_plain else bytes(self._out_of(data)))
 
     def pack(self, values: Mapping[str, float]) -> bytes:
-        """Bytes of the block for numbers by signal; see `Place.representable`.
+        """Return the bytes of the block for numbers by signal; see `RegisterField.representable`.
 
         Raises
         ------
         ValueError
             A number is not finite.
         """
-        numbers = []
-        for place in self._places:
-            try:
-                numbers.append(place.representable(values[place.name]))
-            except ValueError as error:
-                raise ValueError(f"{place.name}: {error}") from None
-        data = self._numbers.pack(*numbers)
+        data = self._numbers.pack(*representable_numbers(self._fields, values))
         return data if self._is_plain else bytes(self._into(data + b"\0"))
 
 
-def _byte_places(place: Place, start: int) -> list[int]:
-    """Where the bytes of a number lie behind the register ``start``, the most significant first."""
-    words = range(place.address, place.end)
-    halves = (0, 1) if place.byte_order == "big" else (1, 0)
+def _byte_offsets(field: RegisterField, start: int) -> list[int]:
+    """Return the byte offsets of a number from the register ``start``, the most significant byte first."""
+    words = range(field.address, field.end)
+    halves = (0, 1) if field.byte_order == "big" else (1, 0)
     return [
-        2 * (word - start) + half for word in (words if place.word_order == "big" else words[::-1]) for half in halves
+        2 * (word - start) + half for word in (words if field.word_order == "big" else words[::-1]) for half in halves
     ]
 
 
 @functools.lru_cache(maxsize=1024)
-def _layout_of(place: Place) -> Layout:
-    return Layout(Block(place.table, place.address, place.end - place.address, (place,)))
+def _layout_of(field: RegisterField) -> Layout:
+    return Layout(RegisterBlock(field.table, field.address, field.end - field.address, (field,)))
 
 
-def merged(places: Iterable[Place], *, max_gap: int, max_count: int, alignment: int = 1) -> list[Block]:
-    """Cover signals with as few blocks as there can be.
-
-    Taking the signals in the order of their addresses, and each block as far as it goes, needs the fewest.
+def merged(fields: Iterable[RegisterField], *, max_gap: int, max_count: int, alignment: int = 1) -> list[RegisterBlock]:
+    """Cover signals with as few blocks as possible.
 
     Parameters
     ----------
-    places : iterable of Place
+    fields : iterable of RegisterField
     max_gap : int
-        How many registers that belong to no signal may lie in a block, in a row.
+        Number of registers without a signal that may lie in a block, in a row.
     max_count : int
-        How many registers a block may have.
+        Largest number of registers in a block.
     alignment : int
         Blocks begin and end at multiples of it.
     """
-    blocks: list[Block] = []
-    for place in sorted(places, key=lambda p: (p.table, p.address, p.end)):
-        start = place.address - place.address % alignment
-        end = place.end + -place.end % alignment
-        if blocks:
-            last = blocks[-1]
-            count = max(last.count, end - last.address)
-            if last.table == place.table and start - last.address - last.count <= max_gap and count <= max_count:
-                blocks[-1] = Block(last.table, last.address, count, (*last.places, place))
-                continue
-        blocks.append(Block(place.table, start, end - start, (place,)))
-    return blocks
+    tables: dict[Table, list[RegisterField]] = {}
+    for field in fields:
+        tables.setdefault(field.table, []).append(field)
+    return [
+        RegisterBlock(table, *block)
+        for table, there in sorted(tables.items())
+        for block in merge(there, max_gap=max_gap, max_size=max_count, alignment=alignment)
+    ]

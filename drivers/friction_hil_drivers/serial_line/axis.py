@@ -11,7 +11,7 @@ from friction_hil.errors import OptionError
 from friction_hil_drivers.cia402 import profile
 from friction_hil_drivers.serial_line.description import Description, Signal, Step
 from friction_hil_drivers.serial_line.protocol import COMMANDS, Image
-from friction_hil_drivers.serial_line.sequences import Sequencer, parting_writes, state_of, state_signals
+from friction_hil_drivers.serial_line.sequences import Sequencer, disable_writes, state_of, state_signals
 from friction_hil_drivers.serial_line.units import LINEAR, NEEDS, ROTARY, UNITS, AxisUnits
 
 _WANTED = {
@@ -23,7 +23,7 @@ _STATUS_LOSS_S = 0.5  # without having heard the state that long, nobody knows i
 
 
 @dataclass(frozen=True, slots=True)
-class Scales:
+class SignalScales:
     """SI value of one in the drive's numbers, by signal; negative where the axis is turned round."""
 
     of: Mapping[str, float]
@@ -49,7 +49,7 @@ def _scaled(description: Description) -> dict[str, Signal]:
     return {name: signal for name, signal in description.units().items() if name in known}
 
 
-def make_scales(axis: str, description: Description, units: AxisUnits, *, kind: str, is_inverted: bool) -> Scales:
+def make_scales(axis: str, description: Description, units: AxisUnits, *, kind: str, is_inverted: bool) -> SignalScales:
     """Scales of a drive on one axis.
 
     Raises
@@ -65,7 +65,7 @@ def make_scales(axis: str, description: Description, units: AxisUnits, *, kind: 
         if not (math.isfinite(scale) and scale):
             raise OptionError(axis, "description", f"one of {name} would be {scale:g}: no scale of a drive is that")
         scales[name] = -scale if is_inverted else scale
-    return Scales(scales, description.units()["position"].counter_bits)
+    return SignalScales(scales, description.units()["position"].counter_bits)
 
 
 class SerialAxis:
@@ -75,7 +75,7 @@ class SerialAxis:
     ----------
     name : str
     description : Description
-    scales : Scales
+    scales : SignalScales
     image : Image
         Filled and read by the exchanges on the line.
     commands : sequence of str
@@ -88,7 +88,7 @@ class SerialAxis:
         self,
         name: str,
         description: Description,
-        scales: Scales,
+        scales: SignalScales,
         image: Image,
         commands: tuple[str, ...],
         before: Sequence[Step] = (),
@@ -166,9 +166,9 @@ class SerialAxis:
             self._told, self.state = told, state_of(self._description, values)
         return self.state
 
-    def parting(self) -> list[Mapping[str, float]]:
-        """All there is to write so that the drive is disabled."""
-        return parting_writes(self._description)
+    def disable_writes(self) -> list[Mapping[str, float]]:
+        """Return the values to write, in order, that disable the drive."""
+        return disable_writes(self._description)
 
     def _unwrapped(self, number: float) -> float:
         if self._position_bits is None:

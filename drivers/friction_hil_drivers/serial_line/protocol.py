@@ -22,14 +22,14 @@ class ReplyError(Exception):
     is_complete : bool
         The drive has said all it has to say (an exception code, an error text). Otherwise more may come, and the
         line has to fall silent before the next request.
-    is_unasked : bool
+    is_unsolicited : bool
         It is an error that may belong to a request before this one, to which nothing is replied otherwise.
     """
 
-    def __init__(self, message: str, *, is_complete: bool = False, is_unasked: bool = False) -> None:
+    def __init__(self, message: str, *, is_complete: bool = False, is_unsolicited: bool = False) -> None:
         super().__init__(message)
         self.is_complete = is_complete
-        self.is_unasked = is_unasked
+        self.is_unsolicited = is_unsolicited
 
 
 @dataclass(slots=True)
@@ -147,7 +147,7 @@ def shown(data: bytes | bytearray) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
+class CycleSignals:
     """What a cycle of one axis needs, by names of signals."""
 
     fast: tuple[str, ...]  # to be read in every cycle
@@ -160,7 +160,7 @@ class Plan:
     """The exchanges of a cycle on one line."""
 
     poll: tuple[Exchange, ...]  # each cycle, before the computation
-    turns: tuple[Exchange, ...]  # one of them each cycle, after the poll
+    background: tuple[Exchange, ...]  # one of them each cycle, after the push
     push: tuple[Exchange, ...]  # each cycle, after the computation; none where the poll of the next cycle writes
 
 
@@ -172,7 +172,7 @@ class LineProtocol(Protocol):
     names_drives: bool  # a reply tells which of the drives it is from
     ahead_chars: int  # of requests that the drives take in before they answer the first; 0: one at a time
 
-    def plan(self, wanted: Mapping[str, Wanted]) -> Plan:
+    def plan(self, wanted: Mapping[str, CycleSignals]) -> Plan:
         """Put a cycle together from as few exchanges as there can be, for the axes by name."""
         ...
 

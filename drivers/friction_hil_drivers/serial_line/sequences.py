@@ -143,7 +143,7 @@ def watchdog_steps(description: Description, time_s: float) -> tuple[Step, ...]:
     return Step(write={watchdog.signal: number}), *watchdog.enable
 
 
-def parting_writes(description: Description) -> list[Mapping[str, float]]:
+def disable_writes(description: Description) -> list[Mapping[str, float]]:
     """All there is to write, in turn, so that a drive is disabled, whatever it answers."""
     if description.state_machine == "cia402":
         return [{"control": profile.DISABLE_VOLTAGE}]

@@ -1,6 +1,8 @@
-"""How long a cycle takes on a serial line. Pure arithmetic."""
+"""Requests that go out together, and the time that they and a whole cycle take on a serial line. Pure arithmetic."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Self
 
 from friction_hil.errors import UsageError
 from friction_hil_drivers.serial_line.options import LineOptions
@@ -75,7 +77,9 @@ def check_rate(
         return wire_s(exchanges, line, silence_chars, ahead_chars)
 
     fixed = (*plan.push, *plan.poll)
-    parts = max([(*plan.push, turn, *plan.poll) for turn in plan.turns], key=lambda some: time_s(*some), default=fixed)
+    parts = max(
+        [(*plan.push, each, *plan.poll) for each in plan.background], key=lambda some: time_s(*some), default=fixed
+    )
     needed = time_s(*parts)
     if needed <= period_s:
         text = f"a cycle takes {needed * 1e3:.3g} ms of {period_s * 1e3:g} ms on {line.port}"
@@ -95,3 +99,79 @@ def check_rate(
         f"({character_s(line) * 1e6:.4g} us), {silence_chars:g} of them are silence after each frame: {listed}. "
         "Take a longer period or a higher baud rate"
     )
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """Requests that go out together, with what the rule for sending asks of them.
+
+    Attributes
+    ----------
+    exchanges : tuple of Exchange
+    answered, refusable : tuple of Exchange
+        Those that are answered, and those to which nothing is replied but a refusal.
+    chars : int
+        Size of all requests.
+    ahead_chars : int
+        Characters that are sent before the first request is answered; 0 if nothing follows one that is answered.
+    wire_ns : int
+        Time that all of them take on the wire.
+    are_joint : bool
+        They may go out in one write.
+    known_before : frozenset of Exchange
+        Exchanges that may be outstanding when they go out.
+    """
+
+    exchanges: tuple[Exchange, ...]
+    answered: tuple[Exchange, ...]
+    refusable: tuple[Exchange, ...]
+    chars: int
+    ahead_chars: int
+    wire_ns: int
+    are_joint: bool
+    known_before: frozenset[Exchange]
+
+    @classmethod
+    def of(
+        cls, exchanges: Sequence[Exchange], wire_ns: int, before: Iterable[Exchange] = (), *, keeps_silence: bool
+    ) -> Self:
+        """Make a batch.
+
+        Parameters
+        ----------
+        exchanges : sequence of Exchange
+        wire_ns : int
+            Time that they take on the wire.
+        before : iterable of Exchange
+            Exchanges that are often outstanding when they go out.
+        keeps_silence : bool
+            Silence has to pass between frames on the line.
+        """
+        answered: list[Exchange] = []
+        size = ahead_chars = 0
+        are_joint = len(exchanges) < 2 or not keeps_silence
+        for exchange in exchanges:
+            size += exchange.request_size
+            if answered:
+                ahead_chars = size
+                are_joint = are_joint and all(map(exchange.may_follow, answered))
+            if exchange.reply_size:
+                answered.append(exchange)
+        return cls(
+            exchanges=tuple(exchanges),
+            answered=tuple(answered),
+            refusable=tuple(exchange for exchange in exchanges if exchange.tells_refusal),
+            chars=size,
+            ahead_chars=ahead_chars,
+            wire_ns=wire_ns,
+            are_joint=are_joint,
+            known_before=frozenset(
+                each for each in before if not keeps_silence and all(late.may_follow(each) for late in exchanges)
+            ),
+        )
+
+    def may_follow(self, outstanding: Iterable[Exchange]) -> bool:
+        """Return True if no reply to these could be taken for one to an outstanding request, or the reverse."""
+        return self.known_before.issuperset(outstanding) or all(
+            exchange.may_follow(before) for before in outstanding for exchange in self.exchanges
+        )

@@ -11,7 +11,7 @@ from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.simulated.dictionary import Abort, Dictionary, SdoAbortError
 from friction_hil_drivers.canopen.simulated.emergency import Emergencies
 from friction_hil_drivers.canopen.simulated.setpoints import NO_MODE, Setpoints
-from friction_hil_drivers.canopen.simulated.units import Units
+from friction_hil_drivers.canopen.simulated.units import SimulatedUnits
 from friction_hil_drivers.canopen.simulated.values import connect_live_values, set_defaults
 from friction_hil_drivers.cia402 import profile
 from friction_hil_drivers.cia402.power import requested_state
@@ -38,7 +38,7 @@ class _Stop:
     give_up_ns: int
 
 
-class Drive:
+class SimulatedCia402Drive:
     """Power stage, loops and motor behind their objects.
 
     ``update`` is to be called after every frame and regularly between frames: it obeys the controlword, ends
@@ -55,7 +55,7 @@ class Drive:
         self._exceeded_since_ns: int | None = None
         self._has_following_error = False
         self._emergencies = emergencies
-        self._units = Units(servo)
+        self._units = SimulatedUnits(servo)
         self._modes = frozenset(modes)
         set_defaults(dictionary, servo, self._units, self._modes)
         connect_live_values(dictionary, servo, self._units)

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from friction_hil.config import AxisConfig, Configuration
     from friction_hil.servo.servo import Servo
     from friction_hil_drivers.canopen.simulated.dictionary import Dictionary
-    from friction_hil_drivers.canopen.simulated.node import Node
+    from friction_hil_drivers.canopen.simulated.node import SimulatedNode
 
 _IDLE_TIMEOUT_S = 2.5e-4  # between frames time passes this often, so that little is left to integrate at a SYNC
 _SYNC_TIMEOUT_S = 0.1
@@ -52,7 +52,7 @@ class SimulatedCanopenDrives:
         self._is_real = pace == "real"
         self._given_bus = bus
         self._bus: FrameBus | None = None
-        self._nodes: list[Node] = []
+        self._nodes: list[SimulatedNode] = []
 
     def open(self) -> str:
         """Compile everything, open the bus and let every node say that it is there.
@@ -136,11 +136,11 @@ class SimulatedCanopenDrives:
             self._bus.close()
             self._bus = None
 
-    def _make_node(self, axis: "AxisConfig") -> "Node":
+    def _make_node(self, axis: "AxisConfig") -> "SimulatedNode":
         from friction_hil.drive import Mode
         from friction_hil.servo.servo import Servo
-        from friction_hil_drivers.canopen.simulated.drive import Drive
-        from friction_hil_drivers.canopen.simulated.node import Node
+        from friction_hil_drivers.canopen.simulated.drive import SimulatedCia402Drive
+        from friction_hil_drivers.canopen.simulated.node import SimulatedNode
 
         simulation = axis.simulation
         assert isinstance(simulation, SimulationOptions)
@@ -149,10 +149,10 @@ class SimulatedCanopenDrives:
         modes = [Mode[name.upper()] for name in simulation.canopen.supported_modes]
         _compile(Servo(simulation))
         steps = self._steps_per_period(servo)
-        return Node(
+        return SimulatedNode(
             number,
             self._dictionary(number, simulation),
-            lambda dictionary, emergencies: Drive(servo, dictionary, emergencies, modes),
+            lambda dictionary, emergencies: SimulatedCia402Drive(servo, dictionary, emergencies, modes),
             self._send,
             sync_steps=None if self._is_real else steps,
             lock_steps=steps if self._is_real else None,

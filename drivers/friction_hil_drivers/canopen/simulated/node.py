@@ -6,7 +6,7 @@ from functools import partial
 from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.objects import NmtCommand, NmtState
 from friction_hil_drivers.canopen.simulated.dictionary import Abort, Dictionary, SdoAbortError
-from friction_hil_drivers.canopen.simulated.drive import Drive
+from friction_hil_drivers.canopen.simulated.drive import SimulatedCia402Drive
 from friction_hil_drivers.canopen.simulated.emergency import Emergencies
 from friction_hil_drivers.canopen.simulated.heartbeat import Consumer, Producer
 from friction_hil_drivers.canopen.simulated.pdo import Rpdo, Tpdo
@@ -22,7 +22,7 @@ _LOCKED_PERIODS = 10  # without SYNC after which the drive's clock runs free aga
 _S, _US = 1_000_000_000, 1_000  # ns
 
 
-class Node:
+class SimulatedNode:
     """One node on the bus.
 
     Frames come in through `receive`, time through `advance_to`; frames go out through ``send``. `poll` does what is
@@ -52,7 +52,7 @@ class Node:
         self,
         number: int,
         dictionary: Dictionary,
-        make_drive: Callable[[Dictionary, Emergencies], Drive],
+        make_drive: Callable[[Dictionary, Emergencies], SimulatedCia402Drive],
         send: Callable[[int, bytes], None],
         sync_steps: int | None = None,
         lock_steps: int | None = None,

@@ -23,7 +23,7 @@ def _is_restricted(can_id: int) -> bool:
     )
 
 
-class Pdo:
+class SimulatedPdo:
     """What both directions share: one communication record, one mapping record.
 
     Writes to the records are checked at once and make it stale; they take effect when the node calls `load`.
@@ -118,7 +118,7 @@ class Pdo:
         return entry
 
 
-class Rpdo(Pdo):
+class Rpdo(SimulatedPdo):
     """Received: writes the entries mapped to it."""
 
     _is_receive = True
@@ -146,7 +146,7 @@ class Rpdo(Pdo):
                 continue
 
 
-class Tpdo(Pdo):
+class Tpdo(SimulatedPdo):
     """Transmitted: samples the entries mapped to it.
 
     Event-driven ones are due when their content has changed or their event timer has run off, not before the

@@ -7,7 +7,7 @@ from friction_hil.errors import UsageError
 from friction_hil.servo.servo import Servo
 from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.simulated.dictionary import Abort, Dictionary, SdoAbortError
-from friction_hil_drivers.canopen.simulated.units import Units, unwrapped
+from friction_hil_drivers.canopen.simulated.units import SimulatedUnits, unwrapped
 from friction_hil_drivers.canopen.units import wrap
 
 NO_MODE = 0
@@ -21,7 +21,7 @@ class Setpoints:
     nor pushes when it is enabled or changes its mode: until then it holds its position, or gives no torque.
     """
 
-    def __init__(self, servo: Servo, units: Units, dictionary: Dictionary) -> None:
+    def __init__(self, servo: Servo, units: SimulatedUnits, dictionary: Dictionary) -> None:
         self._servo = servo
         self._units = units
         self._min_position = dictionary.of(objects.MIN_POSITION_LIMIT)

@@ -18,7 +18,7 @@ def unwrapped(position: int, near: int) -> int:
     return near + wrap(position - near)
 
 
-class Units:
+class SimulatedUnits:
     """Conversion of one axis.
 
     A revolution is one turn of a rotary axis and one metre of a linear one. The rated torque is what object

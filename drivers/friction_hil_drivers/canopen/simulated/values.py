@@ -6,11 +6,11 @@ from friction_hil.drive import Mode
 from friction_hil.servo.servo import Servo
 from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.simulated.dictionary import Dictionary
-from friction_hil_drivers.canopen.simulated.units import INT16, INT32, Units, saturated
+from friction_hil_drivers.canopen.simulated.units import INT16, INT32, SimulatedUnits, saturated
 from friction_hil_drivers.canopen.units import wrap
 
 
-def connect_live_values(dictionary: Dictionary, servo: Servo, units: Units) -> None:
+def connect_live_values(dictionary: Dictionary, servo: Servo, units: SimulatedUnits) -> None:
     """Let the entries of demands and actual values read the servo."""
     counts, torque = units.counts, units.torque
     dictionary.of(objects.POSITION_ACTUAL).on_read = lambda: wrap(round(servo.position * counts))
@@ -22,7 +22,7 @@ def connect_live_values(dictionary: Dictionary, servo: Servo, units: Units) -> N
     dictionary.of(objects.TORQUE_DEMAND).on_read = lambda: saturated(servo.torque_demand / torque, INT16)
 
 
-def set_defaults(dictionary: Dictionary, servo: Servo, units: Units, modes: Iterable[Mode]) -> None:
+def set_defaults(dictionary: Dictionary, servo: Servo, units: SimulatedUnits, modes: Iterable[Mode]) -> None:
     """Give the entries that describe this motor their values, as its commissioning would have done.
 
     The quick stop uses half of the rated torque on the inertia, the profile ramp a quarter; the following

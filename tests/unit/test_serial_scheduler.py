@@ -1,8 +1,8 @@
 """What is said on a serial line, and when: one request at a time, and no reply taken for another one's."""
 
 import pytest
-from friction_hil_drivers.serial_line.conversation import Conversation
 from friction_hil_drivers.serial_line.protocol import Image
+from friction_hil_drivers.serial_line.scheduler import BusScheduler
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -22,18 +22,18 @@ class Bench:
         self.time = Time()
         self.image = Image()
         self.line = BenchLine(lambda data: self.answers.get(data.decode(), b""))
-        self.talk = Conversation(self.line, [self.image], SILENCE_CHARS, reply_limit_ms * 1e-3, self.time)
+        self.scheduler = BusScheduler(self.line, [self.image], SILENCE_CHARS, reply_limit_ms * 1e-3, self.time)
 
     def ask(self, name="position", done=None):
         exchange = Ask(self.image, name)
-        self.talk.ask((exchange,), done)
+        self.scheduler.enqueue((exchange,), done)
         return exchange
 
     def go(self, ms=10.0, each=0.1):
         """Let time pass, working whenever there is something to do."""
         end = self.time.ns + round(ms * MS)
         while self.time.ns < end:
-            self.talk.step()
+            self.scheduler.poll()
             self.time.pass_ms(each)
 
     def cycle(self, name="position"):
@@ -41,7 +41,7 @@ class Bench:
         self.image.fresh.clear()
         self.ask(name)
         self.go(5.0)
-        self.talk.give_up()
+        self.scheduler.end_cycle()
         return self.image.values[name] if name in self.image.fresh else None
 
 
@@ -49,18 +49,18 @@ def test_requests_go_one_after_the_other_with_silence_between():
     bench = Bench(**{"position?": b"12;", "velocity?": b"-3;"})
     bench.ask("position")
     bench.ask("velocity")
-    bench.talk.step()
-    bench.talk.step()
+    bench.scheduler.poll()
+    bench.scheduler.poll()
     assert bench.line.sent == [b"position?"]
     bench.time.pass_ms(SILENCE_MS - 0.01)
-    bench.talk.step()
+    bench.scheduler.poll()
     assert bench.line.sent == [b"position?"]
-    assert bench.talk.due_ns == bench.time.ns + 10_000
+    assert bench.scheduler.due_ns == bench.time.ns + 10_000
     bench.time.pass_ms(0.01)
-    bench.talk.step()
+    bench.scheduler.poll()
     assert bench.line.sent == [b"position?", b"velocity?"]
-    bench.talk.step()
-    assert bench.talk.is_finished
+    bench.scheduler.poll()
+    assert bench.scheduler.is_finished
     assert bench.image.values == {"position": 12.0, "velocity": -3.0}
     assert bench.image.fresh == {"position", "velocity"}
 
@@ -68,14 +68,14 @@ def test_requests_go_one_after_the_other_with_silence_between():
 def test_a_command_without_a_reply_takes_its_time_on_the_wire():
     bench = Bench(**{"position?": b"12;"})
     bench.image.values["torque_command"] = 0.25
-    bench.talk.ask((Tell(bench.image, "torque_command"), Ask(bench.image, "position")))
-    bench.talk.step()
+    bench.scheduler.enqueue((Tell(bench.image, "torque_command"), Ask(bench.image, "position")))
+    bench.scheduler.poll()
     sent_ms = len(b"torque_command=0.25;") * CHARACTER_MS
     bench.time.pass_ms(sent_ms + SILENCE_MS - 0.01)
-    bench.talk.step()
+    bench.scheduler.poll()
     assert bench.line.sent == [b"torque_command=0.25;"]
     bench.time.pass_ms(0.01)
-    bench.talk.step()
+    bench.scheduler.poll()
     assert bench.line.sent[1:] == [b"position?"]
 
 
@@ -99,7 +99,7 @@ def test_a_late_reply_is_never_taken_for_the_present_one():
     bench.line.arrived += b"1;"  # of the first cycle
     bench.answers["position?"] = b"2;"
     bench.go(5.0)
-    bench.talk.give_up()
+    bench.scheduler.end_cycle()
     assert bench.line.sent == [b"position?"] * 2
     assert bench.image.values["position"] == 2.0
 
@@ -120,9 +120,9 @@ def test_a_silent_drive_does_not_keep_others_from_being_asked_and_commanded():
     asked = 0
     for _ in range(30):
         bench.image.fresh.clear()
-        bench.talk.ask((silent, there, Tell(bench.image, "torque_command")))
+        bench.scheduler.enqueue((silent, there, Tell(bench.image, "torque_command")))
         bench.go(5.0)
-        bench.talk.give_up()
+        bench.scheduler.end_cycle()
         asked += "there" in bench.image.fresh
     # only where the silent one is asked again, each time its reply cannot come any more, the others have to wait
     lost = 30 * 5.0 / (REPLY_LIMIT_MS + 5.0)
@@ -139,9 +139,9 @@ def test_whoever_was_silent_is_asked_after_the_others(reply_limit_ms):
     asked = 0
     for _ in range(20):
         bench.image.fresh.clear()
-        bench.talk.ask((silent, there))
+        bench.scheduler.enqueue((silent, there))
         bench.go(5.0)
-        bench.talk.give_up()
+        bench.scheduler.end_cycle()
         asked += "there" in bench.image.fresh
     assert asked == 19
 
@@ -163,37 +163,37 @@ def test_what_was_asked_before_the_line_went_away_is_still_known_for_late():
 
 def test_a_late_reply_that_comes_in_pieces_is_waited_for_without_spinning():
     bench = Bench(**{"there?": b"2;"})
-    bench.talk.ask((Ask(bench.image, "silent", "first"),))
+    bench.scheduler.enqueue((Ask(bench.image, "silent", "first"),))
     bench.go(5.0)
-    bench.talk.give_up()
+    bench.scheduler.end_cycle()
     bench.line.arrived += b"9"
-    bench.talk.ask((Ask(bench.image, "there", "second"),))
-    bench.talk.step()
-    assert bench.talk.due_ns > bench.time.ns
+    bench.scheduler.enqueue((Ask(bench.image, "there", "second"),))
+    bench.scheduler.poll()
+    assert bench.scheduler.due_ns > bench.time.ns
 
 
 def test_who_owes_a_reply_goes_on_owing_it_when_another_one_speaks():
     bench = Bench()
-    bench.talk.ask((Ask(bench.image, "first", "first"),))
+    bench.scheduler.enqueue((Ask(bench.image, "first", "first"),))
     bench.go(5.0)
-    bench.talk.give_up()
-    bench.talk.ask((Ask(bench.image, "second", "second"),))
+    bench.scheduler.end_cycle()
+    bench.scheduler.enqueue((Ask(bench.image, "second", "second"),))
     bench.go(5.0)
-    bench.talk.give_up()
+    bench.scheduler.end_cycle()
     bench.line.arrived += b"of the second one;"  # no reply to the first request
     bench.go(5.0)
-    bench.talk.ask((Ask(bench.image, "first", "first"),))
+    bench.scheduler.enqueue((Ask(bench.image, "first", "first"),))
     bench.go(5.0)
     assert bench.line.sent == [b"first?", b"second?"]
 
 
 def test_a_late_reply_does_not_touch_what_is_fresh_of_another_drive():
     bench = Bench(**{"there?": b"2;"})
-    bench.talk.ask((Ask(bench.image, "silent", "first"),))
+    bench.scheduler.enqueue((Ask(bench.image, "silent", "first"),))
     bench.go(5.0)
-    bench.talk.give_up()
+    bench.scheduler.end_cycle()
     bench.image.fresh.clear()
-    bench.talk.ask((Ask(bench.image, "there", "second"),))
+    bench.scheduler.enqueue((Ask(bench.image, "there", "second"),))
     bench.go(1.0)
     bench.line.arrived += b"9;"
     bench.go(1.0)
@@ -209,21 +209,21 @@ def test_a_reply_that_never_comes_is_waited_for_no_longer_than_its_limit():
     while bench.cycle() is None:
         cycles += 1
     assert cycles == pytest.approx(REPLY_LIMIT_MS / 5.0, abs=1.5)
-    assert "no reply in time" in bench.talk.trouble
+    assert "no reply in time" in bench.scheduler.last_error
 
 
 def test_what_could_not_be_answered_in_this_cycle_is_not_asked():
     """Else its reply came late, the next cycle began with waiting for it, and so did all after that."""
     bench = Bench(**{"position?": b"12;"})
     needed_ms = (len("position?") + 8 + SILENCE_CHARS) * CHARACTER_MS
-    bench.talk.limit_ns = bench.time.ns + round((needed_ms - 0.01) * MS)
+    bench.scheduler.deadline_ns = bench.time.ns + round((needed_ms - 0.01) * MS)
     bench.ask()
-    bench.talk.step()
+    bench.scheduler.poll()
     assert bench.line.sent == []
-    assert bench.talk.is_finished
-    assert "no time was left" in bench.talk.trouble
-    bench.talk.give_up()
-    bench.talk.limit_ns = bench.time.ns + round((needed_ms + 0.01) * MS)
+    assert bench.scheduler.is_finished
+    assert "no time was left" in bench.scheduler.last_error
+    bench.scheduler.end_cycle()
+    bench.scheduler.deadline_ns = bench.time.ns + round((needed_ms + 0.01) * MS)
     bench.ask()
     bench.go(0.3)
     assert bench.image.values["position"] == 12.0
@@ -241,13 +241,13 @@ def test_noise_before_a_request_is_dropped_and_told(noise):
     bench = Bench(**{"position?": b"12;"})
     bench.line.arrived = noise
     assert bench.cycle() == 12.0
-    assert bench.talk.trouble.startswith("not asked for") == bool(noise)
+    assert bench.scheduler.last_error.startswith("not asked for") == bool(noise)
 
 
 def test_after_a_broken_reply_the_line_must_fall_silent():
     bench = Bench(**{"position?": b"1x;9;"})  # the rest of it looks like a reply
     assert bench.cycle() is None
-    assert "reading position: b'1x' is no number" in bench.talk.trouble
+    assert "reading position: b'1x' is no number" in bench.scheduler.last_error
     bench.answers["position?"] = b"12;"
     assert bench.cycle() == 12.0
 
@@ -261,20 +261,20 @@ def test_on_a_line_that_never_falls_silent_everything_is_said_all_the_same(noise
     def pass_noisily(ms):
         for _ in range(round(10 * ms)):
             bench.line.arrived += noise
-            bench.talk.step()
+            bench.scheduler.poll()
             bench.time.pass_ms(0.1)
 
     for _ in range(20):
         bench.ask()
         pass_noisily(4.0)
-        bench.talk.give_up()
-        bench.talk.ask((Tell(bench.image, "torque_command"),))
-        bench.talk.speak()
+        bench.scheduler.end_cycle()
+        bench.scheduler.enqueue((Tell(bench.image, "torque_command"),))
+        bench.scheduler.flush()
         pass_noisily(6.0)
-        bench.talk.give_up()
+        bench.scheduler.end_cycle()
     assert bench.line.sent[-10:].count(b"torque_command=0.25;") >= 5
     pass_noisily(100.0)
-    bench.talk.ask((Tell(bench.image, "torque_command", is_answered=True),))
+    bench.scheduler.enqueue((Tell(bench.image, "torque_command", is_answered=True),))
     said = len(bench.line.sent)
     pass_noisily(40.0)
     assert bench.line.sent[said:] == [b"torque_command=0.25;"]
@@ -286,7 +286,7 @@ def test_a_refusal_is_complete_and_the_next_request_follows_at_once():
     bench.ask("velocity")
     bench.go(1.0)
     assert bench.image.values == {"velocity": 3.0}
-    assert "the drive refuses" in bench.talk.trouble
+    assert "the drive refuses" in bench.scheduler.last_error
 
 
 def test_a_command_that_is_refused_each_time_counts_although_another_one_is_taken():
@@ -295,21 +295,21 @@ def test_a_command_that_is_refused_each_time_counts_although_another_one_is_take
     bench.image.values.update(position=1.0, velocity=1.0, torque=1.0)
     answered = [Tell(bench.image, name, is_answered=True) for name in ("position", "torque")]
     for count in range(1, 4):
-        bench.talk.ask([Push(bench.image, "velocity"), *answered])
+        bench.scheduler.enqueue([Push(bench.image, "velocity"), *answered])
         bench.go(5.0)
-        assert bench.talk.refusals.count == count
+        assert bench.scheduler.refusals.count == count
 
 
 def test_the_reason_of_a_silence_is_not_that_there_is_no_time_to_ask_again():
     bench = Bench()
     bench.cycle()
-    told = bench.talk.trouble
+    told = bench.scheduler.last_error
     assert "no reply in time" in told
     bench.go(REPLY_LIMIT_MS)  # nobody waits for that reply any more
-    bench.talk.limit_ns = bench.time.ns
+    bench.scheduler.deadline_ns = bench.time.ns
     bench.ask()
-    bench.talk.step()
-    assert bench.talk.trouble == told
+    bench.scheduler.poll()
+    assert bench.scheduler.last_error == told
 
 
 def test_refused_commands_are_counted_until_one_is_taken():
@@ -317,13 +317,13 @@ def test_refused_commands_are_counted_until_one_is_taken():
     bench.image.values["torque_command"] = 0.0
     tell = Tell(bench.image, "torque_command", is_answered=True)
     for count in range(1, 4):
-        bench.talk.ask((tell,))
+        bench.scheduler.enqueue((tell,))
         bench.go(2.0)
-        assert bench.talk.refusals.count == count
+        assert bench.scheduler.refusals.count == count
     bench.answers["torque_command=0;"] = b";"
-    bench.talk.ask((tell,))
+    bench.scheduler.enqueue((tell,))
     bench.go(2.0)
-    assert bench.talk.refusals.count == 0
+    assert bench.scheduler.refusals.count == 0
 
 
 def test_done_is_called_for_an_answer_in_time_and_for_no_other():
@@ -331,7 +331,7 @@ def test_done_is_called_for_an_answer_in_time_and_for_no_other():
     bench = Bench()
     bench.ask(done=lambda: calls.append("first"))
     bench.go(5.0)
-    bench.talk.give_up()
+    bench.scheduler.end_cycle()
     bench.line.arrived += b"1;"
     bench.go(1.0)
     assert calls == []
@@ -347,8 +347,8 @@ def test_a_line_that_is_gone_is_said_and_used_again_when_it_is_back():
     bench.line.pull_out()
     for _ in range(5):
         assert bench.cycle() is None
-        assert bench.talk.is_finished, "nobody waits for a line that is gone"
-    assert "gone" in bench.talk.trouble
+        assert bench.scheduler.is_finished, "nobody waits for a line that is gone"
+    assert "gone" in bench.scheduler.last_error
     asked = len(bench.line.sent)
     bench.line.is_back = True
     for _ in range(100):
@@ -364,54 +364,54 @@ class Ahead(Bench):
     def __init__(self, chars=64, **answers):
         super().__init__()
         self.line.answer = lambda data: b"".join(answers.get(part, b"") for part in data.decode().split("?")[:-1])
-        self.talk = Conversation(self.line, [self.image], 0.0, REPLY_LIMIT_MS * 1e-3, self.time, ahead_chars=chars)
+        self.scheduler = BusScheduler(self.line, [self.image], 0.0, REPLY_LIMIT_MS * 1e-3, self.time, ahead_chars=chars)
         self.one, self.three, self.other = (Word(self.image, name) for name in ("a", "abc", "b"))
 
 
 def test_requests_whose_replies_differ_go_out_together_and_are_answered_in_order():
     bench = Ahead()
-    bench.talk.ask((bench.one, bench.three))
-    bench.talk.step()
+    bench.scheduler.enqueue((bench.one, bench.three))
+    bench.scheduler.poll()
     assert bench.line.sent == [b"a?abc?"]
     bench.line.arrived = b"a 1;ab"
-    bench.talk.step()
-    assert (bench.image.fresh, bench.talk.is_finished) == ({"a"}, False)
+    bench.scheduler.poll()
+    assert (bench.image.fresh, bench.scheduler.is_finished) == ({"a"}, False)
     bench.line.arrived = b"c 3;"
-    bench.talk.step()
+    bench.scheduler.poll()
     assert bench.image.values == {"a": 1.0, "abc": 3.0}
-    assert bench.talk.is_finished
+    assert bench.scheduler.is_finished
 
 
 def test_requests_whose_replies_look_alike_wait_for_each_other():
     bench = Ahead(a=b"a 1;", b=b"b 2;")
-    bench.talk.ask((bench.one, bench.other))
-    bench.talk.step()
+    bench.scheduler.enqueue((bench.one, bench.other))
+    bench.scheduler.poll()
     assert bench.line.sent == [b"a?"]
-    bench.talk.step()
+    bench.scheduler.poll()
     assert bench.line.sent == [b"a?", b"b?"]
 
 
 def test_no_more_is_sent_ahead_than_the_drive_takes_in():
     bench = Ahead(chars=5)
-    bench.talk.ask((bench.one, bench.three))
-    bench.talk.step()
+    bench.scheduler.enqueue((bench.one, bench.three))
+    bench.scheduler.poll()
     assert bench.line.sent == [b"a?"]
     bench = Ahead(chars=5)
     bench.image.values["t"] = 0.0
-    bench.talk.ask((Push(bench.image, "t"), bench.one, Word(bench.image, "abc")))
-    bench.talk.step()
+    bench.scheduler.enqueue((Push(bench.image, "t"), bench.one, Word(bench.image, "abc")))
+    bench.scheduler.poll()
     assert bench.line.sent == [b"t=0;a?"], "what the drive has not looked at yet counts"
 
 
 def test_a_request_of_the_next_cycle_may_follow_one_that_is_not_answered_yet():
     bench = Ahead()
-    bench.talk.ask((bench.three,))
-    bench.talk.speak()
-    bench.talk.ask((bench.one,))
-    bench.talk.step()
+    bench.scheduler.enqueue((bench.three,))
+    bench.scheduler.flush()
+    bench.scheduler.enqueue((bench.one,))
+    bench.scheduler.poll()
     assert bench.line.sent == [b"abc?", b"a?"]
     bench.line.arrived = b"abc 3;a 1;"
-    bench.talk.step()
+    bench.scheduler.poll()
     assert bench.image.values == {"a": 1.0, "abc": 3.0}
 
 
@@ -424,7 +424,7 @@ def test_of_requests_sent_together_no_late_reply_is_taken_for_a_present_one(firs
     for cycle, count in enumerate((first_cycle, second_cycle)):
         bench.image.fresh.clear()
         sent = len(bench.line.sent)
-        bench.talk.ask((bench.one, bench.three))
+        bench.scheduler.enqueue((bench.one, bench.three))
         bench.go(1.0)
         if cycle:
             bench.line.arrived += b"".join(replies[0][min(first_cycle, 2) :])
@@ -432,7 +432,7 @@ def test_of_requests_sent_together_no_late_reply_is_taken_for_a_present_one(firs
         if len(bench.line.sent) > sent:
             bench.line.arrived += b"".join(replies[cycle][:count])
         bench.go(3.0)
-        bench.talk.give_up()
+        bench.scheduler.end_cycle()
         seen += [(cycle, bench.image.values[name]) for name in bench.image.fresh]
     assert all(value == cycle + 1 for cycle, value in seen)
     assert len(seen) >= min(first_cycle, 2)
@@ -440,12 +440,12 @@ def test_of_requests_sent_together_no_late_reply_is_taken_for_a_present_one(firs
 
 def test_after_a_broken_reply_the_other_ones_still_count():
     bench = Ahead()
-    bench.talk.ask((bench.one, bench.three))
-    bench.talk.step()
+    bench.scheduler.enqueue((bench.one, bench.three))
+    bench.scheduler.poll()
     bench.line.arrived = b"xx 1;abc 3;"
-    bench.talk.step()
+    bench.scheduler.poll()
     assert bench.image.values == {"abc": 3.0}
-    assert "xx in place of a" in bench.talk.trouble
+    assert "xx in place of a" in bench.scheduler.last_error
 
 
 @pytest.mark.parametrize("comes", ["before the next request", "before its reply"])
@@ -454,41 +454,41 @@ def test_a_refused_command_without_a_reply_counts_as_refused(comes):
     bench.image.values["torque"] = 0.1
     for count in range(1, 4):
         bench.image.fresh.clear()
-        bench.talk.ask((Push(bench.image, "torque"),))
-        bench.talk.speak()
+        bench.scheduler.enqueue((Push(bench.image, "torque"),))
+        bench.scheduler.flush()
         if comes == "before the next request":
             bench.line.arrived += b"!;"
-        bench.talk.ask((bench.one,))
-        bench.talk.step()
+        bench.scheduler.enqueue((bench.one,))
+        bench.scheduler.poll()
         bench.line.arrived += (b"!;" if comes == "before its reply" else b"") + b"a 1;"
-        bench.talk.step()
+        bench.scheduler.poll()
         assert bench.image.fresh == {"a"}, "the reply proper is not lost"
-        assert bench.talk.refusals.count == count
-        assert bench.talk.trouble == "pushing torque: the drive refuses"
-    bench.talk.ask((Push(bench.image, "torque"), bench.one))
-    bench.talk.step()
+        assert bench.scheduler.refusals.count == count
+        assert bench.scheduler.last_error == "pushing torque: the drive refuses"
+    bench.scheduler.enqueue((Push(bench.image, "torque"), bench.one))
+    bench.scheduler.poll()
     bench.line.arrived += b"a 1;"
-    bench.talk.step()
-    assert bench.talk.refusals.count == 0, "who answers what came after it has not refused it"
+    bench.scheduler.poll()
+    assert bench.scheduler.refusals.count == 0, "who answers what came after it has not refused it"
 
 
 def test_an_error_is_that_of_the_request_where_nothing_was_commanded_before():
     bench = Ahead()
-    bench.talk.ask((bench.one,))
-    bench.talk.step()
+    bench.scheduler.enqueue((bench.one,))
+    bench.scheduler.poll()
     bench.line.arrived += b"!;"
-    bench.talk.step()
-    assert bench.talk.refusals.count == 0
-    assert bench.talk.trouble == "reading a: the drive refuses"
+    bench.scheduler.poll()
+    assert bench.scheduler.refusals.count == 0
+    assert bench.scheduler.last_error == "reading a: the drive refuses"
 
 
 def test_while_a_drive_owes_a_reply_what_has_to_wait_for_it_is_not_sent_later():
     bench = Ahead()
-    bench.talk.ask((bench.one,))
+    bench.scheduler.enqueue((bench.one,))
     bench.go(1.0)
-    bench.talk.give_up()
+    bench.scheduler.end_cycle()
     bench.image.values["torque"] = 0.1
-    bench.talk.ask((Push(bench.image, "torque"), bench.three))
-    bench.talk.speak()
-    assert not bench.talk.queue
+    bench.scheduler.enqueue((Push(bench.image, "torque"), bench.three))
+    bench.scheduler.flush()
+    assert not bench.scheduler.queue
     assert bench.line.sent == [b"a?", b"torque=0.1;"]

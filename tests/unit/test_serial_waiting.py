@@ -5,11 +5,9 @@ import select
 import time
 
 import pytest
-from friction_hil_drivers.serial_line.conversation import Conversation
-from friction_hil_drivers.serial_line.lane import attend
 from friction_hil_drivers.serial_line.protocol import Image
-from friction_hil_drivers.serial_line.selector import LineSelector
-from friction_hil_drivers.serial_line.ticker import Ticker
+from friction_hil_drivers.serial_line.scheduler import BusScheduler
+from friction_hil_drivers.serial_line.waiting import LineSelector, PeriodicTimer, run_schedulers
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -22,7 +20,7 @@ FAR_S = 20.0  # a hang, where anything else would be a matter of microseconds
 
 @pytest.fixture
 def ticker():
-    made = Ticker(20 * MS)
+    made = PeriodicTimer(20 * MS)
     yield made
     made.close()
 
@@ -33,15 +31,15 @@ def ticker():
     since_ns=st.integers(0, PERIOD_NS),
 )
 def test_it_runs_from_the_second_period_on_wherever_the_moment_lies(phases, jitters, since_ns):
-    ticker = Ticker(PERIOD_NS)
+    ticker = PeriodicTimer(PERIOD_NS)
     now_ns = 1_000_000_000
     for phase in phases:
         for k, jitter in enumerate(jitters):
             moment_ns = now_ns + phase + k * PERIOD_NS + jitter
             before_ns = moment_ns - since_ns
-            told = ticker.expires_before(moment_ns, before_ns)
+            told = ticker.expire_before(moment_ns, before_ns)
             if k == 0:
-                assert ticker.expires_before(moment_ns, before_ns) == told, "if it was set now, it does not run yet"
+                assert ticker.expire_before(moment_ns, before_ns) == told, "if it was set now, it does not run yet"
                 continue
             assert told == (since_ns > (moment_ns - ticker._expiry_ns) % PERIOD_NS)
             assert not (told and since_ns == 0)
@@ -52,15 +50,15 @@ def test_it_runs_from_the_second_period_on_wherever_the_moment_lies(phases, jitt
 
 def test_a_moment_that_is_not_of_this_period_leaves_it_alone(ticker):
     now = time.monotonic_ns()
-    assert not ticker.expires_before(now + 15 * MS, now)
+    assert not ticker.expire_before(now + 15 * MS, now)
     expiry = ticker._expiry_ns
-    assert not ticker.expires_before(now + 100 * MS + 7, now)
+    assert not ticker.expire_before(now + 100 * MS + 7, now)
     assert ticker._expiry_ns == expiry
 
 
 def test_it_expires_in_each_period_and_not_before_its_time(ticker):
     moment = time.monotonic_ns() + 15 * MS
-    ticker.expires_before(moment, moment - 10 * MS)
+    ticker.expire_before(moment, moment - 10 * MS)
     for k in (1, 2, 3):
         assert select.select([ticker.descriptor], (), (), FAR_S)[0]
         assert time.monotonic_ns() >= moment + k * 20 * MS - MOST_LEAD_NS
@@ -86,23 +84,23 @@ class Talk:
         self.line = BenchLine(lambda _: b"")
         self.line.descriptor = descriptor
         self.image = Image()
-        self.talk = Conversation(self.line, [self.image], 0.0, 0.05)
+        self.scheduler = BusScheduler(self.line, [self.image], 0.0, 0.05)
         self.selector = LineSelector(20 * MS)
         self.limit_ns = time.monotonic_ns() + 30 * MS
-        self.ticker.expires_before(self.limit_ns, self.limit_ns - 1)
+        self.ticker.expire_before(self.limit_ns, self.limit_ns - 1)
 
     @property
     def ticker(self):
-        return self.selector._ticker
+        return self.selector._timer
 
     def wait(self):
         """Ask, and wait until the first limit of a period to come."""
-        self.talk.ask((Ask(self.image, "position"),))
-        self.talk.step()
+        self.scheduler.enqueue((Ask(self.image, "position"),))
+        self.scheduler.poll()
         while time.monotonic_ns() > self.limit_ns - 10 * MS:
             self.limit_ns += 20 * MS
-        is_done = attend([self.talk], self.limit_ns, self.selector)
-        self.talk.give_up()
+        is_done = run_schedulers([self.scheduler], self.limit_ns, self.selector)
+        self.scheduler.end_cycle()
         return is_done
 
     def close(self):

@@ -12,13 +12,13 @@ from friction_hil.drive import AxisFacts, DriveState
 from friction_hil.drive.finding import Finding
 from friction_hil.errors import DriveError, OptionError
 from friction_hil_drivers.serial_line import ports
-from friction_hil_drivers.serial_line.axis import Scales, SerialAxis, make_scales
-from friction_hil_drivers.serial_line.conversation import Conversation
+from friction_hil_drivers.serial_line.axis import SerialAxis, SignalScales, make_scales
+from friction_hil_drivers.serial_line.bus import SerialBus
 from friction_hil_drivers.serial_line.description import Description, Step, load_description
-from friction_hil_drivers.serial_line.lane import Lane
 from friction_hil_drivers.serial_line.line import Line
 from friction_hil_drivers.serial_line.options import SerialOptions
-from friction_hil_drivers.serial_line.protocol import FAST, SLOW, Exchange, Image, Plan, ProtocolFactory, Wanted
+from friction_hil_drivers.serial_line.protocol import FAST, SLOW, CycleSignals, Exchange, Image, Plan, ProtocolFactory
+from friction_hil_drivers.serial_line.scheduler import BusScheduler
 from friction_hil_drivers.serial_line.sequences import state_signals, watchdog_steps
 from friction_hil_drivers.serial_line.wire import character_s, check_rate, wire_s
 
@@ -32,7 +32,7 @@ _LATENESS_S = 2e-3  # of a reply, beside the adapter's latency
 _INTERPOLATION_CYCLES = {"csp": 1.0, "csv": 0.5, "cst": 0.0}  # between set-points, beside half a period as for torques
 
 
-class Connecting:
+class Commissioning:
     """Opens the lines of some axes and prepares their drives.
 
     Parameters
@@ -63,8 +63,8 @@ class Connecting:
         self._period_s = configuration.period_s
         self._max_missed = configuration.realtime.max_missed
 
-    def lane(self, descriptions: Mapping[str, Description]) -> Lane:
-        """Make the lane of a line from the descriptions of its drives; it is not open yet.
+    def make_bus(self, descriptions: Mapping[str, Description]) -> SerialBus:
+        """Make the bus of a line from the descriptions of its drives; it is not open yet.
 
         Raises
         ------
@@ -93,8 +93,8 @@ class Connecting:
             )
             fast = tuple(signal for signal in FAST if signal in signals)
             slow = tuple(signal for signal in signals if signal in (*SLOW, *state_signals(description)))
-            wanted[name] = Wanted(fast, slow, mode.commands)
-            heard[name] = Wanted(fast, slow, ())
+            wanted[name] = CycleSignals(fast, slow, mode.commands)
+            heard[name] = CycleSignals(fast, slow, ())
             before = (*mode.prepare, *self._watchdog_steps(name, description))
             axes.append(SerialAxis(name, description, scales, images[name], mode.commands, before))
             self._check_counter(name, scales)
@@ -103,20 +103,20 @@ class Connecting:
         plan = listening if self._dry_run else protocol.plan(wanted)
         line = Line(first)
         reply_s = _longest_reply_s(line, plan, protocol.silence_chars)
-        conversation = Conversation(
+        scheduler = BusScheduler(
             line,
             list(images.values()),
             protocol.silence_chars,
             0.0 if protocol.numbers_replies else self._reply_limit_s(next(iter(options)), reply_s),
             ahead_chars=protocol.ahead_chars,
-            doubt_s=0.0 if protocol.numbers_replies or protocol.names_drives else reply_s,
+            anonymous_reply_s=0.0 if protocol.numbers_replies or protocol.names_drives else reply_s,
         )
-        lane = Lane(conversation, protocol, axes, listening, plan)
+        bus = SerialBus(scheduler, protocol, axes, listening, plan)
         if not first.is_tcp:
-            step = self._longest_step(lane, descriptions)
+            step = self._longest_step(bus, descriptions)
             silence, ahead = protocol.silence_chars, protocol.ahead_chars
-            lane.rate = check_rate(plan, step, first, silence, ahead, self._period_s)
-        return lane
+            bus.rate = check_rate(plan, step, first, silence, ahead, self._period_s)
+        return bus
 
     def _reply_limit_s(self, axis: str, least_s: float) -> float:
         """Time for which a drive that did not answer is not asked again; ``least_s`` is what a reply may take.
@@ -140,7 +140,7 @@ class Connecting:
             )
         return options.reply_limit_s
 
-    def _check_counter(self, axis: str, scales: Scales) -> None:
+    def _check_counter(self, axis: str, scales: SignalScales) -> None:
         """See that a counter cannot go half round while feedback is bridged."""
         if scales.position_bits is None:
             return
@@ -165,20 +165,20 @@ class Connecting:
                 "stays. Set is_watchdog_required: false to accept that",
             )
 
-    def _longest_step(self, lane: Lane, descriptions: Mapping[str, Description]) -> Exchange | None:
+    def _longest_step(self, bus: SerialBus, descriptions: Mapping[str, Description]) -> Exchange | None:
         """The exchange of a sequence that takes longest beside the cycle."""
         if self._dry_run:
             return None
         steps = []
         for name, description in descriptions.items():
             if description.state_machine == "cia402":
-                steps.append(lane.write(name, ("control",)))
+                steps.append(bus.write_exchange(name, ("control",)))
             sequences = (description.enable, description.disable, description.quick_stop, description.reset_fault)
             every = itertools.chain(*sequences, self._watchdog_steps(name, description))
-            steps += [lane.write(name, step.write) for step in every]
+            steps += [bus.write_exchange(name, step.write) for step in every]
         return max(steps, key=lambda step: step.request_size + step.reply_size, default=None)
 
-    def prepare(self, lane: Lane, descriptions: Mapping[str, Description]) -> list[AxisFacts]:
+    def prepare(self, bus: SerialBus, descriptions: Mapping[str, Description]) -> list[AxisFacts]:
         """Read all that the drives of an open line tell, write what has to be there before they are enabled.
 
         Raises
@@ -186,19 +186,19 @@ class Connecting:
         DriveError
             A drive does not answer, refuses, has power already, or is not what its description says.
         """
-        if not lane.protocol.numbers_replies:
-            lane.drain(_REPLY_LIMIT_S)
-        notes = {axis.name: self._prepare(lane, axis, descriptions[axis.name]) for axis in lane.axes}
-        delay_s = _actuation_delay_s(lane, _poll_s(lane) if self._is_real else 0.0, self._period_s)
-        return [self._facts(lane, axis, descriptions[axis.name], delay_s, notes[axis.name]) for axis in lane.axes]
+        if not bus.protocol.numbers_replies:
+            bus.discard_input(_REPLY_LIMIT_S)
+        notes = {axis.name: self._prepare(bus, axis, descriptions[axis.name]) for axis in bus.axes}
+        delay_s = _actuation_delay_s(bus, _poll_s(bus) if self._is_real else 0.0, self._period_s)
+        return [self._facts(bus, axis, descriptions[axis.name], delay_s, notes[axis.name]) for axis in bus.axes]
 
-    def _prepare(self, lane: Lane, axis: SerialAxis, description: Description) -> list[str]:
+    def _prepare(self, bus: SerialBus, axis: SerialAxis, description: Description) -> list[str]:
         """Prepare one drive; what the user should know."""
-        notes = [*lane.conversation.line.notes()]
+        notes = [*bus.scheduler.line.notes()]
         if description.inferred:
             notes.append(str(_sources(axis.name, description)))
         for name in [n for n in description.units() if n in (*FAST, *SLOW, *axis.state_signals)]:
-            lane.talk(axis.name, lane.protocol.read(axis.name, (name,)))
+            bus.transact(axis.name, bus.protocol.read(axis.name, (name,)))
         state = axis.read_state()
         if state is DriveState.UNKNOWN and not self._dry_run:
             told = ", ".join(f"{name} = {axis.image.values[name]:g}" for name in axis.state_signals)
@@ -210,22 +210,22 @@ class Connecting:
             )
         if not self._dry_run:
             for step in (*description.prepare, *description.modes[self._configs[axis.name].mode].prepare):
-                _write(lane, axis, step)
-            notes += self._arm_watchdog(lane, axis, description)
+                _write(bus, axis, step)
+            notes += self._arm_watchdog(bus, axis, description)
         axis.hold()
         return notes
 
-    def line_findings(self, lane: Lane) -> Iterator[Finding]:
+    def line_findings(self, bus: SerialBus) -> Iterator[Finding]:
         """Tell what is known beforehand of the time that a cycle takes; nothing is said on the line."""
-        line = lane.conversation.line
+        line = bus.scheduler.line
         if (found := ports.latency(ports.name_of(line.options.port))) is not None:
-            needed_s = lane.wire_s(*lane.plan.push, *lane.plan.poll) + line.latency_s
+            needed_s = bus.wire_s(*bus.plan.push, *bus.plan.poll) + line.latency_s
             if needed_s > self._period_s:
                 detail = f"{found.detail}: with the wire's time a cycle takes {1e3 * needed_s:.3g} ms, the period is "
                 found = replace(found, result="fail", detail=f"{detail}{1e3 * self._period_s:g} ms")
             yield found
-        if lane.rate:
-            yield Finding(f"rate of {', '.join(axis.name for axis in lane.axes)}", "pass", lane.rate)
+        if bus.rate:
+            yield Finding(f"rate of {', '.join(axis.name for axis in bus.axes)}", "pass", bus.rate)
 
     def drive_findings(self, axis: str, description: Description) -> Iterator[Finding]:
         """Tell what is known beforehand of a drive.
@@ -240,7 +240,7 @@ class Connecting:
             yield self._watchdog(axis, description)
 
     def _facts(
-        self, lane: Lane, axis: SerialAxis, description: Description, delay_s: float, notes: list[str]
+        self, bus: SerialBus, axis: SerialAxis, description: Description, delay_s: float, notes: list[str]
     ) -> AxisFacts:
         config, options = self._configs[axis.name], self._options[axis.name]
         scales, signals = axis.scales, description.units()
@@ -254,14 +254,14 @@ class Connecting:
             torque_resolution=abs(scales.of["torque_command"]) * signals["torque_command"].step,
             setpoint_delay_s=_setpoint_delay_s(delay_s, config.mode, options.setpoint_delay_cycles, self._period_s),
             actuation_delay_s=delay_s,
-            notes=(*notes, lane.rate) if lane.rate else tuple(notes),
-            torque_delay_s=_torque_delay_s(lane.plan, self._period_s),
+            notes=(*notes, bus.rate) if bus.rate else tuple(notes),
+            torque_delay_s=_torque_delay_s(bus.plan, self._period_s),
         )
 
-    def _arm_watchdog(self, lane: Lane, axis: SerialAxis, description: Description) -> list[str]:
+    def _arm_watchdog(self, bus: SerialBus, axis: SerialAxis, description: Description) -> list[str]:
         if description.watchdog is not None:
             for step in self._watchdog_steps(axis.name, description):
-                _write(lane, axis, step)
+                _write(bus, axis, step)
         return [self._watchdog(axis.name, description).detail]
 
     def _watchdog(self, axis: str, description: Description) -> Finding:
@@ -296,7 +296,7 @@ class Connecting:
 
 def _longest_reply_s(line: Line, plan: Plan, silence_chars: float) -> float:
     """Time from a request to its reply, at most, s."""
-    longest_s = max(wire_s((each,), line.options, silence_chars) for each in (*plan.poll, *plan.turns, *plan.push))
+    longest_s = max(wire_s((each,), line.options, silence_chars) for each in (*plan.poll, *plan.background, *plan.push))
     return longest_s + _LATENESS_S + line.latency_s
 
 
@@ -323,7 +323,7 @@ def descriptions_of(
     }
 
 
-def _write(lane: Lane, axis: SerialAxis, step: Step) -> None:
+def _write(bus: SerialBus, axis: SerialAxis, step: Step) -> None:
     """Write a step of the preparations, wait for what it should lead to.
 
     Raises
@@ -332,16 +332,16 @@ def _write(lane: Lane, axis: SerialAxis, step: Step) -> None:
         The drive refuses it, or does not follow.
     """
     axis.image.values.update(step.write)
-    exchange = lane.write(axis.name, step.write)
-    lane.talk(axis.name, exchange)
-    refusals = lane.conversation.refusals.count
+    exchange = bus.write_exchange(axis.name, step.write)
+    bus.transact(axis.name, exchange)
+    refusals = bus.scheduler.refusals.count
     if exchange.tells_refusal:  # at once: before the reply to what is asked next
-        _read_state(lane, axis)
-    if lane.conversation.refusals.count > refusals:
-        raise DriveError(f"{axis.name}: the drive refuses to be prepared: {lane.conversation.trouble}")
+        _read_state(bus, axis)
+    if bus.scheduler.refusals.count > refusals:
+        raise DriveError(f"{axis.name}: the drive refuses to be prepared: {bus.scheduler.last_error}")
     end = time.monotonic() + step.timeout_s
     while step.until is not None:
-        _read_state(lane, axis)
+        _read_state(bus, axis)
         state = axis.read_state()
         if state.name.lower() == step.until:
             return
@@ -352,42 +352,42 @@ def _write(lane: Lane, axis: SerialAxis, step: Step) -> None:
             )
 
 
-def _read_state(lane: Lane, axis: SerialAxis) -> None:
+def _read_state(bus: SerialBus, axis: SerialAxis) -> None:
     for name in axis.state_signals:
-        lane.talk(axis.name, lane.protocol.read(axis.name, (name,)))
+        bus.transact(axis.name, bus.protocol.read(axis.name, (name,)))
 
 
 def _torque_delay_s(plan: Plan, period_s: float) -> float | None:
     """Mean age of the torque as the position comes: read in turns, at least a period and at most a round of them."""
     if any("torque" in exchange.reads for exchange in plan.poll):
         return 0.0
-    is_in_turns = any("torque" in exchange.reads for exchange in plan.turns)
-    return 0.5 * (1 + len(plan.turns)) * period_s if is_in_turns else None
+    is_in_turns = any("torque" in exchange.reads for exchange in plan.background)
+    return 0.5 * (1 + len(plan.background)) * period_s if is_in_turns else None
 
 
-def _poll_s(lane: Lane) -> float:
+def _poll_s(bus: SerialBus) -> float:
     """Median time that the poll of a cycle takes on this line, s."""
     took = []
     for _ in range(_MEASURED_CYCLES):
         began = time.perf_counter()
-        lane.talk(lane.axes[0].name, *lane.listening.poll)
+        bus.transact(bus.axes[0].name, *bus.listening.poll)
         took.append(time.perf_counter() - began)
     return statistics.median(took)
 
 
-def _actuation_delay_s(lane: Lane, poll_s: float, period_s: float) -> float:
+def _actuation_delay_s(bus: SerialBus, poll_s: float, period_s: float) -> float:
     """From sampling a position to the middle of the time in which the torque computed from it acts, s.
 
     A torque that is pushed acts as soon as its request is complete; one that rides in the poll, a period after the
     sample. Either holds for a period. ``poll_s`` is what the poll took when it was measured.
     """
-    if not lane.plan.push:
+    if not bus.plan.push:
         return 1.5 * period_s
-    line = lane.conversation.line.options
+    line = bus.scheduler.line.options
     if not line.is_tcp and poll_s:
         # the sample is taken when the request is complete
-        poll_s -= lane.plan.poll[0].request_size * character_s(line)
-        poll_s += lane.wire_s(*lane.plan.push)
+        poll_s -= bus.plan.poll[0].request_size * character_s(line)
+        poll_s += bus.wire_s(*bus.plan.push)
     return min(max(poll_s, 0.0), period_s) + 0.5 * period_s
 
 

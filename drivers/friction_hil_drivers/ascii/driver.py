@@ -1,0 +1,150 @@
+"""Lines of text as they are spoken on one serial line: exchanges of a cycle, and the driver."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+from friction_hil.errors import UsageError
+from friction_hil_drivers.ascii import DESCRIPTIONS
+from friction_hil_drivers.ascii.codec import AsciiExchange
+from friction_hil_drivers.ascii.description import AsciiDescription, covering
+from friction_hil_drivers.ascii.messages import CompiledMessage, Language
+from friction_hil_drivers.ascii.options import AsciiOptions
+from friction_hil_drivers.ascii.template import AXIS
+from friction_hil_drivers.serial_line.drives import SerialDrives
+from friction_hil_drivers.serial_line.protocol import CycleSignals, Exchange, Image, Plan
+
+
+@dataclass(frozen=True, slots=True)
+class _Axis:
+    language: Language
+    image: Image
+    name: str
+    addressee: str
+
+    def exchange(self, messages: Sequence[CompiledMessage]) -> AsciiExchange:
+        return AsciiExchange(self.name, self.language, messages, self.image, self.addressee)
+
+    def writing(self, names: Iterable[str]) -> list[CompiledMessage]:
+        """Messages that write just these."""
+        wanted = set(names)
+        return [message for message in self.language.messages if set(message.writes) == wanted]
+
+    def reading(self, names: Iterable[str], along: Iterable[str] = ()) -> list[CompiledMessage]:
+        """Messages that read all of these without writing, as few as there can be, best with some others along.
+
+        Raises
+        ------
+        UsageError
+            None of them reads one of these.
+        """
+        rest, others, chosen = set(names), set(along), []
+        plain = [message for message in self.language.messages if message.reads and not message.writes]
+        while rest:
+            best = max(plain, key=lambda m: (len(rest & set(m.reads)), len(others & set(m.reads))), default=None)
+            if best is None or rest.isdisjoint(best.reads):
+                missing = " and ".join(sorted(rest))
+                raise UsageError(f"{self.name}: no message of its description reads {missing} without writing")
+            chosen.append(best)
+            rest.difference_update(best.reads)
+        return chosen
+
+
+class AsciiLine:
+    """Lines of text as they are spoken on one serial line; see `LineProtocol`.
+
+    Parameters
+    ----------
+    descriptions : mapping of str to AsciiDescription
+        By axis, all on this line.
+    options : mapping of str to AsciiOptions
+    images : mapping of str to Image
+    """
+
+    numbers_replies = False
+    silence_chars = 0.0  # line ends part the lines
+
+    def __init__(
+        self,
+        descriptions: Mapping[str, AsciiDescription],
+        options: Mapping[str, AsciiOptions],
+        images: Mapping[str, Image],
+    ) -> None:
+        is_divided = next(iter(options.values())).line.is_rs485  # both sides on one pair: they would talk at once
+        self.ahead_chars = 0 if is_divided else min(each.ahead_chars for each in descriptions.values())
+        are_named = all(f"{{{AXIS}}}" in form for each in descriptions.values() for form in each.all_replies)
+        self.names_drives = are_named or len(descriptions) == 1
+        self._axes = {
+            name: _Axis(
+                Language(description, description.axis_name(options[name].axis)),
+                images[name],
+                name,
+                name if are_named else "any of them",
+            )
+            for name, description in descriptions.items()
+        }
+
+    def plan(self, wanted: Mapping[str, CycleSignals]) -> Plan:
+        """Put a cycle together from as few exchanges as there can be, for the axes by name.
+
+        Raises
+        ------
+        UsageError
+            No message reads or writes what is wanted.
+        """
+        poll: list[Exchange] = []
+        turns: list[Exchange] = []
+        push: list[Exchange] = []
+        for name, want in wanted.items():
+            axis, fast, slow = self._axes[name], set(want.fast), set(want.slow)
+            for messages in self._commanding(axis, want.commands):
+                # what reads feedback in the same breath has to be asked before the computation
+                (push if fast.isdisjoint(messages[0].reads) else poll).append(axis.exchange(messages))
+                fast.difference_update(messages[0].reads)
+                slow.difference_update(messages[0].reads)
+            often = axis.reading(fast, slow)
+            slow.difference_update(*(message.reads for message in often))
+            poll += [axis.exchange((message,)) for message in often]
+            turns += [axis.exchange((message,)) for message in axis.reading(slow)]
+        return Plan(tuple(poll), tuple(turns), tuple(push))
+
+    def _commanding(self, axis: _Axis, commands: tuple[str, ...]) -> list[list[CompiledMessage]]:
+        """Messages that write the commands together, each with its alternatives."""
+        ways = covering(commands, (message.writes for message in axis.language.messages))
+        if ways is None:
+            raise UsageError(f"{axis.name}: no messages of its description write just {', '.join(commands)}")
+        return [axis.writing(way) for way in ways]
+
+    def read(self, axis: str, names: Sequence[str]) -> AsciiExchange:
+        """Exchange that reads some signals of an axis that one message has.
+
+        Raises
+        ------
+        UsageError
+            None has them.
+        """
+        chosen = self._axes[axis].reading(names)
+        if len(chosen) != 1:
+            raise UsageError(f"{axis}: no message of its description reads {' and '.join(names)} at once")
+        return self._axes[axis].exchange(chosen)
+
+    def write(self, axis: str, names: Sequence[str]) -> AsciiExchange:
+        """Exchange that writes some signals of an axis, those and no others, by one message.
+
+        Raises
+        ------
+        UsageError
+            None writes just these.
+        """
+        messages = self._axes[axis].writing(names)
+        if not messages:
+            raise UsageError(f"{axis}: no message of its description writes just {' and '.join(names)}")
+        return self._axes[axis].exchange(messages)
+
+
+class AsciiDrives(SerialDrives):
+    """Drives that speak in lines of text."""
+
+    Options = AsciiOptions
+    description_type = AsciiDescription
+    descriptions = DESCRIPTIONS
+    protocol = AsciiLine

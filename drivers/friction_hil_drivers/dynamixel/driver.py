@@ -1,0 +1,94 @@
+"""Dynamixel Protocol 2.0 as it is spoken on one line: exchanges of a cycle, and the driver."""
+
+from collections.abc import Mapping, Sequence
+
+from friction_hil_drivers.dynamixel.codec import Member, Order, Read, SyncWrite, Write, alike, read_exchange
+from friction_hil_drivers.dynamixel.description import DESCRIPTIONS, DynamixelDescription
+from friction_hil_drivers.dynamixel.options import DynamixelOptions
+from friction_hil_drivers.dynamixel.packets import (
+    Packets,
+)
+from friction_hil_drivers.serial_line.drives import SerialDrives
+from friction_hil_drivers.serial_line.protocol import CycleSignals, Image, Plan, only
+
+
+class DynamixelLine:
+    """Dynamixel Protocol 2.0 to the axes on one line; see `friction_hil_drivers.serial_line.protocol.LineProtocol`.
+
+    Parameters
+    ----------
+    descriptions, options, images : mapping
+        Of the axes on this line, by name.
+
+    Raises
+    ------
+    UsageError
+        The vendor's SDK is not installed.
+    """
+
+    numbers_replies = False
+    names_drives = True
+    ahead_chars = 0
+    silence_chars = 0.0  # a header begins a packet, whatever was before
+
+    def __init__(
+        self,
+        descriptions: Mapping[str, DynamixelDescription],
+        options: Mapping[str, DynamixelOptions],
+        images: Mapping[str, Image],
+    ) -> None:
+        self._packets = Packets()
+        self._order = Order()
+        self._descriptions = descriptions
+        self._options = options
+        self._images = images
+
+    def plan(self, wanted: Mapping[str, CycleSignals]) -> Plan:
+        """Put a cycle together: items at the same addresses of several servos are one request.
+
+        What changes slowly is read with the rest where it lies beside it, else in turns.
+        """
+        fast: list[Member] = []
+        slow: list[Member] = []
+        commands: list[Member] = []
+        for axis, needs in wanted.items():
+            for member in self._members(axis, (*needs.fast, *needs.slow)):
+                is_fast = any(item.name in needs.fast for item in member.block.items)
+                (fast if is_fast else slow).append(member)
+            commands += self._members(axis, needs.commands)
+        poll = tuple(read_exchange(self._packets, group, self._order) for group in alike(fast))
+        turns = tuple(read_exchange(self._packets, group, self._order) for group in alike(slow))
+        return Plan(poll, turns, tuple(SyncWrite(self._packets, group) for group in alike(commands)))
+
+    def read(self, axis: str, names: Sequence[str]) -> Read:
+        """Request that reads some signals of an axis.
+
+        Raises
+        ------
+        ValueError
+            One request cannot read them all.
+        """
+        return Read(self._packets, [only(self._members(axis, names), "read", names)], self._order)
+
+    def write(self, axis: str, names: Sequence[str]) -> Write:
+        """Request that writes some signals of an axis.
+
+        Raises
+        ------
+        ValueError
+            One request cannot write them all.
+        """
+        return Write(self._packets, only(self._members(axis, names), "write", names))
+
+    def _members(self, axis: str, names: Sequence[str]) -> list[Member]:
+        servo, image, description = self._options[axis].id, self._images[axis], self._descriptions[axis]
+        return [Member(servo, image, block, description.fast_sync_read) for block in description.blocks(names)]
+
+
+class DynamixelDrives(SerialDrives):
+    """Servos with Dynamixel Protocol 2.0."""
+
+    Options = DynamixelOptions
+    description_type = DynamixelDescription
+    descriptions = DESCRIPTIONS
+    protocol = DynamixelLine

@@ -1,0 +1,117 @@
+"""Modbus as it is spoken on one line: exchanges of a cycle, and the driver."""
+
+from collections.abc import Mapping, Sequence
+from itertools import zip_longest
+
+from friction_hil_drivers.modbus.codec import ModbusExchange
+from friction_hil_drivers.modbus.description import DESCRIPTIONS, ModbusDescription
+from friction_hil_drivers.modbus.framing import Framing, RtuFraming, TcpFraming
+from friction_hil_drivers.modbus.options import ModbusOptions
+from friction_hil_drivers.modbus.registers import RegisterBlock
+from friction_hil_drivers.serial_line.drives import SerialDrives
+from friction_hil_drivers.serial_line.protocol import CycleSignals, Image, Plan, only
+from friction_hil_drivers.serial_line.wire import character_s
+
+_SILENCE_CHARS = 3.5
+
+
+class ModbusLine:
+    """Modbus to the axes on one line; see `friction_hil_drivers.serial_line.protocol.LineProtocol`.
+
+    Parameters
+    ----------
+    descriptions, options, images : mapping
+        Of the axes on this line, by name.
+    """
+
+    def __init__(
+        self,
+        descriptions: Mapping[str, ModbusDescription],
+        options: Mapping[str, ModbusOptions],
+        images: Mapping[str, Image],
+    ) -> None:
+        self._descriptions = descriptions
+        self._options = options
+        self._images = images
+        line = next(iter(options.values())).line
+        self._framing: Framing = TcpFraming() if line.is_tcp else RtuFraming()
+        silence_s = max(description.silence_s for description in descriptions.values())
+        self.numbers_replies = line.is_tcp
+        self.names_drives = True
+        self.ahead_chars = 0
+        self.silence_chars = 0.0 if line.is_tcp else max(_SILENCE_CHARS, silence_s / character_s(line))
+
+    def plan(self, wanted: Mapping[str, CycleSignals]) -> Plan:
+        """Put a cycle together from as few requests as there can be, for the axes by name.
+
+        Slow signals are read with the fast ones where that costs no request. Where the drive has function 23, all
+        commands are written in the poll: those that find no read to ride with, in requests of their own after it,
+        so that commands of one computation stay together.
+        """
+        poll: list[ModbusExchange] = []
+        turns: list[ModbusExchange] = []
+        push: list[ModbusExchange] = []
+        for axis, needs in wanted.items():
+            description = self._descriptions[axis]
+            fast, slow = _reads(description, needs)
+            writes = description.write_blocks(needs.commands)
+            turns += [self._request(axis, read=block) for block in slow]
+            joining = [block for block in fast if block.table == "holding"] if description.read_write_multiple else []
+            if writes and joining and all(block.table == "holding" for block in writes[: len(joining)]):
+                poll += [self._request(axis, read=r, write=w) for r, w in zip_longest(joining, writes)]
+                poll += [self._request(axis, read=block) for block in fast if block not in joining]
+            else:
+                poll += [self._request(axis, read=block) for block in fast]
+                push += [self._request(axis, write=block) for block in writes]
+        return Plan(tuple(poll), tuple(turns), tuple(push))
+
+    def read(self, axis: str, names: Sequence[str]) -> ModbusExchange:
+        """ModbusExchange that reads some signals of an axis.
+
+        Raises
+        ------
+        ValueError
+            One request cannot read them all.
+        """
+        return self._request(axis, read=only(self._descriptions[axis].read_blocks(tuple(names)), "read", names))
+
+    def write(self, axis: str, names: Sequence[str]) -> ModbusExchange:
+        """ModbusExchange that writes some signals of an axis.
+
+        Raises
+        ------
+        ValueError
+            One request cannot write them all.
+        """
+        return self._request(axis, write=only(self._descriptions[axis].write_blocks(tuple(names)), "write", names))
+
+    def _request(
+        self, axis: str, read: RegisterBlock | None = None, write: RegisterBlock | None = None
+    ) -> ModbusExchange:
+        return ModbusExchange(
+            self._framing,
+            self._options[axis].unit,
+            self._images[axis],
+            read=read,
+            write=write,
+            write_functions=self._descriptions[axis].write_functions,
+        )
+
+
+def _reads(description: ModbusDescription, needs: CycleSignals) -> tuple[list[RegisterBlock], list[RegisterBlock]]:
+    """Blocks to be read in every cycle, and those to be read in turns."""
+    slow_names = tuple(name for name in needs.slow if name not in needs.fast)
+    together = description.read_blocks((*needs.fast, *slow_names))
+    fast = [block for block in together if not set(block.names).isdisjoint(needs.fast)]
+    if len(fast) > len(description.read_blocks(needs.fast)):  # what is slow took the room in a block
+        return description.read_blocks(needs.fast), description.read_blocks(slow_names)
+    return fast, [block for block in together if block not in fast]
+
+
+class ModbusDrives(SerialDrives):
+    """Drives with Modbus RTU or TCP."""
+
+    Options = ModbusOptions
+    description_type = ModbusDescription
+    descriptions = DESCRIPTIONS
+    protocol = ModbusLine

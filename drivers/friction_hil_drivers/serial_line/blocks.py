@@ -1,0 +1,118 @@
+"""Signals that lie side by side in the memory of a drive, and blocks of them that one request reads or writes. Pure."""
+
+from collections.abc import Iterable, Mapping
+from typing import Protocol, TypeVar
+
+from friction_hil_drivers.serial_line.units import saturated
+
+_WRAPPING = ("position", "position_command")
+
+
+class MemoryField(Protocol):
+    """A signal in the memory of a drive."""
+
+    @property
+    def name(self) -> str:
+        """Name of the signal."""
+        ...
+
+    @property
+    def address(self) -> int:
+        """First address of the signal."""
+        ...
+
+    @property
+    def end(self) -> int:
+        """Address after the last one of the signal."""
+        ...
+
+    def representable(self, number: float) -> float:
+        """Return the number nearest to ``number`` that the drive can hold.
+
+        Raises
+        ------
+        ValueError
+            The number is not finite.
+        """
+        ...
+
+
+AnyField = TypeVar("AnyField", bound=MemoryField)
+
+
+def nearest_integer(name: str, number: float, bounds: tuple[int, int], type_bounds: tuple[int, int]) -> int:
+    """Round a number and keep it within bounds; a position wraps within the bounds of its type, as a counter does.
+
+    Parameters
+    ----------
+    name : str
+        Name of the signal.
+    number : float
+    bounds : tuple of int
+        Least and greatest number that the drive accepts.
+    type_bounds : tuple of int
+        Least and greatest number of the type.
+
+    Raises
+    ------
+    ValueError
+        The number is not finite.
+    """
+    kept = saturated(number, *bounds)
+    if name in _WRAPPING:
+        low, high = type_bounds
+        return (round(number) - low) % (high - low + 1) + low
+    return round(kept)
+
+
+def representable_numbers(fields: Iterable[MemoryField], values: Mapping[str, float]) -> list[float]:
+    """Return what the drive can hold of the values of some signals, in their order.
+
+    Raises
+    ------
+    ValueError
+        A value is not finite; the message names its signal.
+    """
+    numbers = []
+    for field in fields:
+        try:
+            numbers.append(field.representable(values[field.name]))
+        except ValueError as error:
+            raise ValueError(f"{field.name}: {error}") from None
+    return numbers
+
+
+def merge(
+    fields: Iterable[AnyField], *, max_gap: int = 0, max_size: int | None = None, alignment: int = 1
+) -> list[tuple[int, int, tuple[AnyField, ...]]]:
+    """Cover signals with as few blocks as possible.
+
+    Taking the signals in the order of their addresses, and each block as far as it goes, needs the fewest.
+
+    Parameters
+    ----------
+    fields : iterable of MemoryField
+    max_gap : int
+        Number of addresses without a signal that may lie in a block, in a row.
+    max_size : int, optional
+        Largest size of a block.
+    alignment : int
+        Blocks begin and end at multiples of it.
+
+    Returns
+    -------
+    list of (int, int, tuple of MemoryField)
+        First address, size and signals of each block.
+    """
+    blocks: list[tuple[int, int, tuple[AnyField, ...]]] = []
+    for field in sorted(fields, key=lambda each: (each.address, each.end)):
+        start = field.address - field.address % alignment
+        end = field.end + -field.end % alignment
+        if blocks:
+            address, size, before = blocks[-1]
+            joined = max(size, end - address)
+            if start - address - size <= max_gap and (max_size is None or joined <= max_size):
+                blocks[-1] = address, joined, (*before, field)
+                continue
+        blocks.append((start, end - start, (field,)))
+    return blocks

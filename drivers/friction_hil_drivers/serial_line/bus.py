@@ -1,0 +1,215 @@
+"""One serial bus: its line, its drives, and the requests of a cycle on it."""
+
+import select
+import time
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+
+from friction_hil.errors import BusError, DriveError
+from friction_hil_drivers.serial_line.axis import SerialAxis
+from friction_hil_drivers.serial_line.line import LineGoneError
+from friction_hil_drivers.serial_line.protocol import Exchange, LineProtocol, Plan
+from friction_hil_drivers.serial_line.scheduler import BusScheduler
+from friction_hil_drivers.serial_line.waiting import LineSelector, run_schedulers
+from friction_hil_drivers.serial_line.wire import Batch, wire_s
+
+_ATTEMPTS = 5
+_ATTEMPT_S = 0.3
+_BACKGROUND_FRACTION = 0.25  # of the time until the feedback has to be there, for a background read to end
+
+
+@dataclass(frozen=True, slots=True)
+class _CycleBatches:
+    """Requests of an undisturbed cycle."""
+
+    poll: Batch
+    endings: tuple[Batch, ...]  # one a cycle, in rotation: the push, and one of the background reads
+
+
+@dataclass(slots=True)
+class SerialBus:
+    """One line with the drives on it.
+
+    Attributes
+    ----------
+    scheduler : BusScheduler
+    protocol : LineProtocol
+    axes : list of SerialAxis
+    listening, plan : Plan
+        Requests of a cycle in which nothing is written, and of one in which everything is; the same in a dry run.
+    rate : str
+        Time that a cycle takes on the wire, for people.
+    """
+
+    scheduler: BusScheduler
+    protocol: LineProtocol
+    axes: list[SerialAxis]
+    listening: Plan
+    plan: Plan
+    rate: str = ""
+    _background_index: int = 0
+    _is_step_sent: bool = False  # in the cycle before, in place of a background read
+    _first_axis: int = 0  # index of the axis that may send a step first
+    _steps: dict[tuple[str, tuple[str, ...]], Exchange] = field(default_factory=dict)
+    _listening: _CycleBatches = field(init=False)
+    _commanding: _CycleBatches = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._listening, self._commanding = self._batches(self.listening), self._batches(self.plan)
+
+    def _batches(self, plan: Plan) -> _CycleBatches:
+        endings = [(*plan.push, each) for each in plan.background] or ([plan.push] if plan.push else [])
+        return _CycleBatches(self._batch(plan.poll, plan.background), tuple(map(self._batch, endings)))
+
+    def _batch(self, exchanges: tuple[Exchange, ...], before: Iterable[Exchange] = ()) -> Batch:
+        wire_ns = round(1e9 * self.wire_s(*exchanges))
+        return Batch.of(exchanges, wire_ns, before, keeps_silence=self.scheduler.keeps_silence)
+
+    def request_feedback(self, deadline_ns: int | None, *, is_commanding: bool, is_read: bool) -> None:
+        """Send the poll of a cycle.
+
+        Parameters
+        ----------
+        deadline_ns : int or None
+            Moment by which the replies have to be complete: what would come later is not requested.
+        is_commanding : bool
+            Use the plan of a cycle in which everything is written; else of one in which nothing is.
+        is_read : bool
+            What had arrived until a moment ago was read.
+        """
+        scheduler = self.scheduler
+        batch = (self._commanding if is_commanding else self._listening).poll
+        is_read = is_read or bool(scheduler.outstanding)  # outstanding replies are read when everything has been sent
+        if is_read and scheduler.send_batch(batch, deadline_ns):
+            return
+        scheduler.deadline_ns = deadline_ns
+        scheduler.enqueue(batch.exchanges)
+        if is_read:
+            scheduler.advance()
+        else:
+            scheduler.poll()
+
+    def send_commands(
+        self, steps: Mapping[str, Mapping[str, float]], end_ns: int | None, *, is_commanding: bool
+    ) -> None:
+        """Send the push, and in every second cycle a step of one axis (its effect has to be read in between).
+
+        Where no step is due, one background read follows, so late that no command has to wait for it. Its reply is
+        there when the next cycle begins.
+
+        Parameters
+        ----------
+        steps : mapping
+            Values to write for the requested state, by axis; of the axes that need any.
+        end_ns : int or None
+            Beginning of the next cycle; a background read that would not be over by then is left out.
+        is_commanding : bool
+            As in `request_feedback`; otherwise there are no steps.
+        """
+        scheduler = self.scheduler
+        endings = (self._commanding if is_commanding else self._listening).endings
+        if endings and not steps:
+            index = (self._background_index + 1) % len(endings)
+            if scheduler.send_batch(endings[index], end_ns):
+                self._background_index, self._is_step_sent = index, False
+                return
+        scheduler.deadline_ns = None  # of a poll that did not end
+        plan = self.plan if is_commanding else self.listening
+        self._is_step_sent = bool(steps) and not self._is_step_sent and self._enqueue_step(steps)
+        scheduler.enqueue(plan.push)
+        if not self._is_step_sent:
+            self._enqueue_background(plan, endings, end_ns)
+        scheduler.flush()
+
+    def _enqueue_step(self, steps: Mapping[str, Mapping[str, float]]) -> bool:
+        """Queue a step of the next axis that has one; return True if there is any."""
+        for axis in (*self.axes[self._first_axis :], *self.axes[: self._first_axis]):
+            if step := steps.get(axis.name):
+                axis.image.values.update(step)
+                self.scheduler.enqueue((self.write_exchange(axis.name, step),), axis.sequencer.acknowledge)
+                self._first_axis = (self.axes.index(axis) + 1) % len(self.axes)
+                return True
+        return False
+
+    def _enqueue_background(self, plan: Plan, endings: tuple[Batch, ...], end_ns: int | None) -> None:
+        """Queue the next background read, if it is answered before the next cycle."""
+        if not plan.background:
+            return
+        index = (self._background_index + 1) % len(plan.background)
+        exchange = plan.background[index]
+        if end_ns is not None and time.monotonic_ns() + endings[index].wire_ns > end_ns:
+            if not self.scheduler.last_error:
+                self.scheduler.last_error = f"{exchange.what}: no time was left for it"
+            return
+        self._background_index = index
+        self.scheduler.enqueue((exchange,))
+
+    def finish_background_read(self, deadline_ns: int) -> None:
+        """Wait for the reply to the background read of the last cycle, for a fraction of the time until a moment."""
+        scheduler = self.scheduler
+        scheduler.deadline_ns = None  # as in `send_commands`
+        now = time.monotonic_ns()
+        scheduler.poll()
+        until_ns = now + round(_BACKGROUND_FRACTION * (deadline_ns - now))
+        if not run_schedulers((scheduler,), until_ns, LineSelector()):
+            scheduler.end_cycle()
+
+    def write_exchange(self, axis: str, names: Iterable[str]) -> Exchange:
+        """Return the exchange that writes some signals of an axis; each is made once."""
+        key = axis, tuple(names)
+        if key not in self._steps:
+            self._steps[key] = self.protocol.write(*key)
+        return self._steps[key]
+
+    def wire_s(self, *exchanges: Exchange) -> float:
+        """Compute the least time that exchanges in a row take, s."""
+        protocol = self.protocol
+        return wire_s(exchanges, self.scheduler.line.options, protocol.silence_chars, protocol.ahead_chars)
+
+    def discard_input(self, time_s: float) -> None:
+        """Drop what arrives within some time: replies to another master that was here before.
+
+        Raises
+        ------
+        BusError
+            The line is gone.
+        """
+        line, end = self.scheduler.line, time.monotonic() + time_s
+        while (left := end - time.monotonic()) > 0.0:
+            if select.select([line.descriptor], (), (), left)[0]:
+                try:
+                    line.read()
+                except LineGoneError as gone:
+                    raise BusError(str(gone)) from gone
+
+    def transact(self, axis: str, *exchanges: Exchange, attempts: int = _ATTEMPTS) -> None:
+        """Perform exchanges before or after the cyclic phase, with several attempts.
+
+        Raises
+        ------
+        DriveError
+            No usable reply came in any attempt.
+        BusError
+            The line is gone.
+        """
+        scheduler, is_done = self.scheduler, False
+
+        def done() -> None:
+            nonlocal is_done
+            is_done = True
+
+        limit_s = max(_ATTEMPT_S, 2.0 * (scheduler.line.options.reply_limit_s or 0.0))
+        for _ in range(attempts):
+            scheduler.enqueue(exchanges, done)
+            scheduler.poll()
+            run_schedulers([scheduler], time.monotonic_ns() + round(limit_s * 1e9), LineSelector())
+            if is_done:
+                return
+            scheduler.end_cycle()
+            if not scheduler.line.is_open:
+                raise BusError(f"{axis}: {scheduler.last_error}")
+        options, text = scheduler.line.options, scheduler.last_error or "no reply"
+        if not any(exchange.what in text for exchange in exchanges):
+            text = f"{' and '.join(exchange.what for exchange in exchanges)}: {text}"
+        right = "address and port" if options.is_tcp else f"address, port and baud rate ({options.baud})"
+        raise DriveError(f"{axis}: {text} ({attempts} attempts). Right {right}?")

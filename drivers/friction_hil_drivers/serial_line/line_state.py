@@ -1,0 +1,160 @@
+"""State machine of a serial line: how far received bytes can be trusted, and whether drives answer in time.
+
+Two states are kept side by side. `Reception` says what is done with the bytes that arrive, `Timeliness` whether every
+drive has answered. `TRANSITIONS` holds all transitions; an event without a row for the present state changes nothing.
+`PERMISSIONS` says what may be sent in each state of the reception. Both tables are documented in ``drivers/README.md``.
+"""
+
+from enum import IntEnum
+from typing import Final, NamedTuple
+
+
+class Reception(IntEnum):
+    """Use that is made of received bytes."""
+
+    IN_SYNC = 0  # replies belong to the requests that wait for them
+    OUT_OF_SYNC = 1  # the next reply may belong to an earlier request: it is dropped
+    NOISY = 2  # the line did not become quiet after a broken reply
+    DISCARDING = 3  # bytes are dropped until the line is quiet
+    DISCARDING_OUT_OF_SYNC = 4  # the same; then the next reply is dropped
+    DISCARDING_NOISY = 5  # the same, once more, on a line that did not become quiet before
+
+
+class Timeliness(IntEnum):
+    """Punctuality of the drives. The numbers differ from those of `Reception`: both are keys of one table."""
+
+    ON_TIME = 10  # every drive answered the last request to it
+    SILENT = 11  # a drive did not answer; its reply is not expected any more, and it is asked after the others
+    LATE = 12  # a drive did not answer, and its reply may still come: it is not asked until then
+
+
+State = Reception | Timeliness
+
+
+class LineEvent(IntEnum):
+    """Something that may change the state."""
+
+    REPLY = 0  # a valid reply; replies to other requests are still outstanding
+    LAST_REPLY = 1  # a valid reply; none is outstanding any more
+    BROKEN_REPLY = 2  # a damaged reply or one of another drive, and others are still outstanding
+    LAST_REPLY_BROKEN = 3  # the same, and none is outstanding any more
+    LATE_REPLY_BROKEN = 4  # bytes came that are not the late reply that was expected
+    LATE_REPLY_EXPIRED = 5  # a late reply cannot come any more
+    LINE_QUIET = 6  # nothing arrived for long enough
+    LINE_NEVER_QUIET = 7  # bytes kept arriving for too long
+    LINE_LOST = 8  # the adapter was unplugged, or the peer closed the connection
+    REPLY_OVERDUE = 9  # a cycle ended without a reply, which may still come
+    REPLY_MISSED = 10  # a cycle ended without a reply, and a late one would be recognised by its number
+    NO_REPLY_LATE = 11  # the last of the late replies came or expired
+    ALL_ANSWERED = 12  # no drive is left that did not answer the last request to it
+
+
+TRANSITIONS: Final[dict[tuple[State, LineEvent], State]] = {
+    (Reception.IN_SYNC, LineEvent.LAST_REPLY_BROKEN): Reception.DISCARDING,
+    (Reception.IN_SYNC, LineEvent.LATE_REPLY_BROKEN): Reception.DISCARDING,
+    (Reception.OUT_OF_SYNC, LineEvent.LAST_REPLY): Reception.DISCARDING,
+    (Reception.OUT_OF_SYNC, LineEvent.LAST_REPLY_BROKEN): Reception.DISCARDING_OUT_OF_SYNC,
+    (Reception.OUT_OF_SYNC, LineEvent.LATE_REPLY_BROKEN): Reception.DISCARDING_OUT_OF_SYNC,
+    (Reception.NOISY, LineEvent.REPLY): Reception.IN_SYNC,
+    (Reception.NOISY, LineEvent.LAST_REPLY): Reception.IN_SYNC,
+    (Reception.NOISY, LineEvent.LAST_REPLY_BROKEN): Reception.DISCARDING_NOISY,
+    (Reception.NOISY, LineEvent.LATE_REPLY_BROKEN): Reception.DISCARDING_NOISY,
+    (Reception.DISCARDING, LineEvent.LINE_QUIET): Reception.IN_SYNC,
+    (Reception.DISCARDING, LineEvent.LINE_NEVER_QUIET): Reception.NOISY,
+    (Reception.DISCARDING, LineEvent.LINE_LOST): Reception.IN_SYNC,
+    (Reception.DISCARDING_OUT_OF_SYNC, LineEvent.LINE_QUIET): Reception.OUT_OF_SYNC,
+    (Reception.DISCARDING_OUT_OF_SYNC, LineEvent.LINE_NEVER_QUIET): Reception.NOISY,
+    (Reception.DISCARDING_OUT_OF_SYNC, LineEvent.LINE_LOST): Reception.OUT_OF_SYNC,
+    (Reception.DISCARDING_NOISY, LineEvent.LINE_QUIET): Reception.IN_SYNC,
+    (Reception.DISCARDING_NOISY, LineEvent.LINE_NEVER_QUIET): Reception.NOISY,
+    (Reception.DISCARDING_NOISY, LineEvent.LINE_LOST): Reception.NOISY,
+    (Timeliness.ON_TIME, LineEvent.REPLY_OVERDUE): Timeliness.LATE,
+    (Timeliness.ON_TIME, LineEvent.REPLY_MISSED): Timeliness.SILENT,
+    (Timeliness.SILENT, LineEvent.REPLY_OVERDUE): Timeliness.LATE,
+    (Timeliness.SILENT, LineEvent.ALL_ANSWERED): Timeliness.ON_TIME,
+    (Timeliness.LATE, LineEvent.NO_REPLY_LATE): Timeliness.SILENT,
+}
+
+# Where replies do not tell which of several drives they are from, these rows apply in place of those above: a reply
+# that was lost or broken may still come, and would then be taken for that of another drive.
+ANONYMOUS_TRANSITIONS: Final[dict[tuple[State, LineEvent], State]] = {
+    (Reception.IN_SYNC, LineEvent.BROKEN_REPLY): Reception.OUT_OF_SYNC,
+    (Reception.IN_SYNC, LineEvent.LAST_REPLY_BROKEN): Reception.DISCARDING_OUT_OF_SYNC,
+    (Reception.IN_SYNC, LineEvent.LATE_REPLY_EXPIRED): Reception.OUT_OF_SYNC,
+    (Reception.NOISY, LineEvent.REPLY): Reception.OUT_OF_SYNC,
+    (Reception.NOISY, LineEvent.LAST_REPLY): Reception.DISCARDING,
+    (Reception.DISCARDING, LineEvent.LATE_REPLY_EXPIRED): Reception.DISCARDING_OUT_OF_SYNC,
+    (Reception.DISCARDING_NOISY, LineEvent.LINE_QUIET): Reception.OUT_OF_SYNC,
+}
+
+
+class Permission(NamedTuple):
+    """What may be sent in a state of the reception, and whether replies are used."""
+
+    requests: bool  # that are answered
+    commands: bool  # to which nothing is replied
+    together: bool  # several at once, and requests while a reply is outstanding
+    joined: bool  # requests in one write with commands before them
+    replies_used: bool
+
+
+_YES, _NO = True, False
+PERMISSIONS: Final[dict[Reception, Permission]] = {
+    # in order: requests, commands, together, joined, replies_used
+    Reception.IN_SYNC: Permission(_YES, _YES, _YES, _YES, _YES),
+    Reception.OUT_OF_SYNC: Permission(_YES, _YES, _NO, _NO, _NO),
+    Reception.NOISY: Permission(_YES, _YES, _YES, _NO, _YES),
+    Reception.DISCARDING: Permission(_NO, _NO, _NO, _NO, _NO),
+    Reception.DISCARDING_OUT_OF_SYNC: Permission(_NO, _NO, _NO, _NO, _NO),
+    Reception.DISCARDING_NOISY: Permission(_NO, _YES, _YES, _NO, _NO),
+}
+ANONYMOUS_PERMISSIONS: Final[dict[Reception, Permission]] = {
+    Reception.NOISY: Permission(_YES, _YES, _NO, _NO, _NO),
+    Reception.DISCARDING_NOISY: Permission(_NO, _YES, _NO, _NO, _NO),
+}
+
+
+class LineState:
+    """Present state of one line; only `apply` changes it.
+
+    Parameters
+    ----------
+    names_drives : bool
+        Each reply tells which drive it is from.
+
+    Attributes
+    ----------
+    reception : Reception
+    timeliness : Timeliness
+    permission : Permission
+        That of the reception.
+    is_normal : bool
+        Replies are in step with the requests, and every drive answers in time.
+    is_discarding : bool
+        Received bytes are dropped until the line is quiet.
+    is_noisy : bool
+        The line did not become quiet: commands without a reply do not wait for that.
+    """
+
+    def __init__(self, *, names_drives: bool) -> None:
+        self._transitions = TRANSITIONS if names_drives else TRANSITIONS | ANONYMOUS_TRANSITIONS
+        self._permissions = PERMISSIONS if names_drives else PERMISSIONS | ANONYMOUS_PERMISSIONS
+        self.reception = Reception.IN_SYNC
+        self.timeliness = Timeliness.ON_TIME
+        self._update()
+
+    def apply(self, event: LineEvent) -> None:
+        """Change the state as the table says; an event without a row for the present state changes nothing."""
+        for state in (self.reception, self.timeliness):
+            following = self._transitions.get((state, event))
+            if isinstance(following, Reception):
+                self.reception = following
+            elif following is not None:
+                self.timeliness = following
+        self._update()
+
+    def _update(self) -> None:
+        self.permission = self._permissions[self.reception]
+        self.is_normal = self.reception is Reception.IN_SYNC and self.timeliness is Timeliness.ON_TIME
+        self.is_discarding = self.reception >= Reception.DISCARDING
+        self.is_noisy = self.reception in (Reception.NOISY, Reception.DISCARDING_NOISY)

@@ -1,0 +1,129 @@
+"""Records about replies: which may still come although their cycle is over, and which commands drives refuse.
+
+No line and no clock: both are told what happened by the scheduler.
+"""
+
+from collections import deque
+from collections.abc import Collection, Iterable, Sequence
+
+from friction_hil_drivers.serial_line.protocol import Exchange, ReplyError
+
+_MAX_UNCONFIRMED = 8
+
+
+class LateReplies:
+    """Replies that did not come in time, and the drives that were asked.
+
+    Attributes
+    ----------
+    expected : list of (Exchange, int)
+        Exchanges whose reply may still come, in the order of their requests, and until when (monotonic, ns).
+    silent : frozenset of str
+        Drives that did not answer the last request to them.
+    """
+
+    def __init__(self) -> None:
+        self.expected: list[tuple[Exchange, int]] = []
+        self.silent: frozenset[str] = frozenset()
+
+    def expect(self, exchanges: Iterable[Exchange], until_ns: int) -> None:
+        """Expect replies until a moment."""
+        self.expected += [(exchange, until_ns) for exchange in exchanges]
+
+    def note_silent(self, exchanges: Iterable[Exchange]) -> None:
+        """Note the drives that did not answer."""
+        self.silent = self.silent.union(*(exchange.unanswered for exchange in exchanges))
+
+    def note_answer(self, exchange: Exchange) -> None:
+        """Note that the drives of an exchange answered in time."""
+        self.silent -= exchange.addressees
+
+    def drop_expired(self, now_ns: int) -> bool:
+        """Expect those no longer whose time is over; return True if there were any."""
+        left = [(exchange, until) for exchange, until in self.expected if now_ns < until]
+        is_any_expired = len(left) < len(self.expected)
+        self.expected = left
+        return is_any_expired
+
+    def permit(self, exchange: Exchange) -> bool:
+        """Return True if no late reply could be taken for the reply to a request that is sent now."""
+        return not exchange.reply_size or all(
+            exchange.addressees.isdisjoint(late.unanswered) for late, _ in self.expected
+        )
+
+    def for_others(self, exchanges: Sequence[Exchange]) -> list[Exchange]:
+        """Replace requests to several drives by requests to those of them from which no late reply is expected."""
+        owing = frozenset[str]().union(*(late.unanswered for late, _ in self.expected))
+        return [
+            exchange
+            if not exchange.reply_size or exchange.addressees.isdisjoint(owing)
+            else exchange.without(owing) or exchange
+            for exchange in exchanges
+        ]
+
+    def first_to_send(self, exchanges: Sequence[Exchange]) -> int | None:
+        """Return the index of the first request that is permitted; drives that were silent come after the others."""
+        permitted = [index for index, exchange in enumerate(exchanges) if self.permit(exchange)]
+        return min(permitted, key=lambda index: self._is_to_silent_drive(exchanges[index]), default=None)
+
+    def _is_to_silent_drive(self, exchange: Exchange) -> bool:
+        return exchange.reply_size > 0 and not self.silent.isdisjoint(exchange.addressees)
+
+
+class Refusals:
+    """Counter of commands that drives refuse, by an error in place of the reply or by an unsolicited one.
+
+    Parameters
+    ----------
+    is_of_one_drive : bool
+        Only one drive is on the line.
+
+    Attributes
+    ----------
+    count : int
+        Refused commands in a row.
+    unconfirmed : deque of Exchange
+        Commands sent without a reply, the latest last: an unsolicited error belongs to the last of them.
+    is_refused : bool
+        The drive has refused one of these since it answered last.
+    """
+
+    def __init__(self, *, is_of_one_drive: bool) -> None:
+        self._is_of_one_drive = is_of_one_drive
+        self.count = 0
+        self.unconfirmed: deque[Exchange] = deque(maxlen=_MAX_UNCONFIRMED)
+        self.is_refused = False
+        self._signals: set[str] = set()  # written by the refused commands; another command's success does not count
+
+    def note(self, exchange: Exchange) -> None:
+        """Count a command that was refused in place of its reply."""
+        self.count += 1
+        self._signals.update(exchange.writes)
+
+    def note_unsolicited(self, error: ReplyError) -> Exchange | None:
+        """Count the command to which an unsolicited error belongs, and return it; None if it belongs to none."""
+        if not (error.is_unsolicited and self.unconfirmed):
+            return None
+        exchange = self.unconfirmed.pop()
+        self.note(exchange)
+        self.is_refused = True
+        return exchange
+
+    def note_accepted(self, exchanges: Iterable[Exchange]) -> None:
+        """Restart the count if one of these commands, which the drive accepted, writes a signal it refused before."""
+        if self.count and any(not self._signals.isdisjoint(exchange.writes) for exchange in exchanges):
+            self.count = 0
+            self._signals.clear()
+
+    def note_reply(self, exchange: Exchange) -> None:
+        """Note that a drive answered: it did not refuse what was sent to it before without a reply."""
+        if self._is_of_one_drive and not (self.count or self.is_refused):
+            self.unconfirmed.clear()
+            return
+        accepted: Collection[Exchange] = [each for each in self.unconfirmed if each.addressees <= exchange.addressees]
+        if not self.is_refused:
+            self.note_accepted(accepted)
+        self.is_refused = False
+        rest = [each for each in self.unconfirmed if each not in accepted]
+        self.unconfirmed.clear()
+        self.unconfirmed.extend(rest)

@@ -1,0 +1,359 @@
+"""Scheduler of the requests on one line: sends them in order, in steps that never wait.
+
+Serial protocols do not number their replies, so a late reply looks like the present one of the same drive. A drive
+that did not answer in time is therefore not asked again until its reply has come and was dropped, or cannot come any
+more. The other drives on the line are asked meanwhile, and commands without a reply are sent: a silent drive must not
+keep another one from being stopped.
+
+Requests go out together where the drives read ahead and no reply to one of them could be taken for the reply to
+another: a cycle then wakes up only once.
+
+`line_state` has the states and their transitions, `BusScheduler._verdict` the rule for sending.
+"""
+
+import time
+from collections import deque
+from collections.abc import Callable, Collection, Iterable, Sequence
+from enum import IntEnum
+
+from friction_hil_drivers.serial_line.line import Line, LineGoneError
+from friction_hil_drivers.serial_line.line_state import LineEvent, Timeliness
+from friction_hil_drivers.serial_line.protocol import Exchange, Image
+from friction_hil_drivers.serial_line.receiver import ReplyReceiver
+from friction_hil_drivers.serial_line.wire import Batch, character_s
+
+_REOPEN_NS = 200_000_000
+
+
+class Verdict(IntEnum):
+    """Answer to the question whether a request may be sent."""
+
+    SEND = 0
+    WAIT = 1
+    TOO_LATE = 2  # its reply would not come before the deadline
+
+
+_SEND, _WAIT, _TOO_LATE = Verdict
+
+
+class BusScheduler(ReplyReceiver):
+    """Sends requests on one line, and takes the replies to them; see also `ReplyReceiver`.
+
+    Parameters
+    ----------
+    line : Line
+    images : sequence of Image
+        Process images of all axes on the line.
+    silence_chars : float
+        Silence that has to pass between frames, in characters.
+    reply_limit_s : float
+        Time after which a reply that did not come cannot come any more, s; 0 where replies are numbered, so that a
+        late one is recognised.
+    now_ns : callable
+        Monotonic time, ns.
+    ahead_chars : int
+        Characters of requests that may be sent before the first of them is answered; 0: one request at a time.
+    anonymous_reply_s : float
+        On a line on which replies do not tell which of several drives they are from, the longest time that a reply
+        takes where nothing holds it up, s; 0 on other lines.
+
+    Attributes
+    ----------
+    queue : deque of Exchange
+        Requests still to be sent.
+    deadline_ns : int or None
+        Moment by which replies to queued requests have to be complete; what would be later is not sent.
+    """
+
+    def __init__(
+        self,
+        line: Line,
+        images: Sequence[Image],
+        silence_chars: float,
+        reply_limit_s: float,
+        now_ns: Callable[[], int] = time.monotonic_ns,
+        *,
+        ahead_chars: int = 0,
+        anonymous_reply_s: float = 0.0,
+    ) -> None:
+        character_ns = character_s(line.options) * 1e9
+        super().__init__(
+            images,
+            silence_ns=round(silence_chars * character_ns),
+            reply_limit_ns=round(reply_limit_s * 1e9),
+            anonymous_reply_ns=round(anonymous_reply_s * 1e9),
+            now_ns=now_ns,
+        )
+        self.line = line
+        self._character_ns = round(character_ns)
+        self._ahead_chars = ahead_chars
+        self.queue: deque[Exchange] = deque()
+        self._singles: dict[Exchange, Batch] = {}
+        self._busy_until_ns = 0
+        self._next_reopen_ns = 0
+        self.deadline_ns: int | None = None
+
+    @property
+    def keeps_silence(self) -> bool:
+        """True if silence has to pass between frames."""
+        return self._silence_ns > 0
+
+    @property
+    def is_finished(self) -> bool:
+        """True if everything has been sent and answered, or the line is gone."""
+        return not self.queue and not self.outstanding
+
+    @property
+    def due_ns(self) -> int | None:
+        """Moment at which `poll` has something to do although nothing arrives, ns; None if there is none."""
+        if self.outstanding or self.line.descriptor < 0:
+            return None
+        if self.state.is_discarding:
+            return min(self._received_ns + self._discard_ns, self._discard_end_ns)
+        if self.state.timeliness is not Timeliness.LATE:
+            return self._quiet_until_ns if self.queue else None
+        moments = [until for _, until in self._late.expected]
+        if self._received:  # a late reply is coming in
+            return min(moments)
+        if any(map(self._late.permit, self.queue)):
+            moments.append(self._quiet_until_ns)
+        return min(moments)
+
+    def enqueue(self, exchanges: Iterable[Exchange], callback: Callable[[], None] | None = None) -> None:
+        """Queue requests; ``callback`` is called when the last of them was answered (sent, if no reply is due)."""
+        self.queue.extend(exchanges)
+        if callback is not None and self.queue:
+            self._callbacks[self.queue[-1]] = callback
+
+    def send_batch(self, batch: Batch, deadline_ns: int | None) -> bool:
+        """Send the requests of an undisturbed cycle together; return False, having done nothing, where that cannot be.
+
+        `enqueue` and `advance` then send the same bytes, in as many steps as it takes.
+
+        Parameters
+        ----------
+        batch : Batch
+        deadline_ns : int or None
+            Moment by which all replies have to be complete.
+        """
+        if self.queue or self._received or self.line.descriptor < 0 or not self.state.is_normal:
+            return False
+        now = self._now_ns()
+        if self._verdict(batch, now, deadline_ns) is not _SEND:
+            return False
+        try:
+            data = b""
+            for exchange in batch.exchanges:
+                data += exchange.constant or exchange.encode()
+            self._write(data, now, batch.answered)
+        except LineGoneError as gone:
+            self._lose_line(gone)
+            return True
+        self.outstanding.extend(batch.answered)
+        if batch.refusable:
+            self.refusals.unconfirmed.extend(batch.refusable)
+        return True
+
+    def poll(self, *, is_ready: bool = False) -> None:
+        """Read what has arrived, and do what can be done now.
+
+        Parameters
+        ----------
+        is_ready : bool
+            The operating system reports that bytes have arrived.
+        """
+        try:
+            if self.line.descriptor >= 0 and (data := self.line.read(is_ready=is_ready)):
+                self._received += data
+                self._received_ns = self._now_ns()
+        except LineGoneError as gone:
+            self._lose_line(gone)
+        if self.outstanding and not self.queue:
+            if self._received:
+                self._take_replies()
+        else:
+            self.advance()
+
+    def flush(self) -> None:
+        """Send what may be sent now, and remove from the queue what would have to wait for a late reply."""
+        if self.state.timeliness is Timeliness.LATE:
+            self.poll()
+            self.queue = deque(filter(self._late.permit, self.queue))
+        else:
+            self.advance()
+
+    def advance(self) -> None:
+        """Handle the bytes that were read, then send what may be sent."""
+        if self.line.descriptor < 0:  # not `is_open`: evaluated several times a cycle
+            self._reopen()
+            return
+        if self.state.is_discarding:
+            self._discard(self._now_ns())
+        elif self.outstanding:
+            if self._received:
+                self._take_replies()
+        elif self.state.timeliness is Timeliness.LATE:
+            self._take_late_reply(self._now_ns())
+        try:
+            while self.queue and self._send_next():
+                pass
+        except LineGoneError as gone:
+            self._lose_line(gone)
+
+    def end_cycle(self) -> None:
+        """End a cycle: requests that were not sent are dropped, and outstanding replies count as late or lost."""
+        self.queue.clear()
+        self._callbacks.clear()
+        self.deadline_ns = None
+        if self.outstanding:
+            self.last_error = f"{self.outstanding[0].what}: no reply in time"
+            self._late.note_silent(self.outstanding)
+            if not self._reply_limit_ns:
+                self.state.apply(LineEvent.REPLY_MISSED)
+            self._expect_late()
+            self.line.acknowledge()
+
+    def _verdict(self, batch: Batch, now: int, deadline_ns: int | None, chars: int = 0) -> Verdict:
+        """Decide whether requests may be sent: the one rule for all that goes out on the line.
+
+        Parameters
+        ----------
+        batch : Batch
+            A single request, or the requests of an undisturbed cycle.
+        now : int
+            Monotonic time, ns.
+        deadline_ns : int or None
+            Moment by which all replies have to be complete.
+        chars : int
+            Characters of other requests that go out before it in the same write.
+        """
+        outstanding = self.outstanding
+        if not (batch.are_joint if self.state.is_normal else self._is_permitted(batch, is_joined=chars > 0)):
+            return _WAIT
+        ahead_chars = batch.ahead_chars
+        if outstanding:
+            if self._silence_ns or not batch.may_follow(outstanding):
+                return _WAIT
+            ahead_chars = batch.chars
+        elif chars:
+            if self._silence_ns:
+                return _WAIT
+        elif now < self._quiet_until_ns:
+            return _WAIT
+        if ahead_chars and self._unread_chars + chars + ahead_chars > self._ahead_chars:
+            return _WAIT
+        if deadline_ns is not None:
+            busy_ns = self._busy_until_ns
+            if (busy_ns if busy_ns > now else now) + batch.wire_ns > deadline_ns:
+                return _TOO_LATE
+        return _SEND
+
+    def _is_permitted(self, batch: Batch, *, is_joined: bool) -> bool:
+        """True if the disturbed line lets a request pass: the part of the rule that depends on the state."""
+        state, permission = self.state, self.state.permission
+        if not (permission.requests if batch.answered else permission.commands):
+            return False
+        if (is_joined or self.outstanding) and not permission.together:
+            return False
+        if is_joined and not self.outstanding and batch.answered and not permission.joined:
+            return False
+        if state.timeliness is Timeliness.ON_TIME:
+            return batch.are_joint
+        if is_joined or len(batch.exchanges) > 1:
+            return False
+        if state.timeliness is Timeliness.LATE and self._received and not self.outstanding:
+            return state.is_noisy and not batch.answered  # a late reply is coming in
+        return True
+
+    def _send_next(self) -> bool:
+        """Send the next request, or several together; return True if another one may follow at once."""
+        index: int | None = 0
+        is_on_time = self.state.timeliness is Timeliness.ON_TIME
+        queue = self.queue if is_on_time else deque(self._late.for_others(self.queue))
+        if not is_on_time and (index := self._late.first_to_send(queue)) is None:
+            return False
+        verdict = self._verdict(self._single(queue[index or 0]), self._now_ns(), self.deadline_ns)
+        if verdict is _WAIT:
+            return False
+        if not is_on_time:
+            self._replace_queue(queue)
+        if self._received and not self.outstanding:  # else it is the beginning of a reply that is due
+            self._take_unsolicited()
+        data = b""
+        unanswered: list[Exchange] = []
+        while verdict is _SEND:
+            exchange = self.queue[index or 0]
+            del self.queue[index or 0]
+            data += exchange.encode()
+            (self.outstanding if exchange.reply_size else unanswered).append(exchange)
+            if not self.queue:
+                break
+            index = 0
+            verdict = self._verdict(self._single(self.queue[0]), self._now_ns(), self.deadline_ns, len(data))
+        if verdict is _TOO_LATE:
+            self._drop_queue(self.queue[index or 0])
+        if data:
+            self._write(data, self._now_ns(), self.outstanding)
+        self._note_sent(unanswered)
+        return not self.outstanding
+
+    def _replace_queue(self, queue: deque[Exchange]) -> None:
+        """Queue other requests in place of those in the queue, one for one."""
+        for before, exchange in zip(self.queue, queue, strict=True):
+            if exchange is not before and before in self._callbacks:
+                self._callbacks[exchange] = self._callbacks.pop(before)
+        self.queue = queue
+
+    def _drop_queue(self, exchange: Exchange) -> None:
+        """Send nothing more in this cycle: the reply would be late, and so would all replies after it."""
+        if not self._late.silent:  # else that is the reason
+            self.last_error = f"{exchange.what}: no time was left for it"
+        self.queue.clear()
+
+    def _note_sent(self, unanswered: Iterable[Exchange]) -> None:
+        """Note commands that were sent and to which nothing is replied."""
+        for exchange in unanswered:
+            if exchange.tells_refusal:
+                self.refusals.unconfirmed.append(exchange)
+            if self._callbacks and exchange in self._callbacks:
+                self._callbacks.pop(exchange)()
+
+    def _single(self, exchange: Exchange) -> Batch:
+        """Batch of one request; made once for each."""
+        batch = self._singles.get(exchange)
+        if batch is None:
+            wire_ns = (exchange.request_size + exchange.reply_size) * self._character_ns
+            if exchange.reply_size:
+                wire_ns += self._silence_ns + round(self.line.options.turnaround_s * 1e9)
+            batch = self._singles[exchange] = Batch.of((exchange,), wire_ns, keeps_silence=self.keeps_silence)
+        return batch
+
+    def _write(self, data: bytes, now: int, answered: Collection[Exchange]) -> None:
+        """Write requests, of which some are answered."""
+        self.line.write(data)
+        size = len(data)
+        self._unread_chars += size
+        self._sent_ns = now
+        busy_ns = self._busy_until_ns
+        self._busy_until_ns = busy_ns = (busy_ns if busy_ns > now else now) + size * self._character_ns
+        if self._silence_ns and not answered:
+            self._quiet_until_ns = busy_ns + self._silence_ns
+
+    def _lose_line(self, gone: LineGoneError) -> None:
+        self.last_error = str(gone)
+        self.queue.clear()
+        self._callbacks.clear()
+        self._received.clear()
+        self._expect_late()  # a converter in between may keep them until the line is back
+        self.refusals.unconfirmed.clear()
+        self.state.apply(LineEvent.LINE_LOST)
+        self._next_reopen_ns = self._now_ns() + _REOPEN_NS
+
+    def _reopen(self) -> None:
+        """Try to get the line back; requests are not kept for later."""
+        self.queue.clear()
+        self._callbacks.clear()
+        now = self._now_ns()
+        if now >= self._next_reopen_ns:
+            self._next_reopen_ns = now + _REOPEN_NS
+            self.line.reopen()
