@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from friction_hil.velocity import unwrap
+from friction_hil.drive.encoder import unwrap
 from friction_hil_drivers.ascii import DESCRIPTIONS
 from friction_hil_drivers.ascii.description import AsciiDescription
 from friction_hil_drivers.ascii.driver import AsciiLine

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from friction_hil.config.messages import Mistake
+from friction_hil.checked_yaml.messages import Mistake
 from friction_hil_drivers.dynamixel.table import Item, ItemBlock, side_by_side
 from friction_hil_drivers.serial_line.description import Description, Signal
 

@@ -11,7 +11,7 @@ from pymodbus.pdu import DecodePDU, ModbusPDU
 from pymodbus.pdu import bit_message as bits
 from pymodbus.pdu import register_message as registers
 
-from friction_hil.velocity import unwrap
+from friction_hil.drive.encoder import unwrap
 from friction_hil_drivers.modbus.description import DESCRIPTIONS, ModbusDescription
 from friction_hil_drivers.modbus.driver import ModbusLine
 from friction_hil_drivers.modbus.framing import REFUSED
