@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from friction_hil.errors import RecordingError
-from friction_hil.identification.data import Data, Record
+from friction_hil.identification.data import Data, RegressionSegment
 from friction_hil.motion.experiment import LEAST_RATE_HZ, is_fast
 from friction_hil.numerics.jit import Array
 
@@ -40,7 +40,7 @@ _LONG = 400  # taps from which on Fourier transforms are faster
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FineRecord(Record):
+class FineSegment(RegressionSegment):
     """A record whose motion is at the steps of the model; (n, ...) arrays of it hold a row for each step.
 
     Attributes
@@ -105,7 +105,7 @@ class FineRecord(Record):
         return np.ascontiguousarray(kept[first : first + -(-(len(values) - 2 * edge) // every)])
 
 
-def is_fine(record: Record) -> bool:
+def is_fine(record: RegressionSegment) -> bool:
     """Whether a record can be brought to fine steps: known counts, sampled fast and for long enough, all rows count."""
     if record.is_moving is not None:
         return False
@@ -113,7 +113,7 @@ def is_fine(record: Record) -> bool:
     return record.resolution is not None and is_fast(rate) and len(record.encoder) >= LEAST_S * rate
 
 
-def is_presliding_excited(record: Record) -> bool:
+def is_presliding_excited(record: RegressionSegment) -> bool:
     """Whether it also shows presliding: swings faster than 8 Hz, well above the encoder's noise, for some of the time.
 
     An axis that swings more than it travels reverses in each swing, and each reversal passes through presliding.
@@ -130,7 +130,7 @@ def is_presliding_excited(record: Record) -> bool:
     return float(np.mean((swing > travel) & (swing > _CLEAR * noise))) >= _LEAST_SHARE
 
 
-def shows_presliding(records: Sequence[Record], is_wanted: bool | None) -> bool:
+def shows_presliding(records: Sequence[RegressionSegment], is_wanted: bool | None) -> bool:
     """Whether a fit to all these records is to be refined: by what they show, unless the user has said so.
 
     Raises
@@ -149,19 +149,21 @@ def shows_presliding(records: Sequence[Record], is_wanted: bool | None) -> bool:
     return is_wanted
 
 
-def fine_data(records: Sequence[Record], *, is_mean: bool) -> Data:
+def fine_data(records: Sequence[RegressionSegment], *, is_mean: bool) -> Data:
     """Bring records whose encoder's counts are known to fine steps."""
     return Data([_fine_record(record, record.encoder, record.torque, is_mean) for record in records])
 
 
-def recounted(data: Data, originals: Sequence[Record], torques: Sequence[Array], random: np.random.Generator) -> Data:
+def recounted(
+    data: Data, originals: Sequence[RegressionSegment], torques: Sequence[Array], random: np.random.Generator
+) -> Data:
     """Data of the same motion, counted again by an encoder at another place, with torques (n,) at the samples.
 
     Parameters
     ----------
     data : Data
         What `fine_data` made of ``originals``.
-    originals : sequence of Record
+    originals : sequence of RegressionSegment
     torques : sequence of array
         In place of the measured ones, at samples 1...
     random : Generator
@@ -169,7 +171,7 @@ def recounted(data: Data, originals: Sequence[Record], torques: Sequence[Array],
     """
     found = []
     for fine, original, torque in zip(data.records, originals, torques, strict=True):
-        assert isinstance(fine, FineRecord)
+        assert isinstance(fine, FineSegment)
         assert original.resolution is not None
         path = np.concatenate([original.encoder[:1], fine.position[fine.fine - 1 :: fine.fine]])
         place = random.uniform()
@@ -178,7 +180,7 @@ def recounted(data: Data, originals: Sequence[Record], torques: Sequence[Array],
     return Data(found)
 
 
-def _fine_record(record: Record, position: Array, torque: Array, is_mean: bool) -> FineRecord:
+def _fine_record(record: RegressionSegment, position: Array, torque: Array, is_mean: bool) -> FineSegment:
     rate = record.rate_hz
     assert record.resolution is not None
     fine = 2 * max(1, round(0.5 * _STEPS_HZ / rate))
@@ -189,7 +191,7 @@ def _fine_record(record: Record, position: Array, torque: Array, is_mean: bool) 
     def slow(values: Array | None) -> Array | None:
         return None if values is None else np.interp(steps / fine, np.arange(len(values)), values)
 
-    return FineRecord(
+    return FineSegment(
         path=record.path,
         axis=record.axis,
         rows=record.rows,
@@ -261,7 +263,7 @@ def moves_by_bands(position: Array, rate_hz: float, resolution: float) -> Array:
     return kept
 
 
-def at_full_rate(record: Record) -> Record:
+def at_full_rate(record: RegressionSegment) -> RegressionSegment:
     """Motion of a record by bands and its torque as it was measured, instead of both low-passed.
 
     What happens in a few samples stays, such as a reversal; velocities are means over the sampling period before each

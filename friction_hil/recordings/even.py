@@ -36,7 +36,7 @@ Interval = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class EvenParts:
+class EvenGrid:
     """Columns on an even grid.
 
     Attributes
@@ -67,7 +67,7 @@ class _Block:
     known: dict[str, Rows | None]  # rows where a column has a value; None: all
 
 
-def even_grid(recording: Recording, names: Sequence[str], held: Sequence[str] = ()) -> EvenParts:
+def even_grid(recording: Recording, names: Sequence[str], held: Sequence[str] = ()) -> EvenGrid:
     """Bring columns to an even grid.
 
     Rows go into the order of time; where the clock was set back, or more than `GAP_PERIODS` periods are missing
@@ -117,7 +117,7 @@ def even_grid(recording: Recording, names: Sequence[str], held: Sequence[str] = 
     _note_parts(parts, cuts, short, problems)
     ends = np.cumsum([0, *(len(time) for time, _ in parts)]).tolist()
     duration = sum(float(time[-1] - time[0]) for time, _ in parts)
-    return EvenParts(
+    return EvenGrid(
         time_s=_joined([time for time, _ in parts]),
         columns={name: _joined([values[name] for _, values in parts]) for name in columns},
         segments=tuple(slice(begin, end) for begin, end in itertools.pairwise(ends)),

@@ -15,7 +15,7 @@ from friction_hil.errors import RecordingError, UsageError
 from friction_hil.models.model_file import ModelFile
 from friction_hil.recordings import Recording
 from friction_hil.recordings.mcap_writer import McapWriter
-from friction_hil.replay.comparison import derive, predict, replay
+from friction_hil.replay.comparison import predict, replay, replay_segments
 
 ROOT = Path(__file__).parents[2]
 EMPS = ROOT.parent / "shared" / "data" / "emps" / "DATA_EMPS.mat"
@@ -90,7 +90,7 @@ def test_a_wrong_model_is_told_by_its_error() -> None:
 
 def test_derived_motion_has_no_delay() -> None:
     recording = swinging()
-    motion = derive(recording, lowpass_hz=50.0)
+    [motion], _, _ = replay_segments(recording, lowpass_hz=50.0)
     inner = slice(200, -200)
     np.testing.assert_allclose(motion.velocity[inner], recording["velocity"][inner], atol=1e-3)
     expected = -((2.0 * np.pi) ** 2) * recording["position"]
@@ -180,7 +180,8 @@ def test_emps_is_explained_to_four_percent(tmp_path: Path, capsys: pytest.Captur
 def test_emps_published_figure_which_counts_the_end_of_the_record() -> None:
     """The benchmark leaves out 49 samples at the beginning and none at the end, where the filter has no data."""
     columns = {"time_s": "t", "position": "qm", "torque": "vir"}
-    motion = derive(fh.recordings.read(EMPS, columns=columns, scale={"torque": 35.150651}), 100.0)
+    recording = fh.recordings.read(EMPS, columns=columns, scale={"torque": 35.150651})
+    [motion], _, _ = replay_segments(recording, 100.0)
     torque = np.sum(predict(ModelFile.model_validate(yaml.safe_load(EMPS_MODEL)), motion), axis=0)
     b, a = signal.cheby1(8, 0.05, 0.08)
     measured, predicted = (
