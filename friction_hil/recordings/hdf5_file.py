@@ -70,7 +70,7 @@ def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
     with open_new(path, overwrite=overwrite) as opened, h5py.File(opened, "w", track_order=True) as file:
         for name, values in recording.columns.items():
             dataset = file.create_dataset(name, data=values)
-            unit = known_unit(recording, name)
+            unit = known_unit(recording.units, name)
             if unit:
                 dataset.attrs["unit"] = unit
 

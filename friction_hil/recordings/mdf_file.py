@@ -76,7 +76,7 @@ def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
     library = _library(path)
     time = recording[TIME]
     signals = [
-        library.Signal(values, time, name=name, unit=known_unit(recording, name))
+        library.Signal(values, time, name=name, unit=known_unit(recording.units, name))
         for name, values in recording.columns.items()
         if name != TIME
     ]

@@ -63,7 +63,7 @@ def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
     arrow, parquet = _library(path)
     fields = []
     for name in recording.columns:
-        unit = known_unit(recording, name)
+        unit = known_unit(recording.units, name)
         fields.append(arrow.field(name, arrow.float64(), metadata={"unit": unit} if unit else None))
     table = arrow.table(list(recording.columns.values()), schema=arrow.schema(fields))
     with open_new(path, overwrite=overwrite) as file:

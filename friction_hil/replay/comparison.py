@@ -5,6 +5,7 @@ low-pass exactly once: inertia is multiplied by the acceleration of the low-pass
 low-passed itself.
 """
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -215,7 +216,7 @@ class _Reduction:
         """Return the rows of each segment after the reduction."""
         counts = [len(range(0, len(self._settled(each.time_s)), self._factor)) for each in segments]
         ends = np.cumsum([0, *counts]).tolist()
-        return tuple(slice(begin, end) for begin, end in zip(ends, ends[1:], strict=False))
+        return tuple(slice(begin, end) for begin, end in itertools.pairwise(ends))
 
     def _settled(self, values: Array) -> Array:
         return values[self._settling : len(values) - self._settling]

@@ -129,7 +129,7 @@ def test_names_are_not_cut_short_where_nobody_watches(folder: Path, capsys: pyte
 def test_the_pool_gives_what_one_process_gives(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two workers where there is only one core too; a broken file and order included."""
     paths = [str(log(folder / f"{i}.csv", i)) for i in range(5)] + ["nothing.csv"]
-    tasks = [farm.Task(path, ("coulomb:coulomb=0.3,viscous=0.01",)) for path in paths]
+    tasks = [farm.ReplayTask(path, ("coulomb:coulomb=0.3,viscous=0.01",)) for path in paths]
     alone = [farm.run(task) for task in tasks]
     monkeypatch.setattr(farm, "_MANY", 2)
     monkeypatch.setattr(farm.os, "sched_getaffinity", lambda _: {0, 1})
@@ -143,7 +143,7 @@ def test_the_pool_gives_what_one_process_gives(folder: Path, monkeypatch: pytest
 
 
 def test_a_worker_that_dies_is_told(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Mortal(farm.Task):
+    class Mortal(farm.ReplayTask):
         def __reduce__(self) -> Any:  # what a worker runs when it unpickles its task
             return __import__("os")._exit, (1,)
 
@@ -174,7 +174,7 @@ def test_only_the_columns_that_are_needed_are_read(folder: Path, monkeypatch: py
         return found
 
     monkeypatch.setattr(fh.recordings, "read_all", spy)
-    (outcome,) = farm.run(farm.Task("wide.mcap", ("coulomb:coulomb=0.3",)))
+    (outcome,) = farm.run(farm.ReplayTask("wide.mcap", ("coulomb:coulomb=0.3",)))
     assert outcome.exit_status == 0
     assert seen == [{"time_s", "position", "velocity", "torque"}]
 
