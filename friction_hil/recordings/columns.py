@@ -1,4 +1,7 @@
-"""The columns of a recording: name, unit and meaning of each, stated once."""
+"""Columns of a recording: name, unit and meaning of each.
+
+The meanings are part of the schema in every MCAP file that the daemon writes.
+"""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -10,12 +13,12 @@ _LINEAR = {"rad": "m", "rad/s": "m/s", "N m": "N"}
 
 @dataclass(frozen=True, slots=True)
 class ColumnMeaning:
-    """A column that friction_hil writes; a recording may carry others along."""
+    """A column that friction_hil writes; a recording may have others."""
 
     name: str
     unit: str  # of a rotary axis; `unit` gives that of a linear one
     meaning: str
-    is_sparse: bool = False  # NaN in single rows is no fault: the value does not exist at all times
+    is_sparse: bool = False  # NaN in single rows is not reported: the value does not exist at all times
 
 
 COLUMNS = (
@@ -55,12 +58,12 @@ _BY_NAME = {column.name: column for column in COLUMNS}
 
 
 def shadow(model: str) -> str:
-    """Column of the shadow model that is called ``model``."""
+    """Return the column of the shadow model called ``model``."""
     return SHADOW_PREFIX + model
 
 
 def meaning(name: str) -> str:
-    """What a column holds, in words; empty for one that is not ours."""
+    """Return the meaning of a column in words; empty for a column of another program."""
     if name in _BY_NAME:
         return _BY_NAME[name].meaning
     if name.startswith(SHADOW_PREFIX):
@@ -69,6 +72,6 @@ def meaning(name: str) -> str:
 
 
 def unit(name: str, kind: AxisKind = "rotary") -> str:
-    """Unit of a column on a rotary or a linear axis; empty where there is none or it is unknown."""
+    """Return the unit of a column on a rotary or linear axis; empty if it has none or it is unknown."""
     rotary = _BY_NAME[name].unit if name in _BY_NAME else "N m" if name.startswith(SHADOW_PREFIX) else ""
     return _LINEAR.get(rotary, rotary) if kind == "linear" else rotary

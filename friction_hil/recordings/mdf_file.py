@@ -1,4 +1,4 @@
-"""Read and write MDF 4 (ASAM) through asammdf: a channel each, with its unit; read also MDF 3."""
+"""Read and write MDF 4 (ASAM) with asammdf, a channel with its unit for each column; read MDF 3."""
 
 import gc
 import sys
@@ -14,23 +14,23 @@ from friction_hil.recordings.source import Source, as_column, needs_extra
 from friction_hil.recordings.units import known_unit
 
 _MAGIC = (b"MDF     ", b"UnFinMF ")
-_SMALLEST = 168  # bytes of the identification and the header of MDF 4; those of MDF 3 are more
+_SMALLEST = 168  # bytes of identification and header of MDF 4; MDF 3 has more
 
 
 def read(source: Source) -> list[Recording]:
-    """Read every channel that holds a number a sample; the time of the groups is ``time_s``.
+    """Read every channel with one number per sample; the time of the groups is ``time_s``.
 
-    Groups with the same time stamps are one table. Otherwise the rows are those of all groups, in order of time,
-    and NaN where a channel has no sample.
+    Groups with the same time stamps form one table. Otherwise the rows of all groups are sorted by time, and a channel
+    is NaN where it has no sample.
 
     Raises
     ------
     RecordingError
-        The file was cut off or is no MDF file, or has no channel.
+        The file was cut off, is not MDF, or has no channel.
     UsageError
         asammdf is not installed.
     OSError
-        It cannot be opened.
+        The file cannot be opened.
     """
     library = _library(source.path)
     size = source.path.stat().st_size
@@ -51,13 +51,13 @@ def read(source: Source) -> list[Recording]:
     except Exception as error:  # noqa: BLE001 - the library raises whatever damaged bytes lead it to
         failure = " ".join(str(error).split()) or type(error).__name__
     if failure:
-        _collect_in_silence()
+        _collect_quietly()
         raise RecordingError(f"{source.path} was cut off, at byte {size}, or is damaged: its rows are lost ({failure})")
     return [recording]
 
 
-def _collect_in_silence() -> None:
-    """Collect readers that gave up half-way: whenever else it happens, they complain on stderr."""
+def _collect_quietly() -> None:
+    """Collect readers that failed half-way now: their destructors would print errors to stderr later."""
     hook, sys.unraisablehook = sys.unraisablehook, lambda _: None
     gc.collect()
     sys.unraisablehook = hook
@@ -81,16 +81,16 @@ def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
         if name != TIME
     ]
     with path.open("ab" if overwrite else "xb"):
-        pass  # the library asks nobody before it overwrites, and says little where it cannot write
+        pass  # the library overwrites without asking, and does not say why it cannot write
     with library.MDF(version="4.10") as mdf:
         mdf.append(signals, common_timebase=True)
         saved = Path(mdf.save(str(path), overwrite=True))
-    if saved != path:  # the library has its own mind about the suffix
+    if saved != path:  # the library may change the suffix
         saved.replace(path)
 
 
 def _library(path: Path) -> Any:
-    try:
+    try:  # imported here: an optional package
         import asammdf
     except ImportError:
         raise needs_extra(path, "asammdf") from None
