@@ -76,11 +76,11 @@ class RegressionSegment(Segment):
         return reduced if self.is_moving is None else reduced[self.is_moving]
 
     def reduced_torque(self) -> Array:
-        """Measured torque in the rows of the regression."""
+        """Return the measured torque in the rows of the regression."""
         return self.reduce(self.torque)
 
     def reduced_time(self) -> Array:
-        """Time stamps of the rows of the regression."""
+        """Return the time stamps of the rows of the regression, s."""
         time = self.time_s[self.begin : self.end]
         time = time if self.decimation == 1 else time[filtering.decimated_rows(len(time), self.decimation)]
         return time if self.is_moving is None else time[self.is_moving]
@@ -215,8 +215,8 @@ class Data:
     ----------
     records : sequence of RegressionSegment
     known : mapping, optional
-        Torque per unit of linear parameters that are known while the gain of the drive is not: together they are the
-        column ``drive.inverse_gain``.
+        Values of linear parameters that are known while the gain of the drive is not: their torque is the column
+        ``drive.inverse_gain``.
 
     Attributes
     ----------
@@ -244,7 +244,7 @@ class Data:
         return np.concatenate([record.reduce(each) for record, each in zip(self.records, values, strict=True)])
 
     def column(self, name: str) -> Array:
-        """Torque per unit of a linear parameter, reduced (k,); remembered by its name."""
+        """Return the torque per unit of a linear parameter, reduced (k,); it is computed once."""
         if name == "drive.inverse_gain" and name not in self._columns:
             self._columns[name] = sum(
                 (value * self.column(each) for each, value in self.known.items()), start=np.zeros(len(self))
@@ -260,7 +260,7 @@ class Data:
         return self._columns[name]
 
     def motion(self, name: str) -> Array:
-        """Position, velocity, acceleration, load_torque or temperature, reduced (k,)."""
+        """Return position, velocity, acceleration, load_torque or temperature, reduced (k,)."""
         return np.concatenate([record.reduce_smooth(getattr(record, name)) for record in self.records])
 
     @property
@@ -270,7 +270,7 @@ class Data:
 
 
 def linear_column(key: str, record: RegressionSegment) -> Array:
-    """Torque at the full rate per unit of a parameter that the torque is linear in.
+    """Compute the torque (n,) at the full rate per unit of a parameter in which the torque is linear.
 
     Parameters
     ----------
