@@ -213,7 +213,7 @@ def _unwrap(blocks: list[_Block], problems: list[str]) -> None:
         wrap = find_wrap(position, jumps)
         if wrap is None:
             size = float(np.max(np.abs(np.diff(position))[jumps - 1]))
-            problems.append(f"position jumps by up to {size:.6g} at {where}, which no encoder wrap explains: left so")
+            problems.append(f"position jumps by up to {size:.6g} at {where}, which no encoder wrap explains: left unchanged")
             continue
         problems.append(f"position wraps over {wrap.range:.6g} ({wrap.name}) at {where}: unwrapped")
         straight = block.columns[_POSITION].copy()

@@ -1,6 +1,6 @@
-"""One file of a replay: read it, run it through models or verify it.
+"""Replay of one file: reading, comparison with models, verification.
 
-A task is plain values, and so is its outcome: the same function runs in this process, in a pool, or on a cluster.
+Tasks and outcomes hold plain values, so that the same function runs in this process, in a pool or on a cluster.
 """
 
 import os

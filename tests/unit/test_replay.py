@@ -71,7 +71,7 @@ def test_position_alone_is_enough() -> None:
     assert len(result.time_s) == 4000 - 2 * 49  # the low-pass needs room at both ends
 
 
-def test_a_wrong_model_is_told_by_its_error() -> None:
+def test_a_wrong_model_is_reported_by_its_error() -> None:
     wrong = ModelFile.model_validate(
         {
             "axis": "rotary",
@@ -110,7 +110,7 @@ def test_decimation_ends_on_the_last_sample_and_filters_as_matlab_does(factor: i
     assert len(part.velocity) == len(part.time_s) == len(part.measured) == len(part.predictions[0].torque)
 
 
-def test_uneven_time_stamps_are_interpolated_and_told() -> None:
+def test_uneven_time_stamps_are_interpolated_and_reported() -> None:
     recording = swinging()
     jitter = np.random.default_rng(5).uniform(-4e-4, 4e-4, 4000)
     time = recording.columns["time_s"] + jitter
@@ -229,7 +229,7 @@ def test_pictures_are_drawn(swing: Path, capsys: pytest.CaptureFixture[str]) -> 
         (["--model", "coulomb:coulomb=1", "--column", "torque=curent"], 2, "There are: position, time_s, torque"),
     ],
 )
-def test_mistakes_are_told_in_a_sentence(
+def test_mistakes_are_reported_in_a_sentence(
     words: list[str], status: int, message: str, swing: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["replay", "swing.csv", *words]) == status

@@ -1,4 +1,4 @@
-"""Logs as they are: each fault is detected, told, and handled so that the true model still explains the torque."""
+"""Logs as they are: each fault is detected, reported, and handled so that the true model still explains the torque."""
 
 import math
 
@@ -129,12 +129,12 @@ def test_an_encoder_that_wraps_is_unwrapped(reach: float, step: float | None, na
     np.testing.assert_allclose(np.diff(motion.position), np.diff(position), atol=1e-9)
 
 
-def test_a_jump_that_no_encoder_makes_is_told_and_left() -> None:
+def test_a_jump_that_no_encoder_makes_is_reported_and_left() -> None:
     log = swing()
     log.columns["position"][1700:] += 50.123
     [motion], _, [problem] = replay_segments(log)
     assert problem.startswith("position jumps by up to 50.1")
-    assert problem.endswith("at 1 of 4000 rows (row 1700), which no encoder wrap explains: left so")
+    assert problem.endswith("at 1 of 4000 rows (row 1700), which no encoder wrap explains: left unchanged")
     np.testing.assert_array_equal(motion.position, log["position"])
 
 
@@ -161,7 +161,7 @@ def test_a_load_that_is_hardly_known_is_not_used() -> None:
     np.testing.assert_allclose(temperature[[0, 500, 3999]], [20.0, 20.5, 23.0])
 
 
-def test_short_parts_are_told() -> None:
+def test_short_parts_are_reported() -> None:
     outcome, error = result(only(swing(), np.r_[0:1500, 1600:1610, 1700:4000]), lowpass_hz=20.0)
     assert error < 1e-3
     assert "the part from 1.6 s to 1.609 s has 10 rows, too few for a low-pass at 20 Hz: left out" in outcome.problems

@@ -106,12 +106,12 @@ def test_a_pattern_of_model_files(folder: Path, capsys: pytest.CaptureFixture[st
 def test_a_file_that_cannot_be_read_costs_only_itself(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     data = (folder / "logs" / "b.parquet").read_bytes()
     (folder / "logs" / "b.parquet").write_bytes(data[:-50])
-    found, told = replayed(capsys, "logs/a.csv", "logs/b.parquet", "logs/deep/c.npz", "nothing.csv", status=1)
+    found, errors = replayed(capsys, "logs/a.csv", "logs/b.parquet", "logs/deep/c.npz", "nothing.csv", status=1)
     assert [len(each["models"]) for each in found] == [2, 0, 2, 0]
     assert "was cut off at byte" in found[1]["error"]
-    assert "Error: logs/b.parquet was cut off" in told
-    assert "Error: nothing.csv cannot be read: No such file" in told
-    assert "Traceback" not in told
+    assert "Error: logs/b.parquet was cut off" in errors
+    assert "Error: nothing.csv cannot be read: No such file" in errors
+    assert "Traceback" not in errors
 
 
 def test_pictures_of_files_of_one_name_do_not_meet(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -142,7 +142,7 @@ def test_the_pool_gives_what_one_process_gives(folder: Path, monkeypatch: pytest
     assert len(set(errors)) == 5
 
 
-def test_a_worker_that_dies_is_told(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_worker_that_dies_is_reported(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     class Mortal(farm.ReplayTask):
         def __reduce__(self) -> Any:  # what a worker runs when it unpickles its task
             return __import__("os")._exit, (1,)

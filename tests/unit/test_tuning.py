@@ -153,7 +153,7 @@ def test_static_models_are_shown_where_an_axis_slides_and_none_of_its_presliding
         (BY_HAND, "trajectory.kind"),
     ],
 )
-def test_what_tuning_has_to_be_told_is_asked_for_by_its_key(changes, key) -> None:
+def test_what_tuning_needs_to_know_is_asked_for_by_its_key(changes, key) -> None:
     with pytest.raises(OptionError) as caught:
         experiment_of("x", machine(x=axis(**changes)).axes["x"])
 
@@ -289,10 +289,10 @@ def jumps(time, speed, lag):
 
 @settings(max_examples=30, deadline=None)
 @given(speed=st.floats(4.5, 50.0), lag=st.floats(0.0, 1.0), frequency=st.floats(4.0, 25.0))
-def test_a_jump_at_break_away_is_told_and_a_loop_that_swings_is_refused(speed, lag, frequency) -> None:
+def test_a_jump_at_break_away_is_reported_and_a_loop_that_swings_is_refused(speed, lag, frequency) -> None:
     """At whatever speed, and however late the axis is."""
-    told = refuse_limit_cycle(moved(lambda time: jumps(time, speed, lag)), 2.0, "rad")
-    assert re.match(r"x has moved at .* rad/s, where its experiment asks for 2 at most: .* the axis jumps", told)
+    shown = refuse_limit_cycle(moved(lambda time: jumps(time, speed, lag)), 2.0, "rad")
+    assert re.match(r"x has moved at .* rad/s, where its experiment asks for 2 at most: .* the axis jumps", shown)
 
     swing = moved(lambda time: 2.0 * speed * np.sin(2.0 * np.pi * frequency * time + lag))
     with pytest.raises(TuningError, match="the loop that controls it swings"):
