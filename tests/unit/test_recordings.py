@@ -243,3 +243,9 @@ def test_every_column_is_described_once() -> None:
     assert columns.unit("torque", "linear") == "N"
     assert columns.unit("shadow_dahl", "linear") == "N"
     assert columns.unit("qm") == columns.meaning("qm") == ""
+
+
+def test_the_readme_lists_every_column_and_every_format() -> None:
+    readme = (Path(fh.recordings.__file__).parent / "README.md").read_text(encoding="utf-8")
+    for word in (*columns.NAMES, *fh.recordings.formats()):
+        assert f"`{word}`" in readme, word
