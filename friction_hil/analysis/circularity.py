@@ -124,16 +124,8 @@ def analyse(recordings: Mapping[str, Recording]) -> Circularity:
     cycle, columns = _aligned(recordings)
     period_s = configuration.period_s
     lap = 1.0 / (circle.frequency * period_s)
-    axes = configuration.axes.values()
-    starting = (ramp_s(axes) + SETTLE_S) / period_s
-    fading = (max(axis.compensation.fade_s for axis in axes) + SETTLE_S) / period_s
-
     is_running = np.all([each["state"] == LoopState.RUNNING for each in columns.values()], axis=0)
-    enabled = np.array([each["is_enabled"] for each in columns.values()])
-    phases = {
-        "without": following.settled(cycle, is_running & ~enabled.any(axis=0), starting),
-        "with": following.settled(cycle, is_running & enabled.all(axis=0), fading),
-    }
+    phases = _phases(configuration, cycle, columns, is_running)
     count = min(int((stop - start) / lap + 1e-6) for start, stop in phases.values())
     if count < 1:
         present = ", ".join(
@@ -161,6 +153,20 @@ def analyse(recordings: Mapping[str, Recording]) -> Circularity:
         each.update(time_s=cycle * period_s, is_usable=is_usable.astype(np.float64))
     unit = "rad" if configuration.axes[first].model.axis == "rotary" else "m"
     return Circularity(configuration, (first, second), circle.radius, unit, without, with_compensation, columns)
+
+
+def _phases(
+    configuration: Configuration, cycle: Array, columns: Mapping[str, Mapping[str, Array]], is_running: Any
+) -> dict[str, tuple[float, float]]:
+    """Return the first cycle and the end of steady motion ``without`` and ``with`` compensation."""
+    period_s, axes = configuration.period_s, configuration.axes.values()
+    starting = (ramp_s(axes) + SETTLE_S) / period_s
+    fading = (max(axis.compensation.fade_s for axis in axes) + SETTLE_S) / period_s
+    enabled = np.array([each["is_enabled"] for each in columns.values()])
+    return {
+        "without": following.settled(cycle, is_running & ~enabled.any(axis=0), starting),
+        "with": following.settled(cycle, is_running & enabled.all(axis=0), fading),
+    }
 
 
 def _circle(recordings: Mapping[str, Recording]) -> tuple[Configuration, Circle]:

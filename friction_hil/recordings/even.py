@@ -98,23 +98,9 @@ def even_grid(recording: Recording, names: Sequence[str], held: Sequence[str] = 
     period = min(_spacing(blocks, name) for name in names)
     if not np.isfinite(period):
         raise RecordingError(f"{recording.path}: {', '.join(names)} have too few values in order of time")
-    parts, is_uneven, short = [], False, 0
-    cuts = []
-    for block in blocks:
-        intervals = _intervals(block, names, period)
-        cuts += [begin for begin, _ in intervals[1:]]
-        for interval in intervals:
-            time, values, was_uneven = _part(block, interval, period)
-            if len(time) < _FEWEST_ROWS:
-                short += 1
-                continue
-            is_uneven = is_uneven or was_uneven
-            parts.append((time, values))
+    parts = _parts(blocks, names, period, problems)
     if not parts:
         raise RecordingError(f"{recording.path}: no part without a gap has {_FEWEST_ROWS} rows")
-    if is_uneven:
-        problems.append(f"the time stamps are uneven: interpolated at {1.0 / period:.6g} Hz")
-    _note_parts(parts, cuts, short, problems)
     ends = np.cumsum([0, *(len(time) for time, _ in parts)]).tolist()
     duration = sum(float(time[-1] - time[0]) for time, _ in parts)
     return EvenGrid(
@@ -213,7 +199,9 @@ def _unwrap(blocks: list[_Block], problems: list[str]) -> None:
         wrap = find_wrap(position, jumps)
         if wrap is None:
             size = float(np.max(np.abs(np.diff(position))[jumps - 1]))
-            problems.append(f"position jumps by up to {size:.6g} at {where}, which no encoder wrap explains: left unchanged")
+            problems.append(
+                f"position jumps by up to {size:.6g} at {where}, which no encoder wrap explains: left unchanged"
+            )
             continue
         problems.append(f"position wraps over {wrap.range:.6g} ({wrap.name}) at {where}: unwrapped")
         straight = block.columns[_POSITION].copy()
@@ -254,6 +242,27 @@ def _intersection(some: list[Interval], others: list[Interval]) -> list[Interval
         else:
             j += 1
     return found
+
+
+def _parts(
+    blocks: Sequence[_Block], names: Sequence[str], period: float, problems: list[str]
+) -> list[tuple[Array, dict[str, Array]]]:
+    """Return time and columns of every segment; report gaps, uneven stamps and segments that are too short."""
+    parts, cuts, short, is_uneven = [], [], 0, False
+    for block in blocks:
+        intervals = _intervals(block, names, period)
+        cuts += [begin for begin, _ in intervals[1:]]
+        for interval in intervals:
+            time, values, was_uneven = _part(block, interval, period)
+            if len(time) < _FEWEST_ROWS:
+                short += 1
+                continue
+            is_uneven = is_uneven or was_uneven
+            parts.append((time, values))
+    if is_uneven:
+        problems.append(f"the time stamps are uneven: interpolated at {1.0 / period:.6g} Hz")
+    _note_parts(parts, cuts, short, problems)
+    return parts
 
 
 def _part(block: _Block, interval: Interval, period: float) -> tuple[Array, dict[str, Array], bool]:

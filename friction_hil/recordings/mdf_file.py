@@ -98,55 +98,71 @@ def _library(path: Path) -> Any:
 
 
 def _take(recording: Recording, source: Source, mdf: Any) -> None:
-    """Fill the columns."""
+    """Fill the columns of a recording."""
+    there, rows = _channels(mdf)
+    if not there:
+        raise RecordingError(f"{source.path}: there is no channel with samples in it")
+    wanted, recording.others = source.split(there)
+    signals = mdf.select([(None, *there[name]) for name in wanted], copy_master=False) if wanted else []
+    times: dict[int, Array] = {}  # by group
+    for name, signal in zip(wanted, signals, strict=True):
+        number = there[name][0]
+        if number in times:
+            continue
+        times[number] = as_column(signal.timestamps)
+        if len(times[number]) < rows[number]:
+            recording.problems.append(
+                f"group {number} has {len(times[number])} of {rows[number]} samples: the file was cut off, the others "
+                "are lost"
+            )
+    if not times:
+        number = next(iter(there.values()))[0]
+        times[number] = as_column(mdf.get_master(number))
+    recording.columns[TIME] = _merged_time(times, recording.problems)
+    for name, signal in zip(wanted, signals, strict=True):
+        _take_signal(recording, name, signal, times[there[name][0]])
+
+
+def _channels(mdf: Any) -> tuple[dict[str, tuple[int, int]], dict[int, int]]:
+    """Return group and index of each channel with samples by its name, and the number of samples of each group."""
     there: dict[str, tuple[int, int]] = {}
     rows: dict[int, int] = {}
     for number, group in enumerate(mdf.groups):
         rows[number] = int(group.channel_group.cycles_nr)
         master = mdf.masters_db.get(number)
-        names = [channel.name for channel in group.channels]
-        for index, name in enumerate(names):
+        for index, channel in enumerate(group.channels):
             if index != master and rows[number]:
+                name = channel.name
                 there[name if name not in there else f"{name}@{number}"] = number, index
-    if not there:
-        raise RecordingError(f"{source.path}: there is no channel with samples in it")
-    wanted, recording.others = source.split(there)
-    signals = mdf.select([(None, *there[name]) for name in wanted], copy_master=False) if wanted else []
-    groups: dict[int, Array] = {}
-    for name, signal in zip(wanted, signals, strict=True):
-        number = there[name][0]
-        if number in groups:
-            continue
-        groups[number] = as_column(signal.timestamps)
-        if len(groups[number]) < rows[number]:
-            recording.problems.append(
-                f"group {number} has {len(groups[number])} of {rows[number]} samples: the file was cut off, the others "
-                "are lost"
-            )
-    if not groups:
-        number = next(iter(there.values()))[0]
-        groups[number] = as_column(mdf.get_master(number))
-    is_common = all(np.array_equal(time, next(iter(groups.values()))) for time in groups.values())
-    time = next(iter(groups.values())) if is_common else np.unique(np.concatenate(list(groups.values())))
-    if not is_common:
-        recording.problems.append(
-            f"{len(groups)} groups of channels have time stamps of their own: merged, NaN where a channel has no sample"
-        )
-    recording.columns[TIME] = time
-    for name, signal in zip(wanted, signals, strict=True):
-        values = np.asarray(signal.samples)
-        if values.dtype.kind not in "fiub" or values.ndim != 1:
-            recording.problems.append(f"{name} holds {values.dtype} of shape {values.shape}, no numbers: left out")
-            continue
-        valid = getattr(signal, "invalidation_bits", None)
-        column = as_column(values)
-        if valid is not None and np.any(valid):
-            column[np.asarray(valid, dtype=bool)] = np.nan
-        own = groups[there[name][0]]
-        if not is_common:
-            merged = np.full(len(time), np.nan)
-            merged[np.searchsorted(time, own[: len(column)])] = column
-            column = merged
-        recording.columns[name] = column
-        if signal.unit:
-            recording.units[name] = str(signal.unit)
+    return there, rows
+
+
+def _merged_time(times: dict[int, Array], problems: list[str]) -> Array:
+    """Return the time stamps of all groups in one sorted array; report groups with different ones."""
+    first = next(iter(times.values()))
+    if all(np.array_equal(time, first) for time in times.values()):
+        return first
+    problems.append(
+        f"{len(times)} groups of channels have time stamps of their own: merged, NaN where a channel has no sample"
+    )
+    return np.unique(np.concatenate(list(times.values())))
+
+
+def _take_signal(recording: Recording, name: str, signal: Any, own: Array) -> None:
+    """Add a channel with the time stamps ``own`` as a column; report one that holds no numbers."""
+    values = np.asarray(signal.samples)
+    if values.dtype.kind not in "fiub" or values.ndim != 1:
+        recording.problems.append(f"{name} holds {values.dtype} of shape {values.shape}, no numbers: left out")
+        return
+    column = as_column(values)
+    invalid = getattr(signal, "invalidation_bits", None)
+    if invalid is not None and np.any(invalid):
+        column[np.asarray(invalid, dtype=bool)] = np.nan
+    time = recording.columns[TIME]
+    if len(column) < len(time) or not np.array_equal(time, own):
+        merged = np.full(len(time), np.nan)
+        merged[np.searchsorted(time, own[: len(column)])] = column
+        column = merged
+    recording.columns[name] = column
+    if signal.unit:
+        recording.units[name] = str(signal.unit)

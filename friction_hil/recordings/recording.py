@@ -109,8 +109,18 @@ def rename(recording: Recording, columns: Mapping[str, str], scale: Mapping[str,
         A column to be mapped or scaled does not exist or cannot be multiplied, or a factor is not finite, zero or too
         large.
     """
-    there, others = recording.columns, set(recording.others)
-    names = {*there, *others}
+    _map_columns(recording, columns)
+    for name, factor in scale.items():
+        if name in recording.columns:
+            _scale_column(recording, name, factor)
+        elif name not in recording.others and name not in columns:
+            there = {*recording.columns, *recording.others}
+            raise UsageError(f"{recording.path}: --scale {name}: {choices(name, there)}")
+
+
+def _map_columns(recording: Recording, columns: Mapping[str, str]) -> None:
+    there = recording.columns
+    names = {*there, *recording.others}
     taken: dict[str, Array] = {}
     units: dict[str, str] = {}
     renamed = set()
@@ -134,20 +144,18 @@ def rename(recording: Recording, columns: Mapping[str, str], scale: Mapping[str,
     kept = [name for name in there if name not in renamed and name not in columns]
     recording.columns = taken | {name: there[name] for name in kept}
     recording.units = units | {name: recording.units[name] for name in kept if name in recording.units}
-    for name, factor in scale.items():
-        if name not in recording.columns:
-            if name in others or name in columns:
-                continue
-            raise UsageError(f"{recording.path}: --scale {name}: {choices(name, {*recording.columns, *others})}")
-        if not np.isfinite(factor) or factor == 0.0:
-            raise UsageError(f"--scale {name}={factor:g}: a factor is finite and not zero")
-        values = recording.columns[name]
-        with np.errstate(over="ignore"):
-            scaled = values * factor
-        if np.isinf(scaled[np.isfinite(values)]).any():
-            raise UsageError(f"{recording.path}: --scale {name}={factor:g}: what results is too large for a number")
-        recording.columns[name] = scaled
-        recording.units.pop(name, None)  # SI now
+
+
+def _scale_column(recording: Recording, name: str, factor: float) -> None:
+    if not np.isfinite(factor) or factor == 0.0:
+        raise UsageError(f"--scale {name}={factor:g}: a factor is finite and not zero")
+    values = recording.columns[name]
+    with np.errstate(over="ignore"):
+        scaled = values * factor
+    if np.isinf(scaled[np.isfinite(values)]).any():
+        raise UsageError(f"{recording.path}: --scale {name}={factor:g}: what results is too large for a number")
+    recording.columns[name] = scaled
+    recording.units.pop(name, None)  # SI now
 
 
 def count_where(recording: Recording, where: str, there: Mapping[str, Array]) -> None:
