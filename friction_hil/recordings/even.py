@@ -15,7 +15,7 @@ from friction_hil.recordings.quality import (
     GAP_PERIODS,
     UNEVEN_RATIO,
     Array,
-    Rows,
+    RowIndices,
     all_finite,
     find_jumps,
     find_wrap,
@@ -64,7 +64,7 @@ class _Block:
 
     time: Array
     columns: dict[str, Array]
-    known: dict[str, Rows | None]  # rows in which a column has a value; None: all
+    known: dict[str, RowIndices | None]  # rows in which a column has a value; None: all
 
 
 def even_grid(recording: Recording, names: Sequence[str], held: Sequence[str] = ()) -> EvenGrid:

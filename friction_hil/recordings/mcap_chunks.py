@@ -41,7 +41,7 @@ _MESSAGE = int(Opcode.MESSAGE)  # an int: numpy compares with an enumeration slo
 Run = NDArray[Any]
 
 
-class Rows:
+class ChannelRows:
     """Rows of one channel, stored by columns.
 
     Attributes
@@ -92,7 +92,7 @@ class _Chunk:
     data: memoryview
 
 
-Choose = Callable[[Channel, "Schema | None"], Rows | None]
+Choose = Callable[[Channel, "Schema | None"], ChannelRows | None]
 """Function that returns the rows to which the messages of a channel are appended; None: they are kept as runs."""
 
 
@@ -105,7 +105,7 @@ class McapContent:
         By number.
     metadata : dict
         Records of friction_hil, decoded from JSON; others unchanged.
-    rows : dict of Rows
+    rows : dict of ChannelRows
         By channel, for those for which ``choose`` returned some.
     runs : dict of list of arrays
         By channel, for the others: (n, words) float64 blocks, the CDR bodies of n messages, in file order.
@@ -119,7 +119,7 @@ class McapContent:
         self.path = path
         self._choose = choose
         self._fraction = 0.0  # of the file that has been read
-        self.rows: dict[int, Rows] = {}
+        self.rows: dict[int, ChannelRows] = {}
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
         self.metadata: dict[str, Any] = {}
@@ -255,7 +255,7 @@ class McapContent:
                 rows.append(records["words"][which], self._fraction)
         return count * kind.itemsize
 
-    def _rows_of(self, channel: int) -> Rows | None:
+    def _rows_of(self, channel: int) -> ChannelRows | None:
         """Return the rows of a channel; None for other messages, and while the channel is not known.
 
         Channels are repeated at the end of the file: those of a damaged chunk become known there.

@@ -9,7 +9,7 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 from friction_hil.errors import RecordingError, UsageError
 from friction_hil.recordings import mcap_format as layout
 from friction_hil.recordings.columns import CYCLE
-from friction_hil.recordings.mcap_chunks import McapContent, Rows
+from friction_hil.recordings.mcap_chunks import ChannelRows, McapContent
 from friction_hil.recordings.recording import Array, Event, Recording
 from friction_hil.recordings.source import Source
 
@@ -28,12 +28,12 @@ def read(source: Source) -> list[Recording]:
         The file cannot be opened.
     """
 
-    def choose(channel: Channel, schema: Schema | None) -> Rows | None:
+    def choose(channel: Channel, schema: Schema | None) -> ChannelRows | None:
         fields = _fields(channel, schema)
         if fields is None:
             return None
         is_other = source.axis is not None and _axis(channel) != source.axis
-        return Rows(len(fields), [] if is_other else [i for i, name in enumerate(fields) if source.wants(name)])
+        return ChannelRows(len(fields), [] if is_other else [i for i, name in enumerate(fields) if source.wants(name)])
 
     content = McapContent(source.path, choose)
     axes = _axes(content)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Rows = NDArray[np.intp]
+RowIndices = NDArray[np.intp]
 
 GAP_PERIODS = 10.0  # longer gaps are not interpolated
 UNEVEN_RATIO = 0.1  # of the period: larger deviations of a time stamp make a record uneven
@@ -39,7 +39,7 @@ class Wrap:
 
     range: float
     name: str
-    rows: Rows
+    rows: RowIndices
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,10 +62,10 @@ class TimeFacts:
 
     period_s: float
     jitter_s: float
-    gaps: Rows
+    gaps: RowIndices
     longest_gap_s: float
-    backward: Rows
-    standing: Rows
+    backward: RowIndices
+    standing: RowIndices
 
 
 def all_finite(values: Array) -> bool:
@@ -111,7 +111,7 @@ def spread(time: Array) -> Array:
     return spread_time
 
 
-def find_jumps(position: Array, ignored: Rows | None = None) -> Rows:
+def find_jumps(position: Array, ignored: RowIndices | None = None) -> RowIndices:
     """Find jumps of a position that are no motion: over half its span, and much larger than its other steps.
 
     Parameters
@@ -133,7 +133,7 @@ def find_jumps(position: Array, ignored: Rows | None = None) -> Rows:
     return jumps + 1 if float(sizes.max()) < _MOTION_RATIO * smallest else jumps[:0]
 
 
-def find_wrap(position: Array, jumps: Rows) -> Wrap | None:
+def find_wrap(position: Array, jumps: RowIndices) -> Wrap | None:
     """Find the range of a counter that explains jumps: 2 pi, 360, or a power of two times the resolution.
 
     Parameters
@@ -205,7 +205,7 @@ def is_coarse(values: Array) -> bool:
     return bool(moving.any()) and bool(np.mean(steps[moving] == 0.0) > 0.5) and resolution(known) is not None
 
 
-def rows_text(rows: Sequence[int] | Rows, total: int) -> str:
+def rows_text(rows: Sequence[int] | RowIndices, total: int) -> str:
     """Return text such as ``3 of 100 rows (row 4, 7, 9)``."""
     named = ", ".join(str(row) for row in rows[:_NAMED_ROWS])
     return f"{len(rows)} of {total} rows (row {named}{', ...' if len(rows) > _NAMED_ROWS else ''})"

@@ -9,12 +9,11 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from friction_hil.errors import RecordingError, UsageError
+from friction_hil.models.model_file import ModelFile
 from friction_hil.numerics.filtering import (
     SETTLING_PERIODS,
     decimated_rows,
@@ -22,6 +21,7 @@ from friction_hil.numerics.filtering import (
     lowpass_padding,
 )
 from friction_hil.numerics.filtering import decimate as decimated
+from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
 from friction_hil.recordings.segments import (
     LEAST_KNOWN_FRACTION,
@@ -30,11 +30,6 @@ from friction_hil.recordings.segments import (
     even_signals,
     known_fraction,
 )
-
-if TYPE_CHECKING:
-    from friction_hil.models.model_file import ModelFile
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +81,7 @@ class Replay:
 
 def replay(
     recording: Recording,
-    models: "Mapping[str, ModelFile]",
+    models: Mapping[str, ModelFile],
     *,
     lowpass_hz: float | None = None,
     decimate: int = 1,
@@ -167,7 +162,7 @@ def replay_segments(
     return [signals.segment(each).lowpassed() for each in rows], signals.settling_rows, problems
 
 
-def predict(model: "ModelFile", segment: Segment) -> tuple[Array, Array]:
+def predict(model: ModelFile, segment: Segment) -> tuple[Array, Array]:
     """Compute the torques of friction and of mechanics that a motion takes, low-passed as the segment is.
 
     A dynamic model starts from rest. Where no load was recorded, the load of a load-dependent model is gravity.
@@ -226,7 +221,7 @@ def _joined(parts: Sequence[Array]) -> Array:
     return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
 
-def _prediction(name: str, model: "ModelFile", measured: Array, friction: Array, mechanics: Array) -> Prediction:
+def _prediction(name: str, model: ModelFile, measured: Array, friction: Array, mechanics: Array) -> Prediction:
     residual = float(np.linalg.norm(measured - mechanics - friction))
     norm = float(np.linalg.norm(measured))
     return Prediction(
@@ -302,7 +297,7 @@ def _without_repetition(problems: list[str]) -> tuple[str, ...]:
     )
 
 
-def _missing_inputs(name: str, model: "ModelFile", segment: Segment) -> list[str]:
+def _missing_inputs(name: str, model: ModelFile, segment: Segment) -> list[str]:
     """Report inputs that a model needs and the recording lacks.
 
     Raises

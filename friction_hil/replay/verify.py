@@ -2,20 +2,17 @@
 
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from friction_hil.compensator import INPUTS, Compensator, input_checksum
-from friction_hil.config import from_dict
+from friction_hil.config import AxisConfig, Configuration, from_dict
 from friction_hil.daemon.assembly import make_compensator, make_shadows
 from friction_hil.drive import AxisFacts
 from friction_hil.errors import RecordingError
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording, columns, fingerprint
-
-if TYPE_CHECKING:
-    from friction_hil.config import AxisConfig, Configuration
 
 _RELATIVE_TOLERANCE = 1e-9
 
@@ -46,7 +43,7 @@ class Verification:
     reason: str
 
 
-def verify(recording: Recording, configuration: "Configuration | None" = None) -> Verification:
+def verify(recording: Recording, configuration: Configuration | None = None) -> Verification:
     """Run the compensator of a recording again and compare.
 
     The run starts from the recorded state, and anew from each further one: the daemon writes one at the start of every
@@ -112,7 +109,7 @@ def _facts(metadata: Mapping[str, Any], recording: Recording) -> AxisFacts:
     raise RecordingError(f"{recording.path}: it says nothing about the drive of axis {recording.axis!r}")
 
 
-def _compensators(axis: "AxisConfig", facts: AxisFacts, period_s: float) -> dict[str, Compensator]:
+def _compensators(axis: AxisConfig, facts: AxisFacts, period_s: float) -> dict[str, Compensator]:
     """Return the compensator and the shadows by the column that each of them filled."""
     shadows = make_shadows(axis, facts, period_s)
     return {
