@@ -7,7 +7,7 @@ from friction_hil.errors import RecordingError, UsageError
 from friction_hil.identification.data import prepare
 from friction_hil.recordings import Recording
 from friction_hil.recordings.segments import even_signals, known_fraction
-from friction_hil.replay.comparison import replay_segments
+from friction_hil.replay.preparation import replay_segments
 
 RATE = 1000.0
 

@@ -15,7 +15,8 @@ from friction_hil.errors import RecordingError, UsageError
 from friction_hil.models.model_file import ModelFile
 from friction_hil.recordings import Recording
 from friction_hil.recordings.mcap_writer import McapWriter
-from friction_hil.replay.comparison import predict, replay, replay_segments
+from friction_hil.replay.comparison import predict, replay
+from friction_hil.replay.preparation import replay_segments
 
 ROOT = Path(__file__).parents[2]
 EMPS = ROOT.parent / "shared" / "data" / "emps" / "DATA_EMPS.mat"

@@ -13,7 +13,8 @@ from friction_hil.numerics.filtering import decimate, decimated_rows, lowpass
 from friction_hil.recordings import Recording
 from friction_hil.recordings.quality import find_jumps, find_wrap, resolution, spread, unwrap
 from friction_hil.recordings.segments import Segment, even_signals
-from friction_hil.replay.comparison import Replay, predict, replay, replay_segments
+from friction_hil.replay.comparison import Replay, predict, replay
+from friction_hil.replay.preparation import replay_segments
 
 RATE = 1000.0
 AMPLITUDE = 3.0
