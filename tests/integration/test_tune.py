@@ -274,7 +274,7 @@ def test_ctrl_c_while_it_moves_brings_the_axis_to_rest(tmp_path) -> None:
 
     assert moving.returncode == 130
     assert "Traceback" not in errors
-    assert "stopped, the axes are at rest; what there is so far is in" in errors
+    assert "stopped, the axes are at rest; the results so far are in" in errors
     stopped = fh.recordings.read(recording, "x")
     assert stopped["state"][-1] == LoopState.DISABLING
     assert abs(stopped["velocity_estimate"][-1]) < 0.05
