@@ -1,1 +1,1 @@
-"""Figures of recorded motion: following error and circularity."""
+"""Analysis of recorded motion: following error and circularity."""

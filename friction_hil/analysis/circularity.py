@@ -1,4 +1,4 @@
-"""The circularity test of machine builders: a recorded circle, without and with compensation. Pure: rows -> figures."""
+"""Circularity test of machine tools: a recorded circle, without and with compensation. Pure."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -25,15 +25,15 @@ class Laps:
     ----------
     count : int
     interval_s : (float, float)
-        From and to, in the recording's time.
+        Begin and end, in the recording's time.
     rows : int
-        How many rows were asked for: all periods of the laps.
+        Number of periods of the laps, used or not.
     angle : (n,) array
-        Where on the circle each row that counts is, rad; -pi to pi, from the first axis towards the second.
+        Angle of each used row on the circle, rad; -pi to pi, from the first axis towards the second.
     radius_error : (n,) array
-        Measured radius less the nominal one, about the nominal centre, rad or m.
+        Measured minus nominal radius, about the nominal centre, rad or m.
     figures : dict
-        By axis.
+        Following error by axis.
     """
 
     count: int
@@ -45,32 +45,32 @@ class Laps:
 
     @property
     def left_out(self) -> int:
-        """Periods that do not count, because the computer was too late in them or shortly before."""
+        """Number of periods that are not used, because the computer was late in them or shortly before."""
         return self.rows - self.angle.size
 
     @property
     def circular_range(self) -> float:
-        """Largest less smallest radius error, rad or m."""
+        """Largest minus smallest radius error, rad or m."""
         return float(np.ptp(self.radius_error))
 
 
 @dataclass(frozen=True, slots=True)
 class Circularity:
-    """A circle that was drawn without and with compensation.
+    """Analysis of a circle without and with compensation.
 
     Attributes
     ----------
     configuration : Configuration
-        What the daemon ran with.
+        Configuration of the run.
     axes : (str, str)
-        Names; the first is drawn to the right, the second upwards.
+        Names of the axes; the first is drawn to the right, the second upwards.
     radius : float
-        Nominal, rad or m.
+        Nominal radius, rad or m.
     unit : str
-        Of position: rad or m.
+        Unit of the position: rad or m.
     uncompensated, compensated : Laps
     columns : dict of dict of (n,) arrays
-        Columns of the recording by axis, in the rows that both axes have; beside them ``time_s``, the following
+        Columns of the recording by axis, in the rows that both axes have; in addition ``time_s``, the following
         ``error`` (NaN without fresh feedback), and ``is_usable``: 0 where the computer was late.
     """
 
@@ -83,19 +83,19 @@ class Circularity:
     columns: dict[str, dict[str, Array]]
 
     def factor(self, axis: str, figure: str) -> float:
-        """How many times smaller ``figure`` (rms or peak) is with compensation."""
+        """Return the ratio of ``figure`` (rms or peak) without to with compensation."""
         return float(
             getattr(self.uncompensated.figures[axis], figure) / getattr(self.compensated.figures[axis], figure)
         )
 
     @property
     def not_helped(self) -> list[str]:
-        """Axes and figures that compensation did not make smaller; empty is good."""
+        """Axes and figures that compensation did not reduce; empty if it helped everywhere."""
         return [f"{axis} {name}" for axis in self.axes for name in ("rms", "peak") if not self.factor(axis, name) > 1.0]
 
 
 def duration_s(configuration: Configuration, laps: int) -> float:
-    """Time of motion that `analyse` needs for so many laps with compensation."""
+    """Compute the time of motion that `analyse` needs for ``laps`` with compensation, s."""
     axes = configuration.axes.values()
     before = max(axis.compensation.baseline_s + axis.compensation.fade_s for axis in axes)
     lap = max(1.0 / getattr(axis.trajectory, "frequency", 1.0) for axis in axes)
@@ -103,21 +103,20 @@ def duration_s(configuration: Configuration, laps: int) -> float:
 
 
 def analyse(recordings: Mapping[str, Recording]) -> Circularity:
-    """Take the whole laps in steady motion of a run with ``baseline_s``, as many without as with compensation.
+    """Analyse the whole laps in steady motion of a run with ``baseline_s``, as many without as with compensation.
 
-    The first laps end where the compensation fades in, the others where the motion ends. Where the computer was too
-    late, that is where a period was missed or feedback did not arrive in its period, the rows until the drives have
-    recovered do not count in either lap: the error there is not one of friction.
+    The laps without compensation end where it fades in, the others where the motion ends. After a missed period or late
+    feedback, rows are left out until the drives have recovered: their error is not due to friction.
 
     Parameters
     ----------
     recordings : dict
-        The two axes of a run, by name, with its configuration.
+        The two axes of a run by name, with its configuration.
 
     Raises
     ------
     RecordingError
-        It is no circle of two axes, a lap is missing, or too few rows of the laps can be used.
+        The run is not a circle of two axes, a lap is missing, or too few rows of the laps can be used.
     """
     configuration, circle = _circle(recordings)
     first, second = recordings
@@ -125,16 +124,8 @@ def analyse(recordings: Mapping[str, Recording]) -> Circularity:
     cycle, columns = _aligned(recordings)
     period_s = configuration.period_s
     lap = 1.0 / (circle.frequency * period_s)
-    axes = configuration.axes.values()
-    starting = (ramp_s(axes) + SETTLE_S) / period_s
-    fading = (max(axis.compensation.fade_s for axis in axes) + SETTLE_S) / period_s
-
     is_running = np.all([each["state"] == LoopState.RUNNING for each in columns.values()], axis=0)
-    enabled = np.array([each["is_enabled"] for each in columns.values()])
-    phases = {
-        "without": following.settled(cycle, is_running & ~enabled.any(axis=0), starting),
-        "with": following.settled(cycle, is_running & enabled.all(axis=0), fading),
-    }
+    phases = _phases(configuration, cycle, columns, is_running)
     count = min(int((stop - start) / lap + 1e-6) for start, stop in phases.values())
     if count < 1:
         present = ", ".join(
@@ -153,8 +144,8 @@ def analyse(recordings: Mapping[str, Recording]) -> Circularity:
         used = rows & is_usable
         wanted = round(count * lap)
         following.refuse_too_few(path, int(np.count_nonzero(used)), wanted)
-        place = ((cycle[used] - start) % lap).astype(np.intp)
-        figures = {name: _figures(columns[name]["error"][used], place) for name in recordings}
+        index = ((cycle[used] - start) % lap).astype(np.intp)
+        figures = {name: _figures(columns[name]["error"][used], index) for name in recordings}
         return Laps(count, (start * period_s, stop * period_s), wanted, angle[used], radius_error[used], figures)
 
     without, with_compensation = (laps(stop) for _, stop in phases.values())
@@ -164,8 +155,22 @@ def analyse(recordings: Mapping[str, Recording]) -> Circularity:
     return Circularity(configuration, (first, second), circle.radius, unit, without, with_compensation, columns)
 
 
+def _phases(
+    configuration: Configuration, cycle: Array, columns: Mapping[str, Mapping[str, Array]], is_running: Any
+) -> dict[str, tuple[float, float]]:
+    """Return the first cycle and the end of steady motion ``without`` and ``with`` compensation."""
+    period_s, axes = configuration.period_s, configuration.axes.values()
+    starting = (ramp_s(axes) + SETTLE_S) / period_s
+    fading = (max(axis.compensation.fade_s for axis in axes) + SETTLE_S) / period_s
+    enabled = np.array([each["is_enabled"] for each in columns.values()])
+    return {
+        "without": following.settled(cycle, is_running & ~enabled.any(axis=0), starting),
+        "with": following.settled(cycle, is_running & enabled.all(axis=0), fading),
+    }
+
+
 def _circle(recordings: Mapping[str, Recording]) -> tuple[Configuration, Circle]:
-    """Configuration of a run and its circle; the axes must agree on it, a quarter of a turn apart."""
+    """Return the configuration of a run and its circle, which both axes must share a quarter of a turn apart."""
     path = next((each.path for each in recordings.values()), "")
     if len(recordings) != 2:
         raise RecordingError(f"{path}: a circle takes two axes, here are {len(recordings)}")
@@ -184,22 +189,22 @@ def _circle(recordings: Mapping[str, Recording]) -> tuple[Configuration, Circle]
 
 
 def _aligned(recordings: Mapping[str, Recording]) -> tuple[Array, dict[str, dict[str, Array]]]:
-    """Numbers of the cycles that all axes have, and the columns in them, with the following error."""
+    """Return the cycles that both axes have, and the columns in them with the following error."""
     for each in recordings.values():
         each.require("cycle", *_COLUMNS)
     first, second = recordings.values()
     cycle, *rows = np.intersect1d(first["cycle"], second["cycle"], return_indices=True)
     columns: dict[str, dict[str, Array]] = {}
-    for (name, each), at in zip(recordings.items(), rows, strict=True):
-        columns[name] = {column: each[column][at] for column in _COLUMNS}
+    for (name, each), common in zip(recordings.items(), rows, strict=True):
+        columns[name] = {column: each[column][common] for column in _COLUMNS}
         columns[name]["error"] = following.error(columns[name])
     return cycle, columns
 
 
 def _deviation(columns: Mapping[str, Array], turn: Array, in_steady_motion: Any) -> Array:
-    """Position relative to the centre of the demanded circle, (n,).
+    """Compute the position relative to the centre of the demanded circle (n,).
 
-    The centre comes from a fit of the demand, which is exact in steady motion whichever rows are missing.
+    The centre is fitted to the demand, which is exact in steady motion whichever rows are missing.
     """
     angle = turn[in_steady_motion]
     design = np.stack([np.cos(angle), np.sin(angle), np.ones_like(angle)], axis=1)
@@ -207,8 +212,8 @@ def _deviation(columns: Mapping[str, Array], turn: Array, in_steady_motion: Any)
     return np.asarray(columns["position"] - centre)
 
 
-def _figures(error: Array, place: Any) -> Figures:
-    """Figures of an error over its place in the lap; each place counts once, however many laps it is known of."""
-    known = np.bincount(place)
-    square = np.bincount(place, error * error)[known > 0] / known[known > 0]
+def _figures(error: Array, index: Any) -> Figures:
+    """Compute the figures of an error (n,) from its cycles in the lap (n,); each cycle of the lap has equal weight."""
+    known = np.bincount(index)
+    square = np.bincount(index, error * error)[known > 0] / known[known > 0]
     return Figures(rms=float(np.sqrt(square.mean())), peak=float(np.abs(error).max()))

@@ -1,4 +1,4 @@
-"""The following error of a recorded run: the rows of steady motion that count, and its figures. Pure."""
+"""Following error of a recorded run: the rows of steady motion that are used, and its figures. Pure."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -9,36 +9,45 @@ import numpy as np
 from friction_hil.errors import RecordingError
 from friction_hil.recordings.recording import Array
 
-SETTLE_S = 0.5  # until the drive's loops have forgotten a ramp or a fade
-COLUMNS = ("position", "position_demand", "is_fresh", "is_enabled", "state")  # what is needed beside the cycle
+SETTLE_S = 0.5  # time for the drive's loops to settle after a ramp or a fade
+COLUMNS = ("position", "position_demand", "is_fresh", "is_enabled", "state")  # required besides the cycle
 
-RECOVERY_S = 0.03  # from a missed period: several time constants of a position loop
-_RECOVERY_OF_MISSED = 5.0  # so many more periods for each that was missed
-_RECOVERY_OF_LATE = 5.0  # periods; what arrives shortly after late feedback may be the answer to a former cycle
-_LEAST_SHARE = 0.5
+RECOVERY_S = 0.03  # after a missed period: several time constants of a position loop
+_RECOVERY_OF_MISSED = 5.0  # additional periods for each that was missed
+_RECOVERY_OF_LATE = 5.0  # periods; feedback that follows late feedback may belong to an earlier cycle
+_LEAST_FRACTION = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """Following error of one axis, rad or m: root mean square, and largest absolute value."""
+    """Following error of one axis, rad or m: root mean square and largest absolute value."""
 
     rms: float
     peak: float
 
 
 def error(columns: Mapping[str, Array]) -> Array:
-    """Demanded less measured position, (n,), rad or m; NaN in rows without fresh feedback."""
+    """Compute demanded minus measured position (n,), rad or m; NaN in rows without fresh feedback."""
     return np.where(columns["is_fresh"] == 1.0, columns["position_demand"] - columns["position"], np.nan)
 
 
 def settled(cycle: Array, mask: Any, settle_cycles: float) -> tuple[float, float]:
-    """Cycles from and to between which ``mask`` holds and what went before it is forgotten."""
+    """Return the first cycle and the end of ``mask`` after ``settle_cycles``; zeros if it is empty.
+
+    Parameters
+    ----------
+    cycle : (n,) array
+    mask : (n,) array of bool
+        True in one contiguous range.
+    settle_cycles : float
+        Cycles at the beginning of the range that are left out.
+    """
     inside = cycle[mask]
     return (float(inside[0]) + settle_cycles, float(inside[-1]) + 1.0) if inside.size else (0.0, 0.0)
 
 
 def is_recovering(cycle: Array, axes: Sequence[Mapping[str, Array]], period_s: float) -> Any:
-    """Whether a period was missed, or feedback of an axis was late, in each row or shortly before it."""
+    """Return for each row if a period was missed, or feedback of an axis was late, in it or shortly before."""
     missed = np.diff(cycle, prepend=cycle[:1] - 1.0) - 1.0
     is_fresh = np.all([each["is_fresh"] == 1.0 for each in axes], axis=0)
     after_missed = np.where(missed > 0.0, RECOVERY_S / period_s + _RECOVERY_OF_MISSED * missed, 0.0)
@@ -47,8 +56,8 @@ def is_recovering(cycle: Array, axes: Sequence[Mapping[str, Array]], period_s: f
 
 
 def refuse_too_few(path: str, used: int, wanted: int) -> None:
-    """Raise RecordingError where fewer than half of the ``wanted`` rows can be used."""
-    if used < _LEAST_SHARE * wanted:
+    """Raise RecordingError if fewer than half of the ``wanted`` rows can be used."""
+    if used < _LEAST_FRACTION * wanted:
         raise RecordingError(
             f"{path}: only {used} of {wanted} periods of the laps can be used; in the others the loop or the drives "
             "were late: the computer was too busy"

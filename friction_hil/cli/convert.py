@@ -103,7 +103,7 @@ def _facts(recording: "Recording") -> dict[str, Any]:
     import numpy as np
 
     from friction_hil.recordings.columns import TIME, unit
-    from friction_hil.recordings.even import what_to_mend
+    from friction_hil.recordings.even import what_to_repair
     from friction_hil.recordings.quality import resolution, time_facts
 
     kinds = _kinds(recording)
@@ -130,7 +130,7 @@ def _facts(recording: "Recording") -> dict[str, Any]:
         "events": [{"cycle": event.cycle, "name": event.name, "text": event.text} for event in recording.events],
         "restart_points": len(recording.restarts),
         "metadata": sorted(recording.metadata),
-        "problems": [*recording.problems, *what_to_mend(recording)],
+        "problems": [*recording.problems, *what_to_repair(recording)],
     }
 
 

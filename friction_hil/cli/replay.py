@@ -16,7 +16,7 @@ from friction_hil.errors import UsageError
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from friction_hil.replay.task import Outcome
+    from friction_hil.replay.task import ReplayOutcome
 
 
 _WIDE = 1000
@@ -76,7 +76,7 @@ def command(
     from friction_hil.config import load
     from friction_hil.models.files import model_from_argument
     from friction_hil.replay.batch import replay_many
-    from friction_hil.replay.task import Task
+    from friction_hil.replay.task import ReplayTask
     from friction_hil.reports.replay_picture import draw
 
     if output is not None and is_verifying and not model_arguments:
@@ -91,7 +91,7 @@ def command(
     if config is not None:
         load(config)
     tasks = [
-        Task(
+        ReplayTask(
             source=file,
             models=models,
             is_verifying=is_verifying,
@@ -157,7 +157,7 @@ def _progress(files: int) -> "Iterator[Callable[[], None]]":
         yield lambda: progress.advance(bar)
 
 
-def _print(outcomes: "Sequence[Outcome]") -> None:
+def _print(outcomes: "Sequence[ReplayOutcome]") -> None:
     from rich.table import Table
     from rich.text import Text
 

@@ -70,9 +70,9 @@ def command(
         raise ConfigurationError(problems)
 
     from friction_hil.daemon.companion import free_path
-    from friction_hil.tuning import Settings, tune
+    from friction_hil.tuning import TuneSettings, tune
 
-    settings = Settings(
+    settings = TuneSettings(
         folder=free_path(_FOLDER, 0) if output is None else output,
         names=names,
         families=() if models == "all" else tuple(name.strip() for name in models.split(",")),
@@ -119,18 +119,18 @@ class _Terminal:
     def __init__(self, *, is_asked: bool) -> None:
         self._is_asked = is_asked
 
-    def tell(self, line: str) -> None:
+    def report(self, line: str) -> None:
         click.echo(line, err=True)
 
     def confirm(self, motion: str) -> None:
-        self.tell(motion)
+        self.report(motion)
         if self._is_asked:
             click.confirm("Is the way clear?", default=True, abort=True, err=True)
 
     @contextmanager
     def working(self, text: str) -> Iterator[Callable[[str], None]]:
         if not sys.stderr.isatty():
-            self.tell(f"{text} ...")
+            self.report(f"{text} ...")
         with console(stderr=True).status(text) as line:
             now = text
 

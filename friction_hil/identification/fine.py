@@ -1,9 +1,9 @@
-"""Records for what happens inside presliding: motion finer than a count of the encoder, time finer than a sample.
+"""Segments that resolve presliding: motion below a count of the encoder, and several model steps per sample.
 
-The ordinary record (`friction_hil.identification.data`) low-passes the position once, as strongly as the slowest
-part of it needs; what a presliding spring does in a few milliseconds is gone then. Here the position's differences
-are split into bands, of which each is kept as far as it stands out from the encoder's noise just then, and the model
-runs in several steps a sample.
+An ordinary segment (`friction_hil.identification.data`) low-passes the position once, as strongly as its slowest part
+requires, which removes the motion of a presliding spring within milliseconds. Here the differences of the position are
+split into bands. Each band is kept in proportion to its power above the encoder's noise at that time, and the model
+runs in several steps per sample.
 
 Sources: quantisation noise q^2 / 12, B. Widrow, I. Kollar, Quantization Noise, 2008; gain max(0, 1 - noise / power)
 for each band, S. Boll, IEEE Transactions on Acoustics, Speech and Signal Processing 27(2), 1979 (as a Wiener gain:
@@ -19,36 +19,36 @@ from typing import Any
 import numpy as np
 
 from friction_hil.errors import RecordingError
-from friction_hil.identification.data import Data, Record
+from friction_hil.identification.data import Data, RegressionSegment
 from friction_hil.motion.experiment import LEAST_RATE_HZ, is_fast
 from friction_hil.numerics.jit import Array
 
-LEAST_S = 5.0  # of a record; its first and last second only let filters and states settle
+LEAST_S = 5.0  # of a segment; filters and states settle in its first and last second
 SLOWEST_SWING_HZ = 8.0
 _FASTEST_SWING_HZ = 80.0
-_LEAST_SHARE = 0.05  # of the time
-_CLEAR = 100.0  # times the noise of the encoder
-_FIRST_BAND_HZ = 40.0  # below it everything is kept
-LAST_BAND_SHARE = 0.42  # of the sampling rate: the highest frequency that is kept
-_NOISE_FACTOR = 2.0  # the noise of so few samples is often twice its mean
+_LEAST_FRACTION = 0.05  # of the time
+_CLEAR = 100.0  # times the noise power of the encoder
+_FIRST_BAND_HZ = 40.0  # frequencies below are kept entirely
+LAST_BAND_RATIO = 0.42  # of the sampling rate: highest frequency that is kept
+_NOISE_FACTOR = 2.0  # the noise power of few samples is often twice its mean
 _STEPS_HZ = 12000.0  # of the model
 ROWS_HZ = 200.0  # of the regression
 RESIDUAL_HZ, _RESIDUAL_WIDTH_HZ = 80.0, 60.0
 _EDGE_S = 1.0
 _ATTENUATION_DB = 80.0
-_LONG = 400  # taps from which on Fourier transforms are faster
+_LONG = 400  # taps; longer kernels are faster by Fourier transforms
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FineRecord(Record):
-    """A record whose motion is at the steps of the model; (n, ...) arrays of it hold a row for each step.
+class FineSegment(RegressionSegment):
+    """Segment whose motion is given at the steps of the model; its (n, ...) arrays have a row for each step.
 
     Attributes
     ----------
     fine : int
-        Steps in a sample.
+        Steps per sample.
     is_mean : bool
-        Whether a measured torque is the mean over the period that ends at the sample; else that of the instant.
+        True if a measured torque is the mean over the period that ends at the sample, false if it is instantaneous.
     samples : array
         Measured torque at the samples 1...
     """
@@ -59,32 +59,34 @@ class FineRecord(Record):
 
     @property
     def sample_hz(self) -> float:
-        """Sampling rate."""
+        """Sampling rate, Hz."""
         return self.rate_hz / self.fine
 
     def at_samples(self, values: Array) -> Array:
-        """From the ends of steps to samples 1..., as the drive would report it."""
+        """Convert values at the ends of steps to samples 1..., as the drive would report them."""
         ends = values[self.fine - 1 :: self.fine]
         if not self.is_mean:
             return ends
-        mean: Array = values.reshape((-1, self.fine, *values.shape[1:])).mean(axis=1)  # rectangles, half a step late
-        mean[1:] -= 0.5 / self.fine * np.diff(ends, axis=0)  # trapezes
+        mean: Array = values.reshape((-1, self.fine, *values.shape[1:])).mean(
+            axis=1
+        )  # rectangular rule, half a step late
+        mean[1:] -= 0.5 / self.fine * np.diff(ends, axis=0)  # trapezoidal rule
         return mean
 
     def reduce(self, values: Array) -> Array:
-        """From the ends of steps, (n,) or (n, m), to the rows of the regression."""
+        """Convert values at the ends of steps, (n,) or (n, m), to the rows of the regression."""
         return self._low(self.at_samples(values))
 
     def reduce_smooth(self, values: Array) -> Array:
-        """`reduce`."""
+        """Return the same as `reduce`."""
         return self.reduce(values)
 
     def reduced_torque(self) -> Array:
-        """Measured torque in the rows of the regression."""
+        """Return the measured torque in the rows of the regression."""
         return self._low(self.samples)
 
     def reduced_time(self) -> Array:
-        """Time stamps of the rows of the regression."""
+        """Return the time stamps of the rows of the regression, s."""
         ends = self.time_s[self.fine - 1 :: self.fine]
         return np.ascontiguousarray(ends[self._edge : len(ends) - self._edge : self.decimation])
 
@@ -94,8 +96,8 @@ class FineRecord(Record):
         return max(round(_EDGE_S * self.sample_hz), kernel.size + self.decimation)
 
     def _low(self, values: Array) -> Array:
-        """Through the residual's low-pass, without the record's ends; only what is kept is computed."""
-        from scipy import signal
+        """Apply the low-pass of the residual without the ends of the segment; compute only the rows that are kept."""
+        from scipy import signal  # imported here: it takes longer than the identification of a model
 
         kernel = _fir(RESIDUAL_HZ, _RESIDUAL_WIDTH_HZ, self.sample_hz)
         half, edge, every = kernel.size // 2, self._edge, self.decimation
@@ -105,18 +107,19 @@ class FineRecord(Record):
         return np.ascontiguousarray(kept[first : first + -(-(len(values) - 2 * edge) // every)])
 
 
-def is_fine(record: Record) -> bool:
-    """Whether a record can be brought to fine steps: known counts, sampled fast and for long enough, all rows count."""
+def is_fine(record: RegressionSegment) -> bool:
+    """True if a segment can be refined: quantised position, fast sampling, long enough, and all rows count."""
     if record.is_moving is not None:
         return False
     rate = record.rate_hz
     return record.resolution is not None and is_fast(rate) and len(record.encoder) >= LEAST_S * rate
 
 
-def is_presliding_excited(record: Record) -> bool:
-    """Whether it also shows presliding: swings faster than 8 Hz, well above the encoder's noise, for some of the time.
+def is_presliding_excited(record: RegressionSegment) -> bool:
+    """True if a segment shows presliding: oscillations above 8 Hz, well above the encoder's noise, for some time.
 
-    An axis that swings more than it travels reverses in each swing, and each reversal passes through presliding.
+    An axis that oscillates by more than it travels reverses in each oscillation, and each reversal passes through
+    presliding.
     """
     if record.resolution is None or not is_fine(record):
         return False
@@ -127,16 +130,16 @@ def is_presliding_excited(record: Record) -> bool:
     swing = _local_power(fast - slow, rate / SLOWEST_SWING_HZ)
     travel = _local_power(slow, rate / SLOWEST_SWING_HZ)
     noise = _noise(slow_kernel, fast_kernel, record.resolution, rate)
-    return float(np.mean((swing > travel) & (swing > _CLEAR * noise))) >= _LEAST_SHARE
+    return float(np.mean((swing > travel) & (swing > _CLEAR * noise))) >= _LEAST_FRACTION
 
 
-def shows_presliding(records: Sequence[Record], is_wanted: bool | None) -> bool:
-    """Whether a fit to all these records is to be refined: by what they show, unless the user has said so.
+def shows_presliding(records: Sequence[RegressionSegment], is_wanted: bool | None) -> bool:
+    """Decide if a fit to these segments is refined: if all of them show presliding, unless the user has decided.
 
     Raises
     ------
     RecordingError
-        It is wanted, but not possible.
+        Refinement is wanted, but not possible.
     """
     if is_wanted is None:
         return all(is_presliding_excited(each) for each in records)
@@ -149,36 +152,38 @@ def shows_presliding(records: Sequence[Record], is_wanted: bool | None) -> bool:
     return is_wanted
 
 
-def fine_data(records: Sequence[Record], *, is_mean: bool) -> Data:
-    """Bring records whose encoder's counts are known to fine steps."""
+def fine_data(records: Sequence[RegressionSegment], *, is_mean: bool) -> Data:
+    """Refine segments whose position is quantised."""
     return Data([_fine_record(record, record.encoder, record.torque, is_mean) for record in records])
 
 
-def recounted(data: Data, originals: Sequence[Record], torques: Sequence[Array], random: np.random.Generator) -> Data:
-    """Data of the same motion, counted again by an encoder at another place, with torques (n,) at the samples.
+def recounted(
+    data: Data, originals: Sequence[RegressionSegment], torques: Sequence[Array], random: np.random.Generator
+) -> Data:
+    """Return data of the same motion, quantised again by an encoder with another offset, with other torques.
 
     Parameters
     ----------
     data : Data
-        What `fine_data` made of ``originals``.
-    originals : sequence of Record
+        Result of `fine_data` for ``originals``.
+    originals : sequence of RegressionSegment
     torques : sequence of array
-        In place of the measured ones, at samples 1...
+        Torques (n,) at samples 1... that replace the measured ones.
     random : Generator
-        Where the edges of the counts lie.
+        Source of the offsets of the counts.
     """
     found = []
     for fine, original, torque in zip(data.records, originals, torques, strict=True):
-        assert isinstance(fine, FineRecord)
+        assert isinstance(fine, FineSegment)
         assert original.resolution is not None
         path = np.concatenate([original.encoder[:1], fine.position[fine.fine - 1 :: fine.fine]])
-        place = random.uniform()
-        counts = (np.floor(path / original.resolution + place) - place) * original.resolution
+        offset = random.uniform()
+        counts = (np.floor(path / original.resolution + offset) - offset) * original.resolution
         found.append(_fine_record(original, counts, np.concatenate([torque[:1], torque]), fine.is_mean))
     return Data(found)
 
 
-def _fine_record(record: Record, position: Array, torque: Array, is_mean: bool) -> FineRecord:
+def _fine_record(record: RegressionSegment, position: Array, torque: Array, is_mean: bool) -> FineSegment:
     rate = record.rate_hz
     assert record.resolution is not None
     fine = 2 * max(1, round(0.5 * _STEPS_HZ / rate))
@@ -189,7 +194,7 @@ def _fine_record(record: Record, position: Array, torque: Array, is_mean: bool) 
     def slow(values: Array | None) -> Array | None:
         return None if values is None else np.interp(steps / fine, np.arange(len(values)), values)
 
-    return FineRecord(
+    return FineSegment(
         path=record.path,
         axis=record.axis,
         rows=record.rows,
@@ -217,10 +222,10 @@ def _fine_record(record: Record, position: Array, torque: Array, is_mean: bool) 
 
 
 def velocity_by_bands(position: Array, rate_hz: float, resolution: float, fine: int) -> Array:
-    """Velocity in each of ``fine`` steps a sample, ((n - 1) * fine,), from a counted position (n,).
+    """Compute the velocity in each of ``fine`` steps per sample, ((n - 1) * fine,), from a quantised position (n,).
 
-    It is that of differences, hence a mean over one sampling period about the step: of a sine of a tenth of the
-    sampling rate 98 % are left.
+    It is computed from differences, hence a mean over one sampling period about the step: a sine at a tenth of the
+    sampling rate keeps 98 % of its amplitude.
 
     Parameters
     ----------
@@ -229,25 +234,27 @@ def velocity_by_bands(position: Array, rate_hz: float, resolution: float, fine: 
     rate_hz : float
         Sampling rate.
     resolution : float
-        Of the position.
+        Step of the position, rad or m.
     fine : int
-        Even.
+        Steps per sample, even.
     """
-    from scipy import signal
+    from scipy import signal  # imported here: it takes longer than the identification of a model
 
     kept = moves_by_bands(position, rate_hz, resolution)
-    # a difference stands for the middle of its period, which lies between two fine steps: hence the even length
-    kernel = fine * _fir(LAST_BAND_SHARE * rate_hz, 0.16 * rate_hz, fine * rate_hz, is_even=True)
+    # a difference belongs to the middle of its period, which is between two fine steps: hence the even length
+    kernel = fine * _fir(LAST_BAND_RATIO * rate_hz, 0.16 * rate_hz, fine * rate_hz, is_even=True)
     spread: Any = signal.upfirdn(kernel, kept, up=fine)[kernel.size // 2 - fine // 2 :]
     return np.concatenate([spread, np.zeros(fine)])[: len(kept) * fine]
 
 
 def moves_by_bands(position: Array, rate_hz: float, resolution: float) -> Array:
-    """Mean velocity over every sampling period, (n - 1,), from a counted position (n,).
+    """Compute the mean velocity over every sampling period, (n - 1,), from a quantised position (n,).
 
-    Each band is kept as far as it stands out from the encoder's noise just then.
+    Each band is kept in proportion to its power above the encoder's noise at that time.
     """
-    moves = np.diff(position) * rate_hz  # differences are filtered: images of a large position would be a velocity
+    moves = (
+        np.diff(position) * rate_hz
+    )  # differences are filtered: images of a large position would look like a velocity
     cuts = _band_edges(rate_hz)
     kernels = [_fir(cut, min(0.7 * cut, 2.0 * (0.48 * rate_hz - cut)), rate_hz) for cut in cuts]
     kept = low = _centred(moves, kernels[0])
@@ -261,11 +268,11 @@ def moves_by_bands(position: Array, rate_hz: float, resolution: float) -> Array:
     return kept
 
 
-def at_full_rate(record: Record) -> Record:
-    """Motion of a record by bands and its torque as it was measured, instead of both low-passed.
+def at_full_rate(record: RegressionSegment) -> RegressionSegment:
+    """Return a segment with the velocity from bands and the measured torque, instead of both low-passed.
 
-    What happens in a few samples stays, such as a reversal; velocities are means over the sampling period before each
-    row, as models take them.
+    It keeps what happens within a few samples, such as a reversal. Velocities are means over the sampling period before
+    each row, as models expect them.
     """
     assert record.resolution is not None
     rate = record.rate_hz
@@ -283,21 +290,21 @@ def at_full_rate(record: Record) -> Record:
 
 
 def _band_edges(rate_hz: float) -> list[float]:
-    """Octaves from 40 Hz, the last of them up to 0.42 of the sampling rate."""
+    """Return octaves from 40 Hz, the last of them up to 0.42 of the sampling rate, Hz."""
     edges = [_FIRST_BAND_HZ]
     while 2.0 * edges[-1] < 0.3 * rate_hz:
         edges.append(2.0 * edges[-1])
-    return [*edges, LAST_BAND_SHARE * rate_hz]
+    return [*edges, LAST_BAND_RATIO * rate_hz]
 
 
 def _local_power(values: Array, samples: float) -> Array:
-    """Mean square over about two times ``samples``."""
+    """Compute the mean square over about two times ``samples``."""
     window = np.hanning(2 * round(samples) + 3)
     return _centred(values * values, window / window.sum())
 
 
 def _noise(lower: Array, upper: Array, resolution: float, rate_hz: float) -> float:
-    """Mean square that an encoder's counts leave in the band between two low-passes of its differences."""
+    """Compute the mean square of the quantisation noise in the band between two low-passes of the differences."""
     size = max(lower.size, upper.size)
     response = np.diff(_padded(upper, size) - _padded(lower, size), prepend=0.0, append=0.0)
     return resolution**2 / 12.0 * rate_hz**2 * float(np.sum(response**2))
@@ -309,7 +316,7 @@ def _padded(kernel: Array, size: int) -> Array:
 
 @cache
 def _fir(cut_hz: float, width_hz: float, rate_hz: float, is_even: bool = False) -> Array:
-    """Symmetric low-pass, 80 dB.
+    """Design a symmetric low-pass with 80 dB of attenuation.
 
     Source of length and window: J. F. Kaiser, Nonrecursive digital filter design using the I0-sinh window function,
     IEEE International Symposium on Circuits and Systems, 1974.
@@ -323,13 +330,13 @@ def _fir(cut_hz: float, width_hz: float, rate_hz: float, is_even: bool = False) 
 
 
 def _centred(values: Array, kernel: Array) -> Array:
-    """``values`` (n,) through a symmetric FIR of odd length, without delay, as if they were zero outside."""
+    """Filter ``values`` (n,) with a symmetric FIR of odd length, without delay, as if they were zero outside."""
     padded = _convolved(values, kernel) if kernel.size > _LONG else np.convolve(values, kernel)
     return padded[kernel.size // 2 :][: len(values)]
 
 
 def _convolved(values: Array, kernel: Array) -> Array:
-    """`np.convolve` by Fourier transforms."""
+    """Compute `np.convolve` by Fourier transforms."""
     size = values.size + kernel.size - 1
     room = 1 << (size - 1).bit_length()
     product: Array = np.fft.irfft(np.fft.rfft(values, room) * np.fft.rfft(kernel, room), room)
@@ -337,5 +344,5 @@ def _convolved(values: Array, kernel: Array) -> Array:
 
 
 def local_rms(values: Array, seconds: float) -> Array:
-    """Root mean square nearby of rows of the regression (k,)."""
+    """Compute the local root mean square of rows of the regression (k,)."""
     return np.sqrt(np.maximum(_local_power(values, 0.5 * seconds * ROWS_HZ), 0.0))

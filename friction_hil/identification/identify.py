@@ -12,7 +12,7 @@ from friction_hil.errors import RecordingError, UsageError, choices
 from friction_hil.friction.modifiers import SIDES
 from friction_hil.identification import drive, modifiers, structures
 from friction_hil.identification.choice import choose, is_better, to_refine
-from friction_hil.identification.data import LEAST_ROWS, Data, Record, prepare
+from friction_hil.identification.data import LEAST_ROWS, Data, RegressionSegment, prepare
 from friction_hil.identification.errors import is_grouped
 from friction_hil.identification.fine import fine_data, is_fine, shows_presliding
 from friction_hil.identification.fits import MECHANICS, Fit, fit, refined
@@ -100,7 +100,7 @@ class Identification:
         The chosen one, then the others by held-out error.
     reason : str
         One sentence.
-    records, validation : tuple of Record
+    records, validation : tuple of RegressionSegment
         What was fitted to, and what was kept apart.
     settings : Settings
     notes : tuple of str
@@ -109,8 +109,8 @@ class Identification:
 
     fits: tuple[Fit, ...]
     reason: str
-    records: tuple[Record, ...]
-    validation: tuple[Record, ...]
+    records: tuple[RegressionSegment, ...]
+    validation: tuple[RegressionSegment, ...]
     settings: Settings
     notes: tuple[str, ...]
 
@@ -182,7 +182,7 @@ class _Search:
             self.scales = size_up(self.data, ("inertia", "offset", *self.gravity))
         self._check_held()
 
-    def _prepared(self, recordings: Sequence[Recording]) -> list[Record]:
+    def _prepared(self, recordings: Sequence[Recording]) -> list[RegressionSegment]:
         settings = self.settings
         return [
             part

@@ -17,7 +17,7 @@ from friction_hil import friction as models
 from friction_hil.errors import UsageError
 from friction_hil.identification import structures
 from friction_hil.identification.data import Data, linear_column
-from friction_hil.identification.fine import ROWS_HZ, FineRecord, local_rms, recounted
+from friction_hil.identification.fine import ROWS_HZ, FineSegment, local_rms, recounted
 from friction_hil.identification.inference import Inference, infer
 from friction_hil.identification.problem import Estimate, Problem, is_positive
 from friction_hil.identification.structures import Scales, Structure
@@ -82,7 +82,7 @@ def refine(
 def _convention(data: Data) -> str:
     """What was taken for granted of the torque: nothing in a recording tells it, and damping hangs on it."""
     record = data.records[0]
-    assert isinstance(record, FineRecord)
+    assert isinstance(record, FineSegment)
     taken = "the mean over the period before the sample" if record.is_mean else "that of the instant"
     other = "instant" if record.is_mean else "mean"
     return (
@@ -137,7 +137,7 @@ def _sensed(problem: Problem, estimate: Estimate) -> list[Array]:
     model = structure.model(structure.values(estimate.coordinates))
     found = []
     for number, record in enumerate(problem.data.records):
-        assert isinstance(record, FineRecord)
+        assert isinstance(record, FineSegment)
         torque = model.simulate(
             record.velocity,
             record.dt,

@@ -1,4 +1,4 @@
-"""Read logs of raw CAN frames, by what the drivers of a configuration know about their frames."""
+"""Read logs of raw CAN frames; the drivers of a configuration decode them."""
 
 from friction_hil.config.drivers import load_driver
 from friction_hil.errors import UsageError
@@ -12,9 +12,9 @@ def read(source: Source) -> list[Recording]:
     Raises
     ------
     RecordingError
-        There is no frame of any axis in it.
+        The log has no frame of any axis.
     UsageError
-        There is no configuration, or no driver in it that decodes logs.
+        There is no configuration, or none of its drivers decodes logs.
     OSError
         The file cannot be opened.
     """

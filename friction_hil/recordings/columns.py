@@ -1,4 +1,7 @@
-"""The columns of a recording: name, unit and meaning of each, stated once."""
+"""Columns of a recording: name, unit and meaning of each.
+
+The meanings are part of the schema in every MCAP file that the daemon writes.
+"""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -9,39 +12,41 @@ _LINEAR = {"rad": "m", "rad/s": "m/s", "N m": "N"}
 
 
 @dataclass(frozen=True, slots=True)
-class Column:
-    """A column that friction_hil writes; a recording may carry others along."""
+class ColumnMeaning:
+    """A column that friction_hil writes; a recording may have others."""
 
     name: str
     unit: str  # of a rotary axis; `unit` gives that of a linear one
     meaning: str
-    is_sparse: bool = False  # NaN in single rows is no fault: the value does not exist at all times
+    is_sparse: bool = False  # NaN in single rows is not reported: the value does not exist at all times
 
 
 COLUMNS = (
-    Column("time_s", "s", "time since the first cycle"),
-    Column("cycle", "", "number of the period, from 0; a gap is a missed period or a lost row"),
-    Column("position", "rad", "measured position"),
-    Column("velocity", "rad/s", "measured velocity, as the drive reports it"),
-    Column("torque", "N m", "actual torque, as the drive reports it"),
-    Column("position_demand", "rad", "position that the motion asks for now", is_sparse=True),
-    Column("velocity_demand", "rad/s", "velocity that the motion asks for now", is_sparse=True),
-    Column(
+    ColumnMeaning("time_s", "s", "time since the first cycle"),
+    ColumnMeaning("cycle", "", "number of the period, from 0; a gap is a missed period or a lost row"),
+    ColumnMeaning("position", "rad", "measured position"),
+    ColumnMeaning("velocity", "rad/s", "measured velocity, as the drive reports it"),
+    ColumnMeaning("torque", "N m", "actual torque, as the drive reports it"),
+    ColumnMeaning("position_demand", "rad", "position that the motion asks for now", is_sparse=True),
+    ColumnMeaning("velocity_demand", "rad/s", "velocity that the motion asks for now", is_sparse=True),
+    ColumnMeaning(
         "velocity_demand_ahead", "rad/s", "velocity demand at the time when this cycle's torque acts", is_sparse=True
     ),
-    Column("torque_demand", "N m", "torque that the drive's loops ask for", is_sparse=True),
-    Column("load_torque", "N m", "torque that the load puts on the axis"),
-    Column("temperature", "°C", "temperature of the axis"),
-    Column("velocity_estimate", "rad/s", "velocity that the friction model was given"),
-    Column("compensation", "N m", "friction feed-forward alone"),
-    Column("command", "N m", "torque written to the drive: offset in csp and csv, the whole in cst"),
-    Column("state", "", "state of the loop (LoopState)"),
-    Column("drive_state", "", "state of the drive (DriveState)"),
-    Column("is_fresh", "", "1 where the feedback of this cycle arrived in time, else 0"),
-    Column("is_enabled", "", "1 where the compensation fades in or is in force, 0 where it fades out"),
-    Column("checksum", "", "CRC-32 of the compensator's inputs in this row, by which replay knows an altered one"),
-    Column("late_us", "us", "how late the cycle began"),
-    Column("exchange_us", "us", "duration of the exchange with the drives"),
+    ColumnMeaning("torque_demand", "N m", "torque that the drive's loops ask for", is_sparse=True),
+    ColumnMeaning("load_torque", "N m", "torque that the load puts on the axis"),
+    ColumnMeaning("temperature", "°C", "temperature of the axis"),
+    ColumnMeaning("velocity_estimate", "rad/s", "velocity that the friction model was given"),
+    ColumnMeaning("compensation", "N m", "friction feed-forward alone"),
+    ColumnMeaning("command", "N m", "torque written to the drive: offset in csp and csv, the whole in cst"),
+    ColumnMeaning("state", "", "state of the loop (LoopState)"),
+    ColumnMeaning("drive_state", "", "state of the drive (DriveState)"),
+    ColumnMeaning("is_fresh", "", "1 where the feedback of this cycle arrived in time, else 0"),
+    ColumnMeaning("is_enabled", "", "1 where the compensation fades in or is in force, 0 where it fades out"),
+    ColumnMeaning(
+        "checksum", "", "CRC-32 of the compensator's inputs in this row, by which replay knows an altered one"
+    ),
+    ColumnMeaning("late_us", "us", "how late the cycle began"),
+    ColumnMeaning("exchange_us", "us", "duration of the exchange with the drives"),
 )
 
 NAMES = tuple(column.name for column in COLUMNS)
@@ -53,12 +58,12 @@ _BY_NAME = {column.name: column for column in COLUMNS}
 
 
 def shadow(model: str) -> str:
-    """Column of the shadow model that is called ``model``."""
+    """Return the column of the shadow model called ``model``."""
     return SHADOW_PREFIX + model
 
 
 def meaning(name: str) -> str:
-    """What a column holds, in words; empty for one that is not ours."""
+    """Return the meaning of a column in words; empty for a column of another program."""
     if name in _BY_NAME:
         return _BY_NAME[name].meaning
     if name.startswith(SHADOW_PREFIX):
@@ -67,6 +72,6 @@ def meaning(name: str) -> str:
 
 
 def unit(name: str, kind: AxisKind = "rotary") -> str:
-    """Unit of a column on a rotary or a linear axis; empty where there is none or it is unknown."""
+    """Return the unit of a column on a rotary or linear axis; empty if it has none or it is unknown."""
     rotary = _BY_NAME[name].unit if name in _BY_NAME else "N m" if name.startswith(SHADOW_PREFIX) else ""
     return _LINEAR.get(rotary, rotary) if kind == "linear" else rotary

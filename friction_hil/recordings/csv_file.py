@@ -19,13 +19,13 @@ _MISSING = ["", "nan", "NaN", "NAN", "-nan"]
 def read(source: Source) -> list[Recording]:
     """Read a CSV file: comma, semicolon or tab; a first line of names; ``#`` starts a comment line.
 
-    An empty field is NaN. A last line without its end may have been cut off: it is left out.
+    An empty field is NaN. A last line without a line end may have been cut off and is left out.
 
     Raises
     ------
     RecordingError
-        The file is not text, has no header or a header with a name twice, or a field is not a number; the
-        message has the line.
+        The file is not text, has no header, its header has a name twice, or a field is not a number; the message
+        names the line.
     OSError
         It cannot be opened.
     """
@@ -38,12 +38,12 @@ def read(source: Source) -> list[Recording]:
     wanted, others = source.split(names)
     recording = Recording(str(path), source.name, {}, problems=problems, others=others)
     values = _by_arrow(rows, names, wanted, delimiter) or _by_numpy(rows, names, wanted, delimiter)
-    recording.columns = values or _carefully(path, rows, number, names, wanted, delimiter)
+    recording.columns = values or _by_field(path, rows, number, names, wanted, delimiter)
     return [recording]
 
 
 def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
-    """Write the columns with as many digits as give back the same float64.
+    """Write the columns with enough digits to read back the same float64.
 
     Raises
     ------
@@ -59,23 +59,23 @@ def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
 
 
 def _header(path: Path, data: bytes) -> tuple[int, int, str]:
-    """Byte where the rows begin, number of the header's line, and the header."""
-    at, number = len(_BOM) if data.startswith(_BOM) else 0, 0
-    while at < len(data):
-        end = data.find(b"\n", at) + 1 or len(data)
+    """Return the offset of the first row, the line number of the header, and the header."""
+    offset, number = len(_BOM) if data.startswith(_BOM) else 0, 0
+    while offset < len(data):
+        end = data.find(b"\n", offset) + 1 or len(data)
         number += 1
         try:
-            line = data[at:end].decode("utf-8")
+            line = data[offset:end].decode("utf-8")
         except UnicodeDecodeError as error:
-            raise _not_text(path, at + error.start) from None
-        at = end
+            raise _not_text(path, offset + error.start) from None
+        offset = end
         if line.strip("\0 \t\r\n") and not line.startswith("#"):
-            return at, number, line.rstrip("\r\n")
+            return offset, number, line.rstrip("\r\n")
     raise RecordingError(f"{path} is empty: a line of column names and rows of numbers belong here")
 
 
 def _end(data: bytes, start: int, problems: list[str]) -> int:
-    """Byte where the whole rows end; what is behind is told."""
+    """Return the offset at which the last whole row ends; report what follows it."""
     end = len(data)
     while end > start and data[end - 1] == 0:
         end -= 1
@@ -101,8 +101,8 @@ def _names(path: Path, number: int, line: str, delimiter: str) -> list[str]:
 
 
 def _by_arrow(rows: memoryview, names: list[str], wanted: list[str], delimiter: str) -> dict[str, Array] | None:
-    """Read by pyarrow, where it is installed: some ten times as fast. None where it finds anything odd."""
-    try:
+    """Read with pyarrow, ten times as fast as numpy; None if it is not installed or refuses the file."""
+    try:  # imported here: an optional package
         import pyarrow
         from pyarrow import csv as arrow_csv
     except ImportError:
@@ -124,9 +124,9 @@ def _by_arrow(rows: memoryview, names: list[str], wanted: list[str], delimiter: 
 
 
 def _by_numpy(rows: memoryview, names: list[str], wanted: list[str], delimiter: str) -> dict[str, Array] | None:
-    """Read by numpy, which is fast too; None where it refuses."""
+    """Read with numpy; None if it refuses the file."""
     if not bytes(rows[:64]).strip() and not bytes(rows).strip():
-        return None  # it would warn
+        return None  # numpy would warn about an empty file
     try:
         values = np.loadtxt(
             io.TextIOWrapper(io.BytesIO(rows), encoding="utf-8"),
@@ -142,10 +142,10 @@ def _by_numpy(rows: memoryview, names: list[str], wanted: list[str], delimiter: 
     return {name: as_column(values[names.index(name)]) for name in wanted}
 
 
-def _carefully(
+def _by_field(
     path: Path, rows: memoryview, header: int, names: list[str], wanted: list[str], delimiter: str
 ) -> dict[str, Array]:
-    """Read field by field, with a sentence about the first that cannot be read."""
+    """Read field by field, in order to report the first one that cannot be read."""
     try:
         lines = bytes(rows).decode("utf-8").splitlines()
     except UnicodeDecodeError as error:

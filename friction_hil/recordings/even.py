@@ -1,6 +1,6 @@
-"""A log as it is to an even grid of time: put in order, cut at gaps, interpolated only where it must be. Pure.
+"""An even time grid for a log: rows are sorted, cut at gaps, and interpolated only where necessary. Pure.
 
-Nothing is left out without a sentence.
+Everything that is left out or changed is reported in a sentence.
 """
 
 import itertools
@@ -13,9 +13,9 @@ from friction_hil.errors import RecordingError
 from friction_hil.recordings.columns import TIME
 from friction_hil.recordings.quality import (
     GAP_PERIODS,
-    UNEVEN_SHARE,
+    UNEVEN_RATIO,
     Array,
-    Rows,
+    RowIndices,
     all_finite,
     find_jumps,
     find_wrap,
@@ -36,7 +36,7 @@ Interval = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True)
-class EvenParts:
+class EvenGrid:
     """Columns on an even grid.
 
     Attributes
@@ -48,7 +48,7 @@ class EvenParts:
     rate_hz : float
         Sampling rate in all of them.
     problems : list of str
-        What was found, and what was done about it.
+        What was found in the columns and what was done about it.
     """
 
     time_s: Array
@@ -60,33 +60,33 @@ class EvenParts:
 
 @dataclass(slots=True)
 class _Block:
-    """Rows whose stamps go forward only."""
+    """Rows whose time stamps increase."""
 
     time: Array
     columns: dict[str, Array]
-    known: dict[str, Rows | None]  # rows where a column has a value; None: all
+    known: dict[str, RowIndices | None]  # rows in which a column has a value; None: all
 
 
-def even_grid(recording: Recording, names: Sequence[str], held: Sequence[str] = ()) -> EvenParts:
+def even_grid(recording: Recording, names: Sequence[str], held: Sequence[str] = ()) -> EvenGrid:
     """Bring columns to an even grid.
 
-    Rows go into the order of time; where the clock was set back, or more than `GAP_PERIODS` periods are missing
-    in one of ``names``, a new part begins. Inside a part the rows are taken as they are where they lie evenly,
-    and are interpolated otherwise. A wrapped position is unwrapped.
+    Rows are sorted by time. A new segment begins where the clock was set back, or where more than `GAP_PERIODS`
+    periods are missing in one of ``names``. Rows of a segment are used as they are if they are evenly spaced, and are
+    interpolated otherwise. A wrapped position is unwrapped.
 
     Parameters
     ----------
     recording : Recording
         With a finite ``time_s``.
     names : sequence of str
-        Columns that are needed, each with a value somewhere.
+        Required columns, each with at least one value.
     held : sequence of str
-        Columns that change slowly: interpolated over gaps of their own.
+        Columns that change slowly; they are interpolated over their own gaps.
 
     Raises
     ------
     RecordingError
-        No part has three rows.
+        No segment has three rows.
     """
     problems: list[str] = []
     columns = {name: recording[name] for name in (*names, *held)}
@@ -98,26 +98,12 @@ def even_grid(recording: Recording, names: Sequence[str], held: Sequence[str] = 
     period = min(_spacing(blocks, name) for name in names)
     if not np.isfinite(period):
         raise RecordingError(f"{recording.path}: {', '.join(names)} have too few values in order of time")
-    parts, is_uneven, short = [], False, 0
-    cuts = []
-    for block in blocks:
-        intervals = _intervals(block, names, period)
-        cuts += [begin for begin, _ in intervals[1:]]
-        for interval in intervals:
-            time, values, was_uneven = _part(block, interval, period)
-            if len(time) < _FEWEST_ROWS:
-                short += 1
-                continue
-            is_uneven = is_uneven or was_uneven
-            parts.append((time, values))
+    parts = _parts(blocks, names, period, problems)
     if not parts:
         raise RecordingError(f"{recording.path}: no part without a gap has {_FEWEST_ROWS} rows")
-    if is_uneven:
-        problems.append(f"the time stamps are uneven: interpolated at {1.0 / period:.6g} Hz")
-    _note_parts(parts, cuts, short, problems)
     ends = np.cumsum([0, *(len(time) for time, _ in parts)]).tolist()
     duration = sum(float(time[-1] - time[0]) for time, _ in parts)
-    return EvenParts(
+    return EvenGrid(
         time_s=_joined([time for time, _ in parts]),
         columns={name: _joined([values[name] for _, values in parts]) for name in columns},
         segments=tuple(slice(begin, end) for begin, end in itertools.pairwise(ends)),
@@ -126,8 +112,8 @@ def even_grid(recording: Recording, names: Sequence[str], held: Sequence[str] = 
     )
 
 
-def what_to_mend(recording: Recording) -> list[str]:
-    """Say what a position does that a replay would mend: for those who look before they replay."""
+def what_to_repair(recording: Recording) -> list[str]:
+    """Return what a replay would repair in position and velocity, one sentence each."""
     problems: list[str] = []
     if _POSITION in recording:
         ignored: list[str] = []
@@ -153,7 +139,7 @@ def _note_unknown(columns: dict[str, Array], held: Sequence[str], problems: list
 
 
 def _ordered(time: Array, columns: dict[str, Array], problems: list[str]) -> list[_Block]:
-    """Blocks whose stamps go forward, cut where the clock was set back."""
+    """Return blocks of rows with increasing time stamps, cut where the clock was set back."""
     facts = time_facts(time)
     back = facts.backward[time[facts.backward] - time[facts.backward - 1] < -GAP_PERIODS * facts.period_s]
     if back.size:
@@ -190,8 +176,8 @@ def _ordered(time: Array, columns: dict[str, Array], problems: list[str]) -> lis
     return blocks
 
 
-def _taken(block: _Block, name: str) -> tuple[Array, Array]:
-    """Stamps and values of a column where it is known."""
+def _known_values(block: _Block, name: str) -> tuple[Array, Array]:
+    """Return time stamps and values of a column in the rows in which it is known."""
     known = block.known[name]
     values = block.columns[name]
     return (block.time, values) if known is None else (block.time[known], values[known])
@@ -201,7 +187,7 @@ def _unwrap(blocks: list[_Block], problems: list[str]) -> None:
     for block in blocks:
         if _POSITION not in block.columns:
             return
-        time, position = _taken(block, _POSITION)
+        time, position = _known_values(block, _POSITION)
         if len(position) < _FEWEST_ROWS:
             continue
         steps = np.diff(time)
@@ -213,7 +199,9 @@ def _unwrap(blocks: list[_Block], problems: list[str]) -> None:
         wrap = find_wrap(position, jumps)
         if wrap is None:
             size = float(np.max(np.abs(np.diff(position))[jumps - 1]))
-            problems.append(f"position jumps by up to {size:.6g} at {where}, which no encoder wrap explains: left so")
+            problems.append(
+                f"position jumps by up to {size:.6g} at {where}, which no encoder wrap explains: left unchanged"
+            )
             continue
         problems.append(f"position wraps over {wrap.range:.6g} ({wrap.name}) at {where}: unwrapped")
         straight = block.columns[_POSITION].copy()
@@ -222,16 +210,16 @@ def _unwrap(blocks: list[_Block], problems: list[str]) -> None:
 
 
 def _spacing(blocks: list[_Block], name: str) -> float:
-    """Median distance of the rows where a column has a value, s; infinity where there are none."""
-    steps = _joined([np.diff(_taken(block, name)[0]) for block in blocks])
+    """Return the median interval between values of a column, s; infinity if it has fewer than two."""
+    steps = _joined([np.diff(_known_values(block, name)[0]) for block in blocks])
     return float(np.median(steps)) if steps.size else np.inf
 
 
 def _intervals(block: _Block, names: Sequence[str], period: float) -> list[Interval]:
-    """Spans of time in which every column is known without a gap."""
+    """Return the intervals of time in which every column is known without a gap."""
     common: list[Interval] = [(-np.inf, np.inf)]
     for name in names:
-        time, _ = _taken(block, name)
+        time, _ = _known_values(block, name)
         if not len(time):
             return []
         steps = np.diff(time)
@@ -256,14 +244,35 @@ def _intersection(some: list[Interval], others: list[Interval]) -> list[Interval
     return found
 
 
+def _parts(
+    blocks: Sequence[_Block], names: Sequence[str], period: float, problems: list[str]
+) -> list[tuple[Array, dict[str, Array]]]:
+    """Return time and columns of every segment; report gaps, uneven stamps and segments that are too short."""
+    parts, cuts, short, is_uneven = [], [], 0, False
+    for block in blocks:
+        intervals = _intervals(block, names, period)
+        cuts += [begin for begin, _ in intervals[1:]]
+        for interval in intervals:
+            time, values, was_uneven = _part(block, interval, period)
+            if len(time) < _FEWEST_ROWS:
+                short += 1
+                continue
+            is_uneven = is_uneven or was_uneven
+            parts.append((time, values))
+    if is_uneven:
+        problems.append(f"the time stamps are uneven: interpolated at {1.0 / period:.6g} Hz")
+    _note_parts(parts, cuts, short, problems)
+    return parts
+
+
 def _part(block: _Block, interval: Interval, period: float) -> tuple[Array, dict[str, Array], bool]:
-    """One part: its rows as they are where they are even and complete, else interpolated; whether they were uneven."""
+    """Return time and columns of one segment, interpolated if need be, and whether its rows were uneven."""
     first, last = np.searchsorted(block.time, interval[0], "left"), np.searchsorted(block.time, interval[1], "right")
     time = block.time[first:last]
     if len(time) < _FEWEST_ROWS:
         return time, {}, False
     even = np.linspace(time[0], time[-1], 1 + round((time[-1] - time[0]) / period))
-    is_even = len(even) == len(time) and float(np.max(np.abs(even - time))) <= UNEVEN_SHARE * period
+    is_even = len(even) == len(time) and float(np.max(np.abs(even - time))) <= UNEVEN_RATIO * period
     if is_even:
         even = time
     columns = {}
@@ -271,7 +280,7 @@ def _part(block: _Block, interval: Interval, period: float) -> tuple[Array, dict
         if is_even and all_finite(values[first:last]):
             columns[name] = values[first:last]
         else:
-            columns[name] = np.interp(even, *_taken(block, name))
+            columns[name] = np.interp(even, *_known_values(block, name))
     return even, columns, not is_even
 
 

@@ -1,4 +1,4 @@
-"""Reading and writing of recordings by the suffix of the file."""
+"""Reading and writing of recordings; the suffix of the file selects the format."""
 
 import importlib
 from collections.abc import Collection, Mapping
@@ -30,11 +30,11 @@ _MODULES = {
 }
 _READ_ONLY = (".mdf", ".log", ".asc", ".blf")
 _WRITERS = {suffix: name for suffix, name in _MODULES.items() if suffix not in _READ_ONLY} | {".mcap": "mcap_writer"}
-"""Module of each suffix: `read(source)` gives recordings; `write(path, recording, overwrite=)` takes one."""
+"""Module by suffix, with `read(source)`, which returns recordings, and `write(path, recording, overwrite=)`."""
 
 
 def formats(*, to_write: bool = False) -> tuple[str, ...]:
-    """Suffixes of the files that can be read, or written."""
+    """Return the suffixes of the files that can be read, or written."""
     return tuple(sorted(_WRITERS if to_write else _MODULES))
 
 
@@ -48,36 +48,35 @@ def read(
     only: Collection[str] | None = None,
     configuration: "Configuration | None" = None,
 ) -> Recording:
-    """Read one axis of a recording; `formats` has the suffixes.
+    """Read one axis of a recording; `formats` lists the suffixes.
 
     Parameters
     ----------
     path : path
-        The file; its suffix says what it is. Beside it may lie ``NAME.columns.yaml``, or ``columns.yaml`` for
-        all files of the folder, with the same as ``columns`` and ``scale``, which go before it.
+        File to read; its suffix selects the format. ``NAME.columns.yaml`` beside it, or ``columns.yaml`` for all files
+        of the folder, may map columns; ``columns`` and ``scale`` take precedence.
     axis : str, optional
-        Name of the axis; needed where the file has several. A file of columns has one, without a name: it
-        is called this, or else after the file.
+        Name of the axis; required if the file has several. The only axis of a table of columns has no name: it is
+        given this one, or else that of the file.
     columns : dict, optional
-        Our name of a column to the file's: ``{"time_s": "t", "torque": "effort"}``, or to what it is made of:
-        ``{"torque": "load:int16*input_volts/885"}`` (`friction_hil.recordings.product`).
+        friction_hil's name of a column to the file's: ``{"time_s": "t", "torque": "effort"}``, or to a product of
+        columns: ``{"torque": "load:int16*input_volts/885"}`` (`friction_hil.recordings.product`).
     scale : dict, optional
-        Our name of a column to the factor that makes it SI: ``{"torque": 35.15}``.
+        friction_hil's name of a column to the factor that converts it to SI: ``{"torque": 35.15}``.
     where : str, optional
-        Column, by our name or the file's, in whose rows the torque counts where it is neither zero nor NaN; in the
-        others ``torque`` becomes NaN.
+        Column, by friction_hil's name or the file's. In rows in which it is zero or NaN, ``torque`` becomes NaN.
     only : sequence of str, optional
-        Our names of the columns to load, as far as they are there; all when not given.
+        friction_hil's names of the columns to load, if they exist; all by default.
     configuration : Configuration, optional
-        Of the machine; a CAN log is decoded by it.
+        Of the machine; required for a CAN log.
 
     Raises
     ------
     RecordingError
-        The file cannot be read, has no finite ``time_s``, or the torque counts nowhere.
+        The file cannot be read, has no finite ``time_s``, or ``where`` leaves no torque.
     UsageError
-        The suffix is unknown, the file has several axes or not this one, a mapped column is not there, or a
-        package is not installed.
+        The suffix is unknown, the file has several axes or not this one, a mapped column does not exist, or a package
+        is not installed.
     """
 
     def one(names: list[str]) -> list[str]:
@@ -102,33 +101,32 @@ def read_all(
     only: Collection[str] | None = None,
     configuration: "Configuration | None" = None,
 ) -> dict[str, Recording]:
-    """Read every axis of a recording, by name; otherwise as `read`."""
+    """Read all axes of a recording; return them by name. Parameters are as of `read`."""
     mapped = mapping_beside(Path(path)).overridden(columns or {}, scale or {})
     source = Source(Path(path), None, _wanted(only, mapped, where), configuration=configuration)
     return _read(source, mapped, where, only)
 
 
 def write(path: str | Path, recording: Recording, *, overwrite: bool = False) -> None:
-    """Write one axis, by the suffix; ``formats(to_write=True)`` has them.
+    """Write one axis; ``formats(to_write=True)`` lists the suffixes.
 
-    Values are kept bit for bit, units where the format has a place for them; metadata, events and restart points
-    are not written.
+    Values are kept bit for bit, and units if the format can hold them. Metadata, events and restart points are not
+    written.
 
     Parameters
     ----------
     path : path
-        The file.
+        File to write.
     recording : Recording
-        What to write.
     overwrite : bool
-        Whether an existing file is replaced.
+        True to replace an existing file.
 
     Raises
     ------
     RecordingError
-        The file exists or cannot be written, or the format cannot hold a column's name.
+        The file exists or cannot be written, or the format cannot hold the name of a column.
     UsageError
-        The suffix is not one that can be written, or a package is not installed.
+        This format cannot be written, or a package is not installed.
     """
     path = Path(path)
     module = _module(path, _WRITERS)
@@ -158,7 +156,7 @@ def _read(source: Source, mapped: Mapped, where: str | None, only: Collection[st
         before = recording.columns
         rename(recording, fitting.columns, fitting.scale)
         there: dict[str, Array] = {**before, **recording.columns}
-        if only is not None:  # others were read for what these are made of
+        if only is not None:  # others were read because mapped columns are products of them
             recording.others += tuple(name for name in recording.columns if name not in only)
             recording.columns = {name: values for name, values in recording.columns.items() if name in only}
             recording.units = {name: unit for name, unit in recording.units.items() if name in only}

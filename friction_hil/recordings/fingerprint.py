@@ -1,4 +1,4 @@
-"""What decides the last bit of a result: processor, C library, and the versions of what computes."""
+"""Fingerprint of machine and software, on which the last bit of a result depends."""
 
 import platform
 from collections.abc import Mapping
@@ -15,7 +15,7 @@ _MODEL_KEYS = ("model name", "CPU part", "uarch", "cpu model")  # x86, ARM, RISC
 
 
 def fingerprint() -> dict[str, str]:
-    """Describe this machine and software, as far as it can change the bits of a result."""
+    """Return the properties of this machine and software that can change the bits of a result."""
     cpuinfo = _cpuinfo()
     return {
         "machine": platform.machine(),
@@ -29,23 +29,23 @@ def fingerprint() -> dict[str, str]:
 
 
 def differences(a: Mapping[str, str], b: Mapping[str, str]) -> list[str]:
-    """Say in what two fingerprints differ, one line each: ``numpy: 2.1.0, here 2.2.0``.
+    """Return the differences of two fingerprints, one line each: ``numpy: 2.1.0, here 2.2.0``.
 
     Parameters
     ----------
     a, b : dict
-        The recording's, and that of this machine.
+        Fingerprints of the recording and of this machine.
     """
     names = [*a, *(name for name in b if name not in a)]
     return [
-        f"{name}: {a.get(name, 'not told')}, here {b.get(name, 'not told')}"
+        f"{name}: {a.get(name, 'not reported')}, here {b.get(name, 'not reported')}"
         for name in names
         if a.get(name) != b.get(name)
     ]
 
 
 def _cpuinfo() -> dict[str, str]:
-    """Facts of the first processor; empty where the system does not tell."""
+    """Return the properties of the first processor; empty if the system does not report them."""
     try:
         text = _CPUINFO.read_text(encoding="utf-8", errors="replace")
     except OSError:

@@ -12,9 +12,9 @@ from friction_hil.recordings.recording import Recording
 from friction_hil.recordings.source import (
     Source,
     as_column,
-    commonest_length,
     damaged,
     is_column,
+    most_frequent_length,
     needs_extra,
     open_new,
 )
@@ -28,17 +28,17 @@ _MATLAB_INTERNAL = "#"
 def read(source: Source) -> list[Recording]:
     """Read every numeric vector of the file, also those in groups, and MATLAB 7.3.
 
-    A column is called as its dataset where only one is called so, else by its whole path. Where vectors differ
-    in length, those of the commonest length are the columns.
+    The name of a column is that of its dataset, or its whole path if several datasets have that name. If the vectors
+    differ in length, those of the most frequent length are the columns.
 
     Raises
     ------
     RecordingError
-        The file was cut off, is no HDF5 file or has no vector.
+        The file was cut off, is not HDF5 or has no vector.
     UsageError
         h5py is not installed.
     OSError
-        It cannot be opened.
+        The file cannot be opened.
     """
     h5py = _library(source.path)
     with source.path.open("rb") as opened:
@@ -57,7 +57,7 @@ def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
     Raises
     ------
     RecordingError
-        A column's name has a slash, which separates groups.
+        The name of a column has a slash, which separates groups.
     UsageError
         h5py is not installed.
     OSError
@@ -70,13 +70,13 @@ def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
     with open_new(path, overwrite=overwrite) as opened, h5py.File(opened, "w", track_order=True) as file:
         for name, values in recording.columns.items():
             dataset = file.create_dataset(name, data=values)
-            unit = known_unit(recording, name)
+            unit = known_unit(recording.units, name)
             if unit:
                 dataset.attrs["unit"] = unit
 
 
 def _library(path: Path) -> Any:
-    try:
+    try:  # imported here: an optional package
         import h5py
     except ImportError:
         raise needs_extra(path, "h5py") from None
@@ -92,8 +92,8 @@ def _read(source: Source, h5py: Any, file: Any) -> Recording:
     sizes = {name: math.prod(found[path][0].shape) for name, path in names.items()}
     if not sizes:
         raise RecordingError(f"{source.path}: there is no vector of numbers in it, which a column would be")
-    wanted, recording.others = source.split(commonest_length(sizes, recording.problems))
-    # One block for all columns: the system gives large ones in large pages, which cost least to touch first.
+    wanted, recording.others = source.split(most_frequent_length(sizes, recording.problems))
+    # One block for all columns: the system maps large blocks in large pages, which are the cheapest to touch first.
     block = np.empty((len(wanted), sizes[wanted[0]])) if wanted else ()
     for name, room in zip(wanted, block, strict=True):
         dataset, field = found[names[name]]
@@ -115,9 +115,9 @@ def _read(source: Source, h5py: Any, file: Any) -> Recording:
 
 
 def _vectors(h5py: Any, file: Any) -> dict[str, tuple[Any, str | None]]:
-    """Dataset of each vector by its path, and its field if it is compound.
+    """Return the dataset of each vector by its path, with its field if it is compound.
 
-    The datasets are h5py's low-level ones: to make its others takes longer than to read their values.
+    The datasets are h5py's low-level objects: creating its others takes longer than reading their values.
     """
     found: dict[str, tuple[Any, str | None]] = {}
 

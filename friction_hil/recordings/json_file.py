@@ -1,4 +1,4 @@
-"""Read and write JSON: a list of rows, each an object; or an object with such a list and facts beside it."""
+"""Read and write JSON: a list of rows, each an object, or an object with such a list and metadata."""
 
 import json
 from collections.abc import Mapping
@@ -18,15 +18,15 @@ _ROWS_AT_ONCE = 10_000
 def read(source: Source) -> list[Recording]:
     """Read the longest list of objects in the file; the other top-level entries become the metadata.
 
-    A row that lacks a field, and null, are NaN there; true and false are 1 and 0. A file that was cut off is read
-    up to its last whole row.
+    A missing field and null are NaN; true and false are 1 and 0. A file that was cut off is read up to its last whole
+    row.
 
     Raises
     ------
     RecordingError
-        The file is no JSON, or holds no list of rows.
+        The file is not JSON, or has no list of rows.
     OSError
-        It cannot be opened.
+        The file cannot be opened.
     """
     path, problems = source.path, list[str]()
     content = _parse(path, problems)
@@ -52,7 +52,7 @@ def read(source: Source) -> list[Recording]:
 
 
 def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
-    """Write a list of rows with as many digits as give back the same float64; NaN is null.
+    """Write a list of rows with enough digits to read back the same float64; NaN is null.
 
     Raises
     ------
@@ -96,19 +96,19 @@ def _parse(path: Path, problems: list[str]) -> Any:
     try:
         return json.loads(text)
     except json.JSONDecodeError as error:
-        mended = _mended(text)
-        if mended is None or error.pos < text.rstrip().rfind("}"):
+        repaired = _repaired(text)
+        if repaired is None or error.pos < text.rstrip().rfind("}"):
             raise RecordingError(f"{path}:{error.lineno}: is no JSON: {error.msg} (column {error.colno})") from None
         problems.append(f"the file was cut off at byte {len(data)}: the rows after its last whole one are lost")
-        return mended
+        return repaired
     except RecursionError:
         raise RecordingError(f"{path}: its lists and objects are nested too deeply") from None
 
 
-def _mended(text: str) -> Any:
-    """What a text that was cut off holds up to its last whole row; None where it has none."""
+def _repaired(text: str) -> Any:
+    """Parse a text that was cut off up to its last whole row; return None if it has none."""
     end = len(text)
-    for _ in range(3):  # a brace may stand in a text or belong to an inner object
+    for _ in range(3):  # a brace may be part of a string or of an inner object
         end = text.rfind("}", 0, end)
         if end < 0:
             return None
@@ -121,7 +121,7 @@ def _mended(text: str) -> Any:
 
 
 def _take(recording: Recording, rows: list[Mapping[str, Any]], name: str) -> None:
-    """Add one column; a field that holds no numbers is told."""
+    """Add one column; report a field that is not a number."""
     values = [row.get(name) for row in rows]
     try:
         recording.columns[name] = np.array(values, dtype=np.float64)

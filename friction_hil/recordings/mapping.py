@@ -1,6 +1,6 @@
-"""How a file's columns become ours: names and factors, from the command line or a small YAML beside the file.
+"""Mapping of a file's columns to friction_hil's: names and factors, from the command line or a YAML file.
 
-``bench.csv.columns.yaml`` beside ``bench.csv``, or ``columns.yaml`` for every file of its folder::
+That is ``bench.csv.columns.yaml`` beside ``bench.csv``, or ``columns.yaml`` for every file of its folder::
 
     columns:
       time_s: t
@@ -8,7 +8,7 @@
       torque: vir*35.1507
       current: raw:int16*range/32768
 
-Such products of columns, and registers read again, are those of `friction_hil.recordings.product`.
+`friction_hil.recordings.product` describes the products of columns and registers.
 """
 
 import re
@@ -26,10 +26,10 @@ _FOR_ALL = "columns.yaml"
 
 @dataclass(frozen=True, slots=True)
 class Mapped:
-    """Columns by our names: what each is called in the file, or made of, and the factor that makes it SI.
+    """Sources and factors to SI by friction_hil's names of columns.
 
-    Those in ``optional`` come from a file for the whole folder, and count only where the source is there: a folder
-    may hold recordings of several origins.
+    Those in ``optional`` come from a mapping file for the whole folder. They apply only to files that have the source,
+    because a folder may hold recordings of several origins.
     """
 
     columns: dict[str, str] = field(default_factory=dict)
@@ -37,12 +37,12 @@ class Mapped:
     optional: frozenset[str] = frozenset()
 
     def overridden(self, columns: Mapping[str, str], scale: Mapping[str, float]) -> "Mapped":
-        """Let other columns and factors go before these; a column named anew loses its factor here."""
+        """Return a mapping in which other columns and factors take precedence; a new source has no old factor."""
         kept = {name: factor for name, factor in self.scale.items() if name not in columns}
         return Mapped(self.columns | dict(columns), kept | dict(scale), self.optional - set(columns))
 
     def fitting(self, there: Collection[str]) -> "Mapped":
-        """Leave out what is optional and not there."""
+        """Return the mapping without optional columns whose source the file lacks."""
         absent = {name for name in self.optional if product_of(self.columns[name], there).missing(there)}
         return Mapped(
             {name: source for name, source in self.columns.items() if name not in absent},
@@ -50,7 +50,7 @@ class Mapped:
         )
 
     def sources(self, name: str) -> set[str]:
-        """Names of all columns of the file that ours may come from."""
+        """Return the names of all columns of the file that a column may be made of."""
         if name not in self.columns:
             return {name}
         found = possible_columns(self.columns[name])
@@ -58,7 +58,7 @@ class Mapped:
 
 
 def parse_source(text: str) -> tuple[str, float]:
-    """Source and factor of ``SOURCE*FACTOR``, e.g. ``vir*35.1507`` or ``encoder*2*pi/4096``; 1 where there is none.
+    """Split ``SOURCE*FACTOR``, e.g. ``vir*35.1507`` or ``encoder*2*pi/4096``; the factor is 1 by default.
 
     Raises
     ------
@@ -72,12 +72,12 @@ def parse_source(text: str) -> tuple[str, float]:
 
 
 def mapping_beside(path: Path) -> Mapped:
-    """Read the mapping file of a recording; empty where there is none.
+    """Read the mapping file of a recording; empty if there is none.
 
     Raises
     ------
     ConfigurationError
-        It has mistakes; each with its line.
+        The file has mistakes; each is reported with its line.
     """
     own, for_all = path.with_name(f"{path.name}.columns.yaml"), path.with_name(_FOR_ALL)
     if own.is_file():
@@ -89,7 +89,7 @@ def mapping_beside(path: Path) -> Mapped:
 
 
 def _read(path: Path) -> Mapped:
-    from friction_hil.checked_yaml import text as yaml_text
+    from friction_hil.checked_yaml import text as yaml_text  # imported here: start-up time, and few recordings need it
 
     document = yaml_text.read(path)
     if document.problems:

@@ -1,4 +1,4 @@
-"""Read and write MATLAB files: vectors of equal length are columns. Version 7.3 is HDF5, and read as that."""
+"""Read and write MATLAB files: vectors of equal length are columns. Version 7.3 is read as HDF5."""
 
 import io
 import os
@@ -10,30 +10,30 @@ import numpy as np
 
 from friction_hil.errors import RecordingError, UsageError
 from friction_hil.recordings.recording import Recording
-from friction_hil.recordings.source import Source, as_column, commonest_length, is_column, open_new
+from friction_hil.recordings.source import Source, as_column, is_column, most_frequent_length, open_new
 
 _HEADER = 128  # bytes of a MATLAB 5 file before its first variable
 _VERSION_7_3 = b"MATLAB 7.3"
 _TAG = struct.Struct("<II")  # kind and length of what follows
-_FIXED = struct.Struct("<12I")  # of a variable: tag, its flags and size after their tags, tag of its name
-_START = 128  # bytes of a variable in which all lies that comes before its values
+_FIXED = struct.Struct("<12I")  # start of a variable: tag, tag and flags, tag and size, tag of its name
+_START = 128  # bytes of a variable that contain everything before its values
 _MATRIX, _DOUBLES, _TEXT = 14, 9, 1
 _REAL_DOUBLES = [6, 8, 6, 0, 5, 8]  # tag and flags: not complex, not logical; tag of two dimensions
 _LONGEST_NAME = 31
 
 
 def read(source: Source) -> list[Recording]:
-    """Read the real vectors of a MATLAB 5 to 7.3 file; scalars and everything else are passed over.
+    """Read the real vectors of a MATLAB 5 to 7.3 file; scalars and everything else are ignored.
 
-    Where vectors differ in length, those of the commonest length are the columns, and ``problems`` names the
-    others. Of a file that was cut off the variables before the cut are read.
+    If the vectors differ in length, those of the most frequent length are the columns, and ``problems`` names the
+    others. Of a file that was cut off, the variables before the cut are read.
 
     Raises
     ------
     RecordingError
-        The file is no MATLAB file, or has no vector.
+        The file is not a MATLAB file, or has no vector.
     OSError
-        It cannot be opened.
+        The file cannot be opened.
     """
     problems: list[str] = []
     with source.path.open("rb") as file:
@@ -45,7 +45,7 @@ def read(source: Source) -> list[Recording]:
     if not vectors:
         because = f": {'; '.join(problems)}" if problems else ""
         raise RecordingError(f"{source.path}: there is no real vector in it, which a column would be{because}")
-    names = commonest_length({name: value.size for name, value in vectors.items()}, problems)
+    names = most_frequent_length({name: value.size for name, value in vectors.items()}, problems)
     wanted, others = source.split(names)
     columns = {name: as_column(vectors[name]) for name in wanted}
     return [Recording(str(source.path), source.name, columns, problems=problems, others=others)]
@@ -57,11 +57,11 @@ def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
     Raises
     ------
     RecordingError
-        A column's name is no name of a variable in MATLAB.
+        MATLAB does not allow the name of a column as a variable.
     OSError
         The file exists, unless ``overwrite``, or cannot be written.
     """
-    from scipy.io import savemat
+    from scipy.io import savemat  # imported here: scipy.io takes long to import
 
     for name in recording.columns:
         if not (name.isascii() and name.isidentifier() and name[0] != "_" and len(name) <= _LONGEST_NAME):
@@ -74,7 +74,7 @@ def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
 
 
 def _read_7_3(source: Source) -> list[Recording]:
-    from friction_hil.recordings import hdf5_file
+    from friction_hil.recordings import hdf5_file  # imported here: only this version of the format needs it
 
     advice = "; in MATLAB save it with save(..., '-v7')"
     try:
@@ -95,7 +95,7 @@ def _load(path: Path, file: BinaryIO, start: bytes, problems: list[str]) -> dict
         plain = _plain(file, variables)
         if plain is not None:
             return plain
-    from scipy.io import loadmat
+    from scipy.io import loadmat  # imported here: scipy.io takes long to import
 
     file.seek(0)
     whole = io.BytesIO(file.read(end)) if problems else file
@@ -107,7 +107,7 @@ def _load(path: Path, file: BinaryIO, start: bytes, problems: list[str]) -> dict
 
 
 def _variables(file: BinaryIO) -> tuple[list[bytes], int, int]:
-    """Start of each whole variable, byte behind the last of them, and size of the file."""
+    """Return the first bytes of each whole variable, the offset after the last of them, and the size of the file."""
     size = file.seek(0, os.SEEK_END)
     variables = []
     at = _HEADER
@@ -123,9 +123,9 @@ def _variables(file: BinaryIO) -> tuple[list[bytes], int, int]:
 
 
 def _plain(file: BinaryIO, variables: list[bytes]) -> dict[str, Any] | None:
-    """All variables, where there are some and each is a matrix of doubles that lie there as in memory; else None.
+    """Read all variables if each is an uncompressed matrix of doubles in native byte order; else return None.
 
-    That is what MATLAB's ``save -v6`` and scipy write, and is read in half of scipy's time.
+    MATLAB's ``save -v6`` and scipy write such files. This takes half of scipy's time.
     """
     content: dict[str, Any] = {}
     at = _HEADER
@@ -135,7 +135,7 @@ def _plain(file: BinaryIO, variables: list[bytes]) -> dict[str, Any] | None:
         kind, length, *tags, rows, columns, name_kind, name_length = _FIXED.unpack_from(start)
         if kind != _MATRIX or tags != _REAL_DOUBLES or name_kind & 0xFFFF != _TEXT:
             return None
-        # a name of up to four letters lies in its own tag, the length of which is then in the upper half of the kind
+        # a name of up to four letters is stored in its own tag, with its length in the upper half of the kind
         begin = _FIXED.size - 4 * (name_kind > 0xFFFF)
         end = begin + (name_kind >> 16 or name_length)
         data = -(-end // 8) * 8

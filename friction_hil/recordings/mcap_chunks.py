@@ -1,7 +1,7 @@
-"""Walk over the bytes of an MCAP file: whole chunks at once, whatever state the file is in.
+"""Read the bytes of an MCAP file chunk by chunk, also of a damaged file.
 
-The library's readers make an object of each message and raise at the first damage. Here a run of messages of
-equal size is one numpy array, of which only the columns asked for are kept, and damage ends in a sentence.
+The library's readers create an object for each message and raise an error at the first damage. Here consecutive
+messages of equal size are one numpy array, of which only the requested columns are kept, and damage is reported.
 """
 
 import io
@@ -15,7 +15,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 import zstandard
-from isal.isal_zlib import crc32  # takes a quarter of the time of zlib's
+from isal.isal_zlib import crc32  # four times as fast as zlib's
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
@@ -28,39 +28,39 @@ from friction_hil.recordings import mcap_format as layout
 
 _HEADER = struct.Struct("<BQ")  # opcode and length before each record
 _MESSAGE_HEADER = 22  # channel, sequence, two times
-_CHUNK_LIMIT = 1 << 30  # bytes; a larger claim is damage, and must not become an allocation
-_OPCODES = frozenset(Opcode) | frozenset(range(0x80, 0x100))  # the upper half is private, to be skipped
+_CHUNK_LIMIT = 1 << 30  # bytes; a larger size means damage, and must not be allocated
+_OPCODES = frozenset(Opcode) | frozenset(range(0x80, 0x100))  # the upper half is private and skipped
 _BAD_RECORD = (McapError, ValueError, OverflowError, struct.error)
 _CHUNK_HEADER = struct.Struct("<QQQII")  # two times, size and CRC of the content, length of the compression's name
 _ZSTD = zstandard.ZstdDecompressor()
 _FIRST_ROWS = 4096
 _MOST_GROWTH = 256
 _FEWEST_AHEAD = 16  # messages
-_MESSAGE = int(Opcode.MESSAGE)  # numpy takes long to find out what an enumeration is
+_MESSAGE = int(Opcode.MESSAGE)  # an int: numpy compares with an enumeration slowly
 
 Run = NDArray[Any]
 
 
-class Rows:
-    """The rows of one channel, by columns.
+class ChannelRows:
+    """Rows of one channel, stored by columns.
 
     Attributes
     ----------
     others : int
-        Messages of another width than the channel's schema says.
+        Number of messages of another width than the channel's schema states.
     """
 
     def __init__(self, width: int, wanted: Sequence[int]) -> None:
         self._width = width
-        self._wanted = None if len(wanted) == width else list(wanted)  # all of them need no selection
+        self._wanted = None if len(wanted) == width else list(wanted)  # None: all of them
         self._values = np.empty((len(wanted), _FIRST_ROWS))
         self._count = 0
         self.others = 0
 
-    def append(self, run: Run, share: float) -> None:
-        """Take (n, width) rows; with them the ``share`` of the file has been read.
+    def append(self, run: Run, fraction: float) -> None:
+        """Append (n, width) rows, after which ``fraction`` of the file has been read.
 
-        The rows to come are estimated from it: to touch new memory costs more than all else here.
+        The number of rows to come is estimated from it: touching new memory takes longer than everything else here.
         """
         rows, width = run.shape
         if width != self._width:
@@ -68,8 +68,8 @@ class Rows:
             return
         end = self._count + rows
         if end > self._values.shape[1]:
-            # room that is never written to takes no memory
-            room = int(end * min(max(1.2 / max(share, 1e-9), 1.25), _MOST_GROWTH))
+            # rows that are never written to take no memory
+            room = int(end * min(max(1.2 / max(fraction, 1e-9), 1.25), _MOST_GROWTH))
             larger = np.empty((len(self._values), room))
             larger[:, : self._count] = self._values[:, : self._count]
             self._values = larger
@@ -92,34 +92,34 @@ class _Chunk:
     data: memoryview
 
 
-Choose = Callable[[Channel, "Schema | None"], Rows | None]
-"""Where the messages of a channel go; None: they are kept as they are."""
+Choose = Callable[[Channel, "Schema | None"], ChannelRows | None]
+"""Function that returns the rows to which the messages of a channel are appended; None: they are kept as runs."""
 
 
 class McapContent:
-    """What a file holds, as far as it could be read.
+    """Content of a file, as far as it could be read.
 
     Attributes
     ----------
     schemas, channels : dict
-        By their number.
+        By number.
     metadata : dict
-        Our records decoded from JSON, others as they are.
-    rows : dict of Rows
-        By channel, those for which ``choose`` made some.
+        Records of friction_hil, decoded from JSON; others unchanged.
+    rows : dict of ChannelRows
+        By channel, for those for which ``choose`` returned some.
     runs : dict of list of arrays
-        By channel, the others: (n, words) float64 blocks, the CDR bodies of n messages, in the order of the file.
+        By channel, for the others: (n, words) float64 blocks, the CDR bodies of n messages, in file order.
     odd : dict of list of bytes
-        By channel: the messages whose body is not made of 8-byte words, in the order of the file.
+        By channel: messages whose body does not consist of 8-byte words, in file order.
     problems : list of str
-        What is damaged, and what was lost by it.
+        What is damaged, and which rows are lost.
     """
 
     def __init__(self, path: Path, choose: Choose) -> None:
         self.path = path
         self._choose = choose
-        self._share = 0.0  # of the file that has been read
-        self.rows: dict[int, Rows] = {}
+        self._fraction = 0.0  # of the file that has been read
+        self.rows: dict[int, ChannelRows] = {}
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
         self.metadata: dict[str, Any] = {}
@@ -129,7 +129,7 @@ class McapContent:
         self._chunks = 0
         self._is_data_complete = False
         self._first_log_time: int | None = None
-        self._ahead: dict[int, int] = {}  # by the length of messages: how many to look at at once
+        self._ahead: dict[int, int] = {}  # by length of message: how many to compare at once
         with path.open("rb") as file:
             self._read(file)
         for channel in tuple(self.runs):
@@ -152,27 +152,27 @@ class McapContent:
                 self.problems.append(f"a {Opcode(opcode).name.lower()} record is damaged ({error}): left out")
 
     def _records(self, file: BinaryIO) -> Iterator[tuple[int, bytes, bytes]]:
-        """Records of the file up to its footer, or up to the first place that makes no sense."""
+        """Yield the records of the file up to its footer, or up to the first damage."""
         size = os.fstat(file.fileno()).st_size
         while True:
-            at = file.tell()
+            offset = file.tell()
             header = file.read(_HEADER.size)
             if len(header) < _HEADER.size:
-                self._note_end(f"was cut off at byte {at}", "what followed is lost")
+                self._note_end(f"was cut off at byte {offset}", "what followed is lost")
                 return
             opcode, length = _HEADER.unpack(header)
             if length > size - file.tell():
-                lost = f"the {size - at} bytes from there and what followed are lost"
+                lost = f"the {size - offset} bytes from there and what followed are lost"
                 if opcode == Opcode.CHUNK and size - file.tell() >= 16:
                     span = self._span(*struct.unpack("<QQ", file.read(16)))
                     lost = f"the rows {span} and what followed are lost"
-                self._note_end(f"was cut off in the record at byte {at}", lost)
+                self._note_end(f"was cut off in the record at byte {offset}", lost)
                 return
             if opcode not in _OPCODES or (opcode == Opcode.FOOTER and not self._is_data_complete):
-                self._note_end(f"is damaged at byte {at}", f"the {size - at} bytes from there are lost")
+                self._note_end(f"is damaged at byte {offset}", f"the {size - offset} bytes from there are lost")
                 return
             body = file.read(length)
-            self._share = (at + length) / size
+            self._fraction = (offset + length) / size
             if opcode == Opcode.FOOTER:
                 if file.read(len(MCAP0_MAGIC)) != MCAP0_MAGIC:
                     self._note_end("was cut off at its end", "")
@@ -219,28 +219,28 @@ class McapContent:
         self._walk(data)
 
     def _walk(self, data: bytes) -> None:
-        """Take every record of a chunk; messages of one size after each other are taken as one array."""
-        at = 0
-        while at + _HEADER.size <= len(data):
-            opcode, length = _HEADER.unpack_from(data, at)
-            end = at + _HEADER.size + length
+        """Read every record of a chunk; consecutive messages of one size become one array."""
+        offset = 0
+        while offset + _HEADER.size <= len(data):
+            opcode, length = _HEADER.unpack_from(data, offset)
+            end = offset + _HEADER.size + length
             if end > len(data):
-                raise ValueError("a record reaches beyond the end of its chunk")
+                raise ValueError("a record extends beyond the end of its chunk")
             if opcode != Opcode.MESSAGE:
-                self._take(opcode, data[at + _HEADER.size : end])
+                self._take(opcode, data[offset + _HEADER.size : end])
             elif (length - _MESSAGE_HEADER - 4) % 8 == 0 and length > _MESSAGE_HEADER + 4:
-                end = at + self._take_run(data, at, length)
+                end = offset + self._take_run(data, offset, length)
             elif length >= _MESSAGE_HEADER:
-                (channel,) = struct.unpack_from("<H", data, at + _HEADER.size)
-                self.odd.setdefault(channel, []).append(data[at + _HEADER.size + _MESSAGE_HEADER : end])
-            at = end
+                (channel,) = struct.unpack_from("<H", data, offset + _HEADER.size)
+                self.odd.setdefault(channel, []).append(data[offset + _HEADER.size + _MESSAGE_HEADER : end])
+            offset = end
 
-    def _take_run(self, data: bytes, at: int, length: int) -> int:
-        """Take messages of ``length`` bytes from ``at`` on, up to another record; returns the bytes they occupy."""
+    def _take_run(self, data: bytes, offset: int, length: int) -> int:
+        """Read consecutive messages of ``length`` bytes from ``offset`` on; return the number of bytes they occupy."""
         kind = layout.message_records((length - _MESSAGE_HEADER - 4) // 8)
-        # Not all that may follow: where messages of several sizes take turns, each would look at all the others.
-        most = min((len(data) - at) // kind.itemsize, self._ahead.get(length, _FEWEST_AHEAD))
-        records = np.frombuffer(data, kind, most, at)
+        # limited: where messages of several sizes alternate, each would be compared with all that follow
+        most = min((len(data) - offset) // kind.itemsize, self._ahead.get(length, _FEWEST_AHEAD))
+        records = np.frombuffer(data, kind, most, offset)
         differs = (records["opcode"] != _MESSAGE) | (records["length"] != length)
         count = int(differs.argmax()) or most  # the first does not differ
         self._ahead[length] = max(2 * count, _FEWEST_AHEAD)
@@ -252,13 +252,13 @@ class McapContent:
             if rows is None:
                 self.runs.setdefault(channel, []).append(records["words"][which].copy())
             else:
-                rows.append(records["words"][which], self._share)
+                rows.append(records["words"][which], self._fraction)
         return count * kind.itemsize
 
-    def _rows_of(self, channel: int) -> Rows | None:
-        """Where the rows of a channel go; None for other messages, and as long as the channel is not known.
+    def _rows_of(self, channel: int) -> ChannelRows | None:
+        """Return the rows of a channel; None for other messages, and while the channel is not known.
 
-        A channel is repeated at the end of the file: what a damaged chunk said about it becomes known there.
+        Channels are repeated at the end of the file: those of a damaged chunk become known there.
         """
         if channel not in self.rows and channel in self.channels:
             about = self.channels[channel]
@@ -266,7 +266,7 @@ class McapContent:
             if chosen is not None:
                 self.rows[channel] = chosen
                 for run in self.runs.pop(channel, []):
-                    chosen.append(run, self._share)
+                    chosen.append(run, self._fraction)
         return self.rows.get(channel)
 
     def _span(self, start_ns: int, end_ns: int) -> str:
@@ -277,7 +277,7 @@ class McapContent:
 
 
 def _by_channel(channels: NDArray[np.uint16]) -> list[tuple[int, slice | NDArray[np.bool_]]]:
-    """For each channel the messages that are its own; slices, which copy nothing, where channels take turns."""
+    """Return the messages of each channel; as slices, which copy nothing, if the channels alternate."""
     same = channels == channels[0]
     if same.all():
         return [(int(channels[0]), slice(None))]
@@ -295,14 +295,14 @@ def _stream(body: bytes) -> ReadDataStream:
 
 def _parse_chunk(body: bytes) -> _Chunk:
     start_ns, end_ns, size, crc, length = _CHUNK_HEADER.unpack_from(body)
-    at = _CHUNK_HEADER.size + length
-    if at + 8 > len(body):
+    offset = _CHUNK_HEADER.size + length
+    if offset + 8 > len(body):
         raise ValueError("the name of its compression is longer than the record")
-    compression = body[_CHUNK_HEADER.size : at].decode()
-    (length,) = struct.unpack_from("<Q", body, at)
-    if length > len(body) - at - 8:
-        raise ValueError(f"it claims {length} bytes of data and has {len(body) - at - 8}")
-    return _Chunk(start_ns, end_ns, size, crc, compression, memoryview(body)[at + 8 : at + 8 + length])
+    compression = body[_CHUNK_HEADER.size : offset].decode()
+    (length,) = struct.unpack_from("<Q", body, offset)
+    if length > len(body) - offset - 8:
+        raise ValueError(f"it claims {length} bytes of data and has {len(body) - offset - 8}")
+    return _Chunk(start_ns, end_ns, size, crc, compression, memoryview(body)[offset + 8 : offset + 8 + length])
 
 
 def _decompress(chunk: _Chunk) -> bytes:
@@ -318,7 +318,7 @@ def _decompress(chunk: _Chunk) -> bytes:
         except zstandard.ZstdError as error:
             raise ValueError(str(error)) from None
     if chunk.compression == "lz4":
-        import lz4.frame  # type: ignore[import-untyped]
+        import lz4.frame  # type: ignore[import-untyped]  # imported here: only some files need it
 
         frame = lz4.frame.LZ4FrameDecompressor()
         try:

@@ -1,7 +1,7 @@
-"""What our MCAP files look like: topics, schemas and the bytes of a message, for writer and reader alike.
+"""Layout of friction_hil's MCAP files, for writer and reader: topics, schemas and the bytes of a message.
 
-One channel ``/AXIS`` an axis holds its rows: a flat ROS 2 message of float64 fields named as the columns.
-``/AXIS/state`` holds the state of its compensator at restart points, ``/events`` what happened.
+The channel ``/AXIS`` holds the rows of an axis: a flat ROS 2 message of float64 fields named as the columns.
+``/AXIS/state`` holds the state of its compensator at restart points, ``/events`` faults and changes of settings.
 """
 
 import functools
@@ -26,19 +26,19 @@ EVENT_TEXT = "float64 cycle\nstring name\nstring text\n"
 STATE_SUFFIX = "/state"
 EVENT_TOPIC = "/events"
 RECORDING_METADATA = "recording"  # name of the metadata record about the file itself
-JSON_KEY = "json"  # its only key, as in all our metadata records
+JSON_KEY = "json"  # its only key, as in all metadata records of friction_hil
 
 _FIELD_NAME = re.compile(r"[a-z](_?[a-z0-9]+)*")  # what ROS 2 allows
 _FIELD = re.compile(r"float64\s+([A-Za-z]\w*)")
 
 
 def is_field_name(name: str) -> bool:
-    """Whether ROS 2 allows the name of a field: lower-case letters, digits, single underscores."""
+    """True if ROS 2 allows the name of a field: lower-case letters, digits, single underscores."""
     return _FIELD_NAME.fullmatch(name) is not None
 
 
 def row_schema(columns: Sequence[str]) -> str:
-    """Message definition of a row."""
+    """Return the message definition of a row."""
     lines = []
     for name in columns:
         units = " or ".join(dict.fromkeys(u for u in (unit(name), unit(name, "linear")) if u))
@@ -48,7 +48,7 @@ def row_schema(columns: Sequence[str]) -> str:
 
 
 def row_fields(schema: str) -> list[str] | None:
-    """Names of the fields of a flat float64 message; None for any other message."""
+    """Return the names of the fields of a flat float64 message; None for any other message."""
     names = []
     for line in schema.splitlines():
         text = line.partition("#")[0].strip()
@@ -62,13 +62,13 @@ def row_fields(schema: str) -> list[str] | None:
 
 
 def state_message(cycle: float, state: bytes) -> bytes:
-    """Bytes of a state message; ``state`` is float64, little-endian."""
+    """Return the bytes of a state message; ``state`` is float64, little-endian."""
     # CDR aligns the first float64 of the sequence to 8 bytes: 4 bytes of padding follow its length.
     return CDR_LITTLE_ENDIAN + struct.pack("<dI4x", cycle, len(state) // 8) + state
 
 
 def event_message(cycle: float, name: str, text: str) -> bytes:
-    """Bytes of an event message."""
+    """Return the bytes of an event message."""
     body = bytearray(struct.pack("<d", cycle))
     for value in (name, text):
         data = value.encode() + b"\0"
@@ -77,7 +77,7 @@ def event_message(cycle: float, name: str, text: str) -> bytes:
 
 
 def read_event(message: bytes) -> tuple[float, str, str]:
-    """Cycle, name and text of an event message.
+    """Return cycle, name and text of an event message.
 
     Raises
     ------
@@ -87,22 +87,22 @@ def read_event(message: bytes) -> tuple[float, str, str]:
     body = message[len(CDR_LITTLE_ENDIAN) :]
     if len(body) < 8 or not message.startswith(CDR_LITTLE_ENDIAN):
         raise ValueError("not a little-endian CDR message")
-    texts, at = [], 8
+    texts, offset = [], 8
     for _ in range(2):
-        at += -at % 4
-        if at + 4 > len(body):
+        offset += -offset % 4
+        if offset + 4 > len(body):
             raise ValueError("the message ends early")
-        (size,) = struct.unpack_from("<I", body, at)
-        if not 1 <= size <= len(body) - at - 4:
+        (size,) = struct.unpack_from("<I", body, offset)
+        if not 1 <= size <= len(body) - offset - 4:
             raise ValueError("the message ends early")
-        texts.append(body[at + 4 : at + 3 + size].decode())
-        at += 4 + size
+        texts.append(body[offset + 4 : offset + 3 + size].decode())
+        offset += 4 + size
     return struct.unpack_from("<d", body)[0], texts[0], texts[1]
 
 
 @functools.cache
 def message_records(words: int) -> np.dtype[np.void]:
-    """Message records, one after the other, whose CDR body is ``words`` times 8 bytes."""
+    """Return the numpy type of a message record whose CDR body is ``words`` times 8 bytes."""
     return np.dtype(
         [
             ("opcode", "u1"),

@@ -1,4 +1,4 @@
-"""Read recordings from MCAP: our own, and any flat float64 ROS 2 messages."""
+"""Read recordings from MCAP: those of friction_hil, and any flat float64 ROS 2 messages."""
 
 from collections.abc import Callable
 
@@ -9,7 +9,7 @@ from mcap.well_known import MessageEncoding, SchemaEncoding
 from friction_hil.errors import RecordingError, UsageError
 from friction_hil.recordings import mcap_format as layout
 from friction_hil.recordings.columns import CYCLE
-from friction_hil.recordings.mcap_chunks import McapContent, Rows
+from friction_hil.recordings.mcap_chunks import ChannelRows, McapContent
 from friction_hil.recordings.recording import Array, Event, Recording
 from friction_hil.recordings.source import Source
 
@@ -17,23 +17,23 @@ from friction_hil.recordings.source import Source
 def read(source: Source) -> list[Recording]:
     """Read axes of an MCAP file.
 
-    A file that was cut off is read up to its last whole chunk, damaged chunks are left out; ``problems`` says
-    what was lost.
+    A file that was cut off is read up to its last whole chunk, and damaged chunks are left out; ``problems`` names the
+    rows that are lost.
 
     Raises
     ------
     RecordingError
-        It is no MCAP file, or no channel holds rows that can be read.
+        The file is not MCAP, or no channel has rows that can be read.
     OSError
-        It cannot be opened.
+        The file cannot be opened.
     """
 
-    def choose(channel: Channel, schema: Schema | None) -> Rows | None:
+    def choose(channel: Channel, schema: Schema | None) -> ChannelRows | None:
         fields = _fields(channel, schema)
         if fields is None:
             return None
         is_other = source.axis is not None and _axis(channel) != source.axis
-        return Rows(len(fields), [] if is_other else [i for i, name in enumerate(fields) if source.wants(name)])
+        return ChannelRows(len(fields), [] if is_other else [i for i, name in enumerate(fields) if source.wants(name)])
 
     content = McapContent(source.path, choose)
     axes = _axes(content)
@@ -57,7 +57,7 @@ def _axis(channel: Channel) -> str:
 
 
 def _fields(channel: Channel, schema: Schema | None) -> list[str] | None:
-    """Fields of the rows on a channel; None where it carries something else."""
+    """Return the fields of the rows on a channel; None if it carries other messages."""
     if schema is None or schema.encoding != SchemaEncoding.ROS2 or channel.message_encoding != MessageEncoding.CDR:
         return None
     fields = layout.row_fields(schema.data.decode("utf-8", "replace"))
@@ -65,7 +65,7 @@ def _fields(channel: Channel, schema: Schema | None) -> list[str] | None:
 
 
 def _axes(content: McapContent) -> dict[str, tuple[Channel, list[str]]]:
-    """Channel and fields of each axis, by name."""
+    """Return channel and fields of each axis by name."""
     axes = {}
     for channel in content.channels.values():
         fields = _fields(channel, content.schemas.get(channel.schema_id))
@@ -116,7 +116,7 @@ def _events(content: McapContent) -> list[Event]:
     messages = []
     for number in _numbers(content, layout.EVENT_TOPIC, layout.EVENT_SCHEMA):
         messages += content.odd.get(number, [])
-        # An event whose bytes happen to be whole words lies among the runs.
+        # An event whose size happens to be a multiple of 8 bytes is among the runs.
         whole = [message for run in content.runs.get(number, []) for message in run]
         messages += [layout.CDR_LITTLE_ENDIAN + message.tobytes() for message in whole]
     events = []
@@ -129,7 +129,7 @@ def _events(content: McapContent) -> list[Event]:
 
 
 def _numbers(content: McapContent, topic: str, schema: str) -> list[int]:
-    """Numbers of the channels of a topic whose messages are of our ``schema``."""
+    """Return the numbers of the channels of a topic whose messages have this ``schema``."""
     return [
         channel.id
         for channel in content.channels.values()

@@ -22,39 +22,39 @@ _ROWS_AT_ONCE = 10_000
 
 
 class McapWriter:
-    """Writes the cycles of one or several axes; what has been flushed survives a crash of this process.
+    """Writer of the cycles of one or several axes; flushed rows survive a crash of this process.
 
-    Metadata is on disk before the first row. At the start of each chunk and after each gap in ``cycle`` the
-    state of every axis is written, so that a replay can start there.
+    Metadata is written before the first row. At the start of each chunk and after each gap in ``cycle``, the state of
+    every axis is written, so that a replay can start there.
 
     Parameters
     ----------
     path : path
-        The file. An existing one is not touched unless ``overwrite``.
+        File to write. An existing one is an error unless ``overwrite``.
     axes : sequence of str
         Names of the axes.
     columns : sequence of str
-        Columns of every axis; ``time_s`` is one of them.
+        Columns of every axis, among them ``time_s``.
     state_width : int
-        Number of values of state behind the columns of an axis in a row.
+        Number of state values that follow the columns of an axis in a row.
     started_unix_ns : int
         Wall-clock time at ``time_s`` = 0, ns since 1970.
     metadata : dict
-        What JSON can hold, by name; each becomes a metadata record.
+        Content that JSON can hold, by name; each entry becomes a metadata record.
     overwrite : bool
-        Whether an existing file is replaced.
+        True to replace an existing file.
     on_flush : callable
-        Called whenever ``rows_kept`` and ``events_kept`` have changed.
+        Called after ``rows_kept`` and ``events_kept`` have changed.
 
     Attributes
     ----------
     rows_kept, events_kept : int
-        Rows and events that have left this process; the others are in the open chunk.
+        Rows and events that have been handed to the operating system; the others are in the open chunk.
 
     Raises
     ------
     RecordingError
-        A column's name is not one that a ROS 2 message can have.
+        ROS 2 does not allow the name of a column as a field.
     OSError
         The file exists, or cannot be opened or written.
     """
@@ -87,7 +87,7 @@ class McapWriter:
         self._last_log_time = started_unix_ns
         self._file: io.BufferedWriter = path.open("wb" if overwrite else "xb")
         try:
-            # Chunks end where this class says: the library's own limit is out of reach.
+            # This class ends the chunks: the library's own limit is set out of reach.
             self._mcap = Writer(self._file, chunk_size=1 << 62, compression=CompressionType.LZ4, enable_data_crcs=True)
             self._mcap.start(profile=Profile.ROS2, library="friction_hil")
             about = {
@@ -122,7 +122,7 @@ class McapWriter:
             self._state_channels = channels(layout.STATE_SUFFIX, schema(layout.STATE_SCHEMA, layout.STATE_TEXT))
 
     def write(self, rows: Array) -> None:
-        """Append rows, shape (n, axes * (columns + state)): for each axis its columns, then its state.
+        """Append rows (n, axes * (columns + state)): for each axis its columns, then its state.
 
         Raises
         ------
@@ -160,7 +160,7 @@ class McapWriter:
         self._last_log_time = log_time
 
     def write_event(self, cycle: float, name: str, text: str) -> None:
-        """Append an event; it goes into the chunk of the rows written before it.
+        """Append an event to the chunk of the rows written before it.
 
         Raises
         ------
@@ -194,12 +194,12 @@ class McapWriter:
 
 
 def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
-    """Write the columns of one axis; ``time_s`` = 0 is 1970, or later where time stamps are negative.
+    """Write the columns of one axis; ``time_s`` = 0 is 1970, or later if time stamps are negative.
 
     Raises
     ------
     RecordingError
-        A column's name is not one that a ROS 2 message can have.
+        ROS 2 does not allow the name of a column as a field.
     OSError
         The file exists, unless ``overwrite``, or cannot be written.
     """

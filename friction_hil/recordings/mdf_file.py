@@ -1,4 +1,4 @@
-"""Read and write MDF 4 (ASAM) through asammdf: a channel each, with its unit; read also MDF 3."""
+"""Read and write MDF 4 (ASAM) with asammdf, a channel with its unit for each column; read MDF 3."""
 
 import gc
 import sys
@@ -14,23 +14,23 @@ from friction_hil.recordings.source import Source, as_column, needs_extra
 from friction_hil.recordings.units import known_unit
 
 _MAGIC = (b"MDF     ", b"UnFinMF ")
-_SMALLEST = 168  # bytes of the identification and the header of MDF 4; those of MDF 3 are more
+_SMALLEST = 168  # bytes of identification and header of MDF 4; MDF 3 has more
 
 
 def read(source: Source) -> list[Recording]:
-    """Read every channel that holds a number a sample; the time of the groups is ``time_s``.
+    """Read every channel with one number per sample; the time of the groups is ``time_s``.
 
-    Groups with the same time stamps are one table. Otherwise the rows are those of all groups, in order of time,
-    and NaN where a channel has no sample.
+    Groups with the same time stamps form one table. Otherwise the rows of all groups are sorted by time, and a channel
+    is NaN where it has no sample.
 
     Raises
     ------
     RecordingError
-        The file was cut off or is no MDF file, or has no channel.
+        The file was cut off, is not MDF, or has no channel.
     UsageError
         asammdf is not installed.
     OSError
-        It cannot be opened.
+        The file cannot be opened.
     """
     library = _library(source.path)
     size = source.path.stat().st_size
@@ -51,13 +51,13 @@ def read(source: Source) -> list[Recording]:
     except Exception as error:  # noqa: BLE001 - the library raises whatever damaged bytes lead it to
         failure = " ".join(str(error).split()) or type(error).__name__
     if failure:
-        _collect_in_silence()
+        _collect_quietly()
         raise RecordingError(f"{source.path} was cut off, at byte {size}, or is damaged: its rows are lost ({failure})")
     return [recording]
 
 
-def _collect_in_silence() -> None:
-    """Collect readers that gave up half-way: whenever else it happens, they complain on stderr."""
+def _collect_quietly() -> None:
+    """Collect readers that failed half-way now: their destructors would print errors to stderr later."""
     hook, sys.unraisablehook = sys.unraisablehook, lambda _: None
     gc.collect()
     sys.unraisablehook = hook
@@ -76,21 +76,21 @@ def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
     library = _library(path)
     time = recording[TIME]
     signals = [
-        library.Signal(values, time, name=name, unit=known_unit(recording, name))
+        library.Signal(values, time, name=name, unit=known_unit(recording.units, name))
         for name, values in recording.columns.items()
         if name != TIME
     ]
     with path.open("ab" if overwrite else "xb"):
-        pass  # the library asks nobody before it overwrites, and says little where it cannot write
+        pass  # the library overwrites without asking, and does not say why it cannot write
     with library.MDF(version="4.10") as mdf:
         mdf.append(signals, common_timebase=True)
         saved = Path(mdf.save(str(path), overwrite=True))
-    if saved != path:  # the library has its own mind about the suffix
+    if saved != path:  # the library may change the suffix
         saved.replace(path)
 
 
 def _library(path: Path) -> Any:
-    try:
+    try:  # imported here: an optional package
         import asammdf
     except ImportError:
         raise needs_extra(path, "asammdf") from None
@@ -98,55 +98,71 @@ def _library(path: Path) -> Any:
 
 
 def _take(recording: Recording, source: Source, mdf: Any) -> None:
-    """Fill the columns."""
+    """Fill the columns of a recording."""
+    there, rows = _channels(mdf)
+    if not there:
+        raise RecordingError(f"{source.path}: there is no channel with samples in it")
+    wanted, recording.others = source.split(there)
+    signals = mdf.select([(None, *there[name]) for name in wanted], copy_master=False) if wanted else []
+    times: dict[int, Array] = {}  # by group
+    for name, signal in zip(wanted, signals, strict=True):
+        number = there[name][0]
+        if number in times:
+            continue
+        times[number] = as_column(signal.timestamps)
+        if len(times[number]) < rows[number]:
+            recording.problems.append(
+                f"group {number} has {len(times[number])} of {rows[number]} samples: the file was cut off, the others "
+                "are lost"
+            )
+    if not times:
+        number = next(iter(there.values()))[0]
+        times[number] = as_column(mdf.get_master(number))
+    recording.columns[TIME] = _merged_time(times, recording.problems)
+    for name, signal in zip(wanted, signals, strict=True):
+        _take_signal(recording, name, signal, times[there[name][0]])
+
+
+def _channels(mdf: Any) -> tuple[dict[str, tuple[int, int]], dict[int, int]]:
+    """Return group and index of each channel with samples by its name, and the number of samples of each group."""
     there: dict[str, tuple[int, int]] = {}
     rows: dict[int, int] = {}
     for number, group in enumerate(mdf.groups):
         rows[number] = int(group.channel_group.cycles_nr)
         master = mdf.masters_db.get(number)
-        names = [channel.name for channel in group.channels]
-        for index, name in enumerate(names):
+        for index, channel in enumerate(group.channels):
             if index != master and rows[number]:
+                name = channel.name
                 there[name if name not in there else f"{name}@{number}"] = number, index
-    if not there:
-        raise RecordingError(f"{source.path}: there is no channel with samples in it")
-    wanted, recording.others = source.split(there)
-    signals = mdf.select([(None, *there[name]) for name in wanted], copy_master=False) if wanted else []
-    groups: dict[int, Array] = {}
-    for name, signal in zip(wanted, signals, strict=True):
-        number = there[name][0]
-        if number in groups:
-            continue
-        groups[number] = as_column(signal.timestamps)
-        if len(groups[number]) < rows[number]:
-            recording.problems.append(
-                f"group {number} has {len(groups[number])} of {rows[number]} samples: the file was cut off, the others "
-                "are lost"
-            )
-    if not groups:
-        number = next(iter(there.values()))[0]
-        groups[number] = as_column(mdf.get_master(number))
-    is_common = all(np.array_equal(time, next(iter(groups.values()))) for time in groups.values())
-    time = next(iter(groups.values())) if is_common else np.unique(np.concatenate(list(groups.values())))
-    if not is_common:
-        recording.problems.append(
-            f"{len(groups)} groups of channels have time stamps of their own: merged, NaN where a channel has no sample"
-        )
-    recording.columns[TIME] = time
-    for name, signal in zip(wanted, signals, strict=True):
-        values = np.asarray(signal.samples)
-        if values.dtype.kind not in "fiub" or values.ndim != 1:
-            recording.problems.append(f"{name} holds {values.dtype} of shape {values.shape}, no numbers: left out")
-            continue
-        valid = getattr(signal, "invalidation_bits", None)
-        column = as_column(values)
-        if valid is not None and np.any(valid):
-            column[np.asarray(valid, dtype=bool)] = np.nan
-        own = groups[there[name][0]]
-        if not is_common:
-            merged = np.full(len(time), np.nan)
-            merged[np.searchsorted(time, own[: len(column)])] = column
-            column = merged
-        recording.columns[name] = column
-        if signal.unit:
-            recording.units[name] = str(signal.unit)
+    return there, rows
+
+
+def _merged_time(times: dict[int, Array], problems: list[str]) -> Array:
+    """Return the time stamps of all groups in one sorted array; report groups with different ones."""
+    first = next(iter(times.values()))
+    if all(np.array_equal(time, first) for time in times.values()):
+        return first
+    problems.append(
+        f"{len(times)} groups of channels have time stamps of their own: merged, NaN where a channel has no sample"
+    )
+    return np.unique(np.concatenate(list(times.values())))
+
+
+def _take_signal(recording: Recording, name: str, signal: Any, own: Array) -> None:
+    """Add a channel with the time stamps ``own`` as a column; report one that holds no numbers."""
+    values = np.asarray(signal.samples)
+    if values.dtype.kind not in "fiub" or values.ndim != 1:
+        recording.problems.append(f"{name} holds {values.dtype} of shape {values.shape}, no numbers: left out")
+        return
+    column = as_column(values)
+    invalid = getattr(signal, "invalidation_bits", None)
+    if invalid is not None and np.any(invalid):
+        column[np.asarray(invalid, dtype=bool)] = np.nan
+    time = recording.columns[TIME]
+    if len(column) < len(time) or not np.array_equal(time, own):
+        merged = np.full(len(time), np.nan)
+        merged[np.searchsorted(time, own[: len(column)])] = column
+        column = merged
+    recording.columns[name] = column
+    if signal.unit:
+        recording.units[name] = str(signal.unit)

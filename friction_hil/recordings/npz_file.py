@@ -1,4 +1,4 @@
-"""Read and write NPZ, numpy's archive of arrays: a vector is a column."""
+"""Read and write NPZ, numpy's archive of arrays: each vector is a column."""
 
 import io
 import zipfile
@@ -8,20 +8,20 @@ import numpy as np
 
 from friction_hil.errors import RecordingError
 from friction_hil.recordings.recording import Recording
-from friction_hil.recordings.source import Source, as_column, commonest_length, damaged, is_column, open_new
+from friction_hil.recordings.source import Source, as_column, damaged, is_column, most_frequent_length, open_new
 
 _LOCAL_MAGIC = b"PK\x03\x04"
 
 
 def read(source: Source) -> list[Recording]:
-    """Read the numeric vectors; arrays of objects are not read, since they could run code.
+    """Read the numeric vectors; arrays of objects are not read, because they could execute code.
 
     Raises
     ------
     RecordingError
-        The file was cut off, is no NPZ file or has no vector.
+        The file was cut off, is not NPZ or has no vector.
     OSError
-        It cannot be opened.
+        The file cannot be opened.
     """
     recording = Recording(str(source.path), source.name, {})
     with source.path.open("rb") as file:
@@ -45,18 +45,18 @@ def read(source: Source) -> list[Recording]:
     if not columns and not recording.problems and not recording.others:
         raise RecordingError(f"{source.path}: there is no vector of numbers in it, which a column would be")
     if columns:
-        for name in commonest_length({name: values.size for name, values in columns.items()}, recording.problems):
+        for name in most_frequent_length({name: values.size for name, values in columns.items()}, recording.problems):
             recording.columns[name] = as_column(columns[name])
     return [recording]
 
 
 def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
-    """Write each column as an array of its name, not compressed.
+    """Write each column as an array of its name, uncompressed.
 
     Raises
     ------
     RecordingError
-        A column's name is not one that an archive can hold.
+        An archive cannot hold the name of a column.
     OSError
         The file exists, unless ``overwrite``, or cannot be written.
     """
@@ -64,14 +64,14 @@ def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
         if "\0" in name or "\\" in name or name.endswith("/"):
             raise RecordingError(f"{path}: NPZ cannot hold a column {name!r}; rename with --column new_name='{name}'")
     with open_new(path, overwrite=overwrite) as file, zipfile.ZipFile(file, "w", allowZip64=True) as archive:
-        # not np.savez, which takes names as keyword arguments: `file` would be no column
+        # not np.savez, which takes names as keyword arguments and cannot write a column `file`
         for name, values in recording.columns.items():
             with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
                 np.lib.format.write_array(member, values, allow_pickle=False)
 
 
 def _array(archive: zipfile.ZipFile, member: str) -> np.ndarray:
-    # one read and one checksum over the whole, in place of numpy's, piece by piece
+    # reads the whole member at once: numpy reads it in pieces, with a checksum for each
     return np.lib.format.read_array(io.BytesIO(archive.read(member)), allow_pickle=False)
 
 

@@ -1,4 +1,4 @@
-"""Read and write Parquet through pyarrow: a column each, its unit in the field's metadata."""
+"""Read and write Parquet with pyarrow; units are in the metadata of the fields."""
 
 from pathlib import Path
 from typing import Any
@@ -20,11 +20,11 @@ def read(source: Source) -> list[Recording]:
     Raises
     ------
     RecordingError
-        The file was cut off or is no Parquet file.
+        The file was cut off or is not Parquet.
     UsageError
         pyarrow is not installed.
     OSError
-        It cannot be opened.
+        The file cannot be opened.
     """
     arrow, parquet = _library(source.path)
     recording = Recording(str(source.path), source.name, {})
@@ -63,7 +63,7 @@ def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
     arrow, parquet = _library(path)
     fields = []
     for name in recording.columns:
-        unit = known_unit(recording, name)
+        unit = known_unit(recording.units, name)
         fields.append(arrow.field(name, arrow.float64(), metadata={"unit": unit} if unit else None))
     table = arrow.table(list(recording.columns.values()), schema=arrow.schema(fields))
     with open_new(path, overwrite=overwrite) as file:
@@ -71,7 +71,7 @@ def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
 
 
 def _library(path: Path) -> tuple[Any, Any]:
-    try:
+    try:  # imported here: an optional package
         import pyarrow
         import pyarrow.parquet
     except ImportError:
@@ -80,13 +80,13 @@ def _library(path: Path) -> tuple[Any, Any]:
 
 
 def _values(arrow: Any, column: Any) -> Any:
-    """A column as float64; None where it holds no numbers."""
+    """Return a column as float64; None if it holds no numbers."""
     kind = column.type
     types = arrow.types
     if types.is_float64(kind) and column.null_count == 0:
         return as_column(column.to_numpy())
     if types.is_timestamp(kind) or types.is_duration(kind):
-        # nulls become the smallest integer in numpy, hence the detour by a mask
+        # masked, because nulls become the smallest integer in numpy
         whole = column.cast(arrow.int64())
         valid = whole.is_valid().to_numpy()
         ticks = whole.fill_null(0).to_numpy()

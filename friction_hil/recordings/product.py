@@ -1,7 +1,7 @@
-"""What a column is made of: columns of the file, registers read again, and factors. Pure.
+"""Products of columns of a file, reinterpreted registers and factors. Pure.
 
-``load:int16*input_volts/885`` is the column ``load``, a signed register of 16 bits that was read as unsigned, times
-the column ``input_volts``, by 885.
+``load:int16*input_volts/885`` is the column ``load``, reinterpreted as a signed register of 16 bits, times the column
+``input_volts``, divided by 885.
 """
 
 import math
@@ -27,7 +27,7 @@ _TERM = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class Term:
-    """A column of the file, and the type of ``register`` as which it is read again; empty: as it is."""
+    """A column of the file, and the type of ``register`` as which it is reinterpreted; empty: unchanged."""
 
     column: str
     register: str = ""
@@ -35,27 +35,27 @@ class Term:
 
 @dataclass(frozen=True, slots=True)
 class Product:
-    """Columns of the file that are multiplied, and a factor."""
+    """Columns of the file to be multiplied, and a factor."""
 
     terms: tuple[Term, ...]
     factor: float = 1.0
 
     @property
     def is_plain(self) -> bool:
-        """Whether it is a column as it is."""
+        """True if it is one unchanged column."""
         return len(self.terms) == 1 and not self.terms[0].register and self.factor == 1.0
 
     def missing(self, there: Collection[str]) -> str:
-        """Name of the first column that is not there; empty where all are."""
+        """Return the name of the first column that is not there; empty if all are."""
         return next((term.column for term in self.terms if term.column not in there), "")
 
     def values(self, there: Mapping[str, Array]) -> Array:
-        """Multiply; NaN where one of the columns is.
+        """Compute the product; NaN where one of the columns is NaN.
 
         Parameters
         ----------
         there : dict of (n,) arrays
-            The file's columns.
+            Columns of the file.
 
         Returns
         -------
@@ -64,9 +64,9 @@ class Product:
         Raises
         ------
         UsageError
-            A column holds what no such register does, or what results is too large for a number.
+            A column has a value that no such register can have, or the product overflows.
         """
-        values = [_read_again(there[term.column], term) for term in self.terms]
+        values = [_reinterpreted(there[term.column], term) for term in self.terms]
         with np.errstate(over="ignore", invalid="ignore"):
             product: Array = np.prod(values, axis=0) * self.factor
         if np.isinf(product[np.isfinite(values).all(axis=0)]).any():
@@ -75,26 +75,26 @@ class Product:
 
 
 def product_of(source: str, there: Collection[str]) -> Product:
-    """Understand a source: ``load``, ``load:int16``, ``load:int16*input_volts/885``.
+    """Parse a source: ``load``, ``load:int16``, ``load:int16*input_volts/885``.
 
-    Between ``*`` stand columns and numbers; ``/`` divides by numbers alone. Names may hold any character: one that
-    is there goes before every other meaning, the longest first.
+    Columns and numbers are separated by ``*``; only numbers may follow ``/``. Names may contain any character: an
+    existing column takes precedence over every other meaning, the longest name first.
 
     Parameters
     ----------
     source : str
     there : collection of str
-        Names of the file's columns.
+        Names of the columns of the file.
 
     Returns
     -------
     Product
-        Of columns that need not be there.
+        Its columns need not exist.
 
     Raises
     ------
     UsageError
-        Something is missing beside a ``*``, or a factor is zero or not finite.
+        A ``*`` lacks an operand, or a factor is zero or not finite.
     """
     if source in there:
         return Product((Term(source),))
@@ -118,7 +118,7 @@ def product_of(source: str, there: Collection[str]) -> Product:
 
 
 def possible_columns(source: str) -> set[str]:
-    """Names of all columns that a source may mean, whatever is there."""
+    """Return the names of all columns that a source may refer to, existing or not."""
     pieces = source.split("*")
     ends = range(1, len(pieces) + 1)
     texts = {"*".join(pieces[begin:end]).strip() for end in ends for begin in range(end)}
@@ -126,7 +126,7 @@ def possible_columns(source: str) -> set[str]:
 
 
 def absent(column: str, there: Collection[str]) -> str:
-    """Say what there is in place of a column that is not."""
+    """Return a sentence with the existing choices for a column that does not exist."""
     name, colon, register = column.rpartition(":")
     if colon and name.strip() in there:
         return f"{register.strip()!r} is no type of register; there are {', '.join(_REGISTERS)}"
@@ -134,12 +134,12 @@ def absent(column: str, there: Collection[str]) -> str:
 
 
 def factor_of(factors: str, text: str) -> float:
-    """Value of ``*2*pi/4096``; 1 where it is empty.
+    """Compute the value of ``*2*pi/4096``; 1 if the text is empty.
 
     Raises
     ------
     UsageError
-        It, or a number in it, is zero or not finite; the message begins with the whole ``text``.
+        The factor or a number in it is zero or not finite; the message begins with the whole ``text``.
     """
     factor = 1.0
     for operator, sign, number in _FACTOR.findall(factors):
@@ -154,14 +154,14 @@ def factor_of(factors: str, text: str) -> float:
 
 
 def _split(text: str) -> tuple[Term, str]:
-    """Column with its register, and the factors behind: ``load:int16/885``."""
+    """Split ``load:int16/885`` into the column with its register and the factors."""
     found = _TERM.fullmatch(text)
     assert found is not None  # any text is a name
     return Term(found["column"].strip(), found["register"] or ""), found["factors"]
 
 
-def _read_again(values: Array, term: Term) -> Array:
-    """Values of a register, whether they were read as signed or unsigned."""
+def _reinterpreted(values: Array, term: Term) -> Array:
+    """Return the values of a column as its register, whether they were recorded as signed or unsigned."""
     if not term.register:
         return values
     kind, bits = term.register.split("int")

@@ -1,4 +1,4 @@
-"""A recording of one axis in memory, and the checks that every format goes through."""
+"""Recording of one axis in memory, and the checks that apply to every format."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """Something that happened in a cycle: a fault, a change of a setting."""
+    """Fault or change of a setting in a cycle."""
 
     cycle: float
     name: str
@@ -32,24 +32,23 @@ class Recording:
     Attributes
     ----------
     path : str
-        Where it was read from.
+        File that it was read from.
     axis : str
         Name of the axis.
     columns : dict of (n,) arrays
-        float64, SI, by the names of `friction_hil.recordings.columns`; what was not measured is NaN.
+        float64, SI, by the names of `friction_hil.recordings.columns`; NaN where nothing was measured.
     metadata : dict
-        What the file says beside the columns: configuration, model, fingerprint.
+        Content of the file besides the columns: configuration, model, fingerprint.
     problems : list of str
-        What is wrong with the file though it could be read, one sentence each.
+        Faults of a file that could be read nevertheless, one sentence each.
     restarts : list of (int, array)
-        Rows at which the whole state of the compensator is known, with the state *before* the step of that
-        row; ordered.
+        Rows at which the state of the compensator is known, with the state *before* the step of that row; ordered.
     events : list of Event
         Faults and changes of settings.
     units : dict
-        Units of columns, as the file has them; not every format carries them.
+        Units of columns as the file has them; not every format has units.
     others : tuple of str
-        Columns that are in the file and were not asked for.
+        Columns of the file that were not requested.
     """
 
     path: str
@@ -70,7 +69,7 @@ class Recording:
         return self.columns[name]
 
     def __contains__(self, name: object) -> bool:
-        """Whether the column is there and holds at least one value."""
+        """True if the column exists and has at least one value."""
         if name not in self.columns:
             return False
         values = self.columns[str(name)]
@@ -78,7 +77,7 @@ class Recording:
 
     @property
     def period_s(self) -> float:
-        """Median distance of two time stamps, s; NaN with fewer than two rows."""
+        """Median interval between time stamps, s; NaN with fewer than two rows."""
         return float(np.median(np.diff(self.columns[TIME]))) if len(self) > 1 else float("nan")
 
     @property
@@ -87,7 +86,7 @@ class Recording:
         return float(self.columns[TIME][-1] - self.columns[TIME][0]) if len(self) else 0.0
 
     def require(self, *names: str) -> None:
-        """Raise RecordingError where a column is absent or holds nothing; the message says how to map one."""
+        """Raise RecordingError if a column is missing or has no value; the message explains how to map one."""
         missing = [name for name in names if name not in self]
         if not missing:
             return
@@ -99,19 +98,29 @@ class Recording:
 
 
 def rename(recording: Recording, columns: Mapping[str, str], scale: Mapping[str, float]) -> None:
-    """Give columns their names here, ``{'time_s': 't'}``, then multiply by ``scale``, by the new names.
+    """Rename columns to friction_hil's names, ``{'time_s': 't'}``, then multiply them by ``scale``, by new names.
 
-    A column that already has the name is replaced. Several names may come from one column. What a product is made of
-    (`product_of`) stays, too; the product has no unit of the file.
+    A column that already has the name is replaced. Several names may refer to one column. The factors of a product
+    (`product_of`) remain as columns; the product has no unit.
 
     Raises
     ------
     UsageError
-        A column to be mapped or scaled is not there or cannot be multiplied, or a factor is not finite, zero or too
+        A column to be mapped or scaled does not exist or cannot be multiplied, or a factor is not finite, zero or too
         large.
     """
-    there, others = recording.columns, set(recording.others)
-    names = {*there, *others}
+    _map_columns(recording, columns)
+    for name, factor in scale.items():
+        if name in recording.columns:
+            _scale_column(recording, name, factor)
+        elif name not in recording.others and name not in columns:
+            there = {*recording.columns, *recording.others}
+            raise UsageError(f"{recording.path}: --scale {name}: {choices(name, there)}")
+
+
+def _map_columns(recording: Recording, columns: Mapping[str, str]) -> None:
+    there = recording.columns
+    names = {*there, *recording.others}
     taken: dict[str, Array] = {}
     units: dict[str, str] = {}
     renamed = set()
@@ -135,31 +144,36 @@ def rename(recording: Recording, columns: Mapping[str, str], scale: Mapping[str,
     kept = [name for name in there if name not in renamed and name not in columns]
     recording.columns = taken | {name: there[name] for name in kept}
     recording.units = units | {name: recording.units[name] for name in kept if name in recording.units}
-    for name, factor in scale.items():
-        if name not in recording.columns:
-            if name in others or name in columns:
-                continue
-            raise UsageError(f"{recording.path}: --scale {name}: {choices(name, {*recording.columns, *others})}")
-        if not np.isfinite(factor) or factor == 0.0:
-            raise UsageError(f"--scale {name}={factor:g}: a factor is finite and not zero")
-        values = recording.columns[name]
-        with np.errstate(over="ignore"):
-            scaled = values * factor
-        if np.isinf(scaled[np.isfinite(values)]).any():
-            raise UsageError(f"{recording.path}: --scale {name}={factor:g}: what results is too large for a number")
-        recording.columns[name] = scaled
-        recording.units.pop(name, None)  # SI now
+
+
+def _scale_column(recording: Recording, name: str, factor: float) -> None:
+    if not np.isfinite(factor) or factor == 0.0:
+        raise UsageError(f"--scale {name}={factor:g}: a factor is finite and not zero")
+    values = recording.columns[name]
+    with np.errstate(over="ignore"):
+        scaled = values * factor
+    if np.isinf(scaled[np.isfinite(values)]).any():
+        raise UsageError(f"{recording.path}: --scale {name}={factor:g}: what results is too large for a number")
+    recording.columns[name] = scaled
+    recording.units.pop(name, None)  # SI now
 
 
 def count_where(recording: Recording, where: str, there: Mapping[str, Array]) -> None:
-    """Make ``torque`` NaN in the rows where the column ``where`` of ``there`` is zero or NaN, and tell it.
+    """Set ``torque`` to NaN in the rows in which the column ``where`` is zero or NaN, and report it.
+
+    Parameters
+    ----------
+    recording : Recording
+    where : str
+    there : dict of (n,) arrays
+        Columns of the recording and of the file.
 
     Raises
     ------
     RecordingError
         No row is left.
     UsageError
-        One of the columns is not there.
+        One of the columns does not exist.
     """
     if where not in there:
         raise UsageError(f"{recording.path}: --where {where}: {choices(where, {*there, *recording.others})}")
@@ -178,7 +192,7 @@ def count_where(recording: Recording, where: str, there: Mapping[str, Array]) ->
 
 
 def check(recording: Recording) -> None:
-    """Refuse what cannot be used, and note in ``problems`` what is odd.
+    """Refuse a recording that cannot be used, and add what is unusual to ``problems``.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What a reader is asked for, and what readers and writers of files share."""
+"""Request to a reader of files, and helpers that readers and writers share."""
 
 import math
 from collections.abc import Callable, Iterable
@@ -19,19 +19,19 @@ Value = TypeVar("Value")
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """A file to read, and what of it.
+    """Request to read axes and columns of a file.
 
     Attributes
     ----------
     path : path
     axis : str or None
-        The axis to take; where a file has one without a name, what it is called.
+        Axis to read; the name of the axis in a file whose only axis has none.
     wanted : frozenset of str or None
-        Columns to take, by the file's names, as far as they are there; None: all.
+        Columns to read, by the file's names, if they exist; None: all.
     select : function
-        From the names of the axes in the file, those to read.
+        From the names of all axes in the file to those to read.
     configuration : Configuration or None
-        Of the machine, for files that cannot be understood without.
+        Of the machine, for formats that require it.
     """
 
     path: Path
@@ -42,48 +42,48 @@ class Source:
 
     @property
     def name(self) -> str:
-        """Name of the only axis of a file that has no names."""
+        """Name of the only axis of a file that does not name it."""
         return self.axis or self.path.stem
 
     def wants(self, column: str) -> bool:
-        """Whether a column is to be read."""
+        """True if a column is to be read."""
         return self.wanted is None or column in self.wanted
 
     def split(self, names: Iterable[str]) -> tuple[list[str], tuple[str, ...]]:
-        """Columns to read, and the others."""
+        """Split names into columns to read and others."""
         names = list(names)
         return [name for name in names if self.wants(name)], tuple(name for name in names if not self.wants(name))
 
 
 def open_new(path: Path, *, overwrite: bool) -> BinaryIO:
-    """Open a file to write, an existing one only to ``overwrite`` it."""
+    """Open a file to write; an existing one is an error unless ``overwrite``."""
     return path.open("wb" if overwrite else "xb")
 
 
 def needs_extra(path: Path, package: str) -> UsageError:
-    """Say which extra is missing."""
+    """Return the error that names the missing extra."""
     return UsageError(f'{path}: {package} is needed for this format: pip install "friction-hil[formats]"')
 
 
 def damaged(path: Path, what: str, error: Exception) -> RecordingError:
-    """Say that a library could not read a file; ``what`` says what that means for its content."""
+    """Return the error for a file that a library could not read; ``what`` states the consequence."""
     reason = " ".join(str(error).split()) or type(error).__name__
     return RecordingError(f"{path} {what} ({reason})")
 
 
 def is_column(values: Any) -> bool:
-    """Whether an array is a real vector, which a column would be: (n,), (n, 1) or (1, n)."""
-    shape = getattr(values, "shape", None) or ()  # HDF5 has datasets of no shape
+    """True if an array is a real vector and can be a column: (n,), (n, 1) or (1, n)."""
+    shape = getattr(values, "shape", None) or ()  # HDF5 has datasets without a shape
     return values.dtype.kind in "fiub" and len(shape) > 0 and math.prod(shape) == max(shape)
 
 
 def as_column(values: Any) -> Array:
-    """Give a numeric vector as contiguous float64 (n,) in the machine's byte order."""
+    """Return a numeric vector as contiguous float64 (n,) in native byte order."""
     return np.ascontiguousarray(np.asarray(values).ravel(), dtype=np.float64)
 
 
-def commonest_length(lengths: dict[str, int], problems: list[str]) -> list[str]:
-    """Names of the vectors that have the commonest length; the others are told."""
+def most_frequent_length(lengths: dict[str, int], problems: list[str]) -> list[str]:
+    """Return the names of the vectors that have the most frequent length; report the others."""
     counts: dict[int, int] = {}
     for size in lengths.values():
         counts[size] = counts.get(size, 0) + 1

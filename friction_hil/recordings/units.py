@@ -1,15 +1,12 @@
-"""Units that files carry, compared with those that the columns have here. Pure."""
+"""Comparison of the units in a file with the units of friction_hil's columns. Pure."""
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
 
 from friction_hil.recordings.columns import AxisKind, unit
 
-if TYPE_CHECKING:
-    from friction_hil.recordings.recording import Recording
-
 _KINDS: tuple[AxisKind, ...] = ("rotary", "linear")
 
-# Spellings of other programs, without blanks, dots and case of no meaning.
+# Spellings of other programs, compared without blanks and dots, and in lower case.
 _SPELLINGS = {
     "sec": "s",
     "second": "s",
@@ -63,7 +60,7 @@ def _plain(text: str) -> str:
 
 
 def unit_problem(name: str, given: str) -> str:
-    """Sentence that says that a column is in another unit than it has here; empty where it is not."""
+    """Return a sentence if a column of the file is in another unit than friction_hil's, else an empty text."""
     expected = tuple(dict.fromkeys(filter(None, (unit(name, kind) for kind in _KINDS))))
     bare = _plain(given)
     if not expected or not bare or bare in map(_plain, expected):
@@ -73,7 +70,16 @@ def unit_problem(name: str, given: str) -> str:
     return f"{name} is in {given} in the file and is taken for {' or '.join(expected)}: {hint}"
 
 
-def known_unit(recording: "Recording", name: str) -> str:
-    """Unit of a column to be written: the file's own, or ours where it is the same on any axis; else empty."""
+def known_unit(units: Mapping[str, str], name: str) -> str:
+    """Return the unit of a column to be written; empty if it is not known.
+
+    Parameters
+    ----------
+    units : dict
+        Units by column as the file that was read has them (`Recording.units`). They take precedence over
+        friction_hil's own unit, which counts only where it is the same on rotary and linear axes.
+    name : str
+        Name of the column.
+    """
     own = {unit(name, kind) for kind in _KINDS}
-    return recording.units.get(name) or (own.pop() if len(own) == 1 else "")
+    return units.get(name) or (own.pop() if len(own) == 1 else "")

@@ -1,4 +1,4 @@
-"""Many recordings through many models: one task a file, on all cores or on a cluster."""
+"""Replay of many recordings: one task per file, on all cores or on a cluster."""
 
 import multiprocessing
 import os
@@ -8,37 +8,37 @@ from concurrent.futures.process import BrokenProcessPool
 
 from friction_hil.errors import FrictionHilError
 from friction_hil.replay.cluster import run_on_cluster
-from friction_hil.replay.task import Outcome, Task, run
+from friction_hil.replay.task import ReplayOutcome, ReplayTask, run
 
-_MANY, _LARGE = 16, 16 << 20  # files, bytes: less is done before a pool of processes has started
+_MANY, _LARGE = 16, 16 << 20  # files, bytes: fewer take less time than starting a pool of processes
 
 
 def replay_many(
-    tasks: Sequence[Task],
+    tasks: Sequence[ReplayTask],
     *,
     scheduler: str | None = None,
     on_done: Callable[[], None] = lambda: None,
     on_note: Callable[[str], None] = lambda _: None,
-) -> list[list[Outcome]]:
-    """Run tasks on all cores or on a cluster, and give their outcomes in the order of the tasks.
+) -> list[list[ReplayOutcome]]:
+    """Run tasks on all cores or on a cluster; return their outcomes in the order of the tasks.
 
     Parameters
     ----------
-    tasks : sequence of Task
-        One a file.
+    tasks : sequence of ReplayTask
+        One per file.
     scheduler : str, optional
-        Address of a Dask scheduler, ``tcp://host:port``, whose workers do the work; the results are the same.
+        Address of a Dask scheduler, ``tcp://host:port``, whose workers run the tasks; the results are the same.
     on_done : callable
-        Called when a file is done.
+        Called after each file.
     on_note : callable
-        Called with a sentence where the work has to wait for workers.
+        Called with a sentence if the tasks have to wait for workers.
 
     Raises
     ------
     FrictionHilError
-        A worker process of this machine died, or the cluster cannot do the work; see `run_on_cluster`.
+        A worker process of this machine died, or the cluster cannot run the tasks; see `run_on_cluster`.
     """
-    outcomes: list[list[Outcome]] = [[] for _ in tasks]
+    outcomes: list[list[ReplayOutcome]] = [[] for _ in tasks]
     results = _map(tasks) if scheduler is None else run_on_cluster(tasks, scheduler, on_note=on_note)
     for index, found in results:
         outcomes[index] = found
@@ -46,26 +46,26 @@ def replay_many(
     return outcomes
 
 
-def _map(tasks: Sequence[Task]) -> Iterator[tuple[int, list[Outcome]]]:
+def _map(tasks: Sequence[ReplayTask]) -> Iterator[tuple[int, list[ReplayOutcome]]]:
     workers = min(len(tasks), len(os.sched_getaffinity(0)))
     size = sum(os.path.getsize(task.source) for task in tasks if os.path.isfile(task.source))
     if workers < 2 or (len(tasks) < _MANY and size < _LARGE):
         for index, task in enumerate(tasks):
             yield index, run(task)
         return
-    # a fork would copy whatever threads numerical libraries have started here
+    # not fork: numerical libraries may have started threads, whose locks a forked process would copy
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["friction_hil.replay.task"])
     with ProcessPoolExecutor(workers, mp_context=context) as pool:
-        indexs = {pool.submit(run, task): index for index, task in enumerate(tasks)}
+        indices = {pool.submit(run, task): index for index, task in enumerate(tasks)}
         try:
-            for future in as_completed(indexs):
-                yield indexs[future], future.result()
+            for future in as_completed(indices):
+                yield indices[future], future.result()
         except BrokenProcessPool:
-            left = sum(not future.done() or future.exception() is not None for future in indexs)
+            left = sum(not future.done() or future.exception() is not None for future in indices)
             raise FrictionHilError(
-                f"a worker process died, perhaps for want of memory; {left} of {len(tasks)} recordings are not done"
+                f"a worker process died, perhaps because memory ran out; {left} of {len(tasks)} recordings are not done"
             ) from None
         finally:
-            for future in indexs:
+            for future in indices:
                 future.cancel()

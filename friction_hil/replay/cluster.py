@@ -1,7 +1,7 @@
-"""Recordings through models on a Dask cluster that is there already: the tasks of `replay_many`, elsewhere.
+"""Replay on the workers of an existing Dask cluster.
 
-The workers open the recordings, by the same paths as this process would. Pictures come back as bytes and are
-written here. Dask repeats what a worker lost when it died, so that its death costs time and nothing else.
+The workers open the recordings by the same paths as this process would. Pictures come back as bytes and are written
+here. If a worker dies, Dask runs its tasks again on another one.
 """
 
 import asyncio
@@ -17,91 +17,96 @@ from typing import Any
 
 from friction_hil import __version__
 from friction_hil.errors import FrictionHilError, UsageError
-from friction_hil.replay.task import Outcome, Task, failed, run
+from friction_hil.replay.task import ReplayOutcome, ReplayTask, failed, run
 
 PATIENCE_S = 10.0
-RETRIES = 2  # of a task that raised: what is wrong with a file is an outcome, so this was memory, a disk, a network
+RETRIES = 2  # of a task that raised: a bad file gives an outcome, so it was memory, a disk or the network
 
 
 def run_on_cluster(
-    tasks: Sequence[Task], address: str, *, on_note: Callable[[str], None] = lambda _: None
-) -> Iterator[tuple[int, list[Outcome]]]:
-    """Run tasks on the workers of a cluster; give place and outcomes of each as it is done.
+    tasks: Sequence[ReplayTask], address: str, *, on_note: Callable[[str], None] = lambda _: None
+) -> Iterator[tuple[int, list[ReplayOutcome]]]:
+    """Run tasks on the workers of a cluster; yield index and outcomes of each when it is done.
 
-    What has not begun is cancelled where the caller stops early. A file at which workers died again and again
-    (Dask's ``distributed.scheduler.allowed-failures``) becomes an outcome with an error.
+    Tasks that have not begun are cancelled if the caller stops early. A file at which workers died repeatedly (Dask's
+    ``distributed.scheduler.allowed-failures``) becomes an outcome with an error.
 
     Parameters
     ----------
-    tasks : sequence of Task
-        One a file; relative paths start from the current directory of this process, on the workers too.
+    tasks : sequence of ReplayTask
+        One per file; relative paths start from the current directory of this process, on the workers too.
     address : str
-        The scheduler's, ``tcp://host:port``.
+        Address of the scheduler, ``tcp://host:port``.
     on_note : callable
-        Called with a sentence where there is nobody yet to do the work.
+        Called with a sentence if there is no worker yet.
 
     Raises
     ------
     UsageError
-        distributed is not installed, the address is none, or a worker has another version of friction_hil or none.
+        distributed is not installed, the address is not valid, or a worker has another version of friction_hil or
+        none.
     FrictionHilError
-        No scheduler answers, or it has gone.
+        No scheduler answers, or the connection to it was lost.
     """
     distributed = _library()
     for name in ("distributed", "distributed.client"):
-        logging.getLogger(name).setLevel(logging.CRITICAL)  # it prints pages where a sentence is said here
-    _knock(distributed, address)
+        logging.getLogger(name).setLevel(
+            logging.CRITICAL
+        )  # it logs pages about errors that are reported here in one sentence
+    _check_scheduler(distributed, address)
     try:
         with distributed.Client(address, timeout=PATIENCE_S, set_as_default=False) as client:
             yield from _run(distributed, client, tasks, address, on_note)
     except (distributed.CancelledError, distributed.comm.CommClosedError):
-        raise FrictionHilError(f"the scheduler at {address} has gone, or somebody cancelled the work") from None
+        raise FrictionHilError(
+            f"the connection to the scheduler at {address} was lost, or the tasks were cancelled"
+        ) from None
 
 
 def _run(
-    distributed: Any, client: Any, tasks: Sequence[Task], address: str, on_note: Callable[[str], None]
-) -> Iterator[tuple[int, list[Outcome]]]:
+    distributed: Any, client: Any, tasks: Sequence[ReplayTask], address: str, on_note: Callable[[str], None]
+) -> Iterator[tuple[int, list[ReplayOutcome]]]:
     folder = os.getcwd()
-    parcels = [pickle.dumps(replace(task, folder=folder)) for task in tasks]
-    # not pure: a file of the same name may have changed since Dask saw it
-    futures = client.map(_parcel_opener(__version__), parcels, pure=False, retries=RETRIES)
-    places = {future: place for place, future in enumerate(futures)}
-    del futures  # a future that nobody holds sets its result free on the worker
+    requests = [pickle.dumps(replace(task, folder=folder)) for task in tasks]
+    # not pure: a file may have changed since Dask last read one of this name
+    futures = client.map(_request_runner(__version__), requests, pure=False, retries=RETRIES)
+    indices = {future: index for index, future in enumerate(futures)}
+    del futures  # the worker frees a result once no future refers to it
     try:
         if not _has_worker(client):
             on_note(f"no worker yet at {address}; waiting for one (dask worker {address})")
-        for future in distributed.as_completed(list(places), loop=client.loop):
-            place = places.pop(future)
-            yield place, _outcomes(distributed, future, tasks[place], address)
+        for future in distributed.as_completed(list(indices), loop=client.loop):
+            index = indices.pop(future)
+            yield index, _outcomes(distributed, future, tasks[index], address)
     finally:
-        if places and client.status == "running":
-            client.cancel(list(places))
+        if indices and client.status == "running":
+            client.cancel(list(indices))
 
 
 def _library() -> Any:
-    # not a plain import: types that are only partly there help nobody
+    # imported here and by name: an optional package, whose partial type hints would mislead mypy
     try:
         return importlib.import_module("distributed")
     except ImportError:
         raise UsageError('--scheduler needs distributed: pip install "friction-hil[cluster]"') from None
 
 
-def _knock(distributed: Any, address: str) -> None:
-    """See whether a scheduler answers; a client of Dask would wait for ever where something else listens."""
+def _check_scheduler(distributed: Any, address: str) -> None:
+    """Refuse an address where no scheduler answers; Dask's client would wait there for ever."""
 
-    async def knock() -> None:
+    async def connect() -> None:
         security = distributed.Security().get_connection_args("client")
         opening = distributed.core.connect(address, timeout=PATIENCE_S, **security)
         comm = await asyncio.wait_for(opening, PATIENCE_S)
         await comm.close()
 
     try:
-        asyncio.run(knock())
+        asyncio.run(connect())
     except ValueError as error:
         raise UsageError(f"--scheduler {address}: {error}; write tcp://HOST:PORT") from None
     except OSError:
         raise FrictionHilError(
-            f"no Dask scheduler answers at {address} within {PATIENCE_S:g} s; `dask scheduler` starts one and tells "
+            f"no Dask scheduler answers at {address} within {PATIENCE_S:g} s; `dask scheduler` starts one and prints "
             "its address"
         ) from None
 
@@ -114,28 +119,28 @@ def _has_worker(client: Any) -> bool:
     return True
 
 
-def _parcel_opener(version: str) -> Callable[[bytes], tuple[str, bytes]]:
-    """Make the function that goes to the workers: from a pickled task to their version and a pickled answer."""
+def _request_runner(version: str) -> Callable[[bytes], tuple[str, bytes]]:
+    """Return the function that the workers run: from a pickled task to their version and a pickled answer."""
 
-    # Dask sends an inner function by value, and bytes as they are: the scheduler needs no friction_hil, and a
-    # worker without it, or with another one, can say so.
-    def open_parcel(parcel: bytes) -> tuple[str, bytes]:
+    # Dask sends an inner function by value, and bytes unchanged: the scheduler needs no friction_hil, and a worker
+    # without it, or with another version, can report that.
+    def run_request(request: bytes) -> tuple[str, bytes]:
         try:
-            import friction_hil
+            import friction_hil  # imported here: the function runs in a worker
         except ImportError:
             return "", b""
         if friction_hil.__version__ != version:
             return friction_hil.__version__, b""
-        from friction_hil.replay.cluster import answer
+        from friction_hil.replay.cluster import answer  # imported here: the function runs in a worker
 
-        return version, answer(parcel)
+        return version, answer(request)
 
-    return open_parcel
+    return run_request
 
 
-def answer(parcel: bytes) -> bytes:
-    """Run one task in a worker; pickled, the task and what comes of it."""
-    task: Task = pickle.loads(parcel)
+def answer(request: bytes) -> bytes:
+    """Run one pickled task in a worker; return its outcomes and pictures, pickled."""
+    task: ReplayTask = pickle.loads(request)
     if task.picture is None:
         return pickle.dumps((run(task), {}))
     with tempfile.TemporaryDirectory() as folder:
@@ -143,11 +148,13 @@ def answer(parcel: bytes) -> bytes:
         return pickle.dumps((outcomes, {path.name: path.read_bytes() for path in Path(folder).iterdir()}))
 
 
-def _outcomes(distributed: Any, future: Any, task: Task, address: str) -> list[Outcome]:
+def _outcomes(distributed: Any, future: Any, task: ReplayTask, address: str) -> list[ReplayOutcome]:
     try:
         version, content = future.result()
     except distributed.KilledWorker as error:
-        death = FrictionHilError(f"{task.source}: workers died at it, the last of them {error.last_worker.address}")
+        death = FrictionHilError(
+            f"{task.source}: workers died while they replayed it, the last of them {error.last_worker.address}"
+        )
         return [failed(task.source, task.axis, death)]
     if version != __version__:
         raise UsageError(
@@ -158,8 +165,8 @@ def _outcomes(distributed: Any, future: Any, task: Task, address: str) -> list[O
     return [_with_picture(outcome, task, pictures) for outcome in outcomes]
 
 
-def _with_picture(outcome: Outcome, task: Task, pictures: dict[str, bytes]) -> Outcome:
-    """Write the picture of an outcome where the task wants it."""
+def _with_picture(outcome: ReplayOutcome, task: ReplayTask, pictures: dict[str, bytes]) -> ReplayOutcome:
+    """Write the picture of an outcome to the path of its task."""
     if outcome.picture is None or task.picture is None:
         return outcome
     path = Path(task.picture).with_name(Path(outcome.picture).name)

@@ -1,6 +1,6 @@
-"""One file of a replay: read it, run it through models or verify it.
+"""Replay of one file: reading, comparison with models, verification.
 
-A task is plain values, and so is its outcome: the same function runs in this process, in a pool, or on a cluster.
+Tasks and outcomes hold plain values, so that the same function runs in this process, in a pool or on a cluster.
 """
 
 import os
@@ -22,19 +22,19 @@ _NEEDED = ("time_s", "cycle", "position", "velocity", "torque", "load_torque", "
 
 
 @dataclass(frozen=True, slots=True)
-class Task:
-    """One file to be replayed; see ``friction-hil replay`` for the options.
+class ReplayTask:
+    """One file to replay; the options are those of ``friction-hil replay``.
 
     Attributes
     ----------
     models : tuple of str
-        Arguments of ``--model``; without any, the model that the recording carries is used.
+        Arguments of ``--model``; without any, the model in the recording is used.
     picture : str or None
-        File to draw into. ``name`` and the axis are added to it unless the file ``is_only`` and has one axis.
+        Picture to draw. ``name`` and the axis are added to its name unless the file ``is_only`` and has one axis.
     draw : callable or None
-        Draws a replay into ``picture``; a function of a module, so that other processes can import it.
+        Function that draws a replay into ``picture``; at module level, so that other processes can import it.
     folder : str
-        Directory from which relative paths of input files start; empty: the current one.
+        Directory that relative paths of input files start from; empty: the current one.
     """
 
     source: str
@@ -55,17 +55,17 @@ class Task:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
-    """What became of one axis of a file, or of the whole file where it could not be read.
+class ReplayOutcome:
+    """Result of replaying one axis of a file, or the error if the file could not be read.
 
     Attributes
     ----------
     facts : dict
-        As in the JSON of ``replay``; with ``error`` in place of the models where it failed.
+        Entry of the JSON of ``replay``; if it failed, with ``error`` and without models.
     exit_status : int
-        0, 1 where a verification failed, else that of the error.
+        0; 1 if a verification failed; else that of the error.
     picture : str or None
-        What was drawn.
+        Path of the picture that was drawn.
     """
 
     facts: dict[str, Any]
@@ -73,8 +73,8 @@ class Outcome:
     picture: str | None = None
 
 
-def run(task: Task) -> list[Outcome]:
-    """Replay one file; a mistake becomes an outcome, so that it costs only this file."""
+def run(task: ReplayTask) -> list[ReplayOutcome]:
+    """Replay one file; an error becomes its outcome, so that the other files are not affected."""
     try:
         found = _read(task)
         return [_replay(task, recording, is_only=task.is_only and len(found) == 1) for recording in found]
@@ -82,8 +82,8 @@ def run(task: Task) -> list[Outcome]:
         return [failed(task.source, task.axis, error)]
 
 
-def failed(path: str, axis: str | None, error: FrictionHilError) -> Outcome:
-    """Make the outcome of a file, or an axis of it, that could not be replayed."""
+def failed(path: str, axis: str | None, error: FrictionHilError) -> ReplayOutcome:
+    """Return the outcome of a file, or of an axis, that could not be replayed."""
     facts: dict[str, Any] = {
         "path": path,
         "axis": axis,
@@ -93,10 +93,10 @@ def failed(path: str, axis: str | None, error: FrictionHilError) -> Outcome:
         "verified": None,
         "models": [],
     }
-    return Outcome(facts | {"error": str(error)}, error.exit_status)
+    return ReplayOutcome(facts | {"error": str(error)}, error.exit_status)
 
 
-def _read(task: Task) -> list[Recording]:
+def _read(task: ReplayTask) -> list[Recording]:
     options: dict[str, Any] = {
         "columns": task.columns,
         "scale": task.scale,
@@ -114,7 +114,7 @@ def _read(task: Task) -> list[Recording]:
     return found
 
 
-def _replay(task: Task, recording: Recording, *, is_only: bool) -> Outcome:
+def _replay(task: ReplayTask, recording: Recording, *, is_only: bool) -> ReplayOutcome:
     verification: Verification | None = None
     compared: Replay | None = None
     drawn = None
@@ -135,16 +135,16 @@ def _replay(task: Task, recording: Recording, *, is_only: bool) -> Outcome:
     except FrictionHilError as error:
         return failed(recording.path, recording.axis, error)
     is_bad = verification is not None and not verification.is_verified
-    return Outcome(_facts(recording, compared, verification), int(is_bad), drawn)
+    return ReplayOutcome(_facts(recording, compared, verification), int(is_bad), drawn)
 
 
-def _model_argument(task: Task, argument: str) -> str:
+def _model_argument(task: ReplayTask, argument: str) -> str:
     path = os.path.join(task.folder, argument)
     return path if os.path.isfile(path) else argument  # an argument may also be NAME:coulomb=0.08
 
 
 def _own_model(recording: Recording, configuration: Configuration | None) -> dict[str, ModelFile]:
-    """The model that the daemon ran with, from the configuration inside its recording."""
+    """Return the model that the daemon ran with, from the configuration in its recording."""
     if configuration is None and "configuration" in recording.metadata:
         inside = f"{recording.path} (configuration inside)"
         configuration = from_dict(recording.metadata["configuration"], inside)

@@ -1,40 +1,38 @@
-"""Re-running the compensator over the daemon's own recording: what it gave must come out again, bit for bit."""
+"""Verification of a recording of the daemon: the compensator, run again, must give the same torque bit for bit."""
 
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, fields
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from friction_hil.compensator import INPUTS, Compensator, input_checksum
-from friction_hil.config import from_dict
+from friction_hil.config import AxisConfig, Configuration, from_dict
 from friction_hil.daemon.assembly import make_compensator, make_shadows
 from friction_hil.drive import AxisFacts
 from friction_hil.errors import RecordingError
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording, columns, fingerprint
 
-if TYPE_CHECKING:
-    from friction_hil.config import AxisConfig, Configuration
-
 _RELATIVE_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """What re-running one axis showed.
+    """Result of running the compensator of one axis again.
 
     Attributes
     ----------
     is_verified : bool
+        True if no difference was found.
     rows : int
         Rows that were compared.
     tolerance : float
-        0 where equal bits are demanded, else the allowed difference, N m.
+        Allowed difference, N m; 0 if all bits must be equal.
     differences : tuple of str
-        How the machine or the software differs from those of the recording.
+        Differences of machine and software from those of the recording.
     reason : str
-        Where and how the first difference shows; empty if there is none.
+        Cycle and values of the first difference; empty if there is none.
     """
 
     axis: str
@@ -45,28 +43,28 @@ class Verification:
     reason: str
 
 
-def verify(recording: Recording, configuration: "Configuration | None" = None) -> Verification:
+def verify(recording: Recording, configuration: Configuration | None = None) -> Verification:
     """Run the compensator of a recording again and compare.
 
-    It starts from the recorded state, and again from each further one, which the daemon wrote at the start of
-    every chunk and after every gap.
+    The run starts from the recorded state, and anew from each further one: the daemon writes one at the start of every
+    chunk and after every gap.
 
     Parameters
     ----------
     recording : Recording
-        Of the daemon.
+        Recording of the daemon.
     configuration : Configuration, optional
-        In place of the one inside the recording.
+        Replaces the one inside the recording.
 
     Raises
     ------
     RecordingError
-        The recording is not the daemon's own: configuration, states or columns are missing.
+        Configuration, states or columns are missing: it is not a recording of the daemon.
     """
     metadata = recording.metadata
     has_inputs = all(name in recording.columns for name in INPUTS) and "checksum" in recording
     is_ours = has_inputs and "configuration" in metadata and "facts" in metadata
-    # an altered cycle number can make the states unplaceable: then the checksum says why
+    # checked first: an altered cycle number may be why no state matches a row
     altered = _altered_row(recording) if is_ours else None
     if not is_ours or (altered is None and not recording.restarts):
         raise RecordingError(
@@ -91,7 +89,7 @@ def verify(recording: Recording, configuration: "Configuration | None" = None) -
     else:
         row, reason = _first_difference(recording, compensators, tolerance)
     if reason:
-        # by its time: the number of the cycle is an input too, and may be what was altered
+        # computed from the time: the recorded cycle number is an input too and may be what was altered
         reason = f"cycle {round(float(recording.columns[columns.TIME][row]) / configuration.period_s)}: {reason}"
     return Verification(recording.axis, not reason, rows, tolerance, differences, reason)
 
@@ -105,14 +103,14 @@ def _facts(metadata: Mapping[str, Any], recording: Recording) -> AxisFacts:
         if missing := [name for name in needed if name not in facts]:
             raise RecordingError(
                 f"{recording.path}: what it says about the drive of axis {recording.axis!r} lacks "
-                f"{', '.join(missing)}; it was made by another version, and can be verified by that one"
+                f"{', '.join(missing)}; another version of friction_hil made it and can verify it"
             )
         return AxisFacts(**{field.name: facts[field.name] for field in known if field.name in facts})
     raise RecordingError(f"{recording.path}: it says nothing about the drive of axis {recording.axis!r}")
 
 
-def _compensators(axis: "AxisConfig", facts: AxisFacts, period_s: float) -> dict[str, Compensator]:
-    """The compensator and the shadows, by the column that each filled."""
+def _compensators(axis: AxisConfig, facts: AxisFacts, period_s: float) -> dict[str, Compensator]:
+    """Return the compensator and the shadows by the column that each of them filled."""
     shadows = make_shadows(axis, facts, period_s)
     return {
         "compensation": make_compensator(axis, axis.model, facts, period_s),
@@ -121,7 +119,7 @@ def _compensators(axis: "AxisConfig", facts: AxisFacts, period_s: float) -> dict
 
 
 def _altered_row(recording: Recording) -> int | None:
-    """The first row whose inputs are not those that the daemon saw, if there is one."""
+    """Return the first row whose inputs do not match their checksum, if there is one."""
     inputs = zip(*(recording.columns[name] for name in INPUTS), strict=True)
     for row, (values, checksum) in enumerate(zip(inputs, recording.columns["checksum"], strict=True)):
         if input_checksum(*values) != checksum:
@@ -132,7 +130,7 @@ def _altered_row(recording: Recording) -> int | None:
 def _first_difference(
     recording: Recording, compensators: Mapping[str, Compensator], tolerance: float
 ) -> tuple[int, str]:
-    """Row and description of the first difference; an empty description if there is none."""
+    """Return row and description of the first difference; the description is empty if there is none."""
     needed = sum(compensator.state.size for compensator in compensators.values())
     bounds = [row for row, _ in recording.restarts] + [len(recording)]
     for (first, state), end in zip(recording.restarts, bounds[1:], strict=True):
@@ -142,12 +140,12 @@ def _first_difference(
                 f"{recording.path}: the recorded state has {state.size} numbers, but these compensators have {needed}: "
                 "it was recorded with other models, or by another version"
             )
-        place = 0
+        offset = 0
         worst: tuple[int, str] | None = None
         for column, compensator in compensators.items():
             size = compensator.state.size
-            compensator.state[:] = state[place : place + size]
-            place += size
+            compensator.state[:] = state[offset : offset + size]
+            offset += size
             torque, estimate = compensator.replay(inputs)
             results = [(column, torque)]
             if column == "compensation":

@@ -10,7 +10,7 @@ from friction_hil import __version__
 from friction_hil.errors import FrictionHilError
 from friction_hil.identification import Identification
 from friction_hil.identification.export import as_model_file, standard_errors
-from friction_hil.identification.fine import LAST_BAND_SHARE, RESIDUAL_HZ, ROWS_HZ
+from friction_hil.identification.fine import LAST_BAND_RATIO, RESIDUAL_HZ, ROWS_HZ
 from friction_hil.identification.fits import MECHANICS, Fit
 from friction_hil.models.model_file import ModelFile
 from friction_hil.reports.identification_pictures import draw_loops, draw_residuals, draw_time, draw_velocity
@@ -211,7 +211,7 @@ def _data(result: Identification) -> str:
     if result.best.is_refined:
         notes.append(
             f"{result.best.label} was fitted once more without that low-pass: velocity up to "
-            f"{LAST_BAND_SHARE:g} of the sampling rate, as far as it is above the encoder's noise; torques are "
+            f"{LAST_BAND_RATIO:g} of the sampling rate, as far as it is above the encoder's noise; torques are "
             f"compared below {RESIDUAL_HZ:g} Hz, at {ROWS_HZ:g} Hz"
         )
     return table(header, rows, ("text",)) + _list(notes)

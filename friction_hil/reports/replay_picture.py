@@ -4,7 +4,8 @@ from pathlib import Path
 
 import numpy as np
 
-from friction_hil.replay.comparison import Array, Replay
+from friction_hil.numerics.jit import Array
+from friction_hil.replay.comparison import Replay
 from friction_hil.reports.figures import new_figure, save
 
 _MOST_POINTS = 100_000  # in a line: far more than a picture can show

@@ -15,7 +15,7 @@ from friction_hil.reports.page import page, picture, table
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from friction_hil.tuning import AxisTuning, Candidate, Tuning
+    from friction_hil.tuning import AxisTuning, TriedModel, Tuning
 
 NAME = "report.html"
 _MARK = f'<meta name="generator" content="friction-hil tune {__version__}">'
@@ -49,7 +49,7 @@ def write_reports(folder: Path, tuning: "Tuning") -> Path:
     return path
 
 
-def figures(axis: "AxisTuning", candidate: "Candidate") -> Iterator[tuple[str, ...]]:
+def figures(axis: "AxisTuning", candidate: "TriedModel") -> Iterator[tuple[str, ...]]:
     """RMS and peak of the following error: name with unit, without, with compensation, how many times lower."""
     trial = candidate.trial
     unit = "rad" if axis.best.identification.settings.axis == "rotary" else "m"
@@ -60,9 +60,9 @@ def figures(axis: "AxisTuning", candidate: "Candidate") -> Iterator[tuple[str, .
         yield f"{name} [{shown}]", *map(digits, values), digits(reduction, 2) if math.isfinite(reduction) else "-"
 
 
-def _identifications(name: str, axis: "AxisTuning") -> Iterator[tuple[str, "Candidate"]]:
+def _identifications(name: str, axis: "AxisTuning") -> Iterator[tuple[str, "TriedModel"]]:
     """Name of the page on each identification, and the first candidate that came of it."""
-    first: dict[int, Candidate] = {}
+    first: dict[int, TriedModel] = {}
     for each in axis.candidates:
         first.setdefault(id(each.identification), each)
     for number, each in enumerate(first.values(), start=1):

@@ -6,14 +6,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from friction_hil.errors import UsageError
-from friction_hil.numerics import filtering
 from friction_hil.numerics.jit import Array
 from friction_hil.training.excitation import excitation
 from friction_hil.training.layout import Samples, join
 
 if TYPE_CHECKING:
     from friction_hil.friction import FrictionModel
-    from friction_hil.identification.data import Record
+    from friction_hil.identification.data import RegressionSegment
     from friction_hil.models.model_file import Mechanics
 
 _BLOCKS = 20  # of a record, of which each fourth is held out
@@ -53,7 +52,7 @@ def of_model(
     return Samples(period_s, velocity, torque, position=position)
 
 
-def of_records(records: "Sequence[Record]", mechanics: "Mechanics", base: "FrictionModel | None") -> Samples:
+def of_records(records: "Sequence[RegressionSegment]", mechanics: "Mechanics", base: "FrictionModel | None") -> Samples:
     """Samples of friction in recordings: measured torque less inertia, offset, gravity, and a model beside the network.
 
     Everything has passed the low-pass of the recordings.
@@ -66,7 +65,7 @@ def of_records(records: "Sequence[Record]", mechanics: "Mechanics", base: "Frict
     return join([_of_record(record, mechanics, base) for record in records])
 
 
-def _of_record(record: "Record", mechanics: "Mechanics", base: "FrictionModel | None") -> Samples:
+def _of_record(record: "RegressionSegment", mechanics: "Mechanics", base: "FrictionModel | None") -> Samples:
     gravity = mechanics.gravity
     load = gravity.constant + gravity.sine * np.sin(record.position) + gravity.cosine * np.cos(record.position)
     load_torque = load if record.load_torque is None else record.load_torque
@@ -79,9 +78,7 @@ def _of_record(record: "Record", mechanics: "Mechanics", base: "FrictionModel | 
             load_torque=load_torque,
             temperature=record.temperature,
         )
-    if record.lowpass_hz is not None:
-        torque = filtering.lowpass(torque, record.lowpass_hz, record.rate_hz)
-    torque = torque - mechanics.inertia * record.acceleration
+    torque = record.lowpass(torque) - mechanics.inertia * record.acceleration
     weight = np.ones(len(torque))
     weight[: record.begin] = weight[record.end :] = 0.0  # what the filters make of the ends is run through only
     return Samples(
@@ -95,14 +92,9 @@ def _of_record(record: "Record", mechanics: "Mechanics", base: "FrictionModel | 
     )
 
 
-def total_torque(records: "Sequence[Record]") -> Array:
+def total_torque(records: "Sequence[RegressionSegment]") -> Array:
     """Measured torque of records one after the other, low-passed as everything."""
-    return np.concatenate(
-        [
-            each.torque if each.lowpass_hz is None else filtering.lowpass(each.torque, each.lowpass_hz, each.rate_hz)
-            for each in records
-        ]
-    )
+    return np.concatenate([each.lowpass(each.torque) for each in records])
 
 
 def held_out(samples: Samples) -> tuple[Samples, Samples]:

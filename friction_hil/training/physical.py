@@ -10,7 +10,7 @@ from friction_hil.numerics.jit import Array
 from friction_hil.training.layout import Samples
 
 if TYPE_CHECKING:
-    from friction_hil.identification.data import Record
+    from friction_hil.identification.data import RegressionSegment
 
 FAMILIES = ("coulomb", "stribeck", "dahl", "lugre")
 
@@ -60,15 +60,15 @@ def fitted(samples: Samples, axis: Axis) -> dict[str, FrictionModel]:
     return found
 
 
-def _record(samples: Samples, part: slice, axis: Axis) -> "Record":
+def _record(samples: Samples, part: slice, axis: Axis) -> "RegressionSegment":
     """The samples of a record as regression sees them: friction is all of the torque, and nothing is filtered."""
-    from friction_hil.identification.data import Record
+    from friction_hil.identification.data import RegressionSegment
 
     velocity, position, count = samples.velocity[part], samples.position[part], part.stop - part.start
     temperature = samples.temperature[part]
     if np.ptp(position) == 0.0:  # not given
         position = np.cumsum(velocity) * samples.dt
-    return Record(
+    return RegressionSegment(
         path="the samples",
         axis=axis,
         rows=count,

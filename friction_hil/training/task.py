@@ -18,7 +18,7 @@ from friction_hil.training.layout import Samples
 from friction_hil.training.train import Options, Progress, Trained, train
 
 if TYPE_CHECKING:
-    from friction_hil.identification.data import Record
+    from friction_hil.identification.data import RegressionSegment
     from friction_hil.models.model_file import ModelFile
     from friction_hil.recordings import Recording
 
@@ -278,7 +278,7 @@ def task_of_recordings(
     )
 
 
-def _is_counted(record: "Record") -> bool:
+def _is_counted(record: "RegressionSegment") -> bool:
     """Whether counts of the encoder are the best that is known of the velocity."""
     from friction_hil.identification import fine
     from friction_hil.recordings.quality import resolution

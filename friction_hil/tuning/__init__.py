@@ -1,6 +1,8 @@
-"""Tuning: an axis learns its friction on its own drive, and shows what knowing it is worth."""
+"""Tuning: an axis moves, its friction is identified, and models of it are tried on the machine."""
 
+from friction_hil.tuning.choice import AxisTuning, TriedModel
+from friction_hil.tuning.settings import Dialog, TuneSettings
 from friction_hil.tuning.trial import Trial
-from friction_hil.tuning.tune import AxisTuning, Candidate, Settings, Tuning, tune
+from friction_hil.tuning.tune import Tuning, tune
 
-__all__ = ["AxisTuning", "Candidate", "Settings", "Trial", "Tuning", "tune"]
+__all__ = ["AxisTuning", "Dialog", "Trial", "TriedModel", "TuneSettings", "Tuning", "tune"]

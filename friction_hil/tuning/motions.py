@@ -1,4 +1,4 @@
-"""The runs that tune a machine, as configurations. Pure."""
+"""Configurations of the runs that tune a machine. Pure."""
 
 import math
 from collections.abc import Mapping
@@ -22,24 +22,24 @@ from friction_hil.models.model_file import ModelFile
 from friction_hil.motion import experiment
 from friction_hil.recordings import Recording
 
-_REST_S = 0.5  # behind a motion
-_TRIAL_S = 4.0  # of steady motion at least, without and with compensation
+_REST_S = 0.5  # after a motion
+_TRIAL_S = 4.0  # least duration of steady motion, without and with compensation
 _LEAST_PERIODS = 2
-_TRIAL_HZ = 0.5  # of an axis whose trajectory shows no friction
-_TRIAL_TRAVEL, _TRIAL_SPEED = 0.5, 0.3  # shares of what an experiment may
+_TRIAL_HZ = 0.5  # of the trial motion of an axis without a periodic trajectory
+_TRIAL_TRAVEL, _TRIAL_SPEED = 0.5, 0.3  # of travel and velocity of the experiment
 
 
 class TuningError(FrictionHilError):
-    """A run ended before it had shown what it was for. Example: a drive's fault."""
+    """A run failed, or its recording cannot be used. Example: a fault of a drive."""
 
 
 def experiment_of(name: str, axis: AxisConfig) -> ExperimentBounds:
-    """How far and how fast an axis may move to show its friction.
+    """Return how far and how fast an axis may move in its experiment.
 
     Raises
     ------
     OptionError
-        Nothing says so, nothing would move the axis, or nothing may be tried afterwards.
+        The configuration does not define it, has no set-point for the axis, or disables the compensation.
     """
     if axis.trajectory.kind == "none":
         raise OptionError(
@@ -58,13 +58,13 @@ def experiment_of(name: str, axis: AxisConfig) -> ExperimentBounds:
     raise OptionError(
         name,
         "experiment",
-        "is missing: tune moves the axis by itself, and has to be told how far and how fast, e.g. "
+        "is missing: tune moves the axis by itself and needs to know how far and how fast, e.g. "
         f"experiment: {{velocity: {0.5 * axis.limits.velocity:g}, travel: ..., duration_s: 60}}",
     )
 
 
 def experiment_run(configuration: Configuration, name: str) -> tuple[Configuration, float]:
-    """The run in which one axis makes its experiment and the others are held, all uncompensated; its length, s."""
+    """Return the run in which one axis makes its experiment and the others are held, uncompensated; duration, s."""
     bounds = experiment_of(name, configuration.axes[name])
     motion = Experiment(kind="experiment", **{key: getattr(bounds, key) for key in ExperimentBounds.model_fields})
     axes = {each: _held(axis) for each, axis in configuration.axes.items()}
@@ -74,16 +74,16 @@ def experiment_run(configuration: Configuration, name: str) -> tuple[Configurati
 
 
 def sliding_part(recording: Recording, configuration: Configuration) -> Recording:
-    """The slow sweeps of the experiment of an axis, for models that know nothing of presliding.
+    """Return the slow sweeps of the experiment of an axis, for models without presliding.
 
-    In the fast ones torque goes with the position, as of a spring: any map of the velocity would be a compromise.
+    In the fast sweeps torque depends on the position, as that of a spring: no map of the velocity describes it.
 
     Parameters
     ----------
     recording : Recording
-        Of the run of `experiment_run`.
+        Recording of the run of `experiment_run`.
     configuration : Configuration
-        From which that run was made.
+        Configuration from which that run was made.
     """
     name = recording.axis
     run, _ = experiment_run(configuration, name)
@@ -92,21 +92,21 @@ def sliding_part(recording: Recording, configuration: Configuration) -> Recordin
     sweeps = experiment_sweeps(bounds, facts["position_resolution"], configuration.period_s)
     cycle = recording["cycle"]
     start = cycle[recording["state"] == LoopState.RUNNING][0]
-    # the path starts by half of its ramp late
+    # the time of the path lags by half of its ramp
     length_s = 0.5 * ramp_s(run.axes.values()) + experiment.sliding_s(sweeps)
     is_kept = cycle < start + length_s / configuration.period_s
     return replace(recording, columns={key: values[is_kept] for key, values in recording.columns.items()})
 
 
 def trial_run(configuration: Configuration, models: Mapping[str, ModelFile]) -> tuple[Configuration, float]:
-    """The run that tries models: so many periods of each axis's motion without, then with compensation; its length, s.
+    """Return the run that tries models, periods of each axis's motion without then with compensation; duration, s.
 
-    An axis without a periodic motion makes a small sine; one that has no model to try is held.
+    An axis without a periodic trajectory makes a small sine; one without a model to try is held.
 
     Raises
     ------
     TuningError
-        A model lacks the inertia, and the compensation is told to use it.
+        A model lacks the inertia, and the compensation is configured to use it.
     """
     axes = {name: _held(axis) for name, axis in configuration.axes.items()}
     for name, model in models.items():
@@ -124,12 +124,12 @@ def trial_run(configuration: Configuration, models: Mapping[str, ModelFile]) -> 
 
 
 def period_s(axis: AxisConfig) -> float:
-    """Period of an axis's motion in a trial, s."""
+    """Return the period of an axis's motion in a trial, s."""
     return 1.0 / getattr(axis.trajectory, "frequency", _TRIAL_HZ)
 
 
 def _held(axis: AxisConfig) -> AxisConfig:
-    """The axis at rest; one that nothing but a hand moves stays free."""
+    """Return the configuration of an axis that is held; one that is moved by hand stays free."""
     trajectory = axis.trajectory if axis.trajectory.kind == "none" else Hold(kind="hold")
     return axis.model_copy(
         update={"trajectory": trajectory, "compensation": Compensation(enabled=False), "shadows": ()}
@@ -145,7 +145,7 @@ def _trial_motion(name: str, axis: AxisConfig) -> Trajectory:
 
 
 def _refuse_unknown_inertia(name: str, axis: AxisConfig, model: ModelFile) -> None:
-    """Refuse to try a model that lacks the inertia where the compensation is told to use it."""
+    """Refuse to try a model that lacks the inertia if the compensation is configured to use it."""
     given = axis.compensation
     if model.mechanics.inertia > 0.0 or (given.velocity != "kalman" and given.adaptation is None):
         return

@@ -1,4 +1,4 @@
-"""What a model is worth on the machine: the following error of a recorded run, without and with it. Pure."""
+"""Trial of a model on the machine: following error of a recorded run without and with compensation. Pure."""
 
 import math
 from dataclasses import asdict, dataclass
@@ -14,21 +14,21 @@ from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
 from friction_hil.tuning.motions import period_s
 
-LEAST_REDUCTION = 1.05  # of the RMS; less may be chance
+LEAST_REDUCTION = 1.05  # of the RMS; smaller ones may be chance
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trial:
-    """One axis in a run that tries a model.
+    """Result of one axis in a run that tries a model.
 
     Attributes
     ----------
     uncompensated, compensated : Figures
-        Of whole periods of the motion, as many without as with compensation.
+        Following error of whole periods of the motion, as many without as with compensation.
     time_s : (m,) array
-        Time in the motion's period; the demand at a time is the same without and with compensation.
+        Time within a period of the motion; the demand is the same without and with compensation.
     errors : ((m,) array, (m,) array)
-        Following error at these times, rad or m, without and with; NaN where the computer was always late.
+        Following error at these times without and with compensation, rad or m; NaN if the computer was always late.
     """
 
     uncompensated: Figures
@@ -38,7 +38,7 @@ class Trial:
 
     @property
     def reduction(self) -> Figures:
-        """How many times smaller the following error is with compensation."""
+        """Ratios of the following error without to with compensation."""
         before, after = self.uncompensated, self.compensated
         return Figures(_ratio(before.rms, after.rms), _ratio(before.peak, after.peak))
 
@@ -49,12 +49,12 @@ class Trial:
 
     @property
     def has_helped(self) -> bool:
-        """Whether the following error is clearly smaller with compensation, and no larger at its peak."""
+        """True if the RMS following error is clearly smaller with compensation, and its peak is not larger."""
         return self.reduction.rms >= LEAST_REDUCTION and self.reduction.peak >= 1.0
 
 
 def _ratio(before: float, after: float) -> float:
-    """How many times smaller; an error below the encoder's resolution is zero."""
+    """Compute before / after, where an error below the encoder's resolution is zero."""
     if after == 0.0:
         return math.inf if before > 0.0 else 1.0
     return before / after
@@ -66,18 +66,18 @@ def judge(recording: Recording, axis: AxisConfig, cycle_s: float, start_s: float
     Parameters
     ----------
     recording : Recording
-        Of the run of `friction_hil.tuning.motions.trial_run`.
+        Recording of the run of `friction_hil.tuning.motions.trial_run`.
     axis : AxisConfig
-        The axis in that run.
+        Configuration of the axis in that run.
     cycle_s : float
         Period of the loop, s.
     start_s : float
-        How long the axes take to start.
+        Time that the axes take to start, s.
 
     Raises
     ------
     RecordingError
-        The run was too short, or too much of it was missed.
+        The run was too short, or too many of its cycles were missed.
     """
     recording.require("cycle", *following.COLUMNS)
     cycle, columns = recording["cycle"], {name: recording[name] for name in following.COLUMNS}
@@ -104,8 +104,8 @@ def judge(recording: Recording, axis: AxisConfig, cycle_s: float, start_s: float
     return Trial(figures[0], figures[1], np.asarray(grid * cycle_s, dtype=np.float64), (errors[0], errors[1]))
 
 
-def _on_grid(place: Array, error: Array, count: int) -> Array:
-    """The last error known of each of ``count`` places in a period; NaN where there is none."""
+def _on_grid(index: Array, error: Array, count: int) -> Array:
+    """Return the last known error at each of ``count`` cycles of a period; NaN where there is none."""
     values = np.full(count, np.nan)
-    values[np.minimum(np.floor(place + 1e-6).astype(np.intp), count - 1)] = error
+    values[np.minimum(np.floor(index + 1e-6).astype(np.intp), count - 1)] = error
     return values

@@ -215,9 +215,9 @@ def test_pictures_are_written_by_the_client(dask, folder, capsys):
 def test_another_version_on_the_workers_is_refused(dask, folder, monkeypatch, capsys):
     monkeypatch.setattr(cluster, "__version__", "99.0")
     assert main(["replay", "00.csv", *MODELS, "--scheduler", dask.address]) == 2
-    told = capsys.readouterr().err
-    assert f"has friction-hil {fh.__version__}, here is 99.0" in told
-    assert "Traceback" not in told
+    errors = capsys.readouterr().err
+    assert f"has friction-hil {fh.__version__}, here is 99.0" in errors
+    assert "Traceback" not in errors
 
 
 def test_nobody_at_the_address(folder, monkeypatch, capsys):

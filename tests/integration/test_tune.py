@@ -169,7 +169,7 @@ def test_a_model_that_does_not_help_is_not_put_to_use(tmp_path) -> None:
     assert (tmp_path / "tuned" / "x.yaml").exists()
 
 
-def test_mistakes_are_told_before_anything_moves(tmp_path) -> None:
+def test_mistakes_are_reported_before_anything_moves(tmp_path) -> None:
     configuration = configured("canopen", tmp_path, experiment=None)
     data = yaml.safe_load(configuration.read_text())
     del data["axes"]["x"]["experiment"]
@@ -233,7 +233,7 @@ def test_an_axis_that_swings_by_itself_is_not_identified(tmp_path) -> None:
 
 
 def test_nobody_moves_before_the_user_says_so(tmp_path) -> None:
-    """On a terminal: the motion is told, and "no" ends it."""
+    """On a terminal: the motion is shown, and "no" ends it."""
     configuration = configured("canopen", tmp_path)
     terminal, of_process = pty.openpty()
     with simulated_drives(configuration):
@@ -274,7 +274,7 @@ def test_ctrl_c_while_it_moves_brings_the_axis_to_rest(tmp_path) -> None:
 
     assert moving.returncode == 130
     assert "Traceback" not in errors
-    assert "stopped, the axes are at rest; what there is so far is in" in errors
+    assert "stopped, the axes are at rest; the results so far are in" in errors
     stopped = fh.recordings.read(recording, "x")
     assert stopped["state"][-1] == LoopState.DISABLING
     assert abs(stopped["velocity_estimate"][-1]) < 0.05

@@ -97,7 +97,7 @@ def test_existing_files_are_replaced_only_by_force(
         (["run.mcap", "x.csv", "--axis", "z"], 2, "no axis 'z'; There are: x, y"),
     ],
 )
-def test_mistakes_are_told_in_a_sentence(
+def test_mistakes_are_reported_in_a_sentence(
     words: list[str],
     status: int,
     message: str,

@@ -19,4 +19,4 @@ def test_it_is_the_same_twice_and_fits_into_json() -> None:
 def test_differences_name_both_sides() -> None:
     a = {"cpu": "A", "numpy": "2.0", "gone": "1"}
     b = {"cpu": "A", "numpy": "2.1", "new": "3"}
-    assert differences(a, b) == ["numpy: 2.0, here 2.1", "gone: 1, here not told", "new: not told, here 3"]
+    assert differences(a, b) == ["numpy: 2.0, here 2.1", "gone: 1, here not reported", "new: not reported, here 3"]

@@ -120,7 +120,7 @@ def test_name_of_the_axis(tmp_path: Path) -> None:
     assert list(fh.recordings.read_all(path)) == ["bench"]
 
 
-def test_odd_time_stamps_and_gaps_are_told(tmp_path: Path) -> None:
+def test_odd_time_stamps_and_gaps_are_reported(tmp_path: Path) -> None:
     read = fh.recordings.read(csv(tmp_path, "time_s,cycle,torque\n0,0,1\n1,1,inf\n1,2,1\n0.5,5,1\n2,6,1\n3,9,1\n"))
     assert read.problems == [
         "time_s goes backward at 1 of 6 rows (row 3)",
@@ -243,3 +243,9 @@ def test_every_column_is_described_once() -> None:
     assert columns.unit("torque", "linear") == "N"
     assert columns.unit("shadow_dahl", "linear") == "N"
     assert columns.unit("qm") == columns.meaning("qm") == ""
+
+
+def test_the_readme_lists_every_column_and_every_format() -> None:
+    readme = (Path(fh.recordings.__file__).parent / "README.md").read_text(encoding="utf-8")
+    for word in (*columns.NAMES, *fh.recordings.formats()):
+        assert f"`{word}`" in readme, word

@@ -70,7 +70,7 @@ def message(identifier: int, data: bytes, time: float) -> can.Message:
     return can.Message(timestamp=1e9 + time, arbitration_id=identifier, data=data, is_extended_id=False)
 
 
-def told(index: int, subindex: int, value: int) -> can.Message:
+def reported(index: int, subindex: int, value: int) -> can.Message:
     """What a drive answers when the daemon asks for an object."""
     return message(0x581, struct.pack("<BHBI", 0x43, index, subindex, value), 0.0)
 
@@ -78,7 +78,7 @@ def told(index: int, subindex: int, value: int) -> can.Message:
 def session(mode: Mode, *, start: int = 2**31 - 700) -> tuple[list[can.Message], list[tuple[Feedback, Command]]]:
     """Frames of some cycles, and what the driver itself makes of them."""
     axis = drive(mode)
-    frames = [told(0x608F, 1, 65536), told(0x608F, 2, 1), told(0x6076, 0, 500)]
+    frames = [reported(0x608F, 1, 65536), reported(0x608F, 2, 1), reported(0x6076, 0, 500)]
     truth = []
     for cycle in range(CYCLES):
         at = 1.0 + cycle * PERIOD
@@ -127,7 +127,7 @@ def test_a_log_says_what_the_driver_saw(suffix: str, tmp_path: Path, mode: Mode,
 
 
 @pytest.mark.parametrize("suffix", WRITERS)
-def test_a_log_cut_anywhere_is_told(suffix: str, tmp_path: Path) -> None:
+def test_a_log_cut_anywhere_is_reported(suffix: str, tmp_path: Path) -> None:
     configuration = load(machine(tmp_path, Mode.CSP))
     path = write(tmp_path / f"x{suffix}", session(Mode.CSP)[0])
     whole = fh.recordings.read(path, configuration=configuration)

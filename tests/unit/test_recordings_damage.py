@@ -60,7 +60,7 @@ def read(path: Path, data: bytes) -> Recording | None:
 
 
 def chunk_ends(data: bytes, path: Path) -> list[int]:
-    """Byte after each chunk record, told by the library."""
+    """Byte after each chunk record, as the library reports it."""
     path.write_bytes(data)
     with path.open("rb") as file:
         records = StreamReader(file, emit_chunks=True).records
@@ -97,7 +97,7 @@ def test_a_cut_chunk_says_which_rows_are_lost(whole: bytes, scratch: Path) -> No
 
 @given(position=st.floats(0.0, 1.0, exclude_max=True), bit=st.integers(0, 7))
 @example(position=0.0, bit=0)
-def test_a_flipped_bit_is_refused_or_told(whole: bytes, scratch: Path, position: float, bit: int) -> None:
+def test_a_flipped_bit_is_refused_or_reported(whole: bytes, scratch: Path, position: float, bit: int) -> None:
     data = bytearray(whole)
     at = int(position * len(data))
     data[at] ^= 1 << bit

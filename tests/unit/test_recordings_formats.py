@@ -1,4 +1,4 @@
-"""Every format: what is written comes back bit for bit, a file cut off anywhere is told, foreign files are read."""
+"""Every format: what is written comes back bit for bit, a file cut off anywhere is reported, foreign files are read."""
 
 import json
 import warnings
@@ -87,18 +87,18 @@ def test_units_are_kept_where_there_is_a_place_for_them(suffix: str, tmp_path: P
         assert units == {}
 
 
-def test_a_unit_that_is_not_ours_is_told(tmp_path: Path) -> None:
+def test_a_unit_that_is_not_ours_is_reported(tmp_path: Path) -> None:
     wrong = some()
     wrong.units = {"position": "deg", "torque": "N·m", "gear_2": "deg"}
     fh.recordings.write(tmp_path / "x.parquet", wrong)
-    told = [problem for problem in fh.recordings.read(tmp_path / "x.parquet").problems if "deg" in problem]
-    assert told == ["position is in deg in the file and is taken for rad or m: --column position=position*pi/180"]
+    problems = [problem for problem in fh.recordings.read(tmp_path / "x.parquet").problems if "deg" in problem]
+    assert problems == ["position is in deg in the file and is taken for rad or m: --column position=position*pi/180"]
     mended = fh.recordings.read(tmp_path / "x.parquet", scale={"position": np.pi / 180.0})
     assert not any("deg" in problem for problem in mended.problems)
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
-def test_cut_anywhere_it_is_told_and_no_row_is_wrong(suffix: str, tmp_path: Path) -> None:
+def test_cut_anywhere_it_is_reported_and_no_row_is_wrong(suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"x{suffix}"
     whole = some(40)
     fh.recordings.write(path, whole)

@@ -15,7 +15,8 @@ from friction_hil.errors import RecordingError, UsageError
 from friction_hil.models.model_file import ModelFile
 from friction_hil.recordings import Recording
 from friction_hil.recordings.mcap_writer import McapWriter
-from friction_hil.replay.comparison import derive, predict, replay
+from friction_hil.replay.comparison import predict, replay
+from friction_hil.replay.preparation import replay_segments
 
 ROOT = Path(__file__).parents[2]
 EMPS = ROOT.parent / "shared" / "data" / "emps" / "DATA_EMPS.mat"
@@ -71,7 +72,7 @@ def test_position_alone_is_enough() -> None:
     assert len(result.time_s) == 4000 - 2 * 49  # the low-pass needs room at both ends
 
 
-def test_a_wrong_model_is_told_by_its_error() -> None:
+def test_a_wrong_model_is_reported_by_its_error() -> None:
     wrong = ModelFile.model_validate(
         {
             "axis": "rotary",
@@ -90,7 +91,7 @@ def test_a_wrong_model_is_told_by_its_error() -> None:
 
 def test_derived_motion_has_no_delay() -> None:
     recording = swinging()
-    motion = derive(recording, lowpass_hz=50.0)
+    [motion], _, _ = replay_segments(recording, lowpass_hz=50.0)
     inner = slice(200, -200)
     np.testing.assert_allclose(motion.velocity[inner], recording["velocity"][inner], atol=1e-3)
     expected = -((2.0 * np.pi) ** 2) * recording["position"]
@@ -110,7 +111,7 @@ def test_decimation_ends_on_the_last_sample_and_filters_as_matlab_does(factor: i
     assert len(part.velocity) == len(part.time_s) == len(part.measured) == len(part.predictions[0].torque)
 
 
-def test_uneven_time_stamps_are_interpolated_and_told() -> None:
+def test_uneven_time_stamps_are_interpolated_and_reported() -> None:
     recording = swinging()
     jitter = np.random.default_rng(5).uniform(-4e-4, 4e-4, 4000)
     time = recording.columns["time_s"] + jitter
@@ -180,7 +181,8 @@ def test_emps_is_explained_to_four_percent(tmp_path: Path, capsys: pytest.Captur
 def test_emps_published_figure_which_counts_the_end_of_the_record() -> None:
     """The benchmark leaves out 49 samples at the beginning and none at the end, where the filter has no data."""
     columns = {"time_s": "t", "position": "qm", "torque": "vir"}
-    motion = derive(fh.recordings.read(EMPS, columns=columns, scale={"torque": 35.150651}), 100.0)
+    recording = fh.recordings.read(EMPS, columns=columns, scale={"torque": 35.150651})
+    [motion], _, _ = replay_segments(recording, 100.0)
     torque = np.sum(predict(ModelFile.model_validate(yaml.safe_load(EMPS_MODEL)), motion), axis=0)
     b, a = signal.cheby1(8, 0.05, 0.08)
     measured, predicted = (
@@ -228,7 +230,7 @@ def test_pictures_are_drawn(swing: Path, capsys: pytest.CaptureFixture[str]) -> 
         (["--model", "coulomb:coulomb=1", "--column", "torque=curent"], 2, "There are: position, time_s, torque"),
     ],
 )
-def test_mistakes_are_told_in_a_sentence(
+def test_mistakes_are_reported_in_a_sentence(
     words: list[str], status: int, message: str, swing: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["replay", "swing.csv", *words]) == status

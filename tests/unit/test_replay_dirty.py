@@ -1,4 +1,4 @@
-"""Logs as they are: each fault is detected, told, and handled so that the true model still explains the torque."""
+"""Logs as they are: each fault is detected, reported, and handled so that the true model still explains the torque."""
 
 import math
 
@@ -12,7 +12,9 @@ from friction_hil.models.model_file import ModelFile
 from friction_hil.numerics.filtering import decimate, decimated_rows, lowpass
 from friction_hil.recordings import Recording
 from friction_hil.recordings.quality import find_jumps, find_wrap, resolution, spread, unwrap
-from friction_hil.replay.comparison import Motion, Replay, derive, predict, replay
+from friction_hil.recordings.segments import Segment, even_signals
+from friction_hil.replay.comparison import Replay, predict, replay
+from friction_hil.replay.preparation import replay_segments
 
 RATE = 1000.0
 AMPLITUDE = 3.0
@@ -123,18 +125,17 @@ def test_an_encoder_that_wraps_is_unwrapped(reach: float, step: float | None, na
     position = log["position"] if step is None else np.round(log["position"] / step) * step
     log.columns["position"] = np.mod(position, reach)
     jumps = int(np.sum(np.abs(np.diff(log.columns["position"])) > reach / 2))
-    motion = derive(log)
-    assert f"position wraps over {reach:.6g} ({name}) at {jumps} of 4000 rows" in motion.problems[0]
+    [motion], _, problems = replay_segments(log)
+    assert f"position wraps over {reach:.6g} ({name}) at {jumps} of 4000 rows" in problems[0]
     np.testing.assert_allclose(np.diff(motion.position), np.diff(position), atol=1e-9)
 
 
-def test_a_jump_that_no_encoder_makes_is_told_and_left() -> None:
+def test_a_jump_that_no_encoder_makes_is_reported_and_left() -> None:
     log = swing()
     log.columns["position"][1700:] += 50.123
-    motion = derive(log)
-    (problem,) = motion.problems
+    [motion], _, [problem] = replay_segments(log)
     assert problem.startswith("position jumps by up to 50.1")
-    assert problem.endswith("at 1 of 4000 rows (row 1700), which no encoder wrap explains: left so")
+    assert problem.endswith("at 1 of 4000 rows (row 1700), which no encoder wrap explains: left unchanged")
     np.testing.assert_array_equal(motion.position, log["position"])
 
 
@@ -151,20 +152,23 @@ def test_a_coarse_velocity_is_derived_from_the_position_instead() -> None:
 def test_a_load_that_is_hardly_known_is_not_used() -> None:
     log = swing()
     log.columns["load_torque"] = np.where(np.arange(4000) < 400, 1.0, np.nan)
-    assert derive(log).load_torque is None
-    assert "load_torque is known in 10 % of the rows: not used" in derive(log).problems
+    [motion], _, problems = replay_segments(log)
+    assert motion.load_torque is None
+    assert "load_torque is known in 10 % of the rows: not used" in problems
     log.columns["temperature"] = np.where(np.arange(4000) % 1000 == 0, 20.0 + np.arange(4000) / 1000.0, np.nan)
-    temperature = derive(log).temperature
+    [motion], _, _ = replay_segments(log)
+    temperature = motion.temperature
     assert temperature is not None
     np.testing.assert_allclose(temperature[[0, 500, 3999]], [20.0, 20.5, 23.0])
 
 
-def test_short_parts_are_told() -> None:
+def test_short_parts_are_reported() -> None:
     outcome, error = result(only(swing(), np.r_[0:1500, 1600:1610, 1700:4000]), lowpass_hz=20.0)
     assert error < 1e-3
     assert "the part from 1.6 s to 1.609 s has 10 rows, too few for a low-pass at 20 Hz: left out" in outcome.problems
     assert len(outcome.segments) == 2
-    assert "1 part of fewer than 3 rows: left out" in derive(only(swing(), np.r_[0:500, 600:602, 700:900])).problems
+    _, _, problems = replay_segments(only(swing(), np.r_[0:500, 600:602, 700:900]))
+    assert "1 part of fewer than 3 rows: left out" in problems
 
 
 def test_nothing_but_short_parts_is_refused() -> None:
@@ -191,13 +195,28 @@ def test_two_parts_give_the_same_as_two_files(options: dict[str, float]) -> None
         np.testing.assert_allclose(both.predictions[0].torque[part], half.predictions[0].torque, rtol=1e-9, atol=1e-9)
 
 
-def test_a_motion_without_segments_is_one_part() -> None:
-    motion = derive(swing())
-    bare = Motion(
-        motion.time_s, motion.position, motion.velocity, motion.acceleration, motion.torque, None, None, RATE, None, ()
+@pytest.mark.parametrize("lowpass_hz", [None, 40.0])
+def test_segments_are_the_rows_between_gaps_each_by_itself(lowpass_hz: float | None) -> None:
+    """A segment made by hand from one part alone is the same, and a model predicts the same torque for it."""
+    signals = even_signals(only(swing(), np.r_[0:1400, 2300:4000]), lowpass_hz=lowpass_hz)
+    assert signals.grid.segments == (slice(0, 1400), slice(1400, 3100))
+    assert signals.longest == 1700
+    time, position, velocity, torque = (swing()[name][2300:] for name in ("time_s", "position", "velocity", "torque"))
+    if lowpass_hz is not None:
+        position = lowpass(position, lowpass_hz, RATE)
+        velocity = np.gradient(position, 1.0 / RATE)
+    acceleration = np.gradient(velocity, 1.0 / RATE)
+    by_hand = Segment(
+        *("log", "x", time, position, velocity, acceleration, torque),
+        *(None, None, None, RATE, lowpass_hz, swing()["position"][2300:]),
     )
-    assert bare.segments == (slice(0, 4000),)
-    np.testing.assert_array_equal(predict(model(), bare)[0], predict(model(), motion)[0])
+
+    second = signals.segment(signals.grid.segments[1])
+
+    for name in ("time_s", "position", "velocity", "acceleration", "torque", "encoder"):
+        np.testing.assert_allclose(getattr(second, name), getattr(by_hand, name), rtol=1e-9, atol=1e-9)
+    for found, expected in zip(predict(model(), second), predict(model(), by_hand), strict=True):
+        np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
 
 
 @given(

@@ -106,12 +106,12 @@ def test_a_pattern_of_model_files(folder: Path, capsys: pytest.CaptureFixture[st
 def test_a_file_that_cannot_be_read_costs_only_itself(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     data = (folder / "logs" / "b.parquet").read_bytes()
     (folder / "logs" / "b.parquet").write_bytes(data[:-50])
-    found, told = replayed(capsys, "logs/a.csv", "logs/b.parquet", "logs/deep/c.npz", "nothing.csv", status=1)
+    found, errors = replayed(capsys, "logs/a.csv", "logs/b.parquet", "logs/deep/c.npz", "nothing.csv", status=1)
     assert [len(each["models"]) for each in found] == [2, 0, 2, 0]
     assert "was cut off at byte" in found[1]["error"]
-    assert "Error: logs/b.parquet was cut off" in told
-    assert "Error: nothing.csv cannot be read: No such file" in told
-    assert "Traceback" not in told
+    assert "Error: logs/b.parquet was cut off" in errors
+    assert "Error: nothing.csv cannot be read: No such file" in errors
+    assert "Traceback" not in errors
 
 
 def test_pictures_of_files_of_one_name_do_not_meet(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -129,7 +129,7 @@ def test_names_are_not_cut_short_where_nobody_watches(folder: Path, capsys: pyte
 def test_the_pool_gives_what_one_process_gives(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two workers where there is only one core too; a broken file and order included."""
     paths = [str(log(folder / f"{i}.csv", i)) for i in range(5)] + ["nothing.csv"]
-    tasks = [farm.Task(path, ("coulomb:coulomb=0.3,viscous=0.01",)) for path in paths]
+    tasks = [farm.ReplayTask(path, ("coulomb:coulomb=0.3,viscous=0.01",)) for path in paths]
     alone = [farm.run(task) for task in tasks]
     monkeypatch.setattr(farm, "_MANY", 2)
     monkeypatch.setattr(farm.os, "sched_getaffinity", lambda _: {0, 1})
@@ -142,8 +142,8 @@ def test_the_pool_gives_what_one_process_gives(folder: Path, monkeypatch: pytest
     assert len(set(errors)) == 5
 
 
-def test_a_worker_that_dies_is_told(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    class Mortal(farm.Task):
+def test_a_worker_that_dies_is_reported(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Mortal(farm.ReplayTask):
         def __reduce__(self) -> Any:  # what a worker runs when it unpickles its task
             return __import__("os")._exit, (1,)
 
@@ -174,7 +174,7 @@ def test_only_the_columns_that_are_needed_are_read(folder: Path, monkeypatch: py
         return found
 
     monkeypatch.setattr(fh.recordings, "read_all", spy)
-    (outcome,) = farm.run(farm.Task("wide.mcap", ("coulomb:coulomb=0.3",)))
+    (outcome,) = farm.run(farm.ReplayTask("wide.mcap", ("coulomb:coulomb=0.3",)))
     assert outcome.exit_status == 0
     assert seen == [{"time_s", "position", "velocity", "torque"}]
 

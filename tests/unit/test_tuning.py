@@ -22,10 +22,11 @@ from friction_hil.errors import OptionError, RecordingError
 from friction_hil.identification import Settings, identify
 from friction_hil.motion.trajectory import PathTime, Trajectory, extent
 from friction_hil.recordings import Recording
-from friction_hil.tuning import Tuning
+from friction_hil.tuning import AxisTuning, TriedModel, Tuning
+from friction_hil.tuning.candidates import candidates
+from friction_hil.tuning.experiment import refuse_limit_cycle
 from friction_hil.tuning.motions import TuningError, experiment_of, experiment_run, period_s, sliding_part, trial_run
 from friction_hil.tuning.trial import Trial, judge
-from friction_hil.tuning.tune import AxisTuning, Candidate, _candidates, _refuse_swinging
 from tests.servo_drives import PERIOD_S, axis_dict
 
 EXPERIMENT = {"velocity": 5.0, "travel": 0.8, "acceleration": 400.0, "duration_s": 20.0, "ramp_s": 0.5}
@@ -152,7 +153,7 @@ def test_static_models_are_shown_where_an_axis_slides_and_none_of_its_presliding
         (BY_HAND, "trajectory.kind"),
     ],
 )
-def test_what_tuning_has_to_be_told_is_asked_for_by_its_key(changes, key) -> None:
+def test_what_tuning_needs_to_know_is_asked_for_by_its_key(changes, key) -> None:
     with pytest.raises(OptionError) as caught:
         experiment_of("x", machine(x=axis(**changes)).axes["x"])
 
@@ -258,9 +259,9 @@ def test_a_static_model_that_takes_presliding_for_no_friction_at_standstill_is_n
 
     assert found.best.structure.family == "stribeck"
     assert found.best.values["static"] < 0.01 * found.best.values["coulomb"]
-    [(_, tried)] = _candidates([found])
+    [(_, tried)] = candidates([found])
     assert (tried.label, tried.values["coulomb"]) == ("coulomb", pytest.approx(0.1, rel=0.2))
-    [(_, tried)] = _candidates([alone])
+    [(_, tried)] = candidates([alone])
     assert tried is alone.best, "if there is nothing else"
 
 
@@ -288,18 +289,18 @@ def jumps(time, speed, lag):
 
 @settings(max_examples=30, deadline=None)
 @given(speed=st.floats(4.5, 50.0), lag=st.floats(0.0, 1.0), frequency=st.floats(4.0, 25.0))
-def test_a_jump_at_break_away_is_told_and_a_loop_that_swings_is_refused(speed, lag, frequency) -> None:
+def test_a_jump_at_break_away_is_reported_and_a_loop_that_swings_is_refused(speed, lag, frequency) -> None:
     """At whatever speed, and however late the axis is."""
-    told = _refuse_swinging(moved(lambda time: jumps(time, speed, lag)), 2.0, "rad")
-    assert re.match(r"x has moved at .* rad/s, where its experiment asks for 2 at most: .* the axis jumps", told)
+    shown = refuse_limit_cycle(moved(lambda time: jumps(time, speed, lag)), 2.0, "rad")
+    assert re.match(r"x has moved at .* rad/s, where its experiment asks for 2 at most: .* the axis jumps", shown)
 
     swing = moved(lambda time: 2.0 * speed * np.sin(2.0 * np.pi * frequency * time + lag))
     with pytest.raises(TuningError, match="the loop that controls it swings"):
-        _refuse_swinging(swing, 2.0, "rad")
+        refuse_limit_cycle(swing, 2.0, "rad")
 
 
 def test_an_axis_that_follows_with_some_overshoot_is_neither() -> None:
-    assert _refuse_swinging(moved(lambda time: 2.8 * np.sin(2.0 * np.pi * SLOW_HZ * time - 1.0)), 2.0, "rad") == ""
+    assert refuse_limit_cycle(moved(lambda time: 2.8 * np.sin(2.0 * np.pi * SLOW_HZ * time - 1.0)), 2.0, "rad") == ""
 
 
 def test_a_report_that_cannot_be_written_costs_no_result(tmp_path, capsys) -> None:
@@ -319,7 +320,7 @@ def test_a_broken_matplotlib_costs_no_result(mistake, tmp_path, capsys, monkeypa
     trial = judged(recorded(wave(4e-3), wave(1e-3)))
     found = SimpleNamespace(settings=SimpleNamespace(axis="rotary"))
     monkeypatch.setattr("friction_hil.reports.identification_report.write_report", lambda *_: None)
-    learned = AxisTuning((Candidate(found, SimpleNamespace(label="coulomb"), {}, trial),), tmp_path / "x.yaml", True)
+    learned = AxisTuning((TriedModel(found, SimpleNamespace(label="coulomb"), {}, trial),), tmp_path / "x.yaml", True)
 
     assert _report(tmp_path, Tuning(axes={"x": learned})) is None
     kind, _, text = mistake.partition("(")
@@ -338,7 +339,7 @@ def test_what_helped_goes_before_what_did_not() -> None:
     """Even where RMS times peak is smaller with a model whose peak is higher than without any."""
     before = Figures(10.0, 20.0)
     spiky, steady = (
-        Candidate(None, None, {}, Trial(before, after, np.zeros(0), (np.zeros(0), np.zeros(0))))
+        TriedModel(None, None, {}, Trial(before, after, np.zeros(0), (np.zeros(0), np.zeros(0))))
         for after in (Figures(1.0, 21.0), Figures(5.0, 10.0))
     )
 

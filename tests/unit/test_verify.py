@@ -181,7 +181,7 @@ def test_elsewhere_a_billionth_of_the_break_away_level_is_allowed_and_no_more(ma
 def test_the_tolerance_is_that_of_the_axis(made, tmp_path):
     recording = made.write(tmp_path / "run.mcap", fingerprint={})["y"]
     assert verify(recording).tolerance == pytest.approx(1e-9 * 0.1)
-    assert "not told" in verify(recording).differences[0]
+    assert "not reported" in verify(recording).differences[0]
 
 
 def test_a_configuration_beside_it_is_taken_instead(made, tmp_path):

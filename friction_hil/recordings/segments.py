@@ -1,0 +1,217 @@
+"""The pipeline from a recording to evenly sampled segments with velocity and acceleration. Pure.
+
+Replay, identification, training and tuning all use it: required columns, even grid (`even_grid`), choice of the
+velocity, low-pass, derivatives. They differ in what they ask of it and in what they do with the segments.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from friction_hil.errors import RecordingError, UsageError
+from friction_hil.numerics import filtering
+from friction_hil.numerics.jit import Array
+from friction_hil.recordings.even import EvenGrid, even_grid
+from friction_hil.recordings.quality import is_coarse, resolution
+from friction_hil.recordings.recording import Recording
+
+DEFAULT_LOWPASS_RATIO = 0.1  # of the sampling rate, where the velocity is derived from the position
+LEAST_KNOWN_FRACTION = 0.9  # of the rows: a slow input with fewer values is not used
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Segment:
+    """Evenly sampled part of a recording without a gap; arrays (n,), SI.
+
+    Attributes
+    ----------
+    path, axis : str
+        File and axis of the recording.
+    time_s : array
+    position : array
+        Low-passed if ``lowpass_hz`` is set.
+    velocity, acceleration : array
+        Recorded velocity, or the derivative of ``position``; and its derivative. Central differences.
+    torque : array
+        Measured torque, not filtered.
+    load_torque, temperature, demand : array or None
+        Slow inputs and position demand, not filtered; None where they are not known.
+    rate_hz : float
+        Sampling rate.
+    lowpass_hz : float or None
+        Cut-off of the zero-phase low-pass; None where the recorded velocity is used as it is.
+    encoder : array
+        Measured position, not filtered.
+    """
+
+    path: str
+    axis: str
+    time_s: Array
+    position: Array
+    velocity: Array
+    acceleration: Array
+    torque: Array
+    load_torque: Array | None
+    temperature: Array | None
+    demand: Array | None
+    rate_hz: float
+    lowpass_hz: float | None
+    encoder: Array
+
+    @property
+    def dt(self) -> float:
+        """Sampling period, s."""
+        return 1.0 / self.rate_hz
+
+    def lowpass(self, values: Array) -> Array:
+        """Apply the low-pass of the position to (n,) or (n, m) values; return them unchanged if there is none."""
+        return values if self.lowpass_hz is None else filtering.lowpass(values, self.lowpass_hz, self.rate_hz)
+
+    def lowpassed(self) -> "Segment":
+        """Return the segment with torque and slow inputs low-passed as the position is."""
+        if self.lowpass_hz is None:
+            return self
+        return replace(
+            self,
+            torque=self.lowpass(self.torque),
+            load_torque=None if self.load_torque is None else self.lowpass(self.load_torque),
+            temperature=None if self.temperature is None else self.lowpass(self.temperature),
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EvenSignals:
+    """A recording on an even grid, and the low-pass that its velocity needs.
+
+    Attributes
+    ----------
+    recording : Recording
+    grid : EvenGrid
+    lowpass_hz : float or None
+        Cut-off of the zero-phase low-pass; None if the recorded velocity is used as it is.
+    problems : tuple of str
+        What was found in the columns and what was done about it; without those of the recording itself.
+    """
+
+    recording: Recording
+    grid: EvenGrid
+    lowpass_hz: float | None
+    problems: tuple[str, ...]
+
+    @property
+    def longest(self) -> int:
+        """Number of rows of the longest segment."""
+        return int(max(rows.stop - rows.start for rows in self.grid.segments))
+
+    @property
+    def settling_rows(self) -> int:
+        """Rows at either end of a segment in which the low-pass has not settled."""
+        return 0 if self.lowpass_hz is None else filtering.settling_samples(self.lowpass_hz, self.grid.rate_hz)
+
+    def segment(self, rows: slice) -> Segment:
+        """Return one of ``grid.segments`` with velocity and acceleration."""
+        rate_hz = self.grid.rate_hz
+        columns = {name: np.ascontiguousarray(values[rows]) for name, values in self.grid.columns.items()}
+        position = columns["position"]
+        if self.lowpass_hz is not None:
+            position = filtering.lowpass(position, self.lowpass_hz, rate_hz)
+        velocity = columns["velocity"] if "velocity" in columns else np.gradient(position, 1.0 / rate_hz)
+        return Segment(
+            path=self.recording.path,
+            axis=self.recording.axis,
+            time_s=self.grid.time_s[rows],
+            position=position,
+            velocity=velocity,
+            acceleration=np.gradient(velocity, 1.0 / rate_hz),
+            torque=columns["torque"],
+            load_torque=columns.get("load_torque"),
+            temperature=columns.get("temperature"),
+            demand=columns.get("position_demand"),
+            rate_hz=rate_hz,
+            lowpass_hz=self.lowpass_hz,
+            encoder=columns["position"],
+        )
+
+
+def known_fraction(recording: Recording, name: str) -> float:
+    """Return the fraction of rows in which a column has a value; 0 if there is no such column."""
+    return float(np.mean(np.isfinite(recording[name]))) if name in recording else 0.0
+
+
+def even_signals(
+    recording: Recording,
+    held: Sequence[str] = (),
+    *,
+    lowpass_hz: float | None = None,
+    is_torque_delay_removed: bool = False,
+) -> EvenSignals:
+    """Bring a recording to an even grid and decide where its velocity comes from.
+
+    The recorded velocity is used unless it is absent, so coarse that it mostly stands still, or a low-pass is asked
+    for. It is then derived from the low-passed position.
+
+    Parameters
+    ----------
+    recording : Recording
+        With ``position`` and ``torque``.
+    held : sequence of str
+        Columns of the recording that change slowly, to be interpolated over gaps of their own.
+    lowpass_hz : float, optional
+        Cut-off of a 4th-order Butterworth low-pass, forward and backward, Hz. Without it, `DEFAULT_LOWPASS_RATIO`
+        of the sampling rate where the velocity has to be derived.
+    is_torque_delay_removed : bool
+        Whether the torque is moved back by the delay that the driver stated in the recording.
+
+    Raises
+    ------
+    RecordingError
+        A column is missing, no part has three rows, or the drive does not report its torque.
+    UsageError
+        The low-pass does not fit the sampling rate.
+    """
+    recording.require("position", "torque")
+    why_derived = _why_velocity_is_derived(recording) if lowpass_hz is None else ""
+    has_velocity = lowpass_hz is None and not why_derived
+    grid = even_grid(recording, ["position", "torque", *(["velocity"] if has_velocity else [])], held)
+    problems = list(grid.problems)
+    if is_torque_delay_removed and (delay_s := _torque_delay_s(recording)):
+        problems.append(f"the drive's torque was read {1e3 * delay_s:.3g} ms late: moved back by as much")
+        _move_torque_back(grid, delay_s)
+    if why_derived:
+        lowpass_hz = DEFAULT_LOWPASS_RATIO * grid.rate_hz
+        problems.append(f"{why_derived}: derived from the position below {lowpass_hz:.4g} Hz")
+    if lowpass_hz is not None and not 0.0 < lowpass_hz < grid.rate_hz / 2.0:
+        raise UsageError(
+            f"{recording.path}: a low-pass lies above 0 and below half the sampling rate, {grid.rate_hz / 2.0:.6g} Hz, "
+            f"not at {lowpass_hz:g} Hz"
+        )
+    return EvenSignals(recording, grid, lowpass_hz, tuple(problems))
+
+
+def _why_velocity_is_derived(recording: Recording) -> str:
+    """Return the reason why the recorded velocity cannot be used; empty if it can."""
+    if "velocity" not in recording:
+        return "no velocity"
+    if is_coarse(recording["velocity"]):
+        return f"velocity comes in steps of {resolution(recording['velocity']):.4g}, and mostly stands still"
+    return ""
+
+
+def _torque_delay_s(recording: Recording) -> float:
+    """Return by how much the torque is older than the position in the same row, as the driver stated it, s."""
+    facts = [each for each in recording.metadata.get("facts", ()) if each["name"] == recording.axis]
+    delay_s = facts[0].get("torque_delay_s", 0.0) if facts else 0.0
+    if delay_s is None and not recording["torque"].any():
+        raise RecordingError(
+            f"{recording.path}: the drive of axis {recording.axis} does not report its torque; in mode cst the command "
+            "is nearly that: --column torque=command"
+        )
+    return float(delay_s or 0.0)
+
+
+def _move_torque_back(grid: EvenGrid, delay_s: float) -> None:
+    """Replace the torque of a grid by the one that is read ``delay_s`` later, s."""
+    torque = grid.columns["torque"] = grid.columns["torque"].copy()
+    for rows in grid.segments:
+        torque[rows] = np.interp(grid.time_s[rows] + delay_s, grid.time_s[rows], torque[rows])

@@ -1,0 +1,119 @@
+"""The model of an axis that is kept after the trials, and its file."""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from friction_hil.checked_yaml.text import dump
+from friction_hil.config import AxisConfig
+from friction_hil.errors import FrictionHilError, OptionError
+from friction_hil.identification import Fit, Identification
+from friction_hil.identification.export import as_model_file
+from friction_hil.models.model_file import ModelFile
+from friction_hil.tuning.trial import Trial
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TriedModel:
+    """A model that was tried on the machine, as a model file and with the fit that it comes from."""
+
+    identification: Identification
+    fit: Fit
+    model: dict[str, Any]
+    trial: Trial
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AxisTuning:
+    """Result of tuning one axis.
+
+    Attributes
+    ----------
+    candidates : tuple of TriedModel
+        Models that were tried.
+    file : Path
+        Model file of the best of them.
+    is_in_place : bool
+        True if the file is the one that the configuration names.
+    """
+
+    candidates: tuple[TriedModel, ...]
+    file: Path
+    is_in_place: bool
+
+    @property
+    def best(self) -> TriedModel:
+        """Best of the models; see `best_of`."""
+        return best_of(self.candidates)
+
+
+def best_of(candidates: tuple[TriedModel, ...]) -> TriedModel:
+    """Return the model with the smallest following error, RMS times peak, among those that helped if any did."""
+    return min(candidates, key=_rank)
+
+
+def model_content(found: Identification, fit: Fit, axis: AxisConfig) -> dict[str, Any]:
+    """Return the model file of a fit as plain values; delays, which no recording shows, are the axis's former ones."""
+    model = as_model_file(found, fit)
+    before = axis.model.mechanics
+    model["mechanics"] |= {"delay_s": before.delay_s, "torque_lag_s": before.torque_lag_s}
+    return model
+
+
+def keep_best(axis: AxisConfig, candidates: tuple[TriedModel, ...], file: Path) -> AxisTuning:
+    """Write the best model to ``file``, and to the file that the configuration names if it helped.
+
+    An existing file that the configuration names is left as it is.
+
+    Raises
+    ------
+    FrictionHilError
+        A file cannot be written.
+    """
+    best = best_of(candidates)
+    model = {**best.model, "fit": {**best.model["fit"], "trial": best.trial.figures}}
+    write_model(file, model)
+    wanted = axis.model.source_path
+    is_in_place = wanted is not None and not wanted.exists() and best.trial.has_helped
+    if wanted is not None and is_in_place:
+        file = wanted
+        write_model(file, model)
+    return AxisTuning(candidates, file, is_in_place)
+
+
+def write_model(path: Path, model: dict[str, Any]) -> None:
+    """Write a model file after checking that it can be read again.
+
+    Raises
+    ------
+    FrictionHilError
+        The file cannot be written.
+    """
+    ModelFile.model_validate(model)
+    try:
+        path.write_text(dump(model), encoding="utf-8")
+    except OSError as error:
+        raise FrictionHilError(f"{path} cannot be written: {error.strerror}") from None
+
+
+def refuse_unwritable_model(name: str, axis: AxisConfig) -> None:
+    """Refuse a model file that cannot be created where the configuration names it, before any axis moves for it.
+
+    Raises
+    ------
+    OptionError
+        The folder is missing or not writable.
+    """
+    wanted = axis.model.source_path
+    if wanted is None or wanted.exists():
+        return
+    if not wanted.parent.is_dir():
+        raise OptionError(name, "model", f"there is no folder {wanted.parent} to make it in")
+    if not os.access(wanted.parent, os.W_OK):
+        raise OptionError(name, "model", f"cannot be made: {wanted.parent} is not writable")
+
+
+def _rank(candidate: TriedModel) -> tuple[bool, float]:
+    trial = candidate.trial
+    return not trial.has_helped, trial.compensated.rms * trial.compensated.peak

@@ -1,0 +1,86 @@
+"""Runs of the daemon that record experiments and trials."""
+
+from pathlib import Path
+
+import numpy as np
+
+from friction_hil.config import Configuration
+from friction_hil.daemon.safety import LoopState
+from friction_hil.daemon.session import SessionResult, SessionSettings, run_session
+from friction_hil.daemon.stop import stop_on_signals
+from friction_hil.errors import FrictionHilError
+from friction_hil.recordings import read_all
+from friction_hil.tuning.motions import TuningError
+from friction_hil.tuning.settings import Dialog, TuneSettings
+
+
+class TuningRuns:
+    """Runs of the daemon into one folder.
+
+    Attributes
+    ----------
+    recordings : list of Path
+        Recordings so far.
+    warnings : list of str
+        Warnings of the daemon, each once.
+    """
+
+    def __init__(self, settings: TuneSettings, dialog: Dialog) -> None:
+        self._settings, self._dialog = settings, dialog
+        self._reported: set[str] = set()
+        self.recordings: list[Path] = []
+        self.warnings: list[str] = []
+
+    def run(self, configuration: Configuration, duration_s: float, file: str) -> Path:
+        """Run the daemon once; return the path of the recording, which is complete.
+
+        Raises
+        ------
+        TuningError
+            The run met a fault, or rows of its recording were lost.
+        KeyboardInterrupt
+            The user stopped the run; the axes are at rest.
+        """
+        path = self._settings.folder / file
+        session = SessionSettings(
+            duration_s=duration_s,
+            record=path,
+            is_fault_reset_wanted=self._settings.is_fault_reset_wanted,
+            is_paced_by_sync=self._settings.is_paced_by_sync,
+            is_status_shown=self._settings.is_status_shown,
+        )
+        with stop_on_signals() as stop:
+            result = run_session(configuration, session, stop, self._report_once)
+        self._check(result, path)
+        if stop.is_by_user:
+            self._dialog.report(f"stopped, the axes are at rest; the results so far are in {self._settings.folder}")
+            raise KeyboardInterrupt
+        return path
+
+    def _check(self, result: SessionResult, path: Path) -> None:
+        report = result.report
+        self.warnings += [each for each in result.loop.warnings if each not in self.warnings]
+        if report is not None and report.recording:
+            self.recordings.append(path)
+        if result.loop.faults:
+            where = f"; the run is in {path}"
+            if not _has_run(path):
+                path.unlink(missing_ok=True)
+                where = "; nothing has moved"
+            raise TuningError("; ".join(result.loop.faults) + where)
+        if report is None or report.lost or not report.recording:
+            problems = "; ".join(report.problems) if report is not None and report.problems else "rows were lost"
+            raise TuningError(f"{path}: the recording is not complete: {problems}")
+
+    def _report_once(self, line: str) -> None:
+        if line not in self._reported:
+            self._reported.add(line)
+            self._dialog.report(line)
+
+
+def _has_run(path: Path) -> bool:
+    """True if a recording has rows in which an axis was commanded to move."""
+    try:
+        return any(np.any(each["state"] == LoopState.RUNNING) for each in read_all(path).values())
+    except FrictionHilError:  # no row, or no file
+        return False

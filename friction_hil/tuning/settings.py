@@ -1,0 +1,47 @@
+"""Settings of a tuning, and the dialog with its user."""
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+
+@dataclass(frozen=True, slots=True)
+class TuneSettings:
+    """Axes to tune, models to try, and the folder for the results.
+
+    Attributes
+    ----------
+    folder : Path
+        Folder for recordings, model files and reports; new or empty.
+    names : tuple of str
+        Axes to tune; empty for all.
+    families : tuple of str
+        Families of friction models to fit; empty for all.
+    is_fault_reset_wanted, is_paced_by_sync, is_status_shown : bool
+        As of `friction_hil.daemon.session.SessionSettings`.
+    """
+
+    folder: Path
+    names: tuple[str, ...] = ()
+    families: tuple[str, ...] = ()
+    is_fault_reset_wanted: bool = False
+    is_paced_by_sync: bool = False
+    is_status_shown: bool = False
+
+
+class Dialog(Protocol):
+    """Messages to the user, and questions. While axes move, only `report` is called."""
+
+    def report(self, line: str) -> None:
+        """Show a line about the progress or about something unusual."""
+        ...
+
+    def confirm(self, motion: str) -> None:
+        """Ask whether the axes may move now as described; raise ``click.Abort`` if not."""
+        ...
+
+    def working(self, text: str) -> AbstractContextManager[Callable[[str], None]]:
+        """Show that a long computation goes on; the function that is given shows its current step."""
+        ...
