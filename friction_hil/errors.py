@@ -1,7 +1,7 @@
-"""Everything that can go wrong and is the user's to mend.
+"""Errors that the user can correct.
 
-Each error carries the exit status of the command that meets it: 2 where the use or the configuration is
-wrong, 1 where the world is (a drive that does not answer, a file that is cut off).
+Each error has the exit status of the command that meets it: 2 for wrong use or a wrong configuration, 1 for other
+failures, such as a drive that does not answer or a truncated file.
 """
 
 import difflib
@@ -10,14 +10,14 @@ from dataclasses import dataclass
 
 
 class FrictionHilError(Exception):
-    """Base of all errors raised on purpose. The message is a complete sentence for the user.
+    """Base class of all errors raised deliberately. The message is a complete sentence for the user.
 
     Parameters
     ----------
     detail : str
-        What is wrong, and where.
+        Description of the mistake or failure, with its location.
     fix : str
-        What would mend it, where that is said apart; the message has both.
+        Remedy, if it is given separately; the message contains both.
     """
 
     exit_status = 1
@@ -29,18 +29,18 @@ class FrictionHilError(Exception):
 
 
 class UsageError(FrictionHilError):
-    """Wrong use: a flag, a name or an argument that does not fit. Example: an unknown model name."""
+    """Wrong use: an invalid flag, name or argument. Example: an unknown model name."""
 
     exit_status = 2
 
 
 class ParameterError(UsageError, ValueError):
-    """A model parameter is missing, unknown, not finite or out of its bounds."""
+    """A model parameter is missing, unknown, not finite or out of bounds."""
 
 
 @dataclass(frozen=True, slots=True)
 class Problem:
-    """One mistake in a file: where it stands and what would be right."""
+    """One mistake in a file, with its location and what is expected instead."""
 
     path: str
     line: int | None
@@ -53,7 +53,7 @@ class Problem:
 
 
 class ConfigurationError(UsageError):
-    """A configuration or model file has mistakes; ``problems`` has all of them."""
+    """A configuration or model file has mistakes; ``problems`` lists all of them."""
 
     def __init__(self, problems: Iterable[Problem]) -> None:
         self.problems = tuple(problems)
@@ -61,15 +61,16 @@ class ConfigurationError(UsageError):
 
 
 class OptionError(UsageError):
-    """One key of one axis does not fit its drive or its bus.
+    """A key of an axis does not suit its drive or its bus.
 
     Parameters
     ----------
     axis : str
+        Name of the axis.
     key : str
-        As in the configuration, with a dot before a key within it.
+        Key in the configuration; nested keys are separated by dots.
     text : str
-        What would be right.
+        Description of the mistake and of what is expected.
     """
 
     def __init__(self, axis: str, key: str, text: str) -> None:
@@ -78,19 +79,19 @@ class OptionError(UsageError):
 
 
 class RecordingError(FrictionHilError):
-    """A recording cannot be read, or lacks a column that is needed."""
+    """A recording cannot be read, or lacks a required column."""
 
 
 class BusError(FrictionHilError):
-    """The bus does not open or cannot send. Example: no such interface, no permission."""
+    """The bus cannot be opened, or cannot send. Example: no such interface, no permission."""
 
 
 class DriveError(FrictionHilError):
-    """A drive does not answer, is not what the configuration says, lacks an object, or reports a fault."""
+    """A drive does not answer, differs from the configuration, lacks an object, or reports a fault."""
 
 
 def choices(wrong: str, available: Iterable[str]) -> str:
-    """Say what was close and what there is: ``did you mean 'lugre'? There are: coulomb, dahl, lugre``."""
+    """Suggest a similar name and list all: ``did you mean 'lugre'? There are: coulomb, dahl, lugre``."""
     names = sorted(available)
     close = difflib.get_close_matches(wrong, names, n=1, cutoff=0.6)
     hint = f"did you mean {close[0]!r}? " if close else ""

@@ -5,14 +5,14 @@ from typing import Any
 import numpy as np
 
 import friction_hil as fh
-from friction_hil.models import NETWORK_ALONE, FrictionModel, Network, Structure
+from friction_hil.models import NETWORK_ALONE, FrictionModel, Network, NetworkStructure
 
 STRUCTURES = {
-    "gated": Structure("gated", (6,), 1),
-    "gated_2": Structure("gated", (6, 4), 2),
-    "narx": Structure("narx", (5,), 2, lags=2),
-    "static": Structure("static", (5,), 0),
-    "every_input": Structure("gated", (5,), 1, 0, True, True, True, (1.0, 7.0)),
+    "gated": NetworkStructure("gated", (6,), 1),
+    "gated_2": NetworkStructure("gated", (6, 4), 2),
+    "narx": NetworkStructure("narx", (5,), 2, lags=2),
+    "static": NetworkStructure("static", (5,), 0),
+    "every_input": NetworkStructure("gated", (5,), 1, 0, True, True, True, (1.0, 7.0)),
 }
 
 

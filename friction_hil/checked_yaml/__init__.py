@@ -1,5 +1,6 @@
-"""YAML files that are checked as a whole: every mistake with its file, line and key.
+"""Reading and checking of YAML files; every mistake is reported with its file, line and key.
 
-Model files, configurations, descriptions of drives and column mappings are such files. `text` reads YAML and knows
-the line of each key, `section` declares keys, `messages` words pydantic's errors, `files` puts it together.
+Model files, configurations, drive descriptions and column mappings are read this way. `text` parses YAML and records
+the line of each key, `section` declares keys, `messages` turns pydantic's errors into messages for the user, and
+`files` combines them.
 """

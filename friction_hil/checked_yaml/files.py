@@ -1,4 +1,4 @@
-"""From a YAML file to a checked section, with all mistakes at once."""
+"""Reading of a YAML file into a checked section, with all mistakes reported at once."""
 
 from pathlib import Path
 from typing import Any, TypeVar
@@ -7,50 +7,50 @@ from pydantic import BaseModel, ValidationError
 
 from friction_hil.checked_yaml import text
 from friction_hil.checked_yaml.messages import mistakes_of, validate
-from friction_hil.checked_yaml.text import Document, Steps
+from friction_hil.checked_yaml.text import Document, FieldPath
 from friction_hil.errors import ConfigurationError, Problem
 
 Model = TypeVar("Model", bound=BaseModel)
 
 
 def read_section(path: str | Path, model: type[Model]) -> Model:
-    """Read a YAML file that has the keys of ``model``; drivers keep descriptions of drives in such files.
+    """Read a YAML file with the keys of ``model``, e.g. the description of a drive.
 
     Raises
     ------
     ConfigurationError
-        It cannot be read or has mistakes; ``problems`` has each with its line.
+        The file cannot be read or has mistakes; ``problems`` lists them with their lines.
     """
     document = text.read(path)
     return validated(model, document.value, Origins(document), list(document.problems))
 
 
 class Origins:
-    """Find the file, line and key that a value comes from, where a file includes others.
+    """Map from values to file, line and key, for a file that includes other files.
 
     Attributes
     ----------
-    broken : list of Steps
-        Values whose file could not be read: no more is reported of them.
+    broken : list of FieldPath
+        Values whose file could not be read; further mistakes in them are not reported.
     """
 
     def __init__(self, main: Document) -> None:
-        self._documents: dict[Steps, Document] = {(): main}
-        self.broken: list[Steps] = []
+        self._documents: dict[FieldPath, Document] = {(): main}
+        self.broken: list[FieldPath] = []
 
-    def add(self, steps: Steps, document: Document) -> None:
-        """Note that the value at ``steps`` stands in a file of its own."""
+    def add(self, steps: FieldPath, document: Document) -> None:
+        """Register that the value at the field path ``steps`` is in a file of its own."""
         self._documents[steps] = document
 
-    def locate(self, steps: Steps, message: str) -> Problem:
-        """Return the mistake with the file and line of the value at ``steps``."""
+    def locate(self, steps: FieldPath, message: str) -> Problem:
+        """Return a problem with the file and line of the value at the field path ``steps``."""
         start = max((known for known in self._documents if steps[: len(known)] == known), key=len)
         document, inner = self._documents[start], steps[len(start) :]
         return Problem(document.path, document.line(inner), field_name(inner), message)
 
 
-def field_name(steps: Steps) -> str:
-    """Write the way to a value, e.g. ``axes.x.shadows[0].name``."""
+def field_name(steps: FieldPath) -> str:
+    """Format a field path, e.g. ``axes.x.shadows[0].name``."""
     text = "".join(f"[{step}]" if isinstance(step, int) else f".{step}" for step in steps)
     return text.removeprefix(".")
 
@@ -61,12 +61,12 @@ def validated(model: type[Model], value: Any, origins: Origins, problems: list[P
     Parameters
     ----------
     problems : list of Problem
-        Mistakes that are known already; those that are found are appended.
+        Mistakes found earlier; new ones are appended.
 
     Raises
     ------
     ConfigurationError
-        There are mistakes, known or found.
+        There are mistakes.
     """
     known_lines = {(problem.path, problem.line) for problem in problems}
     result: Model | None = None

@@ -1,4 +1,4 @@
-"""What is wrong with a value, in plain words: pydantic's errors retold, with units, choices and advice."""
+"""Messages about wrong values: pydantic's errors in plain words, with units, choices and advice."""
 
 import json
 import re
@@ -11,13 +11,13 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails, InitErrorDetails, PydanticCustomError
 
 from friction_hil.checked_yaml.section import keys
-from friction_hil.checked_yaml.text import Steps, resolve
+from friction_hil.checked_yaml.text import FieldPath, resolve
 from friction_hil.errors import choices
 
-Mistake = tuple[Steps, str]  # where, seen from the value in question, and what
+Mistake = tuple[FieldPath, str]  # field path, relative to the checked value, and message
 Model = TypeVar("Model", bound=BaseModel)
 
-_OWN = "friction_hil"  # type of the errors that already carry a finished message
+_OWN = "friction_hil"  # type of errors that already have a complete message
 _WANTED = {
     "float_type": "a number",
     "int_type": "a whole number",
@@ -37,27 +37,27 @@ _BOUNDS = {"gt": "above", "ge": "at least", "lt": "below", "le": "at most"}
 
 
 def validate(model: type[Model], value: Any, known: Collection[str] = ()) -> Model:
-    """Make a ``model`` of plain values: no text becomes a number, and no number text.
+    """Create a ``model`` from plain values, without converting text to numbers or numbers to text.
 
     Parameters
     ----------
     known
-        Keys that stand beside those of the model, for the message about an unknown one.
+        Further keys allowed beside those of the model, for the message about an unknown key.
 
     Raises
     ------
     ValidationError
-        With finished messages; see `mistakes_of`.
+        There are mistakes; `mistakes_of` returns their messages.
     """
     try:
-        # strict JSON is what YAML means: a list may become a tuple and text a path, nothing else is converted
+        # pydantic's strict mode for JSON converts lists to tuples and text to paths, and nothing else
         return model.model_validate_json(json.dumps(value), strict=True)
     except ValidationError as error:
         raise _refusal(model.__name__, mistakes_of(error, model, value, known)) from None
 
 
 def refuse(section: BaseModel, mistakes: Iterable[Mistake]) -> None:
-    """Raise the ``mistakes``, if there are any, from within a validator of ``section``."""
+    """Raise a validation error for the ``mistakes``, if there are any; to be called by a validator of ``section``."""
     if found := list(mistakes):
         raise _refusal(type(section).__name__, found)
 
@@ -65,14 +65,14 @@ def refuse(section: BaseModel, mistakes: Iterable[Mistake]) -> None:
 def mistakes_of(
     error: ValidationError, model: type[BaseModel], value: Any, known: Collection[str] = ()
 ) -> list[Mistake]:
-    """Retell pydantic's ``error`` about ``value`` as ``model``, one mistake a place."""
-    told: dict[Steps, list[str]] = {}
+    """Convert pydantic's ``error`` about ``value`` as ``model`` to mistakes, one per field path."""
+    found: dict[FieldPath, list[str]] = {}
     for item in error.errors(include_url=False):
-        steps, message = _retell(item, model, value, known)
-        told.setdefault(steps, [])
-        if message not in told[steps]:
-            told[steps].append(message)
-    return [(steps, "; or ".join(messages)) for steps, messages in told.items()]
+        steps, message = _translate(item, model, value, known)
+        found.setdefault(steps, [])
+        if message not in found[steps]:
+            found[steps].append(message)
+    return [(steps, "; or ".join(messages)) for steps, messages in found.items()]
 
 
 def _refusal(title: str, mistakes: Sequence[Mistake]) -> ValidationError:
@@ -89,7 +89,7 @@ def _refusal(title: str, mistakes: Sequence[Mistake]) -> ValidationError:
     )
 
 
-def _retell(item: ErrorDetails, model: type[BaseModel], value: Any, known: Collection[str]) -> Mistake:
+def _translate(item: ErrorDetails, model: type[BaseModel], value: Any, known: Collection[str]) -> Mistake:
     location = item["loc"]
     context = item.get("ctx", {})
     if item["type"] == _OWN:
@@ -106,7 +106,7 @@ def _retell(item: ErrorDetails, model: type[BaseModel], value: Any, known: Colle
         names = {name for holder in holders for name in keys(holder)}
         if len(location) == 1:
             names |= set(known)
-        return _present(location, value), f"is no key here; {choices(str(location[-1]), names)}"
+        return _present(location, value), f"is not a key here; {choices(str(location[-1]), names)}"
     if item["type"] == "union_tag_invalid":
         name = context["discriminator"].strip("'")
         message = f"must be one of {context['expected_tags']}, not {show(item['input'][name])}"
@@ -132,9 +132,9 @@ def _describe(
     if kind in ("literal_error", "enum"):
         return f"must be {context['expected']}, not {show(given)}"
     if kind == "union_tag_not_found":
-        return f"needs the key {context['discriminator']}, which says what it is"
+        return f"needs the key {context['discriminator']}, which selects its kind"
     if kind == "string_pattern_mismatch":
-        return f"{given!r} is no name: small letters, digits and _, a letter first"
+        return f"{given!r} is not a valid name: use small letters, digits and _, beginning with a letter"
     if kind in ("too_long", "too_short"):
         bound = context.get("max_length", context.get("min_length"))
         return f"needs {'at most' if kind == 'too_long' else 'at least'} {bound}, has {context['actual_length']}"
@@ -144,7 +144,7 @@ def _describe(
 
 
 def show(value: Any) -> str:
-    """Name a value of a YAML file in a sentence."""
+    """Describe a value of a YAML file for use in a sentence."""
     if value is None:
         return "empty"
     if isinstance(value, bool):
@@ -161,7 +161,7 @@ def show(value: Any) -> str:
 
 
 def _advice(kind: str, given: Any) -> str:
-    """What the author of a text that should be a number, true or false most likely meant."""
+    """Suggest what the author of a text most likely meant where a number, true or false is expected."""
     if not isinstance(given, str):
         if kind.startswith("int") and isinstance(given, float) and given.is_integer():
             return f"; write {int(given)}"
@@ -198,7 +198,7 @@ def _advice(kind: str, given: Any) -> str:
 
 
 def _bounds(field: FieldInfo | None, context: dict[str, Any]) -> str:
-    """All bounds of a number, whichever of them was broken: those of the key and those of its type."""
+    """Describe all bounds of a number, those of the key and those of its type."""
     found: dict[str, list[float]] = {name: [context[name]] if name in context else [] for name in _BOUNDS}
     for item in () if field is None else (*field.metadata, *_constraints(field.annotation)):
         for name, bounds in found.items():
@@ -209,7 +209,7 @@ def _bounds(field: FieldInfo | None, context: dict[str, Any]) -> str:
 
 
 def _constraints(annotation: Any) -> list[Any]:
-    """What the parts of a type demand, e.g. of ``Annotated[float, Field(gt=0.0)] | None``."""
+    """Return the constraints in a type, e.g. of ``Annotated[float, Field(gt=0.0)] | None``."""
     if get_origin(annotation) is Annotated:
         kind, *demands = get_args(annotation)
         own = [part for demand in demands for part in getattr(demand, "metadata", (demand,))]
@@ -225,8 +225,8 @@ def _unit(field: FieldInfo | None) -> str:
     return "" if unit in (None, "1") else str(unit)
 
 
-def _present(location: Sequence[str | int], value: Any) -> Steps:
-    """The steps of pydantic's location that the value really has, without its names of union branches."""
+def _present(location: Sequence[str | int], value: Any) -> FieldPath:
+    """Return the part of pydantic's location that exists in the value, without the names of union branches."""
     steps: list[str | int] = []
     for step in location:
         try:
@@ -238,7 +238,7 @@ def _present(location: Sequence[str | int], value: Any) -> Steps:
 
 
 def _find(model: type[BaseModel], location: Sequence[str | int]) -> tuple[FieldInfo | None, list[type[BaseModel]]]:
-    """The field that a location leads to, and the models that may stand there."""
+    """Return the field at a location, and the models that are allowed there."""
     field: FieldInfo | None = None
     kinds: list[Any] = [model]
     for step in location:
@@ -271,7 +271,7 @@ def _members_of_items(kind: Any) -> list[Any]:
 
 
 def _tags(model: type[BaseModel]) -> set[Any]:
-    """What names a model in a union: the values of its fields that are fixed, and its name."""
+    """Return the strings that select a model in a union: its name, and the values of its literal fields."""
     tags: set[Any] = {model.__name__}
     for field in model.model_fields.values():
         if field.is_required():

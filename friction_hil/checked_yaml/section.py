@@ -1,30 +1,42 @@
-"""Base of all parts of a configuration, and how their keys are declared."""
+"""Base class of all sections of a checked YAML file, and the declaration of their keys."""
 
 from typing import Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-# Units of an axis that turns or of one that slides.
+# Units of a rotary or a linear axis.
 TORQUE = "N m or N"
 POSITION = "rad or m"
 VELOCITY = "rad/s or m/s"
 
 
 class Section(BaseModel):
-    """A group of keys: frozen, no others allowed, all numbers finite."""
+    """A group of keys: immutable, without unknown keys, with finite numbers."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, ser_json_inf_nan="constants")
 
 
 def key(meaning: str, unit: str | None = None, *, default: Any = ..., **bounds: Any) -> Any:
-    """Declare a key by its meaning and unit; ``bounds`` as in pydantic's ``Field``. Required without default."""
+    """Declare a key with its meaning and unit; it is required if it has no default.
+
+    Parameters
+    ----------
+    meaning : str
+        Description of the key, for messages and the JSON Schema.
+    unit : str, optional
+        Unit of its value; "1" for a dimensionless number.
+    default : optional
+        Value when the key is absent.
+    **bounds
+        Bounds as in pydantic's ``Field``.
+    """
     text = meaning if unit in (None, "1") else f"{meaning} [{unit}]"
     extra = {"unit": unit} if unit is not None else None
     return Field(default, description=text, json_schema_extra=extra, **bounds)  # type: ignore[arg-type]
 
 
 def keys(model: type[BaseModel]) -> list[str]:
-    """Names of the keys that a file may have in this group."""
+    """Return the names of the keys that a file may have in this group."""
     return [
         name
         for name, field in model.model_fields.items()

@@ -1,8 +1,8 @@
-"""YAML text to plain values, with the line of each key and value, by the core schema of YAML 1.2.
+"""Conversion of YAML text to plain values by the core schema of YAML 1.2, with the line of each key and value.
 
-PyYAML parses; what a scalar means is decided here, because YAML 1.1, which PyYAML follows, reads ``1:30`` as
-90, ``on`` as true, ``012`` as 10 and ``1e-3`` as text. Duplicate keys, tags and further documents are
-mistakes. Anchors and merge keys (``<<``) work; how far they may expand is bounded.
+PyYAML does the parsing. The scalars are interpreted here, because PyYAML follows YAML 1.1, which reads ``1:30`` as 90,
+``on`` as true, ``012`` as 10 and ``1e-3`` as text. Duplicate keys, tags and further documents are mistakes. Anchors
+and merge keys (``<<``) work; their expansion is limited.
 """
 
 import math
@@ -16,7 +16,7 @@ import yaml
 
 from friction_hil.errors import ConfigurationError, Problem
 
-Steps = tuple[str | int, ...]  # the way to a value: keys and list indices
+FieldPath = tuple[str | int, ...]  # keys and list indices from the root to a value
 
 _PARSER = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 _LARGEST_FILE = 16 * 2**20  # bytes
@@ -24,7 +24,7 @@ _MOST_VALUES = 200_000  # with anchors expanded
 _DEEPEST = 50
 _TEXT = "tag:yaml.org,2002:str"
 
-# YAML 1.2.2, section 10.3.2, but for leading zeros: 012 is 10 to YAML 1.1 and 12 to 1.2, hence text here.
+# YAML 1.2.2, section 10.3.2, except for leading zeros: 012 is 10 in YAML 1.1 and 12 in 1.2, hence it is text here.
 _NULL = re.compile(r"null|Null|NULL|~|")
 _BOOL = re.compile(r"true|True|TRUE|false|False|FALSE")
 _INT = re.compile(r"[-+]?(?:0|[1-9][0-9]*)|0o[0-7]+|0x[0-9a-fA-F]+")
@@ -34,12 +34,12 @@ _NAN = re.compile(r"\.(?:nan|NaN|NAN)")
 
 
 def resolve(text: str) -> bool | int | float | str | None:
-    """Return what the plain scalar ``text`` means.
+    """Return the value of the plain scalar ``text``.
 
     Raises
     ------
     OverflowError
-        It is a number too large for a double.
+        The number is too large for a double.
     """
     if _NULL.fullmatch(text):
         return None
@@ -64,8 +64,11 @@ def resolve(text: str) -> bool | int | float | str | None:
 
 
 @dataclass(slots=True)
-class Node:
-    """A value with its line: a scalar, a list of nodes, or a dict of (line of the key, node)."""
+class YamlNode:
+    """A value with its line: a scalar, a list of nodes, or a dict of (line of the key, node).
+
+    ``size`` is the number of values in it, ``depth`` the number of levels.
+    """
 
     value: Any
     line: int
@@ -75,15 +78,15 @@ class Node:
 
 @dataclass(slots=True)
 class Document:
-    """One file: its ``value``, free of marks, and where each part of it stands."""
+    """One file: its plain ``value``, and the line of each part of it."""
 
     path: str
     value: Any
-    root: Node | None = None
+    root: YamlNode | None = None
     problems: list[Problem] = field(default_factory=list)
 
-    def line(self, steps: Steps) -> int | None:
-        """Line of the deepest part of the way ``steps`` that exists; None where the text is not known."""
+    def line(self, steps: FieldPath) -> int | None:
+        """Return the line of the deepest existing part of the field path ``steps``; None if there is no text."""
         if self.root is None:
             return None
         node, line = self.root, self.root.line
@@ -104,7 +107,7 @@ def read(path: str | Path) -> Document:
     Raises
     ------
     ConfigurationError
-        It cannot be read, or is no YAML. Lesser mistakes are in ``problems`` of what is returned.
+        The file cannot be read, or is not YAML. Other mistakes are in ``problems`` of the returned document.
     """
     where = str(path)
     try:
@@ -124,17 +127,17 @@ def read(path: str | Path) -> Document:
 
 
 def parse(text: str, path: str) -> Document:
-    """Parse YAML ``text``; ``path`` is what its mistakes are reported under.
+    """Parse YAML ``text``; ``path`` is the file name for messages.
 
     Raises
     ------
     ConfigurationError
-        The text is no YAML. Lesser mistakes are in ``problems`` of what is returned.
+        The text is not YAML. Other mistakes are in ``problems`` of the returned document.
     """
     try:
         root, problems = _Builder(yaml.parse(text, Loader=_PARSER), path).build()
     except UnicodeEncodeError as error:
-        raise _error(path, text.count("\n", 0, error.start) + 1, "holds what is no character") from None
+        raise _error(path, text.count("\n", 0, error.start) + 1, "contains an invalid character") from None
     except yaml.reader.ReaderError as error:
         line = text.encode().count(b"\n", 0, error.position) + 1
         raise _error(path, line, f"the character U+{error.character:04X} is not allowed") from None
@@ -149,15 +152,15 @@ def dump(value: Any) -> str:
 
 
 class _Builder:
-    """Makes nodes of the parser's events; the size of the text bounds its work, not what anchors expand to."""
+    """Builder of nodes from the parser's events; its work is proportional to the text, not to expanded anchors."""
 
     def __init__(self, events: Iterator[Any], path: str) -> None:
         self._events = events
         self._path = path
-        self._anchors: dict[str, Node | None] = {}
+        self._anchors: dict[str, YamlNode | None] = {}
         self._problems: list[Problem] = []
 
-    def build(self) -> tuple[Node, list[Problem]]:
+    def build(self) -> tuple[YamlNode, list[Problem]]:
         next(self._events)  # start of the stream
         if isinstance(next(self._events), yaml.StreamEndEvent):
             raise _error(self._path, None, "is empty")
@@ -165,21 +168,21 @@ class _Builder:
         next(self._events)  # end of the document
         after = next(self._events)
         if not isinstance(after, yaml.StreamEndEvent):
-            raise _error(self._path, _line(after), "a second document begins here ('---'): one is enough")
+            raise _error(self._path, _line(after), "a second document begins here ('---'); only one is allowed")
         return root, self._problems
 
-    def _node(self, event: Any, depth: int) -> Node:
+    def _node(self, event: Any, depth: int) -> YamlNode:
         line = _line(event)
         if depth > _DEEPEST:
-            raise _error(self._path, line, f"more than {_DEEPEST} levels are nested here")
+            raise _error(self._path, line, f"more than {_DEEPEST} nested levels are not allowed")
         if isinstance(event, yaml.AliasEvent):
             return self._alias(event, line)
         if event.tag not in (None, "!"):
             tag = event.tag.replace("tag:yaml.org,2002:", "!!")
-            self._report(line, f"tags such as {tag} have no use here: remove it")
+            self._report(line, f"tags such as {tag} are not allowed; remove it")
         if event.anchor is not None:
-            self._anchors[event.anchor] = None  # known, but not complete
-        node = Node(None, line)
+            self._anchors[event.anchor] = None  # defined, but not complete
+        node = YamlNode(None, line)
         if isinstance(event, yaml.ScalarEvent):
             node.value = self._scalar(event, line)
         elif isinstance(event, yaml.SequenceStartEvent):
@@ -187,17 +190,17 @@ class _Builder:
         else:
             node.value = self._mapping(node, depth)
         if node.size > _MOST_VALUES or node.depth > _DEEPEST:
-            raise _error(self._path, line, f"holds more than {_MOST_VALUES} values or {_DEEPEST} levels")
+            raise _error(self._path, line, f"contains more than {_MOST_VALUES} values or {_DEEPEST} levels")
         if event.anchor is not None:
             self._anchors[event.anchor] = node
         return node
 
-    def _alias(self, event: Any, line: int) -> Node:
+    def _alias(self, event: Any, line: int) -> YamlNode:
         if event.anchor not in self._anchors:
             raise _error(self._path, line, f"*{event.anchor} refers to an anchor that is not defined above")
         node = self._anchors[event.anchor]
         if node is None:
-            raise _error(self._path, line, f"*{event.anchor} refers to what it is part of")
+            raise _error(self._path, line, f"*{event.anchor} refers to a value that it is part of")
         return node
 
     def _scalar(self, event: Any, line: int) -> bool | int | float | str | None:
@@ -206,19 +209,19 @@ class _Builder:
         try:
             return resolve(event.value)
         except OverflowError:
-            self._report(line, f"{event.value[:40]} is too large for a number; write .inf where infinity is meant")
+            self._report(line, f"{event.value[:40]} is too large for a number; write .inf for infinity")
             return 0
 
-    def _sequence(self, node: Node, depth: int) -> list[Node]:
-        items: list[Node] = []
+    def _sequence(self, node: YamlNode, depth: int) -> list[YamlNode]:
+        items: list[YamlNode] = []
         while not isinstance(event := next(self._events), yaml.SequenceEndEvent):
             items.append(self._node(event, depth + 1))
             _grow(node, items[-1])
         return items
 
-    def _mapping(self, node: Node, depth: int) -> dict[str, tuple[int, Node]]:
-        entries: dict[str, tuple[int, Node]] = {}
-        merged: dict[str, tuple[int, Node]] = {}
+    def _mapping(self, node: YamlNode, depth: int) -> dict[str, tuple[int, YamlNode]]:
+        entries: dict[str, tuple[int, YamlNode]] = {}
+        merged: dict[str, tuple[int, YamlNode]] = {}
         while not isinstance(event := next(self._events), yaml.MappingEndEvent):
             line = _line(event)
             if not isinstance(event, yaml.ScalarEvent):
@@ -234,10 +237,10 @@ class _Builder:
                 entries[event.value] = (line, value)
         return {**merged, **entries}
 
-    def _merged(self, value: Node, line: int) -> dict[str, tuple[int, Node]]:
+    def _merged(self, value: YamlNode, line: int) -> dict[str, tuple[int, YamlNode]]:
         sources = value.value if isinstance(value.value, list) else [value]
-        merged: dict[str, tuple[int, Node]] = {}
-        for source in reversed(sources):  # of several, the first counts
+        merged: dict[str, tuple[int, YamlNode]] = {}
+        for source in reversed(sources):  # the first of several has priority
             if isinstance(source.value, dict):
                 merged |= source.value
             else:
@@ -248,12 +251,12 @@ class _Builder:
         self._problems.append(Problem(self._path, line, name, message))
 
 
-def _grow(node: Node, child: Node) -> None:
+def _grow(node: YamlNode, child: YamlNode) -> None:
     node.size += child.size
     node.depth = max(node.depth, child.depth + 1)
 
 
-def _plain(node: Node) -> Any:
+def _plain(node: YamlNode) -> Any:
     if isinstance(node.value, dict):
         return {key: _plain(child) for key, (_, child) in node.value.items()}
     if isinstance(node.value, list):
@@ -270,29 +273,29 @@ def _error(path: str, line: int | None, message: str) -> ConfigurationError:
 
 
 def _explain(error: yaml.MarkedYAMLError, text: str) -> tuple[int | None, str]:
-    """Line and message of what the parser did not understand."""
+    """Return line and message of a syntax error."""
     mark = error.problem_mark or error.context_mark
     if mark is None:
-        return None, f"is no YAML: {error.problem}"
+        return None, f"is not YAML: {error.problem}"
     lines = text.splitlines()
     row = lines[mark.line] if mark.line < len(lines) else ""
     character = row[mark.column : mark.column + 1]
     problem = str(error.problem)
     if character == "\t" or "\t" in row[: len(row) - len(row.lstrip())]:
-        return mark.line + 1, "a tab stands where YAML wants spaces: indent with spaces"
+        return mark.line + 1, "a tab is not allowed as indentation in YAML; use spaces"
     if "cannot start any token" in problem:
         return mark.line + 1, f"a text that begins with {character!r} needs quotes"
     if "mapping values are not allowed" in problem:
-        message = "a ':' stands where no key can be; check the indentation, and quote texts that contain ': '"
+        message = "a ':' is not allowed here; check the indentation, and quote texts that contain ': '"
         return mark.line + 1, message
     context = f" {error.context}" if error.context else ""
     if error.context_mark is not None and error.context_mark.line != mark.line:
         context += f" that begins in line {error.context_mark.line + 1}"
-    return mark.line + 1, f"is no YAML: {problem}{context}"
+    return mark.line + 1, f"is not YAML: {problem}{context}"
 
 
 class _Dumper(yaml.SafeDumper):
-    """Quotes every text that would otherwise be read as something else."""
+    """YAML writer that quotes every text that would otherwise be read as another type."""
 
     def ignore_aliases(self, data: Any) -> bool:
         return True

@@ -1,6 +1,6 @@
-"""The configuration of a machine: every key with its meaning, checked as a whole, each mistake with its line."""
+"""Configuration of a machine: declaration of all keys, loading and checking, JSON Schema for editors."""
 
-from friction_hil.config.axis import AxisConfig, Compensation, Controller, Limits, Shadow
+from friction_hil.config.axis import AxisConfig, AxisLimits, Compensation, Controller, Shadow
 from friction_hil.config.bus import BusConfig
 from friction_hil.config.json_schema import json_schema
 from friction_hil.config.load import file_problems, from_dict, load, located, self_contained
@@ -20,6 +20,7 @@ from friction_hil.config.trajectories import (
 __all__ = [
     "AxisConfig",
     "AxisExperiment",
+    "AxisLimits",
     "BusConfig",
     "Circle",
     "Compensation",
@@ -28,7 +29,6 @@ __all__ = [
     "Experiment",
     "ExperimentBounds",
     "Hold",
-    "Limits",
     "NoTrajectory",
     "Realtime",
     "RecordingConfig",

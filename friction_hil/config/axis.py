@@ -1,4 +1,4 @@
-"""One axis in the configuration: limits, model, compensation, motion, and the keys of its driver."""
+"""Configuration of one axis: limits, model, compensation, motion, and the keys of its driver."""
 
 import functools
 from collections.abc import Iterator, Mapping
@@ -28,42 +28,44 @@ NAME_PATTERN = "^[a-z][a-z0-9_]*$"
 Name = Annotated[str, StringConstraints(pattern=NAME_PATTERN)]
 
 
-class Limits(Section):
-    """Limits that hold in every cycle; passing one is a fault, but torque and slew, which are clipped."""
+class AxisLimits(Section):
+    """Limits checked in every cycle. Torque and slew rate are clipped; exceeding another limit is a fault."""
 
-    torque: float = key("bound on abs(compensation) in csp and csv, on the whole torque in cst", TORQUE, gt=0)
-    torque_slew: float | None = key("fastest change of the torque", f"{TORQUE} per s", default=None, gt=0)
-    velocity: float = key("bound on abs(velocity)", VELOCITY, gt=0)
-    following_error: float | None = key("bound on abs(position demand - position)", POSITION, default=None, gt=0)
+    torque: float = key("limit of abs(compensation) in csp and csv, of the whole torque in cst", TORQUE, gt=0)
+    torque_slew: float | None = key("limit of the slew rate of the torque", f"{TORQUE} per s", default=None, gt=0)
+    velocity: float = key("limit of abs(velocity)", VELOCITY, gt=0)
+    following_error: float | None = key("limit of abs(position demand - position)", POSITION, default=None, gt=0)
     position: tuple[float, float] | None = key("lowest and highest position", POSITION, default=None)
 
 
 class Adaptation(Section):
-    """Slow, bounded adaptation of the friction level to what the torque shows, for each direction."""
+    """Slow, bounded adaptation of the friction level to the measured torque, separately for each direction."""
 
-    time_s: float = key("time over which it learns, of steady sliding", "s", default=20.0, ge=0.1)
+    time_s: float = key("time constant of the adaptation, in time of steady sliding", "s", default=20.0, ge=0.1)
     bound: float = key("largest relative change of the level", "1", default=0.3, gt=0, lt=1)
 
 
 class Compensation(Section):
-    """How the model's torque becomes the compensation."""
+    """Computation of the compensation from the model's torque."""
 
-    enabled: bool = key("false: computed and recorded, never commanded", default=True)
-    gain: float = key("share of the model's torque that is applied", "1", default=0.9, ge=0, le=1.5)
+    enabled: bool = key("false: the compensation is computed and recorded, but not commanded", default=True)
+    gain: float = key("factor of the model's torque", "1", default=0.9, ge=0, le=1.5)
     gain_negative: float | None = key(
-        "the same for negative torque; by default as gain", "1", default=None, ge=0, le=1.5
+        "factor for negative torque; by default the same as gain", "1", default=None, ge=0, le=1.5
     )
     source: Literal["auto", "measured", "demand"] = key(
-        "velocity that the model sees: measured, demanded, or of both what helps and is safe", default="auto"
+        "velocity for the model: measured, demanded, or a safe combination of both (auto)", default="auto"
     )
-    fade_s: float = key("time to fade in and out", "s", default=0.5, gt=0)
-    baseline_s: float = key("motion without compensation first, to compare with", "s", default=0.0, ge=0)
+    fade_s: float = key("time to fade the compensation in and out", "s", default=0.5, gt=0)
+    baseline_s: float = key(
+        "duration of motion without compensation at the start, as a reference", "s", default=0.0, ge=0
+    )
     velocity: Literal["difference", "tracking", "kalman", "drive"] = key(
-        "measured velocity: encoder difference, tracking loop, Kalman observer with the torque, or the drive's own",
+        "velocity estimate: encoder difference, tracking loop, Kalman filter with the torque, or the drive's velocity",
         default="difference",
     )
     smoothing: float = key(
-        "one-pole coefficient on the difference or the drive's velocity; 1 does not smooth",
+        "coefficient of a one-pole filter on the difference or the drive's velocity; 1: no filter",
         "1",
         default=1.0,
         gt=0,
@@ -73,58 +75,65 @@ class Compensation(Section):
         "largest acceleration that the tracking loop follows", f"{VELOCITY} per s", default=None, gt=0
     )
     max_acceleration: float | None = key(
-        "a position that would need more is passed over as a glitch", f"{VELOCITY} per s", default=None, gt=0
+        "acceleration above which a measured position is rejected as a glitch",
+        f"{VELOCITY} per s",
+        default=None,
+        gt=0,
     )
-    dead_band: float = key("velocity below which less is applied, in proportion", VELOCITY, default=0.0, ge=0)
-    adaptation: Adaptation | None = key("slow adaptation of the friction level; off by default", default=None)
+    dead_band: float = key(
+        "velocity below which the compensation is reduced in proportion", VELOCITY, default=0.0, ge=0
+    )
+    adaptation: Adaptation | None = key("slow adaptation of the friction level; by default off", default=None)
 
     @model_validator(mode="after")
-    def _is_complete(self) -> "Compensation":
+    def _check_acceleration(self) -> "Compensation":
         if self.velocity == "tracking" and self.acceleration is None:
-            raise ValueError("velocity: tracking needs acceleration, the largest that is to be followed")
+            raise ValueError("velocity: tracking needs the key acceleration, the largest acceleration to follow")
         return self
 
 
 class Controller(Section):
-    """The daemon's own loops: position P and velocity PI in cst; position P alone over the drive's loop in csv."""
+    """Control loops of the daemon: position P and velocity PI in cst, position P in csv."""
 
-    position_gain: float = key("velocity per position error", "1/s", ge=0)
-    velocity_gain: float = key("torque per velocity error (cst)", "N m s/rad or N s/m", default=0.0, ge=0)
+    position_gain: float = key("gain of the position loop, velocity per position error", "1/s", ge=0)
+    velocity_gain: float = key(
+        "gain of the velocity loop, torque per velocity error (cst)", "N m s/rad or N s/m", default=0.0, ge=0
+    )
     integral_hz: float = key("corner frequency of the velocity loop's integral part (cst)", "Hz", default=0.0, ge=0)
 
 
 class Shadow(Section):
-    """A model that is evaluated and recorded, never commanded."""
+    """A model that is evaluated and recorded, but not commanded."""
 
-    name: Name = key("its column in the recording is shadow_NAME")
+    name: Name = key("name; the column in the recording is shadow_NAME")
     model: ModelFile = key("model file (a path), or its content")
 
 
 class AxisConfig(Section):
     """One motor with its drive.
 
-    In a file the driver's own keys stand beside these; `split_options` gathers them under ``options``.
+    In a file, the driver's keys are on the same level as these; `split_options` moves them under ``options``.
     """
 
-    driver: str = key("which driver speaks to the drive")
+    driver: str = key("driver for the drive")
     mode: Literal["csp", "csv", "cst"] = key(
-        "what is commanded each cycle: position, velocity (both plus torque offset), or torque"
+        "command of each cycle: position (csp), velocity (csv), both with a torque offset, or torque (cst)"
     )
-    limits: Limits = key("limits that hold in every cycle")
+    limits: AxisLimits = key("limits checked in every cycle")
     model: ModelFile = key("friction model of the axis: a model file (a path), or its content")
-    compensation: Compensation = key("how the model's torque is applied", default=Compensation())
-    shadows: tuple[Shadow, ...] = key("further models, recorded for comparison, never commanded", default=())
+    compensation: Compensation = key("application of the model's torque", default=Compensation())
+    shadows: tuple[Shadow, ...] = key("further models, recorded for comparison but not commanded", default=())
     trajectory: Trajectory = key("motion: kind circle, sine, triangle, experiment, hold or none")
-    controller: Controller | None = key("the daemon's own controller (modes cst and csv)", default=None)
+    controller: Controller | None = key("controller of the daemon (modes cst and csv)", default=None)
     experiment: AxisExperiment | None = key(
-        "how far and how fast 'tune' may move the axis to learn its friction", default=None
+        "bounds of the motion by which 'tune' identifies the friction of the axis", default=None
     )
-    simulation: SerializeAsAny[BaseModel] | None = key("the drive that 'simulate' puts on the bus", default=None)
+    simulation: SerializeAsAny[BaseModel] | None = key("simulated drive, started by 'simulate'", default=None)
     options: SerializeAsAny[BaseModel] = Field(json_schema_extra={"is_key": False})
 
     @field_validator("driver")
     @classmethod
-    def _is_installed(cls, name: str) -> str:
+    def _check_driver(cls, name: str) -> str:
         try:
             driver_options(name, DRIVERS)
         except UsageError as error:
@@ -134,7 +143,7 @@ class AxisConfig(Section):
     @field_validator("options", mode="plain")
     @classmethod
     def _validate_options(cls, value: Any, info: ValidationInfo) -> BaseModel:
-        if "driver" not in info.data:  # already a mistake of its own
+        if "driver" not in info.data:  # already reported
             return Section()
         return validate(driver_options(info.data["driver"], DRIVERS), value, keys(cls))
 
@@ -148,7 +157,7 @@ class AxisConfig(Section):
             options = driver_options(driver, SIMULATED_DRIVES)
         except UsageError as error:
             simulated = ", ".join(driver_names(SIMULATED_DRIVES))
-            raise ValueError(f"simulated drives exist for {simulated}: {error}") from None
+            raise ValueError(f"there are simulated drives for {simulated}: {error}") from None
         return validate(options, value)
 
     @model_validator(mode="after")
@@ -163,26 +172,26 @@ class AxisConfig(Section):
 
 
 def split_options(axis: Mapping[str, Any]) -> dict[str, Any]:
-    """Gather the keys of an axis that are not common to all drivers under ``options``."""
+    """Move the keys of an axis that are not common to all drivers under ``options``."""
     common = {name: value for name, value in axis.items() if name in keys(AxisConfig)}
     return {**common, "options": {name: value for name, value in axis.items() if name not in common}}
 
 
 @functools.cache
 def driver_options(driver: str, group: str) -> type[BaseModel]:
-    """Return the model of a driver's own keys.
+    """Return the pydantic model of a driver's keys.
 
     Raises
     ------
     UsageError
-        No such driver is installed, or it is broken.
+        The driver is not installed, or it is broken.
     """
     try:
         options = load_driver(driver, group).Options
     except ImportError as error:
         raise UsageError(f"the driver {driver!r} cannot be imported: {error}") from error
     if not (isinstance(options, type) and issubclass(options, BaseModel)):
-        raise UsageError(f"the driver {driver!r} is broken: its Options is no pydantic model")
+        raise UsageError(f"the driver {driver!r} is broken: its Options is not a pydantic model")
     return options
 
 
@@ -191,7 +200,7 @@ def _mistakes(axis: AxisConfig) -> Iterator[Mistake]:
     kind = axis.trajectory.kind
     has_setpoint = kind != "none"
     if not has_setpoint and axis.mode != "cst":
-        yield ("trajectory", "kind"), f"'none' has no set-point, which mode {axis.mode} needs; try kind: hold"
+        yield ("trajectory", "kind"), f"'none' has no set-point, but mode {axis.mode} needs one; try kind: hold"
     yield from _controller_mistakes(axis, has_setpoint)
     yield from _limit_mistakes(axis, has_setpoint)
     yield from _compensation_mistakes(axis)
@@ -200,7 +209,7 @@ def _mistakes(axis: AxisConfig) -> Iterator[Mistake]:
         if name in names[:index]:
             yield (
                 ("shadows", index),
-                f"a shadow is called {name!r} already; give one another: {{name: ..., model: ...}}",
+                f"another shadow has the name {name!r} already; use a different name: {{name: ..., model: ...}}",
             )
 
 
@@ -212,17 +221,17 @@ def _controller_mistakes(axis: AxisConfig, has_setpoint: bool) -> Iterator[Mista
         elif given.velocity_gain == 0.0:
             yield ("controller", "velocity_gain"), "must be above zero in mode cst, where the daemon closes this loop"
     elif given is not None and axis.mode == "cst":
-        yield ("controller",), "has nothing to control: trajectory kind none has no set-point"
+        yield ("controller",), "is not possible here: trajectory kind none has no set-point"
     elif given is not None and axis.mode == "csp":
-        yield ("controller",), "belongs to modes cst and csv; in csp the drive's own controller is at work"
+        yield ("controller",), "is only for modes cst and csv; in csp the drive closes all loops"
     elif given is not None and (given.velocity_gain or given.integral_hz):
-        yield ("controller",), "in csv the drive closes the velocity loop: only position_gain can be given"
+        yield ("controller",), "may only have position_gain in csv, where the drive closes the velocity loop"
 
 
 def _limit_mistakes(axis: AxisConfig, has_setpoint: bool) -> Iterator[Mistake]:
     limits = axis.limits
     if limits.following_error is not None and not has_setpoint:
-        yield ("limits", "following_error"), "there is none without a set-point (trajectory kind none): remove it"
+        yield ("limits", "following_error"), "needs a set-point, but trajectory kind none has none: remove this limit"
     if limits.position is not None and not limits.position[0] < limits.position[1]:
         low, high = limits.position
         yield ("limits", "position"), f"must be [lowest, highest], not [{low:g}, {high:g}]"
@@ -232,18 +241,18 @@ def _limit_mistakes(axis: AxisConfig, has_setpoint: bool) -> Iterator[Mistake]:
         yield ("limits", "velocity"), message
     if axis.experiment is not None:
         if axis.experiment.velocity > limits.velocity:
-            yield ("experiment", "velocity"), f"is beyond limits.velocity, {limits.velocity:g}"
+            yield ("experiment", "velocity"), f"is above limits.velocity, {limits.velocity:g}"
         if axis.experiment.axis not in (None, axis.model.axis):
-            yield ("experiment", "axis"), f"is {axis.experiment.axis}, but the model is of a {axis.model.axis} axis"
+            yield ("experiment", "axis"), f"is {axis.experiment.axis}, but the model is for a {axis.model.axis} axis"
 
 
 def _compensation_mistakes(axis: AxisConfig) -> Iterator[Mistake]:
     given = axis.compensation
     knows_inertia = axis.model.mechanics.inertia > 0.0
     if given.velocity == "kalman" and not knows_inertia:
-        yield ("compensation", "velocity"), "kalman needs the inertia, in the mechanics of the model file"
+        yield ("compensation", "velocity"), "kalman needs mechanics.inertia in the model file"
     elif given.adaptation is not None and not knows_inertia:
-        yield ("compensation", "adaptation"), "needs the inertia, in the mechanics of the model file"
+        yield ("compensation", "adaptation"), "needs mechanics.inertia in the model file"
     elif given.velocity in ("difference", "drive"):
         settings = CompensatorSettings(
             period_s=1e-3,

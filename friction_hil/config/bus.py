@@ -1,4 +1,4 @@
-"""The CAN bus in the configuration."""
+"""Configuration of the CAN bus."""
 
 import math
 from collections.abc import Iterator
@@ -10,7 +10,7 @@ from friction_hil.checked_yaml.messages import Mistake, refuse, show
 from friction_hil.checked_yaml.section import Section, key
 from friction_hil.errors import choices
 
-# For these interfaces every key is known here: those of BusConfig that they have beside interface and channel.
+# Interfaces whose keys are all known, with their keys besides interface and channel.
 _BUS_KEYS = {
     "udp_multicast": ("port", "hop_limit"),
     "virtual": (),
@@ -20,19 +20,22 @@ _BUS_KEYS = {
 
 
 class BusConfig(Section):
-    """The bus, as python-can knows it."""
+    """A CAN bus of python-can."""
 
-    # what an interface with options of its own takes beside these keys goes to python-can as it is
+    # further keys of other interfaces are passed to python-can unchanged
     model_config = ConfigDict(extra="allow")
 
     interface: str = key("interface of python-can: socketcan, slcan, udp_multicast, virtual, pcan, kvaser, ...")
     channel: int | str = key("channel of the interface: can0, /dev/ttyACM0, 239.74.163.2, ...")
     bitrate: int | None = key(
-        "bit rate; for socketcan what 'ip link' has set, to compute the bus load", "bit/s", default=None, gt=0
+        "bit rate; for socketcan the rate set by 'ip link', used to compute the bus load",
+        "bit/s",
+        default=None,
+        gt=0,
     )
     port: int | None = key("UDP port of udp_multicast", default=None, ge=1, le=65535)
     hop_limit: int | None = key(
-        "how many routers udp_multicast passes; 0 stays on this machine", default=None, ge=0, le=255
+        "number of routers that udp_multicast may pass; 0: only this machine", default=None, ge=0, le=255
     )
 
     @model_validator(mode="before")
@@ -49,22 +52,22 @@ class BusConfig(Section):
 
     @property
     def further(self) -> dict[str, Any]:
-        """Keys that this version does not know, for python-can."""
+        """Keys that are not declared here, for python-can."""
         return dict(self.model_extra or {})
 
 
 def _mistakes(bus: BusConfig) -> Iterator[Mistake]:
-    """Check that an interface has the keys that are given for it."""
+    """Check the given keys against those of the interface."""
     for name, value in bus.further.items():
         if isinstance(value, dict | list):
-            yield (name,), "must be a single value: it is handed to python-can as it is"
+            yield (name,), "must be a single value, because it is passed to python-can unchanged"
         elif isinstance(value, float) and not math.isfinite(value):
             yield (name,), f"must be a finite number, not {show(value)}"
     allowed = _BUS_KEYS.get(bus.interface)
     if allowed is None:
         return
     for name in bus.further:
-        yield (name,), f"is no key here; {choices(name, ('interface', 'channel', *allowed))}"
+        yield (name,), f"is not a key here; {choices(name, ('interface', 'channel', *allowed))}"
     for name in ("bitrate", "port", "hop_limit"):
         if getattr(bus, name) is not None and name not in allowed:
             yield (name,), f"has no meaning for the interface {bus.interface}: remove it"

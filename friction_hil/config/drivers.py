@@ -1,4 +1,4 @@
-"""The installed drivers, by the entry points that they register."""
+"""Installed drivers, found by their entry points."""
 
 from importlib.metadata import entry_points
 from typing import Any
@@ -10,17 +10,17 @@ SIMULATED_DRIVES = "friction_hil.simulated_drives"
 
 
 def driver_names(group: str = DRIVERS) -> list[str]:
-    """Names of the installed drivers."""
+    """Return the names of the installed drivers."""
     return sorted({entry.name for entry in entry_points(group=group)})
 
 
 def load_driver(name: str, group: str = DRIVERS) -> Any:
-    """Load the class that the entry point ``name`` of ``group`` stands for.
+    """Load the class of the entry point ``name`` in ``group``.
 
     Raises
     ------
     UsageError
-        No driver of that name is installed; the message lists those that are.
+        No driver of this name is installed; the message lists the installed ones.
     """
     for entry in entry_points(group=group):
         if entry.name == name:

@@ -1,4 +1,4 @@
-"""The JSON Schema of a configuration file, with the keys of the installed drivers."""
+"""JSON Schema of a configuration file, including the keys of the installed drivers."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -14,15 +14,15 @@ from friction_hil.friction.modifiers import HARMONIC, LOAD, MAX_HARMONICS, SIDES
 from friction_hil.friction.parameters import Choice, NumberList, Parameter, PointList
 
 _PATH_OR_MODEL = {
-    "description": "friction model: a model file (a path, seen from this file), or its content",
+    "description": "friction model: a model file (a path relative to this file), or its content",
     "anyOf": [{"type": "string"}, {"$ref": "#/$defs/ModelFile"}],
 }
 
 
 def json_schema() -> dict[str, Any]:
-    """Describe the configuration file for editors, as JSON Schema 2020-12.
+    """Return a JSON Schema 2020-12 of the configuration file, for editors.
 
-    Checks that span several keys are beyond it; `friction_hil.config.load` has the last word.
+    It cannot express checks that involve several keys; `friction_hil.config.load` makes the complete check.
 
     Raises
     ------
@@ -54,7 +54,7 @@ def json_schema() -> dict[str, Any]:
             for name in names
         ],
     }
-    # its wording differs between versions of pydantic
+    # the schema differs between versions of pydantic
     pydantic_version = ".".join(pydantic.VERSION.split(".")[:2])
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
@@ -64,8 +64,7 @@ def json_schema() -> dict[str, Any]:
 
 
 def _friction(general: dict[str, Any]) -> dict[str, Any]:
-    """The models of the registry, each with its parameters."""
-
+    """Return the schema of a friction model, with the parameters of each model of the registry."""
     names = friction.names()
     properties = general["properties"]
     properties["model"] = {"description": properties["model"]["description"], "enum": names}
@@ -103,8 +102,7 @@ def _parameters(parameters: Sequence[Parameter]) -> dict[str, Any]:
 
 
 def _value(parameter: Parameter) -> dict[str, Any]:
-    """Which values a parameter may have."""
-
+    """Return the schema of a parameter's value."""
     if isinstance(parameter, Choice):
         return {"enum": list(parameter.words)}
     if isinstance(parameter, PointList):
@@ -121,8 +119,7 @@ def _value(parameter: Parameter) -> dict[str, Any]:
 
 
 def _modifiers() -> dict[str, Any]:
-    """The modifiers that are the same for every model, each with its keys; those of `direction` are the model's."""
-
+    """Return the schema of the modifiers; the keys of ``direction`` depend on the model."""
     fixed = {
         each.name: {"description": each.summary, **_parameters(each.parameters)}
         for each in (LOAD, TEMPERATURE, VISCOUS)
@@ -136,7 +133,7 @@ def _modifiers() -> dict[str, Any]:
 
 
 def _axis(driver: str, common: dict[str, Any], definitions: dict[str, Any]) -> dict[str, Any]:
-    """All keys of an axis with this driver; what its models refer to goes into ``definitions``."""
+    """Return the schema of an axis with this driver; the definitions it refers to are added to ``definitions``."""
     options = _model_schema(driver_options(driver, DRIVERS), driver, definitions)
     properties = {**common["properties"], **options.get("properties", {})}
     properties["driver"] = {**properties["driver"], "const": driver}
@@ -150,7 +147,7 @@ def _axis(driver: str, common: dict[str, Any], definitions: dict[str, Any]) -> d
 
 
 def _model_schema(model: type[BaseModel], prefix: str, definitions: dict[str, Any]) -> dict[str, Any]:
-    """Schema of a driver's model; its definitions get the driver's name before theirs, for they may clash."""
+    """Return the schema of a driver's model; its definitions get a prefix, because names of drivers may clash."""
     template = f"#/$defs/{prefix}_{{model}}"
     schema = model.model_json_schema(ref_template=template)
     for name, definition in schema.pop("$defs", {}).items():

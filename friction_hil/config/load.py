@@ -1,4 +1,4 @@
-"""Files and plain values to a checked configuration, with all mistakes at once."""
+"""Loading of a configuration from a file or from plain values, with all mistakes reported at once."""
 
 import os
 import re
@@ -11,13 +11,14 @@ from pydantic import BaseModel
 
 from friction_hil.checked_yaml import text as yaml_text
 from friction_hil.checked_yaml.files import Origins, validated
-from friction_hil.checked_yaml.text import Document, Steps
+from friction_hil.checked_yaml.text import Document, FieldPath
 from friction_hil.config.axis import NAME_PATTERN, AxisConfig, split_options
 from friction_hil.config.drivers import load_driver
 from friction_hil.config.schema import Configuration
 from friction_hil.errors import ConfigurationError, OptionError, Problem, choices
 
-# Of a model that is still to be made. The inertia is there for those who ask whether one is known, and does nothing.
+# Model of an axis whose model file does not exist yet. The tiny inertia has no effect; it satisfies the options that
+# need an inertia above zero.
 _WITHOUT_FRICTION = {
     "friction": {"model": "coulomb", "parameters": {"coulomb": 0.0}},
     "mechanics": {"inertia": sys.float_info.min},
@@ -25,19 +26,19 @@ _WITHOUT_FRICTION = {
 
 
 def load(path: str | Path, *, needs_models: bool = True) -> Configuration:
-    """Read a configuration file and the model files that it names.
+    """Read a configuration file and the model files that it refers to.
 
     Parameters
     ----------
     path : path
     needs_models : bool
-        Whether a model file that is not there is a mistake. Otherwise the axis gets a model without any friction, whose
-        ``source_path`` is where the file shall stand; ``experiment.axis`` says whether it is a rotary axis.
+        True if a missing model file is a mistake. Otherwise the axis gets a model without friction whose
+        ``source_path`` is the path of the missing file, and whose kind of axis is ``experiment.axis``.
 
     Raises
     ------
     ConfigurationError
-        It cannot be read or has mistakes; ``problems`` has each with its line.
+        The file cannot be read or has mistakes; ``problems`` lists them with their lines.
     """
     configuration = _configuration(yaml_text.read(path), Path(path).parent, needs_models=needs_models)
     configuration._source_path = Path(path).absolute()
@@ -45,33 +46,33 @@ def load(path: str | Path, *, needs_models: bool = True) -> Configuration:
 
 
 def from_dict(data: Mapping[str, Any], source: str) -> Configuration:
-    """Make a configuration of plain values, e.g. of those that a recording carries.
+    """Create a configuration from plain values, e.g. those in a recording.
 
     Parameters
     ----------
     data
-        As `self_contained` returns them, or as a file would have them.
+        Values as returned by `self_contained`, or as in a file.
     source
-        Where they come from, for messages.
+        Origin of the values, for messages.
 
     Raises
     ------
     ConfigurationError
-        They have mistakes.
+        The values have mistakes.
     """
     return _configuration(Document(source, dict(data)), Path(source).parent)
 
 
 def self_contained(configuration: Configuration) -> dict[str, Any]:
-    """Plain values (JSON's, and infinity) that `from_dict` makes the same configuration of, without any file."""
+    """Return plain values (JSON and infinity) from which `from_dict` creates the same configuration without files."""
     return configuration.model_dump(mode="json")
 
 
 def file_problems(path: str | Path, configuration: Configuration) -> list[Problem]:
-    """Mistakes for which ``configuration``, read from ``path``, could be loaded but not run.
+    """Return the mistakes because of which ``configuration``, read from ``path``, can be loaded but not run.
 
-    No bus is opened. A driver that has something to say of it, and of the files that its keys name, has a classmethod
-    ``check_files``; see `friction_hil.drive.Driver`.
+    No bus is opened. Drivers check the files named by their keys in the classmethod ``check_files``; see
+    `friction_hil.drive.Driver`.
     """
     origins = _Origins(yaml_text.read(path))
     found: list[Problem] = []
@@ -91,33 +92,33 @@ def file_problems(path: str | Path, configuration: Configuration) -> list[Proble
 
 
 def only_driver(configuration: Configuration) -> str:
-    """Driver of all axes.
+    """Return the name of the driver of all axes.
 
     Raises
     ------
     OptionError
-        There are several, which one run does not serve.
+        The axes have different drivers, which one run does not support.
     """
     (first, axis), *others = configuration.axes.items()
     for name, other in others:
         if other.driver != axis.driver:
             text = (
-                f"is {other.driver}, but that of {first} is {axis.driver}, and one run drives axes of one driver; "
-                "make a configuration of each driver's axes"
+                f"is {other.driver}, but the driver of {first} is {axis.driver}; all axes of a run must have the same "
+                "driver, so write one configuration per driver"
             )
             raise OptionError(name, "driver", text)
     return axis.driver
 
 
 def located(path: str | Path, error: OptionError) -> ConfigurationError:
-    """Return the error with file and line of its key in the configuration that was read from ``path``."""
+    """Return the error with file and line of its key in the configuration file ``path``."""
     return ConfigurationError([_Origins(yaml_text.read(path)).at_option(error)])
 
 
 class _Origins(Origins):
-    """Origins of the values of a configuration, in whose file the driver's keys stand beside those of the axis."""
+    """Origins of the values of a configuration, in which ``options`` is not a key of its own."""
 
-    def locate(self, steps: Steps, message: str) -> Problem:
+    def locate(self, steps: FieldPath, message: str) -> Problem:
         if steps[:1] == ("axes",) and steps[2:3] == ("options",):
             steps = (*steps[:2], *steps[3:])
         return super().locate(steps, message)
@@ -129,7 +130,7 @@ class _Origins(Origins):
 def _configuration(document: Document, directory: Path, *, needs_models: bool = True) -> Configuration:
     origins = _Origins(document)
     problems = list(document.problems)
-    files: dict[Steps, Path] = {}
+    files: dict[FieldPath, Path] = {}
     value = document.value
     axes = value.get("axes") if isinstance(value, dict) else None
     if isinstance(axes, dict):
@@ -146,7 +147,7 @@ def _configuration(document: Document, directory: Path, *, needs_models: bool = 
 
 
 def _anchored(axis: AxisConfig, directory: Path) -> AxisConfig:
-    """Let the relative paths among a driver's keys start from the directory of the configuration."""
+    """Make the relative paths among a driver's keys relative to the directory of the configuration."""
     parts = {"options": axis.options, "simulation": axis.simulation}
     return axis.model_copy(
         update={name: _with_paths(part, directory) for name, part in parts.items() if part is not None}
@@ -165,14 +166,14 @@ def _with_paths(part: BaseModel, directory: Path) -> BaseModel:
 
 
 class _ModelReader:
-    """Puts the content of model files where a configuration names them."""
+    """Replacement of the names of model files in a configuration by their content."""
 
     def __init__(
         self,
         directory: Path,
         origins: _Origins,
         problems: list[Problem],
-        files: dict[Steps, Path],
+        files: dict[FieldPath, Path],
         needs_models: bool,
     ) -> None:
         self._directory = directory
@@ -182,12 +183,12 @@ class _ModelReader:
         self._needs_models = needs_models
 
     def axis(self, name: str, axis: Any) -> Any:
-        """Return the plain values of an axis with its models inlined and the driver's keys apart."""
+        """Return the plain values of an axis with its models inlined and the driver's keys under ``options``."""
         if not isinstance(axis, dict):
             return axis
         inlined = dict(axis)
         if isinstance(axis.get("model"), str):
-            steps: Steps = ("axes", name, "model")
+            steps: FieldPath = ("axes", name, "model")
             path = self._directory / axis["model"]
             if self._needs_models or os.path.isfile(path):
                 inlined["model"] = self._read(axis["model"], steps)
@@ -200,22 +201,22 @@ class _ModelReader:
             ]
         return split_options(inlined)
 
-    def _shadow(self, item: Any, steps: Steps) -> Any:
+    def _shadow(self, item: Any, steps: FieldPath) -> Any:
         if isinstance(item, str):
             name = Path(item).stem
             if not re.fullmatch(NAME_PATTERN, name):
-                message = f"{name!r} is no name for a shadow; give it one: {{name: ..., model: {item}}}"
+                message = f"{name!r} is not a valid name for a shadow; give a name: {{name: ..., model: {item}}}"
                 self._problems.append(self._origins.locate(steps, message))
             return {"name": name, "model": self._read(item, (*steps, "model"))}
         if isinstance(item, dict) and isinstance(item.get("model"), str):
             return {**item, "model": self._read(item["model"], (*steps, "model"))}
         return item
 
-    def _read(self, name: str, steps: Steps) -> Any:
+    def _read(self, name: str, steps: FieldPath) -> Any:
         path = self._directory / name
-        if not os.path.isfile(path):  # unlike Path.is_file it says no to a name that is too long
+        if not os.path.isfile(path):  # unlike Path.is_file it returns False for a name that is too long
             siblings = [str(Path(name).parent / item.name) for item in path.parent.glob("*.y*ml")]
-            message = f"there is no model file {path} ('friction-hil tune' makes one); {choices(name, siblings)}"
+            message = f"there is no model file {path} ('friction-hil tune' creates one); {choices(name, siblings)}"
             self._problems.append(self._origins.locate(steps, message))
             self._origins.broken.append(steps)
             return None
@@ -232,6 +233,6 @@ class _ModelReader:
 
 
 def _kind(axis: dict[str, Any]) -> str:
-    """Kind of an axis that has no model file yet; what is no kind is found when ``experiment`` is checked."""
+    """Return the kind of an axis without a model file; a wrong kind is reported by the check of ``experiment``."""
     experiment = axis.get("experiment")
     return "linear" if isinstance(experiment, dict) and experiment.get("axis") == "linear" else "rotary"

@@ -1,4 +1,4 @@
-"""The configuration file: every key with its meaning, unit, default and bounds."""
+"""Top level of the configuration file: keys with meaning, unit, default and bounds."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,36 +13,36 @@ from friction_hil.config.bus import BusConfig
 
 
 class RecordingConfig(Section):
-    """Where ``run`` records."""
+    """Recording by ``run``."""
 
-    path: Path = key("MCAP file, seen from the directory that 'run' starts in; '--record' goes before it")
+    path: Path = key("MCAP file, relative to the directory in which 'run' starts; '--record' overrides it")
 
 
 class Realtime(Section):
-    """How punctual the loop shall be."""
+    """Scheduling of the loop."""
 
     priority: int = key("SCHED_FIFO priority; 0: ordinary scheduling", default=80, ge=0, le=99)
-    spin_us: int = key("busy waiting before each deadline, for less wake-up latency", "us", default=200, ge=0)
+    spin_us: int = key("busy waiting before each deadline, to reduce the wake-up latency", "us", default=200, ge=0)
     max_missed: int = key(
-        "periods in a row, missed or without feedback, that are bridged before it is a fault", default=10, ge=1
+        "number of consecutive periods, missed or without feedback, that are bridged before a fault", default=10, ge=1
     )
 
 
 class Configuration(Section):
-    """Everything that ``run`` and ``simulate`` need to know."""
+    """Configuration of ``run``, ``simulate`` and ``tune``."""
 
     version: Literal[1] = key("version of this format: 1")
     period_s: float = key("period of the loop", "s", ge=1e-4, le=1)
-    bus: BusConfig | None = key("the CAN bus; drives on serial lines need none", default=None)
-    axes: dict[Name, AxisConfig] = key("the axes by name", min_length=1)
-    recording: RecordingConfig | None = key("where to record", default=None)
+    bus: BusConfig | None = key("CAN bus; not needed for drives on serial lines", default=None)
+    axes: dict[Name, AxisConfig] = key("axes by name", min_length=1)
+    recording: RecordingConfig | None = key("recording of the run", default=None)
     realtime: Realtime = key("scheduling of the loop", default=Realtime())
 
     _source_path: Path | None = PrivateAttr(default=None)
 
     @property
     def source_path(self) -> Path | None:
-        """The file that this was loaded from; relative paths of drivers start from its directory."""
+        """Path of the file from which this was loaded; relative paths of drivers start in its directory."""
         return self._source_path
 
     @model_validator(mode="after")
@@ -52,7 +52,7 @@ class Configuration(Section):
 
 
 def _mistakes(configuration: Configuration) -> Iterator[Mistake]:
-    """Check what concerns several axes, or the axes and the bus; drivers have a say through ``Options.check``."""
+    """Check axes and bus against each other; drivers add their own checks by ``Options.check``."""
     period_us = 1e6 * configuration.period_s
     if configuration.realtime.spin_us >= period_us:
         yield ("realtime", "spin_us"), f"must be below the period, {period_us:g} us"

@@ -1,4 +1,4 @@
-"""Trajectories in the configuration: the motion that an axis shall make."""
+"""Configuration of trajectories, the motion of an axis."""
 
 import math
 from typing import Annotated, Literal
@@ -7,15 +7,15 @@ from pydantic import Field
 
 from friction_hil.checked_yaml.section import POSITION, VELOCITY, Section, key
 
-_RAMP = key("time to reach full speed from rest, and to come to rest", "s", default=1.0, gt=0)
+_RAMP = key("time from rest to full speed, and from full speed to rest", "s", default=1.0, gt=0)
 
 
 class Circle(Section):
-    """x = radius cos(2 pi frequency t + phase); a second axis a quarter behind (phase -pi/2) makes the circle."""
+    """x = radius cos(2 pi frequency t + phase). A circle needs a second axis with a phase of -pi/2."""
 
     kind: Literal["circle"]
     radius: float = key("amplitude of this axis", POSITION, gt=0)
-    frequency: float = key("rounds per second", "Hz", gt=0)
+    frequency: float = key("laps per second", "Hz", gt=0)
     phase: float = key("phase of this axis", "rad", default=0.0)
     ramp_s: float = _RAMP
 
@@ -31,46 +31,48 @@ class Sine(Section):
 
 
 class Triangle(Section):
-    """Constant speed to and fro, with rounded corners."""
+    """Motion to and fro at constant speed, with rounded corners."""
 
     kind: Literal["triangle"]
     amplitude: float = key("amplitude", POSITION, gt=0)
     frequency: float = key("periods per second", "Hz", gt=0)
-    rounding: float = key("share of a quarter period over which a corner is rounded", "1", default=0.1, gt=0, le=0.5)
+    rounding: float = key(
+        "duration of the rounding of a corner, as a fraction of a quarter period", "1", default=0.1, gt=0, le=0.5
+    )
 
 
 class ExperimentBounds(Section):
-    """How far and how fast an axis may move to show its friction."""
+    """Bounds of the motion of an identification experiment."""
 
-    velocity: float = key("highest speed, where travel leaves room for it", VELOCITY, gt=0)
+    velocity: float = key("highest speed, reached if travel permits", VELOCITY, gt=0)
     travel: float = key("largest distance from the start, to either side", POSITION, gt=0)
     acceleration: float | None = key("highest acceleration", f"{VELOCITY} per s", default=None, gt=0)
-    duration_s: float = key("length", "s", default=60.0, ge=10)
+    duration_s: float = key("duration", "s", default=60.0, ge=10)
     ramp_s: float = _RAMP
 
 
 class AxisExperiment(ExperimentBounds):
-    """What `tune` has to be told of an axis."""
+    """Bounds of the experiment of `tune`."""
 
     axis: Literal["rotary", "linear"] | None = key(
-        "kind of the axis while its model file is not there yet: rotary (by default) or linear", default=None
+        "kind of an axis without a model file: rotary (default) or linear", default=None
     )
 
 
 class Experiment(ExperimentBounds):
-    """Swelling sines from presliding to full speed, back to the start, then rest: the motion for `identify`."""
+    """Sines of increasing amplitude, from presliding to full speed, for `identify`; then back to the start and rest."""
 
     kind: Literal["experiment"]
 
 
 class Hold(Section):
-    """Stay where the axis is."""
+    """Stay at the present position."""
 
     kind: Literal["hold"]
 
 
 class NoTrajectory(Section):
-    """No set-point: the torque is the compensation alone (mode cst). The axis can be moved by hand."""
+    """No set-point: the torque is only the compensation (mode cst), and the axis can be moved by hand."""
 
     kind: Literal["none"]
 

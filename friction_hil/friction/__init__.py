@@ -1,4 +1,4 @@
-"""The equations of friction: every model with its parameters, pure and compiled.
+"""Friction models: equations, parameters and compiled kernels, without files or YAML.
 
 >>> from friction_hil import friction
 >>> model = friction.create("coulomb", coulomb=0.1, viscous=0.01)
@@ -7,6 +7,7 @@ array([-0.11,  0.  ,  0.12])
 """
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from friction_hil.errors import UsageError, choices
 from friction_hil.friction.dispatch import FAMILIES
 from friction_hil.friction.family import Family
 from friction_hil.friction.model import Axis, FrictionModel, Runner
-from friction_hil.friction.network_model import NETWORK_ALONE, Network, Structure
+from friction_hil.friction.network_model import NETWORK_ALONE, Network, NetworkStructure
 from friction_hil.friction.parameters import InvalidParameterError, describe_brief
 from friction_hil.numerics.jit import Array
 
@@ -27,8 +28,8 @@ __all__ = [
     "FrictionModel",
     "InvalidParameterError",
     "Network",
+    "NetworkStructure",
     "Runner",
-    "Structure",
     "create",
     "describe",
     "describe_brief",
@@ -38,17 +39,17 @@ __all__ = [
 
 
 def names() -> list[str]:
-    """Names of all models, sorted."""
+    """Return the names of all models, sorted."""
     return sorted(FAMILIES)
 
 
 def describe(name: str) -> Family:
-    """Formula, source, states and parameter table of a model.
+    """Return formula, source, states and parameter table of a model.
 
     Raises
     ------
     UsageError
-        No model has that name; the message lists those that exist.
+        No model has this name; the message lists the names that exist.
     """
     if name == NETWORK_ALONE.name:
         return NETWORK_ALONE
@@ -61,30 +62,29 @@ def describe(name: str) -> Family:
 def create(
     name: str, /, *, modifiers: Mapping[str, Any] | None = None, axis: Axis = "rotary", **parameters: Any
 ) -> FrictionModel:
-    """Make a model from the values of its parameters, SI.
+    """Create a model from its parameters, in SI units.
 
     Parameters
     ----------
     name : str
         One of `names`.
     modifiers : mapping, optional
-        What changes the model's friction, as in a model file: ``direction``, ``viscous``, ``load``,
-        ``temperature``, ``ripple``.
+        Modifiers by name, as in a model file: ``direction``, ``viscous``, ``load``, ``temperature``, ``ripple``.
     axis : {"rotary", "linear"}
-        Decides what the order of a ripple counts: periods per revolution, or per metre.
+        Unit of the order of a ripple: periods per revolution (rotary) or per metre (linear).
     **parameters
         See `describe`.
 
     Raises
     ------
     UsageError
-        No model has that name.
+        No model has this name.
     InvalidParameterError
         A parameter is unknown, missing, not finite or outside its bounds.
     """
     if name == NETWORK_ALONE.name:
         raise UsageError(
-            "a network comes from a model file, which 'friction-hil train' writes: friction_hil.models.load"
+            "a network is read from the model file that 'friction-hil train' writes: use friction_hil.models.load"
         )
     return FrictionModel(describe(name), parameters, modifiers, axis)
 
@@ -92,7 +92,7 @@ def create(
 def simulate_many(
     models: Sequence[FrictionModel], velocity: ArrayLike, dt: ArrayLike, *, workers: int = 1, **inputs: Any
 ) -> Array:
-    """Friction torque of one velocity record by many models or candidates of one, on ``workers`` cores.
+    """Simulate one velocity record with many models, or many parameter sets of one, on ``workers`` threads.
 
     Parameters
     ----------
@@ -100,18 +100,16 @@ def simulate_many(
     velocity, dt, **inputs
         See `FrictionModel.simulate`.
     workers : int
-        Threads; the compiled code lets them run side by side.
+        Number of threads. The compiled code releases Python's lock, so that they run in parallel.
 
     Returns
     -------
     (m, n) array
-        N m.
+        Friction torque, N m.
     """
-    from concurrent.futures import ThreadPoolExecutor
-
     torque = np.empty((len(models), np.size(velocity)))
 
-    rows = iter(range(len(models)))  # each worker takes the next when it is done: models differ in cost
+    rows = iter(range(len(models)))  # shared by the workers, because models differ in cost
 
     def simulate(_: int = 0) -> None:
         for row in rows:

@@ -1,4 +1,4 @@
-"""Armstrong's seven-parameter model: frictional lag, rising static friction, and a spring while stuck."""
+"""Armstrong's seven-parameter model: frictional lag, rising static friction, and a spring while the axis sticks."""
 
 from friction_hil.friction.curves import modified, sliding
 from friction_hil.friction.elementary import buffer, whole
@@ -6,36 +6,36 @@ from friction_hil.friction.family import Family
 from friction_hil.friction.parameters import COULOMB, STRIBECK_VELOCITY, VISCOUS, Parameter
 from friction_hil.numerics.jit import Array, inlined
 
-HISTORY = 32  # velocities kept for the lag: each sample where they reach back far enough, else fewer an equal time
+HISTORY = 32  # past velocities stored for the lag: every sample if they cover the lag, otherwise every few samples
 _SLIDING, _DEFLECTION, _DWELL, _RISEN, _BREAK_AWAY, _NEWEST = range(6)
 _LENGTHS, _VELOCITIES = 6, 6 + HISTORY
 STATES = 6 + 2 * HISTORY
-_RING = HISTORY - 1  # mask of a place in the ring: HISTORY is a power of two
-_BLOCK = 64 * HISTORY  # samples of a whole-array run at a time; the more, the less the ring costs
+_RING = HISTORY - 1  # mask of a ring index: HISTORY is a power of two
+_BLOCK = 64 * HISTORY  # samples that `run` processes at a time; longer blocks reduce the cost of the ring
 
 _STATIC_RELEASED = Parameter(
     "static_released", "Fs_a", "N m", "break-away level just after motion", is_lower_allowed=False
 )
 _STATIC_RESTED = Parameter("static_rested", "Fs_inf", "N m", "break-away level after long rest", is_lower_allowed=False)
-_LAG = Parameter("lag_s", "tL", "s", "time by which friction follows the velocity")
+_LAG = Parameter("lag_s", "tL", "s", "delay of the friction behind the velocity")
 _RISE = Parameter(
-    "rise_s", "gamma", "s", "time at rest after which half of the static friction has come", is_lower_allowed=False
+    "rise_s", "gamma", "s", "time at rest in which the static friction rises by half", is_lower_allowed=False
 )
-_STIFFNESS = Parameter("stiffness", "kt", "N m/rad", "stiffness while stuck", is_lower_allowed=False)
+_STIFFNESS = Parameter("stiffness", "kt", "N m/rad", "stiffness while the axis sticks", is_lower_allowed=False)
 
 
 @inlined
 def _is_far_enough(length: float, lag: float) -> bool:
-    """Whether recorded velocities ``length`` seconds apart reach back over the ``lag``."""
+    """Return True if recorded velocities that are ``length`` seconds apart cover the ``lag``."""
     return length * (HISTORY - 3) >= lag
 
 
 @inlined
 def _record(s: Array, velocity: float, dt: float, lag: float) -> int:
-    """Record ``velocity`` in the ring of ``s``, with the time since the one before; return its place.
+    """Record ``velocity`` in the ring of ``s``, with the time since the previous one; return its ring index.
 
-    The ring takes every sample as long as it then reaches back over the lag. If not, the newest place is overwritten
-    until it is far enough from the one before.
+    The ring stores every sample if it then covers the lag. Otherwise the newest entry is overwritten until it is far
+    enough from the previous one.
     """
     newest = whole(s[_NEWEST]) & _RING
     length = s[_LENGTHS + newest]
@@ -51,10 +51,17 @@ def _record(s: Array, velocity: float, dt: float, lag: float) -> int:
 
 @inlined
 def _past(s: Array, newest: int, lag: float) -> tuple[int, float]:
-    """Where ``lag`` seconds ago was: how many places back, and what share of the way to the one before that.
+    """Locate the time ``lag`` seconds ago in the ring; the oldest entry is the limit.
 
-    The times are summed up from the newest on: with an even ``dt`` every sample gets the same bits. At most, the
-    oldest place. The way out of the loop is one, as the compiler makes slow code of more.
+    Returns
+    -------
+    tuple
+        Number of entries back from ``newest``, and the fraction of the step from that entry to the one before it.
+
+    Notes
+    -----
+    The times are added up from the newest entry on, so that every sample has the same bits with a constant ``dt``.
+    The loop has a single exit because the compiler generates slow code for more.
     """
     back, left = 0, lag
     length = s[_LENGTHS + newest]
@@ -66,24 +73,24 @@ def _past(s: Array, newest: int, lag: float) -> tuple[int, float]:
 
 
 @inlined
-def _between(later: float, earlier: float, share: float) -> float:
-    """Velocity at this ``share`` of the way back from ``later`` to ``earlier``."""
-    return later + share * (earlier - later)
+def _between(later: float, earlier: float, fraction: float) -> float:
+    """Interpolate from the velocity ``later`` back to ``earlier``."""
+    return later + fraction * (earlier - later)
 
 
 @inlined
 def _lagging_velocity(s: Array, velocity: float, dt: float, lag: float) -> float:
-    """Record ``velocity`` and return that of ``lag`` seconds ago, linear between recorded ones; 0 before the start."""
+    """Record ``velocity`` and return the velocity ``lag`` seconds ago, by linear interpolation; 0 before the start."""
     newest = _record(s, velocity, dt, lag)
-    back, share = _past(s, newest, lag)
+    back, fraction = _past(s, newest, lag)
     later = (newest - back) & _RING
     earlier = (later - 1) & _RING
-    return _between(s[_VELOCITIES + later], s[_VELOCITIES + earlier], share)
+    return _between(s[_VELOCITIES + later], s[_VELOCITIES + earlier], fraction)
 
 
 @inlined
 def _fall(p: Array, velocity: float) -> float:
-    """Share of the level's rise above Coulomb that is left at ``velocity``."""
+    """Compute the fraction of the level's rise above Coulomb that remains at ``velocity``."""
     ratio = velocity * (1.0 / p[4])
     return 1.0 / (1.0 + ratio * ratio)
 
@@ -104,7 +111,7 @@ def _torque(
     extra: float,
     scale: float,
 ) -> float:
-    """Torque of one sample of which `_fall` is known; advances all of the state but the ring."""
+    """Compute the torque of one sample from its `_fall`; advance the state except the ring."""
     if velocity * s[_SLIDING] <= 0.0:
         released = p[2]
         if s[_SLIDING] != 0.0:
@@ -138,12 +145,12 @@ def step(
     applied_torque: float,
     epsilon: float,
 ) -> float:
-    """Torque of one sample; see `friction_hil.friction.kernel`.
+    """Compute the torque of one sample; see `friction_hil.friction.kernel`.
 
-    Stuck (also at the start), the torque is that of a spring, until it reaches the break-away level. The spring
-    begins with the torque of the slip that has ended: if it began with none, the axis would swing through on it and
-    break loose at once, and nothing would ever stick and slip. The break-away level rises with the time at rest,
-    from the level at which the last slip ended, or from ``static_released`` if that is higher.
+    While the axis sticks (also at the start), the torque is that of a spring, until it reaches the break-away level.
+    The spring starts with the torque of the slip that has ended. If it started with zero torque, the axis would
+    oscillate on it and break away again at once, and there would be no stick-slip. The break-away level rises with
+    the time at rest, from the level at which the last slip ended, or from ``static_released`` if that is higher.
     """
     fall = _fall(p, _lagging_velocity(s, level_velocity, dt, p[5]))
     return _torque(p, s, velocity, level_velocity, fall, dt, extra, scale)
@@ -151,20 +158,20 @@ def step(
 
 @inlined
 def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, torque: Array) -> None:
-    """Fill ``torque`` with that of every sample: the bits of `step`.
+    """Fill ``torque`` for every sample, with the same bits as `step`.
 
-    Where the ring takes every sample, the lagging velocity stands in ``velocity`` itself, always as many places back.
-    Then only the samples that fill the ring at the end of a block are recorded: a block is whole turns of it.
+    If the ring stores every sample, the lagging velocity is an element of ``velocity`` at a fixed distance. Then only
+    the last `HISTORY` samples of a block have to be recorded; the block length is a multiple of the ring length.
     """
     lag = p[5]
     fall = buffer(p, _BLOCK)
     for begin in range(0, velocity.shape[0], _BLOCK):
         v = velocity[begin : begin + _BLOCK]
         if begin > 0 and v.shape[0] == _BLOCK and _is_far_enough(dt, lag):
-            back, share = _past(s, whole(s[_NEWEST]) & _RING, lag)
+            back, fraction = _past(s, whole(s[_NEWEST]) & _RING, lag)
             later, earlier = velocity[begin - back :], velocity[begin - back - 1 :]
             for k in range(_BLOCK):
-                fall[k] = _fall(p, _between(later[k], earlier[k], share))
+                fall[k] = _fall(p, _between(later[k], earlier[k], fraction))
             for k in range(_BLOCK - HISTORY, _BLOCK):
                 _record(s, v[k], dt, lag)
         else:
@@ -176,7 +183,7 @@ def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, t
 
 @inlined
 def steady(p: Array, velocity: float, extra: float, scale: float) -> float:
-    """Torque at constant ``velocity``, with the break-away level just after motion; 0 at rest."""
+    """Compute the torque at constant ``velocity``, with the break-away level just after motion; 0 at rest."""
     return sliding(modified(_level(p, p[2], _fall(p, velocity)), extra, scale), p[1], velocity, velocity, 0.0)
 
 
@@ -185,7 +192,7 @@ FAMILY = Family(
     summary="seven parameters: frictional lag and a break-away level that rises with the time at rest",
     formula=(
         "sliding: F = [Fc + (Fs(t2) - Fc) / (1 + (v(t - tL)/vs)^2)] sgn v + Fv v;  "
-        "stuck: F = kt x, x from the deflection that holds the torque of the last slip, until |F| = Fs(t2);  "
+        "sticking: F = kt x, x starting at the torque of the last slip over kt, until |F| = Fs(t2);  "
         "Fs(t2) = Fs_a + (Fs_inf - Fs_a) t2 / (t2 + gamma), t2 the time at rest"
     ),
     source="Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30(7), 1994",
@@ -200,11 +207,11 @@ FAMILY = Family(
         _STIFFNESS,
     ),
     states=(
-        "direction of sliding, 0 while stuck",
+        "direction of sliding, 0 while sticking",
         "deflection x [rad]",
         "time at rest t2 [s]",
-        "Fs_a above Fs_a's lowest [N m]",
-        "Fs when it broke away [N m]",
+        "Fs_a above static_released [N m]",
+        "Fs at the last break-away [N m]",
         "past velocities [rad/s] and the times between them [s]",
     ),
     example={
@@ -219,7 +226,7 @@ FAMILY = Family(
     },
     level=lambda p: max(p["coulomb"], p["static_released"], p["static_rested"]),
     note=(
-        "the source leaves open where Fs_a and x begin: here Fs_a is the level at which the last slip ended, but not "
-        "below static_released, and x holds the torque of that moment"
+        "the source does not define the initial values of Fs_a and x at the end of a slip; here Fs_a is the level at "
+        "which the slip ended, at least static_released, and x gives the torque of that moment"
     ),
 )

@@ -1,4 +1,4 @@
-"""Arrays that users give, as the kernels take them."""
+"""Conversion of input arrays to the layout of the kernels."""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -9,7 +9,7 @@ from friction_hil.numerics.jit import Array
 
 
 def vector(name: str, values: ArrayLike) -> Array:
-    """``values`` as the kernels take them; whether they are finite is not asked."""
+    """Return ``values`` as a contiguous float64 vector, without checking that they are finite."""
     try:
         array = np.ascontiguousarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -20,7 +20,7 @@ def vector(name: str, values: ArrayLike) -> Array:
 
 
 def per_sample(name: str, values: ArrayLike, samples: int) -> Array:
-    """``values`` as an array of one element or ``samples``, all finite."""
+    """Return ``values`` as an array of one element or of ``samples`` elements, all finite."""
     try:
         array = np.atleast_1d(np.asarray(values, dtype=np.float64))
     except (TypeError, ValueError) as error:
@@ -32,7 +32,7 @@ def per_sample(name: str, values: ArrayLike, samples: int) -> Array:
 
 
 def checked_out(out: Array, shape: tuple[int, ...]) -> Array:
-    """``out``, if a kernel can write a result of that shape into it."""
+    """Return ``out`` if a kernel can write a result of that shape into it; otherwise raise UsageError."""
     if not isinstance(out, np.ndarray) or out.dtype != np.float64 or out.shape != shape:
         raise UsageError(f"out must be an array of float64 of shape {shape}")
     if not (out.flags.c_contiguous and out.flags.writeable):
@@ -41,7 +41,7 @@ def checked_out(out: Array, shape: tuple[int, ...]) -> Array:
 
 
 def require_finite(name: str, array: Array) -> None:
-    """Raise UsageError where an element is infinite or NaN, and say which."""
+    """Raise UsageError if an element is infinite or NaN; the message gives its index."""
     if kernel.is_finite(array):
         return
     wrong = np.flatnonzero(~np.isfinite(array))

@@ -20,7 +20,7 @@ def step(
     applied_torque: float,
     epsilon: float,
 ) -> float:
-    """Torque of one sample; see `friction_hil.friction.kernel`."""
+    """Compute the torque of one sample; see `friction_hil.friction.kernel`."""
     if velocity == 0.0 and epsilon == 0.0:
         return sticking(applied_torque, modified(p[1], extra, scale))
     return sliding(modified(p[0], extra, scale), p[2], velocity, level_velocity, epsilon)
@@ -28,7 +28,7 @@ def step(
 
 @inlined
 def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, torque: Array) -> bool:
-    """Fill ``torque`` with that of every sample: the bits of `step`. Return whether every velocity is finite."""
+    """Fill ``torque`` for every sample, with the same bits as `step`; return True if every velocity is finite."""
     level, viscous = modified(p[0], 0.0, 1.0), p[2]
     stuck = sticking(applied_torque, modified(p[1], 0.0, 1.0))
     is_finite = True
@@ -41,7 +41,7 @@ def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, t
 
 @inlined
 def steady(p: Array, velocity: float, extra: float, scale: float) -> float:
-    """Torque at constant ``velocity``; 0 at rest."""
+    """Compute the torque at constant ``velocity``; 0 at rest."""
     return sliding(modified(p[0], extra, scale), p[2], velocity, velocity, 0.0)
 
 

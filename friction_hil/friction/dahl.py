@@ -1,4 +1,4 @@
-"""Dahl friction: presliding as a spring that yields, without a Stribeck curve."""
+"""Dahl friction: presliding as a yielding spring, without a Stribeck curve."""
 
 from friction_hil.friction.curves import direction, modified, sliding
 from friction_hil.friction.elementary import approach, buffer, decay, expm1, is_differentiated, log, log1p, toward
@@ -14,12 +14,12 @@ _SIGMA0 = Parameter(
     is_lower_allowed=False,
 )
 _EXPONENT = Parameter("exponent", "i", "1", "shape of the stress-strain curve", is_lower_allowed=False, default=1.0)
-_BLOCK = 256  # samples; their intermediate results stay in the nearest cache
+_BLOCK = 256  # samples; their intermediate results stay in the first-level cache
 
 
 @inlined
 def _path(p: Array, level: float, velocity: float, dt: float) -> float:
-    """Path travelled in ``dt``, over the one in which the spring would yield: sigma0 abs(v) dt / Fc."""
+    """Compute the path travelled in ``dt`` in units of Fc / sigma0: sigma0 abs(v) dt / Fc."""
     return p[0] * abs(velocity) * dt / level
 
 
@@ -35,11 +35,10 @@ def step(
     applied_torque: float,
     epsilon: float,
 ) -> float:
-    """Torque of one sample, exact for ``velocity`` held over ``dt``; see `friction_hil.friction.kernel`.
+    """Compute the torque of one sample, exact for ``velocity`` held over ``dt``; see `friction_hil.friction.kernel`.
 
-    With w = 1 - (F/Fc) sgn v Dahl's equation is dw/dx = -(sigma0/Fc) w^i along the path x travelled, and has a
-    closed solution for any exponent. Where load or temperature have lowered Fc below abs(F), w < 0; there it
-    takes the exponent 1.
+    With w = 1 - (F/Fc) sgn v, Dahl's equation is dw/dx = -(sigma0/Fc) w^i along the path x, which has a closed
+    solution for any exponent. If load or temperature lower Fc below abs(F), w is negative, and the exponent 1 is used.
     """
     exponent, viscous = p[2], p[3]
     level = modified(p[1], extra, scale)
@@ -49,14 +48,14 @@ def step(
     after = toward(before, level * sign, approach(path))
     rest = 1.0 - before * sign / level
     if exponent != 1.0 and velocity != 0.0 and rest > 0.0:
-        # w^q - q path, less one, in a form that keeps its digits where the exponent is close to 1
+        # w^q - q path - 1, in a form that keeps its precision for exponents close to 1
         q = 1.0 - exponent
         remaining = expm1(q * log(rest)) - q * path
         after = level * sign
         if remaining > -1.0:
             after = level * sign * (0.0 - expm1(log1p(remaining) / q))
     elif is_differentiated(exponent) and rest > 0.0:
-        # the branch of exponent 1 does not see the exponent, but its derivative shall: this is zero, with a slope
+        # zero, but with the derivative over the exponent, which the branch for exponent 1 does not contain
         after = after + (exponent - 1.0) * level * sign * rest * decay(path) * path * (log(rest) - 0.5 * path)
     s[0] = after
     return after + viscous * level_velocity
@@ -67,23 +66,23 @@ _step = step
 
 @inlined
 def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, torque: Array) -> None:
-    """Fill ``torque`` with that of every sample: the bits of `step`, faster where the exponent is 1."""
+    """Fill ``torque`` for every sample, with the same bits as `step`; faster where the exponent is 1."""
     if p[2] != 1.0 or is_differentiated(p[2]):
         for k in range(velocity.shape[0]):
             torque[k] = _step(p, s, velocity[k], velocity[k], dt, 0.0, 1.0, applied_torque, 0.0)
         return
-    # What does not depend on the state first, in loops that the compiler turns into vector instructions.
+    # Results that do not depend on the state are computed first, in loops that the compiler vectorises.
     level = modified(p[1], 0.0, 1.0)
-    settled, way, spring = buffer(p, _BLOCK), buffer(p, _BLOCK), buffer(p, _BLOCK)
+    settled, fraction, spring = buffer(p, _BLOCK), buffer(p, _BLOCK), buffer(p, _BLOCK)
     for begin in range(0, velocity.shape[0], _BLOCK):
         v = velocity[begin : begin + _BLOCK]
         for k in range(v.shape[0]):
             settled[k] = level * direction(v[k], 0.0)
         for k in range(v.shape[0]):
-            way[k] = approach(_path(p, level, v[k], dt))
+            fraction[k] = approach(_path(p, level, v[k], dt))
         held = s[0]
         for k in range(v.shape[0]):
-            held = toward(held, settled[k], way[k])
+            held = toward(held, settled[k], fraction[k])
             spring[k] = held
         s[0] = held
         for k in range(v.shape[0]):
@@ -92,13 +91,13 @@ def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, t
 
 @inlined
 def steady(p: Array, velocity: float, extra: float, scale: float) -> float:
-    """Torque at constant ``velocity``; 0 at rest."""
+    """Compute the torque at constant ``velocity``; 0 at rest."""
     return sliding(modified(p[1], extra, scale), p[3], velocity, velocity, 0.0)
 
 
 FAMILY = Family(
     name="dahl",
-    summary="presliding spring that yields at the Coulomb level; any exponent",
+    summary="presliding spring that yields towards the Coulomb level; any exponent",
     formula="dF/dx = sigma0 |1 - (F/Fc) sgn v|^i sgn(1 - (F/Fc) sgn v);  torque F + Fv v",
     source="P. Dahl, The Aerospace Corporation TOR-0158(3107-18)-1, 1968; AIAA Journal 14(12), 1976",
     parameters=(_SIGMA0, positive(COULOMB), _EXPONENT, VISCOUS),

@@ -1,8 +1,8 @@
-"""From the number of a family to its functions, when a kernel is compiled or while it runs.
+"""Selection of a family's functions, at compile time or at run time.
 
-A kernel gets the family as its number, or as its *tag*: a tuple whose length says the number. Numbers are asked
-for in every sample; a tag is part of a type, so that numba compiles the kernel for each family by itself, with
-nothing of the others inside.
+A kernel receives the family either as a number or as a *tag*, a tuple whose length gives the number. A number is
+compared in every sample. A tag is part of the type, so that numba compiles the kernel separately for each family
+and includes no code of the others.
 """
 
 from typing import Any
@@ -37,12 +37,12 @@ _coulomb, _stribeck, _karnopp, _table, _power_law, _armstrong, _dahl, _lugre, _e
 
 
 def tag(kind: int) -> tuple[int, ...]:
-    """Tag of the family with this number."""
+    """Return the tag of the family with this number."""
     return (0,) * (kind + 1)
 
 
 def number(kind: Any) -> int:
-    """Number of a family that is given as such or as a tag."""
+    """Return the number of a family that is given as a number or as a tag."""
     return kind if isinstance(kind, int) else len(kind) - 1
 
 
@@ -67,6 +67,7 @@ def _step_by_number(
     applied_torque: float,
     epsilon: float,
 ) -> float:
+    # written out, because numba cannot index a table of functions that it inlines; the usual models come first
     if kind == LUGRE:
         return _lugre(p, s, velocity, level_velocity, dt, extra, scale, applied_torque, epsilon)
     if kind == GMS:
@@ -91,7 +92,7 @@ def _step_by_number(
 
 
 def family_step(kind: Any, *arguments: Any) -> float:
-    """``step`` of the family, with its arguments."""
+    """Call ``step`` of the family."""
     return float(_STEPS[number(kind)](*arguments))
 
 
@@ -104,7 +105,7 @@ def _choose_step(kind: Any, *arguments: Any) -> Any:
 
 
 def family_steady(kind: Any, *arguments: Any) -> float:
-    """``steady`` of the family, with its arguments; by tag only."""
+    """Call ``steady`` of the family, which must be given as a tag."""
     return float(_ORDER[number(kind)].steady(*arguments))
 
 
@@ -116,7 +117,7 @@ def _choose_steady(kind: Any, *arguments: Any) -> Any:
 
 @compiled
 def each_step(kind: Any, p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, torque: Array) -> bool:
-    """`family_run`, by number as well: slower, but compiled once for all families."""
+    """Do the work of `family_run` by single steps; with a number it is slower, but compiled once for all families."""
     for k in range(velocity.shape[0]):
         v = velocity[k]
         torque[k] = family_step(kind, p, s, v, v, dt, 0.0, 1.0, applied_torque, 0.0)
@@ -124,11 +125,11 @@ def each_step(kind: Any, p: Array, s: Array, velocity: Array, dt: float, applied
 
 
 def family_run(kind: Any, *arguments: Any) -> bool:
-    """Whole-array form of the family's ``step`` with an even ``dt``: its own, if it has one that is faster.
+    """Simulate a whole array with constant ``dt``, by the family's own ``run`` if it has one.
 
-    Its arguments are p, s, velocity (n,), dt, applied_torque, torque (n,); it fills the last. By tag only.
-    Returns whether it has seen, on its way, that every velocity is finite. A static map, which takes little longer
-    than to read them, looks; a dynamic model does not.
+    The arguments after the tag ``kind`` are p, s, velocity (n,), dt, applied_torque and torque (n,), which is
+    filled. Returns True if every velocity was checked and is finite. Static maps make this check, because their
+    loops are as cheap as a pass over the velocities; dynamic models return False.
     """
     return each_step(kind, *arguments)
 

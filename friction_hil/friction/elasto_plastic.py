@@ -1,4 +1,4 @@
-"""Elasto-plastic friction: LuGre with a truly elastic presliding range, so that it does not drift there."""
+"""Elasto-plastic friction: LuGre with a purely elastic presliding range, in which it does not drift."""
 
 import math
 
@@ -15,23 +15,23 @@ _BREAKAWAY_RATIO = Parameter(
     "breakaway_ratio",
     "r",
     "1",
-    "share of the settled deflection up to which the bristles are elastic, z_ba / z_ss",
+    "fraction of the settled deflection up to which the bristles are purely elastic, z_ba / z_ss",
     upper=1.0,
     is_upper_allowed=False,
 )
 _SUBSTEPS = 32
-_SETTLED = 50.0  # path, over the settled deflection, after which nothing is left to settle in double precision
+_SETTLED = 50.0  # path, in settled deflections, after which the deflection has settled to double precision
 _SUBSTEPS_PER_TRANSITION = 8
 
 
 @inlined
 def _deflected(y: float, path: float, ratio: float) -> float:
-    """Deflection after a ``path``, both over the settled deflection and positive in the direction of motion.
+    """Compute the deflection after a ``path``; both are in settled deflections, positive in the direction of motion.
 
-    dy/dx = 1 - alpha(y) y: alpha is 0 up to ``ratio``, rises like a sine to 1 at 1, and stays there. The first
-    and the last part are solved exactly. Between them a Rosenbrock-Euler step, exact for a linear equation and of
-    second order, takes up to an eighth of the transition; what is left after 32 of them goes in one, which is held
-    between the solution for alpha = 1, never above the true one, and 1.
+    dy/dx = 1 - alpha(y) y, where alpha is 0 up to ``ratio``, rises like a sine to 1 at y = 1, and stays 1. The first
+    and the last part are solved exactly. The transition is integrated by Rosenbrock-Euler steps, exact for a linear
+    equation and of second order, each at most an eighth of the transition. The 32nd step takes the rest of the path;
+    its result is limited to between the solution for alpha = 1, which is a lower bound of the true one, and 1.
     """
     if y < ratio:
         elastic = ratio - y
@@ -77,7 +77,7 @@ def step(
     applied_torque: float,
     epsilon: float,
 ) -> float:
-    """Torque of one sample; see `friction_hil.friction.kernel`."""
+    """Compute the torque of one sample; see `friction_hil.friction.kernel`."""
     level = _level_at(p, level_velocity, extra, scale)
     settled = level / p[0]
     before = s[0]
@@ -91,13 +91,13 @@ def step(
 
 @inlined
 def steady(p: Array, velocity: float, extra: float, scale: float) -> float:
-    """Torque at constant ``velocity``; 0 at rest."""
+    """Compute the torque at constant ``velocity``; 0 at rest."""
     return _steady(p, velocity, extra, scale)
 
 
 FAMILY = Family(
     name="elasto_plastic",
-    summary="LuGre that is elastic below break-away: no drift in presliding",
+    summary="LuGre with an elastic range below break-away: no drift in presliding",
     formula=(
         "dz/dt = v (1 - alpha(z, v) sigma0 / g(v) sgn(v) z);  g(v) = Fc + (Fs - Fc) exp(-(v/vs)^2);  "
         "alpha = 0 where sgn z differs from sgn v or |z| < r g/sigma0, rising like a sine to 1 at g/sigma0;  "

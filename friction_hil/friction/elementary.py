@@ -1,9 +1,8 @@
-"""Elementary functions of the kernels, for numbers and for the dual numbers of `friction_hil.numerics.dual`.
+"""Elementary functions for the kernels, for floats and for the dual numbers of `friction_hil.numerics.dual`.
 
-The exponential is our own for two reasons: it has no branches and no table, so that a loop over an array runs
-in vector registers (the whole-array forms owe their speed to it); and it consists of correctly rounded
-operations alone, so that its bits are the same in such a loop, in a single step, and on every processor, which
-the exponential of a C library does not promise.
+The exponential is implemented here for two reasons. It has no branches and no tables, so that the compiler
+vectorises loops over arrays. And it uses only correctly rounded operations, so that its bits are the same in such
+a loop, in a single step and on every processor; the exponential of a C library does not guarantee that.
 """
 
 import math
@@ -25,23 +24,23 @@ from friction_hil.numerics.dual import (
 )
 from friction_hil.numerics.jit import Array, compiled
 
-_LARGEST = 708.0  # e^-x is a normal number up to here; it counts as zero beyond
+_LARGEST = 708.0  # e^-x is a normal number up to here; larger x give zero
 _PER_LN2 = 1.0 / math.log(2.0)
 _LN2_HIGH, _LN2_LOW = 6.93147180369123816490e-01, 1.90821492927058770002e-10  # their sum is ln 2 to 33 digits
-_SHIFT = 6755399441055744.0  # 1.5 * 2^52: adding it rounds to a whole number, which the low bits then hold
-_ONE_BITS = 4607182418800017408  # of 1.0
+_SHIFT = 6755399441055744.0  # 1.5 * 2^52: adding it rounds to an integer and leaves that in the low bits
+_ONE_BITS = 4607182418800017408  # bit pattern of 1.0
 _C2, _C3, _C4, _C5, _C6, _C7, _C8, _C9, _C10, _C11, _C12, _C13 = (1.0 / math.factorial(k) for k in range(2, 14))
 
 
 @compiled
 def _reduced(x: float) -> tuple[float, float, float]:
-    """e^-x = 2^k (1 + q) for 0 <= x <= `_LARGEST`: returns k, 2^k and q."""
+    """Reduce e^-x = 2^k (1 + q) for 0 <= x <= `_LARGEST`; return k, 2^k and q."""
     shifted = fma(x, -_PER_LN2, _SHIFT)
     k = shifted - _SHIFT
     r = fma(k, -_LN2_LOW, fma(k, -_LN2_HIGH, -x))  # abs(r) <= ln(2) / 2
     r2 = r * r
     r4 = r2 * r2
-    # Taylor's polynomial of e^r - 1, in Estrin's order: few operations wait for each other
+    # Taylor polynomial of e^r - 1 in Estrin's scheme, which has short dependency chains
     low = fma(fma(r, _C5, _C4), r2, fma(r, _C3, _C2))
     middle = fma(fma(r, _C9, _C8), r2, fma(r, _C7, _C6))
     high = fma(fma(r, _C13, _C12), r2, fma(r, _C11, _C10))
@@ -66,12 +65,12 @@ def _approach(x: float) -> float:
 
 
 def decay(x: float) -> float:
-    """e^-x for x >= 0, to 1 unit in the last place; 0 from 708 on."""
+    """Compute e^-x for x >= 0, to 1 unit in the last place; 0 from 708 on."""
     return math.exp(-x)
 
 
 def approach(x: float) -> float:
-    """1 - e^-x for x >= 0, to 2 units in the last place even where x is small."""
+    """Compute 1 - e^-x for x >= 0, to 2 units in the last place even for small x."""
     return -math.expm1(-x)
 
 
@@ -83,62 +82,62 @@ def _power(x: float, y: float) -> float:
 
 
 def power(x: float, y: float) -> float:
-    """x^y for x >= 0 and y >= 0; exactly x and x * x for y = 1 and 2."""
+    """Compute x^y for x >= 0 and y >= 0; exactly x and x * x for y = 1 and 2."""
     return x**y
 
 
 def sin(x: float) -> float:
-    """Sine."""
+    """Compute the sine."""
     return math.sin(x)
 
 
 def cos(x: float) -> float:
-    """Cosine."""
+    """Compute the cosine."""
     return math.cos(x)
 
 
 def tanh(x: float) -> float:
-    """Hyperbolic tangent."""
+    """Compute the hyperbolic tangent."""
     return math.tanh(x)
 
 
 def log(x: float) -> float:
-    """Natural logarithm."""
+    """Compute the natural logarithm."""
     return math.log(x)
 
 
 def log1p(x: float) -> float:
-    """ln(1 + x), with full relative precision where x is small."""
+    """Compute ln(1 + x) with full relative precision for small x."""
     return math.log1p(x)
 
 
 def expm1(x: float) -> float:
-    """e^x - 1, with full relative precision where x is small."""
+    """Compute e^x - 1 with full relative precision for small x."""
     return math.expm1(x)
 
 
-def toward(start: float, end: float, share: float) -> float:
-    """Value at a ``share`` of the way from ``start`` to ``end``, rounded once after the difference."""
-    return start + share * (end - start)
+def toward(start: float, end: float, fraction: float) -> float:
+    """Interpolate from ``start`` to ``end``: start + fraction (end - start), rounded once after the difference."""
+    return start + fraction * (end - start)
 
 
 def whole(x: float) -> int:
-    """Whole number that ``x`` holds."""
+    """Return the integer that ``x`` holds."""
     return int(x)
 
 
 def is_differentiated(x: float) -> bool:
-    """Whether ``x`` carries partial derivatives; known when a kernel is compiled."""
+    """Return True if ``x`` carries partial derivatives; known at compile time."""
     return False
 
 
 def part(values: Array, begin: int) -> Array:
-    """View of the values from place ``begin`` on."""
+    """Return a view of the values from index ``begin`` on."""
     return values[begin:]
 
 
 def buffer(parameters: Array, length: int) -> Array:
-    """Array for ``length`` results that depend on the parameters."""
+    """Allocate an array for ``length`` results that depend on the parameters."""
     return np.empty(length)
 
 
@@ -168,16 +167,17 @@ def _choose_power(x: Any, y: Any) -> Any:
 
 
 @overloaded(toward)
-def _choose_toward(start: Any, end: Any, share: Any) -> Any:
-    if all(isinstance(each, DualType) for each in (start, end, share)):
+def _choose_toward(start: Any, end: Any, fraction: Any) -> Any:
+    if all(isinstance(each, DualType) for each in (start, end, fraction)):
 
-        def of_duals(start, end, share):  # type: ignore[no-untyped-def]
-            way = end - start
-            slopes = chain(0.0, 1.0, start) + chain(0.0, primal(way), share) + chain(0.0, primal(share), way)
-            return chain(fma(primal(share), primal(way), primal(start)), 1.0, slopes)
+        def of_duals(start, end, fraction):  # type: ignore[no-untyped-def]
+            change = end - start
+            by_fraction, by_change = chain(0.0, primal(change), fraction), chain(0.0, primal(fraction), change)
+            slopes = chain(0.0, 1.0, start) + by_fraction + by_change
+            return chain(fma(primal(fraction), primal(change), primal(start)), 1.0, slopes)
 
         return of_duals
-    return lambda start, end, share: fma(share, end - start, start)
+    return lambda start, end, fraction: fma(fraction, end - start, start)
 
 
 @overloaded(whole)
@@ -204,14 +204,14 @@ def _choose_buffer(parameters: Any, length: Any) -> Any:
     return lambda parameters, length: np.empty(length)
 
 
-_SMALL = 1e-5  # where the next term of the series is below the last bit
+_SMALL = 1e-5  # below this the next term of the series is less than the last bit
 
 
 @compiled
 def mean_decay(x: float) -> float:
-    """Mean of e^-t for t from 0 to ``x``, of either sign: (1 - e^-x) / x."""
+    """Compute the mean of e^-t for t from 0 to ``x``, of either sign: (1 - e^-x) / x."""
     if x > _SMALL:
         return approach(x) / x
     if x < -_SMALL:
         return approach(-x) / (-x * decay(-x))
-    return 1.0 - x * (0.5 - x * (1.0 / 6.0 - x / 24.0))  # the derivative of the quotient would cancel
+    return 1.0 - x * (0.5 - x * (1.0 / 6.0 - x / 24.0))  # the quotient's derivative would suffer from cancellation

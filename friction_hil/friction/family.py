@@ -1,4 +1,4 @@
-"""Description of a family of friction models."""
+"""Description of a friction model before its parameters have values."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -9,17 +9,17 @@ from friction_hil.friction.parameters import Parameter
 
 @dataclass(frozen=True, slots=True)
 class Packed:
-    """Parameters as the kernel wants them.
+    """Parameters in the layout of the kernel.
 
     Attributes
     ----------
     values : sequence of float
-        In the kernel's order.
+        Values in the kernel's order.
     names : sequence of str or None
-        Name of the parameter that stands in each place, e.g. ``weight[1]``; None where it is no number to be
-        fitted, such as a count.
+        Name of the parameter of each value, e.g. ``weight[1]``; None for a value that cannot be fitted, such as
+        a count.
     factors : sequence of float, optional
-        What each parameter was multiplied by; 1 where not given.
+        Factor by which each parameter was multiplied; 1 when not given.
     """
 
     values: Sequence[float]
@@ -28,18 +28,18 @@ class Packed:
 
 
 def pack_scalars(parameters: Mapping[str, Any]) -> Packed:
-    """Pack parameters that are all single numbers, in their own order."""
+    """Pack parameters that are all single numbers, in the order of the mapping."""
     return Packed([float(value) for value in parameters.values()], list(parameters))
 
 
 def largest_level(parameters: Mapping[str, Any]) -> float:
-    """Larger one of Coulomb and break-away level, N m."""
+    """Return the larger of the Coulomb and the break-away level, N m."""
     return max(float(parameters.get(name, 0.0)) for name in ("coulomb", "static"))
 
 
 @dataclass(frozen=True, slots=True)
 class Family:
-    """What is known of a model before its parameters have values.
+    """Name, formula, source and parameter table of a friction model.
 
     Attributes
     ----------
@@ -47,13 +47,13 @@ class Family:
         The lines of ``formula`` are separated by ``;  ``.
     parameters : tuple of Parameter
     states : tuple of str
-        Names with units; none of a static map.
+        Names of the states with units; empty for a static map.
     example : dict
-        Parameters of a small rotary servo, to start from and to draw.
+        Parameters of a small rotary servo, as a starting point and for drawing.
     check : callable
-        Takes all parameters and raises InvalidParameterError where they do not go together.
+        Takes all parameters and raises InvalidParameterError if they contradict each other.
     pack : callable
-        Turns parameters into what the kernel takes.
+        Converts the parameters to the layout of the kernel.
     level : callable
         Takes all parameters and returns the largest torque of slow motion, N m.
     """
@@ -72,5 +72,5 @@ class Family:
 
     @property
     def is_static(self) -> bool:
-        """Whether the torque jumps at zero velocity and the model has no state."""
+        """True if the model has no state; its torque then jumps at zero velocity."""
         return not self.states

@@ -21,9 +21,9 @@ from friction_hil.numerics.jit import Array, inlined
 
 MAX_ELEMENTS = 20
 STATES = 2 * MAX_ELEMENTS
-_HEAD = 6  # places before the elements: attraction, coulomb, static, stribeck_velocity, viscous, their number
+_HEAD = 6  # values before the elements: attraction, coulomb, static, stribeck_velocity, viscous, number of elements
 _SUM_TOLERANCE = 1e-6
-_BLOCK = 256  # samples; their intermediate results stay in the nearest cache
+_BLOCK = 256  # samples; their intermediate results stay in the first-level cache
 
 _STIFFNESS = NumberList(
     "stiffness",
@@ -38,40 +38,40 @@ _WEIGHT = NumberList(
     "weight",
     "alpha_i",
     "1",
-    "share of each element in the level; they sum to 1",
+    "fraction of the level that each element carries; they sum to 1",
     is_lower_allowed=False,
     least=2,
     most=MAX_ELEMENTS,
 )
 _ATTRACTION = Parameter(
-    "attraction", "C", "N m/s", "how fast a slipping element comes to its level", is_lower_allowed=False
+    "attraction", "C", "N m/s", "rate at which a slipping element approaches its level", is_lower_allowed=False
 )
 
 
 @inlined
 def _level_at(p: Array, velocity: float, extra: float, scale: float) -> float:
-    """Level s(v), N m."""
+    """Compute the level s(v), N m."""
     return modified(gaussian_level(velocity, p[1], p[2], p[3]), extra, scale)
 
 
 @inlined
-def _share(p: Array, level: float, dt: float) -> float:
-    """Share of the way to its level that a slipping element makes in ``dt``."""
+def _approached(p: Array, level: float, dt: float) -> float:
+    """Compute the fraction of the distance to its level that a slipping element covers in ``dt``."""
     return approach(p[0] * dt / level)
 
 
 @inlined
 def _advanced(
-    torque: float, slip: float, sign: float, bound: float, share: float, stretched: float
+    torque: float, slip: float, sign: float, bound: float, fraction: float, gain: float
 ) -> tuple[float, float]:
-    """Torque of an element, and the direction in which it slips, after a step that began with these.
+    """Advance the torque of an element and its direction of slip, ``slip``, by one step.
 
-    ``sign`` is the direction of motion, ``bound`` the element's level, and ``stretched`` what its spring gains
-    while it sticks.
+    ``sign`` is the direction of motion, ``bound`` the level of the element, ``fraction`` the result of `_approached`,
+    and ``gain`` the torque that its spring gains if it sticks.
     """
     if sign != 0.0 and (slip == sign or torque * sign > bound):
-        return torque + share * (bound * sign - torque), sign
-    torque = torque + stretched
+        return torque + fraction * (bound * sign - torque), sign
+    torque = torque + gain
     if torque * sign >= bound:
         return bound * sign, sign
     return torque, 0.0
@@ -89,38 +89,39 @@ def step(
     applied_torque: float,
     epsilon: float,
 ) -> float:
-    """Torque of one sample, exact for ``velocity`` held over ``dt``; see `friction_hil.friction.kernel`.
+    """Compute the torque of one sample, exact for ``velocity`` held over ``dt``; see `friction_hil.friction.kernel`.
 
-    State of element i: its torque in s[2 i], and in s[2 i + 1] the direction in which it slips, 0 while it
-    sticks. An element that breaks away within a step does so at its level, where it then stays.
+    The state of element i is its torque in s[2 i] and its direction of slip in s[2 i + 1], 0 while it sticks. An
+    element that breaks away within a step ends the step at its level.
     """
     level = _level_at(p, level_velocity, extra, scale)
     count = whole(p[5])
     sign = direction(velocity, 0.0)
-    share = _share(p, level, dt)
+    fraction = _approached(p, level, dt)
     total = p[4] * level_velocity
     for i in range(count):
         bound = p[_HEAD + count + i] * level
-        s[2 * i], s[2 * i + 1] = _advanced(s[2 * i], s[2 * i + 1], sign, bound, share, p[_HEAD + i] * (velocity * dt))
+        gain = p[_HEAD + i] * (velocity * dt)
+        s[2 * i], s[2 * i + 1] = _advanced(s[2 * i], s[2 * i + 1], sign, bound, fraction, gain)
         total = total + s[2 * i]
     return total
 
 
 @inlined
 def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, torque: Array) -> None:
-    """Fill ``torque`` with that of every sample: the bits of `step`, faster.
+    """Fill ``torque`` for every sample, with the same bits as `step`, but faster.
 
-    What does not depend on the state first, in loops that the compiler turns into vector instructions; then one
-    element after the other, whose state stays in registers.
+    Results that do not depend on the state are computed first, in loops that the compiler vectorises; then follows
+    one element after the other, with its state in registers.
     """
     count = whole(p[5])
-    level, share, total = buffer(p, _BLOCK), buffer(p, _BLOCK), buffer(p, _BLOCK)
+    level, fraction, total = buffer(p, _BLOCK), buffer(p, _BLOCK), buffer(p, _BLOCK)
     for begin in range(0, velocity.shape[0], _BLOCK):
         v = velocity[begin : begin + _BLOCK]
         for k in range(v.shape[0]):
             level[k] = _level_at(p, v[k], 0.0, 1.0)
         for k in range(v.shape[0]):
-            share[k] = _share(p, level[k], dt)
+            fraction[k] = _approached(p, level[k], dt)
         for k in range(v.shape[0]):
             total[k] = p[4] * v[k]
         for i in range(count):
@@ -128,7 +129,7 @@ def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, t
             held, slip = s[2 * i], primal(s[2 * i + 1])
             for k in range(v.shape[0]):
                 sign = direction(v[k], 0.0)
-                held, slip = _advanced(held, slip, sign, weight * level[k], share[k], stiffness * (v[k] * dt))
+                held, slip = _advanced(held, slip, sign, weight * level[k], fraction[k], stiffness * (v[k] * dt))
                 total[k] = total[k] + held
             s[2 * i], s[2 * i + 1] = held, slip
         for k in range(v.shape[0]):
@@ -137,7 +138,7 @@ def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, t
 
 @inlined
 def steady(p: Array, velocity: float, extra: float, scale: float) -> float:
-    """Torque at constant ``velocity``; 0 at rest."""
+    """Compute the torque at constant ``velocity``; 0 at rest."""
     return sliding(_level_at(p, velocity, extra, scale), p[4], velocity, velocity, 0.0)
 
 
@@ -145,7 +146,8 @@ def _check(parameters: Mapping[str, Any]) -> None:
     stiffness, weight = parameters["stiffness"], parameters["weight"]
     if len(stiffness) != len(weight):
         raise InvalidParameterError(
-            f"gms: weight has {len(weight)} elements and stiffness {len(stiffness)}: they must be as many", "weight"
+            f"gms: weight has {len(weight)} elements and stiffness {len(stiffness)}; the numbers must be equal",
+            "weight",
         )
     if abs(sum(weight) - 1.0) > _SUM_TOLERANCE:
         raise InvalidParameterError(f"gms: the elements of weight sum to {sum(weight):.9g}, not to 1", "weight")
@@ -170,7 +172,7 @@ FAMILY = Family(
     ),
     source="Lampaert, Al-Bender, Swevers, Proceedings of the International Tribology Conference / IEEE PhysCon, 2003",
     parameters=(_STIFFNESS, _WEIGHT, _ATTRACTION, positive(COULOMB), positive(STATIC), STRIBECK_VELOCITY, VISCOUS),
-    states=("torque of each element [N m]", "direction in which each slips"),
+    states=("torque of each element [N m]", "direction of slip of each element"),
     example={
         "stiffness": [1600.0, 560.0, 200.0, 60.0],
         "weight": [0.25, 0.3, 0.25, 0.2],

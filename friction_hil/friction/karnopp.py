@@ -1,4 +1,4 @@
-"""Karnopp's model: Stribeck friction with a band of velocities that counts as standstill, for simulation."""
+"""Karnopp's model: Stribeck friction with a velocity band that counts as standstill, for simulation."""
 
 from friction_hil.friction import stribeck
 from friction_hil.friction.curves import modified, sticking
@@ -9,7 +9,7 @@ from friction_hil.numerics.jit import Array, inlined
 _sliding, _steady, _run_with_band = stribeck.step, stribeck.steady, stribeck.run_with_band
 
 _STICK_VELOCITY = Parameter(
-    "stick_velocity", "Dv", "rad/s", "below this velocity the axis counts as stuck", is_lower_allowed=False
+    "stick_velocity", "Dv", "rad/s", "velocity below which the axis sticks", is_lower_allowed=False
 )
 
 
@@ -25,7 +25,7 @@ def step(
     applied_torque: float,
     epsilon: float,
 ) -> float:
-    """Torque of one sample; see `friction_hil.friction.kernel`. A feed-forward has no use for the band."""
+    """Compute the torque of one sample; see `friction_hil.friction.kernel`. A feed-forward ignores the band."""
     if epsilon == 0.0 and abs(velocity) < p[5]:
         return sticking(applied_torque, modified(p[1], extra, scale))
     return _sliding(p, s, velocity, level_velocity, dt, extra, scale, applied_torque, epsilon)
@@ -33,23 +33,23 @@ def step(
 
 @inlined
 def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, torque: Array) -> bool:
-    """Fill ``torque`` with that of every sample: the bits of `step`. Return whether every velocity is finite."""
+    """Fill ``torque`` for every sample, with the same bits as `step`; return True if every velocity is finite."""
     return _run_with_band(p, velocity, p[5], applied_torque, torque)
 
 
 @inlined
 def steady(p: Array, velocity: float, extra: float, scale: float) -> float:
-    """Torque at constant ``velocity``; 0 at rest."""
+    """Compute the torque at constant ``velocity``; 0 at rest."""
     return _steady(p, velocity, extra, scale)
 
 
 FAMILY = Family(
     name="karnopp",
-    summary="Stribeck friction that sticks exactly inside a band of velocities; for simulation",
-    formula="|v| < Dv: F balances the applied torque up to Fs, and the axis stands;  else F as stribeck",
+    summary="Stribeck friction that sticks exactly inside a velocity band; for simulation",
+    formula="|v| < Dv: F balances the applied torque up to Fs and the axis stands still;  otherwise F as in stribeck",
     source="Karnopp, Journal of Dynamic Systems, Measurement, and Control 107(1), 1985",
     parameters=(*stribeck.FAMILY.parameters, _STICK_VELOCITY),
     states=(),
     example={**stribeck.FAMILY.example, "stick_velocity": 1e-3},
-    note="who simulates an axis with it sets the velocity to zero while F balances; the simulated servo does",
+    note="a simulation must set the velocity to zero while F balances the torque, as the simulated servo does",
 )

@@ -1,15 +1,18 @@
-"""The step of every model with its modifiers: loop, replay, fitting and simulated plant call it.
+"""The step of every model with its modifiers. The daemon, replay, fitting and the simulated servo call it.
 
-A model's parameters are one flat array, ``p``::
+The parameters of a model are a flat array, ``p``::
 
-    0                whether there are modifiers, or a network
-    1, 2, 3          where the parameters for negative motion begin, the modifiers, and the network (0: none)
+    0                1 if there are modifiers or a network, otherwise 0
+    1, 2, 3          index of the first parameter for negative motion, of the first modifier and of the network
+                     (0: no network)
     4 ...            the model's own parameters, in the order of its family's `pack`
 
-and its state another, ``s``: the family's own states from 0 on, the direction of the last motion, and the state of
-the network. Each family has ``step(p, s, velocity, level_velocity, dt, extra, scale, applied_torque, epsilon)`` and
-``steady(p, velocity, extra, scale)``, with ``p`` beginning at its own parameters; ``extra`` and ``scale`` are
-what load and temperature do to its level.
+The state is another flat array, ``s``: the states of the family from index 0 on, the direction of the last motion,
+and the state of the network.
+
+Each family has the functions ``step(p, s, velocity, level_velocity, dt, extra, scale, applied_torque, epsilon)`` and
+``steady(p, velocity, extra, scale)``. There ``p`` starts at the family's own parameters, and ``extra`` and ``scale``
+are the effect of load and temperature on the level (`curves.modified`).
 """
 
 import math
@@ -35,9 +38,9 @@ from friction_hil.numerics.dual import DualArrayType, borrowed_at, overloaded, p
 from friction_hil.numerics.jit import Array, compiled, compiled_for_one_sample, inlined
 
 HEADER = 4
-_CACHED = 32768  # samples, a quarter of a megabyte: what is read twice is still in the cache
-PLAIN_ROOM = 640  # a full table for each direction, and the modifiers
-PARAMETER_ROOM = 2048  # of a model with a network
+_CACHED = 32768  # samples, 256 KiB: small enough to be in the cache at the second pass
+PLAIN_ROOM = 640  # length of p: a full table for each direction, and the modifiers
+PARAMETER_ROOM = 2048  # length of p for a model with a network
 DIRECTION = FAMILY_STATES
 NETWORK = DIRECTION + 1
 STATE_ROOM = NETWORK + network.STATE_ROOM
@@ -49,12 +52,12 @@ _network_step = network.step_apart
 
 
 def _learned_torque(p: Array, s: Array, *inputs: Any) -> float:
-    """Torque of the network, N m; 0 without one, and to automatic differentiation, which has no use for it.
+    """Compute the torque of the network, N m; 0 without a network and under automatic differentiation.
 
-    Parameters in a record say by their room whether there can be one: its code takes as long to compile as all the
-    rest.
+    For parameters in a record, the length of the array decides at compile time whether there can be a network,
+    because its code takes as long to compile as everything else.
     """
-    raise NotImplementedError  # compiled code only
+    raise NotImplementedError  # exists in compiled code only
 
 
 @overloaded(_learned_torque)
@@ -92,21 +95,21 @@ def step(
     p, s
         Parameters and state; the state is changed in place.
     velocity, level_velocity
-        The velocity that drives the state and the direction, and the one at which the level, the damping and
-        the viscous part are taken, rad/s. The same, except in a compensator, which knows them from different
+        Velocity that drives the state and sets the direction, and velocity at which level, damping and viscous
+        friction are evaluated, rad/s. They are equal except in a compensator, which takes them from different
         sources.
     dt
-        Time over which ``velocity`` is held, s, above zero.
+        Time for which ``velocity`` is held, s, above zero.
     position
-        For the ripple, rad.
+        Position for the ripple, rad.
     load_torque
-        For load dependence, N m, positive where it opposes positive motion.
+        Load torque for the load dependence, N m, positive if it opposes positive motion.
     temperature
-        For temperature dependence, deg C; NaN for the reference.
+        Temperature for the temperature dependence, deg C; NaN for the reference temperature.
     applied_torque
         Torque that friction balances while a static map sticks (``velocity`` 0, ``epsilon`` 0), N m.
     epsilon
-        Width over which a static map's jump at zero velocity is smoothed, rad/s; 0 for the exact map.
+        Width over which the jump of a static map at zero velocity is smoothed, rad/s; 0 for the exact map.
         Dynamic models have no jump and ignore it.
     """
     own_state = part(s, 0)
@@ -121,13 +124,13 @@ def step(
     sign = primal(s[DIRECTION])
     is_stuck = velocity == 0.0 or (number(kind) == KARNOPP and abs(velocity) < primal(p[HEADER + 5]))
     if is_stuck and epsilon == 0.0 and number(kind) <= LAST_STATIC:
-        sign = direction(primal(pushed), 0.0)  # it holds with the level of the side to which it would break away
+        sign = direction(primal(pushed), 0.0)  # the level is that of the direction in which it would break away
     own = part(p, whole(p[1]) if sign < 0.0 else HEADER)
     extra, scale = _level_extra(m, load_torque, sign), _level_scale(m, temperature)
     torque = family_step(kind, own, own_state, velocity, level_velocity, dt, extra, scale, pushed, epsilon)
     fast = _fast_torque(m, level_velocity)
     if is_stuck and epsilon == 0.0 and number(kind) <= LAST_STATIC:
-        fast = 0.0  # friction balances what is applied, and nothing else
+        fast = 0.0  # at rest, friction balances the applied torque only
     learned = _learned_torque(p, s, velocity, level_velocity, dt, position, load_torque, temperature)
     return torque + fast + ripple + learned
 
@@ -142,7 +145,7 @@ def step_whole(
     temperature: float,
     applied_torque: float,
 ) -> float:
-    """`step` of a model whose number, epsilon, parameters and state are one array at an address."""
+    """Call `step` for a model whose number, epsilon, parameters and state are one array at ``address``."""
     model = borrowed_at(address, WHOLE_ROOM)
     kind, epsilon, p, s = int(model[0]), model[1], part(model, 2), part(model, 2 + PARAMETER_ROOM)
     return step(kind, p, s, velocity, velocity, dt, position, load_torque, temperature, applied_torque, epsilon)
@@ -150,16 +153,16 @@ def step_whole(
 
 @compiled_for_one_sample
 def step_plain(address: int, velocity: float, dt: float) -> float:
-    """`step_whole` without all that a model without modifiers has no need of."""
+    """Call the family's step for a model without modifiers: the fast form of `step_whole`."""
     model = borrowed_at(address, WHOLE_ROOM)
     kind, epsilon, p, s = int(model[0]), model[1], part(model, 2 + HEADER), part(model, 2 + PARAMETER_ROOM)
     return family_step(kind, p, s, velocity, velocity, dt, 0.0, 1.0, 0.0, epsilon)
 
 
 def prepare(function: Any, numbers: int) -> None:
-    """Compile `step_plain` or `step_whole` for an address and numbers, once and for all.
+    """Compile `step_plain` or `step_whole` for an address and ``numbers`` floats, and disable further compilation.
 
-    Otherwise a whole number or a numpy scalar would have it compiled anew, in the middle of a loop.
+    Otherwise an int or a numpy scalar as argument would start a new compilation in the middle of a loop.
     """
     if not function.signatures:
         function.compile((types.int64, *[types.float64] * numbers))
@@ -168,16 +171,16 @@ def prepare(function: Any, numbers: int) -> None:
 
 @compiled
 def is_finite(values: Array) -> bool:
-    """Whether no element is infinite or NaN."""
+    """Return True if no element is infinite or NaN."""
     wrong = 0
     for k in range(values.shape[0]):
-        wrong += not math.isfinite(values[k])  # counting goes in vector registers; leaving at the first does not
+        wrong += not math.isfinite(values[k])  # a count is vectorised, an early exit is not
     return wrong == 0
 
 
 @compiled
 def is_positive(values: Array) -> bool:
-    """Whether every element is above zero."""
+    """Return True if every element is above zero."""
     wrong = 0
     for k in range(values.shape[0]):
         wrong += not values[k] > 0.0
@@ -186,23 +189,23 @@ def is_positive(values: Array) -> bool:
 
 @compiled
 def run_plain(kind: Any, p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, torque: Array) -> bool:
-    """`run` of a model without modifiers, with one ``dt`` and one ``applied_torque``.
+    """Do the work of `run` for a model without modifiers, with one ``dt`` and one ``applied_torque``.
 
-    Most need no more, and the rest takes longer to compile than this.
+    Most calls need only this, and it compiles much faster than `run`.
     """
     own = part(p, HEADER)
     for begin in range(0, velocity.shape[0], _CACHED):
         v = velocity[begin : begin + _CACHED]
-        is_seen = family_run(kind, own, s, v, dt, applied_torque, part(torque, begin))
-        if not (is_seen or is_finite(v)):
+        is_checked = family_run(kind, own, s, v, dt, applied_torque, part(torque, begin))
+        if not (is_checked or is_finite(v)):
             return False
     return True
 
 
 def run_any(kind: int, p: Array, velocity: Array, dt: float) -> Array:
-    """Torque, (n,), of a model without modifiers, from rest: the bits of `run_plain`.
+    """Simulate a model without modifiers from rest; return the torque, (n,), with the same bits as `run_plain`.
 
-    It takes the family by number: slower, but compiled once for all of them, and quickly where the loop's step is.
+    The family is selected by number, which is slower but compiled once for all families.
     """
     torque = np.empty(velocity.size)
     each_step(kind, p[HEADER:], np.zeros(STATE_ROOM), velocity, dt, 0.0, torque)
@@ -222,9 +225,10 @@ def run(
     applied_torque: Array,
     torque: Array,
 ) -> bool:
-    """Fill ``torque`` with that of every sample; return whether every ``velocity`` is finite, and stop where not.
+    """Fill ``torque`` for every sample; return True if every ``velocity`` is finite.
 
-    ``kind`` is the family's tag. The inputs after ``velocity`` have one element, or one a sample.
+    ``kind`` is the family's tag. The inputs after ``velocity`` have one element, or one per sample. For a model
+    without modifiers the simulation stops at the first block with a velocity that is not finite.
     """
     if p[0] == 0.0 and dt.shape[0] == 1 and applied_torque.shape[0] == 1:
         return run_plain(kind, p, s, velocity, dt[0], applied_torque[0], torque)
@@ -252,7 +256,7 @@ def run(
 
 @compiled
 def steady_curve(kind: Any, p: Array, velocity: Array, load_torque: float, temperature: float, torque: Array) -> None:
-    """Fill ``torque`` with what the model settles on at every constant ``velocity``, without ripple; 0 at rest.
+    """Fill ``torque`` with the steady torque at every constant ``velocity``, without ripple; 0 at rest.
 
     ``kind`` is the family's tag.
     """

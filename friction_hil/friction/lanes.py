@@ -1,4 +1,4 @@
-"""Four numbers at a time: what the compiler does not find in loops as short as the layer of a friction network."""
+"""Operations on four doubles at a time; the compiler does not vectorise loops as short as a network layer."""
 
 from typing import Any
 
@@ -10,13 +10,13 @@ from friction_hil.numerics.dual import intrinsic
 
 LANES = 4
 
-cgutils: Any = untyped_cgutils  # for mypy: it has no types
+cgutils: Any = untyped_cgutils  # it has no types
 
 _FOUR = ir.VectorType(ir.DoubleType(), LANES)
 
 
 def spread(builder: Any, kind: ir.VectorType, number: Any) -> Any:
-    """Vector with the same number in every place."""
+    """Return a vector with the same number in every element."""
     first = builder.insert_element(ir.Constant(kind, ir.Undefined), number, ir.Constant(ir.IntType(32), 0))
     return builder.shuffle_vector(
         first, first, ir.Constant(ir.VectorType(ir.IntType(32), kind.count), [0] * kind.count)
@@ -24,7 +24,7 @@ def spread(builder: Any, kind: ir.VectorType, number: Any) -> Any:
 
 
 def fma(builder: Any, x: Any, y: Any, z: Any) -> Any:
-    """X y + z of vectors, rounded once."""
+    """Compute x y + z of vectors, rounded once."""
     kind = x.type
     function = ir.FunctionType(kind, [kind] * 3)
     return builder.call(
@@ -32,18 +32,19 @@ def fma(builder: Any, x: Any, y: Any, z: Any) -> Any:
     )
 
 
-def _place(context: Any, builder: Any, kind: Any, array: Any, begin: Any) -> Any:
+def _vector_pointer(context: Any, builder: Any, kind: Any, array: Any, begin: Any) -> Any:
+    """Return a pointer to the `LANES` elements of ``array`` from ``begin`` on."""
     data = context.make_array(kind)(context, builder, value=array).data
     return builder.bitcast(builder.gep(data, [begin]), _FOUR.as_pointer())
 
 
 @intrinsic
 def add_scaled(_: Any, sums: Any, at: Any, values: Any, begin: Any, factor: Any) -> Any:
-    """Add ``factor`` times the `LANES` ``values`` from ``begin`` on to the ``sums`` from ``at`` on, rounded once."""
+    """Add ``factor`` times `LANES` ``values`` from index ``begin`` to ``sums`` from index ``at``, rounded once."""
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        target = _place(context, builder, signature.args[0], args[0], args[1])
-        source = builder.load(_place(context, builder, signature.args[2], args[2], args[3]), align=8)
+        target = _vector_pointer(context, builder, signature.args[0], args[0], args[1])
+        source = builder.load(_vector_pointer(context, builder, signature.args[2], args[2], args[3]), align=8)
         total = fma(builder, spread(builder, _FOUR, args[4]), source, builder.load(target, align=8))
         builder.store(total, target, align=8)
         return context.get_dummy_value()
@@ -53,11 +54,11 @@ def add_scaled(_: Any, sums: Any, at: Any, values: Any, begin: Any, factor: Any)
 
 @intrinsic
 def put_scaled(_: Any, target: Any, at: Any, values: Any, begin: Any, factor: Any) -> Any:
-    """Put ``factor`` times the `LANES` ``values`` from ``begin`` on into ``target`` from ``at`` on."""
+    """Store ``factor`` times `LANES` ``values`` from index ``begin`` in ``target`` from index ``at``."""
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        into = _place(context, builder, signature.args[0], args[0], args[1])
-        source = builder.load(_place(context, builder, signature.args[2], args[2], args[3]), align=8)
+        into = _vector_pointer(context, builder, signature.args[0], args[0], args[1])
+        source = builder.load(_vector_pointer(context, builder, signature.args[2], args[2], args[3]), align=8)
         builder.store(builder.fmul(spread(builder, _FOUR, args[4]), source), into, align=8)
         return context.get_dummy_value()
 
@@ -65,13 +66,13 @@ def put_scaled(_: Any, target: Any, at: Any, values: Any, begin: Any, factor: An
 
 
 def _sum_of_products(context: Any, builder: Any, signature: Any, args: Any, start: Any) -> Any:
-    """Sum of rows of `LANES` numbers times their factors; args as of `add_products`."""
+    """Sum rows of `LANES` numbers times their factors; ``args`` are those of `add_products`."""
     total = cgutils.alloca_once_value(builder, start)
     builder.store(start, total)
     factors = context.make_array(signature.args[5])(context, builder, value=args[5]).data
     with cgutils.for_range(builder, args[6]) as loop:
         begin = builder.add(args[3], builder.mul(loop.index, args[4]))
-        values = builder.load(_place(context, builder, signature.args[2], args[2], begin), align=8)
+        values = builder.load(_vector_pointer(context, builder, signature.args[2], args[2], begin), align=8)
         factor = spread(builder, _FOUR, builder.load(builder.gep(factors, [loop.index])))
         builder.store(fma(builder, factor, values, builder.load(total)), total)
     return builder.load(total)
@@ -79,13 +80,14 @@ def _sum_of_products(context: Any, builder: Any, signature: Any, args: Any, star
 
 @intrinsic
 def add_products(_: Any, sums: Any, at: Any, values: Any, begin: Any, stride: Any, factors: Any, count: Any) -> Any:
-    """Add to the `LANES` ``sums`` from ``at`` on the products of ``factors`` with as many rows of ``values``.
+    """Add to `LANES` ``sums`` from index ``at`` the products of ``count`` ``factors`` with as many rows of ``values``.
 
-    Row i begins at ``begin + i stride``. Like ``count`` calls of `add_scaled`, with the sums in a register meanwhile.
+    Row i begins at ``begin + i stride``. The result is that of ``count`` calls of `add_scaled`, but the sums stay in
+    a register.
     """
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        target = _place(context, builder, signature.args[0], args[0], args[1])
+        target = _vector_pointer(context, builder, signature.args[0], args[0], args[1])
         start = builder.load(target, align=8)
         builder.store(_sum_of_products(context, builder, signature, args, start), target, align=8)
         return context.get_dummy_value()
@@ -95,10 +97,10 @@ def add_products(_: Any, sums: Any, at: Any, values: Any, begin: Any, stride: An
 
 @intrinsic
 def put_products(_: Any, sums: Any, at: Any, values: Any, begin: Any, stride: Any, factors: Any, count: Any) -> Any:
-    """As `add_products`, from zero on."""
+    """Do the same as `add_products`, but start the sums at zero."""
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        target = _place(context, builder, signature.args[0], args[0], args[1])
+        target = _vector_pointer(context, builder, signature.args[0], args[0], args[1])
         start = ir.Constant(_FOUR, [0.0] * LANES)
         builder.store(_sum_of_products(context, builder, signature, args, start), target, align=8)
         return context.get_dummy_value()
@@ -123,22 +125,22 @@ def carry(
     z_at: Any,
     b: Any,
 ) -> Any:
-    """Replace `LANES` numbers s by own s + a y, and put before s + after (own s + a y) + b z into ``row``.
+    """Replace `LANES` numbers s by s' = own s + a y, and store before s + after s' + b z in ``row``.
 
-    The groups of numbers begin at ``at``, ``y_at``, ``to`` and ``z_at``.
+    The groups of numbers begin at the indices ``at``, ``y_at``, ``to`` and ``z_at``.
     """
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         kinds = signature.args
-        place = _place(context, builder, kinds[0], args[0], args[1])
-        old = builder.load(place, align=8)
-        y_values = builder.load(_place(context, builder, kinds[3], args[3], args[4]), align=8)
-        z_values = builder.load(_place(context, builder, kinds[10], args[10], args[11]), align=8)
+        target = _vector_pointer(context, builder, kinds[0], args[0], args[1])
+        old = builder.load(target, align=8)
+        y_values = builder.load(_vector_pointer(context, builder, kinds[3], args[3], args[4]), align=8)
+        z_values = builder.load(_vector_pointer(context, builder, kinds[10], args[10], args[11]), align=8)
         own_by, a_by, before_by, after_by, b_by = (spread(builder, _FOUR, args[i]) for i in (2, 5, 8, 9, 12))
         new = fma(builder, a_by, y_values, builder.fmul(own_by, old))
-        builder.store(new, place, align=8)
+        builder.store(new, target, align=8)
         total = fma(builder, after_by, new, fma(builder, b_by, z_values, builder.fmul(before_by, old)))
-        builder.store(total, _place(context, builder, kinds[6], args[6], args[7]), align=8)
+        builder.store(total, _vector_pointer(context, builder, kinds[6], args[6], args[7]), align=8)
         return context.get_dummy_value()
 
     number, index = types.float64, types.int64
@@ -147,19 +149,20 @@ def carry(
 
 @intrinsic
 def put_slopes(_: Any, target: Any, at: Any, values: Any, begin: Any, factor: Any, h: Any, h_at: Any) -> Any:
-    """Put ``factor`` times the `LANES` ``values`` from ``begin`` on times 1 - h^2 into ``target`` from ``at`` on.
+    """Store ``factor`` times `LANES` ``values`` times 1 - h^2 in ``target`` from index ``at``.
 
-    These are the slopes of weighted hyperbolic tangents ``h``, from ``h_at`` on, over what goes into them.
+    The values begin at the index ``begin``, the hyperbolic tangents ``h`` at ``h_at``. The result is the derivative of
+    the weighted tangents over their arguments.
     """
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         kinds = signature.args
-        weights = builder.load(_place(context, builder, kinds[2], args[2], args[3]), align=8)
-        units = builder.load(_place(context, builder, kinds[5], args[5], args[6]), align=8)
+        weights = builder.load(_vector_pointer(context, builder, kinds[2], args[2], args[3]), align=8)
+        units = builder.load(_vector_pointer(context, builder, kinds[5], args[5], args[6]), align=8)
         one = ir.Constant(_FOUR, [1.0] * LANES)
         slopes = builder.fsub(one, builder.fmul(units, units))
         result = builder.fmul(builder.fmul(spread(builder, _FOUR, args[4]), weights), slopes)
-        builder.store(result, _place(context, builder, kinds[0], args[0], args[1]), align=8)
+        builder.store(result, _vector_pointer(context, builder, kinds[0], args[0], args[1]), align=8)
         return context.get_dummy_value()
 
     index = types.int64

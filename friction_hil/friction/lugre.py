@@ -1,4 +1,4 @@
-"""LuGre friction: bristles that deflect, slip and carry the Stribeck curve."""
+"""LuGre friction: bristles that deflect and slip, with a Stribeck curve."""
 
 import math
 from typing import Any
@@ -16,7 +16,7 @@ DAMPING_VELOCITY = Parameter(
     "damping_velocity",
     "vd",
     "rad/s",
-    "velocity at which sigma1 has mostly faded; .inf keeps it constant",
+    "velocity at which sigma1 has fallen to 1/e; .inf keeps it constant",
     is_lower_allowed=False,
     is_infinity_allowed=True,
     default=math.inf,
@@ -26,36 +26,36 @@ _BLOCK = 256
 
 @inlined
 def level_at(p: Array, velocity: float, extra: float, scale: float) -> float:
-    """Level g(v), N m."""
+    """Compute the level g(v), N m."""
     return modified(gaussian_level(velocity, p[3], p[4], p[5]), extra, scale)
 
 
 @inlined
 def slipped(p: Array, level: float, velocity: float) -> float:
-    """Deflection on which the bristles settle, g / sigma0 sgn v, rad."""
+    """Compute the deflection that the bristles settle to, g / sigma0 sgn v, rad."""
     return level / p[0] * direction(velocity, 0.0)
 
 
 @inlined
-def share(p: Array, level: float, velocity: float, dt: float) -> float:
-    """Share of the way to that deflection which is made in ``dt``: exact for a velocity that is held."""
+def approached(p: Array, level: float, velocity: float, dt: float) -> float:
+    """Compute the fraction of the distance to that deflection covered in ``dt``, exact for a held velocity."""
     return approach(p[0] * abs(velocity) * dt / level)
 
 
 @inlined
 def damping(p: Array, velocity: float) -> float:
-    """Bristle damping sigma1 exp(-(v/vd)^2), N m s/rad."""
+    """Compute the bristle damping sigma1 exp(-(v/vd)^2), N m s/rad."""
     fading = velocity / p[6]
     return p[1] * decay(fading * fading)
 
 
 @inlined
 def torque(p: Array, before: float, after: float, damping: float, velocity: float, dt: float) -> float:
-    """Torque of bristles that went from one deflection to another in ``dt``, N m."""
+    """Compute the torque of bristles whose deflection changed from ``before`` to ``after`` in ``dt``, N m."""
     return p[0] * after + damping * ((after - before) / dt) + p[2] * velocity
 
 
-_level_at, _slipped, _share, _damping, _torque = level_at, slipped, share, damping, torque
+_level_at, _slipped, _approached, _damping, _torque = level_at, slipped, approached, damping, torque
 
 
 @inlined
@@ -70,28 +70,28 @@ def step(
     applied_torque: float,
     epsilon: float,
 ) -> float:
-    """Torque of one sample, exact for ``velocity`` held over ``dt``; see `friction_hil.friction.kernel`.
+    """Compute the torque of one sample, exact for ``velocity`` held over ``dt``; see `friction_hil.friction.kernel`.
 
-    z+ = z + (1 - exp(-sigma0 abs(v) dt / g)) (g / sigma0 sgn v - z) is a weighted mean of old and settled
+    z+ = z + (1 - exp(-sigma0 abs(v) dt / g)) (g / sigma0 sgn v - z) is a weighted mean of the old and the settled
     deflection, hence stable and bounded at any ``dt``.
     """
     level = _level_at(p, level_velocity, extra, scale)
     before = s[0]
-    after = toward(before, _slipped(p, level, velocity), _share(p, level, velocity, dt))
+    after = toward(before, _slipped(p, level, velocity), _approached(p, level, velocity, dt))
     s[0] = after
     return _torque(p, before, after, _damping(p, level_velocity), level_velocity, dt)
 
 
 @inlined
 def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, torque: Array) -> None:
-    """Fill ``torque`` with that of every sample: the bits of `step`, several times as fast.
+    """Fill ``torque`` for every sample, with the same bits as `step`, but several times as fast.
 
-    What does not depend on the state is worked out first, each quantity in a loop of its own, which the
-    compiler turns into vector instructions; what is left to do one sample after the other is little.
+    Results that do not depend on the state are computed first, each in its own loop, which the compiler vectorises.
+    Little work remains for the loop over the state.
     """
-    # values of their own, not places in memory that a store could change: what depends on them alone leaves the loops
+    # a tuple, because stores to arrays cannot change it: the compiler then moves invariant terms out of the loops
     q: Any = (p[0], p[1], p[2], p[3], p[4], p[5], p[6])
-    settled, way = buffer(p, _BLOCK), buffer(p, _BLOCK)
+    settled, fraction = buffer(p, _BLOCK), buffer(p, _BLOCK)
     damped, deflection = buffer(p, _BLOCK), buffer(p, _BLOCK + 1)
     is_fading = q[6] < math.inf
     if not is_fading:
@@ -102,14 +102,14 @@ def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, t
         for k in range(v.shape[0]):
             level = _level_at(q, v[k], 0.0, 1.0)
             settled[k] = _slipped(q, level, v[k])
-            way[k] = _share(q, level, v[k], dt)
+            fraction[k] = _approached(q, level, v[k], dt)
         if is_fading:
             for k in range(v.shape[0]):
                 damped[k] = _damping(q, v[k])
         z = s[0]
         deflection[0] = z
         for k in range(v.shape[0]):
-            z = toward(z, settled[k], way[k])
+            z = toward(z, settled[k], fraction[k])
             deflection[k + 1] = z
         s[0] = z
         for k in range(v.shape[0]):
@@ -118,7 +118,7 @@ def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, t
 
 @inlined
 def steady(p: Array, velocity: float, extra: float, scale: float) -> float:
-    """Torque at constant ``velocity``; 0 at rest."""
+    """Compute the torque at constant ``velocity``; 0 at rest."""
     return sliding(_level_at(p, velocity, extra, scale), p[2], velocity, velocity, 0.0)
 
 
@@ -150,7 +150,7 @@ FAMILY = Family(
         "damping_velocity": 0.2,
     },
     note=(
-        "some texts print tau in place of sigma0 in dz/dt, which is dimensionally wrong. With a constant sigma1 the "
-        "model is not passive above sigma1 |v| = 4 g(v): let sigma1 fade with damping_velocity"
+        "some texts print tau instead of sigma0 in dz/dt, which is dimensionally wrong. With a constant sigma1 the "
+        "model is not passive above sigma1 |v| = 4 g(v); damping_velocity reduces sigma1 at higher velocities"
     ),
 )

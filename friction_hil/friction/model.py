@@ -1,4 +1,4 @@
-"""A friction model with its parameters: simulate a record, differentiate it, or run step by step."""
+"""A friction model with parameters: simulate a record, compute its gradient, or run sample by sample."""
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -22,44 +22,44 @@ from friction_hil.numerics.jit import Array
 Axis = Literal["rotary", "linear"]
 Purpose = Literal["feedforward", "simulation"]
 
-# Where nobody tells the velocity noise: slow against the Stribeck velocity, so that its hump is left
-_EPSILON_SHARE = 0.05
+# Default of velocity_epsilon, as a fraction of the Stribeck velocity: small enough to keep the Stribeck hump
+_EPSILON_FRACTION = 0.05
 DEFAULT_VELOCITY_EPSILON = 1e-3
 
 _ZERO, _NAN = np.zeros(1), np.full(1, math.nan)
 
 
 class FrictionModel:
-    """A model of the library with values for its parameters; make it with `friction_hil.models.create`.
+    """A friction model with values for its parameters, created by `friction_hil.models.create`.
 
     Friction is positive when it opposes positive velocity: J dv/dt = tau - F - load. Units are those of a rotary
-    axis; on a linear one N m becomes N and rad becomes m.
+    axis; on a linear axis N m becomes N and rad becomes m.
 
     Attributes
     ----------
     family : Family
         Name, formula, source and parameter table.
     given : dict
-        Parameters by name as they were given: what a model file holds.
+        Parameters by name as the user gave them, and as a model file contains them.
     parameters : dict
-        Every parameter by name, defaults filled in, SI.
+        All parameters by name with defaults filled in, SI.
     modifiers : dict
-        Modifiers by name, defaults filled in; see `friction_hil.friction.modifiers`.
+        Modifiers by name with defaults filled in; see `friction_hil.friction.modifiers`.
     network : Network or None
-        Trained network whose torque is added; of the family `NETWORK_ALONE`, there is nothing else.
+        Trained network whose torque is added. In the family `NETWORK_ALONE` it is the only source of torque.
     free : tuple of str
         Names of all numbers that have a gradient, e.g. ``coulomb``, ``weight[1]``, ``load.motoring``.
     kind : int
-        Number by which `friction_hil.friction.kernel` knows the model.
+        Number of the family in `friction_hil.friction.kernel`.
     values : array
-        Parameters and modifiers in the kernel's order, `kernel.PLAIN_ROOM` of them; with a network
-        `kernel.PARAMETER_ROOM`.
+        Parameters and modifiers in the layout of the kernel; its length is `kernel.PLAIN_ROOM`, and
+        `kernel.PARAMETER_ROOM` with a network.
     notes : tuple of str
-        What is unusual but allowed.
+        Remarks about unusual but allowed parameters.
     """
 
     __slots__ = (
-        "_places",
+        "_packed_names",
         "axis",
         "family",
         "free",
@@ -89,14 +89,14 @@ class FrictionModel:
         self.parameters = check_all(family.name, family.parameters, parameters)
         family.check(self.parameters)
         self.modifiers = check_modifiers(family, parameters, modifiers or {})
-        self.kind = dispatch.KINDS.get(family.name, dispatch.COULOMB)  # of a network alone: of nothing
-        self.values, self._places = self._pack()
-        self.free = tuple(dict.fromkeys(name for name, _ in self._places if name is not None))
+        self.kind = dispatch.KINDS.get(family.name, dispatch.COULOMB)  # a network alone has Coulomb friction of zero
+        self.values, self._packed_names = self._pack()
+        self.free = tuple(dict.fromkeys(name for name, _ in self._packed_names if name is not None))
         self.notes = tuple(self._notes())
 
     @property
-    def _has_more(self) -> bool:
-        """Whether there is more than the family itself."""
+    def _is_extended(self) -> bool:
+        """True if the model has modifiers or a network."""
         return bool(self.modifiers) or self.network is not None
 
     def __repr__(self) -> str:
@@ -106,49 +106,51 @@ class FrictionModel:
         return f"{self.family.name}({', '.join(words)})"
 
     def _side(self, side: str) -> dict[str, Any]:
-        """All parameters for one direction of motion; defaults follow what that direction changes."""
+        """Return all parameters for one direction of motion; defaults follow the values of that direction."""
         changes = self.modifiers.get("direction", {}).get(side, {})
         return check_all(self.name, self.family.parameters, {**self.given, **changes})
 
     @property
-    def _sources(self) -> dict[str, str]:
-        """Parameters whose default is the value of another one."""
+    def _default_sources(self) -> dict[str, str]:
+        """Parameters whose default is another parameter, with the name of that parameter."""
         names = {parameter.name for parameter in self.family.parameters}
         return {each.name: each.default for each in self.family.parameters if each.default in names}
 
     def _pack(self) -> tuple[Array, list[tuple[str | None, float]]]:
-        """Values as `kernel` wants them, and for each place whose value it has, times what."""
+        """Return the values in the layout of `kernel`, and name and factor of the parameter in each element."""
         packs: list[Sequence[float]] = []
-        places: list[tuple[str | None, float]] = [(None, 1.0)] * kernel.HEADER
+        packed: list[tuple[str | None, float]] = [(None, 1.0)] * kernel.HEADER
         for side in SIDES if "direction" in self.modifiers else SIDES[:1]:
             own = self._side(side)
             pack = self.family.pack(own)
             packs.append(pack.values)
             names = [self._name(name, side, own) for name in pack.names]
-            places += zip(names, pack.factors or [1.0] * len(names), strict=True)
+            packed += zip(names, pack.factors or [1.0] * len(names), strict=True)
         begins = [kernel.HEADER, *(kernel.HEADER + end for end in accumulate(map(len, packs)))]
         changes = pack_modifiers(self.modifiers, 2.0 * math.pi if self.axis == "linear" else 1.0)
         content = [*chain(*packs), *changes.values]
         end = kernel.HEADER + len(content)
         values = np.zeros(kernel.PLAIN_ROOM if self.network is None else kernel.PARAMETER_ROOM)
-        values[:4] = self._has_more, begins[len(packs) - 1], begins[-1], 0.0 if self.network is None else end
+        values[:4] = self._is_extended, begins[len(packs) - 1], begins[-1], 0.0 if self.network is None else end
         values[kernel.HEADER : end] = content
         if self.network is not None:
             learned = self.network.values
             room = kernel.PARAMETER_ROOM - end
             if learned.size > room:
-                raise UsageError(f"the network takes {learned.size} numbers; beside {self.family.name} fit {room}")
+                raise UsageError(
+                    f"the network has {learned.size} numbers; together with {self.family.name} at most {room} fit"
+                )
             values[end : end + learned.size] = learned
-        return values, [*places, *((name, 1.0) for name in changes.names)]
+        return values, [*packed, *((name, 1.0) for name in changes.names)]
 
     def _name(self, name: str | None, side: str, own: Mapping[str, Any]) -> str | None:
-        """Name of a parameter: one for both directions where it is the same in both."""
+        """Return the name of a parameter in `free`; parameters that differ between the directions get two names."""
         if name is None:
             return None
         parameter = name.partition("[")[0]
-        source = self._sources.get(parameter)
+        source = self._default_sources.get(parameter)
         if source is not None and parameter not in {**self.given, **self.modifiers.get("direction", {}).get(side, {})}:
-            return self._name(source, side, own)  # a default that follows another parameter moves with it
+            return self._name(source, side, own)  # a default that follows another parameter changes with it
         is_own = parameter in self.modifiers.get("direction", {}).get(side, {})
         return f"direction.{side}.{name}" if is_own or own[parameter] != self.parameters[parameter] else name
 
@@ -157,37 +159,37 @@ class FrictionModel:
         if any(side.get("static", math.inf) < side.get("coulomb", 0.0) for side in sides):
             yield "static is below coulomb: this axis has no Stribeck hump"
         if "temperature" in self.modifiers and self.modifiers["temperature"]["coefficient"] != 0.0:
-            yield "it depends on temperature: without one, as in the daemon, the reference counts"
+            yield "the level depends on temperature; where none is measured, as in the daemon, the reference is assumed"
         stiff = {"sigma0", "stiffness"}
         if not self.family.is_static and any(
             stiff & set(each) for each in self.modifiers.get("direction", {}).values()
         ):
-            yield "stiffness differs between the directions: the torque may jump at a reversal and give out energy"
+            yield "stiffness differs between the directions: the torque may jump at a reversal and release energy"
         if self.name == "bouc_wen" and any(side["gamma"] > side["beta"] for side in sides):
-            yield "gamma is above beta: this hysteresis can give out energy"
+            yield "gamma is above beta: this hysteresis can release energy"
 
     @property
     def name(self) -> str:
-        """Name of the family, as in the registry."""
+        """Name of the family."""
         return self.family.name
 
     @property
     def level(self) -> float:
-        """Break-away level: the largest torque of slow motion in either direction, without other modifiers, N m."""
+        """Largest torque of slow motion in either direction, without other modifiers, N m."""
         own = max(self.family.level(self._side(side)) for side in SIDES)
         return own if self.network is None else max(own, self.network.level)
 
     @property
     def presliding_stiffness(self) -> float:
-        """Slope of torque over position when motion begins, in the stiffer direction, N m/rad; 0 of a static map."""
+        """Slope of torque over position at the start of motion, in the stiffer direction, N m/rad; 0: static map."""
         learned = 0.0 if self.network is None else self.network.presliding_stiffness
         if self.family.is_static or self.family is NETWORK_ALONE:
             return learned
-        time_s = 1e6  # so slowly that no damping shows
+        time_s = 1e6  # slow enough that damping is negligible
         stiffnesses = []
         for side in SIDES:
             plain, stiffness = FrictionModel(self.family, self._side(side)), 1e12
-            for _ in range(2):  # the first to learn how far a small part of the level reaches
+            for _ in range(2):  # the first pass finds the distance over which a small part of the level builds up
                 position = 1e-6 * plain.level / stiffness
                 velocity = np.full(1, position / time_s)
                 stiffness = float(kernel.run_any(plain.kind, plain.values, velocity, time_s)[0]) / position
@@ -195,7 +197,7 @@ class FrictionModel:
         return max(stiffnesses) + learned
 
     def initial_state(self) -> Array:
-        """State at rest with nothing deflected."""
+        """Return the state at rest without any deflection."""
         return np.zeros(kernel.STATE_ROOM)
 
     def simulate(
@@ -209,24 +211,24 @@ class FrictionModel:
         applied_torque: ArrayLike | None = None,
         out: Array | None = None,
     ) -> Array:
-        """Friction torque of a velocity record, from rest.
+        """Compute the friction torque of a velocity record, starting at rest.
 
         Parameters
         ----------
         velocity : (n,) array
-            Held over each sample, rad/s.
+            Velocity, held over each sample, rad/s.
         dt : float or (n,) array
             Length of the sample(s), s, above zero.
         position : float or (n,) array, optional
-            At the end of each sample, rad; needed by a model with ripple.
+            Position at the end of each sample, rad; required by a model with ripple.
         load_torque : float or (n,) array, optional
-            N m, positive where it opposes positive motion; needed by a model that depends on load.
+            Load torque, N m, positive if it opposes positive motion; required by a model with load dependence.
         temperature : float or (n,) array, optional
-            deg C; the reference temperature when not given.
+            Temperature, deg C; the reference temperature when not given.
         applied_torque : float or (n,) array, optional
-            What a static map balances while the velocity is zero, N m; 0 when not given.
+            Torque that a static map balances while the velocity is zero, N m; 0 when not given.
         out : (n,) array, optional
-            Where to write the torque: contiguous, of float64.
+            Contiguous float64 array for the result.
 
         Returns
         -------
@@ -236,19 +238,19 @@ class FrictionModel:
         Raises
         ------
         UsageError
-            A shape does not fit, a value is not finite, or an input that the model needs is missing.
+            A shape is wrong, a value is not finite, or a required input is missing.
         """
         inputs = self._inputs(velocity, dt, position, load_torque, temperature, applied_torque)
         torque = np.empty(inputs[0].size) if out is None else checked_out(out, (inputs[0].size,))
         if out is not None and np.may_share_memory(out, inputs[0]):
             raise UsageError("out must not share memory with the velocity")
         kind, state = dispatch.tag(self.kind), self.initial_state()
-        v, steps, where, load, warmth, applied = inputs
+        v, steps, positions, loads, celsius, applied = inputs
         if self.network is not None and self.family is NETWORK_ALONE and not self.modifiers and steps.size == 1:
             require_finite("velocity", v)
-            network_runs.run(self.network.values, state, v, steps[0], where, load, warmth, torque)
+            network_runs.run(self.network.values, state, v, steps[0], positions, loads, celsius, torque)
             return torque
-        if not self._has_more and steps.size == 1 and applied.size == 1:
+        if not self._is_extended and steps.size == 1 and applied.size == 1:
             is_finite = kernel.run_plain(kind, self.values, state, v, steps[0], applied[0], torque)
         else:
             is_finite = kernel.run(kind, self.values, state, *inputs, torque)
@@ -268,28 +270,28 @@ class FrictionModel:
         applied_torque: ArrayLike | None = None,
         out: tuple[Array, Array] | None = None,
     ) -> tuple[Array, Array]:
-        """`simulate`, and the derivatives of its torque with respect to parameters.
+        """Compute the torque of `simulate` and its derivatives with respect to parameters.
 
-        They are exact for the discrete model, states included (forward sensitivities by automatic
-        differentiation). At a kink, such as the instant of sticking, they are those of the side that was taken.
+        The derivatives are exact for the discrete model including its states (forward sensitivities by automatic
+        differentiation). At a kink, such as the instant of sticking, they are those of the branch taken.
 
         Parameters
         ----------
         velocity, dt, position, load_torque, temperature, applied_torque
             See `simulate`.
         free : sequence of str or mapping, optional
-            Names among `free`, which is taken when not given. A mapping of names to weights stands for the derivative
-            in that direction, the weighted sum of theirs: what several parameters have in common costs one column.
+            Names from the attribute `free`; all of them when not given. A mapping from names to weights gives the
+            directional derivative, i.e. the weighted sum of the columns of these names, in one column.
         out : pair of arrays, optional
-            Where to write torque (n,) and gradient (n, m): contiguous, of float64. For a fit, which wants them many
-            times: large new arrays cost more than the model.
+            Contiguous float64 arrays for torque (n,) and gradient (n, m). Useful for a fit with many calls, because
+            allocating large arrays costs more time than the simulation.
 
         Returns
         -------
         torque : (n,) array
-            The bits of `simulate`.
+            Friction torque, N m, with the same bits as from `simulate`.
         gradient : (n, m) array
-            A column for each free parameter, N m over the unit of the parameter.
+            One column per free parameter, in N m per unit of the parameter.
 
         Raises
         ------
@@ -297,7 +299,7 @@ class FrictionModel:
             As `simulate`; or a name is not in `free`.
         """
         if self.network is not None:
-            raise UsageError("a model with a network has no gradient here: a network is trained, not fitted")
+            raise UsageError("a model with a network has no gradient; networks are trained, not fitted")
         columns = [{each: 1.0} if isinstance(each, str) else each for each in (self.free if free is None else free)]
         for name in chain.from_iterable(columns):
             if name not in self.free:
@@ -312,9 +314,9 @@ class FrictionModel:
         for first in range(0, max(len(columns), 1), WIDTH):
             seeds = np.zeros((self.values.size, WIDTH))
             for column, weights in enumerate(columns[first : first + WIDTH]):
-                for place, (free_name, factor) in enumerate(self._places):
+                for index, (free_name, factor) in enumerate(self._packed_names):
                     if free_name is not None and free_name in weights:
-                        seeds[place, column] = factor * weights[free_name]
+                        seeds[index, column] = factor * weights[free_name]
             state, state_gradient = self.initial_state(), np.zeros((kernel.STATE_ROOM, WIDTH))
             sensitivity.run(
                 dispatch.tag(self.kind), self.values, seeds, state, state_gradient, *inputs, torque, gradient, first
@@ -324,31 +326,31 @@ class FrictionModel:
     def steady_state(
         self, velocity: ArrayLike, *, load_torque: float | None = None, temperature: float | None = None
     ) -> Array:
-        """Torque that the model settles on at constant velocity.
+        """Compute the steady torque at constant velocity.
 
         Parameters
         ----------
         velocity : (n,) array
-            rad/s.
+            Velocity, rad/s.
         load_torque, temperature : float, optional
             See `simulate`.
 
         Returns
         -------
         (n,) array
-            N m, without ripple; 0 at rest.
+            Torque without ripple, N m; 0 at rest.
         """
         v = vector("velocity", velocity)
         require_finite("velocity", v)
-        _, _, _, load, warmth, _ = self._inputs(v[:1], 1.0, 0.0, load_torque, temperature, None)
+        _, _, _, load, celsius, _ = self._inputs(v[:1], 1.0, 0.0, load_torque, temperature, None)
         torque = np.empty(v.size)
-        kernel.steady_curve(dispatch.tag(self.kind), self.values, v, load[0], warmth[0], torque)
+        kernel.steady_curve(dispatch.tag(self.kind), self.values, v, load[0], celsius[0], torque)
         if self.network is not None:
-            network_runs.add_steady_curve(self.network.values, v, load[0], warmth[0], torque)
+            network_runs.add_steady_curve(self.network.values, v, load[0], celsius[0], torque)
         return torque
 
     def dissipated_energy(self, velocity: ArrayLike, dt: ArrayLike, **inputs: Any) -> Array:
-        """Work done against friction from the start to the end of each sample.
+        """Compute the work done against friction, from the start of the record to the end of each sample.
 
         Parameters
         ----------
@@ -358,23 +360,23 @@ class FrictionModel:
         Returns
         -------
         (n,) array
-            J, the sum of F v dt. What the bristles of a dynamic model hold of it comes back when they relax;
-            over a cycle that closes velocity and state, all of it has turned into heat.
+            Cumulative sum of F v dt, J. A dynamic model stores a part of it in its state and returns that part later;
+            over a cycle that returns to the same velocity and state, all of it is dissipated.
         """
         torque = self.simulate(velocity, dt, **inputs)
         work: Array = np.cumsum(torque * vector("velocity", velocity) * np.asarray(dt, dtype=np.float64))
         return work
 
     def start(self, purpose: Purpose = "feedforward", velocity_epsilon: float | None = None) -> "Runner":
-        """Start at rest, for one sample at a time.
+        """Return a runner at rest, which computes one sample at a time.
 
         Parameters
         ----------
         purpose : {"feedforward", "simulation"}
-            A feed-forward smooths a static map's jump at zero velocity; a simulation sticks exactly.
+            A feed-forward smooths the jump of a static map at zero velocity; a simulation sticks exactly.
         velocity_epsilon : float, optional
-            Width of that smoothing, rad/s: two or three times the velocity noise.
-            A twentieth of the Stribeck velocity when not given, or `DEFAULT_VELOCITY_EPSILON` where there is none.
+            Width of that smoothing, rad/s; two to three times the velocity noise is suitable. The default is a
+            twentieth of the Stribeck velocity, or `DEFAULT_VELOCITY_EPSILON` for a model without one.
         """
         if purpose not in ("feedforward", "simulation"):
             raise UsageError(f"purpose is 'feedforward' or 'simulation', not {purpose!r}")
@@ -382,8 +384,8 @@ class FrictionModel:
             if velocity_epsilon is not None:
                 raise UsageError("velocity_epsilon belongs to the purpose 'feedforward'; a simulation sticks exactly")
             return Runner(self, 0.0)
-        default = _EPSILON_SHARE * self.parameters.get("stribeck_velocity", DEFAULT_VELOCITY_EPSILON / _EPSILON_SHARE)
-        epsilon = default if velocity_epsilon is None else float(velocity_epsilon)
+        scale = self.parameters.get("stribeck_velocity", DEFAULT_VELOCITY_EPSILON / _EPSILON_FRACTION)
+        epsilon = _EPSILON_FRACTION * scale if velocity_epsilon is None else float(velocity_epsilon)
         if not (np.isfinite(epsilon) and epsilon > 0.0):
             raise UsageError(f"velocity_epsilon must be finite and above zero, in rad/s, not {epsilon:g}")
         return Runner(self, epsilon)
@@ -397,7 +399,7 @@ class FrictionModel:
         temperature: ArrayLike | None,
         applied_torque: ArrayLike | None,
     ) -> tuple[Array, Array, Array, Array, Array, Array]:
-        """Make arrays of a simulation's inputs, of one element or n; only the first may not be finite."""
+        """Convert the inputs of a simulation to arrays of one or n elements; only the velocity may be non-finite."""
         if position is None and self.modifiers.get("ripple"):
             raise UsageError(f"{self.name} with ripple needs the position, in rad or m")
         if load_torque is None and "load" in self.modifiers:
@@ -419,7 +421,7 @@ class FrictionModel:
 
 
 class Runner:
-    """A model in motion: its state, advanced by `step`."""
+    """A model together with its state, which `step` advances."""
 
     __slots__ = ("_address", "_is_modified", "_state", "_whole")
 
@@ -427,15 +429,15 @@ class Runner:
         whole = np.zeros(kernel.WHOLE_ROOM)
         whole[0], whole[1] = model.kind, epsilon
         whole[2 : 2 + model.values.size] = model.values
-        self.__setstate__((whole, model._has_more))
+        self.__setstate__((whole, model._is_extended))
 
     def __getstate__(self) -> tuple[Array, bool]:
         return self._whole.copy(), self._is_modified
 
     def __setstate__(self, saved: tuple[Array, bool]) -> None:
-        # one array for all, known by its address: each argument costs a tenth of a microsecond, an array two
+        # one array passed by its address: a scalar argument costs a tenth of a microsecond, an array two
         whole, self._is_modified = saved
-        self._whole = np.array(whole)  # memory of its own, that may be written to
+        self._whole = np.array(whole)  # a writeable copy
         self._address = self._whole.ctypes.data
         self._state = self._whole[-kernel.STATE_ROOM :]
         kernel.prepare(kernel.step_plain, 2)
@@ -443,7 +445,7 @@ class Runner:
 
     @property
     def state(self) -> Array:
-        """The state, a live view: copy it to keep it, assign to its elements to restore it."""
+        """State, as a live view: copy it to save it, assign to its elements to restore it."""
         return self._state
 
     def step(
@@ -456,15 +458,15 @@ class Runner:
         temperature: float | None = None,
         applied_torque: float = 0.0,
     ) -> float:
-        """Advance over ``dt`` seconds with ``velocity`` held and return the torque, N m.
+        """Advance the state by ``dt`` seconds with ``velocity`` held, and return the torque, N m.
 
-        The inputs are those of `FrictionModel.simulate`. They are not checked, for speed: they must be finite
-        and ``dt`` above zero.
+        The inputs are those of `FrictionModel.simulate`. For speed they are not checked: they must be finite, and
+        ``dt`` must be above zero.
         """
         if not self._is_modified and applied_torque == 0.0:
             return kernel.step_plain(self._address, velocity, dt)
-        warmth = math.nan if temperature is None else temperature
-        return kernel.step_whole(self._address, velocity, dt, position, load_torque, warmth, applied_torque)
+        celsius = math.nan if temperature is None else temperature
+        return kernel.step_whole(self._address, velocity, dt, position, load_torque, celsius, applied_torque)
 
 
 def _brief(value: object) -> str:
@@ -472,6 +474,6 @@ def _brief(value: object) -> str:
 
 
 def as_dict(model: FrictionModel) -> dict[str, Any]:
-    """What a model file says under ``friction``."""
+    """Return the content of a model file under ``friction``."""
     content: dict[str, Any] = {"model": model.name, "parameters": dict(model.given)}
     return {**content, "modifiers": dict(model.modifiers)} if model.modifiers else content

@@ -1,7 +1,7 @@
-"""What changes the friction of any model: direction, load, temperature, position, fast motion.
+"""Modifiers, which change the friction of any model: direction, load, temperature, position and fast motion.
 
-Each is written once. Load and temperature act on the model's level, wherever it has one (`curves.modified`);
-direction chooses between two sets of the model's own parameters; the others are torques of their own.
+Load and temperature act on the level of the model (`curves.modified`). Direction selects one of two sets of the
+model's own parameters. Ripple and nonlinear viscous friction add a torque of their own.
 """
 
 import math
@@ -17,19 +17,19 @@ from friction_hil.numerics.jit import Array, compiled
 
 MAX_HARMONICS = 16
 _MOTORING, _DRIVEN, _REFERENCE, _COEFFICIENT, _QUADRATIC, _CUBIC, _COUNT, _HARMONICS = range(8)
-_LEAST_SCALE = 0.05  # of the levels at any temperature: a straight line is not to be trusted down to nothing
+_LEAST_SCALE = 0.05  # lower bound of the temperature factor, because the linear law does not hold down to zero
 
 
 @compiled
 def level_extra(m: Array, load_torque: float, sign: float) -> float:
-    """What load adds to the level, N m: the motor drives the load (``motoring``) or the load the motor."""
+    """Compute the part of the level caused by load, N m, for a motor that drives the load or is driven by it."""
     factor = m[_MOTORING] if load_torque * sign >= 0.0 else m[_DRIVEN]
     return factor * abs(load_torque)
 
 
 @compiled
 def level_scale(m: Array, temperature: float) -> float:
-    """Factor of the level at a temperature; 1 at the reference, which NaN stands for."""
+    """Compute the factor of the level at a temperature; 1 at the reference temperature and for NaN."""
     if math.isnan(temperature):
         return 1.0 + 0.0 * m[_COEFFICIENT]
     scale = 1.0 + m[_COEFFICIENT] * (temperature - m[_REFERENCE])
@@ -38,13 +38,13 @@ def level_scale(m: Array, temperature: float) -> float:
 
 @compiled
 def fast_torque(m: Array, velocity: float) -> float:
-    """Nonlinear viscous torque Fv2 v abs(v) + Fv3 v^3, N m."""
+    """Compute the nonlinear viscous torque Fv2 v abs(v) + Fv3 v^3, N m."""
     return m[_QUADRATIC] * (velocity * abs(velocity)) + m[_CUBIC] * (velocity * velocity * velocity)
 
 
 @compiled
 def ripple_torque(m: Array, position: float) -> float:
-    """Harmonics of the position: cogging, gear mesh, pitch of a ball screw; N m."""
+    """Compute the torque harmonics of position, N m: cogging, gear mesh, pitch of a ball screw."""
     torque = 0.0 * m[_QUADRATIC]
     for i in range(whole(m[_COUNT])):
         angle = m[_HARMONICS + 3 * i] * position
@@ -54,7 +54,7 @@ def ripple_torque(m: Array, position: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Modifier:
-    """Name, parameters and meaning of a modifier."""
+    """Name, meaning and parameters of a modifier."""
 
     name: str
     summary: str
@@ -79,7 +79,7 @@ TEMPERATURE = Modifier(
 )
 VISCOUS = Modifier(
     "viscous",
-    "torque of fast motion beyond the viscous",
+    "nonlinear viscous torque at high velocity",
     (
         Parameter("quadratic", "Fv2", "N m s^2/rad^2", "factor of v |v|", lower=None, default=0.0),
         Parameter("cubic", "Fv3", "N m s^3/rad^3", "factor of v^3", lower=None, default=0.0),
@@ -105,14 +105,15 @@ def check_modifiers(family: Family, given: Mapping[str, Any], modifiers: Mapping
     ----------
     family : Family
     given : mapping
-        The model's own parameters, as they were given.
+        The model's own parameters, as given by the user.
     modifiers : mapping
-        By name, as in a model file.
+        Modifiers by name, as in a model file.
 
     Raises
     ------
     InvalidParameterError
-        ``parameter`` is where the mistake is, e.g. ``direction.positive.coulomb`` or ``ripple[0].order``.
+        A modifier is invalid; ``parameter`` is the field path, e.g. ``direction.positive.coulomb`` or
+        ``ripple[0].order``.
     """
     if not isinstance(modifiers, Mapping):
         raise InvalidParameterError(f"modifiers are {modifiers!r}, not a mapping of {', '.join(NAMES)}")
@@ -132,14 +133,14 @@ def check_modifiers(family: Family, given: Mapping[str, Any], modifiers: Mapping
     return checked
 
 
-def _check_fields(modifier: Modifier, content: object, place: str) -> dict[str, Any]:
+def _check_fields(modifier: Modifier, content: object, path: str) -> dict[str, Any]:
     if not isinstance(content, Mapping):
         known = ", ".join(parameter.name for parameter in modifier.parameters)
-        raise InvalidParameterError(f"modifier {place} is {content!r}, not a mapping of {known}", place)
+        raise InvalidParameterError(f"modifier {path} is {content!r}, not a mapping of {known}", path)
     try:
-        return check_all(f"modifier {place}", modifier.parameters, content)
+        return check_all(f"modifier {path}", modifier.parameters, content)
     except InvalidParameterError as error:
-        raise InvalidParameterError(str(error), f"{place}.{error.parameter}") from None
+        raise InvalidParameterError(str(error), f"{path}.{error.parameter}") from None
 
 
 def _check_ripple(content: object) -> list[dict[str, Any]]:
@@ -147,7 +148,7 @@ def _check_ripple(content: object) -> list[dict[str, Any]]:
         raise InvalidParameterError(f"modifier ripple is {content!r}, not a list of {{order, cosine, sine}}", "ripple")
     if len(content) > MAX_HARMONICS:
         raise InvalidParameterError(
-            f"modifier ripple has {len(content)} harmonics; {MAX_HARMONICS} are the most", "ripple"
+            f"modifier ripple has {len(content)} harmonics; at most {MAX_HARMONICS} are allowed", "ripple"
         )
     return [_check_fields(HARMONIC, harmonic, f"ripple[{i}]") for i, harmonic in enumerate(content)]
 
@@ -159,38 +160,38 @@ def _check_direction(family: Family, given: Mapping[str, Any], content: object) 
         )
     sides: dict[str, Any] = {}
     for side, changes in content.items():
-        place = f"direction.{side}"
+        path = f"direction.{side}"
         if side not in SIDES:
-            raise InvalidParameterError(f"modifier direction has no side {side!r}; {choices(str(side), SIDES)}", place)
+            raise InvalidParameterError(f"modifier direction has no side {side!r}; {choices(str(side), SIDES)}", path)
         if not isinstance(changes, Mapping):
             raise InvalidParameterError(
-                f"modifier {place} is {changes!r}, not a mapping of parameters of {family.name}", place
+                f"modifier {path} is {changes!r}, not a mapping of parameters of {family.name}", path
             )
         try:
             full = check_all(family.name, family.parameters, {**given, **changes})
             family.check(full)
         except InvalidParameterError as error:
-            where = f"{place}.{error.parameter}" if error.parameter in changes else place
-            raise InvalidParameterError(f"modifier {place}: {error}", where) from None
+            wrong = f"{path}.{error.parameter}" if error.parameter in changes else path
+            raise InvalidParameterError(f"modifier {path}: {error}", wrong) from None
         for name in changes:
             if family.states and isinstance(full[name], list) and len(full[name]) != len(given[name]):
                 raise InvalidParameterError(
-                    f"modifier {place}: {name} has {len(full[name])} elements, not {len(given[name])} as in the other "
-                    "direction: each element keeps its state",
-                    f"{place}.{name}",
+                    f"modifier {path}: {name} has {len(full[name])} elements, but {len(given[name])} in the other "
+                    "direction; each element has one state, so the numbers must be equal",
+                    f"{path}.{name}",
                 )
         sides[side] = {name: full[name] for name in changes}
     return sides
 
 
 def pack_modifiers(modifiers: Mapping[str, Any], angle_per_position: float) -> Packed:
-    """Turn checked modifiers into what the kernel takes.
+    """Convert checked modifiers to the layout of the kernel.
 
     Parameters
     ----------
     modifiers : mapping
     angle_per_position : float
-        What makes an angle of an order and a position: 1 on a rotary axis, 2 pi on a linear one.
+        Angle per unit of order times position, rad: 1 on a rotary axis, 2 pi on a linear one.
     """
     values: list[float] = []
     names: list[str | None] = []

@@ -1,45 +1,48 @@
-"""The forward step of a friction network: loop, replay and training call it.
+"""The forward step of a friction network. The daemon, replay and training call it.
 
-A network is one flat array ``p``: the places named below, then its weights, in this order::
+A network is one flat array ``p``: a header with the indices named below, followed by the weights in this order::
 
-    bias of the first layer (width), its weights of the inputs (inputs x width) and of what is fed back
-    (feedbacks x width)
-    bias of the second layer (second) and its weights (width x second), where there is one
-    for every output: bias, weights of the last layer, linear path
-    gated only: bias and weights (inputs) of the direct path, then for the rate and the knee of each state a bias and
-    weights of what its gates see (`GATE_FEATURES`)
+    first layer: bias (width), weights of the inputs (inputs x width), weights of the feedback (feedbacks x width)
+    second layer, if there is one: bias (second), weights (width x second)
+    for every output: bias, weights of the last layer, weights of the linear path
+    gated only: bias and weights (inputs) of the direct path; then for the rate and the knee of each state a bias and
+    the weights of the gate features (`GATE_FEATURES`)
 
-Its state is another, ``s``: what is fed back (gated: the states y; narx: past torques, scaled, latest first), the
-velocity features of past samples (narx) or the `MEMORIES` of the motion (gated), and room for intermediate results,
-which means nothing between steps.
+The state is another flat array, ``s``: the feedback (gated: the states y; narx: past torques, scaled, latest first),
+then the velocity features of past samples (narx) or the `MEMORIES` of the motion (gated), then working memory whose
+content is not used by the next step.
 
-With x the inputs, y what is fed back and T(x, y), B(x, y) outputs of one or two tanh layers with a linear path beside
-them, the torque over `TORQUE_SCALE` is
+With the inputs x, the feedback y, and the outputs T(x, y) and B(x, y) of one or two tanh layers with a parallel linear
+path, the torque over `TORQUE_SCALE` is
 
 ====== =====================================================================================================
 static T(x)
 narx   T(x, y), y the past torques
-gated  c + l . x + sum of y+ + B(x, y) times sum of (y+ - y) TRAINED_DT / dt, the sums without the last of several
-       states, which the others see through T. y+ is the exact solution of
-       dy/dt = kappa abs(v) limited(T - y, +-w) over the step, T(x, y) and v held, for every state; y and T have as
-       many components as there are states; ln kappa = RATE_MIDDLE + RATE_HALF tanh(r + q . g); ln (w / BOUND) =
-       KNEE_MIDDLE + KNEE_HALF tanh(s + t . g); g are squares of the four velocity features, the stop in the
-       direction of motion, and the way since motion began or turned
+gated  c + l . x + sum of y+ + B(x, y) times sum of (y+ - y) TRAINED_DT / dt. Of several states, the sums omit the
+       last one, which acts on the others through T. y and T have one component per state. y+ is the exact solution
+       of dy/dt = kappa abs(v) limited(T - y, +-w) over the step for constant T(x, y) and v, with
+       ln kappa = RATE_MIDDLE + RATE_HALF tanh(r + q . g), ln (w / BOUND) = KNEE_MIDDLE + KNEE_HALF tanh(s + t . g).
+       The gate features g are the squares of the four velocity features, the stop in the direction of motion, and
+       the distance since the start of motion or the last reversal
 ====== =====================================================================================================
 
-cut off at `BOUND`, as is every T. A gated network is Dahl's and LuGre's form with the right-hand side learned: its
-state stands still at rest, does not depend on the sampling period, and y+ is a weighted mean of y and a bounded T.
-Farther from T than w a state is a spring of constant stiffness kappa w, as a Maxwell-slip element and the bristles of
-the elasto-plastic model are below their break-away; within w it yields, as Dahl's and LuGre's do from the start.
-T and B are held over a step, which the training only knows as long as `TRAINED_DT`: a longer sample is divided into
+limited to +-`BOUND`, as is every T.
+
+A gated network has the form of Dahl's and LuGre's equations with a learned right-hand side: its state does not change
+at rest, it does not depend on the sampling period, and y+ is a weighted mean of y and a bounded T. If the distance to
+T exceeds the knee w, a state acts as a spring of constant stiffness kappa w, as Maxwell-slip elements and the bristles
+of the elasto-plastic model do below break-away; within w it yields, as Dahl's and LuGre's states do from the start.
+T and B are constant over a step, and training uses steps of `TRAINED_DT`. A longer sample is therefore divided into
 steps of about that length, and its damping is the mean of theirs.
-The stop, one of the inputs, is Prandtl's: a spring that slips at its `STROKE`. What the gates see lets a state lag in
-time (kappa like 1 / abs(v)) while the axis slides, and catch up while it sticks. That is how sliding Maxwell-slip
-elements come to their level, which the last of several states is for. No gate sees a state: rates and knees of any
-size then leave a contraction what it is.
-B is the damping of the bristles: with l . x alone the error is five times as large. It multiplies the state's rate,
-rather than standing beside the states, because that is what does not depend on the sampling period; and kappa, the
-stiffness over the level in LuGre's model, changes with the velocity for the same reason.
+
+The stop, one of the inputs, is Prandtl's stop: a spring that slips at its `STROKE`. The gate features let a state lag
+in time (kappa proportional to 1 / abs(v)) while the axis slides, and catch up while it sticks. Sliding Maxwell-slip
+elements approach their level in this way; the last of several states is there to learn it. The gates do not depend on
+the states, so that the state equation remains a contraction for rates and knees of any size.
+
+B is the damping of the bristles; with l . x alone the error is five times as large. It multiplies the rate of the
+states because the rate does not depend on the sampling period. For the same reason kappa, in LuGre's model the
+stiffness over the level, is a function of the velocity.
 """
 
 import math
@@ -52,20 +55,20 @@ from friction_hil.numerics.jit import Array, compiled, inlined
 STATIC, GATED, NARX = range(3)
 MAX_HARMONICS = 8
 VELOCITY_FEATURES = 4
-SPARE = LANES - 1  # places behind the units of the layers, for vectors that reach beyond them
+SPARE = LANES - 1  # elements behind the units of the layers, for vectors that extend beyond them
 GATE_FEATURES = VELOCITY_FEATURES + 2
-MEMORIES = 2  # of a gated network: the stop, and the way since motion began or turned
-TURN_SHARE = 0.25  # of the stroke: as much of that way is seen; enough to tell a start from sliding
+MEMORIES = 2  # of a gated network: the stop, and the distance since the start of motion or the last reversal
+TURN_FRACTION = 0.25  # of the stroke: limit of that distance; enough to distinguish a start from sliding
 GATE_WEIGHTS = 1 + GATE_FEATURES
 GATES = 2  # of every state: its rate and its knee
-KNEE_MIDDLE, KNEE_HALF = 0.5 * math.log(0.01), 0.5 * math.log(400.0)  # knees: 0.005 to 2 bounds, never exceeded then
+KNEE_MIDDLE, KNEE_HALF = 0.5 * math.log(0.01), 0.5 * math.log(400.0)  # of ln (w / BOUND): w is 0.005 to 2 bounds
 
 STRUCTURE = 0
-INPUTS = 1  # how many numbers x has
+INPUTS = 1  # length of x
 FEEDBACKS = 2  # states of a gated network, past torques of a narx
 LAGS = 3  # past samples whose velocity features are inputs
 WIDTH = 4  # tanh units of the first layer
-SECOND = 5  # and of the second, or 0
+SECOND = 5  # tanh units of the second layer, or 0
 HARMONICS = 6
 HAS_POSITION = 7
 HAS_LOAD = 8
@@ -73,32 +76,32 @@ HAS_TEMPERATURE = 9
 TRAINED_DT = 10  # s
 TORQUE_SCALE = 11  # N m
 BOUND = 12  # of T, of every state and of the torque, in units of TORQUE_SCALE
-SPEED_LIMIT = 13  # top speed of the training, rad/s; features stay there beyond it
-SPEEDS = 14  # three speeds at which friction changes, rad/s
-FEATURE_FACTORS = 17  # two, which make the asinh features 1 at the speed limit
+SPEED_LIMIT = 13  # highest speed of the training, rad/s; the velocity features are constant beyond it
+SPEEDS = 14  # three characteristic speeds of the friction, rad/s
+FEATURE_FACTORS = 17  # two factors, which scale the asinh features to 1 at the speed limit
 MIDDLES = 19  # of position, load and temperature
-HALF_RANGES = 22  # of the same, above zero
+HALF_RANGES = 22  # of position, load and temperature, above zero
 RATE_MIDDLE, RATE_HALF = 25, 26  # of ln kappa, kappa in rad^-1: its bounds are exp(RATE_MIDDLE +- RATE_HALF)
 ORDERS = 27  # of the harmonics, per rad
-IS_RESIDUAL = ORDERS + MAX_HARMONICS  # beside a model: fades out beyond the speed limit
-STROKE = IS_RESIDUAL + 1  # gated only: of the stop, rad
+IS_RESIDUAL = ORDERS + MAX_HARMONICS  # added to a model: fades out beyond the speed limit
+STROKE = IS_RESIDUAL + 1  # gated only: stroke of the stop, rad
 HEADER = STROKE + 1
-STATE_ROOM = 256  # for the largest structure
-MOST_STEPS = 16  # into which a sample is divided; a bound on the time it takes
-_FARTHEST = 1e15  # rad: beyond, a float has no angle
-_FADED = 1.5  # speed limits at which a residual has faded out
+STATE_ROOM = 256  # length of the state of the largest structure
+MOST_STEPS = 16  # into which a sample is divided; limits the computing time
+_FARTHEST = 1e15  # rad; beyond it a float has no precision left for an angle
+_FADED = 1.5  # speed, in speed limits, at which a residual has faded out
 
 
 @inlined
 def tanh(x: float) -> float:
-    """Hyperbolic tangent, to 3 units in the last place, without branches and without a C library."""
-    gone = approach(2.0 * abs(x))  # 1 - e^(-2 abs(x))
-    return math.copysign(gone / (2.0 - gone), x)
+    """Compute the hyperbolic tangent to 3 units in the last place, without branches and without a C library."""
+    complement = approach(2.0 * abs(x))  # 1 - e^(-2 abs(x))
+    return math.copysign(complement / (2.0 - complement), x)
 
 
 @inlined
 def limited(x: float, bound: float) -> float:
-    """``x``, or the nearer one of +-``bound``."""
+    """Limit ``x`` to +-``bound``."""
     return min(max(x, -bound), bound)
 
 
@@ -107,7 +110,7 @@ _tanh, _limited = tanh, limited
 
 @inlined
 def velocity_features(p: Array, velocity: float, x: Array) -> None:
-    """Fill the first four of ``x``: friction lives on a logarithmic scale of velocity."""
+    """Fill the first four elements of ``x``: velocity on linear and on logarithmic scales."""
     v = _limited(velocity, p[SPEED_LIMIT])
     x[0] = v / p[SPEED_LIMIT]
     x[1] = p[FEATURE_FACTORS] * math.asinh(v / p[SPEEDS])
@@ -117,25 +120,26 @@ def velocity_features(p: Array, velocity: float, x: Array) -> None:
 
 @inlined
 def stop(p: Array, before: float, distance: float) -> float:
-    """Prandtl's stop after it was moved: deflection over the stroke at which it slips, -1 to 1."""
+    """Move Prandtl's stop by ``distance``; return its deflection over the stroke at which it slips, -1 to 1."""
     return _limited(before + distance / p[STROKE], 1.0)
 
 
 @inlined
 def since_turn(p: Array, before: float, distance: float) -> float:
-    """Way since the motion began or turned, signed, -1 to 1 from `TURN_SHARE` of the stroke on; 0 at rest.
+    """Compute the signed distance since the start of motion or the last reversal, over `TURN_FRACTION` of the stroke.
 
-    Elements of the Maxwell-slip model that have come to rest stick, in whichever direction they then move.
+    It is limited to +-1, and 0 at rest. Maxwell-slip elements that have come to rest stick at first, whichever
+    direction they move in next.
     """
     if distance == 0.0:
         return 0.0
     same = before if before * distance > 0.0 else 0.0
-    return _limited(same + distance / (TURN_SHARE * p[STROKE]), 1.0)
+    return _limited(same + distance / (TURN_FRACTION * p[STROKE]), 1.0)
 
 
 @inlined
 def gate_features(x: Array, since_turn: float, features: Array) -> None:
-    """Fill ``features`` (`GATE_FEATURES`,) with what the gates see: the same in both directions of motion."""
+    """Fill ``features`` (`GATE_FEATURES`,) with the inputs of the gates, which are even in the direction of motion."""
     for i in range(VELOCITY_FEATURES):
         features[i] = x[i] * x[i]
     features[VELOCITY_FEATURES] = x[VELOCITY_FEATURES] * x[VELOCITY_FEATURES - 1]
@@ -144,36 +148,36 @@ def gate_features(x: Array, since_turn: float, features: Array) -> None:
 
 @inlined
 def summed(p: Array) -> int:
-    """How many states of a gated network add to the torque: of several all but the last."""
+    """Return the number of states of a gated network that add to the torque: of several, all but the last."""
     return max(whole(p[FEEDBACKS]) - 1, 1)
 
 
 @inlined
 def other_features(p: Array, position: float, load_torque: float, temperature: float, x: Array) -> None:
-    """Fill ``x`` with those of the other inputs that the network has; a temperature of NaN is the middle one."""
-    place = 0
+    """Fill ``x`` with the other inputs of the network; a temperature of NaN is the middle of its range."""
+    index = 0
     if p[HAS_POSITION] != 0.0:
-        x[place] = _limited((position - p[MIDDLES]) / p[HALF_RANGES], 1.0)
-        place += 1
+        x[index] = _limited((position - p[MIDDLES]) / p[HALF_RANGES], 1.0)
+        index += 1
     if p[HAS_LOAD] != 0.0:
-        x[place] = _limited((load_torque - p[MIDDLES + 1]) / p[HALF_RANGES + 1], 1.0)
-        place += 1
+        x[index] = _limited((load_torque - p[MIDDLES + 1]) / p[HALF_RANGES + 1], 1.0)
+        index += 1
     if p[HAS_TEMPERATURE] != 0.0:
         relative = _limited((temperature - p[MIDDLES + 2]) / p[HALF_RANGES + 2], 1.0)
-        x[place] = 0.0 if math.isnan(temperature) else relative
-        place += 1
+        x[index] = 0.0 if math.isnan(temperature) else relative
+        index += 1
     for k in range(whole(p[HARMONICS])):
-        angle = _limited(p[ORDERS + k] * position, _FARTHEST)  # the cosine of infinity is no number
-        x[place] = math.cos(angle)
-        x[place + 1] = math.sin(angle)
-        place += 2
+        angle = _limited(p[ORDERS + k] * position, _FARTHEST)  # the cosine of infinity would be NaN
+        x[index] = math.cos(angle)
+        x[index + 1] = math.sin(angle)
+        index += 2
 
 
 @inlined
 def add_product(weights: Array, inputs: Array, count: int, sums: Array, width: int) -> None:
     """Add to ``sums`` (width,) the product of ``weights`` (count, width) with ``inputs`` (count,).
 
-    What stands within `SPARE` places behind the sums is lost, and as many behind the weights are read.
+    The `SPARE` elements behind the sums are overwritten, and as many behind the weights are read.
     """
     for j in range(0, width, LANES):
         add_products(sums, j, weights, j, width, inputs, count)
@@ -181,7 +185,7 @@ def add_product(weights: Array, inputs: Array, count: int, sums: Array, width: i
 
 @inlined
 def squash(sums: Array, width: int) -> None:
-    """Replace ``sums`` by their hyperbolic tangents, and `SPARE` places behind them as well."""
+    """Replace ``sums``, and up to `SPARE` elements behind them, by their hyperbolic tangents."""
     for j in range((width + SPARE) // LANES * LANES):
         sums[j] = _tanh(sums[j])
 
@@ -191,7 +195,7 @@ _add_product, _squash = add_product, squash
 
 @inlined
 def layers(p: Array, x: Array, fed_back: Array, h: Array) -> int:
-    """Fill ``h`` with the outputs of the first and second layer; return where the weights of the outputs begin."""
+    """Fill ``h`` with the outputs of the hidden layers; return the index of the first weight of the outputs."""
     width, second, inputs = whole(p[WIDTH]), whole(p[SECOND]), whole(p[INPUTS])
     feedbacks = whole(p[FEEDBACKS])
     for j in range(width):
@@ -215,12 +219,12 @@ def layers(p: Array, x: Array, fed_back: Array, h: Array) -> int:
 
 @inlined
 def output(p: Array, begin: int, x: Array, fed_back: Array, h: Array) -> float:
-    """T of the output whose weights begin there, not yet cut off."""
+    """Compute the output T whose weights begin at ``begin``, before it is limited."""
     width, second, inputs = whole(p[WIDTH]), whole(p[SECOND]), whole(p[INPUTS])
     last = part(h, width if second > 0 else 0)
     count = second if second > 0 else width
     linear = begin + 1 + count
-    even, odd = p[begin], 0.0  # two sums, because each addition waits for the one before it
+    even, odd = p[begin], 0.0  # two sums, because each addition has to wait for the previous one
     for i in range(inputs):
         even = fma(p[linear + i], x[i], even)
     if p[STRUCTURE] == NARX:
@@ -236,7 +240,7 @@ def output(p: Array, begin: int, x: Array, fed_back: Array, h: Array) -> float:
 
 @inlined
 def output_weights(p: Array) -> int:
-    """How many weights each output has."""
+    """Return the number of weights of each output."""
     width, second = whole(p[WIDTH]), whole(p[SECOND])
     return (
         1 + (second if second > 0 else width) + whole(p[INPUTS]) + (whole(p[FEEDBACKS]) if p[STRUCTURE] == NARX else 0)
@@ -248,7 +252,7 @@ _layers, _output, _output_weights = layers, output, output_weights
 
 @inlined
 def rate_bend(p: Array, begin: int, features: Array) -> float:
-    """Where the gate whose weights begin there is between its bounds, -1 to 1."""
+    """Compute the position of a gate between its bounds, -1 to 1; its weights begin at ``begin``."""
     total = p[begin]
     for i in range(GATE_FEATURES):
         total = fma(p[begin + 1 + i], features[i], total)
@@ -257,36 +261,36 @@ def rate_bend(p: Array, begin: int, features: Array) -> float:
 
 @inlined
 def rate(p: Array, bend: float) -> float:
-    """Rate kappa of a gate, rad^-1."""
+    """Compute the rate kappa of a gate, rad^-1."""
     return decay(-fma(p[RATE_HALF], bend, p[RATE_MIDDLE]))
 
 
 @inlined
 def per_knee(p: Array, bend: float) -> float:
-    """1 / w of a knee."""
+    """Compute 1 / w of a knee."""
     return decay(fma(KNEE_HALF, bend, KNEE_MIDDLE)) / p[BOUND]
 
 
 @inlined
-def travelled(distance: float, way: float, per_knee: float) -> tuple[float, float, float, float]:
-    """How far a state goes towards its aim in one step.
+def travelled(distance: float, path: float, per_knee: float) -> tuple[float, float, float, float]:
+    """Compute how far a state moves towards its target T in one step.
 
     Parameters
     ----------
-    distance, way, per_knee : float
+    distance, path, per_knee : float
         T - y, kappa abs(v) dt and 1 / w.
 
     Returns
     -------
     tuple
-        Share of the distance that it goes; 1 less the slope of what is left of the distance over the distance; how
-        many knees the distance is, and how many of them lie beyond the first.
+        Fraction of the distance that is covered; 1 minus the derivative of the remaining distance over the distance;
+        the distance in knees; the part of that beyond the first knee.
     """
     knees = abs(distance) * per_knee
     beyond = max(knees - 1.0, 0.0)
-    straight = min(beyond, way)
+    straight = min(beyond, path)
     begun = straight / max(knees, 1.0)
-    soft = approach(way - straight)
+    soft = approach(path - straight)
     return fma(1.0 - begun, soft, begun), soft, knees, beyond
 
 
@@ -300,7 +304,7 @@ def outputs(p: Array, x: Array, fed_back: Array, aims: Array, h: Array) -> tuple
     Returns
     -------
     tuple
-        What its direct path gives, and where the weights of the gates begin.
+        Output of the direct path, and index of the first weight of the gates.
     """
     begin = _layers(p, x, fed_back, h)
     feedbacks, stride = whole(p[FEEDBACKS]), _output_weights(p)
@@ -332,22 +336,22 @@ def advance(
     aims: Array,
     h: Array,
 ) -> tuple[float, float]:
-    """Torque over its scale, from inputs and what is fed back, and the damping in it.
+    """Advance the feedback by one step; return the torque over its scale, and the damping it contains.
 
     Parameters
     ----------
     p
         Network.
     x, features : (inputs,) and (`GATE_FEATURES`,) array
-        What the layers and what the gates see; a network without gates does not look at the latter.
+        Inputs of the layers and of the gates; a network without gates ignores the latter.
     path, tempo : float
         abs(v) dt of the step, rad, and TRAINED_DT / dt of the sample.
     damped : float
         Damping of the earlier steps of the same sample.
     fed_back, after : (feedbacks,) array
-        Before and after the step. May be the same array.
+        Feedback before and after the step. May be the same array.
     aims : (1 + feedbacks,) array
-        Filled with T of every output, cut off, and B.
+        Filled with the limited T of every output, and B.
     h : (width + second + SPARE,) array
         Filled with the outputs of the layers.
     """
@@ -364,10 +368,10 @@ def advance(
     damping = aims[feedbacks]
     for i in range(feedbacks):
         before, gate = fed_back[i], begin + i * GATES * GATE_WEIGHTS
-        way = _rate(p, _rate_bend(p, gate, features)) * path
+        scaled_path = _rate(p, _rate_bend(p, gate, features)) * path
         knee = _per_knee(p, _rate_bend(p, gate + GATE_WEIGHTS, features))
-        share, _, _, _ = _travelled(aims[i] - before, way, knee)
-        after[i] = toward(before, aims[i], share)
+        fraction, _, _, _ = _travelled(aims[i] - before, scaled_path, knee)
+        after[i] = toward(before, aims[i], fraction)
         if i < _summed(p):
             total += after[i]
             damped += damping * ((after[i] - before) * tempo)
@@ -380,27 +384,27 @@ _since_turn, _gate_features = since_turn, gate_features
 
 @inlined
 def steps_of(p: Array, dt: float) -> int:
-    """Into how many equal steps a sample is divided, each about as long as in the training; 1 where not gated."""
+    """Return the number of equal steps of a sample, each about as long as in training; 1 if not gated."""
     return whole(min(max(dt / p[TRAINED_DT] + 0.5, 1.0), MOST_STEPS)) if p[STRUCTURE] == GATED else 1
 
 
 @inlined
-def share_inside(p: Array, speed: float) -> float:
-    """Share of a residual: 1 up to the speed limit, then less, 0 in the end."""
+def residual_fade(p: Array, speed: float) -> float:
+    """Compute the factor of a residual: 1 up to the speed limit, then falling linearly to 0 at `_FADED` times it."""
     return min(max((_FADED - speed / p[SPEED_LIMIT]) / (_FADED - 1.0), 0.0), 1.0)
 
 
 @inlined
 def seen_velocity(p: Array, velocity: float, level_velocity: float) -> float:
-    """Velocity of the inputs: as fast as the one, in the direction of the other.
+    """Return the velocity for the inputs: the speed of ``level_velocity`` in the direction of ``velocity``.
 
-    Where the level has stayed behind, on the other side, it creeps with the slowest of the characteristic speeds.
+    If the two have opposite signs, the speed is at most the slowest of the characteristic speeds.
     """
     speed = math.copysign(1.0, velocity) * level_velocity
     return math.copysign(max(speed, min(abs(velocity), p[SPEEDS + 2])), velocity)
 
 
-_share_inside, _seen_velocity, _steps_of = share_inside, seen_velocity, steps_of
+_residual_fade, _seen_velocity, _steps_of = residual_fade, seen_velocity, steps_of
 
 
 @inlined
@@ -414,17 +418,17 @@ def step(
     load_torque: float,
     temperature: float,
 ) -> float:
-    """Advance the state over one sample, over which ``velocity`` is held, and return the friction torque, N m.
+    """Advance the state over one sample with ``velocity`` held, and return the friction torque, N m.
 
     Parameters
     ----------
     p, s
         Network and state; the state is changed in place.
     velocity, level_velocity
-        rad/s. The one that drives the state and decides the direction, and the one that says how fast: the same,
+        Velocity that drives the state and sets the direction, and velocity that sets the speed, rad/s. They are equal
         except in a compensator; see `friction_hil.friction.kernel`.
     dt, position, load_torque, temperature
-        s, rad, N m, deg C. What is no input of the network is not looked at. A narx ignores ``dt``.
+        s, rad, N m, deg C. Values that are not inputs of the network are ignored. A narx ignores ``dt``.
     """
     steps = _steps_of(p, dt)
     distance = velocity * dt / steps
@@ -455,7 +459,7 @@ def step(
         for i in range(remembered - 1, -1, -1):
             past[i] = x[i]
     if p[IS_RESIDUAL] != 0.0:
-        torque *= _share_inside(p, abs(velocity))
+        torque *= _residual_fade(p, abs(velocity))
     return torque
 
 
@@ -473,5 +477,5 @@ def step_apart(
     load_torque: float,
     temperature: float,
 ) -> float:
-    """`step`, compiled by itself: what is compiled for every family would take minutes with it inside."""
+    """Call `step` without inlining it; inlined into the code of every family it would take minutes to compile."""
     return _step(p, s, velocity, level_velocity, dt, position, load_torque, temperature)

@@ -1,4 +1,4 @@
-"""A trained network as an object: its structure, its numbers, and how a model file holds them."""
+"""A trained network: structure, weights and scales, and their representation in a model file."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -22,7 +22,7 @@ MOST_STATES = 5
 MOST_LAGS = 8
 MOST_WEIGHTS = 1400
 _SAME_PERIOD = 1e-3  # relative
-LARGEST_WEIGHT = 1e4  # beyond it a unit is a switch: the training has run away
+LARGEST_WEIGHT = 1e4  # a larger weight turns a unit into a switch: the training has diverged
 
 NETWORK_ALONE = Family(
     name="network",
@@ -33,29 +33,29 @@ NETWORK_ALONE = Family(
     ),
     source="friction_hil/friction/network.py",
     parameters=(),
-    states=("what is fed back [N m]",),
+    states=("feedback [N m]",),
     example={},
     pack=lambda _: Packed([0.0, 0.0, 0.0], [None, None, None]),
 )
 
 
 @dataclass(frozen=True, slots=True)
-class Structure:
+class NetworkStructure:
     """Structure of a network.
 
     Attributes
     ----------
     kind : {"gated", "narx", "static"}
     hidden : tuple of int
-        Tanh units of each hidden layer, one or two.
+        Number of tanh units of each hidden layer; one or two layers.
     states : int
-        States of a gated network, past torques of a narx; 0 of a static one.
+        Number of states of a gated network or of past torques of a narx; 0 for a static one.
     lags : int
-        Past velocities of a narx; 0 of the others.
+        Number of past velocities of a narx; 0 for the others.
     has_position, has_load, has_temperature : bool
-        Whether they are inputs besides the velocity.
+        True if position, load torque or temperature are inputs besides the velocity.
     orders : tuple of float
-        Harmonics of position that are inputs, per rad.
+        Orders of the position harmonics that are inputs, per rad.
     """
 
     kind: Kind = "gated"
@@ -75,47 +75,47 @@ class Structure:
         if (self.kind == "static") != (self.states == 0) or not 0 <= self.states <= MOST_STATES:
             raise UsageError(f"a {self.kind} network has {_states_allowed(self.kind)}, not {self.states}")
         if not 0 <= self.lags <= MOST_LAGS or (self.lags and self.kind != "narx"):
-            raise UsageError(f"past velocities are inputs of a narx alone, and at most {MOST_LAGS}")
+            raise UsageError(f"only a narx has past velocities as inputs, at most {MOST_LAGS}; lags is {self.lags}")
         if len(self.orders) > network.MAX_HARMONICS or not all(map(math.isfinite, self.orders)):
             raise UsageError(f"orders are at most {network.MAX_HARMONICS} finite numbers, not {self.orders}")
 
     @property
     def inputs(self) -> int:
-        """How many numbers go into the first layer, without what is fed back."""
+        """Number of inputs of the first layer, without the feedback."""
         others = self.has_position + self.has_load + self.has_temperature + 2 * len(self.orders)
         return network.VELOCITY_FEATURES * (1 + self.lags) + (self.kind == "gated") + others
 
     @property
     def feedback_weights(self) -> tuple[int, int]:
-        """Places of the weights of what is fed back in the first layer, first and behind the last."""
+        """Indices of the feedback weights of the first layer: the first, and one past the last."""
         begin = self.hidden[0] * (1 + self.inputs)
         return begin, begin + self.hidden[0] * self.states
 
     @property
     def outputs_begin(self) -> int:
-        """Place of the first weight of the outputs."""
+        """Index of the first weight of the outputs."""
         second = self.hidden[1] * (1 + self.hidden[0]) if len(self.hidden) == 2 else 0
         return self.feedback_weights[1] + second
 
     @property
     def output_weights(self) -> int:
-        """How many weights each output has."""
+        """Number of weights of each output."""
         return 1 + self.hidden[-1] + self.inputs + (self.states if self.kind == "narx" else 0)
 
     @property
     def outputs(self) -> int:
-        """How many outputs the layers have: of a gated network one for every state, and the damping."""
+        """Number of outputs of the layers: for a gated network, one per state and the damping."""
         return self.states + 1 if self.kind == "gated" else 1
 
     @property
     def weights(self) -> int:
-        """How many numbers are trained."""
+        """Number of trained weights."""
         direct = 1 + self.inputs + self.states * network.GATES * network.GATE_WEIGHTS if self.kind == "gated" else 0
         return self.outputs_begin + self.outputs * self.output_weights + direct
 
     @property
     def state_room(self) -> int:
-        """Length of the state array of the step."""
+        """Length of the state array."""
         past = network.MEMORIES if self.kind == "gated" else network.VELOCITY_FEATURES * self.lags
         return (
             self.states
@@ -144,37 +144,37 @@ class Network:
 
     Attributes
     ----------
-    structure : Structure
+    structure : NetworkStructure
     period_s : float
-        At which it was trained, s; a narx runs at no other.
+        Sampling period of the training, s; a narx runs only at this period.
     torque_scale : float
-        N m.
+        Unit of the torques, N m.
     bound : float
-        Of its torque, in torque scales.
+        Largest torque, in torque scales.
     speed_limit : float
-        Largest speed of the training, rad/s.
+        Highest speed of the training, rad/s.
     speeds : tuple of 3 float
-        Speeds at which friction changes, rad/s.
+        Characteristic speeds of the friction, rad/s.
     stroke : float
-        Of a gated network's stop, rad; 0 of the others.
+        Stroke of the stop of a gated network, rad; 0 for the others.
     rates : (float, float)
-        Bounds of the rate of a gated network's states, rad^-1; none of the others.
+        Bounds of the rates of the states of a gated network, rad^-1; empty for the others.
     ranges : mapping of str to (float, float)
-        Smallest and largest value of every other input in the training; its names are among `INPUTS`.
+        Smallest and largest value of every other input in the training; the names are among `INPUTS`.
     level : float
-        Largest torque of slow motion, together with the model beside it, N m.
+        Largest torque of slow motion, including that of the base model, N m.
     weights : (structure.weights,) array
     is_residual : bool
-        Whether a model stands beside it: then it fades out beyond the speed limit, else its torque stays what it
-        is there.
+        True if the torque is added to that of a base model. It then fades out beyond the speed limit; otherwise the
+        torque stays constant there.
 
     Raises
     ------
     InvalidParameterError
-        A number is not finite, out of its bounds, or there are too many or too few; ``parameter`` says which.
+        A number is not finite or out of bounds, or a list has the wrong length; ``parameter`` is its name.
     """
 
-    structure: Structure
+    structure: NetworkStructure
     period_s: float
     torque_scale: float
     bound: float
@@ -200,14 +200,14 @@ class Network:
             low, high = self.ranges.get(name) or (math.nan, math.nan)
             if not -math.inf < low < high < math.inf:
                 raise InvalidParameterError(
-                    f"ranges.{name} must be the smallest and the largest value of the training, not {[low, high]}",
+                    f"ranges.{name} must be the smallest and the largest value in the training, not {[low, high]}",
                     "ranges",
                 )
         is_gated = self.structure.kind == "gated"
         if not (0.0 < self.stroke < math.inf if is_gated else self.stroke == 0.0):
             raise InvalidParameterError(
-                "stroke is that of a gated network's stop, finite and above zero, and 0 of any other; not "
-                f"{self.stroke}. Networks of earlier versions have none: train them anew",
+                "stroke must be finite and above zero for a gated network, and 0 for any other, not "
+                f"{self.stroke}. Networks of earlier versions have no stroke and must be trained again",
                 "stroke",
             )
         weights = np.ascontiguousarray(self.weights, dtype=np.float64)
@@ -216,7 +216,9 @@ class Network:
                 f"weights has {weights.size} numbers; this structure has {self.structure.weights}", "weights"
             )
         if weights.size > MOST_WEIGHTS:
-            raise InvalidParameterError(f"weights has {weights.size} numbers; {MOST_WEIGHTS} are the most", "weights")
+            raise InvalidParameterError(
+                f"weights has {weights.size} numbers; at most {MOST_WEIGHTS} are allowed", "weights"
+            )
         wrong = np.flatnonzero(~(np.abs(weights) <= LARGEST_WEIGHT))
         if wrong.size:
             raise InvalidParameterError(
@@ -233,8 +235,8 @@ class Network:
             is_right = len(rates) == 2 and 0.0 < rates[0] < rates[1] < math.inf
         if not is_right:
             raise InvalidParameterError(
-                f"rates are the least and the largest rate of a gated network, finite and above zero, and none of any "
-                f"other; not {list(rates)}",
+                f"rates must be the lowest and the highest rate, finite and above zero, for a gated network, and empty "
+                f"for any other, not {list(rates)}",
                 "rates",
             )
 
@@ -248,12 +250,12 @@ class Network:
 
     @property
     def beyond(self) -> str:
-        """What happens to its torque beyond the speed limit, in words."""
-        return "it fades out" if self.is_residual else "its torque stays what it is there"
+        """Behaviour of the torque beyond the speed limit, as text."""
+        return "its torque fades out" if self.is_residual else "its torque stays constant"
 
     @property
     def values(self) -> Array:
-        """The flat array that `friction_hil.friction.network.step` takes."""
+        """Parameters as the flat array of `friction_hil.friction.network.step`."""
         structure = self.structure
         p = np.zeros(network.HEADER + structure.weights)
         p[network.STRUCTURE] = KINDS[structure.kind]
@@ -273,9 +275,9 @@ class Network:
         p[network.FEATURE_FACTORS : network.FEATURE_FACTORS + 2] = 1.0 / np.arcsinh(
             self.speed_limit / np.array(self.speeds[:2])
         )
-        for place, (name, has) in enumerate(zip(INPUTS, self._has, strict=True)):
+        for index, (name, has) in enumerate(zip(INPUTS, self._has, strict=True)):
             low, high = self.ranges[name] if has else (-1.0, 1.0)
-            p[network.MIDDLES + place], p[network.HALF_RANGES + place] = 0.5 * (low + high), 0.5 * (high - low)
+            p[network.MIDDLES + index], p[network.HALF_RANGES + index] = 0.5 * (low + high), 0.5 * (high - low)
         p[network.ORDERS : network.ORDERS + len(structure.orders)] = structure.orders
         p[network.IS_RESIDUAL] = self.is_residual
         p[network.HEADER :] = self.weights
@@ -283,10 +285,10 @@ class Network:
 
     @classmethod
     def of_values(cls, p: Array, level: float, *, is_residual: bool = False) -> "Network":
-        """Make one from a flat array, as training has it."""
+        """Create a network from the flat array of `friction_hil.friction.network.step`."""
         second = int(p[network.SECOND])
         kinds = {number: kind for kind, number in KINDS.items()}
-        structure = Structure(
+        structure = NetworkStructure(
             kind=kinds[int(p[network.STRUCTURE])],  # type: ignore[arg-type]
             hidden=(int(p[network.WIDTH]), *([second] if second else [])),
             states=int(p[network.FEEDBACKS]),
@@ -317,7 +319,7 @@ class Network:
 
     @property
     def presliding_stiffness(self) -> float:
-        """Slope of torque over position when motion begins, N m/rad; 0 of a network whose state is no deflection."""
+        """Slope of torque over position at the start of motion, N m/rad; 0 if the state is not a deflection."""
         if self.structure.kind != "gated":
             return 0.0
         p, s = self.values, np.zeros(network.STATE_ROOM)
@@ -327,26 +329,26 @@ class Network:
         return max((second - first) / distance, 0.0)
 
     def require(self, has_position: bool, has_load: bool, period_s: float | None = None) -> None:
-        """Refuse a simulation without an input that the network has, or at a period at which it does not run.
+        """Check that the inputs of a simulation are complete and that the network runs at its period.
 
         Raises
         ------
         UsageError
-            It names the input, or the period.
+            An input is missing, or the network is a narx that was trained at another period.
         """
         is_narx = self.structure.kind == "narx"
         if is_narx and period_s is not None and abs(period_s / self.period_s - 1.0) > _SAME_PERIOD:
             raise UsageError(
-                f"a narx runs only at the period that it was trained at, {self.period_s:g} s, not at {period_s:g} s; a "
-                "gated network runs at any"
+                f"a narx runs only at the period of its training, {self.period_s:g} s, not at {period_s:g} s; a gated "
+                "network runs at any period"
             )
         if not has_position and (self.structure.has_position or self.structure.orders):
-            raise UsageError("this network has the position among its inputs, in rad or m: give it")
+            raise UsageError("this network needs the position as an input, in rad or m")
         if not has_load and self.structure.has_load:
-            raise UsageError("this network has the load_torque among its inputs, in N m or N: give it")
+            raise UsageError("this network needs the load_torque as an input, in N m or N")
 
     def as_dict(self) -> dict[str, Any]:
-        """What a model file says under ``network``, but for the model beside it."""
+        """Return the content of a model file under ``network``, without the base model."""
         structure = self.structure
         named = [name for name, has in zip(INPUTS, self._has, strict=True) if has]
         content: dict[str, Any] = {"structure": structure.kind, "hidden": list(structure.hidden)}

@@ -1,4 +1,4 @@
-"""Whole arrays through a friction network."""
+"""Simulation of whole arrays with a friction network."""
 
 import numpy as np
 
@@ -20,7 +20,7 @@ def run(
     temperature: Array,
     torque: Array,
 ) -> None:
-    """Fill ``torque`` with that of every sample; the inputs after ``dt`` have one element, or one a sample."""
+    """Fill ``torque`` for every sample; the inputs after ``dt`` have one element, or one per sample."""
     position_stride = 1 if position.shape[0] > 1 else 0
     load_stride = 1 if load_torque.shape[0] > 1 else 0
     temperature_stride = 1 if temperature.shape[0] > 1 else 0
@@ -31,7 +31,7 @@ def run(
 
 @compiled
 def add_steady_curve(p: Array, velocity: Array, load_torque: float, temperature: float, torque: Array) -> None:
-    """Add to ``torque`` (n,) what the network settles on at every constant ``velocity``, at position 0; 0 at rest."""
+    """Add the steady torque of the network at every constant ``velocity`` and position 0 to ``torque`` (n,)."""
     s = np.zeros(network.STATE_ROOM)
     for k in range(velocity.shape[0]):
         if velocity[k] == 0.0:

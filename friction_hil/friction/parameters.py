@@ -1,4 +1,4 @@
-"""What a model parameter is: name, symbol, unit, bounds, meaning; and the check of given values."""
+"""Model parameters: name, symbol, unit, bounds and meaning, and the check of given values."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -9,7 +9,7 @@ from friction_hil.errors import ParameterError, choices
 
 
 class InvalidParameterError(ParameterError):
-    """A parameter does not fit; ``parameter`` is its name, or None where it concerns no single one."""
+    """A parameter is invalid; ``parameter`` is its name, or None if several parameters are involved."""
 
     def __init__(self, message: str, parameter: str | None = None) -> None:
         super().__init__(message)
@@ -18,11 +18,11 @@ class InvalidParameterError(ParameterError):
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """A parameter of a friction model that is one number.
+    """A scalar parameter of a friction model.
 
     ``unit`` is that of a rotary axis; on a linear axis N m becomes N and rad becomes m. ``lower`` and ``upper``
-    are bounds, None for none. ``default`` is a number, the name of the parameter whose value is taken, or None
-    where a value must be given.
+    are the bounds; None means unbounded. ``default`` is a number, the name of another parameter whose value is
+    used, or None if a value must be given.
     """
 
     name: str
@@ -38,7 +38,7 @@ class Parameter:
 
     @property
     def bounds(self) -> str:
-        """The bounds in words, e.g. ``> 0``."""
+        """Bounds as text, e.g. ``> 0``."""
         parts = []
         if self.lower is not None:
             parts.append(f"{'>=' if self.is_lower_allowed else '>'} {self.lower:g}")
@@ -54,7 +54,7 @@ class Parameter:
         Raises
         ------
         InvalidParameterError
-            It is no number, not finite, or outside the bounds.
+            It is not a number, not finite, or out of bounds.
         """
         return self._check(model, self.name, value)
 
@@ -76,14 +76,14 @@ class Parameter:
 
 @dataclass(frozen=True, slots=True)
 class NumberList(Parameter):
-    """A parameter that is a list of ``least`` to ``most`` numbers, each within the bounds."""
+    """A list of ``least`` to ``most`` numbers, each within the bounds."""
 
     least: int = 1
     most: int = 1
 
     @property
     def bounds(self) -> str:
-        """The bounds in words."""
+        """Bounds as text."""
         return f"a list of {self.least} to {self.most} numbers, each {super(NumberList, self).bounds}"
 
     def check(self, model: str, value: object) -> Any:
@@ -98,19 +98,19 @@ class NumberList(Parameter):
         return [self._check(model, name, element) for name, element in zip(names, elements, strict=True)]
 
     def element_names(self, count: int) -> list[str]:
-        """Names of the elements, e.g. ``weight[1]``."""
+        """Return the names of the elements, e.g. ``weight[1]``."""
         return [f"{self.name}[{i}]" for i in range(count)]
 
 
 @dataclass(frozen=True, slots=True)
 class PointList(Parameter):
-    """A parameter that is a list of up to ``most`` points, each a pair of finite numbers."""
+    """A list of up to ``most`` points, each a pair of finite numbers."""
 
     most: int = 1
 
     @property
     def bounds(self) -> str:
-        """The bounds in words."""
+        """Bounds as text."""
         return f"a list of 1 to {self.most} pairs of numbers"
 
     def check(self, model: str, value: object) -> Any:
@@ -133,13 +133,13 @@ class PointList(Parameter):
 
 @dataclass(frozen=True, slots=True)
 class Choice(Parameter):
-    """A parameter that is one of a few ``words``."""
+    """One of several ``words``."""
 
     words: tuple[str, ...] = ()
 
     @property
     def bounds(self) -> str:
-        """The words."""
+        """Allowed words as text."""
         return " or ".join(self.words)
 
     def check(self, model: str, value: object) -> Any:
@@ -152,7 +152,7 @@ class Choice(Parameter):
 
 
 def _as_number(value: object) -> float | None:
-    """``value`` as a float; None for what is no single number, or one that no float can hold."""
+    """Return ``value`` as a float, or None if it is not a single number that a float can represent."""
     if isinstance(value, (bool, str, bytes)) or not hasattr(value, "__float__"):
         return None
     try:
@@ -162,19 +162,19 @@ def _as_number(value: object) -> float | None:
 
 
 def _as_list(value: object) -> list[object] | None:
-    """``value`` as a list; None for what is no sequence."""
+    """Return ``value`` as a list, or None if it is not a sequence."""
     if isinstance(value, (str, bytes, Mapping)) or not hasattr(value, "__len__") or not hasattr(value, "__iter__"):
         return None
     return list(value)
 
 
 def check_all(model: str, known: Sequence[Parameter], given: Mapping[str, object]) -> dict[str, Any]:
-    """Check the ``given`` values of a model's parameters and fill in defaults, in the order of ``known``.
+    """Check the ``given`` parameters of a model and fill in the defaults, in the order of ``known``.
 
     Raises
     ------
     InvalidParameterError
-        A parameter is unknown, missing or outside its bounds.
+        A parameter is unknown, missing or out of bounds.
     """
     by_name = {parameter.name: parameter for parameter in known}
     for name in given:
@@ -184,7 +184,7 @@ def check_all(model: str, known: Sequence[Parameter], given: Mapping[str, object
     for parameter in known:
         value = given.get(parameter.name)
         if value is None and parameter.default in values:
-            # the parameter that the default names stands before this one in the table
+            # the parameter named by the default comes earlier in the table
             values[parameter.name] = values[str(parameter.default)]
             continue
         if value is None:
@@ -200,7 +200,7 @@ def check_all(model: str, known: Sequence[Parameter], given: Mapping[str, object
 
 
 def describe_brief(parameter: Parameter) -> str:
-    """``static (=coulomb)``: the name, and the default where there is one."""
+    """Return the name with its default, if there is one, e.g. ``static (=coulomb)``."""
     if parameter.default is None:
         return parameter.name
     default = parameter.default if isinstance(parameter.default, str) else f"{parameter.default:g}"
@@ -208,23 +208,23 @@ def describe_brief(parameter: Parameter) -> str:
 
 
 def positive(parameter: Parameter) -> Parameter:
-    """Take a parameter over as one that must be above zero."""
+    """Return a copy of the parameter that must be above zero."""
     return replace(parameter, is_lower_allowed=False)
 
 
 def defaulting(parameter: Parameter, default: float | str) -> Parameter:
-    """Take a parameter over with a default: a number, or the name of a parameter that stands before it."""
+    """Return a copy with a default: a number, or the name of a parameter that comes earlier in the table."""
     return replace(parameter, default=default)
 
 
 COULOMB = Parameter("coulomb", "Fc", "N m", "Coulomb level: friction while sliding slowly")
-STATIC = Parameter("static", "Fs", "N m", "break-away level; below coulomb it describes an axis without Stribeck hump")
+STATIC = Parameter("static", "Fs", "N m", "break-away level; without a Stribeck hump it may be below coulomb")
 VISCOUS = Parameter("viscous", "Fv", "N m s/rad", "viscous coefficient", default=0.0)
 STRIBECK_VELOCITY = Parameter(
     "stribeck_velocity",
     "vs",
     "rad/s",
-    "velocity at which break-away has mostly given way to Coulomb friction",
+    "velocity over which the level falls from break-away to Coulomb",
     is_lower_allowed=False,
 )
 STRIBECK_EXPONENT = Parameter(

@@ -1,4 +1,4 @@
-"""Power law: friction of harmonic drives and greased gears, which grows like a root of the velocity."""
+"""Power law: friction of harmonic drives and greased gears, which grows with a power of the velocity."""
 
 import math
 
@@ -24,7 +24,7 @@ def step(
     applied_torque: float,
     epsilon: float,
 ) -> float:
-    """Torque of one sample; see `friction_hil.friction.kernel`."""
+    """Compute the torque of one sample; see `friction_hil.friction.kernel`."""
     level = modified(p[0], extra, scale)
     if velocity == 0.0 and epsilon == 0.0:
         return sticking(applied_torque, level)
@@ -34,7 +34,7 @@ def step(
 
 @inlined
 def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, torque: Array) -> bool:
-    """Fill ``torque`` with that of every sample: the bits of `step`. Return whether every velocity is finite."""
+    """Fill ``torque`` for every sample, with the same bits as `step`; return True if every velocity is finite."""
     level, factor, exponent = modified(p[0], 0.0, 1.0), p[1], p[2]
     stuck = sticking(applied_torque, level)
     is_finite = True
@@ -48,15 +48,15 @@ def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, t
 
 @inlined
 def steady(p: Array, velocity: float, extra: float, scale: float) -> float:
-    """Torque at constant ``velocity``; 0 at rest."""
+    """Compute the torque at constant ``velocity``; 0 at rest."""
     return (modified(p[0], extra, scale) + p[1] * power(abs(velocity), p[2])) * direction(velocity, 0.0)
 
 
 FAMILY = Family(
     name="power_law",
-    summary="Coulomb level and a power of the velocity: harmonic drives, grease",
+    summary="Coulomb level plus a power of the velocity: harmonic drives, grease",
     formula="F = (Fc + Fv |v|^n) sgn v;  at rest F balances the applied torque up to Fc",
-    source="speed and current of harmonic drive joints, as their makers publish them, follow it with n near 0.5",
+    source="published speed-current curves of harmonic drive joints follow it with n near 0.5",
     parameters=(COULOMB, _FACTOR, _EXPONENT),
     states=(),
     example={"coulomb": 0.08, "factor": 0.02, "exponent": 0.5},

@@ -1,4 +1,4 @@
-"""Gradient of the simulated torque: the kernel itself, run on dual numbers (forward sensitivities)."""
+"""Gradient of the simulated torque: the kernel runs on dual numbers (forward sensitivities)."""
 
 from typing import Any
 
@@ -14,7 +14,7 @@ _BLOCK = 1024
 
 @compiled
 def _of_block(values: Array, begin: int, end: int) -> Array:
-    """Samples of an input that has one element for all, or one a sample."""
+    """Return the samples of an input that has one element for all samples, or one per sample."""
     return values[begin:end] if values.shape[0] > 1 else values
 
 
@@ -35,10 +35,10 @@ def run(
     gradient: Array,
     first: int,
 ) -> None:
-    """Do what `friction_hil.friction.kernel.run` does, and fill up to WIDTH columns of ``gradient`` from ``first`` on.
+    """Run `friction_hil.friction.kernel.run` and fill up to WIDTH columns of ``gradient``, starting at ``first``.
 
-    ``seeds`` (PLAIN_ROOM, WIDTH) is 1 in the column that an element of ``p`` counts for. ``state_gradient``
-    (STATE_ROOM, WIDTH) belongs to ``s`` and is advanced with it.
+    ``seeds`` (PLAIN_ROOM, WIDTH) holds the derivative of each element of ``p`` over the parameter of each column.
+    ``state_gradient`` (STATE_ROOM, WIDTH) belongs to ``s`` and advances with it.
     """
     parameters, state = (
         dual_array(borrowed(p, 0), borrowed(seeds, 0)),

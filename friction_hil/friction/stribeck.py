@@ -1,4 +1,4 @@
-"""Stribeck friction: a static map whose level falls from break-away to Coulomb as sliding begins."""
+"""Stribeck friction: a static map whose level falls from break-away to Coulomb with increasing velocity."""
 
 import math
 
@@ -21,7 +21,7 @@ def step(
     applied_torque: float,
     epsilon: float,
 ) -> float:
-    """Torque of one sample; see `friction_hil.friction.kernel`."""
+    """Compute the torque of one sample; see `friction_hil.friction.kernel`."""
     if velocity == 0.0 and epsilon == 0.0:
         return sticking(applied_torque, modified(p[1], extra, scale))
     level = modified(stribeck_level(level_velocity, p[0], p[1], p[2], p[3]), extra, scale)
@@ -44,9 +44,9 @@ def _fill(p: Array, velocity: Array, band: float, exponent: float, applied_torqu
 
 @inlined
 def run_with_band(p: Array, velocity: Array, band: float, applied_torque: float, torque: Array) -> bool:
-    """Fill ``torque`` with that of every sample; velocities below ``band``, in rad/s, count as standstill.
+    """Fill ``torque`` for every sample; velocities below ``band``, rad/s, count as standstill.
 
-    With the usual exponent as a constant the compiler sees no power, and makes vector instructions of the loop.
+    The usual exponent 2 is passed as a constant, so that the compiler eliminates the power and vectorises the loop.
     """
     if p[3] == 2.0 and not is_differentiated(p[3]):
         return _fill(p, velocity, band, 2.0, applied_torque, torque)
@@ -58,13 +58,13 @@ _run_with_band = run_with_band
 
 @inlined
 def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, torque: Array) -> bool:
-    """Fill ``torque`` with that of every sample: the bits of `step`. Return whether every velocity is finite."""
+    """Fill ``torque`` for every sample, with the same bits as `step`; return True if every velocity is finite."""
     return _run_with_band(p, velocity, 0.0, applied_torque, torque)
 
 
 @inlined
 def steady(p: Array, velocity: float, extra: float, scale: float) -> float:
-    """Torque at constant ``velocity``; 0 at rest."""
+    """Compute the torque at constant ``velocity``; 0 at rest."""
     level = modified(stribeck_level(velocity, p[0], p[1], p[2], p[3]), extra, scale)
     return sliding(level, p[4], velocity, velocity, 0.0)
 
@@ -72,10 +72,13 @@ def steady(p: Array, velocity: float, extra: float, scale: float) -> float:
 FAMILY = Family(
     name="stribeck",
     summary="static map with a Stribeck curve",
-    formula="F = g(v) sgn v + Fv v;  g(v) = Fc + (Fs - Fc) exp(-(|v|/vs)^delta);  at rest F balances to Fs",
+    formula=(
+        "F = g(v) sgn v + Fv v;  g(v) = Fc + (Fs - Fc) exp(-(|v|/vs)^delta);  "
+        "at rest F balances the applied torque up to Fs"
+    ),
     source="Armstrong-Helouvry, Dupont, Canudas de Wit, Automatica 30(7), 1994",
     parameters=(COULOMB, STATIC, STRIBECK_VELOCITY, STRIBECK_EXPONENT, VISCOUS),
     states=(),
     example={"coulomb": 0.08, "static": 0.12, "stribeck_velocity": 0.2, "stribeck_exponent": 2.0, "viscous": 2e-3},
-    note="some texts print |v|^vs / |vs|^vs in place of the exponential, which is dimensionally wrong",
+    note="some texts print |v|^vs / |vs|^vs instead of the exponential, which is dimensionally wrong",
 )

@@ -1,4 +1,4 @@
-"""Friction table: torque over speed by points, per direction, as drives and machine controllers keep it."""
+"""Friction table: points of torque over speed per direction, as drives and machine controllers store it."""
 
 import math
 from collections.abc import Mapping
@@ -15,17 +15,17 @@ from friction_hil.numerics.jit import Array, inlined
 
 MAX_POINTS = 64  # per direction
 _ROOM = MAX_POINTS + 2
-_HEAD = 3  # places before the points: is linear, points forward, points backward (0: as forward)
+_HEAD = 3  # values before the points: 1 if linear, number of points forward, and backward (0: same as forward)
 _INTERPOLATIONS = ("monotone", "linear")
 
 _POINTS = PointList(
-    "points", "(v, F)", "rad/s, N m", "speed and torque; one direction alone serves both", most=2 * MAX_POINTS
+    "points", "(v, F)", "rad/s, N m", "velocity and torque; one direction is used for both", most=2 * MAX_POINTS
 )
 _INTERPOLATION = Choice(
     "interpolation",
     "",
     "",
-    "curve between the points: monotone is smooth without overshoot",
+    "curve between the points; monotone is smooth and does not overshoot",
     words=_INTERPOLATIONS,
     default="monotone",
 )
@@ -33,7 +33,7 @@ _INTERPOLATION = Choice(
 
 @inlined
 def _inner_slope(h0: float, h1: float, d0: float, d1: float) -> float:
-    """Slope at a point between intervals of lengths h and slopes d: weighted harmonic mean, 0 at an extremum."""
+    """Compute the slope at an inner point: weighted harmonic mean of the slopes d over lengths h, 0 at an extremum."""
     if d0 * d1 <= 0.0:
         return 0.0 * d0
     w0, w1 = 2.0 * h1 + h0, h1 + 2.0 * h0
@@ -42,7 +42,7 @@ def _inner_slope(h0: float, h1: float, d0: float, d1: float) -> float:
 
 @inlined
 def _end_slope(h0: float, h1: float, d0: float, d1: float) -> float:
-    """Slope at an end: of the parabola through three points, held back where it would overshoot."""
+    """Compute the slope at an end: that of the parabola through three points, limited against overshoot."""
     slope = ((2.0 * h0 + h1) * d0 - h0 * d1) / (h0 + h1)
     if slope * d0 <= 0.0:
         return 0.0 * d0
@@ -52,8 +52,8 @@ def _end_slope(h0: float, h1: float, d0: float, d1: float) -> float:
 
 
 @inlined
-def _place(x: Array, n: int, at: float) -> int:
-    """Number of the last of ``n`` ascending ``x`` that is not above ``at``; 0 where all are."""
+def _interval(x: Array, n: int, at: float) -> int:
+    """Return the index of the last of ``n`` ascending ``x`` that is not above ``at``; 0 if all are above."""
     low, high = 0, n
     while high - low > 1:
         middle = (low + high) // 2
@@ -66,7 +66,7 @@ def _place(x: Array, n: int, at: float) -> int:
 
 @inlined
 def _coefficients(x: Array, y: Array, n: int, is_linear: bool, low: int) -> tuple[float, float, float]:
-    """Slope, bend and twist, for `_curve`, of the piece that begins at point ``low``; level behind the last.
+    """Compute the coefficients of `_curve` for the piece that begins at point ``low``; constant beyond the last point.
 
     Monotone: piecewise cubic, Fritsch and Butland, SIAM Journal on Scientific and Statistical Computing 5(2), 1984.
     """
@@ -92,14 +92,14 @@ def _coefficients(x: Array, y: Array, n: int, is_linear: bool, low: int) -> tupl
 
 
 @inlined
-def _curve(y: float, slope: float, bend: float, twist: float, u: float) -> float:
-    """Torque at the speed ``u`` above that of the point where the piece begins."""
-    return y + u * (slope + u * (bend + u * twist))
+def _curve(y: float, linear: float, quadratic: float, cubic: float, u: float) -> float:
+    """Evaluate a piece at the speed ``u`` above its first point."""
+    return y + u * (linear + u * (quadratic + u * cubic))
 
 
 @inlined
 def _level(p: Array, velocity: float, sign: float) -> float:
-    """Torque of the table, without its sign, for motion in the direction ``sign``."""
+    """Compute the absolute torque of the table for motion in the direction ``sign``."""
     forward, backward = whole(p[1]), whole(p[2])
     begin, n = _HEAD, forward
     if sign < 0.0 and backward > 0:
@@ -107,9 +107,9 @@ def _level(p: Array, velocity: float, sign: float) -> float:
     x, y, at = part(p, begin), part(p, begin + n), abs(velocity)
     if at <= x[0]:
         return y[0]
-    low = _place(x, n, at)
-    slope, bend, twist = _coefficients(x, y, n, p[0] > 0.0, low)
-    return _curve(y[low], slope, bend, twist, at - x[low])
+    low = _interval(x, n, at)
+    linear, quadratic, cubic = _coefficients(x, y, n, p[0] > 0.0, low)
+    return _curve(y[low], linear, quadratic, cubic, at - x[low])
 
 
 @inlined
@@ -124,7 +124,7 @@ def step(
     applied_torque: float,
     epsilon: float,
 ) -> float:
-    """Torque of one sample; see `friction_hil.friction.kernel`."""
+    """Compute the torque of one sample; see `friction_hil.friction.kernel`."""
     if velocity == 0.0 and epsilon == 0.0:
         level = modified(_level(p, 0.0, direction(applied_torque, 0.0)), extra, scale)
         return sticking(applied_torque, level)
@@ -138,9 +138,9 @@ def step(
 
 @inlined
 def _tabulate(p: Array, begin: int, n: int, first: int, start: Array, pieces: Array) -> None:
-    """Fill in the pieces of one direction, from number ``first`` on: a level one before the first point, then ``n``.
+    """Fill in the pieces of one direction from index ``first``: a constant one below the first point, then ``n``.
 
-    ``start`` gets the speeds at which they begin, and infinity; ``pieces`` the arguments of `_curve` for each.
+    ``start`` is filled with the speeds at which they begin and infinity, ``pieces`` with the arguments of `_curve`.
     """
     x, y = part(p, begin), part(p, begin + n)
     start[first], start[first + n + 1] = 0.0, math.inf
@@ -148,20 +148,20 @@ def _tabulate(p: Array, begin: int, n: int, first: int, start: Array, pieces: Ar
     for j in range(1, 4):
         pieces[4 * first + j] = 0.0 * y[0]
     for i in range(n):
-        slope, bend, twist = _coefficients(x, y, n, p[0] > 0.0, i)
-        place = first + 1 + i
-        start[place] = primal(x[i])
-        pieces[4 * place] = y[i]
-        pieces[4 * place + 1] = slope
-        pieces[4 * place + 2] = bend
-        pieces[4 * place + 3] = twist
+        linear, quadratic, cubic = _coefficients(x, y, n, p[0] > 0.0, i)
+        piece = first + 1 + i
+        start[piece] = primal(x[i])
+        pieces[4 * piece] = y[i]
+        pieces[4 * piece + 1] = linear
+        pieces[4 * piece + 2] = quadratic
+        pieces[4 * piece + 3] = cubic
 
 
 @inlined
 def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, torque: Array) -> bool:
-    """Fill ``torque`` with that of every sample: the bits of `step`. Return whether every velocity is finite.
+    """Fill ``torque`` for every sample, with the same bits as `step`; return True if every velocity is finite.
 
-    The curve is worked out once, and a sample looks for its piece only where it has left that of the one before.
+    The coefficients are computed once, and the piece is searched only if a sample leaves that of the previous one.
     """
     stuck = sticking(applied_torque, modified(_level(p, 0.0, direction(applied_torque, 0.0)), 0.0, 1.0))
     forward, backward = whole(p[1]), whole(p[2])
@@ -180,7 +180,7 @@ def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, t
         wanted = other if v < 0.0 else 0
         if side != wanted or speed < start[i] or speed >= start[i + 1]:
             side = wanted
-            i = side + _place(part(start, side), (backward if side > 0 else forward) + 1, speed)
+            i = side + _interval(part(start, side), (backward if side > 0 else forward) + 1, speed)
         level = _curve(pieces[4 * i], pieces[4 * i + 1], pieces[4 * i + 2], pieces[4 * i + 3], speed - start[i])
         torque[k] = stuck if v == 0.0 else modified(level, 0.0, 1.0) * direction(v, 0.0)
     return is_finite
@@ -188,13 +188,13 @@ def run(p: Array, s: Array, velocity: Array, dt: float, applied_torque: float, t
 
 @inlined
 def steady(p: Array, velocity: float, extra: float, scale: float) -> float:
-    """Torque at constant ``velocity``; 0 at rest."""
+    """Compute the torque at constant ``velocity``; 0 at rest."""
     sign = direction(velocity, 0.0)
     return modified(_level(p, velocity, sign), extra, scale) * sign
 
 
 def _sides(parameters: Mapping[str, Any]) -> tuple[list[tuple[int, float, float]], list[tuple[int, float, float]]]:
-    """Points forward and backward by growing speed, as (number in the list, speed, torque), without signs."""
+    """Return the forward and backward points by increasing speed, as (index in the list, abs(v), abs(torque))."""
     points = list(enumerate(parameters["points"]))
     forward = sorted(((i, v, f) for i, (v, f) in points if v >= 0.0), key=lambda point: point[1])
     backward = sorted(((i, -v, -f) for i, (v, f) in points if v < 0.0), key=lambda point: point[1])
@@ -205,13 +205,13 @@ def _check(parameters: Mapping[str, Any]) -> None:
     for name, side in zip(("forward", "backward"), _sides(parameters), strict=True):
         if len(side) > MAX_POINTS:
             raise InvalidParameterError(
-                f"table: {len(side)} points {name} are more than {MAX_POINTS}: leave some out", "points"
+                f"table: {len(side)} {name} points are too many; at most {MAX_POINTS} are allowed", "points"
             )
         for number, speed, torque in side:
             if torque < 0.0:
                 raise InvalidParameterError(
-                    f"table: points[{number}] has a torque against its velocity's sign: friction opposes motion, so "
-                    "torque and velocity of a point have the same sign",
+                    f"table: points[{number}] has torque and velocity of opposite sign; friction opposes motion, so "
+                    "the two must have the same sign",
                     "points",
                 )
             if sum(other == speed for _, other, _ in side) > 1:
@@ -238,7 +238,10 @@ def _pack(parameters: Mapping[str, Any]) -> Packed:
 FAMILY = Family(
     name="table",
     summary="points of torque over speed per direction, with a curve between them",
-    formula="F = T(|v|) sgn v, T through the points and level beyond them;  at rest F balances up to T(0)",
+    formula=(
+        "F = T(|v|) sgn v, T interpolated between the points and constant beyond them;  "
+        "at rest F balances the applied torque up to T(0)"
+    ),
     source="interpolation: Fritsch, Butland, SIAM Journal on Scientific and Statistical Computing 5(2), 1984",
     parameters=(_POINTS, _INTERPOLATION),
     states=(),

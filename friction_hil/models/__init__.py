@@ -1,4 +1,4 @@
-"""Friction models by name, and the files that they are kept in.
+"""Friction models by name, and model files: the public Python interface to the models.
 
 >>> import friction_hil as fh
 >>> model = fh.models.create("coulomb", coulomb=0.1, viscous=0.01)
@@ -13,8 +13,8 @@ from friction_hil.friction import (
     FrictionModel,
     InvalidParameterError,
     Network,
+    NetworkStructure,
     Runner,
-    Structure,
     create,
     describe,
     describe_brief,
@@ -30,8 +30,8 @@ __all__ = [
     "FrictionModel",
     "InvalidParameterError",
     "Network",
+    "NetworkStructure",
     "Runner",
-    "Structure",
     "create",
     "describe",
     "describe_brief",

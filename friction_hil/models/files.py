@@ -1,4 +1,4 @@
-"""Model files, and models given on the command line.
+"""Reading of model files, and of models given on the command line.
 
 >>> from friction_hil.models.files import model_from_argument
 >>> model_from_argument("coulomb:coulomb=0.08,viscous=2e-3").friction.parameters
@@ -24,7 +24,7 @@ def load(path: str | Path) -> FrictionModel:
     Raises
     ------
     ConfigurationError
-        The file cannot be read or has mistakes; the message has each with its line.
+        The file cannot be read or has mistakes; the message lists them with their lines.
     """
     return load_model_file(path).friction_model
 
@@ -35,7 +35,7 @@ def load_model_file(path: str | Path) -> ModelFile:
     Raises
     ------
     ConfigurationError
-        It cannot be read or has mistakes; ``problems`` has each with its line.
+        The file cannot be read or has mistakes; ``problems`` lists them with their lines.
     """
     model_file = read_section(path, ModelFile)
     model_file._source_path = Path(path).absolute()
@@ -43,29 +43,29 @@ def load_model_file(path: str | Path) -> ModelFile:
 
 
 def model_from_argument(argument: str) -> ModelFile:
-    """Understand ``--model``: a model file, or ``NAME:coulomb=0.08,viscous=2e-3`` (a rotary axis).
+    """Parse the argument of ``--model``: a model file, or ``NAME:coulomb=0.08,viscous=2e-3`` (a rotary axis).
 
     Raises
     ------
     ConfigurationError
         The model file cannot be read or has mistakes.
     UsageError
-        The model or a parameter does not exist, or a value does not fit.
+        The model or a parameter does not exist, or a value is invalid.
     """
-
     if argument.endswith((".yaml", ".yml")) or os.path.isfile(argument):
         return load_model_file(argument)
     name, _, rest = argument.partition(":")
     if name not in friction.names():
         raise UsageError(
-            f"--model {argument}: there is no such file, and no such friction model; {choices(name, friction.names())}"
+            f"--model {argument}: neither a file nor a friction model of this name exists; "
+            f"{choices(name, friction.names())}"
         )
     parameters: dict[str, Any] = {}
     for part in re.split(r",(?=\s*\w+\s*=)", rest) if rest else ():
         key, equals, text = part.partition("=")
         if not equals or key.strip() in parameters:
-            wanted = f"{name}:parameter=value,parameter=value" if not equals else "each parameter once"
-            raise UsageError(f"--model {argument}: {part.strip()!r} does not fit; write {wanted}")
+            wanted = f"write {name}:parameter=value,parameter=value" if not equals else "give each parameter once"
+            raise UsageError(f"--model {argument}: {part.strip()!r} is not valid; {wanted}")
         value = yaml_text.parse(text, f"--model {argument}")
         if value.problems:
             raise ConfigurationError(value.problems)

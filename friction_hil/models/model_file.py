@@ -1,4 +1,4 @@
-"""The model file: friction, mechanics and provenance of one axis."""
+"""Contents of a model file: friction, mechanics and provenance of one axis."""
 
 import re
 from pathlib import Path
@@ -11,20 +11,20 @@ from friction_hil import friction
 from friction_hil.checked_yaml.messages import Mistake, refuse
 from friction_hil.checked_yaml.section import Section, key
 from friction_hil.errors import UsageError
-from friction_hil.friction import Axis, FrictionModel, InvalidParameterError, Network, Structure
+from friction_hil.friction import Axis, FrictionModel, InvalidParameterError, Network, NetworkStructure
 from friction_hil.friction.modifiers import check_modifiers
 from friction_hil.friction.parameters import check_all
 
-NETWORK = "network"  # name of the model that is no family of the registry
+NETWORK = "network"  # a trained network, the only model without a family in the registry
 
 
 class Base(Section):
-    """A model of the registry and its parameters."""
+    """Base model of a network: name, parameters and modifiers."""
 
     model: str = key("name of the friction model; 'friction-hil models' lists them")
-    parameters: dict[str, Any] = key("the model's parameters, SI; 'friction-hil models NAME' describes them")
+    parameters: dict[str, Any] = key("parameters of the model, SI; 'friction-hil models NAME' describes them")
     modifiers: dict[str, Any] = key(
-        "what changes the friction of any model: direction, viscous, load, temperature, ripple", default={}
+        "modifiers of the friction: direction, viscous, load, temperature, ripple", default={}
     )
 
     @model_validator(mode="after")
@@ -36,27 +36,28 @@ class Base(Section):
 class TrainedNetwork(Section):
     """A trained network, as 'friction-hil train' writes it; see friction_hil/friction/network.py."""
 
-    structure: Literal["gated", "narx", "static"] = key("how it is built")
-    hidden: list[int] = key("tanh units of each hidden layer, one or two")
-    states: int = key("states of a gated network, past torques of a narx", default=0)
-    lags: int = key("past velocities of a narx", default=0)
+    structure: Literal["gated", "narx", "static"] = key("structure of the network")
+    hidden: list[int] = key("number of tanh units of each hidden layer; one or two layers")
+    states: int = key("number of states of a gated network, or of past torques of a narx", default=0)
+    lags: int = key("number of past velocities of a narx", default=0)
     inputs: list[Literal["position", "load_torque", "temperature"]] = key("inputs besides the velocity", default=[])
-    orders: list[float] = key("harmonics of position that are inputs", "1/rad or 1/m", default=[])
+    orders: list[float] = key("orders of the position harmonics that are inputs", "1/rad or 1/m", default=[])
     period_s: float = key("sampling period of the training", "s")
-    torque_scale: float = key("unit of its torques", "N m or N")
+    torque_scale: float = key("unit of the torques of the network", "N m or N")
     bound: float = key("largest torque, in torque scales")
-    speed_limit: float = key("largest speed of the training", "rad/s or m/s")
-    rates: list[float] = key("bounds of the rate of a gated network's states", "1/rad or 1/m", default=[])
-    stroke: float = key("stroke of a gated network's stop", "rad or m", default=0.0)
-    speeds: list[float] = key("three speeds at which friction changes", "rad/s or m/s")
+    speed_limit: float = key("highest speed of the training", "rad/s or m/s")
+    rates: list[float] = key("bounds of the rates of the states of a gated network", "1/rad or 1/m", default=[])
+    stroke: float = key("stroke of the stop of a gated network", "rad or m", default=0.0)
+    speeds: list[float] = key("three characteristic speeds of the friction", "rad/s or m/s")
     ranges: dict[str, tuple[float, float]] = key("smallest and largest value of each other input", default={})
     level: float = key("largest torque of slow motion", "N m or N")
-    weights: list[float] = key("its weights, in the order of friction_hil/friction/network.py")
-    base: Base | None = key("the model to which its torque is added; none: it stands alone", default=None)
+    weights: list[float] = key("weights, in the order of friction_hil/friction/network.py")
+    base: Base | None = key(
+        "base model, to whose torque the torque of the network is added; by default none", default=None
+    )
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-
         try:
             _ = self.network
         except InvalidParameterError as error:
@@ -67,9 +68,8 @@ class TrainedNetwork(Section):
 
     @property
     def network(self) -> Network:
-        """The network itself."""
-
-        structure = Structure(
+        """The trained network."""
+        structure = NetworkStructure(
             kind=self.structure,
             hidden=tuple(self.hidden),
             states=self.states,
@@ -96,16 +96,16 @@ class TrainedNetwork(Section):
 
 
 class Friction(Section):
-    """A model of the registry and its parameters, or a trained network."""
+    """A friction model with its parameters, or a trained network."""
 
     model: str = key("name of the friction model ('friction-hil models' lists them), or network")
     parameters: dict[str, Any] = key(
-        "the model's parameters, SI; 'friction-hil models NAME' describes them", default={}
+        "parameters of the model, SI; 'friction-hil models NAME' describes them", default={}
     )
     modifiers: dict[str, Any] = key(
-        "what changes the friction of any model: direction, viscous, load, temperature, ripple", default={}
+        "modifiers of the friction: direction, viscous, load, temperature, ripple", default={}
     )
-    network: TrainedNetwork | None = key("of the model network: what was trained", default=None)
+    network: TrainedNetwork | None = key("trained network; only for the model network", default=None)
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -117,20 +117,19 @@ class Friction(Section):
             if self.network is not None:
                 return [(("network",), f"belongs to the model {NETWORK}, not to {self.model}")]
             if not self.parameters and "parameters" not in self.model_fields_set:
-                return [(("parameters",), "is missing: the model's parameters, SI")]
+                return [(("parameters",), "is missing: parameters of the model, SI")]
             return friction_mistakes(self.model, self.parameters, self.modifiers)
         if self.network is None:
-            return [(("network",), "is missing: what was trained; 'friction-hil train' writes it")]
+            return [(("network",), "is missing: the trained network, as 'friction-hil train' writes it")]
         if self.parameters:
-            return [(("parameters",), "a network has none; those of the model beside it stand under network.base")]
+            return [(("parameters",), "a network has no parameters; those of its base model belong to network.base")]
         if self.network.base is not None:
-            return [(("modifiers",), "stand under network.base")] if self.modifiers else []
+            return [(("modifiers",), "belong to network.base")] if self.modifiers else []
         own = sorted(set(self.modifiers) - {"viscous", "ripple"})
-        return [(("modifiers", name), "a network alone has no levels that it could change") for name in own]
+        return [(("modifiers", name), "a network without base model has no level to modify") for name in own]
 
     def create(self, axis: Axis) -> FrictionModel:
-        """Make the model, anew at each call."""
-
+        """Create a new model."""
         if self.network is None:
             return friction.create(self.model, modifiers=self.modifiers, axis=axis, **self.parameters)
         base = self.network.base
@@ -149,17 +148,17 @@ class Gravity(Section):
 
 
 class Mechanics(Section):
-    """What the axis is beside its friction."""
+    """Mechanics of the axis apart from friction."""
 
-    inertia: float = key("inertia or mass, seen at the axis", "kg m^2 or kg", default=0.0, ge=0)
-    offset: float = key("constant torque that is no friction", "N m or N", default=0.0)
+    inertia: float = key("inertia or mass of motor and load, at the axis", "kg m^2 or kg", default=0.0, ge=0)
+    offset: float = key("constant torque that is not friction", "N m or N", default=0.0)
     gravity: Gravity = key("torque of gravity", default=Gravity())
-    delay_s: float = key("from commanding a torque to its start", "s", default=0.0, ge=0)
+    delay_s: float = key("time from the command of a torque to its start", "s", default=0.0, ge=0)
     torque_lag_s: float = key("time constant of the torque", "s", default=0.0, ge=0)
 
 
 class ModelFile(Section):
-    """What is known of one axis: its friction model and mechanics."""
+    """Friction model and mechanics of one axis."""
 
     version: Literal[1] = key("version of this format", default=1)
     axis: Literal["rotary", "linear"] = key("rotary: rad, N m; linear: m, N")
@@ -171,12 +170,12 @@ class ModelFile(Section):
 
     @property
     def source_path(self) -> Path | None:
-        """The file that this was loaded from; None for what stood inline."""
+        """Path of the file from which this was loaded; None if it was given inline."""
         return self._source_path
 
     @property
     def friction_model(self) -> FrictionModel:
-        """The friction model, made anew at each call."""
+        """The friction model, a new object at each access."""
         return self.friction.create(self.axis)
 
 
@@ -216,6 +215,6 @@ def friction_mistakes(model: str, parameters: dict[str, Any], modifiers: dict[st
     return mistakes
 
 
-def _steps(place: str) -> list[str | int]:
-    """Turn ``ripple[0].order`` into ``ripple, 0, order``."""
-    return [int(step) if step.isdigit() else step for step in re.findall(r"\w+", place)]
+def _steps(path: str) -> list[str | int]:
+    """Split ``ripple[0].order`` into ``ripple, 0, order``."""
+    return [int(step) if step.isdigit() else step for step in re.findall(r"\w+", path)]

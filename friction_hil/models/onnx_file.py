@@ -1,8 +1,8 @@
-"""A trained network as ONNX, for drives and controllers that run it: one sample, in double precision.
+"""Export of a trained network to ONNX, for drives and controllers: one sample, in double precision.
 
-Inputs are ``velocity``, ``dt`` and what else the network has among its inputs, each of shape (1,), SI, and
-``state``, zero at first; outputs are ``torque`` (1,) and ``next_state``, which is the ``state`` of the next sample.
-The steps of a gated network in a sample are a Loop.
+Inputs are ``velocity``, ``dt`` and the other inputs of the network, each of shape (1,), SI, and ``state``, initially
+zero. Outputs are ``torque`` (1,) and ``next_state``, which is the ``state`` of the next sample. The steps of a gated
+network within a sample are an ONNX Loop.
 """
 
 from pathlib import Path
@@ -14,108 +14,114 @@ from friction_hil.errors import FrictionHilError, UsageError
 from friction_hil.friction import FrictionModel, Network, network
 from friction_hil.numerics.jit import Array
 
-_OPSET, _IR_VERSION = 17, 8  # old enough for controllers
+_OPSET, _IR_VERSION = 17, 8  # old versions, which the runtimes of controllers support
 
 
 def write(model: FrictionModel, path: Path) -> None:
-    """Write the step of a network.
+    """Write the step of a network as an ONNX file.
 
     Parameters
     ----------
     model : FrictionModel
-        Of a network that stands alone.
+        Network without base model and modifiers.
     path : Path
 
     Raises
     ------
     UsageError
-        The package onnx is missing, or the model is no network, or stands beside another or under modifiers.
+        The package onnx is not installed, or the model is not a network, or has a base model or modifiers.
     FrictionHilError
         The file cannot be written.
     """
     try:
-        import onnx
+        import onnx  # imported here: an optional dependency
     except ImportError:
         raise UsageError("ONNX needs another package: pip install 'friction-hil[onnx]'") from None
     if model.network is None or model.network.is_residual or model.modifiers:
-        raise UsageError("only a network that stands alone, without modifiers, can be written as ONNX")
-    graph = _graph(model.network)
-    whole = onnx.helper.make_model(
+        raise UsageError("only a network that stands alone, without base model and modifiers, can be written as ONNX")
+    graph = _make_graph(model.network, _Graph(onnx))
+    proto = onnx.helper.make_model(
         graph, opset_imports=[onnx.helper.make_opsetid("", _OPSET)], producer_name="friction_hil"
     )
-    whole.ir_version = _IR_VERSION
-    onnx.checker.check_model(whole)
+    proto.ir_version = _IR_VERSION
+    onnx.checker.check_model(proto)
     try:
-        path.write_bytes(whole.SerializeToString())
+        path.write_bytes(proto.SerializeToString())
     except OSError as error:
         raise FrictionHilError(f"{path} cannot be written: {error.strerror}") from None
 
 
 class _Graph:
-    """Operations of a graph, each named by its number; within ``outer`` that of the body of a loop in it."""
+    """Operations of a graph; the results are named by consecutive numbers.
 
-    def __init__(self, outer: "_Graph | None" = None) -> None:
+    Parameters
+    ----------
+    onnx : module
+        The package onnx.
+    outer : _Graph, optional
+        Graph that contains this one as the body of a loop; its constants are shared.
+    """
+
+    def __init__(self, onnx: Any, outer: "_Graph | None" = None) -> None:
+        self.onnx = onnx
         self.nodes: list[Any] = []
         self.constants: list[Any] = [] if outer is None else outer.constants
         self._prefix = "r" if outer is None else "s"
 
     def number(self, values: Any, kind: Any = np.float64) -> str:
-        """Name of a constant."""
-        from onnx import numpy_helper
-
+        """Add a constant; return its name."""
         name = f"c{len(self.constants)}"
-        self.constants.append(numpy_helper.from_array(np.atleast_1d(np.asarray(values, dtype=kind)), name))
+        self.constants.append(self.onnx.numpy_helper.from_array(np.atleast_1d(np.asarray(values, dtype=kind)), name))
         return name
 
     def do(self, operation: str, *inputs: str, name: str | None = None, **attributes: Any) -> str:
-        """Name of the result of an operation."""
-        from onnx import helper
-
+        """Add an operation; return the name of its result."""
         result = f"{self._prefix}{len(self.nodes)}" if name is None else name
-        self.nodes.append(helper.make_node(operation, list(inputs), [result], **attributes))
+        self.nodes.append(self.onnx.helper.make_node(operation, list(inputs), [result], **attributes))
         return result
 
+    def value(self, name: str, size: int) -> Any:
+        """Describe an input or output, a vector of ``size`` doubles."""
+        return self.onnx.helper.make_tensor_value_info(name, self.onnx.TensorProto.DOUBLE, [size])
+
     def limited(self, x: str, bound: float) -> str:
-        """``x``, or the nearer one of +-``bound``."""
+        """Limit ``x`` to +-``bound``."""
         return self.do("Max", self.do("Min", x, self.number(bound)), self.number(-bound))
 
     def affine(self, x: str, factor: Any, offset: Any = 0.0) -> str:
-        """Factor x + offset."""
+        """Compute factor x + offset."""
         return self.do("Add", self.do("Mul", x, self.number(factor)), self.number(offset))
 
     def product(self, x: str, matrix: Array) -> str:
-        """Vector (n,) times matrix (n, m): (m,)."""
+        """Multiply a vector (n,) by a matrix (n, m); the result is (m,)."""
         return self.do("MatMul", x, self.number(matrix))
 
     def part(self, x: str, begin: int, end: int) -> str:
-        """Elements of a vector from ``begin`` to before ``end``."""
-        places = (self.number([begin], np.int64), self.number([end], np.int64))
-        return self.do("Slice", x, *places)
+        """Extract the elements of a vector from ``begin`` to before ``end``."""
+        return self.do("Slice", x, self.number([begin], np.int64), self.number([end], np.int64))
 
     def asinh(self, x: str) -> str:
-        """Inverse hyperbolic sine; runtimes have their own in single precision only."""
+        """Compute the inverse hyperbolic sine, which runtimes offer in single precision only."""
         size = self.do("Abs", x)
         root = self.do("Sqrt", self.affine(self.do("Mul", x, x), 1.0, 1.0))
         return self.do("Mul", self.do("Sign", x), self.do("Log", self.do("Add", size, root)))
 
 
 class _Weights:
-    """The weights of a network, taken one group after the other, in the order of `friction_hil.friction.network`."""
+    """Reader of the weights of a network, in the order of `friction_hil.friction.network`."""
 
     def __init__(self, weights: Array) -> None:
-        self._weights, self._at = weights, 0
+        self._weights, self._index = weights, 0
 
     def take(self, *shape: int) -> Array:
-        """Next ``shape`` of them."""
+        """Return the next weights as an array of this shape."""
         count = int(np.prod(shape))
-        self._at += count
-        return self._weights[self._at - count : self._at].reshape(shape)
+        self._index += count
+        return self._weights[self._index - count : self._index].reshape(shape)
 
 
-def _graph(trained: Network) -> Any:
-    from onnx import TensorProto, helper
-
-    structure, p, g = trained.structure, trained.values, _Graph()
+def _make_graph(trained: Network, g: _Graph) -> Any:
+    structure, p = trained.structure, trained.values
     weights = _Weights(trained.weights)
     fed, is_gated = structure.states, structure.kind == "gated"
     remembered = network.MEMORIES if is_gated else network.VELOCITY_FEATURES * structure.lags
@@ -133,73 +139,67 @@ def _graph(trained: Network) -> Any:
         if states:
             g.do("Concat", *states, axis=0, name="next_state")
     g.do("Mul", g.limited(total, trained.bound), g.number(trained.torque_scale), name="torque")
-    outputs = [helper.make_tensor_value_info("torque", TensorProto.DOUBLE, [1])]
-    given = [helper.make_tensor_value_info(name, TensorProto.DOUBLE, [1]) for name in inputs]
+    outputs, given = [g.value("torque", 1)], [g.value(name, 1) for name in inputs]
     if fed + remembered:
-        given.append(helper.make_tensor_value_info("state", TensorProto.DOUBLE, [fed + remembered]))
-        outputs.append(helper.make_tensor_value_info("next_state", TensorProto.DOUBLE, [fed + remembered]))
-    return helper.make_graph(g.nodes, "friction", given, outputs, initializer=g.constants)
+        given.append(g.value("state", fed + remembered))
+        outputs.append(g.value("next_state", fed + remembered))
+    return g.onnx.helper.make_graph(g.nodes, "friction", given, outputs, initializer=g.constants)
 
 
 def _steps(g: _Graph, p: Array, trained: Network, weights: _Weights, features: list[str], others: list[str]) -> str:
-    """Torque of a gated network over its scale, not yet cut off; a loop over the steps of a sample."""
-    from onnx import TensorProto, helper
-
+    """Compute the torque of a gated network over its scale, before it is limited, by a loop over the steps."""
+    helper, types = g.onnx.helper, g.onnx.TensorProto
     steps = g.affine("dt", 1.0 / trained.period_s, 0.5)
     steps = g.do("Floor", g.do("Max", g.do("Min", steps, g.number(float(network.MOST_STEPS))), g.number(1.0)))
     distance = g.do("Div", g.do("Mul", "velocity", "dt"), steps)
     tempo = g.do("Div", g.number(trained.period_s), "dt")
-    body, room = _Graph(g), trained.structure.states + network.MEMORIES
-    carried = {"state": room, "damping": 1, "torque": 1}
+    body = _Graph(g.onnx, outer=g)
+    carried = {"state": trained.structure.states + network.MEMORIES, "damping": 1, "torque": 1}
     state = body.do("Identity", "state_before")
     states, damping, rest = _gated(body, p, trained, weights, features, others, state, distance, tempo)
     body.do("Identity", "goes_on", name="goes_on_after")
     body.do("Concat", *states, axis=0, name="state_after")
     body.do("Add", "damping_before", damping, name="damping_after")
     body.do("Identity", rest, name="torque_after")
-
-    def info(name: str, place: str) -> Any:
-        return helper.make_tensor_value_info(f"{name}_{place}", TensorProto.DOUBLE, [carried[name]])
-
-    flag = [helper.make_tensor_value_info(name, TensorProto.BOOL, []) for name in ("goes_on", "goes_on_after")]
-    number = helper.make_tensor_value_info("step", TensorProto.INT64, [])
+    flag = [helper.make_tensor_value_info(name, types.BOOL, []) for name in ("goes_on", "goes_on_after")]
+    number = helper.make_tensor_value_info("step", types.INT64, [])
     inside = helper.make_graph(
         body.nodes,
         "step",
-        [number, flag[0], *(info(name, "before") for name in carried)],
-        [flag[1], *(info(name, "after") for name in carried)],
+        [number, flag[0], *(g.value(f"{name}_before", size) for name, size in carried.items())],
+        [flag[1], *(g.value(f"{name}_after", size) for name, size in carried.items())],
     )
     starts = ["state", g.number(0.0), g.number(0.0)]
     results = ["next_state", "damping", "rest"]
-    count = g.do("Cast", steps, to=TensorProto.INT64)
+    count = g.do("Cast", steps, to=types.INT64)
     g.nodes.append(helper.make_node("Loop", [count, "", *starts], results, body=inside))
     return g.do("Add", "rest", "damping")
 
 
 def _memories(g: _Graph, trained: Network, past: str, distance: str) -> tuple[str, str]:
-    """Stop and way since the motion began or turned, after the step."""
-    before, way = g.part(past, 0, 1), g.part(past, 1, 2)
+    """Compute the stop and the distance since the start of motion or the last reversal, after the step."""
+    before, travel = g.part(past, 0, 1), g.part(past, 1, 2)
     stop = g.limited(g.do("Add", before, g.affine(distance, 1.0 / trained.stroke)), 1.0)
-    same = g.do("Max", g.do("Mul", g.do("Sign", distance), g.do("Sign", way)), g.number([0.0]))
-    kept = g.do("Add", g.do("Mul", same, way), g.affine(distance, 1.0 / (network.TURN_SHARE * trained.stroke)))
+    same = g.do("Max", g.do("Mul", g.do("Sign", distance), g.do("Sign", travel)), g.number([0.0]))
+    kept = g.do("Add", g.do("Mul", same, travel), g.affine(distance, 1.0 / (network.TURN_FRACTION * trained.stroke)))
     return stop, g.limited(g.do("Mul", kept, g.do("Abs", g.do("Sign", distance))), 1.0)
 
 
 def _inputs(g: _Graph, p: Array, trained: Network, names: list[str]) -> tuple[list[str], list[str]]:
-    """Elements of x before and behind what is remembered; adds to the names of the graph's inputs."""
+    """Compute the velocity features and the other inputs of x; append the names of further graph inputs."""
     structure, limit = trained.structure, trained.speed_limit
     v = g.limited("velocity", limit)
     features = [g.affine(v, 1.0 / limit)]
-    for place in range(2):
-        factor = float(p[network.FEATURE_FACTORS + place])
-        features.append(g.affine(g.asinh(g.affine(v, 1.0 / trained.speeds[place])), factor))
+    for index in range(2):
+        factor = float(p[network.FEATURE_FACTORS + index])
+        features.append(g.affine(g.asinh(g.affine(v, 1.0 / trained.speeds[index])), factor))
     features.append(g.do("Tanh", g.affine(v, 1.0 / trained.speeds[2])))
     others: list[str] = []
     has = (structure.has_position, structure.has_load, structure.has_temperature)
-    for place, name in enumerate(("position", "load_torque", "temperature")):
-        if has[place]:
+    for index, name in enumerate(("position", "load_torque", "temperature")):
+        if has[index]:
             names.append(name)
-            middle, half = p[network.MIDDLES + place], p[network.HALF_RANGES + place]
+            middle, half = p[network.MIDDLES + index], p[network.HALF_RANGES + index]
             others.append(g.limited(g.affine(name, 1.0 / half, -middle / half), 1.0))
     if structure.orders and not structure.has_position:
         names.append("position")
@@ -210,7 +210,7 @@ def _inputs(g: _Graph, p: Array, trained: Network, names: list[str]) -> tuple[li
 
 
 def _layers(g: _Graph, weights: _Weights, trained: Network, x: str, y: str) -> str:
-    """Outputs of the last tanh layer."""
+    """Compute the outputs of the last tanh layer."""
     structure = trained.structure
     width, fed = structure.hidden[0], structure.states
     sums = g.do("Add", g.number(weights.take(width)), g.product(x, weights.take(structure.inputs, width)))
@@ -224,7 +224,7 @@ def _layers(g: _Graph, weights: _Weights, trained: Network, x: str, y: str) -> s
 
 
 def _output(g: _Graph, weights: _Weights, trained: Network, x: str, last: str, y: str = "") -> str:
-    """Output of the last layer and the linear path, of ``y`` too where there is one."""
+    """Compute an output from the last layer and the linear path, which includes ``y`` if it is given."""
     structure = trained.structure
     total = g.do("Add", g.number(weights.take(1)), g.product(last, weights.take(structure.hidden[-1], 1)))
     total = g.do("Add", total, g.product(x, weights.take(structure.inputs, 1)))
@@ -242,10 +242,10 @@ def _gated(
     distance: str,
     tempo: str,
 ) -> tuple[list[str], str, str]:
-    """State after a step, damping and the rest of the torque over its scale."""
+    """Compute the state after a step, the damping, and the rest of the torque, both over the torque scale."""
     fed, count = trained.structure.states, network.VELOCITY_FEATURES
     y = g.part(state, 0, fed)
-    stop, way = _memories(g, trained, g.part(state, fed, fed + network.MEMORIES), distance)
+    stop, travel = _memories(g, trained, g.part(state, fed, fed + network.MEMORIES), distance)
     x = g.do("Concat", *features, stop, *others, axis=0)
     last = _layers(g, weights, trained, x, y)
     each = [g.limited(_output(g, weights, trained, x, last), trained.bound) for _ in range(fed)]
@@ -254,11 +254,11 @@ def _gated(
     direct = g.do("Add", g.number(weights.take(1)), g.product(x, weights.take(trained.structure.inputs, 1)))
     gates = weights.take(fed, network.GATES, network.GATE_WEIGHTS)
     speeds = g.part(x, 0, count)
-    seen = g.do("Mul", stop, g.part(x, count - 1, count))
-    seen = g.do("Concat", g.do("Mul", speeds, speeds), seen, g.do("Abs", way), axis=0)
+    directed = g.do("Mul", stop, g.part(x, count - 1, count))
+    gate_features = g.do("Concat", g.do("Mul", speeds, speeds), directed, g.do("Abs", travel), axis=0)
 
     def gate(number: int, half: float, middle: float) -> str:
-        sums = g.do("Add", g.number(gates[:, number, 0]), g.product(seen, gates[:, number, 1:].T))
+        sums = g.do("Add", g.number(gates[:, number, 0]), g.product(gate_features, gates[:, number, 1:].T))
         return g.do("Exp", g.affine(g.do("Tanh", sums), half, middle))
 
     moved = g.do("Mul", gate(0, p[network.RATE_HALF], p[network.RATE_MIDDLE]), g.do("Abs", distance))
@@ -273,4 +273,4 @@ def _gated(
     if fed > 1:
         ones[-1] = 0.0
     damping = g.do("Mul", damping, g.do("Mul", tempo, g.product(g.do("Sub", after, y), ones)))
-    return [after, stop, way], damping, g.do("Add", direct, g.product(after, ones))
+    return [after, stop, travel], damping, g.do("Add", direct, g.product(after, ones))

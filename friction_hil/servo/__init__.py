@@ -1,1 +1,1 @@
-"""Simulated servo: mechanics with true friction, encoder and cascade control. Pure: no bus, no clock."""
+"""Simulated servo: mechanics with true friction, encoder and cascade control, without bus or clock."""

@@ -1,4 +1,4 @@
-"""The simulated servo's inner loop: drive control, torque lag, mechanics with true friction, encoder."""
+"""Inner loop of the simulated servo: drive control, torque lag, mechanics with true friction, encoder."""
 
 import math
 
@@ -8,8 +8,8 @@ from friction_hil.friction import kernel
 from friction_hil.motion.controller import cascade
 from friction_hil.numerics.jit import Record, compiled
 
-_BALANCE = 1e-12  # relative difference of torque and friction that counts as none
-BRIDGED_PERIODS = 10.0  # of missing targets
+_BALANCE = 1e-12  # relative difference of torque and friction below which they balance
+BRIDGED_PERIODS = 10.0  # of missing targets that are extrapolated
 OFF, QUICK_STOP, CSP, CSV, CST = 0, 2, 8, 9, 10
 
 PLANT = np.dtype(
@@ -21,10 +21,10 @@ PLANT = np.dtype(
         ("stick_velocity", "f8"),
         ("has_brake", "f8"),
         ("step_s", "f8"),
-        ("torque_lag_share", "f8"),  # share of the torque step that arrives within one integration step
+        ("torque_lag_coefficient", "f8"),  # one-pole coefficient of the torque lag at the integration rate
         ("counts_per_unit", "f8"),
         ("steps_per_control", "f8"),
-        ("velocity_filter_share", "f8"),  # one-pole coefficient of the drive's velocity at its loop rate
+        ("velocity_filter_coefficient", "f8"),  # one-pole coefficient of the drive's velocity at its loop rate
         ("friction", "f8", (kernel.PLAIN_ROOM,)),
     ]
 )
@@ -37,7 +37,7 @@ STATE = np.dtype(
         ("friction", "f8", (kernel.STATE_ROOM,)),
         ("mode", "f8"),
         ("period_steps", "f8"),
-        ("phase", "f8"),  # integration steps since the last activation
+        ("phase", "f8"),  # integration steps since the last set-point
         ("control_phase", "f8"),
         ("target0", "f8"),  # the last three targets, oldest first: control points of the interpolation
         ("target1", "f8"),
@@ -50,7 +50,7 @@ STATE = np.dtype(
         ("velocity_demand", "f8"),
         ("torque_demand", "f8"),
         ("counts", "f8"),
-        ("velocity_seen", "f8"),
+        ("velocity_estimate", "f8"),
         ("integral", "f8"),
         ("is_limited", "f8"),
     ]
@@ -59,10 +59,15 @@ STATE = np.dtype(
 
 @compiled
 def interpolate_position(s: Record, u: float, period: float) -> tuple[float, float, float]:
-    """Quadratic B-spline through the last three targets: smooth velocity, 1.5 periods behind the newest.
+    """Evaluate the quadratic B-spline of the last three targets, 1.5 periods behind the newest, smooth in velocity.
 
-    ``u`` counts periods since the activation. Missed targets are bridged at constant velocity, up to
-    `BRIDGED_PERIODS`; after that the demand stands still.
+    ``u`` is the time since the last set-point, in periods. Missing targets are extrapolated at constant velocity for
+    up to `BRIDGED_PERIODS`; after that the demand is constant.
+
+    Returns
+    -------
+    tuple
+        Position, velocity and acceleration.
     """
     r = s[0]
     bend = r.target0 - 2.0 * r.target1 + r.target2
@@ -77,7 +82,7 @@ def interpolate_position(s: Record, u: float, period: float) -> tuple[float, flo
 
 @compiled
 def interpolate_velocity(s: Record, u: float, period: float) -> tuple[float, float]:
-    """Straight line from the last target to the newest over one period, then constant."""
+    """Interpolate linearly from the last target to the newest over one period, then hold; return v and dv/dt."""
     r = s[0]
     if u <= 1.0:
         return r.target1 + u * (r.target2 - r.target1), (r.target2 - r.target1) / period
@@ -86,13 +91,13 @@ def interpolate_velocity(s: Record, u: float, period: float) -> tuple[float, flo
 
 @compiled
 def control(plant: Record, controller: Record, s: Record) -> None:
-    """One sample of the drive's own loops: demands, cascade, torque limit."""
+    """Compute one sample of the drive's own loops: demands, cascade, torque limit."""
     c, r = plant[0], s[0]
     dt = c.steps_per_control * c.step_s
     counts = math.floor(r.position * c.counts_per_unit)
     measured = (counts - r.counts) / (c.counts_per_unit * dt)
     r.counts = counts
-    r.velocity_seen += c.velocity_filter_share * (measured - r.velocity_seen)
+    r.velocity_estimate += c.velocity_filter_coefficient * (measured - r.velocity_estimate)
     position = counts / c.counts_per_unit
 
     period = r.period_steps * c.step_s
@@ -107,7 +112,7 @@ def control(plant: Record, controller: Record, s: Record) -> None:
             demand - position,
             r.velocity_demand,
             acceleration,
-            r.velocity_seen,
+            r.velocity_estimate,
             dt,
             r.torque_limit,
         )
@@ -117,7 +122,7 @@ def control(plant: Record, controller: Record, s: Record) -> None:
         r.velocity_demand = velocity_demand + r.velocity_offset
         r.position_demand += dt * r.velocity_demand
         torque, r.integral = cascade(
-            controller, r.integral, 0.0, r.velocity_demand, acceleration, r.velocity_seen, dt, r.torque_limit
+            controller, r.integral, 0.0, r.velocity_demand, acceleration, r.velocity_estimate, dt, r.torque_limit
         )
         torque += r.torque_offset
     elif r.mode == QUICK_STOP:
@@ -130,7 +135,7 @@ def control(plant: Record, controller: Record, s: Record) -> None:
             r.position_demand - position,
             r.velocity_demand,
             0.0,
-            r.velocity_seen,
+            r.velocity_estimate,
             dt,
             r.torque_limit,
         )
@@ -138,7 +143,7 @@ def control(plant: Record, controller: Record, s: Record) -> None:
         if r.mode == CST:
             torque = r.target2 + r.torque_offset
         r.integral = 0.0
-        r.position_demand, r.velocity_demand = position, r.velocity_seen
+        r.position_demand, r.velocity_demand = position, r.velocity_estimate
     limited = min(max(torque, -r.torque_limit), r.torque_limit)
     r.is_limited = 1.0 if limited != torque else 0.0
     r.torque_demand = limited
@@ -146,10 +151,10 @@ def control(plant: Record, controller: Record, s: Record) -> None:
 
 @compiled
 def advance(plant: Record, controller: Record, s: Record, steps: int) -> None:
-    """Integrate ``steps`` integration steps.
+    """Integrate over ``steps`` integration steps by the semi-implicit Euler method.
 
-    Semi-implicit Euler. A static friction map stops the axis where its velocity would change sign, and holds
-    it there up to the break-away level; a dynamic model has its own presliding.
+    A static friction map stops the axis when its velocity would change sign, and holds it up to the break-away
+    level. A dynamic model has its own presliding.
     """
     c, r = plant[0], s[0]
     kind = int(c.friction_kind)
@@ -160,7 +165,7 @@ def advance(plant: Record, controller: Record, s: Record, steps: int) -> None:
             r.control_phase = c.steps_per_control
         r.control_phase -= 1.0
         r.phase += 1.0
-        r.torque += c.torque_lag_share * (r.torque_demand - r.torque)
+        r.torque += c.torque_lag_coefficient * (r.torque_demand - r.torque)
         if r.mode == OFF and c.has_brake > 0.0:
             r.velocity = 0.0
             continue

@@ -1,4 +1,4 @@
-"""A simulated servo behind plain attributes and methods, all SI. Deterministic: same calls, same bits."""
+"""A simulated servo with plain attributes and methods, in SI units. The same calls give the same bits."""
 
 import math
 
@@ -10,33 +10,33 @@ from friction_hil.servo import plant
 from friction_hil.servo.config import ServoConfig
 
 
-def _place(name: str) -> int:
-    """Index of a field in a flat view of the state."""
+def _field_index(name: str) -> int:
+    """Return the index of a field in a flat view of the state."""
     fields = plant.STATE.fields
     assert fields is not None
     return fields[name][1] // 8
 
 
-_COUNTS = _place("counts")
-_DECELERATION = _place("deceleration")
-_INTEGRAL = _place("integral")
-_IS_LIMITED = _place("is_limited")
-_MODE = _place("mode")
-_PERIOD_STEPS = _place("period_steps")
-_PHASE = _place("phase")
-_POSITION = _place("position")
-_POSITION_DEMAND = _place("position_demand")
-_TARGET0 = _place("target0")
-_TARGET1 = _place("target1")
-_TARGET2 = _place("target2")
-_TORQUE = _place("torque")
-_TORQUE_DEMAND = _place("torque_demand")
-_TORQUE_LIMIT = _place("torque_limit")
-_TORQUE_OFFSET = _place("torque_offset")
-_VELOCITY = _place("velocity")
-_VELOCITY_DEMAND = _place("velocity_demand")
-_VELOCITY_OFFSET = _place("velocity_offset")
-_VELOCITY_SEEN = _place("velocity_seen")
+_COUNTS = _field_index("counts")
+_DECELERATION = _field_index("deceleration")
+_INTEGRAL = _field_index("integral")
+_IS_LIMITED = _field_index("is_limited")
+_MODE = _field_index("mode")
+_PERIOD_STEPS = _field_index("period_steps")
+_PHASE = _field_index("phase")
+_POSITION = _field_index("position")
+_POSITION_DEMAND = _field_index("position_demand")
+_TARGET0 = _field_index("target0")
+_TARGET1 = _field_index("target1")
+_TARGET2 = _field_index("target2")
+_TORQUE = _field_index("torque")
+_TORQUE_DEMAND = _field_index("torque_demand")
+_TORQUE_LIMIT = _field_index("torque_limit")
+_TORQUE_OFFSET = _field_index("torque_offset")
+_VELOCITY = _field_index("velocity")
+_VELOCITY_DEMAND = _field_index("velocity_demand")
+_VELOCITY_OFFSET = _field_index("velocity_offset")
+_VELOCITY_ESTIMATE = _field_index("velocity_estimate")
 
 
 class Servo:
@@ -45,9 +45,9 @@ class Servo:
     Parameters
     ----------
     config : ServoConfig
-        What the servo is.
+        Mechanics, friction, encoder, motor and loops.
     position : float
-        Where it stands at rest when it starts, rad or m.
+        Initial position, at rest, rad or m.
     """
 
     def __init__(self, config: ServoConfig, position: float = 0.0) -> None:
@@ -70,10 +70,10 @@ class Servo:
         c["friction"] = friction.values
         c["stick_velocity"] = friction.parameters.get("stick_velocity", 0.0)
         c["step_s"] = step_s
-        c["torque_lag_share"] = 1.0 if lag == 0.0 else -math.expm1(-step_s / lag)
+        c["torque_lag_coefficient"] = 1.0 if lag == 0.0 else -math.expm1(-step_s / lag)
         c["counts_per_unit"] = self.counts_per_unit
         c["steps_per_control"] = steps_per_control
-        c["velocity_filter_share"] = -math.expm1(
+        c["velocity_filter_coefficient"] = -math.expm1(
             -2.0 * math.pi * config.loops.velocity_filter_hz / config.loops.rate_hz
         )
 
@@ -86,7 +86,7 @@ class Servo:
         k["inertia"] = config.loops.inertia_feedforward * config.mechanics.inertia
 
         self._state = np.zeros(1, plant.STATE)
-        # a flat view of the record: its elements are read and written five times faster than fields by name
+        # a flat view of the record: access by index is five times faster than by field name
         self._s = self._state.view(np.float64)
         self._get = self._s.item
         self._s[_POSITION] = self._s[_POSITION_DEMAND] = position
@@ -105,22 +105,22 @@ class Servo:
         self._s[_PERIOD_STEPS] = steps
 
     def command(self, mode: int, target: float, velocity_offset: float = 0.0, torque_offset: float = 0.0) -> None:
-        """Give the set-point of the next period.
+        """Set the set-point of the next period.
 
         Parameters
         ----------
         mode : int
             8 (CSP): position; 9 (CSV): velocity; 10 (CST): torque; 0: power off, no torque, loops reset.
         target : float
-            Position, velocity or torque, SI; without meaning for mode 0.
+            Position, velocity or torque, SI; ignored in mode 0.
         velocity_offset, torque_offset : float
-            Added to the demands (60B1h, 60B2h).
+            Offsets added to the demands (60B1h, 60B2h).
         """
         s, get = self._s, self._get
         if mode != get(_MODE):
             self._change_mode(mode)
         elif mode == plant.CSP:
-            # targets that did not come lie on the straight line along which the demand went on
+            # missing targets are placed on the straight line that the demand followed in the meantime
             missed = round(get(_PHASE) / get(_PERIOD_STEPS)) - 1
             for _ in range(min(missed, round(plant.BRIDGED_PERIODS))):
                 s[_TARGET0], s[_TARGET1], s[_TARGET2] = (
@@ -133,7 +133,7 @@ class Servo:
         s[_TARGET0], s[_TARGET1], s[_TARGET2] = get(_TARGET1), get(_TARGET2), target
 
     def quick_stop(self, deceleration: float) -> None:
-        """Bring the demanded velocity to zero at ``deceleration`` (> 0, rad/s^2), then hold the position."""
+        """Reduce the demanded velocity to zero at ``deceleration`` (> 0, rad/s^2), then hold the position."""
         s = self._s
         if self._get(_MODE) in (plant.OFF, plant.CST):
             s[_VELOCITY_DEMAND] = self.velocity
@@ -141,7 +141,7 @@ class Servo:
         s[_MODE], s[_DECELERATION] = plant.QUICK_STOP, deceleration
 
     def _change_mode(self, mode: int) -> None:
-        """Start a mode from what the axis does now, so that nothing jumps."""
+        """Start a mode at the present position or velocity, so that the demand does not jump."""
         s = self._s
         start = {plant.CSP: self.position, plant.CSV: self.velocity}.get(mode, 0.0)
         s[_TARGET0] = s[_TARGET1] = s[_TARGET2] = start
@@ -152,67 +152,67 @@ class Servo:
             s[_TORQUE_DEMAND] = 0.0
 
     def advance(self, steps: int) -> None:
-        """Let ``steps`` integration steps pass."""
+        """Simulate ``steps`` integration steps."""
         plant.advance(self._plant, self._controller, self._state, steps)
 
     @property
     def position(self) -> float:
-        """Position as the encoder sees it, in whole counts."""
+        """Position measured by the encoder, quantised to counts, rad or m."""
         return math.floor(self._get(_POSITION) * self.counts_per_unit) / self.counts_per_unit
 
     @property
     def true_position(self) -> float:
-        """Position without quantisation."""
+        """Position without quantisation, rad or m."""
         return self._get(_POSITION)
 
     @property
     def velocity(self) -> float:
-        """Velocity as the drive estimates it for its own loop."""
-        return self._get(_VELOCITY_SEEN)
+        """Velocity that the drive estimates for its own loop, rad/s or m/s."""
+        return self._get(_VELOCITY_ESTIMATE)
 
     @property
     def true_velocity(self) -> float:
-        """Velocity of the mechanics."""
+        """Velocity of the mechanics, rad/s or m/s."""
         return self._get(_VELOCITY)
 
     @property
     def torque(self) -> float:
-        """Torque that acts on the mechanics."""
+        """Motor torque after the torque lag, N m or N."""
         return self._get(_TORQUE)
 
     @property
     def position_demand(self) -> float:
-        """Position that the drive's loops follow now."""
+        """Present position demand of the drive's loops, rad or m."""
         return self._get(_POSITION_DEMAND)
 
     @property
     def velocity_demand(self) -> float:
-        """Velocity that the drive's loops follow now."""
+        """Present velocity demand of the drive's loops, rad/s or m/s."""
         return self._get(_VELOCITY_DEMAND)
 
     @property
     def torque_demand(self) -> float:
-        """Torque asked of the power stage, limited."""
+        """Torque demand after the torque limit, N m or N."""
         return self._get(_TORQUE_DEMAND)
 
     @property
     def following_error(self) -> float:
-        """Demanded minus measured position."""
+        """Demanded minus measured position, rad or m."""
         return self.position_demand - self.position
 
     @property
     def is_at_rest(self) -> bool:
-        """Whether the axis moves by less than one count per control sample, as the drive sees it."""
+        """True if the velocity estimate of the drive is below one count per control sample."""
         return abs(self.velocity) * self.counts_per_unit < self.config.loops.rate_hz
 
     @property
     def is_torque_limited(self) -> bool:
-        """Whether the torque limit cut the demand in the last control sample."""
+        """True if the torque limit reduced the demand in the last control sample."""
         return bool(self._get(_IS_LIMITED))
 
     @property
     def torque_limit(self) -> float:
-        """Bound on the absolute torque demand (6072h), N m."""
+        """Bound on the absolute torque demand (6072h), N m or N."""
         return self._get(_TORQUE_LIMIT)
 
     @torque_limit.setter

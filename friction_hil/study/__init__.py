@@ -1,4 +1,4 @@
-"""What friction does to a servo: the textbook experiments, run with every model. Pure: numbers only.
+"""Textbook experiments on the effects of friction, run with every model. No files, no pictures: numbers only.
 
 >>> from friction_hil import study
 >>> result = study.run(["coulomb", "lugre"])                    # doctest: +SKIP

@@ -1,4 +1,4 @@
-"""Experiment 9: a circle of two equal servo axes, whose reversals leave spikes, without and with compensation."""
+"""Experiment 9: reversal spikes on a circle of two equal servo axes, without and with compensation."""
 
 import math
 
@@ -7,27 +7,27 @@ import numpy as np
 from friction_hil.compensator import Compensator, CompensatorSettings
 from friction_hil.motion.trajectory import circle_path
 from friction_hil.numerics.jit import Array
-from friction_hil.servo.config import Mechanics, ServoConfig, TrueFriction
+from friction_hil.servo.config import ServoConfig, ServoMechanics, TrueFriction
 from friction_hil.servo.plant import CSP
 from friction_hil.servo.servo import Servo
 from friction_hil.study.mass import PERIOD_S
-from friction_hil.study.outcome import Outcome, thin
+from friction_hil.study.result import ExperimentResult, thin
 from friction_hil.study.subjects import matched, servo_levels
 
 RADIUS = 1.0  # rad
 FREQUENCY = 0.5  # Hz
 _LAP = round(1.0 / (FREQUENCY * PERIOD_S))
-_SETTLING = _LAP // 2  # periods from the start, at a reversal, until a lap repeats itself
-_DRIVE_DELAY = 1.5  # periods by which the drive's interpolation is behind its newest target
+_SETTLING = _LAP // 2  # periods from the start, which is at a reversal, until the laps repeat
+_DRIVE_DELAY = 1.5  # delay of the drive's interpolation behind its newest target, periods
 LEVELS_AT = 2.0 * math.pi * FREQUENCY * RADIUS  # rad/s
 
 
-def reversal(name: str, believed: str | None) -> Outcome:
-    """Radius error of one lap, over the angle.
+def reversal(name: str, assumed: str | None) -> ExperimentResult:
+    """Compute the radius error of one lap over the angle.
 
-    Both axes are the same servo a quarter of a lap apart, so that one of them is simulated.
+    Both axes are the same servo a quarter of a lap apart, so that only one is simulated.
     """
-    error = _following_error(name, believed)
+    error = _following_error(name, assumed)
     angle = 2.0 * np.pi * np.arange(_LAP) / _LAP
     x = RADIUS * np.cos(angle) - error
     y = RADIUS * np.sin(angle) - np.roll(error, _LAP // 4)
@@ -36,19 +36,19 @@ def reversal(name: str, believed: str | None) -> Outcome:
         "peak_urad": 1e6 * float(np.abs(radius_error).max()),
         "rms_urad": 1e6 * float(np.sqrt(np.mean(radius_error**2))),
     }
-    return Outcome(facts, {"radius error": thin(angle, radius_error, _LAP)})
+    return ExperimentResult(facts, {"radius error": thin(angle, radius_error, _LAP)})
 
 
-def _following_error(name: str, believed: str | None) -> Array:
-    """Set-point less true position over one lap, from reversal to reversal, (lap,)."""
+def _following_error(name: str, assumed: str | None) -> Array:
+    """Simulate one lap, from reversal to reversal; return set-point minus true position, (lap,), rad."""
     levels = servo_levels(LEVELS_AT)
     friction = matched(name, levels)
     config = ServoConfig(
-        mechanics=Mechanics(axis="rotary"),
+        mechanics=ServoMechanics(axis="rotary"),
         friction=TrueFriction(model=name, parameters=friction.parameters),
     )
-    lead_s = 1.5 * PERIOD_S + config.motor.torque_lag_s  # to the middle of the period in which it acts
-    compensator = None if believed is None else _compensator(believed, config, lead_s)
+    lead_s = 1.5 * PERIOD_S + config.motor.torque_lag_s  # to the middle of the period in which the offset acts
+    compensator = None if assumed is None else _compensator(assumed, config, lead_s)
     path = circle_path(RADIUS, FREQUENCY, 0.0)
     servo = Servo(config, position=RADIUS)
     servo.command(CSP, RADIUS)
@@ -60,7 +60,7 @@ def _following_error(name: str, believed: str | None) -> Array:
         demand = path(time)
         error[k] = demand[0] - servo.true_position
         servo.command(CSP, target, torque_offset=offset)
-        # this period's feedback leads to what the drive is told at the beginning of the next
+        # the feedback of this period determines the command at the beginning of the next
         if compensator is not None:
             ahead = path(time + lead_s)[1]
             feedback = float(k), servo.position, servo.velocity, servo.torque
@@ -70,7 +70,7 @@ def _following_error(name: str, believed: str | None) -> Array:
     return np.roll(error[_SETTLING:], _SETTLING)
 
 
-def _compensator(believed: str, config: ServoConfig, lead_s: float) -> Compensator:
+def _compensator(assumed: str, config: ServoConfig, lead_s: float) -> Compensator:
     settings = CompensatorSettings(
         period_s=PERIOD_S,
         position_resolution=2.0 * math.pi / config.encoder.counts,
@@ -79,4 +79,4 @@ def _compensator(believed: str, config: ServoConfig, lead_s: float) -> Compensat
         gain=1.0,
         fade_s=0.1,
     )
-    return Compensator(matched(believed, servo_levels(LEVELS_AT)), settings)
+    return Compensator(matched(assumed, servo_levels(LEVELS_AT)), settings)

@@ -1,28 +1,28 @@
-"""Experiments in which a force pushes 1 kg: 3 presliding and drift, 6 break-away."""
+"""Experiments 3, presliding and drift, and 6, break-away: a force pushes 1 kg."""
 
 import numpy as np
 
 from friction_hil.numerics.jit import Array
 from friction_hil.study.mass import push
-from friction_hil.study.outcome import Outcome, thin
+from friction_hil.study.result import ExperimentResult, thin
 from friction_hil.study.subjects import REFERENCE, break_away, matched
 
 MASS = 1.0  # kg
-FORCE_SHARE = 0.95  # of the break-away force, in presliding
-DRIFT_SHARES = (0.35, 0.2)  # mean and swing of the force that shakes, of the break-away force
+FORCE_FRACTION = 0.95  # of the break-away force, in presliding
+DRIFT_FRACTIONS = (0.35, 0.2)  # mean and amplitude of the shaking force, as fractions of the break-away force
 DRIFT_CYCLES = 10
 FORCE_RATES = np.geomspace(0.2, 50.0, 9)  # N/s
-DAMPER = 100.0  # N s/m, in presliding: a mass on a spring without any damping rings, and ringing makes it creep
+DAMPER = 100.0  # N s/m, in presliding: without damping the mass would ring and therefore creep
 RATE = 0.1  # N/s, in presliding
 _SHAKING_HZ = 5.0
 _BREAK_AWAY_DT = 1e-4  # s
 _LEAST_SAMPLES = 20_000
 
 
-def presliding(name: str) -> Outcome:
-    """Cycle the force below break-away and watch the mass move; then shake it about a mean force."""
+def presliding(name: str) -> ExperimentResult:
+    """Cycle the force below break-away and record the motion; then shake the mass about a mean force."""
     model = matched(name, REFERENCE)
-    peak = FORCE_SHARE * break_away(name, REFERENCE)
+    peak = FORCE_FRACTION * break_away(name, REFERENCE)
     dt = 2e-4
     turns = peak * np.array([0.0, 1.0, -1.0, 1.0])
     lengths = np.round(np.abs(np.diff(turns)) / (RATE * dt)).astype(int)
@@ -38,29 +38,29 @@ def presliding(name: str) -> Outcome:
         "presliding_loss_uJ": 1e6 * energy,
         "drift_um": 1e6 * float(shaken[-1] - shaken[shaken.size // 2 - 1]),
     }
-    return Outcome(facts, {"force": thin(position, force, 1000), "shaken": thin(time, shaken, 1000)})
+    return ExperimentResult(facts, {"force": thin(position, force, 1000), "shaken": thin(time, shaken, 1000)})
 
 
 def _shake(name: str) -> tuple[Array, Array]:
-    """Time and position under a mean force with a swing, for twice `DRIFT_CYCLES`: the first half settles."""
+    """Simulate twice `DRIFT_CYCLES` of a sinusoidal force with a mean, the first half to settle; return t and x."""
     dt = 1e-4
     period = round(1.0 / (_SHAKING_HZ * dt))
     time = dt * np.arange(1, 2 * DRIFT_CYCLES * period + 1)
-    mean, swing = (share * break_away(name, REFERENCE) for share in DRIFT_SHARES)
+    mean, swing = (fraction * break_away(name, REFERENCE) for fraction in DRIFT_FRACTIONS)
     rise = np.minimum(time * _SHAKING_HZ, 1.0)
     force = mean * rise + swing * rise * np.sin(2.0 * np.pi * _SHAKING_HZ * time)
     return np.asarray(time), push(matched(name, REFERENCE), MASS, np.asarray(force), dt, DAMPER)[0]
 
 
-def break_away_force(name: str) -> Outcome:
-    """Raise the force at several rates and take the largest friction until the mass slides."""
+def break_away_force(name: str) -> ExperimentResult:
+    """Raise the force at several rates; record the largest friction until the mass slides."""
     levels = np.array([_largest_friction(name, rate) for rate in FORCE_RATES])
     facts = {"breakaway_slow_N": float(levels[0]), "breakaway_fast_N": float(levels[-1])}
-    return Outcome(facts, {"force": (FORCE_RATES, levels)})
+    return ExperimentResult(facts, {"force": (FORCE_RATES, levels)})
 
 
 def _largest_friction(name: str, rate: float) -> float:
-    """Largest friction, less the viscous part, under a force that rises to far beyond break-away."""
+    """Return the largest friction minus its viscous part under a force that rises far beyond break-away, N."""
     peak = 2.0 * REFERENCE.static
     samples = max(round(peak / (rate * _BREAK_AWAY_DT)), _LEAST_SAMPLES)
     force = np.linspace(0.0, peak, samples)

@@ -1,10 +1,10 @@
-"""Experiments in which the motion is given and friction is read: 1 static curves, 2 pulse, 4 strain, 5 lag."""
+"""Experiments 1, static curve, 2, pulse, 4, stress and strain, and 5, lag: the friction of a prescribed motion."""
 
 import numpy as np
 
 from friction_hil.friction import FrictionModel, kernel
 from friction_hil.numerics.jit import Array
-from friction_hil.study.outcome import Outcome, thin
+from friction_hil.study.result import ExperimentResult, thin
 from friction_hil.study.subjects import REFERENCE, matched
 
 LAG_RATES = (1.0, 10.0, 25.0)  # rad/s
@@ -13,16 +13,16 @@ _LAG_READ_AT = 1.5 * REFERENCE.stribeck_velocity
 _STRAIN_SPEED = 1e-4  # m/s: slow against the Stribeck velocity
 
 
-def static_curve(name: str) -> Outcome:
-    """Friction at constant velocity."""
+def static_curve(name: str) -> ExperimentResult:
+    """Compute the friction at constant velocity."""
     velocity = np.geomspace(1e-5, 0.1, 300)
     force = matched(name, REFERENCE).steady_state(velocity)
     facts = {"curve_at_slow_N": float(force[0]), "curve_minimum_N": float(force.min())}
-    return Outcome(facts, {"force": (velocity, force)})
+    return ExperimentResult(facts, {"force": (velocity, force)})
 
 
-def velocity_pulse(name: str) -> Outcome:
-    """Forth, rest, back, rest; each change of velocity takes 0.1 s."""
+def velocity_pulse(name: str) -> ExperimentResult:
+    """Move forward, rest, move back, rest; each change of velocity takes 0.1 s."""
     dt = 5e-5
     corners = np.cumsum([0.0, 0.05, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1, 0.1])
     heights = PULSE_VELOCITY * np.array([0, 0, 1, 1, 0, 0, -1, -1, 0, 0])
@@ -35,11 +35,11 @@ def velocity_pulse(name: str) -> Outcome:
         "pulse_overshoot_N": float(force[: end_of_pulse + 1].max()) - sliding,
         "pulse_at_rest_N": float(force[in_rest]),
     }
-    return Outcome(facts, {"force": thin(time, force, 1000), "velocity": thin(time, velocity)})
+    return ExperimentResult(facts, {"force": thin(time, force, 1000), "velocity": thin(time, velocity)})
 
 
-def stress_strain(name: str) -> Outcome:
-    """Friction over a displacement forth and back, with a small loop inside the large one."""
+def stress_strain(name: str) -> ExperimentResult:
+    """Compute the friction over a displacement to and fro, with a small loop inside the large one."""
     dt = 5e-5
     step = _STRAIN_SPEED * dt
     turns = 1e-6 * np.array([0.0, 30.0, -30.0, 0.0, -6.0, 0.0, 30.0])
@@ -55,22 +55,22 @@ def stress_strain(name: str) -> Outcome:
             "stiffness_N_per_um": float((force[20] - force[10]) / (position[20] - position[10])) * 1e-6,
             "small_loop_gap_mN": 1e3 * float(force[closing] - force[leaving]),
         }
-    return Outcome(facts, {"force": thin(position, force, 1200)})
+    return ExperimentResult(facts, {"force": thin(position, force, 1200)})
 
 
-def frictional_lag(name: str) -> Outcome:
-    """Friction over a velocity that swings without changing its sign, at three rates."""
+def frictional_lag(name: str) -> ExperimentResult:
+    """Compute the friction over a velocity that oscillates without changing its sign, at three rates."""
     facts, lines = {}, {}
     model = matched(name, REFERENCE)
     for rate in LAG_RATES:
         width, line = _lag_loop(model, rate)
         facts[f"lag_width_{rate:g}_mN"] = 1e3 * width
         lines[f"{rate:g} rad/s"] = line
-    return Outcome(facts, lines)
+    return ExperimentResult(facts, lines)
 
 
 def _lag_loop(model: FrictionModel, rate: float) -> tuple[float, tuple[Array, Array]]:
-    """Height of the loop at 1.5 Stribeck velocities, and the loop, of the second of two periods."""
+    """Return the height of the loop at 1.5 Stribeck velocities, N, and the loop, of the second of two periods."""
     n = 20_000
     phase = 2.0 * np.pi * np.arange(1, 2 * n + 1) / n - 0.5 * np.pi  # begins and ends at rest
     velocity = REFERENCE.stribeck_velocity * (1.0 + np.sin(phase))
@@ -82,5 +82,5 @@ def _lag_loop(model: FrictionModel, rate: float) -> tuple[float, tuple[Array, Ar
 
 
 def _force(model: FrictionModel, velocity: Array, dt: float) -> Array:
-    """Friction of every sample, by one loop for all models: one of its own for each takes long to compile."""
+    """Compute the friction of every sample, by one loop for all models; one per model would take long to compile."""
     return kernel.run_any(model.kind, model.values, velocity, dt)

@@ -1,4 +1,4 @@
-"""A mass with friction: pushed by a given force, or in a sampled loop with the daemon's compensator. Compiled."""
+"""Compiled simulation of a mass with friction: pushed by a force, or in a sampled loop with the compensator."""
 
 import math
 from dataclasses import dataclass
@@ -13,16 +13,16 @@ from friction_hil.friction.elementary import part
 from friction_hil.numerics.jit import Array, Record, compiled
 
 PERIOD_S = 1e-3
-GAIN = 0.9  # about standstill, where too much compensation makes an axis unstable
-_STEPS = 5  # of integration in a period
+GAIN = 0.9  # below 1, because over-compensation makes an axis unstable near standstill
+_STEPS = 5  # integration steps per period
 _RESOLUTION = 1e-7  # of the encoder, m
-_BALANCE = 1e-12  # relative difference of force and friction that counts as none
+_BALANCE = 1e-12  # relative difference of force and friction below which they balance
 
 MOVED = np.dtype(
     [
         ("kind", "f8"),
         ("friction", "f8", (kernel.PLAIN_ROOM,)),
-        ("friction_state", "f8", (kernel.STATE_ROOM,)),  # in a record, as in the compensator: compiled once for both
+        ("friction_state", "f8", (kernel.STATE_ROOM,)),  # in a record as in the compensator, to share compiled code
         ("is_static", "f8"),
         ("stick_velocity", "f8"),
         ("mass", "f8"),
@@ -33,8 +33,8 @@ MOVED = np.dtype(
         ("integral", "f8"),
         ("derivative", "f8"),
         ("target", "f8"),
-        ("demand", "f8"),  # velocity that the compensator knows, m/s; NaN: none
-        ("is_sampled", "f8"),  # whether there are encoder, controller and compensator
+        ("demand", "f8"),  # demanded velocity for the compensator, m/s; NaN: none
+        ("is_sampled", "f8"),  # 1 with encoder, controller and compensator
         ("is_compensated", "f8"),
         ("resolution", "f8"),
         ("period_s", "f8"),
@@ -47,11 +47,11 @@ _compensate = compensation.step
 
 @compiled
 def _run(moved: Record, settings: Record, state: Record, force: Array, trace: Array) -> None:
-    """Fill ``trace`` with position, velocity, friction and compensation, (4, n), one column a period.
+    """Fill ``trace`` with position, velocity, friction and compensation, (4, n), one column per period.
 
-    Semi-implicit Euler. A static map stops the mass where its velocity would change sign, and where friction
-    balances the force inside its dead band; friction balances the force from then on, up to break-away.
-    ``force`` has one element a period, or one for all.
+    The motion is integrated by the semi-implicit Euler method. A static map stops the mass when its velocity would
+    change sign, and when friction balances the force within the stick band; from then on friction balances the force
+    up to break-away. ``force`` has one element per period, or one for all.
     """
     c = moved[0]
     kind, p, s, steps = int(c.kind), part(c.friction, kernel.HEADER), part(c.friction_state, 0), int(c.steps)
@@ -59,10 +59,10 @@ def _run(moved: Record, settings: Record, state: Record, force: Array, trace: Ar
     stride = 1 if force.shape[0] > 1 else 0
     x, v, friction, integral, command, torque = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(trace.shape[1]):
-        given = command + force[k * stride]  # a command of the last period acts in this one
+        given = command + force[k * stride]  # the command of the last period acts in this one
         if c.is_sampled > 0.0:
             measured = math.floor(x / c.resolution) * c.resolution
-            # it runs where it does not act, too: the controller damps with its velocity estimate
+            # also needed without compensation, because the controller uses its velocity estimate
             torque = c.is_compensated * _compensate(
                 settings, state, float(k), measured, 0.0, 0.0, c.target, c.demand, c.demand, 1.0, 1.0
             )
@@ -86,22 +86,23 @@ def _run(moved: Record, settings: Record, state: Record, force: Array, trace: Ar
 
 
 @dataclass(frozen=True, slots=True)
-class Loop:
-    """What moves the mass, and what a compensator knows of it.
+class ClosedLoop:
+    """Mass, drive and controller of an experiment with a closed loop.
 
     Attributes
     ----------
     mass : float
-        kg.
+        Mass, kg.
     duration_s : float
+        Duration, s.
     spring, pull : float
-        Stiffness, N/m, and speed of the far end, m/s, of a spring at the mass.
+        Stiffness of a spring at the mass, N/m, and speed at which its other end is pulled, m/s.
     pid : (float, float, float)
         Proportional, integral and derivative gain of a position controller, N/m, N/(m s), N s/m.
     target : float
-        Its set-point, m; NaN without a controller.
+        Set-point of the controller, m; NaN without a controller.
     demand : float
-        Velocity at which the compensator knows the mass is meant to move, m/s; NaN where it only measures.
+        Demanded velocity for the compensator, m/s; NaN if the compensator has only the measurement.
     """
 
     mass: float
@@ -114,29 +115,37 @@ class Loop:
 
 
 def push(friction: FrictionModel, mass: float, force: Array, dt: float, damper: float = 0.0) -> Array:
-    """Position, velocity and friction, (3, n), of a mass at rest that ``force``, (n,), begins to push.
+    """Simulate a mass, kg, initially at rest, under a ``force``, (n,), N, with a parallel ``damper``, N s/m.
 
-    ``damper``, N s/m, is beside the friction.
+    Returns
+    -------
+    (3, n) array
+        Position, m, velocity, m/s, and friction, N.
     """
     moved = _moved(friction, mass=mass, damper=damper, period_s=dt, steps=1)
     trace = _trace(moved, friction, friction, force, force.size)
     return trace[:3]
 
 
-def run(friction: FrictionModel, loop: Loop, believed: FrictionModel | None) -> Array:
-    """Position, velocity, friction and compensation, (4, n), one column a period of 1 ms.
+def run(friction: FrictionModel, loop: ClosedLoop, assumed: FrictionModel | None) -> Array:
+    """Simulate a mass in a closed loop.
 
-    The mass is sampled at the beginning of each period through an encoder; PID controller and compensator work
-    in that period, and what they command acts in the next one, as in the daemon. In between the motion is
-    integrated five times finer.
+    An encoder measures the mass at the beginning of each period of 1 ms. Controller and compensator compute their
+    commands in that period, and the commands act in the next one, as in the daemon. The motion is integrated in
+    five steps per period.
 
     Parameters
     ----------
     friction : FrictionModel
-        The one that really acts.
-    loop : Loop
-    believed : FrictionModel or None
-        The one that the compensator evaluates; None: no compensation.
+        Friction that acts on the mass.
+    loop : ClosedLoop
+    assumed : FrictionModel or None
+        Model that the compensator evaluates; None: no compensation.
+
+    Returns
+    -------
+    (4, n) array
+        Position, m, velocity, m/s, friction and compensation, N; one column per period.
     """
     moved = _moved(
         friction,
@@ -149,16 +158,16 @@ def run(friction: FrictionModel, loop: Loop, believed: FrictionModel | None) -> 
         target=loop.target,
         demand=loop.demand,
         is_sampled=1.0,
-        is_compensated=0.0 if believed is None else 1.0,
+        is_compensated=0.0 if assumed is None else 1.0,
         period_s=PERIOD_S,
         steps=_STEPS,
     )
     n = round(loop.duration_s / PERIOD_S)
-    return _trace(moved, friction, friction if believed is None else believed, np.zeros(1), n)
+    return _trace(moved, friction, friction if assumed is None else assumed, np.zeros(1), n)
 
 
 def _moved(friction: FrictionModel, **values: float) -> Record:
-    """Return the `MOVED` record of a mass; the friction is that of a family without modifiers."""
+    """Return the `MOVED` record of a mass; the friction model must have no modifiers."""
     record = np.zeros(1, MOVED)
     c = record[0]
     c["kind"], c["friction"], c["is_static"] = friction.kind, friction.values, friction.family.is_static
@@ -171,11 +180,11 @@ def _moved(friction: FrictionModel, **values: float) -> Record:
     return record
 
 
-def _trace(moved: Record, friction: FrictionModel, believed: FrictionModel, force: Array, n: int) -> Array:
+def _trace(moved: Record, friction: FrictionModel, assumed: FrictionModel, force: Array, n: int) -> Array:
     settings = CompensatorSettings(
         period_s=PERIOD_S, position_resolution=_RESOLUTION, torque_limit=1e3, gain=GAIN, fade_s=PERIOD_S
     )
-    compensator = Compensator(believed, settings)
+    compensator = Compensator(assumed, settings)
     trace = np.empty((4, n))
     state = compensator.state.view(compensation.STATE)
     _run(moved, compensator.record, state, force, trace)

@@ -1,4 +1,4 @@
-"""All experiments with all models."""
+"""Run all experiments with all models."""
 
 import itertools
 from collections.abc import Callable, Sequence
@@ -11,9 +11,9 @@ from friction_hil.study.circle import reversal
 from friction_hil.study.closed_loop import hunting, stick_slip
 from friction_hil.study.given_force import break_away_force, presliding
 from friction_hil.study.given_motion import frictional_lag, static_curve, stress_strain, velocity_pulse
-from friction_hil.study.outcome import Outcome
+from friction_hil.study.result import ExperimentResult
 
-SINGLE: dict[str, Callable[[str], Outcome]] = {
+SINGLE: dict[str, Callable[[str], ExperimentResult]] = {
     "static_curve": static_curve,
     "velocity_pulse": velocity_pulse,
     "presliding": presliding,
@@ -21,105 +21,108 @@ SINGLE: dict[str, Callable[[str], Outcome]] = {
     "frictional_lag": frictional_lag,
     "break_away": break_away_force,
 }
-PAIRED: dict[str, Callable[[str, str | None], Outcome]] = {
+PAIRED: dict[str, Callable[[str, str | None], ExperimentResult]] = {
     "stick_slip": stick_slip,
     "hunting": hunting,
     "reversal": reversal,
 }
 
-Tell = Callable[[str, float], None]
-"""Takes what has been done, and the share of the whole that is done."""
+OnProgress = Callable[[str, float], None]
+"""Receives the name of the finished experiment and the finished fraction of all work."""
 
 
 @dataclass(frozen=True, slots=True)
 class Study:
-    """What all experiments gave.
+    """Results of all experiments.
 
     Attributes
     ----------
     models : tuple of str
-    single : dict of dict of Outcome
-        By experiment and model: those without a closed loop.
-    paired : dict of dict of Outcome
-        By experiment and pair: the model that acts, and the one that compensates it (None: no compensation).
+    single : dict of dict of ExperimentResult
+        Experiments without a closed loop, by experiment and model.
+    paired : dict of dict of ExperimentResult
+        Experiments with a closed loop, by experiment and pair: the model that acts, and the model that the compensator
+        assumes (None: no compensation).
     """
 
     models: tuple[str, ...]
-    single: dict[str, dict[str, Outcome]]
-    paired: dict[str, dict[tuple[str, str | None], Outcome]]
+    single: dict[str, dict[str, ExperimentResult]]
+    paired: dict[str, dict[tuple[str, str | None], ExperimentResult]]
 
     @property
     def facts(self) -> dict[str, dict[str, float]]:
-        """Every number by model and name; names end in the unit."""
+        """All numbers by model and name; the names end with the unit."""
         return {name: self._facts(name) for name in self.models}
 
     def _facts(self, name: str) -> dict[str, float]:
         facts: dict[str, float] = {}
-        for outcomes in self.single.values():
-            facts.update(outcomes[name].facts)
+        for results in self.single.values():
+            facts.update(results[name].facts)
         for experiment, pairs in self.paired.items():
             without = pairs[name, None].facts
             facts.update({f"{experiment}_{fact}": value for fact, value in without.items()})
-            for believed in self.models:
-                with_it = pairs[name, believed].facts
-                facts.update({f"{experiment}_{fact}_with_{believed}": value for fact, value in with_it.items()})
-        for believed in self.models:
-            before, after = (self.paired["reversal"][name, each].facts["peak_urad"] for each in (None, believed))
-            facts[f"reversal_reduction_by_{believed}"] = before / after
+            for assumed in self.models:
+                with_it = pairs[name, assumed].facts
+                facts.update({f"{experiment}_{fact}_with_{assumed}": value for fact, value in with_it.items()})
+        for assumed in self.models:
+            before, after = (self.paired["reversal"][name, each].facts["peak_urad"] for each in (None, assumed))
+            facts[f"reversal_reduction_by_{assumed}"] = before / after
         return facts
 
 
 def check_names(names: Sequence[str] | None) -> tuple[str, ...]:
-    """Return the models to study, each once; all when None.
+    """Return the models to study without repetitions; all models if ``names`` is None.
 
     Raises
     ------
     UsageError
-        No model has that name, or none is named.
+        A name is unknown, or the list is empty.
     """
     if names is None:
         return tuple(models.names())
     if not names:
-        raise UsageError(f"no model is named; there are: {', '.join(models.names())}")
+        raise UsageError(f"the list of models is empty; there are: {', '.join(models.names())}")
     return tuple(models.describe(name).name for name in dict.fromkeys(names))
 
 
-def run(names: Sequence[str] | None = None, tell: Tell = lambda text, share: None, workers: int = 2) -> Study:
+def run(
+    names: Sequence[str] | None = None, on_progress: OnProgress = lambda text, fraction: None, workers: int = 2
+) -> Study:
     """Run all experiments.
 
     Parameters
     ----------
     names : sequence of str, optional
-        Models, each once; all when not given.
-    tell : callable, optional
-        Told after each piece of work.
+        Models; all when not given.
+    on_progress : callable, optional
+        Called after each experiment with each model or pair of models.
     workers : int
-        Threads; the numbers do not depend on it.
+        Number of threads; the results do not depend on it.
 
     Raises
     ------
     UsageError
-        No model has that name.
+        A name is unknown, or the list is empty.
     """
     chosen = check_names(names)
-    single: dict[str, dict[str, Outcome]] = {experiment: {} for experiment in SINGLE}
-    paired: dict[str, dict[tuple[str, str | None], Outcome]] = {experiment: {} for experiment in PAIRED}
+    single: dict[str, dict[str, ExperimentResult]] = {experiment: {} for experiment in SINGLE}
+    paired: dict[str, dict[tuple[str, str | None], ExperimentResult]] = {experiment: {} for experiment in PAIRED}
     pairs = list(itertools.product(chosen, (None, *chosen)))
     done, whole = 0, len(SINGLE) * len(chosen) + len(PAIRED) * len(pairs)
     with ThreadPoolExecutor(workers) as pool:
         try:
             for experiment, one in SINGLE.items():
-                for name, outcome in zip(chosen, pool.map(one, chosen), strict=True):
-                    single[experiment][name] = outcome
+                for name, result in zip(chosen, pool.map(one, chosen), strict=True):
+                    single[experiment][name] = result
                     done += 1
-                    tell(experiment, done / whole)
+                    on_progress(experiment, done / whole)
             for closed_loop, two in PAIRED.items():
-                apply = map if two is reversal else pool.map  # a loop in Python: threads would only wait for each other
-                for pair, outcome in zip(pairs, apply(two, *zip(*pairs, strict=True)), strict=True):
-                    paired[closed_loop][pair] = outcome
+                apply = map if two is reversal else pool.map  # a Python loop holds the lock, so threads do not help
+                for pair, result in zip(pairs, apply(two, *zip(*pairs, strict=True)), strict=True):
+                    paired[closed_loop][pair] = result
                     done += 1
-                    tell(closed_loop, done / whole)
+                    on_progress(closed_loop, done / whole)
         except BaseException:
-            pool.shutdown(cancel_futures=True)  # Ctrl-C is not to wait for all that was planned
+            pool.shutdown(cancel_futures=True)  # otherwise Ctrl-C would wait for all queued work
             raise
     return Study(chosen, single, paired)

@@ -1,4 +1,4 @@
-"""What is put to the test: every friction model, brought to the same levels."""
+"""Models under test: every friction model, scaled to the same levels."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -14,9 +14,10 @@ Example = Mapping[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Levels:
-    """What one axis is known by, whatever the model: SI, rotary (N m, rad) or linear (N, m).
+    """Friction of an axis independently of the model, in SI units, rotary (N m, rad) or linear (N, m).
 
-    ``top_velocity`` is the fastest motion of the experiment, where a law that is not linear meets the viscous one.
+    ``top_velocity`` is the highest velocity of the experiment, at which a nonlinear law gives the same torque as the
+    viscous one.
     """
 
     coulomb: float
@@ -30,11 +31,11 @@ class Levels:
 
     @property
     def presliding(self) -> float:
-        """Natural length of presliding: Coulomb level over stiffness."""
+        """Characteristic length of presliding: Coulomb level over stiffness."""
         return self.coulomb / self.stiffness
 
     def curve(self, velocity: float) -> float:
-        """Steady friction at ``velocity`` >= 0."""
+        """Compute the steady friction at ``velocity`` >= 0."""
         fall = math.exp(-((velocity / self.stribeck_velocity) ** 2))
         return self.coulomb + (self.static - self.coulomb) * fall + self.viscous * velocity
 
@@ -53,7 +54,7 @@ REFERENCE = Levels(
 
 
 def servo_levels(top_velocity: float) -> Levels:
-    """Levels of a typical small servo: those of the example of ``lugre``, N m and rad."""
+    """Return the levels of a small servo, those of the example of ``lugre``, in N m and rad."""
     example = describe("lugre").example
     return Levels(
         coulomb=example["coulomb"],
@@ -68,12 +69,12 @@ def servo_levels(top_velocity: float) -> Levels:
 
 
 def without_viscous(levels: Levels) -> Levels:
-    """The same axis as a compensation should know it that leaves the viscous damping to the axis."""
+    """Return the levels with zero viscous friction, for a compensation that keeps the damping of the axis."""
     return replace(levels, viscous=0.0)
 
 
 def break_away(name: str, levels: Levels) -> float:
-    """Force or torque at which a matched model gives way after a slow rise."""
+    """Return the force or torque at which a matched model breaks away under a slowly rising load."""
     parameters = matched(name, levels).parameters
     if "points" in parameters:
         return float(parameters["points"][0][1])
@@ -81,11 +82,11 @@ def break_away(name: str, levels: Levels) -> float:
 
 
 def matched(name: str, levels: Levels) -> FrictionModel:
-    """Make the model ``name`` with the shape of its family's example and the levels of an axis.
+    """Create the model ``name`` with the levels of an axis and the shape of its family's example.
 
-    Levels, Stribeck velocity, stiffness and damping are those of the axis as far as the model has them. What is
-    left, the shape, comes from the family's example, in the natural units of friction: force in Coulomb levels,
-    length in Coulomb level over stiffness, velocity in Stribeck velocities. Times in seconds stay as they are.
+    Levels, Stribeck velocity, stiffness and damping are those of the axis, as far as the model has them. The other
+    parameters come from the example, scaled by the natural units of friction: the Coulomb level for forces, Coulomb
+    level over stiffness for lengths, and the Stribeck velocity for velocities. Times are not scaled.
     """
     example = describe(name).example
     given = _RECIPES[name](levels, example, _own_levels(example))
@@ -93,7 +94,7 @@ def matched(name: str, levels: Levels) -> FrictionModel:
 
 
 def _own_levels(example: Example) -> Levels:
-    """Levels that an example has, with one in place of what it lacks."""
+    """Return the levels of an example, with 1 for those that it does not have."""
     stiffness = example.get("sigma0", example.get("stiffness", 1.0))
     static = example.get("static", example.get("static_rested", example.get("coulomb", 1.0)))
     return Levels(
@@ -122,16 +123,16 @@ def _stribeck(levels: Levels, example: Example, own: Levels) -> dict[str, Any]:
 
 
 def _karnopp(levels: Levels, example: Example, own: Levels) -> dict[str, Any]:
-    share = example["stick_velocity"] / own.stribeck_velocity
-    return {**_stribeck(levels, example, own), "stick_velocity": share * levels.stribeck_velocity}
+    ratio = example["stick_velocity"] / own.stribeck_velocity
+    return {**_stribeck(levels, example, own), "stick_velocity": ratio * levels.stribeck_velocity}
 
 
 def _armstrong(levels: Levels, example: Example, own: Levels) -> dict[str, Any]:
-    share = (example["static_released"] - own.coulomb) / (example["static_rested"] - own.coulomb)
+    ratio = (example["static_released"] - own.coulomb) / (example["static_rested"] - own.coulomb)
     return {
         "coulomb": levels.coulomb,
         "viscous": levels.viscous,
-        "static_released": levels.coulomb + share * (levels.static - levels.coulomb),
+        "static_released": levels.coulomb + ratio * (levels.static - levels.coulomb),
         "static_rested": levels.static,
         "stribeck_velocity": levels.stribeck_velocity,
         "lag_s": example["lag_s"],
@@ -141,9 +142,9 @@ def _armstrong(levels: Levels, example: Example, own: Levels) -> dict[str, Any]:
 
 
 def _table(levels: Levels, example: Example, own: Levels) -> dict[str, Any]:
-    """The axis's own curve, as it would be measured: at a dozen speeds, closer where it bends."""
-    slow = [share * levels.stribeck_velocity for share in (0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0)]
-    fast = [share * levels.top_velocity for share in (0.25, 0.5, 1.0, 2.0, 4.0)]
+    """Sample the curve of the axis at about a dozen speeds, closer together where it bends."""
+    slow = [factor * levels.stribeck_velocity for factor in (0.0, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5, 2.0, 3.0)]
+    fast = [factor * levels.top_velocity for factor in (0.25, 0.5, 1.0, 2.0, 4.0)]
     speeds = slow + [speed for speed in fast if speed > slow[-1]]
     return {"points": [[speed, levels.curve(speed)] for speed in speeds]}
 
@@ -185,13 +186,13 @@ def _gms(levels: Levels, example: Example, own: Levels) -> dict[str, Any]:
 
 def _bouc_wen(levels: Levels, example: Example, own: Levels) -> dict[str, Any]:
     exponent = example.get("exponent", 1.0)
-    share = example["beta"] / (example["beta"] + example["gamma"])
+    fraction = example["beta"] / (example["beta"] + example["gamma"])
     both = (1.0 / levels.presliding) ** exponent
     return {
         "stiffness": levels.stiffness,
         "A": 1.0,
-        "beta": share * both,
-        "gamma": (1.0 - share) * both,
+        "beta": fraction * both,
+        "gamma": (1.0 - fraction) * both,
         "exponent": exponent,
         "viscous": levels.viscous,
     }

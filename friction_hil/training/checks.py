@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from friction_hil.friction import Structure, network, network_runs
+from friction_hil.friction import NetworkStructure, network, network_runs
 from friction_hil.numerics.jit import Array
 
 REST_S = 600.0
@@ -16,7 +16,7 @@ _APPROACHES = (1.0, -0.03)  # velocities before the rest, of the speed limit
 
 
 def simulate(
-    structure: Structure,
+    structure: NetworkStructure,
     p: Array,
     velocity: Array,
     dt: float,
@@ -65,7 +65,7 @@ class Rest:
     is_steady: bool
 
 
-def at_rest(structure: Structure, p: Array, dt: float, *, seconds: float = REST_S) -> Rest:
+def at_rest(structure: NetworkStructure, p: Array, dt: float, *, seconds: float = REST_S) -> Rest:
     """Let the network come to rest and stay there."""
     samples = max(_PARTS, round(seconds / dt))
     limit, scale = p[network.SPEED_LIMIT], p[network.TORQUE_SCALE]

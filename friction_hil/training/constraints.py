@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from friction_hil.friction import Structure
+from friction_hil.friction import NetworkStructure
 from friction_hil.numerics.jit import Array
 
 CONTRACTIONS = {"gated": 0.8, "narx": 4.0, "static": 1.0}  # 0.98 is half as good for other sampling periods
@@ -28,12 +28,12 @@ class Constraint:
 
     Attributes
     ----------
-    structure : Structure
+    structure : NetworkStructure
     contraction : float
         Largest sum of slopes over what is fed back.
     """
 
-    structure: Structure
+    structure: NetworkStructure
     contraction: float = 0.8
 
     @property

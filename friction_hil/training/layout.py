@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from friction_hil.errors import UsageError
 from friction_hil.friction import network
-from friction_hil.friction.network_model import KINDS, Structure
+from friction_hil.friction.network_model import KINDS, NetworkStructure
 from friction_hil.numerics.jit import Array, compiled
 
 _STROKES = 60  # that are tried
@@ -91,7 +91,7 @@ def join(records: Iterable[Samples]) -> Samples:
     return Samples(all_of[0].dt, *(np.concatenate([getattr(each, name) for each in all_of]) for name in names))
 
 
-def empty(structure: Structure, samples: Samples, speed_factor: float = 1.0) -> Array:
+def empty(structure: NetworkStructure, samples: Samples, speed_factor: float = 1.0) -> Array:
     """Return the parameter array of a network with all weights zero, its scales found from ``samples``.
 
     ``speed_factor`` moves the speeds at which the velocity is compressed.

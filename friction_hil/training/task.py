@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from friction_hil.errors import UsageError, choices
-from friction_hil.friction import FrictionModel, Network, Structure
+from friction_hil.friction import FrictionModel, Network, NetworkStructure
 from friction_hil.friction.network_model import INPUTS
 from friction_hil.numerics.jit import Array
 from friction_hil.training import data, export, physical
@@ -56,16 +56,16 @@ class Wanted:
             if name not in INPUTS:
                 raise UsageError(f"a network has no input {name!r} besides the velocity; {choices(name, INPUTS)}")
 
-    def structures(self) -> list[Structure]:
+    def structures(self) -> list[NetworkStructure]:
         """Structures to try, one after the other; the best by free run on validation is kept."""
         hidden = self.hidden or _HIDDEN[self.structure]
         has_position, has_load, has_temperature = (name in self.inputs for name in INPUTS)
         others = (has_position, has_load, has_temperature)
         if self.structure == "narx":
-            return [Structure("narx", hidden, order, order, *others) for order in _ORDERS]
+            return [NetworkStructure("narx", hidden, order, order, *others) for order in _ORDERS]
         if self.structure == "gated":
-            return [Structure("gated", hidden, states, 0, *others) for states in _STATES]
-        return [Structure("static", hidden, 0, 0, *others)]
+            return [NetworkStructure("gated", hidden, states, 0, *others) for states in _STATES]
+        return [NetworkStructure("static", hidden, 0, 0, *others)]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from friction_hil.errors import UsageError
-from friction_hil.friction import Structure, network
+from friction_hil.friction import NetworkStructure, network
 from friction_hil.numerics.jit import Array
 from friction_hil.training import constraints, levenberg
 from friction_hil.training.checks import Rest, at_rest
@@ -99,7 +99,7 @@ class Trained:
 
     Attributes
     ----------
-    structure : Structure
+    structure : NetworkStructure
     parameters : array
         As `network.step` takes them.
     train, validation : Errors
@@ -120,7 +120,7 @@ class Trained:
         What is to be known before the network is used.
     """
 
-    structure: Structure
+    structure: NetworkStructure
     parameters: Array
     train: Errors
     validation: Errors
@@ -155,7 +155,7 @@ class _Start:
         self.training_record, self.validation_record = (Record(self.p, each) for each in (samples, training.validation))
 
 
-def first_weights(p: Array, structure: Structure, samples: Samples, random: np.random.Generator) -> Array:
+def first_weights(p: Array, structure: NetworkStructure, samples: Samples, random: np.random.Generator) -> Array:
     """Draw small random numbers to start from, with an output that is a static map of the inputs.
 
     A gated network so begins as Dahl's model with a curve for its level.
@@ -183,11 +183,11 @@ def first_weights(p: Array, structure: Structure, samples: Samples, random: np.r
     return searched
 
 
-def _has_room_for_elements(structure: Structure) -> bool:
+def _has_room_for_elements(structure: NetworkStructure) -> bool:
     return len(structure.hidden) == 1 and structure.hidden[0] >= _ELEMENT_UNITS
 
 
-def _draw_elements(structure: Structure, record: Record, searched: Array, random: np.random.Generator) -> None:
+def _draw_elements(structure: NetworkStructure, record: Record, searched: Array, random: np.random.Generator) -> None:
     """Change the weights of the layers and outputs to those of equal elements whose level is the last state.
 
     Its aim is an even curve over the velocity, of two pairs of units, fitted to sliding. One more pair turns the level
@@ -268,7 +268,7 @@ class _StoppedError(Exception):
 class _Training:
     def __init__(
         self,
-        structure: Structure,
+        structure: NetworkStructure,
         samples: Samples,
         validation: Samples,
         seed: int,
@@ -324,7 +324,7 @@ class _Training:
 
 
 def train(
-    structure: Structure,
+    structure: NetworkStructure,
     samples: Samples,
     validation: Samples,
     *,
@@ -340,7 +340,7 @@ def train(
 
     Parameters
     ----------
-    structure : Structure
+    structure : NetworkStructure
     samples, validation : Samples
         The same motion with other weights, for held-out blocks, or different records.
     seed : int

@@ -232,10 +232,14 @@ def test_name_of_a_model_wins_over_a_file_of_that_name(folder, capsys):
 @pytest.mark.parametrize(
     ("words", "status", "message"),
     [
-        (["lugr"], 2, "lugr: there is no such file, and no such friction model; did you mean 'lugre'? There are:"),
+        (
+            ["lugr"],
+            2,
+            "lugr: neither a file nor a friction model of this name exists; did you mean 'lugre'? There are:",
+        ),
         (["lugre:sigma0=1"], 2, "lugre needs coulomb"),
         (["coulomb:coulomb=-1"], 2, "coulomb = -1 is not allowed"),
-        (["coulomb:coulomb={"], 2, "is no YAML"),
+        (["coulomb:coulomb={"], 2, "is not YAML"),
         (["nowhere.yaml"], 2, "nowhere.yaml: cannot be read"),
         (["broken.yaml"], 2, "broken.yaml:4: friction.parameters.coulomb: coulomb: coulomb = -1 is not allowed"),
         (["--draw", "a.png"], 2, "--draw needs a model: friction-hil models lugre --draw a.png"),

@@ -73,8 +73,8 @@ def test_every_key_reaches_the_compensator(given, field, expected):
     [
         ({"velocity": "position"}, "compensation.velocity", "difference"),
         ({"velocity": "tracking"}, "compensation", "tracking needs acceleration"),
-        ({"velocity": "kalman", "inertia": None}, "compensation.velocity", "needs the inertia"),
-        ({"adaptation": {}, "inertia": None}, "compensation.adaptation", "needs the inertia"),
+        ({"velocity": "kalman", "inertia": None}, "compensation.velocity", "needs mechanics.inertia"),
+        ({"adaptation": {}, "inertia": None}, "compensation.adaptation", "needs mechanics.inertia"),
         ({"velocity": "drive", "smoothing": 0.05}, "compensation.smoothing", "cycles"),
         ({"gain_negative": -0.1}, "compensation.gain_negative", "at least 0 and at most 1.5"),
         ({"acceleration": 0.0}, "compensation.acceleration", "above 0"),

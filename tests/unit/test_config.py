@@ -101,7 +101,7 @@ CASES = [
     ("    node: 1", "    node: 10", "axes.x.node", "must be at least 1 and at most 9, not 10"),
     ("    node: 1", "    node: 010", "axes.x.node", "write 10"),
     ("    node: 1", "    nod: 1", "axes.x.nod", "did you mean 'node'?"),
-    ("    node: 1", "    node: 1\n    options: {node: 1}", "axes.x.options", "is no key here"),
+    ("    node: 1", "    node: 1\n    options: {node: 1}", "axes.x.options", "is not a key here"),
     ("    node: 1", "    node: 1\n    gear: 0", "axes.x.gear", "must be above 0 furlong, not 0"),
     ("    node: 1", "    node: 1\n    is_inverted: on", "axes.x.is_inverted", "write true"),
     ("    node: 1", "    node: 1\n    wiring: {pins: [1, a]}", "axes.x.wiring.pins[1]", "whole number"),
@@ -165,7 +165,7 @@ def test_a_driver_without_simulated_drive(path):
     [problem] = problems_in(path, GOOD.replace("    driver: fake\n", "    driver: unsimulated\n"))
     assert (problem.line, problem.field) == (43, "axes.x.simulation")
     assert problem.message.startswith(
-        "simulated drives exist for ascii, canopen, dynamixel, fake, modbus: no driver is called"
+        "there are simulated drives for ascii, canopen, dynamixel, fake, modbus: no driver is called"
     )
 
 
@@ -199,14 +199,14 @@ def test_all_mistakes_are_told_at_once(path):
         (
             {"axes__x__controller": {"position_gain": 1.0, "velocity_gain": 1.0, "integral_hz": 0.0}},
             "axes.x.controller",
-            "belongs to modes cst",
+            "is only for modes cst",
         ),
         (
             {"axes__x__mode": "cst", "axes__x__trajectory": {"kind": "none"}},
             "axes.x.limits.following_error",
-            "none without a set-point",
+            "needs a set-point",
         ),
-        ({"axes__x__shadows": [good()["axes"]["x"]["shadows"][0]] * 2}, "axes.x.shadows[1]", "'plain' already"),
+        ({"axes__x__shadows": [good()["axes"]["x"]["shadows"][0]] * 2}, "axes.x.shadows[1]", "the name 'plain' already"),
         (
             {"axes__x__model__friction__modifiers": {"weather": {}}},
             "axes.x.model.friction.modifiers.weather",
@@ -471,7 +471,7 @@ def test_model_from_argument(tmp_path):
         ("coulomb:coulomb=1e999", "too large"),
         ("coulomb:coulomb=1:30", "not a number"),
         ("coulomb:coulomb=[1,2]", "not a number"),
-        ("coulomb:coulomb=[1", "is no YAML"),
+        ("coulomb:coulomb=[1", "is not YAML"),
         ("coulomb:coulomb=", "is empty"),
     ],
 )

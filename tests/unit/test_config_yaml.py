@@ -182,14 +182,14 @@ def test_anchors_and_merge_keys():
         ("a: &a\n  b: *a\n", 2, "part of"),
         ("a: 1\n<<: 3\n", 2, "merge"),
         ("a: 1\n? [b]\n: 2\n", 2, "a key must be"),
-        ("a: 1\nb: [1,\n", 3, "is no YAML"),
+        ("a: 1\nb: [1,\n", 3, "is not YAML"),
         ("a: 'b\nc: 1\n", 3, "begins in line 1"),
         ("a: b: c\n", 1, "quote"),
         ("a: 1\n b: 2\n", 2, "indentation"),
         ("a: @b\n", 1, "needs quotes"),
         ("a: 1\nb: \x00\n", 2, "U+0000"),
         ("ä: 1\nb: \x07\n", 2, "U+0007"),
-        ("a: \udc80\n", 1, "no character"),
+        ("a: \udc80\n", 1, "invalid character"),
     ],
 )
 def test_mistake(text, line, message):

@@ -13,9 +13,9 @@ from friction_hil.checked_yaml.text import dump, parse, read
 from friction_hil.config import (
     AxisConfig,
     AxisExperiment,
+    AxisLimits,
     Compensation,
     Configuration,
-    Limits,
     Realtime,
     from_dict,
     json_schema,
@@ -107,7 +107,7 @@ def test_the_first_example_lists_every_key():
     for group, model in [
         (value, Configuration),
         (value["realtime"], Realtime),
-        (value["axes"]["x"]["limits"], Limits),
+        (value["axes"]["x"]["limits"], AxisLimits),
         (value["axes"]["x"]["compensation"], Compensation),
         (value["axes"]["x"]["trajectory"], type(axis.trajectory)),
         (value["axes"]["x"]["experiment"], AxisExperiment),

@@ -431,7 +431,7 @@ def test_same_calls_same_bits_however_the_steps_are_cut(orders):
         ({"encoder": {"counts": 0}}, "greater than 0"),
         ({"friction": {"model": "lugree"}}, "did you mean 'lugre'"),
         ({"friction": {"model": "coulomb", "parameters": {"coulomb": -1}}}, "coulomb = -1 is not allowed"),
-        ({"integration_hz": 81_000.0}, "a multiple of loops.rate_hz, not 10.125 times it; 80000 would do"),
+        ({"integration_hz": 81_000.0}, "a multiple of loops.rate_hz, not 10.125 times it; try 80000"),
         ({"integration_hz": 8_000.0}, "is too slow for this friction and inertia; at least"),
         ({"mechanics": {"inertia": 1e-9}}, "is too slow for this friction and inertia"),
         ({"sloth": 1}, "sloth"),

@@ -7,7 +7,7 @@ import pytest
 
 import friction_hil as fh
 from friction_hil.errors import UsageError
-from friction_hil.models import Structure
+from friction_hil.models import NetworkStructure
 from friction_hil.training import physical
 from friction_hil.training.checks import simulate
 from friction_hil.training.excitation import excitation
@@ -74,7 +74,7 @@ def test_several_states_learn_sliding_elements_that_lag():
     motions = [excitation(1.2, DT, 10_000, seed=seed) for seed in range(3)]
     training, validation, unseen = (Samples(DT, velocity, model.simulate(velocity, DT)) for velocity in motions)
     options = Options(starts=2, survivors=1, trial_iterations=10, iterations=15)
-    result = train(Structure(hidden=(10,), states=5), training, validation, options=options)
+    result = train(NetworkStructure(hidden=(10,), states=5), training, validation, options=options)
     error = simulate(result.structure, result.parameters, unseen.velocity, DT) - unseen.torque
     assert np.std(error) < 0.035 * np.std(unseen.torque)
     assert result.rest.is_steady
@@ -87,7 +87,7 @@ def test_a_gated_network_is_good_where_it_runs(seed):
     training = samples(excitation(1.2, DT, 20_000, seed=seed))
     validation = samples(excitation(1.2, DT, 6000, seed=seed + 100))
     options = Options(starts=4, survivors=1, iterations=100)
-    result = train(Structure(hidden=(8,)), training, validation, seed=seed, options=options)
+    result = train(NetworkStructure(hidden=(8,)), training, validation, seed=seed, options=options)
     assert nrmse(result, multisine(seed)) < 0.008
     assert nrmse(result, pulses(seed)) < 0.008
     for dt in (0.5 * DT, 4.0 * DT):
@@ -100,7 +100,7 @@ def test_a_gated_network_is_good_where_it_runs(seed):
 
 def test_a_narx_learns_in_free_run():
     training, validation = samples(excitation(1.2, DT, 8000)), samples(excitation(1.2, DT, 4000, seed=100))
-    result = train(Structure("narx", (7,), 1, 1), training, validation, options=Options(starts=4, iterations=80))
+    result = train(NetworkStructure("narx", (7,), 1, 1), training, validation, options=Options(starts=4, iterations=80))
     assert nrmse(result, multisine(0)) < 0.03
     assert {step.stage for step in result.history} == {"series-parallel", "trial", "parallel"}
     assert result.train.one_step < result.train.free_run
@@ -112,7 +112,7 @@ def test_a_static_network_learns_a_map_of_velocity_and_position():
     torque = 0.1 * np.tanh(velocity / 0.02) * (1.0 + 0.2 * position) + 0.01 * velocity
     held_out = (np.arange(4000) // 250 % 4 == 0).astype(float)
     known = Samples(DT, velocity, torque, position=position, weight=1.0 - held_out)
-    structure = Structure("static", (6,), 0, has_position=True)
+    structure = NetworkStructure("static", (6,), 0, has_position=True)
     result = train(structure, known, known.weighted(held_out), options=Options(starts=3, iterations=60))
     assert result.validation.free_run < 0.04  # the least error of a map of the velocity alone is above 0.15
     assert result.validation.one_step == result.validation.free_run
@@ -137,7 +137,7 @@ def test_models_of_the_library_are_fitted_to_the_samples_that_count():
 def test_the_same_seed_gives_the_same_bits():
     training, validation = small_set()
     first, again, other = (
-        train(Structure(hidden=(4,)), training, validation, seed=s, options=SMALL) for s in (5, 5, 6)
+        train(NetworkStructure(hidden=(4,)), training, validation, seed=s, options=SMALL) for s in (5, 5, 6)
     )
     np.testing.assert_array_equal(first.parameters, again.parameters)
     assert first.history == again.history
@@ -147,7 +147,7 @@ def test_the_same_seed_gives_the_same_bits():
 def test_validation_decides_among_starts_and_iterations():
     training, validation = small_set()
     halved = Samples(DT, validation.velocity, 0.5 * validation.torque)  # the longer the training, the worse it fits
-    result = train(Structure(hidden=(4,)), training, halved, options=SMALL)
+    result = train(NetworkStructure(hidden=(4,)), training, halved, options=SMALL)
     assert result.validation.free_run == min(step.validation_error for step in result.history)
     assert result.history[-1].validation_error > result.validation.free_run
     ends = {step.start: step.validation_error for step in result.history if step.stage == "trial"}
@@ -163,7 +163,7 @@ def test_validation_decides_among_starts_and_iterations():
 def test_another_validation_set_chooses_another_network():
     training, validation = small_set()
     shifted = Samples(DT, validation.velocity, 0.5 * validation.torque)
-    one, two = (train(Structure(hidden=(4,)), training, each, options=SMALL) for each in (validation, shifted))
+    one, two = (train(NetworkStructure(hidden=(4,)), training, each, options=SMALL) for each in (validation, shifted))
     assert not np.array_equal(one.parameters, two.parameters)
 
 
@@ -175,7 +175,7 @@ def test_a_stopped_training_keeps_the_best_so_far():
         seen.append(step)
         return len(seen) < 10
 
-    result = train(Structure(hidden=(4,)), training, validation, options=SMALL, goes_on=goes_on)
+    result = train(NetworkStructure(hidden=(4,)), training, validation, options=SMALL, goes_on=goes_on)
     assert result.is_stopped
     assert result.iterations == 10
     assert result.history == tuple(seen)
@@ -187,13 +187,13 @@ def test_a_network_that_has_not_learned_says_so():
     training, validation = small_set()
     random = np.random.default_rng(0)
     noise = Samples(DT, training.velocity, random.standard_normal(len(training)))
-    result = train(Structure(hidden=(3,)), noise, validation, options=SMALL)
+    result = train(NetworkStructure(hidden=(3,)), noise, validation, options=SMALL)
     assert any("has not learned" in flag for flag in result.flags)
 
 
 def test_what_cannot_be_trained_on_is_refused():
     training, _ = small_set()
     with pytest.raises(UsageError, match="torque that varies"):
-        train(Structure(), training, training.weighted(np.zeros(len(training))))
+        train(NetworkStructure(), training, training.weighted(np.zeros(len(training))))
     with pytest.raises(UsageError, match="one start"):
         Options(starts=1, survivors=2)

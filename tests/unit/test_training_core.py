@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 
 from friction_hil.errors import UsageError
 from friction_hil.friction import network
-from friction_hil.models import Structure
+from friction_hil.models import NetworkStructure
 from friction_hil.training import constraints, gated, jacobian, levenberg, normal
 from friction_hil.training.checks import at_rest, simulate
 from friction_hil.training.excitation import excitation
@@ -19,13 +19,13 @@ from friction_hil.training.objective import Objective, Record
 
 DT = 1e-3
 STRUCTURES = {
-    "gated": Structure(hidden=(5,)),
-    "gated, two states": Structure(hidden=(4,), states=2),
-    "gated, two layers": Structure(hidden=(5, 3), has_position=True, orders=(7.0,)),
-    "narx": Structure("narx", (5,), 2, 1),
-    "narx, two layers": Structure("narx", (3, 6), 1, 2, has_load=True),
-    "static": Structure("static", (6,), 0, has_position=True, has_load=True, has_temperature=True),
-    "static, two layers": Structure("static", (4, 3), 0),
+    "gated": NetworkStructure(hidden=(5,)),
+    "gated, two states": NetworkStructure(hidden=(4,), states=2),
+    "gated, two layers": NetworkStructure(hidden=(5, 3), has_position=True, orders=(7.0,)),
+    "narx": NetworkStructure("narx", (5,), 2, 1),
+    "narx, two layers": NetworkStructure("narx", (3, 6), 1, 2, has_load=True),
+    "static": NetworkStructure("static", (6,), 0, has_position=True, has_load=True, has_temperature=True),
+    "static, two layers": NetworkStructure("static", (4, 3), 0),
 }
 each_structure = pytest.mark.parametrize("structure", STRUCTURES.values(), ids=STRUCTURES.keys())
 finite = st.floats(allow_nan=False, allow_infinity=False)
@@ -290,7 +290,7 @@ def test_at_rest_the_torque_of_a_gated_network_holds_for_ten_minutes():
 
 
 def test_a_limit_cycle_at_rest_is_seen():
-    structure, data = Structure("narx", (2,), 2), samples()
+    structure, data = NetworkStructure("narx", (2,), 2), samples()
     p = empty(structure, data)
     p[-2:] = 1.9 * math.cos(0.1), -0.97  # poles at a radius of 0.985, then
     assert at_rest(structure, p, DT, seconds=5.0).is_steady
@@ -396,7 +396,7 @@ def test_the_search_is_not_changed_by_the_units_of_its_numbers():
 )
 def test_a_wrong_structure_is_refused(arguments, complaint):
     with pytest.raises(UsageError, match=complaint):
-        Structure(**arguments)
+        NetworkStructure(**arguments)
 
 
 def test_wrong_samples_are_refused():

@@ -25,7 +25,7 @@ from scipy.optimize import least_squares
 import friction_hil as fh
 from friction_hil.errors import FrictionHilError
 from friction_hil.friction import network
-from friction_hil.models import Structure
+from friction_hil.models import NetworkStructure
 from friction_hil.models.model_file import ModelFile
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
@@ -43,8 +43,8 @@ from tools.benchmarks.report import Row, against, compare, note
 DT, SAMPLES, TOP_SPEED = 1e-3, 20_000, 1.2
 ROUNDS = 11
 SEEDS, NARX_SEEDS = range(10), range(3)
-GATED, NARX = Structure(hidden=(8,)), Structure("narx", (9,), 1, 1)
-STEP_NETWORK = Structure(hidden=(10,))
+GATED, NARX = NetworkStructure(hidden=(8,)), NetworkStructure("narx", (9,), 1, 1)
+STEP_NETWORK = NetworkStructure(hidden=(10,))
 PYRENN_ITERATIONS = 10  # each takes some 6 s here, and its error is where ours is after one or two by then
 COUNT, TORQUE_NOISE = 2.0 * math.pi / 2**20, 0.01  # rad, and of the torque's standard deviation
 OTHERS: dict[str, dict[str, Any]] = {

@@ -7,7 +7,7 @@ from typing import Literal
 from pydantic import Field, field_validator
 
 from friction_hil.checked_yaml.messages import Mistake
-from friction_hil.checked_yaml.text import Steps
+from friction_hil.checked_yaml.text import FieldPath
 from friction_hil.errors import choices
 from friction_hil_drivers.ascii.checksum import Checksum
 from friction_hil_drivers.ascii.template import FLOAT, NumberField, fields, parse
@@ -222,7 +222,7 @@ class AsciiDescription(Description):
             if covering(part.commands, (message.writes for message in self.messages.values())) is None:
                 yield ("modes", mode), f"no messages write just {', '.join(part.commands)}"
 
-    def _steps(self) -> Iterator[tuple[Steps, Mapping[str, float | None]]]:
+    def _steps(self) -> Iterator[tuple[FieldPath, Mapping[str, float | None]]]:
         """What is written at once, by the key under which that stands; None: any number."""
         yield from ((place, step.write) for place, step in self.steps())
         if self.watchdog is not None:

@@ -8,7 +8,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, field_valida
 
 from friction_hil.checked_yaml.files import read_section
 from friction_hil.checked_yaml.messages import Mistake, refuse
-from friction_hil.checked_yaml.text import Steps, resolve
+from friction_hil.checked_yaml.text import FieldPath, resolve
 from friction_hil.drive import DriveState
 from friction_hil.errors import UsageError, choices
 from friction_hil_drivers.serial_line import protocol
@@ -185,7 +185,7 @@ class Description(Part):
             found["watchdog", "enable"] = self.watchdog.enable
         return found
 
-    def steps(self) -> Iterator[tuple[Steps, Step]]:
+    def steps(self) -> Iterator[tuple[FieldPath, Step]]:
         """All steps there are, each with the way to it."""
         for key, steps in self.sequences.items():
             for k, step in enumerate(steps):
@@ -212,7 +212,7 @@ class Description(Part):
         refuse(self, self._mistakes())
         return self
 
-    def _named(self) -> Iterator[tuple[Steps, str]]:
+    def _named(self) -> Iterator[tuple[FieldPath, str]]:
         """Where a signal is named, and which."""
         yield from ((("states", k), rule.signal) for k, rule in enumerate(self.states))
         yield from ((place, name) for place, step in self.steps() for name in step.write)

@@ -12,7 +12,7 @@ from friction_hil.checked_yaml import text as yaml_text
 from friction_hil.checked_yaml.files import field_name
 from friction_hil.checked_yaml.messages import Mistake, mistakes_of, refuse, validate
 from friction_hil.checked_yaml.section import Section, key
-from friction_hil.checked_yaml.text import Document, Steps
+from friction_hil.checked_yaml.text import Document, FieldPath
 from friction_hil.compensator import Compensator, CompensatorSettings
 from friction_hil.errors import ConfigurationError, Problem, UsageError, choices
 from friction_hil.friction.parameters import InvalidParameterError
@@ -185,7 +185,7 @@ def _with_inherited_keys(value: Any) -> Any:
     return {**value, "drives": {name: {**first, **drive} for name, drive in drives.items()}}
 
 
-def _is_inherited(steps: Steps, document: Document) -> bool:
+def _is_inherited(steps: FieldPath, document: Document) -> bool:
     """Whether a mistake at this place is one of the first drive, which is told there."""
     if len(steps) < 3 or steps[0] != "drives":
         return False
@@ -224,7 +224,7 @@ def _belief_mistakes(grid: Grid) -> Iterator[Mistake]:
         wrong = grid.compensator.model
         yield ("compensator", "model"), f"no friction model is called {wrong!r}; {choices(wrong, known)}"
         return
-    told: set[Steps] = set()
+    told: set[FieldPath] = set()
     for name, condition in grid.conditions.items():
         unused = set(condition.friction.factors)
         for plant in grid.plants:
@@ -242,7 +242,7 @@ def _belief_mistakes(grid: Grid) -> Iterator[Mistake]:
             yield ("conditions", name, "friction", "factors", factor), "is no parameter of any of the models"
 
 
-def _place(grid: Grid, condition: str, error: UsageError) -> Steps:
+def _place(grid: Grid, condition: str, error: UsageError) -> FieldPath:
     """Where a belief that makes no model comes from."""
     belief = grid.conditions[condition].friction
     wrong = error.parameter if isinstance(error, InvalidParameterError) else None

@@ -1,4 +1,4 @@
-"""What an experiment gives: lines to draw, and facts."""
+"""Result of an experiment: facts, and lines to draw."""
 
 from dataclasses import dataclass
 
@@ -8,15 +8,15 @@ from friction_hil.numerics.jit import Array
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
-    """One experiment with one model.
+class ExperimentResult:
+    """Result of one experiment with one model.
 
     Attributes
     ----------
     facts : dict of float
-        By name; the name ends in the unit.
+        Numbers by name; the name ends with the unit.
     lines : dict of ((n,), (n,)) arrays
-        What to draw, x and y, SI.
+        Lines to draw, x and y, SI.
     """
 
     facts: dict[str, float]
@@ -24,7 +24,7 @@ class Outcome:
 
 
 def thin(x: Array, y: Array, most: int = 600) -> tuple[Array, Array]:
-    """Keep ``most`` points at equal distances, with the first and the last: enough for a picture."""
+    """Keep ``most`` equally spaced points including the first and the last, for drawing."""
     if x.size <= most:
         return x, y
     kept = np.linspace(0, x.size - 1, most).round().astype(np.intp)
