@@ -88,7 +88,7 @@ class Compensation(Section):
     @model_validator(mode="after")
     def _check_acceleration(self) -> "Compensation":
         if self.velocity == "tracking" and self.acceleration is None:
-            raise ValueError("velocity: tracking needs the key acceleration, the largest acceleration to follow")
+            raise ValueError("velocity: tracking needs acceleration, the largest acceleration to follow")
         return self
 
 

@@ -103,7 +103,7 @@ def only_driver(configuration: Configuration) -> str:
     for name, other in others:
         if other.driver != axis.driver:
             text = (
-                f"is {other.driver}, but the driver of {first} is {axis.driver}; all axes of a run must have the same "
+                f"is {other.driver}, but that of {first} is {axis.driver}; all axes of a run must have the same "
                 "driver, so write one configuration per driver"
             )
             raise OptionError(name, "driver", text)

@@ -218,7 +218,7 @@ def defaulting(parameter: Parameter, default: float | str) -> Parameter:
 
 
 COULOMB = Parameter("coulomb", "Fc", "N m", "Coulomb level: friction while sliding slowly")
-STATIC = Parameter("static", "Fs", "N m", "break-away level; without a Stribeck hump it may be below coulomb")
+STATIC = Parameter("static", "Fs", "N m", "break-away level; below coulomb it describes an axis without Stribeck hump")
 VISCOUS = Parameter("viscous", "Fv", "N m s/rad", "viscous coefficient", default=0.0)
 STRIBECK_VELOCITY = Parameter(
     "stribeck_velocity",

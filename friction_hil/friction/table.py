@@ -19,7 +19,7 @@ _HEAD = 3  # values before the points: 1 if linear, number of points forward, an
 _INTERPOLATIONS = ("monotone", "linear")
 
 _POINTS = PointList(
-    "points", "(v, F)", "rad/s, N m", "velocity and torque; one direction is used for both", most=2 * MAX_POINTS
+    "points", "(v, F)", "rad/s, N m", "speed and torque; points of one direction serve for both", most=2 * MAX_POINTS
 )
 _INTERPOLATION = Choice(
     "interpolation",

@@ -155,7 +155,7 @@ def test_a_mistake_is_told_with_its_line(path, old, new, field, message):
 def test_a_missing_key_is_told_at_its_parent(path):
     [problem] = problems_in(path, GOOD.replace("      torque: 0.3\n", ""))
     assert (problem.line, problem.field) == (12, "axes.x.limits.torque")
-    assert problem.message.startswith("is missing: bound on abs(compensation)")
+    assert problem.message.startswith("is missing: limit of abs(compensation)")
     [problem] = problems_in(path, GOOD.replace("          coulomb: 0.1\n          strib", "          strib"))
     assert (problem.line, problem.field) == (22, "axes.x.model.friction.parameters.coulomb")
     assert problem.message.startswith("lugre needs coulomb (Coulomb level")
