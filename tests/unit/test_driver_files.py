@@ -145,5 +145,5 @@ def test_axes_of_two_drivers_are_told_by_check_as_by_run(tmp_path, capsys):
         told.append(capsys.readouterr().err)
     line = 1 + path.read_text().splitlines().index("    driver: ascii")
     assert f"{path}:{line}: axes.y.driver: is ascii, but that of x is canopen" in told[0]
-    assert "make a configuration of each driver's axes" in told[0]
+    assert "write one configuration per driver" in told[0]
     assert told[0] in told[1]
