@@ -69,15 +69,15 @@ def _shape(draw: Any, name: str, level: float) -> dict[str, Any]:
         shape["exponent"] = draw(st.sampled_from([1.0, 1.3, 2.0, 3.0]))
         # the settled deflection is a torque of `level` over the stiffness
         yielding = shape["A"] * (shape["stiffness"] / level) ** shape["exponent"]
-        share = draw(st.floats(0.5, 1.0))  # gamma <= beta, where it dissipates
-        shape |= {"beta": share * yielding, "gamma": (1.0 - share) * yielding}
+        fraction = draw(st.floats(0.5, 1.0))  # gamma <= beta, where it dissipates
+        shape |= {"beta": fraction * yielding, "gamma": (1.0 - fraction) * yielding}
     return shape
 
 
 def _elements(draw: Any, level: float) -> dict[str, Any]:
     count = draw(st.integers(2, 6))
     shares = [draw(st.floats(0.05, 1.0)) for _ in range(count)]
-    weights = [share / sum(shares) for share in shares]
+    weights = [fraction / sum(shares) for fraction in shares]
     stiffness = [level * weight / draw(decades(1e-5, 1e-2)) for weight in weights]
     return {"weight": weights, "stiffness": stiffness, "attraction": level * draw(decades(1.0, 1e3))}
 
@@ -171,7 +171,7 @@ def again(model: fh.models.FrictionModel, changes: dict[str, Any] | None = None,
 
 
 def mirrored(model: fh.models.FrictionModel) -> Any:
-    """The model that a mirror shows: its torque over opposite inputs is the opposite torque."""
+    """The mirrored model: opposite inputs give the opposite torque."""
     changes: dict[str, Any] = {}
     modified: dict[str, Any] = {}
     if model.name == "table":
@@ -227,7 +227,7 @@ class Motion:
             yield float(v), float(dt), {name: float(values[k]) for name, values in self.inputs.items()}
 
     def opposite(self) -> "Motion":
-        """The same motion the other way round; temperature stays."""
+        """The same motion in the opposite direction; the temperature is unchanged."""
         turned = {name: values if name == "temperature" else -values for name, values in self.inputs.items()}
         return Motion(-self.velocity, self.dt, turned)
 

@@ -1,4 +1,4 @@
-"""Drives for tests of the loop: simulated servos behind the drive port, without any bus. Time is stepped."""
+"""Drives for tests of the loop: simulated servos behind the drive port, without a bus, in stepped time."""
 
 import math
 import os
@@ -10,21 +10,14 @@ from friction_hil.daemon.loop import Loop, LoopResult, LoopSettings
 from friction_hil.daemon.realtime import SteppedClock
 from friction_hil.daemon.stop import StopRequest
 from friction_hil.drive import AxisFacts, Command, DriveState, Feedback, Mode, Request
+from friction_hil.friction import describe
 from friction_hil.motion.trajectory import PathTime
 from friction_hil.recordings import columns
 from friction_hil.servo.config import ServoConfig
 from friction_hil.servo.servo import Servo
 
 PERIOD_S = 1e-3
-TRUE_FRICTION = {
-    "sigma0": 2000.0,
-    "sigma1": 1.0,
-    "sigma2": 2e-3,
-    "coulomb": 0.08,
-    "static": 0.12,
-    "stribeck_velocity": 0.2,
-    "damping_velocity": 0.2,
-}
+TRUE_FRICTION = dict(describe("lugre").example)
 
 
 def axis_dict(**changes):

@@ -81,7 +81,7 @@ def check_names(names: Sequence[str] | None) -> tuple[str, ...]:
     if names is None:
         return tuple(models.names())
     if not names:
-        raise UsageError(f"the list of models is empty; there are: {', '.join(models.names())}")
+        raise UsageError(f"no model is named; there are: {', '.join(models.names())}")
     return tuple(models.describe(name).name for name in dict.fromkeys(names))
 
 

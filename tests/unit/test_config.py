@@ -1,4 +1,4 @@
-"""Configurations and model files: what is accepted, and what is said of what is not."""
+"""Configurations and model files: correct ones are accepted, and mistakes are reported."""
 
 import copy
 import json
@@ -139,7 +139,7 @@ CASES = [
 
 
 @pytest.mark.parametrize(("old", "new", "field", "message"), CASES)
-def test_a_mistake_is_told_with_its_line(path, old, new, field, message):
+def test_a_mistake_is_reported_with_its_line(path, old, new, field, message):
     assert GOOD.count(f"{old}\n") == 1
     problems = problems_in(path, GOOD.replace(f"{old}\n", f"{new}\n"))
     [problem] = [problem for problem in problems if problem.field == field]
@@ -152,7 +152,7 @@ def test_a_mistake_is_told_with_its_line(path, old, new, field, message):
     assert problem.line == expected
 
 
-def test_a_missing_key_is_told_at_its_parent(path):
+def test_a_missing_key_is_reported_at_its_parent(path):
     [problem] = problems_in(path, GOOD.replace("      torque: 0.3\n", ""))
     assert (problem.line, problem.field) == (12, "axes.x.limits.torque")
     assert problem.message.startswith("is missing: limit of abs(compensation)")
@@ -169,9 +169,9 @@ def test_a_driver_without_simulated_drive(path):
     )
 
 
-def test_all_mistakes_are_told_at_once(path):
+def test_all_mistakes_are_reported_at_once(path):
     text = GOOD
-    places = set()
+    lines = set()
     for old, new in [
         ("period_s: 1e-3", "period_s: 0"),
         ("    node: 1", "    node: 0"),
@@ -183,9 +183,9 @@ def test_all_mistakes_are_told_at_once(path):
         ("  priority: 0", "  priority: 0\n  priority: 1"),
     ]:
         text = text.replace(f"{old}\n", f"{new}\n", 1)
-        places.add(text.split("\n").index(new.split("\n")[-1]) + 1)
+        lines.add(text.split("\n").index(new.split("\n")[-1]) + 1)
     problems = problems_in(path, text)
-    assert {problem.line for problem in problems} == places | {GOOD.split("\n").index("        parameters:") + 1}
+    assert {problem.line for problem in problems} == lines | {GOOD.split("\n").index("        parameters:") + 1}
     assert [problem.line for problem in problems] == sorted(problem.line for problem in problems)
     assert problems[-1].message.startswith("is given twice")
 
@@ -206,7 +206,11 @@ def test_all_mistakes_are_told_at_once(path):
             "axes.x.limits.following_error",
             "needs a set-point",
         ),
-        ({"axes__x__shadows": [good()["axes"]["x"]["shadows"][0]] * 2}, "axes.x.shadows[1]", "the name 'plain' already"),
+        (
+            {"axes__x__shadows": [good()["axes"]["x"]["shadows"][0]] * 2},
+            "axes.x.shadows[1]",
+            "'plain' already",
+        ),
         (
             {"axes__x__model__friction__modifiers": {"weather": {}}},
             "axes.x.model.friction.modifiers.weather",
@@ -253,6 +257,8 @@ def test_what_fits_together(changes):
     assert list(config.axes) == list(given["axes"])
     assert config.axes["x"].mode == given["axes"]["x"]["mode"]
     assert config.axes["x"].trajectory.kind == given["axes"]["x"]["trajectory"]["kind"]
+    values = self_contained(config)
+    assert self_contained(from_dict(values, "test")) == values
 
 
 def test_further_keys_of_an_interface_are_kept_for_python_can():
@@ -262,10 +268,10 @@ def test_further_keys_of_an_interface_are_kept_for_python_can():
 
 @given(st.data())
 @settings(deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=60)
-def test_a_wrong_value_is_told_in_its_own_line(tmp_path, data):
+def test_a_wrong_value_is_reported_in_its_own_line(tmp_path, data):
     values = good()
-    places = [steps for steps in leaves(values) if steps != ("axes", "x", "shadows", 0, "name")]
-    steps = data.draw(st.sampled_from(places))
+    paths = [steps for steps in leaves(values) if steps != ("axes", "x", "shadows", 0, "name")]
+    steps = data.draw(st.sampled_from(paths))
     replace(values, steps, {"what": "is this"})
     text = yaml.safe_dump(values, default_flow_style=False, sort_keys=False)
     problems = problems_in(tmp_path / "axis.yaml", text)
@@ -277,8 +283,8 @@ def test_a_wrong_value_is_told_in_its_own_line(tmp_path, data):
         else:
             [(name, node)] = [(name, value) for name, value in node.value if name.value == step]
             line = name.start_mark.line + 1
-    told = {problem.line for problem in problems}
-    assert told & {line, line + 1}, f"line {line}: {problems}"
+    reported = {problem.line for problem in problems}
+    assert reported & {line, line + 1}, f"line {line}: {problems}"
 
 
 def leaves(value, steps=()):
@@ -314,11 +320,11 @@ ANYTHING = st.recursive(
 )
 
 
-def every_place(value, steps=()):
+def every_path(value, steps=()):
     items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
     for key, item in items:
         yield (*steps, key)
-        yield from every_place(item, (*steps, key))
+        yield from every_path(item, (*steps, key))
 
 
 @given(st.data())
@@ -326,19 +332,19 @@ def every_place(value, steps=()):
 def test_a_mutated_configuration_loads_or_has_mistakes_with_lines(tmp_path, data):
     values = good()
     for _ in range(data.draw(st.integers(1, 3))):
-        steps = data.draw(st.sampled_from(list(every_place(values)) or [("axes",)]))
+        steps = data.draw(st.sampled_from(list(every_path(values)) or [("axes",)]))
         kind = data.draw(st.sampled_from(["replace", "remove", "add"]))
-        place = values
+        container = values
         for step in steps[:-1]:
-            place = place[step]
+            container = container[step]
         if kind == "replace":
-            place[steps[-1]] = data.draw(ANYTHING)
+            container[steps[-1]] = data.draw(ANYTHING)
         elif kind == "remove":
-            del place[steps[-1]]
-        elif isinstance(place, dict):
-            place[data.draw(st.text(max_size=5))] = data.draw(ANYTHING)
+            del container[steps[-1]]
+        elif isinstance(container, dict):
+            container[data.draw(st.text(max_size=5))] = data.draw(ANYTHING)
         else:
-            place.append(data.draw(ANYTHING))
+            container.append(data.draw(ANYTHING))
     text = dump(values)
     path = tmp_path / "mutated.yaml"
     path.write_text(text)

@@ -1,4 +1,4 @@
-"""Mistakes in the friction of a model file: each is told with its line, its place and what would be right."""
+"""Mistakes in the friction of a model file: each is reported with its line, its field and what is expected."""
 
 import pytest
 
@@ -41,10 +41,16 @@ def test_what_is_right_is_loaded_as_it_stands(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("right", "wrong", "line", "place", "words"),
+    ("right", "wrong", "line", "field", "words"),
     [
         ("[0.4, 0.6]", "[0.4, 0.7]", 7, "parameters.weight", "sum to 1.1, not to 1"),
-        ("[0.4, 0.6]", "[1.0]", 7, "parameters.weight", "has 1 elements (fraction of the level that each element carries"),
+        (
+            "[0.4, 0.6]",
+            "[1.0]",
+            7,
+            "parameters.weight",
+            "has 1 elements (fraction of the level that",
+        ),
         ("[100.0, 50.0]", "[100.0, -50.0]", 6, "parameters.stiffness", "stiffness[1] = -50 is not allowed"),
         ("    attraction: 1.0\n", "", 5, "parameters.attraction", "gms needs attraction"),
         ("coulomb: 1.1", "coulom: 1.1", 14, "modifiers.direction.positive.coulom", "did you mean 'coulomb'"),
@@ -54,9 +60,9 @@ def test_what_is_right_is_loaded_as_it_stands(tmp_path):
         ("    load:", "    loads:", 15, "modifiers.loads", "did you mean 'load'"),
     ],
 )
-def test_a_mistake_is_told_with_its_line(tmp_path, right, wrong, line, place, words):
+def test_a_mistake_is_reported_with_its_line(tmp_path, right, wrong, line, field, words):
     assert right in TEXT
     with pytest.raises(ConfigurationError) as caught:
         load(tmp_path, TEXT.replace(right, wrong))
-    assert f"axis.yaml:{line}: friction.{place}" in str(caught.value)
+    assert f"axis.yaml:{line}: friction.{field}" in str(caught.value)
     assert words in str(caught.value)

@@ -1,4 +1,4 @@
-"""YAML text to values: the core schema of YAML 1.2, lines, and what must not get through."""
+"""Conversion of YAML text to values: the core schema of YAML 1.2, line numbers, and refused input."""
 
 import math
 import re
@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from friction_hil.checked_yaml import text as yaml_text
 from friction_hil.errors import ConfigurationError
 
-# The table of section 10.3.2 of the YAML 1.2.2 specification, as it stands there.
+# The table of section 10.3.2 of the YAML 1.2.2 specification.
 SPECIFICATION = [
     (r"null|Null|NULL|~", lambda text: None),
     (r"", lambda text: None),
@@ -198,7 +198,7 @@ def test_mistake(text, line, message):
     assert message in found
 
 
-def test_several_mistakes_are_told_at_once():
+def test_several_mistakes_are_reported_at_once():
     assert [line for line, _ in mistakes("a: 1\na: 2\nb: !x 3\nc: 1e999\n")] == [2, 3, 4]
 
 

@@ -1,4 +1,4 @@
-"""The configurations that are shipped load, say the truth, and fit the schema that is shipped with them."""
+"""The example configurations can be loaded, their comments are correct, and they agree with the schema."""
 
 import json
 import re
@@ -129,7 +129,7 @@ def test_the_demo_is_a_circle_with_wrong_parameters():
     axes = load(DIRECTORY / "demo.yaml").axes
     assert list(axes) == ["x", "y"]
     for axis in axes.values():
-        believed, true = axis.model.friction_model, axis.simulation.friction
+        assumed, true = axis.model.friction_model, axis.simulation.friction
         shared = ("coulomb", "static", "stribeck_velocity")
-        ratios = [believed.parameters[name] / true.parameters[name] for name in shared]
+        ratios = [assumed.parameters[name] / true.parameters[name] for name in shared]
         assert all(0.09 <= abs(ratio - 1.0) <= 0.21 for ratio in ratios), ratios

@@ -106,8 +106,8 @@ def test_fact_1_constant_velocity_settles_on_the_stribeck_curve(name):
     np.testing.assert_allclose(model.steady_state(v), curve, rtol=1e-12)
 
 
-def plastic_way(share, ratio):
-    """Travel of quasi-static elasto-plastic bristles up to a share of break-away (Dupont et al., 2002)."""
+def plastic_travel(fraction, ratio):
+    """Travel of quasi-static elasto-plastic bristles up to a fraction of break-away (Dupont et al., 2002)."""
 
     def slope(z):
         if z <= ratio:
@@ -115,14 +115,14 @@ def plastic_way(share, ratio):
         alpha = 0.5 * math.sin(math.pi * (z - 0.5 * (1.0 + ratio)) / (1.0 - ratio)) + 0.5
         return 1.0 / (1.0 - alpha * z)
 
-    return quad(slope, 0.0, share, points=[ratio])[0]
+    return quad(slope, 0.0, fraction, points=[ratio])[0]
 
 
 @pytest.mark.parametrize(
     ("name", "reach"),
     [
         ("lugre", -1.5e-5 * math.log(0.05)),
-        ("elasto_plastic", 1.5e-5 * plastic_way(0.95, 0.7)),
+        ("elasto_plastic", 1.5e-5 * plastic_travel(0.95, 0.7)),
         ("gms", (1.425 - 1.5 * 0.6) * 30e-6 / 0.4),  # three of four elements slip
     ],
 )
@@ -136,7 +136,7 @@ def test_fact_2_presliding_is_small_and_has_hysteresis(name, reach):
     assert np.abs(x).max() == pytest.approx(reach, rel=0.1)
     down, up = np.flatnonzero(np.abs(force) < dt / 2)[1:3]
     assert x[down] > 0.2 * reach  # at no force it lies where it was pushed to
-    assert x[up] < x[down] - 0.2 * reach  # another place on the way back
+    assert x[up] < x[down] - 0.2 * reach  # the position differs on the return
 
 
 @pytest.mark.parametrize("name", ["lugre", "elasto_plastic", "gms", "armstrong", "stribeck"])
@@ -242,7 +242,7 @@ def test_fact_5_stick_slip_needs_a_falling_curve(name, sticks):
     for k in range(100_000):  # 40 s at the end of a spring that is pulled at 0.1 m/s
         mass.push(2.0 * (0.1 * k * dt - mass.x), dt)
     x, v = mass.column(0)[50_000:], mass.column(1)[50_000:]
-    stuck = np.abs(x[250:] - x[:-250]) < 1e-4  # no way in 0.1 s; pulled along it would be 10 mm
+    stuck = np.abs(x[250:] - x[:-250]) < 1e-4  # no travel in 0.1 s; moving with the pull it would be 10 mm
     starts = np.count_nonzero(np.diff(stuck.astype(int)) == -1)
     if sticks:
         assert starts >= 2
@@ -283,8 +283,8 @@ def test_fact_6_dahl_saturates_without_overshoot_and_lugre_overshoots_when_it_ac
 
 def along(name, turns, speed=1e-4, step=1e-8):
     """Torque over a path through the turning points ``turns`` at one speed, one sample every ``step``."""
-    ways = np.round(np.diff([0.0, *turns]) / step).astype(int)
-    v = np.concatenate([np.full(abs(way), math.copysign(speed, way)) for way in ways])
+    lengths = np.round(np.diff([0.0, *turns]) / step).astype(int)
+    v = np.concatenate([np.full(abs(length), math.copysign(speed, length)) for length in lengths])
     return np.cumsum(v / speed), on_axis(name).simulate(v, step / speed)
 
 
@@ -305,14 +305,14 @@ def test_fact_7_only_gms_remembers_the_major_loop_when_a_minor_loop_closes(name)
 
 @pytest.mark.parametrize("name", ["elasto_plastic", "lugre"])
 def test_presliding_under_a_swinging_force_does_not_drift_with_elasto_plastic_bristles(name):
-    """Dupont et al., 2002: below break-away nothing may creep; LuGre creeps a little with every swing."""
+    """Dupont et al., 2002: below break-away a model must not drift; LuGre drifts a little in every cycle."""
     mass, dt = mass_on(name), 2e-4
     force = 0.5 + 0.4 * np.sin(2.0 * np.pi * 10.0 * dt * np.arange(20_000))
     force[:500] *= np.linspace(0.0, 1.0, 500)
     for one in force:  # 40 swings up to 0.9 N, below the elastic limit of 1.05 N
         mass.push(float(one), dt)
-    places = mass.column(0)[2499::500]  # once a swing
-    drift = np.diff(places)
+    positions = mass.column(0)[2499::500]  # once a swing
+    drift = np.diff(positions)
     if name == "elasto_plastic":
         assert np.abs(drift).max() < 1e-12
         assert np.ptp(mass.column(0)[-500:]) == pytest.approx(0.8e-5, rel=0.05)  # it swings like a spring
@@ -325,9 +325,9 @@ def test_fact_8_constant_bristle_damping_is_passive_up_to_its_bound(speed, is_pa
     """sigma1 <= 4 g / v, that is 12.6 mm/s. The bristles enter deflected as far as a standstill can leave them."""
     dt = 1e-8
     worst = math.inf
-    for share in np.linspace(-1.0, 1.0, 201):
+    for fraction in np.linspace(-1.0, 1.0, 201):
         runner = on_axis("lugre", sigma2=0.0).start("simulation")
-        before = share * REFERENCE["static"] / REFERENCE["sigma0"]
+        before = fraction * REFERENCE["static"] / REFERENCE["sigma0"]
         runner.state[0] = before
         supplied = runner.step(speed, dt) * speed * dt
         stored = 0.5 * REFERENCE["sigma0"] * (runner.state[0] ** 2 - before**2)
@@ -368,7 +368,7 @@ def test_fact_10_oddness_is_exact_on_a_long_rough_history(name):
 @pytest.mark.parametrize("name", ["coulomb", "karnopp", "power_law", "stribeck"])
 @pytest.mark.parametrize("last", [0.0, 0.01, -0.01])
 def test_at_rest_each_direction_has_its_own_break_away_level(name, last):
-    """Whichever way it moved before: friction opposes the applied torque."""
+    """Friction opposes the applied torque, independently of the last direction of motion."""
     level = "coulomb" if name == "power_law" else "static"
     sides = {"positive": {level: 1.8}, "negative": {level: 1.6}}
     model = fh.models.create(name, **AXIS[name], modifiers={"direction": sides})

@@ -1,4 +1,4 @@
-"""Friction models: their properties, against oracles that know nothing of the implementation."""
+"""Properties of friction models, compared with oracles that are independent of the implementation."""
 
 import math
 
@@ -14,15 +14,7 @@ from friction_hil.errors import ConfigurationError, UsageError
 from friction_hil.friction.parameters import Choice
 from friction_hil.models import InvalidParameterError
 
-LUGRE = {
-    "sigma0": 2000.0,
-    "sigma1": 1.0,
-    "sigma2": 2e-3,
-    "coulomb": 0.08,
-    "static": 0.12,
-    "stribeck_velocity": 0.2,
-    "damping_velocity": 0.2,
-}
+LUGRE = dict(fh.models.describe("lugre").example)
 checked = settings(max_examples=60, deadline=None)  # the first example may compile
 NAMES = ("coulomb", "dahl", "lugre", "stribeck")
 
@@ -59,7 +51,7 @@ def models(draw, names=NAMES):
 
 
 def curve(parameters, v):
-    """Stribeck curve, written once more."""
+    """Stribeck curve, implemented independently."""
     fall = np.exp(-((np.abs(v) / parameters["stribeck_velocity"]) ** parameters.get("stribeck_exponent", 2.0)))
     return parameters["coulomb"] + (parameters["static"] - parameters["coulomb"]) * fall
 
@@ -124,11 +116,11 @@ def test_a_held_velocity_is_integrated_exactly_however_the_time_is_cut(model, ve
 @checked
 @given(models(), st.floats(1e-3, 1e3), st.sampled_from([-1.0, 1.0]))
 def test_each_settles_on_its_steady_curve(model, speed, sign):
-    """Long after: the way is a thousand times the presliding (Dahl's steep exponents come near only slowly)."""
+    """After a travel of a thousand times the presliding (with large exponents Dahl's model settles slowly)."""
     assume(model.parameters.get("exponent", 1.0) <= 2.0)
-    way = 1e3 * 3.0 * model.parameters["coulomb"] / model.parameters.get("sigma0", 1e3)
+    travel = 1e3 * 3.0 * model.parameters["coulomb"] / model.parameters.get("sigma0", 1e3)
     v = np.full(1000, sign * speed)
-    torque = model.simulate(v, way / speed / v.size)
+    torque = model.simulate(v, travel / speed / v.size)
     tolerance = 2e-3 if model.parameters.get("exponent", 1.0) > 1.0 else 1e-9
     assert torque[-1] == pytest.approx(model.steady_state(v[:1])[0], rel=tolerance)
     assert model.steady_state([0.0])[0] == 0.0
@@ -137,7 +129,7 @@ def test_each_settles_on_its_steady_curve(model, speed, sign):
 @checked
 @given(models(("dahl", "lugre")), histories, st.floats(1e-6, 1.0))
 def test_no_motion_from_rest_gives_energy(model, v, dt):
-    """Bristle and viscous torque: what has come back is never more than what was put in."""
+    """For bristle and viscous torque, the energy returned never exceeds the energy supplied."""
     if model.name == "lugre":
         model = fh.models.create("lugre", **model.parameters | {"sigma1": 0.0})
     energy = np.cumsum(model.simulate(v, dt) * v * dt)
@@ -263,10 +255,10 @@ def test_dahl_agrees_with_an_ode_solver_over_the_path(exponent):
 
     runner = fh.models.create("dahl", sigma0=sigma0, coulomb=level, exponent=exponent).start("simulation")
     force = 0.0
-    for sign, way in ((1.0, 0.015), (-1.0, 0.04), (1.0, 0.005)):
-        expected = solve_ivp(slope, (0.0, way), [force], "DOP853", args=(sign,), rtol=1e-11, atol=1e-12).y[0, -1]
-        for v, share in ((0.3, 0.2), (2.0, 0.5), (0.01, 0.3)):
-            force = runner.step(sign * v, share * way / v)
+    for sign, travel in ((1.0, 0.015), (-1.0, 0.04), (1.0, 0.005)):
+        expected = solve_ivp(slope, (0.0, travel), [force], "DOP853", args=(sign,), rtol=1e-11, atol=1e-12).y[0, -1]
+        for v, fraction in ((0.3, 0.2), (2.0, 0.5), (0.01, 0.3)):
+            force = runner.step(sign * v, fraction * travel / v)
         assert force == pytest.approx(expected, abs=1e-8)
 
 

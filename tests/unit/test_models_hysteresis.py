@@ -42,23 +42,23 @@ def virgin(x, weights=WEIGHTS, break_points=BREAK_POINTS):
 def masing(path, curve):
     """Torque over a path from rest, by Masing's rules and a memory of turning points that closing loops wipe out."""
     turns = []  # (position, torque) of each turning point that is still remembered
-    torque, place, way = [], 0.0, 0.0
+    torque, last, sign = [], 0.0, 0.0
     force = 0.0
     for x in path:
-        if way and (x - place) * way < 0.0:
-            turns.append((place, force))
-        way = math.copysign(1.0, x - place) if x != place else way
+        if sign and (x - last) * sign < 0.0:
+            turns.append((last, force))
+        sign = math.copysign(1.0, x - last) if x != last else sign
         # a branch that comes back to where the branch before it began closes a loop
-        while len(turns) >= 2 and (x - turns[-2][0]) * way >= 0.0:
+        while len(turns) >= 2 and (x - turns[-2][0]) * sign >= 0.0:
             del turns[-2:]
         if len(turns) == 1 and abs(x) >= abs(turns[0][0]):
             turns.clear()  # past its first turning point the path is on the virgin curve again
         if turns:
             begin, level = turns[-1]
-            force = level + way * 2.0 * curve(0.5 * abs(x - begin))
+            force = level + sign * 2.0 * curve(0.5 * abs(x - begin))
         else:
-            force = way * curve(abs(x))
-        place = x
+            force = sign * curve(abs(x))
+        last = x
         torque.append(force)
     return np.array(torque)
 
@@ -123,7 +123,7 @@ def elements(draw):
 @checked
 @given(elements(), st.lists(st.floats(-0.03, 0.03, allow_subnormal=False), min_size=1, max_size=30))
 def test_any_path_obeys_masings_rules_whatever_its_elements(parts, path):
-    """The implementation knows elements, the oracle only the virgin curve and turning points."""
+    """The implementation consists of elements, the oracle of the virgin curve and turning points."""
     weights, corners = parts
     torque = drive(gms(weights, corners), path)
     expected = masing(path, lambda x: virgin(x, weights, corners))

@@ -1,4 +1,4 @@
-"""What stands around a friction model: copies, inputs, modifiers, gradients of defaults, and what is refused."""
+"""Interface of friction models: copies, inputs, modifiers, gradients of defaults, and refused input."""
 
 import copy
 import math
@@ -65,17 +65,17 @@ def test_out_is_filled_and_what_does_not_fit_is_refused():
             model.simulate(v, 1e-3, out=wrong)
 
 
-@pytest.mark.parametrize("place", [0, 40_000, 99_999])
-def test_a_number_that_is_not_finite_is_found_anywhere_in_a_long_record(place):
+@pytest.mark.parametrize("index", [0, 40_000, 99_999])
+def test_a_number_that_is_not_finite_is_found_anywhere_in_a_long_record(index):
     v = np.zeros(100_000)
     for name in fh.models.names():
         model = fh.models.create(name, **fh.models.describe(name).example)
         for wrong in (-math.inf, math.nan):
-            v[place] = wrong
-            with pytest.raises(UsageError, match=f"velocity must be finite; element {place} is {wrong}"):
+            v[index] = wrong
+            with pytest.raises(UsageError, match=f"velocity must be finite; element {index} is {wrong}"):
                 model.simulate(v, 1e-3)
-    with pytest.raises(UsageError, match=f"velocity must be finite; element {place} is nan"):
-        model.simulate(v, np.full(v.size, 1e-3))  # a time for each sample takes another way
+    with pytest.raises(UsageError, match=f"velocity must be finite; element {index} is nan"):
+        model.simulate(v, np.full(v.size, 1e-3))  # one dt per sample selects another kernel
 
 
 def test_what_a_modifier_depends_on_must_be_given():

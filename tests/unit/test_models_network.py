@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 import friction_hil as fh
 from friction_hil.compensator import Compensator, CompensatorSettings
+from friction_hil.friction.network import seen_velocity
 from friction_hil.models import InvalidParameterError
 from tests.compensators import PERIOD_S, columns, compensator
 from tests.networks import STRUCTURES, alone, beside, model_file, random_network
@@ -72,7 +73,7 @@ def test_a_gated_network_hardly_depends_on_the_period(name):
 @pytest.mark.parametrize("name", ["gated", "gated_2"])
 @pytest.mark.parametrize("count", [2, 3, 16])
 def test_a_long_sample_is_steps_of_the_trained_period(name, count):
-    """What is left of the motion when it rests is the state: the same to the last few bits, however it was divided."""
+    """The state after a motion is the same to the last few bits, however the samples were divided."""
     network = random_network(name)
     for motion_before in (motion(40, 1), motion(41, 2)):
         ends = [
@@ -105,11 +106,11 @@ def test_presliding_stiffness_is_the_slope_of_a_creeping_motion():
 def test_a_residual_adds_to_its_model_and_fades_out_beyond_its_range():
     network = random_network(is_residual=True)
     lugre = fh.models.create("lugre", **fh.models.describe("lugre").example)
-    for speed, share in ((1.9, 1.0), (2.5, 0.5), (3.0, 0.0), (30.0, 0.0)):
+    for speed, fraction in ((1.9, 1.0), (2.5, 0.5), (3.0, 0.0), (30.0, 0.0)):
         velocity = np.full(2000, speed)
         plain, both = lugre.simulate(velocity, 1e-3)[-1], beside(network).simulate(velocity, 1e-3)[-1]
         learned = alone(random_network()).simulate(np.full(2000, min(speed, 2.0)), 1e-3)[-1]
-        assert both - plain == pytest.approx(share * learned, rel=1e-3, abs=1e-12)
+        assert both - plain == pytest.approx(fraction * learned, rel=1e-3, abs=1e-12)
 
 
 def test_alone_it_stays_beyond_its_range_what_it_is_at_its_end():
@@ -165,16 +166,14 @@ def test_a_compensator_gives_the_whole_model(make):
     np.testing.assert_allclose(torque[20:], expected[20:], rtol=1e-12)
 
 
-def test_the_level_behind_the_intent_does_not_turn_the_direction():
-    """With the measured velocity on the other side, the features creep on the side of the intent."""
-    from friction_hil.friction import network
-
+def test_an_opposite_level_velocity_does_not_reverse_the_direction():
+    """If the measured velocity is opposite to the reference velocity, the features keep the latter's direction."""
     p = random_network().values
-    assert network.seen_velocity(p, 0.5, 0.3) == 0.3
-    assert network.seen_velocity(p, 0.5, -0.3) == 0.003
-    assert network.seen_velocity(p, -0.5, 0.3) == -0.003
-    assert network.seen_velocity(p, 1e-4, 0.0) == 1e-4
-    assert network.seen_velocity(p, 0.0, 0.0) == 0.0
+    assert seen_velocity(p, 0.5, 0.3) == 0.3
+    assert seen_velocity(p, 0.5, -0.3) == 0.003
+    assert seen_velocity(p, -0.5, 0.3) == -0.003
+    assert seen_velocity(p, 1e-4, 0.0) == 1e-4
+    assert seen_velocity(p, 0.0, 0.0) == 0.0
 
 
 # --- in a model file
@@ -214,7 +213,7 @@ def setting(name, value):
 
 
 @pytest.mark.parametrize(
-    ("change", "place", "words"),
+    ("change", "field", "words"),
     [
         (without("weights"), "friction.network.weights", "is missing"),
         (setting("weights", [0.1] * 7), "friction.network.weights", "7 numbers; this structure has"),
@@ -236,14 +235,14 @@ def setting(name, value):
         (lambda c: c["friction"].update(model="lugre"), "friction.network", "belongs to the model network"),
     ],
 )
-def test_a_mistake_in_the_file_is_told_with_its_place(change, place, words, tmp_path):
+def test_a_mistake_in_the_file_is_reported_with_its_field_and_line(change, field, words, tmp_path):
     content = model_file(random_network())
     change(content)
     path = tmp_path / "net.yaml"
     path.write_text(yaml.safe_dump(content))
     with pytest.raises(fh.errors.ConfigurationError) as caught:
         fh.models.load(path)
-    assert any(problem.field.startswith(place) and words in problem.message for problem in caught.value.problems)
+    assert any(problem.field.startswith(field) and words in problem.message for problem in caught.value.problems)
     assert all(problem.line for problem in caught.value.problems)
 
 

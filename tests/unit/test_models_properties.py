@@ -62,7 +62,7 @@ def test_a_symmetric_model_is_odd(data):
 
 
 def is_symmetric(model):
-    """Whether both directions are alike: a table may have points of its own for each."""
+    """True if both directions are equal; a table may have different points for each."""
     return len({v > 0.0 for v, _ in model.parameters.get("points", [])}) < 2
 
 
@@ -91,10 +91,10 @@ def test_no_step_and_no_velocity_lead_out_of_the_bound(data):
 
 @checked
 @given(st.floats(0.0, 1.0), st.sampled_from([1.0, 1.5, 2.0]), arrays(float, 30, elements=speeds()), decades(1e-9, 1e3))
-def test_bouc_wen_is_bounded_whatever_its_gamma(share, exponent, v, dt):
+def test_bouc_wen_is_bounded_whatever_its_gamma(fraction, exponent, v, dt):
     yielding = 5e3**exponent
     model = fh.models.create(
-        "bouc_wen", stiffness=400.0, beta=share * yielding, gamma=(1.0 - share) * yielding, exponent=exponent
+        "bouc_wen", stiffness=400.0, beta=fraction * yielding, gamma=(1.0 - fraction) * yielding, exponent=exponent
     )
     torque = model.simulate(v, dt)
     assert np.all(np.isfinite(torque))
@@ -103,8 +103,8 @@ def test_bouc_wen_is_bounded_whatever_its_gamma(share, exponent, v, dt):
 
 @checked
 @given(st.floats(0.0, 0.9), st.floats(1.1, 4.0), decades(1e-3, 1e9))
-def test_bouc_wen_settles_in_one_long_step_as_in_many_short_ones(share, exponent, path):
-    p = {"stiffness": 400.0, "beta": 5e3**exponent, "gamma": share * 5e3**exponent, "exponent": exponent}
+def test_bouc_wen_settles_in_one_long_step_as_in_many_short_ones(fraction, exponent, path):
+    p = {"stiffness": 400.0, "beta": 5e3**exponent, "gamma": fraction * 5e3**exponent, "exponent": exponent}
     model = fh.models.create("bouc_wen", **p)
     settled = (p["beta"] + p["gamma"]) ** (-1.0 / exponent)
     after_one = model.simulate([path * settled], 1.0)[-1]
@@ -154,11 +154,11 @@ def test_each_settles_on_its_steady_curve(data, is_loaded, speed, sign):
     if "temperature" in model.modifiers and is_loaded:
         inputs["temperature"] = 70.0
     stiffness = min(p.get("stiffness", [level])) if model.name == "gms" else p.get("sigma0", p.get("stiffness", level))
-    way = 1e5 * level / stiffness if model.name in DYNAMIC else 1.0
+    travel = 1e5 * level / stiffness if model.name in DYNAMIC else 1.0
     if model.name == "armstrong":
         model = again(model, {"static_rested": p["static_released"]})  # else its curve depends on the rest before
     n = 2000
-    duration = way / speed + 10.0 * p.get("lag_s", 0.0)
+    duration = travel / speed + 10.0 * p.get("lag_s", 0.0)
     torque = model.simulate(np.full(n, sign * speed), duration / n, **inputs)
     expected = model.steady_state([sign * speed], **inputs)[0]
     tolerance = 2e-3 if p.get("exponent", 1.0) > 1.0 and model.name == "dahl" else 1e-9
@@ -213,7 +213,7 @@ def test_many_at_once_are_the_same_bits_as_each_alone(data):
 @checked
 @given(st.data())
 def test_no_motion_from_rest_gives_energy(data):
-    """What has come back is never more than what was put in: bristles, springs and viscous parts alone."""
+    """Without bristle damping, the energy returned never exceeds the energy supplied."""
     name = data.draw(st.sampled_from(["bouc_wen", "dahl", "elasto_plastic", "gms", "lugre"]))
     # a Bouc-Wen torque is scaled by load and temperature while its spring is loaded, which is work of the load
     allowed = ("viscous",) if name in ("bouc_wen", "gms") else ("load", "temperature", "viscous")
@@ -257,7 +257,7 @@ def test_closed_cycles_dissipate(name, ratio, vd, v):
 
 
 def is_exact(model):
-    """Whether its step is the exact solution for a held velocity."""
+    """True if the step is the exact solution for a held velocity."""
     if model.name == "bouc_wen":
         return model.parameters["exponent"] == 1.0
     return model.name in ("dahl", "gms", "lugre")
@@ -286,22 +286,22 @@ def elasto_plastic_slope(x, y, ratio):
     return 1.0 - np.where(y <= ratio, 0.0, np.where(y >= 1.0, 1.0, alpha)) * y
 
 
-def bouc_wen_slope(x, y, exponent, share):
-    """dw/dx over the path, both over the settled deflection, with beta a ``share`` of beta + gamma."""
-    return 1.0 - share * np.abs(y) ** (exponent - 1.0) * y - (1.0 - share) * np.abs(y) ** exponent
+def bouc_wen_slope(x, y, exponent, fraction):
+    """dw/dx over the path, both over the settled deflection, with beta a ``fraction`` of beta + gamma."""
+    return 1.0 - fraction * np.abs(y) ** (exponent - 1.0) * y - (1.0 - fraction) * np.abs(y) ** exponent
 
 
 @pytest.mark.parametrize("ratio", [0.1, 0.5, 0.9])
 def test_elasto_plastic_is_of_second_order_over_the_path(ratio):
     """In the transition; the elastic part and the settled one are exact."""
     p = {"sigma0": 100.0, "coulomb": 1.0, "stribeck_velocity": 0.1, "breakaway_ratio": ratio}
-    settled, way = 0.01, (1.0 + 0.8 * (1.0 - ratio)) * 0.01
+    settled, travel = 0.01, (1.0 + 0.8 * (1.0 - ratio)) * 0.01
     exact = solve_ivp(
-        elasto_plastic_slope, (ratio, way / settled), [ratio], "DOP853", args=(ratio,), rtol=1e-12, atol=1e-13
+        elasto_plastic_slope, (ratio, travel / settled), [ratio], "DOP853", args=(ratio,), rtol=1e-12, atol=1e-13
     ).y[0, -1]
 
     def error(n):
-        torque = fh.models.create("elasto_plastic", **p).simulate(np.full(n, 0.2), way / 0.2 / n)
+        torque = fh.models.create("elasto_plastic", **p).simulate(np.full(n, 0.2), travel / 0.2 / n)
         return abs(torque[-1] - exact)
 
     errors = [error(n) for n in (40, 80, 160)]
@@ -316,11 +316,11 @@ def test_elasto_plastic_is_of_second_order_over_the_path(ratio):
 
 
 @pytest.mark.parametrize("exponent", [1.3, 2.0, 3.0])
-@pytest.mark.parametrize("share", [0.5, 0.8, 1.0])
-def test_bouc_wen_is_of_second_order_over_the_path(exponent, share):
+@pytest.mark.parametrize("fraction", [0.5, 0.8, 1.0])
+def test_bouc_wen_is_of_second_order_over_the_path(exponent, fraction):
     """From the settled deflection of the other direction, through zero."""
-    p = {"stiffness": 1.0, "beta": share, "gamma": 1.0 - share, "exponent": exponent}
-    exact = solve_ivp(bouc_wen_slope, (0.0, 2.0), [-1.0], "DOP853", args=(exponent, share), rtol=1e-12, atol=1e-13)
+    p = {"stiffness": 1.0, "beta": fraction, "gamma": 1.0 - fraction, "exponent": exponent}
+    exact = solve_ivp(bouc_wen_slope, (0.0, 2.0), [-1.0], "DOP853", args=(exponent, fraction), rtol=1e-12, atol=1e-13)
 
     def error(n):
         runner = fh.models.create("bouc_wen", **p).start("simulation")

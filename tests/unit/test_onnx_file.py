@@ -1,4 +1,4 @@
-"""Networks as ONNX: run by onnxruntime sample by sample, they give the torque that ours give."""
+"""Networks exported to ONNX give the same torque in onnxruntime as in this library."""
 
 import subprocess
 import sys

@@ -1,4 +1,4 @@
-"""The simulated servo: mechanics against physics, drive against what CiA 402 promises."""
+"""The simulated servo: mechanics compared with physics, drive functions with CiA 402."""
 
 import math
 
@@ -10,6 +10,7 @@ from pydantic import ValidationError
 from scipy.integrate import solve_ivp
 
 from friction_hil.errors import UsageError
+from friction_hil.friction import describe
 from friction_hil.servo.config import ServoConfig
 from friction_hil.servo.plant import BRIDGED_PERIODS
 from friction_hil.servo.servo import Servo
@@ -19,15 +20,7 @@ J = 2e-4
 STEPS = 80  # integration steps a millisecond
 FREE = {"model": "coulomb", "parameters": {"coulomb": 0.0}}
 COULOMB = {"model": "coulomb", "parameters": {"coulomb": 0.08, "static": 0.12}}
-LUGRE = {
-    "sigma0": 2000.0,
-    "sigma1": 1.0,
-    "sigma2": 2e-3,
-    "coulomb": 0.08,
-    "static": 0.12,
-    "stribeck_velocity": 0.2,
-    "damping_velocity": 0.2,
-}
+LUGRE = dict(describe("lugre").example)
 
 
 def servo(position=0.0, **parts):
@@ -372,7 +365,7 @@ def test_no_command_gets_more_torque_than_the_limit(orders, limit):
     assert abs(one.torque) < 1e-12
 
 
-def test_the_limited_torque_is_told():
+def test_the_limited_torque_is_reported():
     one = servo()
     one.torque_limit = 0.05
     one.command(CST, 0.04)

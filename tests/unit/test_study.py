@@ -1,4 +1,4 @@
-"""The study: each experiment shows what physics says, and gives the same numbers each time."""
+"""The study: each experiment agrees with physics and gives the same numbers each time."""
 
 import math
 import subprocess
@@ -212,10 +212,10 @@ def test_the_report_and_the_table_name_only_facts_that_exist(result):
 
 
 def test_progress_grows_to_the_whole():
-    shares = []
-    study.run(["coulomb"], lambda text, share: shares.append(share))
-    assert shares == sorted(shares)
-    assert shares[-1] == 1.0
+    fractions = []
+    study.run(["coulomb"], lambda text, fraction: fractions.append(fraction))
+    assert fractions == sorted(fractions)
+    assert fractions[-1] == 1.0
 
 
 def test_an_unknown_model_is_refused_with_the_choices():
