@@ -113,6 +113,19 @@ class NetworkStructure:
         direct = 1 + self.inputs + self.states * network.GATES * network.GATE_WEIGHTS if self.kind == "gated" else 0
         return self.outputs_begin + self.outputs * self.output_weights + direct
 
+    def parameter_array(self) -> Array:
+        """Return a parameter array of `friction_hil.friction.network.step` with this structure, otherwise zero."""
+        p = np.zeros(network.HEADER + self.weights)
+        p[network.STRUCTURE] = KINDS[self.kind]
+        p[network.INPUTS], p[network.FEEDBACKS], p[network.LAGS] = self.inputs, self.states, self.lags
+        p[network.WIDTH] = self.hidden[0]
+        p[network.SECOND] = self.hidden[1] if len(self.hidden) == 2 else 0
+        p[network.HARMONICS] = len(self.orders)
+        p[network.HAS_POSITION], p[network.HAS_LOAD] = self.has_position, self.has_load
+        p[network.HAS_TEMPERATURE] = self.has_temperature
+        p[network.ORDERS : network.ORDERS + len(self.orders)] = self.orders
+        return p
+
     @property
     def state_room(self) -> int:
         """Length of the state array."""
@@ -256,14 +269,7 @@ class Network:
     @property
     def values(self) -> Array:
         """Parameters as the flat array of `friction_hil.friction.network.step`."""
-        structure = self.structure
-        p = np.zeros(network.HEADER + structure.weights)
-        p[network.STRUCTURE] = KINDS[structure.kind]
-        p[network.INPUTS], p[network.FEEDBACKS], p[network.LAGS] = structure.inputs, structure.states, structure.lags
-        p[network.WIDTH] = structure.hidden[0]
-        p[network.SECOND] = structure.hidden[1] if len(structure.hidden) == 2 else 0
-        p[network.HARMONICS] = len(structure.orders)
-        p[network.HAS_POSITION : network.HAS_POSITION + 3] = self._has
+        p = self.structure.parameter_array()
         p[network.TRAINED_DT] = self.period_s
         p[network.TORQUE_SCALE], p[network.BOUND] = self.torque_scale, self.bound
         p[network.SPEED_LIMIT] = self.speed_limit
@@ -278,7 +284,6 @@ class Network:
         for index, (name, has) in enumerate(zip(INPUTS, self._has, strict=True)):
             low, high = self.ranges[name] if has else (-1.0, 1.0)
             p[network.MIDDLES + index], p[network.HALF_RANGES + index] = 0.5 * (low + high), 0.5 * (high - low)
-        p[network.ORDERS : network.ORDERS + len(structure.orders)] = structure.orders
         p[network.IS_RESIDUAL] = self.is_residual
         p[network.HEADER :] = self.weights
         return p

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from friction_hil.errors import UsageError
 from friction_hil.friction import network
-from friction_hil.friction.network_model import KINDS, NetworkStructure
+from friction_hil.friction.network_model import NetworkStructure
 from friction_hil.numerics.jit import Array, compiled
 
 _STROKES = 60  # that are tried
@@ -96,14 +96,7 @@ def empty(structure: NetworkStructure, samples: Samples, speed_factor: float = 1
 
     ``speed_factor`` moves the speeds at which the velocity is compressed.
     """
-    p = np.zeros(network.HEADER + structure.weights)
-    p[network.STRUCTURE] = KINDS[structure.kind]
-    p[network.INPUTS], p[network.FEEDBACKS], p[network.LAGS] = structure.inputs, structure.states, structure.lags
-    p[network.WIDTH] = structure.hidden[0]
-    p[network.SECOND] = structure.hidden[1] if len(structure.hidden) == 2 else 0
-    p[network.HARMONICS] = len(structure.orders)
-    p[network.HAS_POSITION], p[network.HAS_LOAD] = structure.has_position, structure.has_load
-    p[network.HAS_TEMPERATURE] = structure.has_temperature
+    p = structure.parameter_array()
     p[network.TRAINED_DT] = samples.dt
     used = samples.weight > 0.0
     torque, speed = samples.torque[used], np.abs(samples.velocity[used])
@@ -119,7 +112,6 @@ def empty(structure: NetworkStructure, samples: Samples, speed_factor: float = 1
         p[network.HALF_RANGES + place] = 0.5 * (high - low) or 1.0
     lowest, highest = np.log(rate_bounds(samples))
     p[network.RATE_MIDDLE], p[network.RATE_HALF] = 0.5 * (lowest + highest), 0.5 * (highest - lowest)
-    p[network.ORDERS : network.ORDERS + len(structure.orders)] = structure.orders
     p[network.STROKE] = stroke(samples) if structure.kind == "gated" else 0.0
     return p
 
