@@ -103,8 +103,8 @@ def only_driver(configuration: Configuration) -> str:
     for name, other in others:
         if other.driver != axis.driver:
             text = (
-                f"is {other.driver}, but that of {first} is {axis.driver}; all axes of a run must have the same "
-                "driver, so write one configuration per driver"
+                f"is {other.driver}, but that of {first} is {axis.driver}, and one run drives axes of one driver; "
+                "write one configuration per driver"
             )
             raise OptionError(name, "driver", text)
     return axis.driver
@@ -216,7 +216,7 @@ class _ModelReader:
         path = self._directory / name
         if not os.path.isfile(path):  # unlike Path.is_file it returns False for a name that is too long
             siblings = [str(Path(name).parent / item.name) for item in path.parent.glob("*.y*ml")]
-            message = f"there is no model file {path} ('friction-hil tune' creates one); {choices(name, siblings)}"
+            message = f"there is no model file {path} ('friction-hil tune' makes one); {choices(name, siblings)}"
             self._problems.append(self._origins.locate(steps, message))
             self._origins.broken.append(steps)
             return None

@@ -19,7 +19,11 @@ _STATIC_RELEASED = Parameter(
 _STATIC_RESTED = Parameter("static_rested", "Fs_inf", "N m", "break-away level after long rest", is_lower_allowed=False)
 _LAG = Parameter("lag_s", "tL", "s", "delay of the friction behind the velocity")
 _RISE = Parameter(
-    "rise_s", "gamma", "s", "time at rest in which the static friction rises by half", is_lower_allowed=False
+    "rise_s",
+    "gamma",
+    "s",
+    "time at rest after which half of the rise to static_rested is reached",
+    is_lower_allowed=False,
 )
 _STIFFNESS = Parameter("stiffness", "kt", "N m/rad", "stiffness while the axis sticks", is_lower_allowed=False)
 
