@@ -6,6 +6,7 @@ import numpy as np
 
 from friction_hil.errors import UsageError
 from friction_hil.motion.controller import CONTROLLER
+from friction_hil.numerics.jit import Record
 from friction_hil.servo import plant
 from friction_hil.servo.config import ServoConfig
 
@@ -39,6 +40,40 @@ _VELOCITY_OFFSET = _field_index("velocity_offset")
 _VELOCITY_ESTIMATE = _field_index("velocity_estimate")
 
 
+def _plant_record(config: ServoConfig, counts_per_unit: float) -> Record:
+    friction = config.friction_model
+    step_s = 1.0 / config.integration_hz
+    lag = config.motor.torque_lag_s
+    record = np.zeros(1, plant.PLANT)
+    c = record[0]
+    c["inertia"] = config.mechanics.inertia
+    c["load_torque"] = config.mechanics.load_torque
+    c["has_brake"] = config.mechanics.has_brake
+    c["friction_kind"] = friction.kind
+    c["is_friction_static"] = friction.family.is_static
+    c["friction"] = friction.values
+    c["stick_velocity"] = friction.parameters.get("stick_velocity", 0.0)
+    c["step_s"] = step_s
+    c["torque_lag_coefficient"] = 1.0 if lag == 0.0 else -math.expm1(-step_s / lag)
+    c["counts_per_unit"] = counts_per_unit
+    c["steps_per_control"] = round(config.integration_hz / config.loops.rate_hz)
+    c["velocity_filter_coefficient"] = -math.expm1(
+        -2.0 * math.pi * config.loops.velocity_filter_hz / config.loops.rate_hz
+    )
+    return record
+
+
+def _controller_record(config: ServoConfig) -> Record:
+    record = np.zeros(1, CONTROLLER)
+    k = record[0]
+    k["position_gain"] = config.loops.position_gain
+    k["velocity_gain"] = config.loops.velocity_gain
+    k["integral_hz"] = config.loops.integral_hz
+    k["velocity_feedforward"] = config.loops.velocity_feedforward
+    k["inertia"] = config.loops.inertia_feedforward * config.mechanics.inertia
+    return record
+
+
 class Servo:
     """Motor, load, encoder and drive loops of one simulated axis.
 
@@ -52,39 +87,11 @@ class Servo:
 
     def __init__(self, config: ServoConfig, position: float = 0.0) -> None:
         self.config = config
-        friction = config.friction_model
-        step_s = 1.0 / config.integration_hz
-        steps_per_control = round(config.integration_hz / config.loops.rate_hz)
-        lag = config.motor.torque_lag_s
         revolution = 2.0 * math.pi if config.mechanics.axis == "rotary" else 1.0
-
         self.steps_per_second = round(config.integration_hz)
         self.counts_per_unit = config.encoder.counts / revolution
-        self._plant = np.zeros(1, plant.PLANT)
-        c = self._plant[0]
-        c["inertia"] = config.mechanics.inertia
-        c["load_torque"] = config.mechanics.load_torque
-        c["has_brake"] = config.mechanics.has_brake
-        c["friction_kind"] = friction.kind
-        c["is_friction_static"] = friction.family.is_static
-        c["friction"] = friction.values
-        c["stick_velocity"] = friction.parameters.get("stick_velocity", 0.0)
-        c["step_s"] = step_s
-        c["torque_lag_coefficient"] = 1.0 if lag == 0.0 else -math.expm1(-step_s / lag)
-        c["counts_per_unit"] = self.counts_per_unit
-        c["steps_per_control"] = steps_per_control
-        c["velocity_filter_coefficient"] = -math.expm1(
-            -2.0 * math.pi * config.loops.velocity_filter_hz / config.loops.rate_hz
-        )
-
-        self._controller = np.zeros(1, CONTROLLER)
-        k = self._controller[0]
-        k["position_gain"] = config.loops.position_gain
-        k["velocity_gain"] = config.loops.velocity_gain
-        k["integral_hz"] = config.loops.integral_hz
-        k["velocity_feedforward"] = config.loops.velocity_feedforward
-        k["inertia"] = config.loops.inertia_feedforward * config.mechanics.inertia
-
+        self._plant = _plant_record(config, self.counts_per_unit)
+        self._controller = _controller_record(config)
         self._state = np.zeros(1, plant.STATE)
         # a flat view of the record: access by index is five times faster than by field name
         self._s = self._state.view(np.float64)
