@@ -390,7 +390,7 @@ def test_the_search_is_not_changed_by_the_units_of_its_numbers():
         ({"kind": "gatd"}, "did you mean 'gated'"),
         ({"hidden": (3, 3, 3)}, "one or two layers"),
         ({"kind": "static"}, "no states"),
-        ({"lags": 1}, "narx alone"),
+        ({"lags": 1}, "only a narx"),
         ({"orders": (math.nan,)}, "orders"),
     ],
 )
