@@ -46,16 +46,17 @@ def fitted(samples: Samples, axis: Axis) -> dict[str, FrictionModel]:
         Of friction alone.
     axis : {"rotary", "linear"}
     """
-    from friction_hil.identification import scales, structures
+    from friction_hil.identification import structures
     from friction_hil.identification.data import Data
     from friction_hil.identification.fits import fit
-    from friction_hil.identification.problem import Problem
+    from friction_hil.identification.regression import Regression
+    from friction_hil.identification.scales import estimate_scales
 
     data = Data([_record(samples, part, axis) for part in parts_of(samples)])
-    sizes, found = scales.scales(data, ()), {}
+    sizes, found = estimate_scales(data, ()), {}
     for family in FAMILIES:
         structure = structures.build(family, sizes, axis, samples.dt, is_directed=False)
-        parameters, modifiers = fit(Problem(data, structure, ()), sizes).friction
+        parameters, modifiers = fit(Regression(data, structure, ()), sizes).friction
         found[family] = create(family, modifiers=modifiers, axis=axis, **parameters)
     return found
 

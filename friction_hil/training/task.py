@@ -292,10 +292,12 @@ def _is_counted(record: "RegressionSegment") -> bool:
 def _identified(
     recordings: "Sequence[Recording]", is_linear: bool, lowpass_hz: float | None
 ) -> "tuple[ModelFile, str]":
-    from friction_hil.identification import Settings, identify
+    from friction_hil.identification import IdentificationSettings, identify
     from friction_hil.identification.export import model_file
 
-    settings = Settings(families=("lugre",), axis="linear" if is_linear else "rotary", lowpass_hz=lowpass_hz)
+    settings = IdentificationSettings(
+        families=("lugre",), axis="linear" if is_linear else "rotary", lowpass_hz=lowpass_hz
+    )
     found = identify(recordings, settings)
     return model_file(found), found.best.label
 
