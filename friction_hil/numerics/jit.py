@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Record = NDArray[np.void]  # structured array of length 1: kernels read and change its fields by name
+StructuredArray = NDArray[np.void]  # of length 1: kernels read and change its fields by name
 Function = TypeVar("Function", bound=Callable[..., object])
 
 _PACKAGE = Path(__file__).parents[1]
