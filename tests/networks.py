@@ -1,4 +1,4 @@
-"""Networks with random weights, for tests that need one but no training."""
+"""Networks with random weights, for tests that need a network without training one."""
 
 from typing import Any
 
@@ -17,7 +17,7 @@ STRUCTURES = {
 
 
 def random_network(name: str = "gated", seed: int = 0, size: float = 0.3, **changes: Any) -> Network:
-    """Network with normally distributed weights; the rates of a gated one are about 500 per rad."""
+    """Return a network with normally distributed weights; the rates of a gated one are about 500 per rad."""
     structure = STRUCTURES[name]
     weights = size * np.random.default_rng(seed).standard_normal(structure.weights)
     given: dict[str, Any] = {
@@ -37,17 +37,17 @@ def random_network(name: str = "gated", seed: int = 0, size: float = 0.3, **chan
 
 
 def alone(network: Network) -> FrictionModel:
-    """Model of a network and nothing else."""
+    """Return the friction model of a network alone."""
     return FrictionModel(NETWORK_ALONE, {}, trained=network)
 
 
 def beside(network: Network, name: str = "lugre", modifiers: Any = None) -> FrictionModel:
-    """Model of the library with a network that adds to it."""
+    """Return a model of the library with a network beside it."""
     family = fh.models.describe(name)
     return FrictionModel(family, family.example, modifiers, trained=network)
 
 
 def model_file(network: Network, **friction: Any) -> dict[str, Any]:
-    """What a model file of this network holds."""
+    """Return the content of the model file of this network."""
     content = {"model": "network", "network": network.as_dict(), **friction}
     return {"version": 1, "axis": "rotary", "friction": content, "mechanics": {"inertia": 2e-4}}

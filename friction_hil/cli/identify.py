@@ -141,10 +141,10 @@ def command(
     modifiers. Each candidate is judged by data it was not fitted to: the recordings of --validate, or else strokes
     of some speeds, or blocks of time, held out in turn. The simplest one within a standard error of the best is chosen.
     """
-    from friction_hil.identification import Settings, identify
+    from friction_hil.identification import IdentificationSettings, identify
 
     names = () if models == "all" else tuple(name.strip() for name in models.split(","))
-    settings = Settings(
+    settings = IdentificationSettings(
         families=names,
         axis="linear" if is_linear else "rotary",
         gravity=gravity,

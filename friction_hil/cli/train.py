@@ -15,7 +15,7 @@ from friction_hil.cli.recording_options import read_recordings, recording_option
 from friction_hil.errors import UsageError
 
 if TYPE_CHECKING:
-    from friction_hil.training import Candidate, Progress
+    from friction_hil.training import Progress, TrainedModel
 
 _INPUTS = ("position", "load_torque", "temperature")
 
@@ -86,7 +86,7 @@ def command(
     check_files(output, report)
     from friction_hil import training
 
-    wanted = training.Wanted(
+    spec = training.NetworkSpec(
         structure=structure,  # type: ignore[arg-type]
         hidden=_numbers(hidden),
         inputs=tuple(name.strip() for name in inputs.split(",") if name.strip()),
@@ -113,7 +113,7 @@ def command(
             )
     begin = time.monotonic()
     with _stoppable() as goes_on, _shown() as show:
-        candidate = training.train_task(task, wanted, lambda progress: show(progress) or goes_on())
+        candidate = training.train_task(task, spec, lambda progress: show(progress) or goes_on())
     seconds = time.monotonic() - begin
     if output is not None:
         from friction_hil.checked_yaml.text import dump
@@ -195,7 +195,7 @@ def _line_by_line() -> Callable[["Progress"], None]:
     return write
 
 
-def _print(candidate: "Candidate", seconds: float, files: dict[str, Path | None]) -> None:
+def _print(candidate: "TrainedModel", seconds: float, files: dict[str, Path | None]) -> None:
     from rich.table import Table
 
     out, trained = console(), candidate.trained

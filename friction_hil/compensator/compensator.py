@@ -13,7 +13,7 @@ from friction_hil.compensator.intent import SOURCES
 from friction_hil.compensator.velocity import VelocityEstimator
 from friction_hil.errors import UsageError
 from friction_hil.friction import FrictionModel
-from friction_hil.numerics.jit import Array, Record
+from friction_hil.numerics.jit import Array, StructuredArray
 
 INPUTS = (
     "cycle",
@@ -202,7 +202,7 @@ class Compensator:
         return compensation, estimate
 
     @property
-    def record(self) -> Record:
+    def record(self) -> StructuredArray:
         """Settings and model as the compiled `step` takes them."""
         return self._settings
 
@@ -262,7 +262,7 @@ def _estimator(model: FrictionModel, settings: CompensatorSettings) -> VelocityE
     )
 
 
-def _record(model: FrictionModel, settings: CompensatorSettings, estimator: VelocityEstimator) -> Record:
+def _record(model: FrictionModel, settings: CompensatorSettings, estimator: VelocityEstimator) -> StructuredArray:
     record = np.zeros(1, kernel.settings_type(model.values.size))
     c = record[0]
     step_velocity = 2.0 * settings.position_resolution / settings.period_s

@@ -9,7 +9,7 @@ import numpy as np
 from friction_hil.compensator import adaptation, intent, limit_cycle
 from friction_hil.compensator import velocity as motion
 from friction_hil.friction import kernel
-from friction_hil.numerics.jit import Array, Record, compiled
+from friction_hil.numerics.jit import Array, StructuredArray, compiled
 
 WAKING_S = 0.01  # without a demand: time in which the compensation comes when the axis begins to move
 RESTING_S = 0.3  # without motion it rests, and in as much time again the compensation goes
@@ -97,7 +97,7 @@ def settings_type(room: int) -> "np.dtype[np.void]":
     )
 
 
-def begin(settings: Record, state: Record, initial_friction: Array) -> None:
+def begin(settings: StructuredArray, state: StructuredArray, initial_friction: Array) -> None:
     """Set a state to what it is before the first cycle."""
     r = state[0]
     r["cycle"] = -1.0
@@ -147,8 +147,8 @@ def _wake(c: Any, r: Any, position: float, is_led: bool, dt: float) -> float:
 
 @compiled
 def step(
-    settings: Record,
-    state: Record,
+    settings: StructuredArray,
+    state: StructuredArray,
     cycle: float,
     position: float,
     velocity: float,
@@ -234,8 +234,8 @@ def step(
 
 @compiled
 def replay(
-    settings: Record,
-    state: Record,
+    settings: StructuredArray,
+    state: StructuredArray,
     cycle: Array,
     position: Array,
     velocity: Array,

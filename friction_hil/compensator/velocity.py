@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from friction_hil.errors import UsageError, choices
-from friction_hil.numerics.jit import Array, Record, inlined
+from friction_hil.numerics.jit import Array, StructuredArray, inlined
 
 KINDS = ("difference", "tracking", "kalman", "drive")
 MAX_GAP_CYCLES = 10  # after a longer gap the estimate starts anew
@@ -267,7 +267,7 @@ class VelocityEstimator:
                 raise UsageError(f"velocity: {self.kind} needs {name}, finite and above zero, not {value:g}")
 
     @cached_property
-    def record(self) -> Record:
+    def record(self) -> StructuredArray:
         """`SETTINGS`, (1,)."""
         record = np.zeros(1, SETTINGS)
         c = record[0]

@@ -12,7 +12,7 @@ from friction_hil.drive import AxisFacts
 from friction_hil.motion import experiment
 from friction_hil.motion.controller import CONTROLLER
 from friction_hil.motion.trajectory import Path, Sweep, circle_path, sine_path, still_path, sweeps_path, triangle_path
-from friction_hil.numerics.jit import Record
+from friction_hil.numerics.jit import StructuredArray
 
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig, ExperimentBounds
@@ -118,7 +118,7 @@ def make_limits(config: "AxisConfig") -> Limits:
     )
 
 
-def make_controller(config: "AxisConfig") -> Record:
+def make_controller(config: "AxisConfig") -> StructuredArray:
     """The loop's own controller, all zero where the configuration has none."""
     record = np.zeros(1, CONTROLLER)
     given = config.controller

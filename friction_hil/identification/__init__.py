@@ -1,14 +1,15 @@
 """Identification: friction, inertia, offset and gravity of an axis from recordings of its motion and torque. Pure.
 
-The equation is the inverse one, torque = inertia a + offset + gravity(q) + friction, both sides through the same
-filters. What is linear is solved for, the rest is searched for with exact gradients, dynamic models simulated
-through the whole record; candidates are judged by what they predict of data that were held out.
+The inverse equation of motion, torque = inertia a + offset + gravity(q) + friction, is fitted with both sides passed
+through the same filters. Linear parameters are projected out, the others are found by a search with exact gradients,
+and dynamic models are simulated through the whole record. Candidates are compared by their error on held-out data.
 
 Sources: M. Gautier, Ph. Poignet, Control Engineering Practice 9(12), 2001 (inverse dynamics, filters, decimation);
 A. Janot, M. Gautier, M. Brunot, Workshop on Nonlinear System Identification Benchmarks, 2019.
 """
 
 from friction_hil.identification.fits import Curves, Fit
-from friction_hil.identification.identify import Identification, Settings, identify
+from friction_hil.identification.identify import Identification, identify
+from friction_hil.identification.settings import IdentificationSettings
 
-__all__ = ["Curves", "Fit", "Identification", "Settings", "identify"]
+__all__ = ["Curves", "Fit", "Identification", "IdentificationSettings", "identify"]

@@ -1,4 +1,4 @@
-"""Choice among fits by what they predict of data that were held out."""
+"""Choice of one fit by the errors on held-out data."""
 
 import math
 from collections.abc import Sequence
@@ -11,21 +11,21 @@ from friction_hil.identification.refine import is_dynamic
 
 
 def _limit(fit: Fit) -> float:
-    """Mean square error of held-out blocks plus its standard error."""
+    """Return the mean square error of held-out blocks plus its standard error."""
     errors = np.array(fit.held_out.blocks)
     error = float(np.std(errors, ddof=1)) / math.sqrt(len(errors)) if len(errors) > 1 else 0.0
     return float(np.mean(errors)) + error
 
 
 def is_better(fit: Fit, base: Fit) -> bool:
-    """Whether a fit predicts held-out blocks better, block by block, by more than one standard error."""
+    """Return True if a fit predicts held-out blocks better than ``base`` by more than one standard error."""
     gain = np.array(base.held_out.blocks) - np.array(fit.held_out.blocks)
     error = float(np.std(gain, ddof=1)) / math.sqrt(len(gain)) if len(gain) > 1 else 0.0
     return float(np.mean(gain)) > error
 
 
 def is_determined(fit: Fit) -> bool:
-    """Whether each parameter that was searched for is larger than its standard error."""
+    """Return True if each nonlinear parameter is larger than its standard error."""
     errors = fit.inference.standard_errors
     return all(
         errors[each.name] <= abs(fit.values[each.name]) for each in fit.structure.coordinates if each.name in errors
@@ -33,10 +33,16 @@ def is_determined(fit: Fit) -> bool:
 
 
 def choose(fits: Sequence[Fit], blocks: str = "blocks") -> tuple[Fit, str]:
-    """The fit with the fewest parameters within one standard error of the one that predicts best, and the reason.
+    """Return the simplest fit within one standard error of the best one, and the reason for the choice.
 
-    One whose parameters the data determine goes before one whose they do not: where any size of a parameter fits
-    alike, it need not elsewhere. ``blocks`` says what `friction_hil.identification.errors.blocks` are.
+    The simplest fit has the fewest parameters. Fits whose parameters the data determine are preferred: a parameter that
+    any value fits here may matter elsewhere. ``blocks`` names, in the reason, what was held out
+    (`friction_hil.identification.prediction_errors.blocks`).
+
+    Raises
+    ------
+    RecordingError
+        No fit has a finite error.
 
     Source: L. Breiman, J. Friedman, R. Olshen, C. Stone, Classification and Regression Trees, 1984, section 3.4.3.
     """
@@ -67,10 +73,10 @@ def choose(fits: Sequence[Fit], blocks: str = "blocks") -> tuple[Fit, str]:
 
 
 def to_refine(best: Fit, fits: Sequence[Fit]) -> list[Fit]:
-    """The simplest fit of each dynamic family, and the chosen one; none where no family has a state.
+    """Return the chosen fit and the simplest fit of each dynamic family; nothing if no family has a state.
 
-    How an axis starts to move is what sets these families apart, and ordinary records hardly show it: their errors
-    there say nothing of those to come, and what a modifier seems to explain may be that.
+    Dynamic families differ in how an axis starts to move. Ordinary records hardly show that, so that errors on them do
+    not predict errors on refined records, and a modifier may seem to explain what presliding causes.
     """
     simplest: dict[str, Fit] = {}
     for each in fits:

@@ -1,4 +1,4 @@
-"""What an identification leaves behind: the model file, and the JSON object of the contract."""
+"""Results of an identification as a model file and as the JSON object of ``identify --json``."""
 
 import math
 from typing import Any
@@ -6,27 +6,27 @@ from typing import Any
 import numpy as np
 
 from friction_hil import __version__
-from friction_hil.identification.errors import PredictionError
 from friction_hil.identification.fits import Fit
 from friction_hil.identification.identify import Identification
+from friction_hil.identification.prediction_errors import PredictionError
 from friction_hil.models.model_file import ModelFile
 
-_DIGITS = 10  # significant ones in a model file: far beyond any standard error, and readable
+_DIGITS = 10  # significant digits in a model file: far more than any standard error justifies, and still readable
 
 
 def model_file(identification: Identification, fit: Fit | None = None) -> ModelFile:
-    """Model file of a fit, the chosen one by default, with its provenance.
+    """Return the model file of a fit, the chosen one by default, with its provenance.
 
     Raises
     ------
     ConfigurationError
-        The values do not go together; they do if the fit was one.
+        The values are inconsistent, which those of a fit are not.
     """
     return ModelFile.model_validate(as_model_file(identification, fit))
 
 
 def as_model_file(identification: Identification, fit: Fit | None = None) -> dict[str, Any]:
-    """`model_file` as plain values, for YAML."""
+    """Return `model_file` as plain values, for YAML."""
     fit = identification.best if fit is None else fit
     parameters, modifiers = fit.friction
     mechanics = fit.mechanics
@@ -88,13 +88,13 @@ def _recordings(records: Any) -> list[dict[str, Any]]:
 
 
 def standard_errors(fit: Fit) -> dict[str, float | None]:
-    """Standard error of each parameter that was looked for; None where it has none: at a bound, or not determined."""
+    """Return the standard error of each fitted parameter; None if it is at a bound or not determined."""
     errors = fit.inference.standard_errors
     return {name: errors[name] if name in errors and math.isfinite(errors[name]) else None for name in fit.values}
 
 
 def _drive(fit: Fit) -> dict[str, float]:
-    """``gain`` in N m per unit of the signal, ``back_emf`` in N m s/rad, of a drive whose gain was looked for."""
+    """Return ``gain``, N m per unit of the signal, and ``back_emf``, N m s/rad, if the gain was identified."""
     return {name.removeprefix("drive."): value for name, value in fit.drive.items()}
 
 
@@ -103,7 +103,7 @@ def _error(error: PredictionError) -> dict[str, float]:
 
 
 def _plain(value: Any) -> Any:
-    """Values as YAML and the model file take them: floats of ten digits, lists, dicts."""
+    """Convert values to dicts, lists and floats rounded to `_DIGITS`, as YAML and the model file take them."""
     if isinstance(value, dict):
         return {str(key): _plain(each) for key, each in value.items()}
     if isinstance(value, list | tuple):
@@ -115,7 +115,7 @@ def _plain(value: Any) -> Any:
 
 
 def as_json(identification: Identification) -> dict[str, Any]:
-    """The object that ``identify --json`` prints."""
+    """Return the object that ``identify --json`` prints."""
     return {
         "best": identification.best.label,
         "reason": identification.reason,

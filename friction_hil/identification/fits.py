@@ -1,4 +1,4 @@
-"""One candidate fitted: parameters with their uncertainty, errors inside and outside the data, curves to draw."""
+"""Fit of one candidate: parameters with their uncertainty, prediction errors, and curves for reports."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -8,7 +8,8 @@ import numpy as np
 
 from friction_hil.identification import structures
 from friction_hil.identification.data import Data
-from friction_hil.identification.errors import (
+from friction_hil.identification.inference import Inference, flags, infer
+from friction_hil.identification.prediction_errors import (
     PredictionError,
     blocks,
     cross_validate,
@@ -16,20 +17,19 @@ from friction_hil.identification.errors import (
     speed_groups,
     validate,
 )
-from friction_hil.identification.inference import Inference, flags, infer
-from friction_hil.identification.problem import BACK_EMF, INVERSE_GAIN, Estimate, Problem
 from friction_hil.identification.refine import refine
-from friction_hil.identification.structures import Scales, Structure
+from friction_hil.identification.regression import BACK_EMF, INVERSE_GAIN, Estimate, Regression
+from friction_hil.identification.structures import InitialScales, ModelStructure
 from friction_hil.numerics.jit import Array
 
-_FIRST_EVALUATIONS = 5  # of each start; the best goes on
+_FIRST_EVALUATIONS = 5  # from each start; the search continues from the best one
 _EVALUATIONS = 60
 MECHANICS = ("inertia", "offset", "gravity.constant", "gravity.sine", "gravity.cosine")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Curves:
-    """Measured and predicted torque over what a report draws them; arrays (k,) on the rows of the regression.
+    """Measured and predicted torque with the motion, for reports; arrays (k,) on the rows of the regression.
 
     Attributes
     ----------
@@ -38,9 +38,9 @@ class Curves:
     measured, predicted, residual : array
         N m or N; residual = measured - predicted.
     friction : array
-        Predicted share of friction.
+        Predicted friction torque.
     recording : array of int
-        Which of the records a row belongs to.
+        Index of the record of each row.
     """
 
     time_s: Array
@@ -56,32 +56,32 @@ class Curves:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """A candidate and what is known of it.
+    """A fitted candidate.
 
     Attributes
     ----------
-    structure : Structure
+    structure : ModelStructure
     values : dict
-        Parameters that were looked for, by name, mechanics included.
+        Fitted parameters by name, mechanics included.
     mechanics : dict
-        Inertia, offset and gravity, held ones included.
+        Inertia, offset and gravity, including held ones.
     inference : Inference
     train, cross_validation : PredictionError
-        On the data, and on blocks of it that were held out.
+        Errors on the data, and on blocks of it that were held out.
     across_speeds : PredictionError or None
-        On groups of strokes that were held out, by their speed; None where there are too few strokes.
+        Error on strokes held out by their speed; None if there are too few strokes.
     validation : PredictionError or None
-        On recordings that the fit has not seen.
+        Error on the validation recordings.
     flags : tuple of str
     coordinates : array
-        Where the search ended.
+        Coordinates at which the search ended.
     curves : Curves
     estimate : Estimate
     is_refined : bool
-        Whether it was fitted once more by `refined`.
+        True if the fit comes from `refined`.
     """
 
-    structure: Structure
+    structure: ModelStructure
     values: dict[str, float]
     mechanics: dict[str, float]
     inference: Inference
@@ -97,27 +97,27 @@ class Fit:
 
     @property
     def label(self) -> str:
-        """Name for people."""
+        """Name for tables and messages."""
         return self.structure.label
 
     @property
     def count(self) -> int:
-        """Number of parameters that were fitted."""
+        """Number of fitted parameters."""
         return len(self.inference.names)
 
     @property
     def held_out(self) -> PredictionError:
-        """The error that counts: on other recordings, or of strokes held out, or of blocks held out; what there is."""
+        """Error used for the choice: on validation recordings if given, else across speeds, else across blocks."""
         return self.validation or self.across_speeds or self.cross_validation
 
     @property
     def drive(self) -> dict[str, float]:
-        """Gain and back-EMF of a drive whose gain was looked for."""
+        """Gain and back-EMF, if the gain of the drive was identified."""
         return {name: value for name, value in self.values.items() if name.startswith("drive.")}
 
     @property
     def friction(self) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Parameters and modifiers as in a model file."""
+        """Friction parameters and modifiers as in a model file."""
         other = (*MECHANICS, *self.drive)
         own = {name: value for name, value in self.values.items() if name not in other}
         parameters, modifiers = structures.nested({**self.structure.constants, **own})
@@ -125,114 +125,120 @@ class Fit:
 
 
 def fit(
-    problem: Problem,
-    scales: Scales,
+    regression: Regression,
+    scales: InitialScales,
     *,
     seed: int = 0,
     further_starts: int = 2,
     warm: Mapping[str, float] | None = None,
     is_robust: bool = False,
-    validation: Problem | None = None,
+    validation: Regression | None = None,
     notes: Sequence[str] = (),
 ) -> Fit:
-    """Fit a structure: several short searches, the best one to its end, then what can be said of it.
+    """Fit a structure: short searches from several starts, a full one from the best, then errors and uncertainty.
 
     Parameters
     ----------
-    problem : Problem
-    scales : Scales
+    regression : Regression
+    scales : InitialScales
     seed, further_starts : int
-        Random starts besides those that the data suggest.
+        Number of random starts besides those that the data suggest, and their seed.
     warm : mapping, optional
-        Values of a related structure to start from; then only one start besides.
+        Values of a related structure to start from; only one other start is then used.
     is_robust : bool
-        See `Problem.estimate`.
-    validation : Problem, optional
-        The same structure on other recordings.
+        See `Regression.estimate`.
+    validation : Regression, optional
+        Regression of the same structure on validation recordings.
     notes : sequence of str
-        What is to be said of this candidate anyway.
+        Remarks to put before the flags of this candidate.
 
     Raises
     ------
     InvalidParameterError
-        A held value does not fit the model.
+        A held value is not allowed by the model.
     """
-    structure = problem.structure
+    structure = regression.structure
     begins: list[dict[str, float]] = []
     for values in structures.starts(structure, scales, seed, further_starts):
         if values not in begins:
             begins.append(values)
     if warm is not None:
         begins = [{**begins[0], **_from_plain(structure, warm)}, *begins[:1]]
-    structure.model(begins[0])  # a held value that does not fit is the user's to know
+    structure.model(begins[0])  # raises on an invalid held value, which a search would only step back from
     at = [np.array([each.inner(values[each.name]) for each in structure.coordinates]) for values in begins]
     if len(at) > 1:
-        first = [problem.search(each, evaluations=_FIRST_EVALUATIONS, tolerance=1e-5) for each in at]
+        first = [regression.search(each, evaluations=_FIRST_EVALUATIONS, tolerance=1e-5) for each in at]
         at = [min(first, key=lambda solution: solution.cost).at]
-    estimate = problem.estimate(at[0], is_robust=is_robust, evaluations=_EVALUATIONS)
-    inference = infer(estimate, problem.data.parts)
-    return _fit(problem, estimate, inference, validation, notes)
+    estimate = regression.estimate(at[0], is_robust=is_robust, evaluations=_EVALUATIONS)
+    inference = infer(estimate, regression.data.parts)
+    return _fit(regression, estimate, inference, validation, notes)
 
 
 def refined(
     base: Fit,
-    problem: Problem,
+    regression: Regression,
     originals: Data,
-    scales: Scales,
+    scales: InitialScales,
     *,
     replicas: int,
     seed: int = 0,
-    validation: Problem | None = None,
+    validation: Regression | None = None,
     notes: Sequence[str] = (),
 ) -> Fit:
-    """Fit a structure once more on fine records: see `friction_hil.identification.refine`.
+    """Fit a structure once more at the encoder's resolution: see `friction_hil.identification.refine`.
 
     Parameters
     ----------
     base : Fit
-        To the ordinary records, ``originals``.
-    problem : Problem
-        The same structure on what `friction_hil.identification.fine.fine_data` makes of them.
+        Fit to the ordinary records, ``originals``.
+    regression : Regression
+        Regression of the same structure on `friction_hil.identification.fine.fine_data` of these records.
     originals : Data
-    scales : Scales
+    scales : InitialScales
     replicas, seed : int
-        Of the repeated experiments.
+        Number and seed of the simulated experiments.
     validation, notes
         See `fit`.
     """
-    estimate, inference, further = refine(problem, originals, base.coordinates, scales, replicas=replicas, seed=seed)
-    return replace(_fit(problem, estimate, inference, validation, (*notes, *further)), is_refined=True)
+    estimate, inference, further = refine(regression, originals, base.coordinates, scales, replicas=replicas, seed=seed)
+    return replace(_fit(regression, estimate, inference, validation, (*notes, *further)), is_refined=True)
 
 
 def _fit(
-    problem: Problem, estimate: Estimate, inference: Inference, validation: Problem | None, notes: Sequence[str]
+    regression: Regression,
+    estimate: Estimate,
+    inference: Inference,
+    validation: Regression | None,
+    notes: Sequence[str],
 ) -> Fit:
-    structure = problem.structure
+    structure = regression.structure
     return Fit(
         structure=structure,
         values=estimate.values,
-        mechanics=_mechanics(problem, estimate),
+        mechanics=_mechanics(regression, estimate),
         inference=inference,
-        train=prediction_error(problem.data.torque, problem.data.torque - estimate.residual),
-        cross_validation=cross_validate(problem, estimate, blocks(problem.data)),
-        across_speeds=cross_validate(problem, estimate, groups) if (groups := speed_groups(problem.data)) else None,
+        train=prediction_error(regression.data.torque, regression.data.torque - estimate.residual),
+        cross_validation=cross_validate(regression, estimate, blocks(regression.data)),
+        across_speeds=cross_validate(regression, estimate, groups)
+        if (groups := speed_groups(regression.data))
+        else None,
         validation=None if validation is None else validate(validation, estimate),
         flags=(*notes, *flags(estimate, inference)),
         coordinates=estimate.coordinates,
-        curves=_curves(problem.data, estimate),
+        curves=_curves(regression.data, estimate),
         estimate=estimate,
     )
 
 
-def _mechanics(problem: Problem, estimate: Estimate) -> dict[str, float]:
-    """Mechanics that were found or held, in the units of the measured torque."""
+def _mechanics(regression: Regression, estimate: Estimate) -> dict[str, float]:
+    """Return fitted and held mechanical parameters, in units of the measured torque."""
     scale = estimate.values.get(INVERSE_GAIN, 1.0)
-    held = {**problem.held, **{name: scale * value for name, value in problem.data.known.items()}}
+    held = {**regression.held, **{name: scale * value for name, value in regression.data.known.items()}}
     return {name: estimate.values.get(name, held.get(name, 0.0)) for name in MECHANICS}
 
 
-def _from_plain(structure: Structure, values: Mapping[str, float]) -> dict[str, float]:
-    """Values of a structure's coordinates from those of one without directions or modifiers."""
+def _from_plain(structure: ModelStructure, values: Mapping[str, float]) -> dict[str, float]:
+    """Return start values for a structure from those of a related one without directions or modifiers."""
     found = {}
     for each in structure.coordinates:
         plain = each.name.rpartition(".")[2] if each.name.startswith("direction.") else each.name

@@ -1,7 +1,7 @@
-"""Free simulation: the identified axis in its closed loop, from the reference alone. Pure.
+"""Free simulation of the identified axis in its closed loop, from the reference alone. Pure.
 
-A prediction error compares torques along the motion that was measured; a free run lets the model make the motion
-too, so that what it gets wrong adds up. It needs to know what commanded the torque.
+A prediction error compares torques along the measured motion. In a free run the model produces the motion as well, so
+that its errors accumulate. This requires the control law that commanded the torque.
 """
 
 import math
@@ -16,9 +16,9 @@ from friction_hil.numerics.jit import Array
 
 Controller = Callable[[int, float, float], float]  # sample, position, velocity -> torque
 
-_BALANCE = 1e-12  # relative difference of torque and friction that counts as none
-_STEPS = 4  # of integration in a sample
-_FAR = 1e12  # rad or m
+_BALANCE = 1e-12  # relative difference below which applied torque and friction balance
+_STEPS = 4  # integration steps per sample
+_FAR = 1e12  # rad or m: the simulation is unstable beyond
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,9 +28,9 @@ class FreeRun:
     Attributes
     ----------
     position, velocity : array
-        At the begin of each sample, which is when the controller reads them.
+        At the beginning of each sample, where the controller reads them.
     torque : array
-        Commanded from then on.
+        Commanded over the sample.
     """
 
     position: Array
@@ -38,13 +38,15 @@ class FreeRun:
     torque: Array
 
     def relative_error(self, measured: Array, begin: int = 0) -> float:
-        """norm(measured - torque) / norm(measured) from a row on, measured torque (n,)."""
+        """Return norm(measured - torque) / norm(measured) from row ``begin`` on; ``measured`` is (n,)."""
         difference = measured[begin:] - self.torque[begin:]
         return float(np.linalg.norm(difference) / np.linalg.norm(measured[begin:]))
 
 
 def cascade(demand: Array, position_gain: float, velocity_gain: float) -> Controller:
-    """Position P over velocity P: torque = velocity_gain (position_gain (demand - position) - velocity).
+    """Return a P position controller over a P velocity controller.
+
+    torque = velocity_gain (position_gain (demand - position) - velocity)
 
     Parameters
     ----------
@@ -73,25 +75,25 @@ def simulate_axis(
     velocity: float = 0.0,
     steps: int = _STEPS,
 ) -> FreeRun:
-    """Let a controller move the axis that a model file describes.
+    """Simulate the axis of a model file under a controller.
 
-    inertia dv/dt = torque - offset - gravity(q) - friction, by semi-implicit Euler, the torque held over a sample.
-    A static map sticks exactly: the axis stops where its velocity would change sign, and stands while friction
-    balances what is applied. Delay and lag of the torque are not simulated.
+    inertia dv/dt = torque - offset - gravity(q) - friction is integrated by semi-implicit Euler, with the torque held
+    over each sample. With static friction the axis sticks exactly: it stops when its velocity would change sign, and
+    rests while friction balances the applied torque. Delay and lag of the torque are not simulated.
 
     Parameters
     ----------
     model : ModelFile
         With an inertia above zero.
     controller : callable
-        Takes the number of the sample, position and velocity; returns the torque.
+        Takes the index of the sample, position and velocity; returns the torque.
     samples : int
     dt : float
         Sampling period, s.
     position, velocity : float
         At the beginning, rad and rad/s, or m and m/s.
     steps : int
-        Of integration in a sample.
+        Integration steps per sample.
 
     Raises
     ------

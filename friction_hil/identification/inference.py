@@ -1,24 +1,24 @@
-"""How well the data determine parameters: standard errors that allow for correlated residuals, correlations, flags.
+"""Uncertainty of fitted parameters: standard errors for correlated residuals, correlations, and flags.
 
-Standard errors are those of Newey and West, Econometrica 55(3), 1987: residuals of a friction model are mostly what
-the model leaves out, hence alike from row to row, and errors that took them for independent would be too small by
-a factor of several.
+Standard errors are those of Newey and West, Econometrica 55(3), 1987. The residual of a friction model is mostly model
+error and therefore correlated from row to row; standard errors for independent residuals would be too small by a factor
+of several.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from friction_hil.identification.problem import Estimate
+from friction_hil.identification.regression import Estimate
 from friction_hil.numerics.jit import Array
 
-COLLINEAR = 0.98  # correlation from which two parameters count as one
-VAGUE = 0.5  # standard error over value from which a parameter counts as not excited
+COLLINEAR = 0.98  # correlation above which two parameters are reported as collinear
+VAGUE = 0.5  # standard error over value above which a parameter is reported as not excited
 REPORTED_CORRELATION = 0.9
-_SHARE = 0.1  # in a direction that the data do not see
-_RANK = 1e-7  # of the largest singular value
+_LEAST_COMPONENT = 0.1  # of a parameter in an undetermined direction, for it to belong to the collinear group
+_RANK = 1e-7  # of the largest singular value: directions below are undetermined
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,15 +28,15 @@ class Inference:
     Attributes
     ----------
     names : tuple of str
-        Parameters that were free.
+        Free parameters.
     standard_errors : dict
-        By name; infinite for one that the data do not determine.
+        By name; infinite if the data do not determine the parameter.
     correlations : (p, p) array
         In the order of ``names``.
     lags : int
-        Over how many rows residuals are taken to be correlated.
+        Number of rows over which residuals are taken to be correlated.
     same : tuple of tuple of str
-        Groups of parameters whose effects are the same in these data.
+        Groups of parameters whose effects cannot be told apart in these data.
     """
 
     names: tuple[str, ...]
@@ -46,7 +46,7 @@ class Inference:
     same: tuple[tuple[str, ...], ...] = ()
 
     def pairs(self, least: float = REPORTED_CORRELATION) -> list[tuple[str, str, float]]:
-        """Pairs of parameters whose correlation is at least that, largest first."""
+        """Return pairs of parameters whose absolute correlation is ``least`` or more, largest first."""
         found = [
             (self.names[i], self.names[j], float(self.correlations[i, j]))
             for i in range(len(self.names))
@@ -57,9 +57,15 @@ class Inference:
 
 
 def infer(estimate: Estimate, parts: Sequence[slice], *, lags: int | None = None) -> Inference:
-    """Uncertainty of an estimate from the residuals of records, which are the ``parts`` of its rows.
+    """Return the uncertainty of an estimate.
 
-    Over how many rows residuals are correlated, ``lags``, is read off them where it is not given.
+    Parameters
+    ----------
+    estimate : Estimate
+    parts : sequence of slice
+        Rows of each record.
+    lags : int, optional
+        Number of rows over which residuals are correlated; estimated from the residuals if not given.
     """
     names = estimate.names
     weights = estimate.weights[:, None]
@@ -71,12 +77,12 @@ def infer(estimate: Estimate, parts: Sequence[slice], *, lags: int | None = None
     norms = np.linalg.norm(jacobian, axis=0)
     is_seen = norms > 0.0
     size = np.where(is_seen, norms, 1.0)
-    # of the triangular factor, which has the same: for a tall matrix a BLAS of several threads takes a hundred times
-    # as long
+    # the triangular factor has the same singular values; for the tall matrix itself a BLAS with several threads takes
+    # a hundred times as long
     _, singular, vectors = np.linalg.svd(np.linalg.qr(jacobian / size, mode="r"), full_matrices=False)
     is_kept = singular > _RANK * singular[0]
     inverse = (vectors[is_kept].T / singular[is_kept] ** 2) @ vectors[is_kept]
-    # a parameter with a share in a direction that nothing in the data sees has no error to speak of
+    # a parameter with a component in an undetermined direction has no finite error
     is_determined = is_seen & (np.sum(vectors[~is_kept] ** 2, axis=0) < _RANK)
     lags = _lags(residual, parts) if lags is None else lags
     scores = jacobian / size * residual[:, None]
@@ -90,18 +96,18 @@ def infer(estimate: Estimate, parts: Sequence[slice], *, lags: int | None = None
     covariance = inverse @ middle @ inverse * (rows / max(rows - count, 1))
     deviations = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     errors = np.where(is_determined, deviations / size, math.inf)
-    # correlation of what the data can tell apart, whatever the residuals are
+    # correlations from the Jacobian alone: what the data can tell apart does not depend on the residuals
     spread = np.sqrt(np.maximum(np.diag(inverse), 1e-300))
     correlations = np.clip(inverse / np.outer(spread, spread), -1.0, 1.0)
     same = tuple(
-        tuple(name for name, part in zip(names, vector, strict=True) if abs(part) > _SHARE)
+        tuple(name for name, part in zip(names, vector, strict=True) if abs(part) > _LEAST_COMPONENT)
         for vector in vectors[~is_kept]
     )
     return Inference(names, dict(zip(names, map(float, errors), strict=True)), correlations, lags, same)
 
 
 def _lags(residual: Array, parts: Sequence[slice]) -> int:
-    """Bandwidth for residuals of first order: D. W. K. Andrews, Econometrica 59(3), 1991, Bartlett kernel."""
+    """Return the bandwidth for first-order residuals: D. W. K. Andrews, Econometrica 59(3), 1991, Bartlett kernel."""
     above = sum(float(residual[part][1:] @ residual[part][:-1]) for part in parts)
     below = sum(float(residual[part] @ residual[part]) for part in parts)
     rho = min(max(above / below, -0.97), 0.97) if below > 0.0 else 0.0
@@ -153,7 +159,7 @@ _OFTEN_TOGETHER = {
 
 
 def experiment(name: str) -> str:
-    """What to do so that a recording shows this parameter."""
+    """Return the motion that makes a recording show this parameter."""
     last = name.rpartition(".")[2].partition("[")[0]
     if name.startswith("gravity."):
         return _EXPERIMENTS["gravity"]
@@ -161,15 +167,15 @@ def experiment(name: str) -> str:
 
 
 def advice(names: Sequence[str]) -> str:
-    """What to do so that a recording tells these parameters apart."""
+    """Return the motion that lets a recording tell these parameters apart."""
     plain = frozenset(name.rpartition(".")[2].partition("[")[0] for name in names)
     return _OFTEN_TOGETHER.get(plain, experiment(names[0]))
 
 
 def flags(estimate: Estimate, inference: Inference) -> list[str]:
-    """Sentences about parameters at a bound, not excited, and collinear, each with the experiment that would help."""
+    """Return sentences on parameters at a bound, not excited or collinear, each with the motion that would help."""
     found = [
-        f"at bound: {name} = {estimate.values[name]:.6g}; the data ask for less or more: {experiment(name)}"
+        f"at bound: {name} = {estimate.values[name]:.6g}; the search would go beyond: {experiment(name)}"
         for name in estimate.at_bound
     ]
     found += [
@@ -188,18 +194,12 @@ def flags(estimate: Estimate, inference: Inference) -> list[str]:
     for name in inference.names:
         error, value = inference.standard_errors[name], abs(estimate.values[name])
         if name in ("offset", "gravity.constant") and math.isfinite(error):
-            continue  # next to nothing is a fair value for these
+            continue  # these may well be zero
         if not error <= VAGUE * value:
-            share = f"{100.0 * error / value:.0f} % of it" if value > 0.0 and math.isfinite(error) else "without bound"
-            found.append(f"not excited: {name} = {value:.4g}, its standard error {share}: {experiment(name)}")
+            relative = (
+                f"{100.0 * error / value:.0f} % of it" if value > 0.0 and math.isfinite(error) else "without bound"
+            )
+            found.append(f"not excited: {name} = {value:.4g}, its standard error {relative}: {experiment(name)}")
     if not estimate.is_converged:
         found.append("not converged: the search ended before the error stopped falling")
     return found
-
-
-def explained(values: Mapping[str, float], inference: Inference) -> dict[str, float | None]:
-    """Standard errors by name, None for what was held, at a bound, or is not determined."""
-    return {
-        name: error if math.isfinite(error := inference.standard_errors.get(name, math.inf)) else None
-        for name in values
-    }

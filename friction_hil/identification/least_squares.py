@@ -1,7 +1,10 @@
-"""Levenberg-Marquardt with bounds, for residuals whose gradient is exact. Pure.
+"""Levenberg-Marquardt search within bounds, for few parameters and residuals with an exact Jacobian. Pure.
 
-Source: J. J. More, "The Levenberg-Marquardt algorithm: implementation and theory", Numerical Analysis, Lecture
-Notes in Mathematics 630, 1978; bounds by holding what would leave them.
+Source: J. J. More, "The Levenberg-Marquardt algorithm: implementation and theory", Numerical Analysis, Lecture Notes in
+Mathematics 630, 1978. Parameters at a bound are held as long as the gradient points outwards.
+
+Training has a search of its own (`friction_hil.training.levenberg`), without bounds, which computes derivatives after
+accepted steps only. Each of the two does worse on the problems of the other.
 """
 
 import math
@@ -13,14 +16,14 @@ import numpy as np
 from friction_hil.numerics.jit import Array, compiled
 
 _FIRST_DAMPING = 1e-6
-_LEAST_GAIN = 1e-4  # of the decrease that the linear model promises: a smaller one is no step
-_TRIALS = 12  # dampings before a search gives up
-_LEAST_CHANGE = 0.3  # of a refused step: one that differs by less is not worth an evaluation
+_LEAST_GAIN = 1e-4  # of the predicted decrease: a step with a smaller one is rejected
+_TRIALS = 12  # dampings tried for one step before the search ends
+_LEAST_CHANGE = 0.3  # of a rejected step: one that differs by less is not evaluated
 
 
 @dataclass(frozen=True, slots=True)
-class Solution:
-    """Where a search ended.
+class BoundedSolution:
+    """Result of `minimise_bounded`.
 
     Attributes
     ----------
@@ -32,7 +35,7 @@ class Solution:
         Sum of squares of the residual.
     evaluations : int
     is_converged : bool
-        Whether no step was left, rather than no evaluation.
+        True if no step was left that lowers the cost, False if the evaluations ran out.
     """
 
     at: Array
@@ -47,7 +50,7 @@ class Solution:
 def normal_equations(jacobian: Array, residual: Array, matrix: Array, gradient: Array) -> None:
     """Fill ``matrix`` (m, m) with J' J and ``gradient`` (m,) with J' r.
 
-    Compiled here because for tall and thin matrices a BLAS spends most of its time on its threads.
+    Compiled, because a BLAS spends most of its time on its threads with tall and thin matrices.
     """
     rows, columns = jacobian.shape
     matrix[:] = 0.0
@@ -65,25 +68,48 @@ def normal_equations(jacobian: Array, residual: Array, matrix: Array, gradient: 
 
 @compiled
 def project_out(basis: Array, values: Array) -> None:
-    """Take the part in the span of the orthonormal columns of ``basis`` (k, l) out of ``values`` (k, m), in place."""
+    """Remove from ``values`` (k, m), in place, the part in the span of the orthonormal columns of ``basis`` (k, l)."""
     rows, count = basis.shape
     columns = values.shape[1]
-    share = np.zeros((count, columns))
+    products = np.zeros((count, columns))
     for k in range(rows):
         for i in range(count):
             for j in range(columns):
-                share[i, j] += basis[k, i] * values[k, j]
+                products[i, j] += basis[k, i] * values[k, j]
     for k in range(rows):
         for i in range(count):
             for j in range(columns):
-                values[k, j] -= basis[k, i] * share[i, j]
+                values[k, j] -= basis[k, i] * products[i, j]
 
 
 def _norm(values: Array) -> float:
     return math.sqrt(values @ values)
 
 
-def minimise(
+def _damped_step(matrix: Array, right: Array, damping: float) -> Array:
+    """Return the solution of the damped normal equations; of least norm if they are singular."""
+    damped = matrix + damping * np.eye(len(right))
+    return np.asarray(np.linalg.lstsq(damped, right, rcond=None)[0])
+
+
+def _is_same(step: Array, rejected: Array, scale: Array) -> bool:
+    """Return True if a step differs too little from a rejected one to be evaluated."""
+    return _norm(scale * (step - rejected)) < _LEAST_CHANGE * _norm(scale * rejected)
+
+
+def _increased(damping: float) -> float:
+    """Return the damping after a rejected step."""
+    return max(10.0 * damping, 1e-5)
+
+
+def _adapted(damping: float, decrease: float, predicted: float) -> float:
+    """Return the damping after an accepted step, by how well the linear model predicted its decrease."""
+    if decrease > 0.7 * predicted:
+        return max(0.1 * damping, 1e-14)
+    return 5.0 * damping if decrease < 0.25 * predicted else damping
+
+
+def minimise_bounded(
     residual: Callable[[Array], tuple[Array, Array]],
     start: Array,
     lower: Array,
@@ -92,27 +118,27 @@ def minimise(
     evaluations: int = 60,
     tolerance: float = 1e-9,
     longest: Array | None = None,
-) -> Solution:
-    """Find the least sum of squares from ``start``.
+) -> BoundedSolution:
+    """Minimise a sum of squares within bounds, from ``start``.
 
     Parameters
     ----------
     residual : callable
-        Takes (m,) and returns residual (k,) and Jacobian (k, m); not finite where there is no model.
+        Takes (m,) and returns residual (k,) and Jacobian (k, m); the residual is not finite where it is undefined.
     start, lower, upper : (m,) array
     evaluations : int
-        Most calls of ``residual``.
+        Largest number of calls of ``residual``.
     tolerance : float
-        Relative decrease of the sum below which the search is over.
+        Relative decrease of the sum below which the search ends.
     longest : (m,) array, optional
-        Longest step of each.
+        Longest step of each parameter.
     """
     at = np.clip(start, lower, upper)
     r, jacobian = residual(at)
     cost = float(r @ r)
     calls, damping, scale = 1, _FIRST_DAMPING, np.zeros(len(at))
     if not math.isfinite(cost):
-        return Solution(at, r, jacobian, math.inf, calls, False)
+        return BoundedSolution(at, r, jacobian, math.inf, calls, False)
     matrix, gradient = np.empty((len(at), len(at))), np.empty(len(at))
     while calls < evaluations:
         normal_equations(jacobian, r, matrix, gradient)
@@ -121,22 +147,21 @@ def minimise(
         scale = np.maximum(scale, norms)
         free = np.flatnonzero(~is_held & (norms > 0.0))
         if not free.size or cost == 0.0:
-            return Solution(at, r, jacobian, cost, calls, True)
+            return BoundedSolution(at, r, jacobian, cost, calls, True)
         size = scale[free]
         scaled = matrix[np.ix_(free, free)] / np.outer(size, size)
-        refused: Array | None = None
+        rejected: Array | None = None
         for _ in range(_TRIALS):
-            damped = scaled + damping * np.eye(free.size)
             step = np.zeros(len(at))
-            step[free] = np.linalg.lstsq(damped, -gradient[free] / size, rcond=None)[0] / size
+            step[free] = _damped_step(scaled, -gradient[free] / size, damping) / size
             if longest is not None:
                 step = np.clip(step, -longest, longest)
             trial = np.clip(at + step, lower, upper)
             step = trial - at
-            if refused is not None and _norm(scale * (step - refused)) < _LEAST_CHANGE * _norm(scale * refused):
-                damping = max(10.0 * damping, 1e-5)
+            if rejected is not None and _is_same(step, rejected, scale):
+                damping = _increased(damping)
                 continue
-            refused = step
+            rejected = step
             predicted = -float(2.0 * gradient @ step + step @ matrix @ step)
             r_trial, jacobian_trial = residual(trial)
             calls += 1
@@ -144,17 +169,14 @@ def minimise(
             if math.isfinite(cost_trial) and cost - cost_trial > _LEAST_GAIN * max(predicted, 0.0):
                 break
             if abs(predicted) <= tolerance * cost or calls >= evaluations:
-                return Solution(at, r, jacobian, cost, calls, abs(predicted) <= tolerance * cost)
-            damping = max(10.0 * damping, 1e-5)
+                return BoundedSolution(at, r, jacobian, cost, calls, abs(predicted) <= tolerance * cost)
+            damping = _increased(damping)
         else:
-            return Solution(at, r, jacobian, cost, calls, False)
+            return BoundedSolution(at, r, jacobian, cost, calls, False)
         decrease = cost - cost_trial
-        if decrease > 0.7 * predicted:
-            damping = max(0.1 * damping, 1e-14)
-        elif decrease < 0.25 * predicted:
-            damping *= 5.0
+        damping = _adapted(damping, decrease, predicted)
         is_over = decrease <= tolerance * cost
         at, r, jacobian, cost = trial, r_trial, jacobian_trial, cost_trial
         if is_over:
-            return Solution(at, r, jacobian, cost, calls, True)
-    return Solution(at, r, jacobian, cost, calls, False)
+            return BoundedSolution(at, r, jacobian, cost, calls, True)
+    return BoundedSolution(at, r, jacobian, cost, calls, False)

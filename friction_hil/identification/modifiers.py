@@ -1,4 +1,4 @@
-"""Modifiers of a structure: load, temperature, nonlinear viscous friction, ripple; tried where the data show them."""
+"""Modifiers to try on a structure: load, temperature, nonlinear viscous friction, ripple, if the data excite them."""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -7,40 +7,40 @@ from dataclasses import replace
 import numpy as np
 
 from friction_hil.identification.data import Data
-from friction_hil.identification.structures import Coordinate, Scales, Structure
+from friction_hil.identification.structures import Coordinate, InitialScales, ModelStructure
 from friction_hil.numerics.jit import Array
 
-_LEAST_LOAD = 0.1  # of the friction level: a smaller change of the load says nothing
-_LEAST_WARMING = 3.0  # K
-_LEAST_PERIODS = 2.0  # of a ripple in the travel
+_LEAST_LOAD = 0.1  # of the friction level: a smaller variation of the load does not show
+_LEAST_WARMING = 3.0  # K: smallest range of temperatures
+_LEAST_PERIODS = 2.0  # of a ripple over the travel
 _MOST_PERIODS = 300.0
-_ORDERS = 400  # that are tried
-_LEAST_RIPPLE = 0.05  # of the residual's energy that a harmonic explains
+_ORDERS = 400  # number of orders tried
+_LEAST_RIPPLE = 0.05  # smallest fraction of the residual's energy that a harmonic must explain
 _HARMONICS = 2
-_STATIC_CURVES = ("table", "power_law")  # they bend by themselves
+_STATIC_CURVES = ("table", "power_law")  # these are nonlinear in the velocity themselves
 
 
 def excited(
-    structure: Structure,
+    structure: ModelStructure,
     data: Data,
-    scales: Scales,
+    scales: InitialScales,
     residual: Array,
     loads: Sequence[Array] | None,
     *,
-    is_load_found: bool = False,
-) -> Iterator[Structure]:
-    """Structures with one modifier more, where the data are such that it could show.
+    is_load_fitted: bool = False,
+) -> Iterator[ModelStructure]:
+    """Yield the structure with one modifier more, for each modifier that the data could show.
 
-    A load that is found itself, gravity, makes up the difference between friction that grows with it while the motor
-    drives and while it is driven: sign(v) |load| changes sign with load v, so that half the difference times the
-    load has no sign of its own. Then one value stands for both.
+    If the load is gravity and identified by the same fit, load-dependent friction of motoring and of driven motion
+    cannot be told apart: half their difference times the load is proportional to the load itself and is taken for
+    gravity. One coefficient is then used for both (``is_load_fitted``).
     """
     has = set(structure.modifiers)
     if "viscous" not in has and structure.family not in _STATIC_CURVES:
         yield _with(structure, "viscous", linear={"viscous.quadratic": "viscous.quadratic"})
-    if "load" not in has and loads is not None and _ripples(loads) > _LEAST_LOAD * scales.level:
+    if "load" not in has and loads is not None and _load_spread(loads) > _LEAST_LOAD * scales.level:
         names = ("load.motoring", "load.driven")
-        owners = [names] if is_load_found else [(name,) for name in names]
+        owners = [names] if is_load_fitted else [(name,) for name in names]
         coordinates = [Coordinate(owner, 0.0, 10.0, False) for owner in owners]
         yield _with(structure, "load", coordinates=coordinates)
     warmth = [record.temperature for record in data.records if record.temperature is not None]
@@ -63,13 +63,13 @@ def excited(
 
 
 def _with(
-    structure: Structure,
+    structure: ModelStructure,
     name: str,
     *,
     coordinates: Sequence[Coordinate] = (),
     linear: dict[str, str] | None = None,
     constants: dict[str, float] | None = None,
-) -> Structure:
+) -> ModelStructure:
     return replace(
         structure,
         coordinates=(*structure.coordinates, *coordinates),
@@ -79,15 +79,15 @@ def _with(
     )
 
 
-def _ripples(loads: Sequence[Array]) -> float:
-    """Spread of the size of the load, N m or N."""
+def _load_spread(loads: Sequence[Array]) -> float:
+    """Return the standard deviation of the absolute load, N m or N."""
     return float(np.std(np.abs(np.concatenate(list(loads)))))
 
 
 def ripple_orders(data: Data, residual: Array, is_linear: bool) -> list[float]:
-    """Orders of position harmonics that stand out in a residual (k,), largest first.
+    """Return the orders of position harmonics that stand out in a residual (k,), largest first.
 
-    On a rotary axis that turns by more than one revolution they are whole: what repeats with the shaft.
+    On a rotary axis that turns by more than one revolution only whole orders are tried: ripple repeats with the shaft.
     """
     position = data.motion("position")
     turn = 1.0 if is_linear else 2.0 * math.pi
@@ -96,7 +96,7 @@ def ripple_orders(data: Data, residual: Array, is_linear: bool) -> list[float]:
         orders = np.arange(1.0, 65.0)
     else:
         orders = np.geomspace(_LEAST_PERIODS, _MOST_PERIODS, _ORDERS) / travel
-    # what moves from row to row by half a period cannot be seen
+    # aliasing: a ripple of which a row-to-row movement spans half a period cannot be seen
     fastest = float(np.quantile(np.abs(np.diff(position)), 0.9)) / turn
     orders = orders[orders * fastest < 0.25] if fastest > 0.0 else orders
     found: list[float] = []

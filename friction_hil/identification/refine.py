@@ -1,12 +1,12 @@
-"""A dynamic model once more, where the recording shows presliding: unbiased by the encoder's counts, honest errors.
+"""Refinement of a dynamic model on recordings that show presliding, without the bias of the encoder's counts.
 
-1. The fit of ordinary records is the start of a weighted one of fine records (`friction_hil.identification.fine`):
-   a stretch where the motion is finer than the encoder tells, so that the model's state gets lost, says so by its
-   residual and counts less (iteratively reweighted).
-2. What bias is left is found by repeating the experiment: the fitted model's own torque over the smoothed motion,
-   which an encoder counts anew, is fitted by one Gauss-Newton step. The mean shift is taken off.
+1. A weighted fit to fine records (`friction_hil.identification.fine`) starts from the fit to ordinary records. Where
+   the motion is finer than the encoder resolves, the state of the model is wrong and the residual grows: such stretches
+   get smaller weights (iteratively reweighted least squares).
+2. The remaining bias is estimated by simulated experiments: the fitted model's torque along the smoothed motion, which
+   a simulated encoder counts anew, is fitted by one Gauss-Newton step. The mean shift is subtracted.
    Source: indirect inference; C. Gourieroux, A. Monfort, E. Renault, Journal of Applied Econometrics 8, 1993.
-3. Standard errors are those of Newey and West plus what the shifts leave unknown.
+3. Standard errors are those of Newey and West plus the uncertainty of the shifts.
 """
 
 from dataclasses import replace
@@ -19,28 +19,28 @@ from friction_hil.identification import structures
 from friction_hil.identification.data import Data, linear_column
 from friction_hil.identification.fine import ROWS_HZ, FineSegment, local_rms, recounted
 from friction_hil.identification.inference import Inference, infer
-from friction_hil.identification.problem import Estimate, Problem, is_positive
-from friction_hil.identification.structures import Scales, Structure
+from friction_hil.identification.regression import Estimate, Regression, is_positive
+from friction_hil.identification.structures import InitialScales, ModelStructure
 from friction_hil.numerics.jit import Array
 
 REPLICAS = 8
 _REWEIGHTINGS = 2
-_WEIGHT_S = 0.25  # over which a residual is looked at
-_EQUAL_SHARE = 0.25  # of the rows, the quietest ones, count alike
-_LAG_S = 0.5  # over which residuals are taken to be correlated
-_SHIFT_DOUBT = 1.0 / 8.0  # of the square of a shift, which is as good as the model it is made with
+_WEIGHT_S = 0.25  # window of the local residual
+_EQUAL_FRACTION = 0.25  # of the rows, those with the smallest residuals, have equal weights
+_LAG_S = 0.5  # time over which residuals are taken to be correlated
+_SHIFT_DOUBT = 1.0 / 8.0  # variance of a subtracted shift, relative to its square: it depends on the fitted model
 
 
-def is_dynamic(structure: Structure) -> bool:
-    """Whether friction has a state, which fast reversals show."""
+def is_dynamic(structure: ModelStructure) -> bool:
+    """Return True if the friction model has a state, which fast reversals show."""
     return not models.describe(structure.family).is_static
 
 
 def refine(
-    problem: Problem,
+    regression: Regression,
     originals: Data,
     at: Array,
-    scales: Scales,
+    scales: InitialScales,
     *,
     replicas: int = REPLICAS,
     seed: int = 0,
@@ -49,38 +49,38 @@ def refine(
 
     Parameters
     ----------
-    problem : Problem
-        On `fine_data`.
+    regression : Regression
+        On `friction_hil.identification.fine.fine_data`.
     originals : Data
         The ordinary records.
     at : (m,) array
-        Coordinates of the fit to these.
-    scales : Scales
+        Coordinates of the fit to ``originals``.
+    scales : InitialScales
     replicas : int
-        Repeated experiments; at least 2.
+        Number of simulated experiments; at least 2.
     seed : int
-        Of the repeated experiments.
+        Their seed.
 
     Returns
     -------
     estimate : Estimate
-        Bias taken off.
+        With the bias subtracted.
     inference : Inference
     notes : list of str
     """
     weights: Array | None = None
-    estimate = problem.estimate(_inside(problem, at, scales))
+    estimate = regression.estimate(_inside(regression, at, scales))
     for _ in range(_REWEIGHTINGS):
-        weights = _weights(problem.data, estimate.residual)
-        estimate = problem.estimate(estimate.coordinates, weights=weights)
-    inference = infer(estimate, problem.data.parts, lags=round(_LAG_S * ROWS_HZ))
-    shifts = _shifts(problem, originals, estimate, replicas, seed)
-    corrected, inference, notes = _corrected(problem, estimate, inference, shifts)
-    return corrected, inference, [_convention(problem.data), *notes]
+        weights = _weights(regression.data, estimate.residual)
+        estimate = regression.estimate(estimate.coordinates, weights=weights)
+    inference = infer(estimate, regression.data.parts, lags=round(_LAG_S * ROWS_HZ))
+    shifts = _shifts(regression, originals, estimate, replicas, seed)
+    corrected, inference, notes = _corrected(regression, estimate, inference, shifts)
+    return corrected, inference, [_convention(regression.data), *notes]
 
 
 def _convention(data: Data) -> str:
-    """What was taken for granted of the torque: nothing in a recording tells it, and damping hangs on it."""
+    """Return the note on the assumed meaning of a torque: no recording shows it, and the damping depends on it."""
     record = data.records[0]
     assert isinstance(record, FineSegment)
     taken = "the mean over the period before the sample" if record.is_mean else "that of the instant"
@@ -91,36 +91,36 @@ def _convention(data: Data) -> str:
     )
 
 
-def _inside(problem: Problem, at: Array, scales: Scales) -> Array:
-    """Start from coordinates, but where one ended at a bound from what the scales suggest: it has no slope there."""
-    first = next(structures.starts(problem.structure, scales, 0, 0))
-    suggested = np.array([each.inner(first[each.name]) for each in problem.structure.coordinates])
-    return np.where((at <= problem.lower) | (at >= problem.upper), suggested, at)
+def _inside(regression: Regression, at: Array, scales: InitialScales) -> Array:
+    """Return coordinates to start from: those at a bound, where they have no gradient, come from the scales."""
+    first = next(structures.starts(regression.structure, scales, 0, 0))
+    suggested = np.array([each.inner(first[each.name]) for each in regression.structure.coordinates])
+    return np.where((at <= regression.lower) | (at >= regression.upper), suggested, at)
 
 
 def _near(data: Data, residual: Array) -> Array:
-    """Size of the residual nearby, (k,)."""
+    """Return the local root mean square of the residual, (k,)."""
     return np.concatenate([local_rms(residual[part], _WEIGHT_S) for part in data.parts])
 
 
 def _weights(data: Data, residual: Array) -> Array:
     near = _near(data, residual)
-    return np.asarray(1.0 / np.maximum(near, max(float(np.quantile(near, _EQUAL_SHARE)), 1e-300)))
+    return np.asarray(1.0 / np.maximum(near, max(float(np.quantile(near, _EQUAL_FRACTION)), 1e-300)))
 
 
-def _shifts(problem: Problem, originals: Data, estimate: Estimate, replicas: int, seed: int) -> Array:
-    """By how much an estimate misses the truth where that is ``estimate``, (replicas, p)."""
+def _shifts(regression: Regression, originals: Data, estimate: Estimate, replicas: int, seed: int) -> Array:
+    """Return the errors of estimates from simulated experiments whose truth is ``estimate``, (replicas, p)."""
     random = np.random.default_rng(seed)
-    torques = _sensed(problem, estimate)
-    mechanics = [name for name in problem.keys if name not in problem.structure.linear]
+    torques = _sensed(regression, estimate)
+    mechanics = [name for name in regression.keys if name not in regression.structure.linear]
     rows = []
     for _ in range(replicas):
-        data = recounted(problem.data, originals.records, torques, random)
-        again = Problem(data, problem.structure, mechanics, problem.held, problem.loads)
+        data = recounted(regression.data, originals.records, torques, random)
+        again = Regression(data, regression.structure, mechanics, regression.held, regression.loads)
         linear = {name: estimate.values[name] for name in again.keys}
         residual = data.torque - again.predict(estimate.coordinates, linear, again.friction(estimate.coordinates)[0])
         jacobian = again.jacobian(estimate.coordinates, estimate.names)
-        # a state that gets lost here only counts less here, as it would in a recording
+        # a stretch where the state is wrong in this replica only gets a smaller weight, as in a recording
         joint = 1.0 / np.hypot(1.0 / estimate.weights, _near(data, residual))
         columns = jacobian * joint[:, None]
         norms = np.linalg.norm(columns, axis=0)
@@ -129,20 +129,20 @@ def _shifts(problem: Problem, originals: Data, estimate: Estimate, replicas: int
     return np.array(rows)
 
 
-def _sensed(problem: Problem, estimate: Estimate) -> list[Array]:
-    """Torque that a sensor without noise would have told at the samples of each record."""
-    structure = problem.structure
-    linear = {**problem.held, **{name: estimate.values[name] for name in problem.keys}}
-    keys = {**{name: name for name in problem.held}, **problem.keys}
+def _sensed(regression: Regression, estimate: Estimate) -> list[Array]:
+    """Return the torque that a sensor without noise would report at the samples of each record."""
+    structure = regression.structure
+    linear = {**regression.held, **{name: estimate.values[name] for name in regression.keys}}
+    keys = {**{name: name for name in regression.held}, **regression.keys}
     model = structure.model(structure.values(estimate.coordinates))
     found = []
-    for number, record in enumerate(problem.data.records):
+    for number, record in enumerate(regression.data.records):
         assert isinstance(record, FineSegment)
         torque = model.simulate(
             record.velocity,
             record.dt,
             position=record.position,
-            load_torque=None if problem.loads is None else problem.loads[number],
+            load_torque=None if regression.loads is None else regression.loads[number],
             temperature=record.temperature,
         )
         for name, value in linear.items():
@@ -153,16 +153,16 @@ def _sensed(problem: Problem, estimate: Estimate) -> list[Array]:
 
 
 def _corrected(
-    problem: Problem, estimate: Estimate, inference: Inference, shifts: Array
+    regression: Regression, estimate: Estimate, inference: Inference, shifts: Array
 ) -> tuple[Estimate, Inference, list[str]]:
-    """Take the mean shift off, and let the errors know of it."""
-    names, structure = estimate.names, problem.structure
+    """Subtract the mean shift, and add the uncertainty of the shift to the standard errors."""
+    names, structure = estimate.names, regression.structure
     shift, spread = shifts.mean(axis=0), shifts.var(axis=0, ddof=1)
     values = {
         **estimate.values,
         **{name: estimate.values[name] - x for name, x in zip(names, shift.tolist(), strict=True)},
     }
-    below = tuple(name for name in problem.keys if is_positive(name) and values[name] < 0.0)
+    below = tuple(name for name in regression.keys if is_positive(name) and values[name] < 0.0)
     values.update(dict.fromkeys(below, 0.0))
     notes = []
     coordinates, is_inside = estimate.coordinates.copy(), True
@@ -175,13 +175,13 @@ def _corrected(
     except UsageError:
         is_inside = False
     if is_inside:
-        values.update(structure.values(coordinates))  # tied ones
-        linear = {name: values[name] for name in problem.keys}
-        residual = problem.data.torque - problem.predict(coordinates, linear)
+        values.update(structure.values(coordinates))  # includes tied parameters
+        linear = {name: values[name] for name in regression.keys}
+        residual = regression.data.torque - regression.predict(coordinates, linear)
         at_bound = tuple(dict.fromkeys((*estimate.at_bound, *below)))
         estimate = replace(estimate, values=values, coordinates=coordinates, residual=residual, at_bound=at_bound)
     else:
-        notes.append("the shift by the encoder's counts would leave the bounds: it is in the errors, not taken off")
+        notes.append("the bias by the encoder's counts exceeds the bounds: it is part of the errors, not subtracted")
     doubt = _SHIFT_DOUBT if is_inside else 1.0
     variance = (1.0 + 1.0 / len(shifts)) * spread + doubt * shift**2
     errors = {

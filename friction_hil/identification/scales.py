@@ -1,4 +1,4 @@
-"""What the data show before any model is fitted: levels, speeds and deflections from which to search."""
+"""Friction level, speeds and deflections estimated from the data before any model is fitted; searches start there."""
 
 import math
 
@@ -7,23 +7,22 @@ import numpy as np
 from friction_hil import friction as models
 from friction_hil.errors import RecordingError
 from friction_hil.identification.data import Data
-from friction_hil.identification.structures import TABLE_POINTS, Scales
+from friction_hil.identification.structures import TABLE_POINTS, InitialScales
 from friction_hil.numerics.jit import Array
 
-_DEFLECTIONS = 12  # sizes that are tried
+_DEFLECTIONS = 12  # number of deflections tried
 _VELOCITIES = 10
-_LEAST_LEVEL = 1e-3  # of the measured torque: friction below it still gives starts a size
-_SPREAD = (1e-6, 0.1)  # of the travel: deflections that are tried
-_COLLINEAR = 1e-6  # of a shape's size: what is left of one that the base makes up
-_MOVING = 1e-3  # of the top speed
-_BASE = ("inertia", "offset", "gravity.sine", "gravity.cosine", "viscous")
+_LEAST_LEVEL = 1e-3  # of the measured torque: smallest level, so that searches have a scale even without friction
+_SPREAD = (1e-6, 0.1)  # of the travel: range of deflections tried
+_COLLINEAR = 1e-6  # of a regressor's norm: a smaller remainder outside the span of the base is rounding
+_MOVING = 1e-3  # of the top speed: the axis moves if it is faster
 
 
-def scales(data: Data, mechanics: tuple[str, ...]) -> Scales:
-    """Size up friction by regressions on shapes: linear in all but one number, which is tried over its range.
+def estimate_scales(data: Data, mechanics: tuple[str, ...]) -> InitialScales:
+    """Estimate the scales of friction by linear regressions, with one nonlinear number tried over its range.
 
-    A presliding deflection comes from Dahl's curve, which depends on nothing else but its level; a Stribeck
-    velocity from the hump of the static map.
+    The presliding deflection comes from Dahl's curve, whose only other parameter is its level, and the Stribeck
+    velocity from the hump of the static curve.
 
     Raises
     ------
@@ -38,51 +37,62 @@ def scales(data: Data, mechanics: tuple[str, ...]) -> Scales:
         raise RecordingError(f"{path}: the axis does not move: there is nothing to identify from")
     if torque == 0.0:
         raise RecordingError(f"{path}: the measured torque is zero in every row")
-    base = np.column_stack([data.column(name) for name in (*mechanics, "viscous")])
-    basis = np.linalg.qr(base / np.maximum(np.linalg.norm(base, axis=0), 1e-300))[0]
-
-    def regress(*shapes: Array) -> tuple[float, Array]:
-        """Sum of squares left by the base and these shapes, and the factors of the shapes."""
-        both = np.column_stack([*shapes, data.torque])
-        before = np.linalg.norm(both, axis=0)
-        both = both - basis @ (basis.T @ both)
-        both[:, np.linalg.norm(both, axis=0) < _COLLINEAR * before] = 0.0
-        found, *_ = np.linalg.lstsq(both[:, :-1], both[:, -1], rcond=None)
-        return float(np.sum((both[:, -1] - both[:, :-1] @ found) ** 2)), found
-
-    signs = [np.sign(record.velocity) for record in data.records]
-    level = float(regress(data.stack(signs))[1][0])
-    level = max(level, _LEAST_LEVEL * torque)
-
+    base = _Base(data, mechanics)
+    sign = data.stack([np.sign(record.velocity) for record in data.records])
+    level = max(float(base.regress(sign)[1][0]), _LEAST_LEVEL * torque)
     deflections = np.geomspace(*_SPREAD, _DEFLECTIONS) * travel
-    left = [regress(_dahl(data, deflection))[0] for deflection in deflections]
-    best_deflections = _best(deflections, left, 2)
-
-    velocities = np.geomspace(3e-3, 0.7, _VELOCITIES) * speed
-    fits = [regress(data.stack(signs), _hump(data, velocity)) for velocity in velocities]
-    # a velocity is worth a start only where its hump can be one: levels stay positive
-    sane = [fit[0] if fit[1][0] > 0.0 and fit[1].sum() > 0.0 else math.inf for fit in fits]
-    best_velocities = _best(velocities, sane, 2)
-    hump = fits[int(np.argmin(sane))][1]
-    static = float(hump.sum()) if math.isfinite(min(sane)) else level
-
-    moving = np.concatenate([np.abs(record.velocity) for record in data.records])
-    moving = moving[moving > _MOVING * speed]
-    quantiles = np.quantile(moving, np.linspace(0.02, 0.98, TABLE_POINTS))
-    speeds = tuple(np.maximum.accumulate(quantiles + 1e-6 * speed * np.arange(TABLE_POINTS)).tolist())
-    return Scales(
+    left = [base.regress(_dahl(data, deflection))[0] for deflection in deflections]
+    static, stribeck_velocities = _stribeck(data, base, sign, level, speed)
+    return InitialScales(
         level=level,
         static_level=min(max(static, 0.2 * level), 5.0 * level),
         speed=speed,
         travel=travel,
-        deflections=best_deflections,
-        stribeck_velocities=best_velocities,
-        speeds=speeds,
+        deflections=_best(deflections, left, 2),
+        stribeck_velocities=stribeck_velocities,
+        speeds=_table_speeds(data, speed),
     )
 
 
+class _Base:
+    """Linear regression with mechanics and viscous friction projected out."""
+
+    def __init__(self, data: Data, mechanics: tuple[str, ...]) -> None:
+        self._torque = data.torque
+        columns = np.column_stack([data.column(name) for name in (*mechanics, "viscous")])
+        self._basis = np.linalg.qr(columns / np.maximum(np.linalg.norm(columns, axis=0), 1e-300))[0]
+
+    def regress(self, *regressors: Array) -> tuple[float, Array]:
+        """Return the sum of squares left by the base and these regressors, and the regressors' coefficients."""
+        both = np.column_stack([*regressors, self._torque])
+        before = np.linalg.norm(both, axis=0)
+        both = both - self._basis @ (self._basis.T @ both)
+        both[:, np.linalg.norm(both, axis=0) < _COLLINEAR * before] = 0.0
+        found, *_ = np.linalg.lstsq(both[:, :-1], both[:, -1], rcond=None)
+        return float(np.sum((both[:, -1] - both[:, :-1] @ found) ** 2)), found
+
+
+def _stribeck(data: Data, base: _Base, sign: Array, level: float, speed: float) -> tuple[float, tuple[float, ...]]:
+    """Return the level at standstill and the best Stribeck velocities."""
+    velocities = np.geomspace(3e-3, 0.7, _VELOCITIES) * speed
+    fits = [base.regress(sign, _hump(data, velocity)) for velocity in velocities]
+    # start only from velocities whose fitted levels are positive
+    left = [fit[0] if fit[1][0] > 0.0 and fit[1].sum() > 0.0 else math.inf for fit in fits]
+    hump = fits[int(np.argmin(left))][1]
+    static = float(hump.sum()) if math.isfinite(min(left)) else level
+    return static, _best(velocities, left, 2)
+
+
+def _table_speeds(data: Data, speed: float) -> tuple[float, ...]:
+    """Return increasing speeds for the points of a table: quantiles of the speed in motion."""
+    moving = np.concatenate([np.abs(record.velocity) for record in data.records])
+    moving = moving[moving > _MOVING * speed]
+    quantiles = np.quantile(moving, np.linspace(0.02, 0.98, TABLE_POINTS))
+    return tuple(np.maximum.accumulate(quantiles + 1e-6 * speed * np.arange(TABLE_POINTS)).tolist())
+
+
 def _dahl(data: Data, deflection: float) -> Array:
-    """Friction of level one with a presliding deflection, reduced."""
+    """Return the reduced torque of Dahl's model of level 1 with a presliding deflection."""
     model = models.create("dahl", sigma0=1.0 / deflection, coulomb=1.0)
     return data.stack([model.simulate(record.velocity, record.dt) for record in data.records])
 
@@ -94,7 +104,7 @@ def _hump(data: Data, velocity: float) -> Array:
 
 
 def _best(candidates: Array, left: list[float], count: int) -> tuple[float, ...]:
-    """The best candidates that are local minima, best first; at least one."""
+    """Return the best local minima among the candidates, best first; at least one."""
     order = np.argsort(left, kind="stable")
     chosen: list[int] = []
     for i in order:

@@ -1,8 +1,8 @@
-"""What is fitted of each family of friction models: which parameters, in which coordinates, from which starts.
+"""Model structures: the fitted parameters of each family of friction models, their coordinates, bounds and starts.
 
-A *structure* is a family with modifiers. Its parameters are of three kinds: those that the torque is linear in
-and whose column never changes (viscous friction, ripple; they are projected out), those that are searched for,
-and constants.
+A *model structure* is a family with modifiers. Its parameters are of three kinds: linear ones, whose column of the
+regression is constant (viscous friction, ripple; they are projected out), nonlinear ones, which are searched for, and
+constants.
 """
 
 import math
@@ -20,31 +20,31 @@ from friction_hil.friction.modifiers import SIDES
 
 GMS_ELEMENTS = 4
 TABLE_POINTS = 6
-EXTENDS = {"elasto_plastic": "lugre"}  # a family that another one is a special case of
-EQUAL_IN_FEEDFORWARD = {"karnopp": "stribeck"}  # they differ in how they stick, which no recording of a drive shows
+EXTENDS = {"elasto_plastic": "lugre"}  # families and the special case that each extends
+EQUAL_IN_FEEDFORWARD = {"karnopp": "stribeck"}  # they differ while sticking, which no recording of a drive shows
 
-_MOST = 20.0  # times the level that the data show at low speed: the largest level that is searched
+_MOST = 20.0  # largest level that is searched, relative to the friction at low speed
 _SPRING_RATIOS = (0.2, 1.0, 3.0, 10.0)  # of the deflections at which elements of gms begin to slip
 
 
 @dataclass(frozen=True, slots=True)
-class Scales:
-    """Sizes that the data show before any model is fitted, SI of the axis.
+class InitialScales:
+    """Scales of friction estimated before any model is fitted, SI of the axis.
 
     Attributes
     ----------
     level, static_level : float
-        Friction at low speed, and what it tends to at standstill.
+        Friction at low speed, and its limit towards standstill.
     speed : float
         Top speed.
     travel : float
         Range of positions.
     deflections : tuple of float
-        Presliding deflections, level over stiffness, best first.
+        Presliding deflections (level over stiffness), best first.
     stribeck_velocities : tuple of float
         Best first.
     speeds : tuple of float
-        Where a table gets its points.
+        Speeds of the points of a table.
     """
 
     level: float
@@ -58,16 +58,16 @@ class Scales:
 
 @dataclass(frozen=True, slots=True)
 class Coordinate:
-    """A number to be searched for.
+    """One coordinate of the nonlinear search.
 
     Attributes
     ----------
     names : tuple of str
-        Parameters that have its value, by their names in `FrictionModel.free`; the first one names it.
+        Parameters with this value, by their names in `FrictionModel.free`; the first one names the coordinate.
     lower, upper : float
         Bounds of the parameter.
     is_log : bool
-        Whether its logarithm is searched for.
+        True to search for the logarithm of the parameter.
     """
 
     names: tuple[str, ...]
@@ -77,16 +77,16 @@ class Coordinate:
 
     @property
     def name(self) -> str:
-        """The parameter's name."""
+        """Name of the parameter."""
         return self.names[0]
 
     def inner(self, value: float) -> float:
-        """Coordinate of a parameter's value, inside the bounds."""
+        """Return the coordinate of a parameter's value, clipped to the bounds."""
         value = min(max(value, self.lower), self.upper)
         return math.log(value) if self.is_log else value
 
     def outer(self, coordinate: float) -> float:
-        """Parameter's value."""
+        """Return the parameter's value at a coordinate."""
         return math.exp(coordinate) if self.is_log else coordinate
 
     @property
@@ -96,24 +96,24 @@ class Coordinate:
 
 
 @dataclass(frozen=True, slots=True)
-class Structure:
-    """A family with modifiers, and what is to be found of it.
+class ModelStructure:
+    """A family of friction models with modifiers, and its parameters to identify.
 
     Attributes
     ----------
     family : str
         Name in the registry.
     coordinates : tuple of Coordinate
-        What is searched for.
+        Nonlinear parameters.
     linear : dict
-        Keys of `data.linear_column` by the names of parameters.
+        Linear parameters: keys of `data.linear_column` by parameter name.
     constants : dict
-        Parameters that are held, by name.
+        Held parameters by name.
     modifiers : tuple of str
         Names of the modifiers.
     axis : str
     without : tuple of str
-        Parameters held at zero because the data do not show them.
+        Parameters held at zero because the data do not excite them.
     """
 
     family: str
@@ -126,35 +126,35 @@ class Structure:
 
     @property
     def label(self) -> str:
-        """Name for people: ``lugre``, ``lugre + direction``."""
+        """Name for tables and messages: ``lugre``, ``lugre + direction``."""
         own = f"{self.family} ({', '.join(self.without)} = 0)" if self.without else self.family
         return " + ".join([own, *self.modifiers])
 
     @property
     def names(self) -> tuple[str, ...]:
-        """All parameters that are looked for."""
+        """Names of all parameters to identify."""
         return (*(each.name for each in self.coordinates), *self.linear)
 
     def values(self, coordinates: Any) -> dict[str, float]:
-        """Parameters of coordinates, tied ones included."""
+        """Return the nonlinear parameters at given coordinates, tied ones included."""
         found: dict[str, float] = {}
         for each, coordinate in zip(self.coordinates, coordinates, strict=True):
             found.update(dict.fromkeys(each.names, each.outer(float(coordinate))))
         return found
 
     def model(self, values: Mapping[str, float]) -> FrictionModel:
-        """Make the model with these values besides the constants; what is not named is left out.
+        """Create the model with these values and the constants; unnamed parameters take their defaults.
 
         Raises
         ------
         InvalidParameterError
-            They do not go together.
+            The values are inconsistent.
         """
         parameters, modifiers = nested({**self.constants, **values})
         return models.create(self.family, modifiers=modifiers, axis=self.axis, **parameters)
 
-    def hold(self, name: str, value: float) -> "Structure":
-        """The structure with one of its parameters held."""
+    def hold(self, name: str, value: float) -> "ModelStructure":
+        """Return the structure with one of its parameters held."""
         if name in self.linear:
             linear = {each: key for each, key in self.linear.items() if each != name}
             return replace(self, linear=linear, constants={**self.constants, name: value})
@@ -169,8 +169,8 @@ class Structure:
                 kept.append(each)
         return replace(self, coordinates=tuple(kept), constants={**held, name: value})
 
-    def drop(self, names: Sequence[str]) -> "Structure":
-        """The structure with some of its parameters held at 0; a modifier whose only parameter is one goes with it."""
+    def drop(self, names: Sequence[str]) -> "ModelStructure":
+        """Return the structure with some parameters held at 0; their modifiers, if any, are removed."""
         structure = self
         for name in names:
             structure = structure.hold(name, 0.0)
@@ -219,7 +219,7 @@ def nested(values: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
 
 @dataclass(frozen=True, slots=True)
 class _Recipe:
-    """How to fit a family: levels (that differ between directions), other parameters, name of the viscous one."""
+    """Parameters of a family: levels (different for each direction), others, and the name of the viscous one."""
 
     levels: tuple[str, ...]
     others: tuple[str, ...] = ()
@@ -256,17 +256,17 @@ _RECIPES = {
 
 
 def families() -> tuple[str, ...]:
-    """Names of the families that a recording can tell apart."""
+    """Return the names of the families that a recording can tell apart."""
     return tuple(_RECIPES)
 
 
-def build(family: str, scales: Scales, axis: Axis, period_s: float, *, is_directed: bool) -> Structure:
-    """Structure of a family, plain or with parameters of its own for each direction.
+def build(family: str, scales: InitialScales, axis: Axis, period_s: float, *, is_directed: bool) -> ModelStructure:
+    """Return the structure of a family, with one set of parameters or one for each direction.
 
     Raises
     ------
     UsageError
-        No such family can be fitted.
+        The family is unknown or cannot be fitted.
     """
     try:
         recipe = _RECIPES[EQUAL_IN_FEEDFORWARD.get(family, family)]
@@ -292,14 +292,14 @@ def build(family: str, scales: Scales, axis: Axis, period_s: float, *, is_direct
         owners = [f"direction.{side}.{name}" for side in SIDES] if is_directed and name in recipe.levels else [name]
         ties = [tied for tied, source in recipe.tied.items() if source == name]
         coordinates += [Coordinate((owner, *ties), lower, upper, is_log) for owner in owners]
-    return Structure(family, tuple(coordinates), linear, constants, ("direction",) if is_directed else (), axis)
+    return ModelStructure(family, tuple(coordinates), linear, constants, ("direction",) if is_directed else (), axis)
 
 
 def _all() -> tuple[str, ...]:
     return (*_RECIPES, *EQUAL_IN_FEEDFORWARD)
 
 
-def _table(scales: Scales, axis: Axis, constants: dict[str, Any], is_directed: bool) -> Structure:
+def _table(scales: InitialScales, axis: Axis, constants: dict[str, Any], is_directed: bool) -> ModelStructure:
     speeds = [*scales.speeds, *(-speed for speed in scales.speeds)] if is_directed else list(scales.speeds)
     high = 1e3 * scales.level
     coordinates = tuple(
@@ -307,11 +307,11 @@ def _table(scales: Scales, axis: Axis, constants: dict[str, Any], is_directed: b
         for i, speed in enumerate(speeds)
     )
     modifiers = ("direction",) if is_directed else ()
-    return Structure("table", coordinates, {}, {**constants, "speeds": speeds}, modifiers, axis)
+    return ModelStructure("table", coordinates, {}, {**constants, "speeds": speeds}, modifiers, axis)
 
 
-def _range(name: str, scales: Scales, period_s: float) -> tuple[float, float, bool]:
-    """Lower and upper bound of a parameter, and whether its logarithm is searched for."""
+def _range(name: str, scales: InitialScales, period_s: float) -> tuple[float, float, bool]:
+    """Return the lower and upper bound of a parameter, and True if its logarithm is searched for."""
     level, speed = scales.level, scales.speed
     shortest, longest = 1e-7 * scales.travel, 10.0 * scales.travel  # deflections
     simple = {
@@ -335,8 +335,8 @@ def _range(name: str, scales: Scales, period_s: float) -> tuple[float, float, bo
     return simple[name.partition("[")[0]]
 
 
-def starts(structure: Structure, scales: Scales, seed: int, further: int) -> Iterator[dict[str, float]]:
-    """Values from which to search: the scales that the data show, then ``further`` random ones about them."""
+def starts(structure: ModelStructure, scales: InitialScales, seed: int, further: int) -> Iterator[dict[str, float]]:
+    """Yield start values: those that the scales of the data suggest, then ``further`` random ones about them."""
     pairs = [(x, v) for v in scales.stribeck_velocities for x in scales.deflections]
     for deflection, velocity in pairs:
         yield _start(structure, scales, deflection, velocity)
@@ -344,7 +344,7 @@ def starts(structure: Structure, scales: Scales, seed: int, further: int) -> Ite
     for _ in range(further):
         deflection, velocity = (scale * float(np.exp(random.normal())) for scale in pairs[0])
         values = _start(structure, scales, deflection, velocity)
-        for name in values:  # a hump of any height and a damping of any size, whatever the scan has seen
+        for name in values:  # the scales say little of the hump's height and of the damping: draw them widely
             if "static" in name:
                 values[name] = scales.level * float(np.exp(0.5 * abs(random.normal())))
             elif name == "sigma1":
@@ -352,7 +352,7 @@ def starts(structure: Structure, scales: Scales, seed: int, further: int) -> Ite
         yield values
 
 
-def _start(structure: Structure, scales: Scales, deflection: float, velocity: float) -> dict[str, float]:
+def _start(structure: ModelStructure, scales: InitialScales, deflection: float, velocity: float) -> dict[str, float]:
     level = scales.level
     known = {
         "coulomb": level,

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from friction_hil.numerics.jit import Record, compiled
+from friction_hil.numerics.jit import StructuredArray, compiled
 
 CONTROLLER = np.dtype(
     [
@@ -19,7 +19,7 @@ CONTROLLER = np.dtype(
 
 @compiled
 def cascade(
-    c: Record,
+    c: StructuredArray,
     integral: float,
     position_error: float,
     velocity_demand: float,

@@ -1,1 +1,1 @@
-"""Compilation, automatic differentiation and filters that several rooms use."""
+"""Compilation of kernels, automatic differentiation, and filters without delay."""

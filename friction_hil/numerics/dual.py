@@ -1,14 +1,14 @@
 """Dual numbers for compiled code: exact derivatives of any kernel, from the source that computes its value.
 
-A dual number is a value and its partial derivatives with respect to `WIDTH` parameters. A kernel that is called
-with duals in place of numbers is compiled once more, by the same rules, and carries the partials through every
-operation (forward-mode automatic differentiation; Griewank and Walther, Evaluating Derivatives, 2nd ed., SIAM
-2008, section 3.1). So an equation stands once, and its derivative cannot disagree with it. The value of a dual
-has the same bits as the plain number; only the partials are computed with relaxed floating-point rules, which
-lets the compiler drop those that are always zero.
+A dual number is a value and its partial derivatives with respect to `WIDTH` parameters. A kernel called with duals
+instead of numbers is compiled once more, by the same rules, and carries the partials through every operation
+(forward-mode automatic differentiation; Griewank and Walther, Evaluating Derivatives, 2nd ed., SIAM 2008, section 3.1).
+An equation is therefore written once, and its derivative always agrees with it. The value of a dual has the same bits
+as the plain number; only the partials are computed with relaxed floating-point rules, which lets the compiler drop
+those that are always zero.
 
-Where a kernel takes an array of numbers it can take, with the same syntax inside, a `dual_array`: parameters with
-their seeds (row k is 1 in the column that parameter k counts for), a state, or an output.
+Instead of an array of numbers, a kernel can take a `dual_array` with the same syntax inside: parameters with their
+seeds (row k is 1 in the column of parameter k), a state, or an output.
 """
 
 import operator
@@ -34,9 +34,9 @@ from numba.np.arrayobj import populate_array
 
 from friction_hil.numerics.jit import OPTIONS
 
-WIDTH = 7  # as many as identification looks for in a LuGre with directions; more parameters take several runs
+WIDTH = 7  # nonlinear parameters of LuGre with directions in identification; more parameters take several runs
 
-intrinsic: Any = numba.extending.intrinsic  # for mypy: what it makes has other arguments than what it decorates
+intrinsic: Any = numba.extending.intrinsic  # for mypy: the result takes other arguments than the decorated function
 
 _F8, _I8 = ir.DoubleType(), ir.IntType(64)
 _RELAXED = ("fast",)
@@ -51,11 +51,11 @@ class DualType(types.Type):
         super().__init__("Dual")
 
     def can_convert_from(self, typingctx: Any, other: Any) -> Any:
-        """Take a plain number: its partials are zero."""
+        """Accept a plain number, whose partials are zero."""
         return Conversion.safe if isinstance(other, (types.Float, types.Integer)) else None
 
     def unify(self, typingctx: Any, other: Any) -> Any:
-        """Be the common type of a dual and a number, where branches assign both to one variable."""
+        """Return the common type of a dual and a number, if branches assign both to one variable."""
         return self if isinstance(other, (types.Float, types.Integer)) else None
 
 
@@ -77,7 +77,7 @@ register_model(DualType)(
 
 
 def _unpack(context: Any, builder: Any, kind: Any, number: Any) -> tuple[Any, list[Any] | None]:
-    """Value and partials of a number; None for the partials of a plain one."""
+    """Return the value and partials of a number; the partials of a plain number are None."""
     if not isinstance(kind, DualType):
         return context.cast(builder, number, kind, types.float64), None
     dual = cgutils.create_struct_proxy(DUAL)(context, builder, value=number)
@@ -121,7 +121,7 @@ def _define_binary(symbol: Any, result: Any, lower: Callable[..., Any]) -> None:
 
 
 def _define_arithmetic(symbol: Any, rule: Callable[..., tuple[Any, Any, Any]]) -> None:
-    """Define a binary operation; ``rule`` returns its value and its slopes over both operands, None for 1."""
+    """Define a binary operation; ``rule`` returns its value and its slopes over both operands, with None for 1."""
 
     def lower(context: Any, b: Any, x: Any, dx: Any, y: Any, dy: Any) -> Any:
         value, slope_x, slope_y = rule(b, x, y)
@@ -185,7 +185,7 @@ def _negative(context: Any, builder: Any, _: Any, args: Any) -> Any:
 
 @intrinsic
 def primal(_: Any, x: Any) -> Any:
-    """Value of a number without its partials."""
+    """Return the value of a number without its partials."""
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         return _unpack(context, builder, sig.args[0], args[0])[0]
@@ -195,7 +195,7 @@ def primal(_: Any, x: Any) -> Any:
 
 @intrinsic
 def chain(_: Any, value: Any, slope: Any, x: Any) -> Any:
-    """Dual number of a function: its ``value``, and its ``slope`` times the partials of its argument ``x``."""
+    """Return a function's dual: its ``value``, and its ``slope`` times the partials of the argument ``x``."""
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         _, partials = _unpack(context, builder, DUAL, args[2])
@@ -213,12 +213,11 @@ def fma(_: Any, x: Any, y: Any, z: Any) -> Any:
 
 @intrinsic
 def borrowed(_: Any, array: Any, begin: Any) -> Any:
-    """View of a contiguous array from an index of its first dimension on, which does not keep the array alive.
+    """Return a view of a contiguous array from an index of its first dimension on, without a reference to the array.
 
-    Of an array in a record, too, it is one like any other: what works on the views is compiled once for all.
-
-    Numba counts the references of what it slices, with atomic operations that would cost more than a model's
-    whole step. The caller keeps the array.
+    The caller must keep the array alive. Numba counts the references of slices with atomic operations, which would take
+    longer than a whole step of a model. A view of an array inside a structured array has the same type as any other, so
+    that kernels are compiled once for both.
     """
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -241,7 +240,7 @@ def borrowed(_: Any, array: Any, begin: Any) -> Any:
 
 @intrinsic
 def borrowed_at(_: Any, address: Any, length: Any) -> Any:
-    """View of ``length`` numbers at an address in memory; as an argument, a number is cheaper than an array."""
+    """Return a view of ``length`` numbers at an address: as an argument, a number is cheaper than an array."""
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         view = context.make_array(_VECTOR)(context, builder)
@@ -254,17 +253,17 @@ def borrowed_at(_: Any, address: Any, length: Any) -> Any:
 
 
 def overloaded(function: Any) -> Any:
-    """Give compiled code an implementation of ``function`` that depends on the types of its arguments."""
+    """Decorate an implementation of ``function`` for compiled code that depends on the types of its arguments."""
     return overload(function, jit_options=OPTIONS, strict=False)
 
 
 def differentiable(function: Any, value_of: Any, slope_of: Any) -> None:
-    """Let compiled code call ``function`` of one number or dual.
+    """Let compiled code call ``function`` with one number or dual.
 
     Parameters
     ----------
     function : callable
-        What kernels call.
+        Function that kernels call.
     value_of : compiled callable
         x -> f(x).
     slope_of : compiled callable
@@ -309,7 +308,7 @@ for _name, _ in _MEMBERS:
 
 @intrinsic
 def dual_array(_: Any, values: Any, partials: Any) -> Any:
-    """Array of duals in two arrays of numbers: values (n,) and partials (n, WIDTH)."""
+    """Return an array of duals, made of two arrays of numbers: values (n,) and partials (n, WIDTH)."""
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         pair = cgutils.create_struct_proxy(DUAL_ARRAY)(context, builder)
@@ -321,32 +320,33 @@ def dual_array(_: Any, values: Any, partials: Any) -> Any:
     return DUAL_ARRAY(_VECTOR, _TABLE), generate
 
 
-def _places(context: Any, builder: Any, kind: Any, row: Any) -> list[Any]:
-    """Pointers to the partials in a row of them."""
+def _partial_pointers(context: Any, builder: Any, kind: Any, row: Any) -> list[Any]:
+    """Return pointers to the partials of a row."""
     data = context.make_array(kind)(context, builder, value=row).data
     return [builder.gep(data, [ir.Constant(_I8, i)]) for i in range(WIDTH)]
 
 
 @intrinsic
 def _join(_: Any, value: Any, row: Any) -> Any:
-    """Dual of a value and a row of partials."""
+    """Return the dual of a value and a row of partials."""
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        places = _places(context, builder, sig.args[1], args[1])
-        return _pack(context, builder, args[0], [builder.load(place) for place in places])
+        pointers = _partial_pointers(context, builder, sig.args[1], args[1])
+        return _pack(context, builder, args[0], [builder.load(each) for each in pointers])
 
     return DUAL(types.float64, row), generate
 
 
 @intrinsic
 def _write_partials(_: Any, row: Any, x: Any) -> Any:
-    """Put the partials of ``x`` in a row."""
+    """Write the partials of ``x`` to a row."""
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         _, partials = _unpack(context, builder, DUAL, args[1])
         assert partials is not None
-        for partial, place in zip(partials, _places(context, builder, sig.args[0], args[0]), strict=True):
-            builder.store(partial, place)
+        pointers = _partial_pointers(context, builder, sig.args[0], args[0])
+        for partial, pointer in zip(partials, pointers, strict=True):
+            builder.store(partial, pointer)
         return context.get_dummy_value()
 
     return types.void(row, DUAL), generate

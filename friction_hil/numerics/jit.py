@@ -1,13 +1,14 @@
 """Compilation of the numeric kernels with numba, cached on disk.
 
-Every kernel is compiled through `compiled`: one place decides the floating-point rules. Fused multiply-adds
-and re-association stay off (numba's default), so that a kernel gives the same bits whether it runs alone, in
-the loop or inlined into another kernel.
+Every kernel is compiled through this module, which sets the floating-point rules. Fused multiply-adds and
+re-association stay off (numba's default), so that a kernel gives the same bits whether it runs alone, in the loop or
+inlined into another kernel.
 """
 
 import hashlib
 import os
 import re
+import shutil
 import time
 from collections.abc import Callable
 from functools import cache
@@ -19,27 +20,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Record = NDArray[np.void]  # structured array of length 1: kernels read and change its fields by name
+StructuredArray = NDArray[np.void]  # of length 1: kernels read and change its fields by name
 Function = TypeVar("Function", bound=Callable[..., object])
 
 _PACKAGE = Path(__file__).parents[1]
 _KEPT_DAYS = 14
-# A kernel is called from Python and from other kernels, not from C: a third entry would only take time to compile.
+# Kernels are called from Python and from other kernels, not from C: a wrapper for C would only take time to compile.
 OPTIONS: Any = {"error_model": "numpy", "no_cfunc_wrapper": True}
 _HAS_KERNELS = re.compile(rb"@(compiled|inlined)|numba")
 
 
 def kernel_sources() -> list[Path]:
-    """Source files of the whole package that contain kernels, sorted."""
+    """Return the source files of the package that contain kernels, sorted."""
     return sorted(path for path in _PACKAGE.rglob("*.py") if _HAS_KERNELS.search(path.read_bytes()))
 
 
 @cache
 def cache_folder() -> str | None:
-    """Folder for compiled code, or None where none can be written.
+    """Return the folder for compiled code, or None if none can be written.
 
-    numba notices a change in the file of a kernel, not in the files of the kernels that it calls; hence the
-    folder's name is a digest of all sources that have kernels.
+    numba notices a change in the file of a kernel, but not in the files of the kernels that it calls; the name of the
+    folder is therefore a digest of all sources with kernels.
     """
     digest = hashlib.sha256()
     for path in kernel_sources():
@@ -50,14 +51,12 @@ def cache_folder() -> str | None:
         if not folder.is_dir():
             folder.mkdir(parents=True)
             _remove_stale(base)
-    except (OSError, RuntimeError):  # a user that the system does not know has no home
+    except (OSError, RuntimeError):  # a user unknown to the system has no home
         return None
     return str(folder) if os.access(folder, os.W_OK) else None
 
 
 def _remove_stale(base: Path) -> None:
-    import shutil
-
     for folder in base.iterdir():
         if folder.is_dir() and time.time() - folder.stat().st_mtime > _KEPT_DAYS * 86400:
             shutil.rmtree(folder, ignore_errors=True)
@@ -69,12 +68,12 @@ def compiled(function: Function) -> Function:
 
 
 def inlined(function: Function) -> Function:
-    """Compile ``function`` into each compiled function that calls it: what is constant there costs nothing."""
+    """Compile ``function`` into each compiled function that calls it, where constant arguments are folded."""
     return _compiled(function, nogil=True, forceinline=True)
 
 
 def compiled_for_one_sample(function: Function) -> Function:
-    """Compile ``function`` for calls that take less time than it takes to release Python's lock."""
+    """Compile ``function`` for calls shorter than it takes to release Python's global lock."""
     return _compiled(function)
 
 

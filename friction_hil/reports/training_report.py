@@ -10,7 +10,7 @@ from friction_hil import __version__
 from friction_hil.errors import FrictionHilError
 from friction_hil.numerics.jit import Array
 from friction_hil.reports.page import page, picture, table
-from friction_hil.training import Candidate, Samples
+from friction_hil.training import Samples, TrainedModel
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -21,7 +21,7 @@ _TRUE, _LEARNED, _ERROR = "#999999", "#0072b2", "#d55e00"
 _MOST_POINTS = 6000  # of a signal that is drawn
 
 
-def write_report(path: Path, candidate: Candidate, seconds: float) -> None:
+def write_report(path: Path, candidate: TrainedModel, seconds: float) -> None:
     """Write the report; an existing file is overwritten.
 
     Raises
@@ -78,7 +78,7 @@ _COURSE_CAPTION = (
 )
 
 
-def _result(candidate: Candidate) -> str:
+def _result(candidate: TrainedModel) -> str:
     errors = candidate.trained.validation
     return (
         f"In free run, as it is used, its NRMSE on data that it was not trained on is <strong>{errors.free_run:.4f}"
@@ -86,7 +86,7 @@ def _result(candidate: Candidate) -> str:
     )
 
 
-def _errors(candidate: Candidate) -> str:
+def _errors(candidate: TrainedModel) -> str:
     rows = [
         (name, f"{errors.one_step:.4f}", f"{errors.free_run:.4f}")
         for name, errors in (("training", candidate.trained.train), ("validation", candidate.trained.validation))
@@ -99,7 +99,7 @@ def _errors(candidate: Candidate) -> str:
     return text
 
 
-def _compared(candidate: Candidate) -> str:
+def _compared(candidate: TrainedModel) -> str:
     """Table of the network and the models of the library on the signals that none of them has seen."""
     errors = candidate.physical_errors()
     if not errors:
@@ -153,7 +153,7 @@ def _draw_errors(runs: list[tuple[Samples, Array]], unit: str, speed: str) -> "F
     return _gridded(figure)
 
 
-def _draw_curve(candidate: Candidate, unit: str, speed: str) -> "Figure":
+def _draw_curve(candidate: TrainedModel, unit: str, speed: str) -> "Figure":
     figure = _figure(8.0, 4.5)
     axes = figure.subplots()
     limit, samples = candidate.network.speed_limit, candidate.task.samples
@@ -170,7 +170,7 @@ def _draw_curve(candidate: Candidate, unit: str, speed: str) -> "Figure":
     return _gridded(figure)
 
 
-def _draw_course(candidate: Candidate) -> "Figure":
+def _draw_course(candidate: TrainedModel) -> "Figure":
     figure = _figure(11.0, 4.0)
     left, right = figure.subplots(1, 2)
     history = candidate.trained.history

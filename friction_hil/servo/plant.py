@@ -6,7 +6,7 @@ import numpy as np
 
 from friction_hil.friction import kernel
 from friction_hil.motion.controller import cascade
-from friction_hil.numerics.jit import Record, compiled
+from friction_hil.numerics.jit import StructuredArray, compiled
 
 _BALANCE = 1e-12  # relative difference of torque and friction below which they balance
 BRIDGED_PERIODS = 10.0  # of missing targets that are extrapolated
@@ -58,7 +58,7 @@ STATE = np.dtype(
 
 
 @compiled
-def interpolate_position(s: Record, u: float, period: float) -> tuple[float, float, float]:
+def interpolate_position(s: StructuredArray, u: float, period: float) -> tuple[float, float, float]:
     """Evaluate the quadratic B-spline of the last three targets, 1.5 periods behind the newest, smooth in velocity.
 
     ``u`` is the time since the last set-point, in periods. Missing targets are extrapolated at constant velocity for
@@ -81,7 +81,7 @@ def interpolate_position(s: Record, u: float, period: float) -> tuple[float, flo
 
 
 @compiled
-def interpolate_velocity(s: Record, u: float, period: float) -> tuple[float, float]:
+def interpolate_velocity(s: StructuredArray, u: float, period: float) -> tuple[float, float]:
     """Interpolate linearly from the last target to the newest over one period, then hold; return v and dv/dt."""
     r = s[0]
     if u <= 1.0:
@@ -90,7 +90,7 @@ def interpolate_velocity(s: Record, u: float, period: float) -> tuple[float, flo
 
 
 @compiled
-def control(plant: Record, controller: Record, s: Record) -> None:
+def control(plant: StructuredArray, controller: StructuredArray, s: StructuredArray) -> None:
     """Compute one sample of the drive's own loops: demands, cascade, torque limit."""
     c, r = plant[0], s[0]
     dt = c.steps_per_control * c.step_s
@@ -150,7 +150,7 @@ def control(plant: Record, controller: Record, s: Record) -> None:
 
 
 @compiled
-def advance(plant: Record, controller: Record, s: Record, steps: int) -> None:
+def advance(plant: StructuredArray, controller: StructuredArray, s: StructuredArray, steps: int) -> None:
     """Integrate over ``steps`` integration steps by the semi-implicit Euler method.
 
     A static friction map stops the axis when its velocity would change sign, and holds it up to the break-away

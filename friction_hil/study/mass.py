@@ -10,7 +10,7 @@ from friction_hil.compensator import Compensator, CompensatorSettings
 from friction_hil.friction import FrictionModel, kernel
 from friction_hil.friction.dispatch import family_step
 from friction_hil.friction.elementary import part
-from friction_hil.numerics.jit import Array, Record, compiled
+from friction_hil.numerics.jit import Array, StructuredArray, compiled
 
 PERIOD_S = 1e-3
 GAIN = 0.9  # below 1, because over-compensation makes an axis unstable near standstill
@@ -46,7 +46,7 @@ _compensate = compensation.step
 
 
 @compiled
-def _run(moved: Record, settings: Record, state: Record, force: Array, trace: Array) -> None:
+def _run(moved: StructuredArray, settings: StructuredArray, state: StructuredArray, force: Array, trace: Array) -> None:
     """Fill ``trace`` with position, velocity, friction and compensation, (4, n), one column per period.
 
     The motion is integrated by the semi-implicit Euler method. A static map stops the mass when its velocity would
@@ -166,7 +166,7 @@ def run(friction: FrictionModel, loop: ClosedLoop, assumed: FrictionModel | None
     return _trace(moved, friction, friction if assumed is None else assumed, np.zeros(1), n)
 
 
-def _moved(friction: FrictionModel, **values: float) -> Record:
+def _moved(friction: FrictionModel, **values: float) -> StructuredArray:
     """Return the `MOVED` record of a mass; the friction model must have no modifiers."""
     record = np.zeros(1, MOVED)
     c = record[0]
@@ -180,7 +180,7 @@ def _moved(friction: FrictionModel, **values: float) -> Record:
     return record
 
 
-def _trace(moved: Record, friction: FrictionModel, assumed: FrictionModel, force: Array, n: int) -> Array:
+def _trace(moved: StructuredArray, friction: FrictionModel, assumed: FrictionModel, force: Array, n: int) -> Array:
     settings = CompensatorSettings(
         period_s=PERIOD_S, position_resolution=_RESOLUTION, torque_limit=1e3, gain=GAIN, fade_s=PERIOD_S
     )

@@ -1,4 +1,4 @@
-"""Whether a trained network may run: what it does at rest, for ten minutes, with and without a dithering encoder."""
+"""Check of a trained network at rest: ten minutes, with and without a dithering encoder."""
 
 import math
 from dataclasses import dataclass
@@ -9,9 +9,9 @@ from friction_hil.friction import NetworkStructure, network, network_runs
 from friction_hil.numerics.jit import Array
 
 REST_S = 600.0
-_PARTS = 60  # of the rest, each looked at by itself
-_STEADY = 1e-3  # of the torque scale: what counts as no change
-_DITHER = 1e-3  # of the speed limit
+_LEAST_SAMPLES = 60
+_STEADY = 1e-3  # of the torque scale: a smaller change is none
+_DITHER = 1e-3  # of the speed limit: amplitude of the dithering velocity
 _APPROACHES = (1.0, -0.03)  # velocities before the rest, of the speed limit
 
 
@@ -26,7 +26,7 @@ def simulate(
     temperature: Array | None = None,
     state: Array | None = None,
 ) -> Array:
-    """Torque of a velocity record in free run, N m, from rest or from a ``state`` that is changed in place."""
+    """Return the torque of a velocity record in free run, N m, from rest or a ``state`` (changed in place)."""
     torque = np.empty(len(velocity))
     zero, unknown = np.zeros(1), np.full(1, math.nan)
     network_runs.run(
@@ -44,19 +44,19 @@ def simulate(
 
 @dataclass(frozen=True, slots=True)
 class Rest:
-    """What a network does in ten minutes of rest, the worst of several ways to come to rest.
+    """Behaviour of a network in ten minutes of rest: the worst of several approaches to rest.
 
     Attributes
     ----------
     rise : float
-        Largest growth of the absolute torque over what it was when the rest began, N m.
+        Largest increase of the absolute torque since the beginning of the rest, N m.
     late_change : float
-        How far the torque still moves, from its least to its greatest, in the last tenth of the time, N m.
+        Range of the torque in the last tenth of the time, N m.
     dither_growth : float
-        By how much the torque under a dithering velocity is larger in the last tenth of the time than in the first,
-        N m.
+        Increase of the largest absolute torque under a dithering velocity from the first to the last tenth of the
+        time, N m.
     is_steady : bool
-        Whether the torque holds or decays, without drift and limit cycle.
+        True if the torque stays or decays, without drift and limit cycle.
     """
 
     rise: float
@@ -66,20 +66,20 @@ class Rest:
 
 
 def at_rest(structure: NetworkStructure, p: Array, dt: float, *, seconds: float = REST_S) -> Rest:
-    """Let the network come to rest and stay there."""
-    samples = max(_PARTS, round(seconds / dt))
+    """Simulate a network that comes to rest and stays there for ``seconds``."""
+    samples = max(_LEAST_SAMPLES, round(seconds / dt))
     limit, scale = p[network.SPEED_LIMIT], p[network.TORQUE_SCALE]
     still = np.zeros(samples)
-    # of an encoder between two counts: its position stays, and a spring that follows it has no reason to wander
+    # velocity of an encoder that toggles between two counts: the mean position stays, and so must the torque
     dither = _DITHER * limit * np.diff(np.random.default_rng(0).choice([0.0, 1.0], samples), prepend=0.0)
     tenth = samples // 10
     rise = late = growth = 0.0
-    for share in _APPROACHES:
+    for approach in _APPROACHES:
         state = np.zeros(structure.state_room)
-        arrival = simulate(structure, p, share * limit * np.linspace(1.0, 0.0, 200), dt, state=state)
+        arrival = simulate(structure, p, approach * limit * np.linspace(1.0, 0.0, 200), dt, state=state)
         shaken = simulate(structure, p, dither, dt, state=state.copy())
         held = simulate(structure, p, still, dt, state=state)
-        # a narx still has the motion among its inputs when the rest begins
+        # the first inputs of a narx at rest still contain the motion
         begin = max(abs(float(arrival[-1])), float(np.max(np.abs(held[: structure.lags + 1]))))
         rise = max(rise, float(np.max(np.abs(held))) - begin)
         late = max(late, float(np.ptp(held[-tenth:])))

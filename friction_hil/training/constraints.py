@@ -1,13 +1,13 @@
-"""From the numbers that are searched for to the weights of a network that is stable by design.
+"""Constraint that makes a network stable by design: a bound on its feedback weights.
 
-The slopes of a network's aims over what is fed back sum to less than a bound in absolute value, whatever the inputs.
-As the slope of tanh is between 0 and 1, what raises an aim and what lowers it, on all ways from feedback to output, do
-so each by their weights at most; the larger of both sums bounds the slope. Feedback weights beyond the bound are
-shrunk together, smoothly.
+The absolute slopes of the targets of the states over the fed-back values sum to less than a bound, whatever the inputs.
+The slope of tanh lies between 0 and 1; the paths from a fed-back value to an output that raise it, and those that lower
+it, therefore contribute at most the sum of the products of their weights. The larger of both sums bounds the slope.
+Feedback weights beyond the bound are scaled down together by a smooth function of the searched weights.
 
-A bound below 1 makes a gated network a contraction: it forgets how it began, as far as it moves. A narx needs slopes
-near 1 in order to hold its torque at rest and small ones in motion, which no bound on weights can tell apart. It is
-bounded by the cut-off of its output, and `checks` looks at how it rests.
+A bound below 1 makes a gated network a contraction: it forgets its initial state as it moves. A narx needs slopes near
+1 to hold its torque at rest and small ones in motion, which no bound on weights can tell apart. Its output is clipped,
+and `checks` tests it at rest.
 """
 
 from dataclasses import dataclass
@@ -18,19 +18,19 @@ from numpy.typing import NDArray
 from friction_hil.friction import NetworkStructure
 from friction_hil.numerics.jit import Array
 
-CONTRACTIONS = {"gated": 0.8, "narx": 4.0, "static": 1.0}  # 0.98 is half as good for other sampling periods
-_SHARPNESS = 4.0  # of the bend where feedback comes to its bound: the larger, the less it is felt below
+CONTRACTIONS = {"gated": 0.8, "narx": 4.0, "static": 1.0}  # with 0.98 errors at other sampling periods double
+_SHARPNESS = 4.0  # of the transition at the bound: the larger, the less weights below it are changed
 
 
 @dataclass(frozen=True, slots=True)
 class Constraint:
-    """Bounds on the weights of a network of a structure.
+    """Bound on the feedback weights of a network.
 
     Attributes
     ----------
     structure : NetworkStructure
     contraction : float
-        Largest sum of slopes over what is fed back.
+        Largest sum of slopes over the fed-back values.
     """
 
     structure: NetworkStructure
@@ -38,21 +38,21 @@ class Constraint:
 
     @property
     def feedback(self) -> NDArray[np.intp]:
-        """Places of all weights of what is fed back: in the first layer, and of a narx in its linear path."""
+        """Indices of all feedback weights: in the first layer, and for a narx in its linear path."""
         begin, end = self.structure.feedback_weights
-        places = np.arange(begin, end)
+        indices = np.arange(begin, end)
         if self.structure.kind == "narx":
-            places = np.concatenate(
-                [places, np.arange(self.structure.weights - self.structure.states, self.structure.weights)]
+            indices = np.concatenate(
+                [indices, np.arange(self.structure.weights - self.structure.states, self.structure.weights)]
             )
-        return places
+        return indices
 
     def feedback_gain(self, weights: Array) -> float:
-        """Bound on the sum of slopes of any output over what is fed back."""
+        """Return the bound on the sum of slopes of any output over the fed-back values."""
         return self._gain(weights)[0]
 
     def _gain(self, w: Array) -> tuple[float, Array]:
-        """Bound and its gradient over all weights."""
+        """Return the bound and its gradient over all weights."""
         structure, gradient = self.structure, np.zeros_like(w)
         if structure.states == 0:
             return 0.0, gradient
@@ -63,14 +63,14 @@ class Constraint:
             first = end + units
             middle = w[first : first + width * units].reshape(width, units)
         outs = structure.outputs_begin + 1 + structure.output_weights * np.arange(max(structure.outputs - 1, 1))
-        last = np.stack([w[place : place + units] for place in outs])
+        last = np.stack([w[index : index + units] for index in outs])
         (fed_up, fed_down), (middle_up, middle_down), (last_up, last_down) = map(_parts, (fed, middle, last))
-        up = fed_up @ middle_up + fed_down @ middle_down  # of every feedback, to every unit of the last layer
+        up = fed_up @ middle_up + fed_down @ middle_down  # from every fed-back value to every unit of the last layer
         down = fed_up @ middle_down + fed_down @ middle_up
         raised, lowered = last_up @ up.T + last_down @ down.T, last_up @ down.T + last_down @ up.T
         gains = np.maximum(raised, lowered).sum(axis=1)
         worst = int(np.argmax(gains))
-        rises = (raised[worst] >= lowered[worst])[:, None]  # where the larger sum of a feedback is the raising one
+        rises = (raised[worst] >= lowered[worst])[:, None]  # True where the raising sum is the larger one
         last_sign = last[worst] > 0.0
         gradient[outs[worst] : outs[worst] + units] = (
             np.where(last_sign, 1.0, -1.0) * np.where(rises == last_sign, up, down)
@@ -92,23 +92,23 @@ class Constraint:
         return gain, gradient
 
     def apply(self, w: Array) -> tuple[Array, Array]:
-        """Return the weights of the network, and by how much their slopes over ``w`` differ from the identity.
+        """Return the constrained weights, and the difference of their Jacobian over ``w`` from the identity.
 
-        The slopes are those of the weights of what is fed back, (feedback weights, weights); the others do not differ.
+        The difference has the rows of the feedback weights only, (feedback weights, weights); all others are zero.
         """
-        weights, places = w.copy(), self.feedback
-        change = np.zeros((places.size, w.size))
+        weights, indices = w.copy(), self.feedback
+        change = np.zeros((indices.size, w.size))
         if self.structure.states:
             gain, gradient = self._gain(w)
             excess = (gain / self.contraction) ** _SHARPNESS
             scale = (1.0 + excess) ** (-1.0 / _SHARPNESS)
-            weights[places] = scale * w[places]
+            weights[indices] = scale * w[indices]
             if gain > 0.0:
-                change -= np.outer(w[places], scale * excess / (1.0 + excess) / gain * gradient)
-            change[np.arange(places.size), places] += scale - 1.0
+                change -= np.outer(w[indices], scale * excess / (1.0 + excess) / gain * gradient)
+            change[np.arange(indices.size), indices] += scale - 1.0
         return weights, change
 
 
 def _parts(values: Array) -> tuple[Array, Array]:
-    """Values where they are above zero, and less than zero with the sign turned; zeros elsewhere."""
+    """Return the positive and the negated negative parts of values."""
     return np.maximum(values, 0.0), np.maximum(-values, 0.0)

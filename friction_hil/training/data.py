@@ -1,29 +1,26 @@
-"""What a network is trained on: friction seen in recordings, or friction that a model of the library has."""
+"""Samples to train on: friction in recordings, or friction of a model of the library."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from friction_hil.errors import UsageError
+from friction_hil.friction import FrictionModel
+from friction_hil.identification.data import RegressionSegment
+from friction_hil.models.model_file import Mechanics
 from friction_hil.numerics.jit import Array
 from friction_hil.training.excitation import excitation
 from friction_hil.training.layout import Samples, join
 
-if TYPE_CHECKING:
-    from friction_hil.friction import FrictionModel
-    from friction_hil.identification.data import RegressionSegment
-    from friction_hil.models.model_file import Mechanics
-
-_BLOCKS = 20  # of a record, of which each fourth is held out
+_BLOCKS = 20  # of the samples, of which every fourth is held out
 _HELD_OUT = 4
-_TOP_STRIBECK = 10.0  # Stribeck velocities up to which a model is learned unless a speed is given
+_TOP_STRIBECK = 10.0  # default top speed, in Stribeck velocities
 
 
 def of_model(
-    model: "FrictionModel", *, period_s: float, samples: int, top_speed: float | None = None, seed: int = 0
+    model: FrictionModel, *, period_s: float, samples: int, top_speed: float | None = None, seed: int = 0
 ) -> Samples:
-    """Samples of a model of the library along a designed excitation.
+    """Return samples of a model of the library along a designed excitation.
 
     Parameters
     ----------
@@ -31,18 +28,18 @@ def of_model(
     period_s : float
     samples : int
     top_speed : float, optional
-        rad/s; ten Stribeck velocities when not given.
+        rad/s; by default ten Stribeck velocities.
     seed : int
 
     Raises
     ------
     UsageError
-        Neither a top speed nor a Stribeck velocity is known, or the model depends on load.
+        Neither a top speed nor a Stribeck velocity is known, or the friction depends on load.
     """
     if top_speed is None:
         stribeck_velocity = model.parameters.get("stribeck_velocity")
         if stribeck_velocity is None:
-            raise UsageError(f"{model.name} has no stribeck_velocity to tell the range of speeds by: give --speed")
+            raise UsageError(f"{model.name} has no stribeck_velocity, which sets the range of speeds: give --speed")
         top_speed = _TOP_STRIBECK * stribeck_velocity
     if "load" in model.modifiers:
         raise UsageError("a model that depends on load cannot be learned from motion alone: train on recordings")
@@ -52,10 +49,10 @@ def of_model(
     return Samples(period_s, velocity, torque, position=position)
 
 
-def of_records(records: "Sequence[RegressionSegment]", mechanics: "Mechanics", base: "FrictionModel | None") -> Samples:
-    """Samples of friction in recordings: measured torque less inertia, offset, gravity, and a model beside the network.
+def of_records(records: Sequence[RegressionSegment], mechanics: Mechanics, base: FrictionModel | None) -> Samples:
+    """Return samples of friction in records: measured torque minus inertia, offset, gravity and the model ``base``.
 
-    Everything has passed the low-pass of the recordings.
+    All terms pass the low-pass of the records.
 
     Raises
     ------
@@ -65,7 +62,7 @@ def of_records(records: "Sequence[RegressionSegment]", mechanics: "Mechanics", b
     return join([_of_record(record, mechanics, base) for record in records])
 
 
-def _of_record(record: "RegressionSegment", mechanics: "Mechanics", base: "FrictionModel | None") -> Samples:
+def _of_record(record: RegressionSegment, mechanics: Mechanics, base: FrictionModel | None) -> Samples:
     gravity = mechanics.gravity
     load = gravity.constant + gravity.sine * np.sin(record.position) + gravity.cosine * np.cos(record.position)
     load_torque = load if record.load_torque is None else record.load_torque
@@ -80,7 +77,7 @@ def _of_record(record: "RegressionSegment", mechanics: "Mechanics", base: "Frict
         )
     torque = record.lowpass(torque) - mechanics.inertia * record.acceleration
     weight = np.ones(len(torque))
-    weight[: record.begin] = weight[record.end :] = 0.0  # what the filters make of the ends is run through only
+    weight[: record.begin] = weight[record.end :] = 0.0  # filters settle there: simulated, but not weighted
     return Samples(
         record.dt,
         record.velocity,
@@ -92,15 +89,15 @@ def _of_record(record: "RegressionSegment", mechanics: "Mechanics", base: "Frict
     )
 
 
-def total_torque(records: "Sequence[RegressionSegment]") -> Array:
-    """Measured torque of records one after the other, low-passed as everything."""
+def total_torque(records: Sequence[RegressionSegment]) -> Array:
+    """Return the measured torque of all records, with the low-pass of each."""
     return np.concatenate([each.lowpass(each.torque) for each in records])
 
 
 def held_out(samples: Samples) -> tuple[Samples, Samples]:
-    """Divide samples into those to train on and those to judge by: each fourth of twenty blocks is held out.
+    """Return samples to train on and samples to validate with: every fourth of twenty blocks is held out.
 
-    Both are the whole motion, so that states are what they were, with other weights.
+    Both contain the whole motion, so that states evolve alike, and differ in their weights.
     """
     block = np.arange(len(samples)) * _BLOCKS // len(samples)
     is_held = block % _HELD_OUT == _HELD_OUT - 1

@@ -1,4 +1,4 @@
-"""Velocity signals that show friction from presliding to top speed: what a network has not seen it does not know."""
+"""Velocity signals for training that excite friction from presliding to the top speed. Pure."""
 
 import math
 from collections.abc import Callable
@@ -15,7 +15,7 @@ _EDGES_S = (0.002, 0.2)
 _RAMPS_S = (0.005, 0.4)
 _RESTS_S = (0.01, 0.3)
 _HERTZ = (0.5, 30.0)
-_EDGE_SHARE = 0.1  # of a multi-sine, over which it fades in and out
+_EDGE_FRACTION = 0.1  # of a multi-sine, over which it fades in and out
 _KINDS = ("multisine", "ramps", "multisine", "pulses")
 
 Draw = Callable[[float, float], float]
@@ -24,8 +24,8 @@ Draw = Callable[[float, float], float]
 def excitation(top_speed: float, dt: float, samples: int, *, slowest: float | None = None, seed: int = 0) -> Array:
     """Design a training signal: multi-sines, ramps with reversals, and pulses with rests, in many short segments.
 
-    Amplitudes, rates and frequencies are spread over decades, so that presliding, creeping and fast motion are met
-    at slow and at sudden changes. Every segment begins and ends at rest.
+    Amplitudes, rates and frequencies are spread over decades, so that presliding, creep and fast motion occur with slow
+    and with sudden changes. Every segment begins and ends at rest.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ def excitation(top_speed: float, dt: float, samples: int, *, slowest: float | No
         Sampling period, s.
     samples : int
     slowest : float, optional
-        Smallest amplitude, rad/s; a thousandth of ``top_speed`` when not given.
+        Smallest amplitude, rad/s; by default a thousandth of ``top_speed``.
     seed : int
         The same seed gives the same bits.
 
@@ -47,7 +47,7 @@ def excitation(top_speed: float, dt: float, samples: int, *, slowest: float | No
     Raises
     ------
     UsageError
-        A number is not finite, not above zero, or ``slowest`` is not below ``top_speed``.
+        A number is not finite or not above zero, or ``slowest`` is not below ``top_speed``.
     """
     slowest = top_speed / 10.0**_DECADES if slowest is None else slowest
     if not (0.0 < slowest < top_speed < math.inf and 0.0 < dt < math.inf and samples > 0):
@@ -58,9 +58,9 @@ def excitation(top_speed: float, dt: float, samples: int, *, slowest: float | No
     random = np.random.default_rng(seed)
     mean_length = max(2, round(sum(_SEGMENT_S) / 2.0 / dt))
     count = -(-samples // mean_length)
-    # one amplitude from each of as many equal parts of the logarithmic range, the fast half twice as often
-    shares = np.sqrt((np.arange(count) + random.uniform(size=count)) / count)
-    amplitudes = slowest * (top_speed / slowest) ** random.permutation(shares)
+    # stratified samples of the logarithmic range, in which large amplitudes are more frequent
+    exponents = np.sqrt((np.arange(count) + random.uniform(size=count)) / count)
+    amplitudes = slowest * (top_speed / slowest) ** random.permutation(exponents)
     amplitudes[0] = top_speed
     draw = partial(_log_uniform, random)
     parts: list[Array] = []
@@ -88,7 +88,7 @@ def _segment(kind: str, amplitude: float, slowest: float, dt: float, random: np.
 
 
 def _multisine(amplitude: float, length: int, dt: float, random: np.random.Generator, draw: Draw) -> Array:
-    """Three to six sines with random phases, their sum as high as ``amplitude``."""
+    """Return a sum of three to six sines with random phases, scaled to ``amplitude``."""
     t = np.arange(length) * dt
     fastest = min(_HERTZ[1], 0.1 / dt)
     slow = min(_HERTZ[0], fastest)
@@ -97,13 +97,13 @@ def _multisine(amplitude: float, length: int, dt: float, random: np.random.Gener
         for _ in range(random.integers(3, 7))
     ]
     total = np.sum(sines, axis=0)
-    edge = np.clip(np.minimum(np.arange(length), np.arange(length)[::-1]) / (_EDGE_SHARE * length), 0.0, 1.0)
+    edge = np.clip(np.minimum(np.arange(length), np.arange(length)[::-1]) / (_EDGE_FRACTION * length), 0.0, 1.0)
     total *= 0.5 - 0.5 * np.cos(math.pi * edge)
     return np.asarray(total * (amplitude / max(float(np.max(np.abs(total))), 1e-12)))
 
 
 def _ramps(amplitude: float, slowest: float, length: int, dt: float, random: np.random.Generator, draw: Draw) -> Array:
-    """Straight lines between random velocities of changing sign, from rest and back to it."""
+    """Return straight lines between random velocities of changing sign, from rest to rest."""
     times, levels = [0.0], [0.0]
     sign = 1.0 if random.uniform() < 0.5 else -1.0
     while times[-1] < length * dt:
@@ -116,7 +116,7 @@ def _ramps(amplitude: float, slowest: float, length: int, dt: float, random: np.
 
 
 def _pulses(amplitude: float, slowest: float, length: int, dt: float, random: np.random.Generator, draw: Draw) -> Array:
-    """Pulses with rounded edges of any steepness, and rests between them."""
+    """Return pulses with rounded edges of random steepness and rests between them."""
     parts: list[Array] = []
     while sum(part.size for part in parts) < length:
         rise = np.arange(1, max(2, round(draw(*_EDGES_S) / dt)))

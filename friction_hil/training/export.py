@@ -1,22 +1,20 @@
-"""What a training leaves behind: the model file, and the JSON object of the contract."""
+"""Results of a training as a model file and as the JSON object of ``train --json``."""
 
 import dataclasses
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from friction_hil import __version__
 from friction_hil.friction import NETWORK_ALONE, FrictionModel, Network
-from friction_hil.training.train import Trained
+from friction_hil.models.model_file import ModelFile
+from friction_hil.training.train import TrainingResult
 
-if TYPE_CHECKING:
-    from friction_hil.models.model_file import ModelFile
-
-_SLOW_SPEEDS = 32  # at which the level is looked for
+_SLOW_SPEEDS = 32  # speeds at which the friction level is evaluated
 
 
-def network_of(trained: Trained, base: FrictionModel | None = None) -> Network:
-    """The trained network, with the level of all friction that it and the model beside it show in slow motion."""
+def network_of(trained: TrainingResult, base: FrictionModel | None = None) -> Network:
+    """Return the trained network, with the friction level in slow motion of it and the model beside it."""
     network = Network.of_values(trained.parameters, 1.0, is_residual=base is not None)
     model = model_of(network, base)
     slow = np.geomspace(0.1 * network.speeds[2], network.speeds[1], _SLOW_SPEEDS)
@@ -25,26 +23,26 @@ def network_of(trained: Trained, base: FrictionModel | None = None) -> Network:
 
 
 def model_of(network: Network, base: FrictionModel | None = None) -> FrictionModel:
-    """Friction model of a network, alone or beside a model."""
+    """Return the friction model of a network, alone or beside a model."""
     if base is None:
         return FrictionModel(NETWORK_ALONE, {}, trained=network)
     return FrictionModel(base.family, base.given, base.modifiers, base.axis, network)
 
 
 def as_model_file(
-    trained: Trained, network: Network, known: "ModelFile", *, is_residual: bool, sources: dict[str, Any]
+    trained: TrainingResult, network: Network, known: ModelFile, *, is_residual: bool, sources: dict[str, Any]
 ) -> dict[str, Any]:
-    """Model file as plain values, for YAML.
+    """Return the model file as plain values, for YAML.
 
     Parameters
     ----------
-    trained : Trained
+    trained : TrainingResult
     network : Network
     known : ModelFile
-        Axis, mechanics, and for a residual the friction beside the network.
+        Axis, mechanics, and for a residual the friction model beside the network.
     is_residual : bool
     sources : dict
-        What it was trained on, for the provenance.
+        Origin of the training data, for the provenance.
     """
     content = network.as_dict()
     content = {name: _plain(value) for name, value in content.items()}
@@ -72,14 +70,14 @@ def as_model_file(
 
 
 def _plain(value: Any) -> Any:
-    """Numbers with ten digits: far more than training knows."""
+    """Round numbers to ten digits, which is far more than a training determines."""
     if isinstance(value, list):
         return [_plain(each) for each in value]
     return float(f"{value:.10g}") if isinstance(value, float) else value
 
 
-def as_json(trained: Trained, seconds: float) -> dict[str, Any]:
-    """The object that ``train --json`` prints."""
+def as_json(trained: TrainingResult, seconds: float) -> dict[str, Any]:
+    """Return the object that ``train --json`` prints."""
     return {
         "structure": trained.structure.kind,
         "hidden": list(trained.structure.hidden),

@@ -1,8 +1,8 @@
-"""Runs of a network over a record, and the exact derivative of the error over its weights.
+"""Runs of a network over a record, and the exact derivative of the torque over its weights.
 
-The derivative of a free run takes along the sensitivities of what is fed back, one row for each (Williams and
-Zipser, Neural Computation 1(2), 1989): with few states and few weights that is cheaper than going back through
-time for every sample, and it needs no more memory than a block of rows.
+In a free run the sensitivities of the fed-back values, one row for each, are propagated from sample to sample (Williams
+and Zipser, Neural Computation 1(2), 1989). With few states and few weights that is cheaper than back-propagation
+through time for every sample, and needs memory for one block of rows only.
 """
 
 import numpy as np
@@ -30,7 +30,7 @@ from friction_hil.friction.network import (
     WIDTH,
 )
 from friction_hil.numerics.dual import fma
-from friction_hil.numerics.jit import Array, compiled
+from friction_hil.numerics.jit import Array, compiled, inlined
 from friction_hil.training.gated import (
     gated_row,
     layer_slopes,
@@ -38,13 +38,13 @@ from friction_hil.training.gated import (
     plan_rows,
     plan_width,
     put_over_fed_back,
-    row_room,
-    units_room,
+    row_length,
+    units_length,
 )
 from friction_hil.training.normal import add_products
 
-BLOCK = 48  # rows of the Jacobian at a time: they stay in the nearest caches until their products are summed
-GATE_BLOCK = 256  # samples whose gates are calculated together
+BLOCK = 48  # rows of the Jacobian in one block, which stays in the first caches until its products are summed
+GATE_BLOCK = 256  # samples whose gates are computed together
 
 _advance, _outputs = network.advance, network.outputs
 _limited, _rate, _tanh = network.limited, network.rate, network.tanh
@@ -64,7 +64,7 @@ def fill_inputs(
     temperature: Array,
     x: Array,
 ) -> None:
-    """Fill ``x`` (n, inputs) with the inputs of every sample; ``starts`` is not 0 where a record begins, from rest."""
+    """Fill ``x`` (n, inputs) with the inputs of every sample; ``starts`` is 1 where a record begins, from rest."""
     is_gated = p[STRUCTURE] == GATED
     remembered = 1 if is_gated else VELOCITY_FEATURES * whole(p[LAGS])
     for k in range(velocity.shape[0]):
@@ -82,7 +82,7 @@ def fill_inputs(
 
 @compiled
 def gate_features(p: Array, starts: Array, velocity: Array, dt: float, x: Array) -> Array:
-    """What the gates of a gated network see in every sample, (`network.GATE_FEATURES`, n); ``x`` its inputs."""
+    """Return the inputs of the gates in every sample, (`network.GATE_FEATURES`, n); ``x`` are those of the network."""
     result, features, way = np.empty((GATE_FEATURES, velocity.shape[0])), np.empty(GATE_FEATURES), 0.0
     for k in range(velocity.shape[0]):
         way = _since_turn(p, 0.0 if starts[k] != 0.0 else way, velocity[k] * dt)
@@ -93,33 +93,34 @@ def gate_features(p: Array, starts: Array, velocity: Array, dt: float, x: Array)
 
 @compiled
 def trace_width(p: Array) -> int:
-    """Return the length of a row of what `run` writes down.
+    """Return the length of a row of the trace that `run` writes.
 
-    Layers, aims, what was fed back; gated: for every state the share of the distance to its aim that it goes, its slope
-    over the aim, and its slopes over the sums in the gates of the rate and of the knee; torque.
+    A row holds the layers, the targets of the states, the fed-back values, and the torque. For a gated network it also
+    holds, for every state, the fraction of the distance to its target that it moves, its slope over the target, and its
+    slopes over the sums in the gates of the rate and of the knee.
     """
     feedbacks = whole(p[FEEDBACKS])
-    return units_room(p) + 1 + (6 if p[STRUCTURE] == GATED else 2) * feedbacks + 1
+    return units_length(p) + 1 + (6 if p[STRUCTURE] == GATED else 2) * feedbacks + 1
 
 
 @compiled
 def _fill_gates(p: Array, begin: int, seen: Array, path: Array, first: int, end: int, gates: Array) -> None:
-    """Fill ``gates`` (5, at least end - first) in these samples: way, 1 / w, slopes of both, share near T.
+    """Fill ``gates`` (5, at least end - first): way, 1 / knee, slopes of both, fraction moved within the knee.
 
-    In loops of their own, because the compiler then takes several samples at a time: half of the exponentials of a
-    network are here, and none of them waits for the sample before it.
+    These loops contain half of the exponentials of a network, and no sample depends on the one before: the compiler
+    computes several samples at once.
     """
     bias, w0, w1, w2 = p[begin], p[begin + 1], p[begin + 2], p[begin + 3]
     w3, w4, w5 = p[begin + 4], p[begin + 5], p[begin + 6]
     half = p[RATE_HALF]
     x0, x1, x2, x3, x4, x5 = seen[0], seen[1], seen[2], seen[3], seen[4], seen[5]
-    ways, knees, way_slopes, knee_slopes, near_shares = gates[0], gates[1], gates[2], gates[3], gates[4]
+    ways, knees, way_slopes, knee_slopes, near_fractions = gates[0], gates[1], gates[2], gates[3], gates[4]
     for k in range(end - first):
         m = first + k
         low = fma(w2, x2[m], fma(w1, x1[m], fma(w0, x0[m], bias)))
         bend = _tanh(fma(w5, x5[m], fma(w4, x4[m], fma(w3, x3[m], low))))
         way = _rate(p, bend) * path[m]
-        ways[k], near_shares[k] = way, approach(way)
+        ways[k], near_fractions[k] = way, approach(way)
         way_slopes[k] = way * (half * (1.0 - bend * bend))
     begin += GATE_WEIGHTS
     bias, w0, w1, w2 = p[begin], p[begin + 1], p[begin + 2], p[begin + 3]
@@ -130,6 +131,38 @@ def _fill_gates(p: Array, begin: int, seen: Array, path: Array, first: int, end:
         bend = _tanh(fma(w5, x5[m], fma(w4, x4[m], fma(w3, x3[m], low))))
         knees[k] = _per_knee(p, bend)
         knee_slopes[k] = KNEE_HALF * (1.0 - bend * bend)
+
+
+@inlined
+def _gated_step(p: Array, inputs: Array, gates: Array, k: int, state: Array, row: Array, units: int) -> float:
+    """Advance the states of a gated network, write the slopes to a ``row`` of the trace, and return the torque.
+
+    As in `network.advance`, except that the gates of this sample are those of row ``k`` of ``gates``.
+    """
+    feedbacks, summed_states = whole(p[FEEDBACKS]), _summed(p)
+    targets, fed_back = part(row, units), part(row, units + 1 + feedbacks)
+    total, _ = _outputs(p, inputs, state, targets, row)
+    damping, damped = targets[feedbacks], 0.0
+    for i in range(feedbacks):
+        before, way = state[i], gates[i, 0, k]
+        distance = targets[i] - before
+        knees = abs(distance) * gates[i, 1, k]
+        fraction = soft = gates[i, 4, k]  # result of `travelled` within the knee
+        over_way, over_knee = 1.0 - fraction, 0.0
+        if knees > 1.0:
+            fraction, soft, knees, beyond = _travelled(distance, way, gates[i, 1, k])
+            is_straight = way <= beyond
+            over_way = 1.0 / knees if is_straight else 1.0 - fraction
+            over_knee = fraction if is_straight else (1.0 - fraction) * beyond
+        state[i] = toward(before, targets[i], fraction)
+        if i < summed_states:
+            total += state[i]
+            damped += damping * (state[i] - before)
+        fed_back[feedbacks + i] = fraction
+        fed_back[2 * feedbacks + i] = soft
+        fed_back[3 * feedbacks + i] = distance * over_way * gates[i, 2, k]
+        fed_back[4 * feedbacks + i] = distance * over_knee * gates[i, 3, k]
+    return _limited(total + damped, p[BOUND])
 
 
 @compiled
@@ -143,18 +176,18 @@ def run(
     is_free: bool,
     trace: Array,
 ) -> None:
-    """Run over a record and write every step down in ``trace`` (n, trace_width).
+    """Run a network over records and write every step to ``trace`` (n, trace_width).
 
-    Where ``is_free`` the network is fed its own past outputs, otherwise those that were ``measured`` (n,), in
-    units of the torque scale. ``seen`` is of `gate_features`.
+    If ``is_free``, the network is fed its own past outputs, otherwise the ``measured`` ones (n,), in units of the
+    torque scale. ``seen`` is the result of `gate_features`.
     """
-    feedbacks, units, n = whole(p[FEEDBACKS]), units_room(p), path.shape[0]
-    aims, width, inputs = units + 1 + feedbacks, trace.shape[1], x.shape[1]
+    feedbacks, units, n = whole(p[FEEDBACKS]), units_length(p), path.shape[0]
+    fed_back, width, inputs = units + 1 + feedbacks, trace.shape[1], x.shape[1]
     is_gated, summed = p[STRUCTURE] == GATED, _summed(p)
     gates = np.empty((feedbacks if is_gated else 0, 5, GATE_BLOCK))
     first_gate = p.shape[0] - feedbacks * GATES * GATE_WEIGHTS
     state = np.zeros(max(feedbacks, 1))
-    flat_x, flat_trace = x.reshape(-1), trace.reshape(-1)  # rows of a table would be counted as references
+    flat_x, flat_trace = x.reshape(-1), trace.reshape(-1)  # numba counts references of the rows of a 2-D array
     for begin in range(0, n, GATE_BLOCK):
         end = min(begin + GATE_BLOCK, n)
         for i in range(gates.shape[0]):
@@ -170,39 +203,17 @@ def run(
                     for i in range(summed):
                         state[i] += (measured[k - 1] - flat_trace[k * width - 1]) / summed
             for i in range(feedbacks):
-                row[aims + i] = state[i]
+                row[fed_back + i] = state[i]
             if not is_gated:
-                aims_k = part(row, units)
-                row[width - 1], _ = _advance(p, inputs_k, inputs_k, path[k], 1.0, 0.0, state, state, aims_k, row)
-                continue
-            aims_k = part(row, units)  # from here on as in `network.advance`, but for the gates
-            total, _ = _outputs(p, inputs_k, state, aims_k, row)
-            damping, damped = aims_k[feedbacks], 0.0
-            for i in range(feedbacks):
-                before, way = state[i], gates[i, 0, k - begin]
-                distance = aims_k[i] - before
-                knees = abs(distance) * gates[i, 1, k - begin]
-                share = soft = gates[i, 4, k - begin]  # what `travelled` gives within the knee
-                over_way, over_knee = 1.0 - share, 0.0
-                if knees > 1.0:
-                    share, soft, knees, beyond = _travelled(distance, way, gates[i, 1, k - begin])
-                    is_straight = way <= beyond
-                    over_way = 1.0 / knees if is_straight else 1.0 - share
-                    over_knee = share if is_straight else (1.0 - share) * beyond
-                state[i] = toward(before, aims_k[i], share)
-                if i < summed:
-                    total += state[i]
-                    damped += damping * (state[i] - before)
-                row[aims + feedbacks + i] = share
-                row[aims + 2 * feedbacks + i] = soft
-                row[aims + 3 * feedbacks + i] = distance * over_way * gates[i, 2, k - begin]
-                row[aims + 4 * feedbacks + i] = distance * over_knee * gates[i, 3, k - begin]
-            row[width - 1] = _limited(total + damped, p[BOUND])
+                targets = part(row, units)
+                row[width - 1], _ = _advance(p, inputs_k, inputs_k, path[k], 1.0, 0.0, state, state, targets, row)
+            else:
+                row[width - 1] = _gated_step(p, inputs_k, gates, k - begin, state, row, units)
 
 
 @compiled
 def _put_products(inputs: Array, count: int, slopes: Array, width: int, row: Array) -> None:
-    """Fill ``row`` (count, width) with the products of both; zeros in `SPARE` places behind it."""
+    """Fill ``row`` (count, width) with the products of inputs and slopes, followed by `SPARE` zeros."""
     for i in range(count):
         for j in range(0, width, LANES):
             put_scaled(row, i * width + j, slopes, j, inputs[i])
@@ -214,7 +225,7 @@ def _put_products(inputs: Array, count: int, slopes: Array, width: int, row: Arr
 def _output_gradient(
     p: Array, x: Array, fed_back: Array, h: Array, slopes: Array, row: Array, over_fed_back: Array
 ) -> None:
-    """Fill ``row`` (weights + SPARE) with the slopes of the only output, and ``over_fed_back`` with the others."""
+    """Fill ``row`` (weights + SPARE) and ``over_fed_back`` with the slopes of the output over both."""
     width, second, inputs = whole(p[WIDTH]), whole(p[SECOND]), whole(p[INPUTS])
     feedbacks = whole(p[FEEDBACKS])
     begin = width * (1 + inputs + feedbacks) + (second * (1 + width) if second > 0 else 0)
@@ -260,7 +271,7 @@ def _fed_back_row(
     weights: int,
 ) -> None:
     """Fill ``row`` with the derivative of the torque of a static or narx network; advance its sensitivities ``s``."""
-    units, feedbacks = units_room(p), whole(p[FEEDBACKS])
+    units, feedbacks = units_length(p), whole(p[FEEDBACKS])
     fed_back = part(step, units + 1 + feedbacks)
     stride = weights + SPARE
     if abs(step[units]) >= p[BOUND]:
@@ -299,14 +310,14 @@ def fill_rows(
 ) -> None:
     """Fill ``rows`` (end - begin, at least weights + SPARE) with the derivative of the torque in these samples.
 
-    ``s`` (at least 1, row_room) are the sensitivities of what is fed back, carried from block to block.
+    ``s`` (at least 1, row_length) are the sensitivities of the fed-back values, carried from block to block.
     """
-    feedbacks, units = whole(p[FEEDBACKS]), units_room(p)
+    feedbacks, units = whole(p[FEEDBACKS]), units_length(p)
     sensitivity = s.reshape(-1)
     flat_x, flat_trace, flat_rows = x.reshape(-1), trace.reshape(-1), rows.reshape(-1)
     if p[STRUCTURE] == GATED:
-        stride, room = plan_width(p), row_room(p)
-        plan, after, wide = np.zeros(BLOCK * stride), np.zeros(feedbacks * room), np.zeros(room)
+        stride, length = plan_width(p), row_length(p)
+        plan, after, wide = np.zeros(BLOCK * stride), np.zeros(feedbacks * length), np.zeros(length)
         for first in range(begin, end, BLOCK):
             last = min(first + BLOCK, end)
             plan_rows(p, x, seen, path, trace, first, last, plan)
@@ -346,15 +357,15 @@ def normal_equations(
 ) -> None:
     """Fill ``matrix`` with the products of the columns of [J, e], summed over all samples by their ``weight``.
 
-    J is the derivative of the torque over the weights of the network and e the torque less the ``target``, both in
-    units of the torque scale. ``matrix`` is square, with room for `normal.room` (weights + 1) columns; its lower
-    triangle has J' J, J' e in row ``weights``, and e' e at the end of that row.
+    J is the derivative of the torque over the weights of the network, and e the torque minus the ``target``, both in
+    units of the torque scale. ``matrix`` is square with `normal.padded` (weights + 1) columns; its lower triangle
+    receives J' J, with J' e in row ``weights`` and e' e at the end of that row.
     """
     last = trace.shape[1] - 1
-    s = np.zeros((max(whole(p[FEEDBACKS]), 1), row_room(p)))
-    rows = np.zeros((BLOCK + 1, matrix.shape[1]))  # one more, for vectors that reach beyond a row
+    s = np.zeros((max(whole(p[FEEDBACKS]), 1), row_length(p)))
+    rows = np.zeros((BLOCK + 1, matrix.shape[1]))  # one row more, because vector stores reach beyond a row
     largest = np.max(weight)
-    flat_rows, room = rows.reshape(-1), rows.shape[1]
+    flat_rows, length = rows.reshape(-1), rows.shape[1]
     matrix[:] = 0.0
     for begin in range(0, path.shape[0], BLOCK):
         end = min(begin + BLOCK, path.shape[0])
@@ -362,13 +373,13 @@ def normal_equations(
         used = 0
         for k in range(begin, end):
             if weight[k] > 0.0:
-                share = np.sqrt(weight[k] / largest)
-                if share != 1.0 or used < k - begin:  # most rows are where they should be
+                root = np.sqrt(weight[k] / largest)
+                if root != 1.0 or used < k - begin:  # else the row is in place already
                     for w in range(0, weights, LANES):
-                        put_scaled(flat_rows, used * room + w, flat_rows, (k - begin) * room + w, share)
-                for w in range(weights, room):
-                    flat_rows[used * room + w] = 0.0
-                flat_rows[used * room + weights] = share * (trace[k, last] - target[k])
+                        put_scaled(flat_rows, used * length + w, flat_rows, (k - begin) * length + w, root)
+                for w in range(weights, length):
+                    flat_rows[used * length + w] = 0.0
+                flat_rows[used * length + weights] = root * (trace[k, last] - target[k])
                 used += 1
         add_products(rows, used, weights + 1, matrix)
     matrix *= largest
@@ -376,7 +387,7 @@ def normal_equations(
 
 @compiled
 def squared_error(trace: Array, target: Array, weight: Array) -> float:
-    """Sum of the squared errors of a run, in units of the torque scale squared."""
+    """Return the weighted sum of squared errors of a run, in units of the torque scale squared."""
     last = trace.shape[1] - 1
     total = 0.0
     for k in range(target.shape[0]):

@@ -1,4 +1,4 @@
-"""What a network looks like, the samples it is trained on, and its parameter array before training."""
+"""Samples of a training, and the parameter array of a network with its scales before training."""
 
 import math
 from collections.abc import Iterable
@@ -12,9 +12,9 @@ from friction_hil.friction import network
 from friction_hil.friction.network_model import NetworkStructure
 from friction_hil.numerics.jit import Array, compiled
 
-_STROKES = 60  # that are tried
-_LEAST_SHARE = 1e-9  # of a stop's square beside the curve over the velocity: below, it is that curve
-_OUTPUT_MARGIN = 1.5  # how far the output may go beyond the largest torque of the training
+_STROKES = 60  # number of strokes tried
+_LEAST_REMAINDER = 1e-9  # mean square of a stop outside the span of the velocity curves: a smaller one is rounding
+_OUTPUT_MARGIN = 1.5  # bound of the output over the largest torque of the training
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,15 +24,15 @@ class Samples:
     Attributes
     ----------
     dt : float
-        s.
+        Sampling period, s.
     velocity, torque : (n,) array
-        rad/s, held over each sample, and N m at its end.
+        Velocity held over each sample, rad/s, and torque at its end, N m.
     position, load_torque, temperature : (n,) array
-        rad, N m, deg C; zeros where not given, NaN for an unknown temperature.
+        rad, N m, deg C; zeros if not given, NaN for an unknown temperature.
     starts : (n,) array
         1 where a record begins, else 0.
     weight : (n,) array
-        What the squared error of each sample counts for. 0 for what is only run through, such as a held-out block.
+        Weight of the squared error of each sample; 0 if it is simulated only, such as in a held-out block.
     """
 
     dt: float
@@ -63,8 +63,8 @@ class Samples:
             if values.shape != (count,):
                 raise UsageError(f"{name} has shape {values.shape}, velocity ({count},): they must be the same")
             if name != "temperature" and not np.isfinite(values).all():
-                place = int(np.flatnonzero(~np.isfinite(values))[0])
-                raise UsageError(f"{name} of sample {place} is {values[place]}, not a finite number")
+                index = int(np.flatnonzero(~np.isfinite(values))[0])
+                raise UsageError(f"{name} of sample {index} is {values[index]}, not a finite number")
             object.__setattr__(self, name, values)
         self.starts[0] = 1.0
 
@@ -77,12 +77,12 @@ class Samples:
 
 
 def join(records: Iterable[Samples]) -> Samples:
-    """Put records one after the other.
+    """Concatenate records.
 
     Raises
     ------
     UsageError
-        There is none, or their periods differ.
+        There is no record, or the periods differ.
     """
     all_of = list(records)
     if not all_of or any(abs(each.dt / all_of[0].dt - 1.0) > 1e-6 for each in all_of):
@@ -92,9 +92,9 @@ def join(records: Iterable[Samples]) -> Samples:
 
 
 def empty(structure: NetworkStructure, samples: Samples, speed_factor: float = 1.0) -> Array:
-    """Return the parameter array of a network with all weights zero, its scales found from ``samples``.
+    """Return the parameter array of a network with zero weights and scales taken from ``samples``.
 
-    ``speed_factor`` moves the speeds at which the velocity is compressed.
+    ``speed_factor`` multiplies the speeds at which the velocity features saturate.
     """
     p = structure.parameter_array()
     p[network.TRAINED_DT] = samples.dt
@@ -105,11 +105,11 @@ def empty(structure: NetworkStructure, samples: Samples, speed_factor: float = 1
     p[network.SPEED_LIMIT] = limit = float(np.max(speed)) or 1.0
     p[network.SPEEDS : network.SPEEDS + 3] = speeds = characteristic_speeds(speed) * speed_factor
     p[network.FEATURE_FACTORS : network.FEATURE_FACTORS + 2] = 1.0 / np.arcsinh(limit / speeds[:2])
-    for place, values in enumerate((samples.position, samples.load_torque, samples.temperature)):
+    for index, values in enumerate((samples.position, samples.load_torque, samples.temperature)):
         known = values[used & np.isfinite(values)]
         low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 0.0)
-        p[network.MIDDLES + place] = 0.5 * (low + high)
-        p[network.HALF_RANGES + place] = 0.5 * (high - low) or 1.0
+        p[network.MIDDLES + index] = 0.5 * (low + high)
+        p[network.HALF_RANGES + index] = 0.5 * (high - low) or 1.0
     lowest, highest = np.log(rate_bounds(samples))
     p[network.RATE_MIDDLE], p[network.RATE_HALF] = 0.5 * (lowest + highest), 0.5 * (highest - lowest)
     p[network.STROKE] = stroke(samples) if structure.kind == "gated" else 0.0
@@ -127,7 +127,7 @@ def _fill_stop(starts: Array, distance: Array, stroke: float, stop: Array) -> No
 
 
 def stroke(samples: Samples) -> float:
-    """Return the stroke of the stop that explains most of the torque beside a curve over the velocity, rad."""
+    """Return the stroke of the stop that, with a curve over the velocity, explains most of the torque, rad."""
     v, root = samples.velocity, np.sqrt(samples.weight)
     speeds = characteristic_speeds(np.abs(v[samples.weight > 0.0]))
     curve = [np.ones(len(v)), v, *(np.arcsinh(v / speed) for speed in speeds[:2]), np.tanh(v / speeds[2])]
@@ -138,25 +138,25 @@ def stroke(samples: Samples) -> float:
         return 1.0
     strokes = np.geomspace(float(np.quantile(moving, 0.1)), float(moving.sum()), _STROKES)
     explained = np.zeros(_STROKES)
-    for place, one in enumerate(strokes):
+    for index, one in enumerate(strokes):
         _fill_stop(samples.starts, distance, one, stop)
         beside = stop * root
         beside -= base @ (base.T @ beside)
         length = float(beside @ beside)
-        if length > _LEAST_SHARE * float(samples.weight.sum()):
-            explained[place] = (beside @ target) ** 2 / length
+        if length > _LEAST_REMAINDER * float(samples.weight.sum()):
+            explained[index] = (beside @ target) ** 2 / length
     return float(strokes[int(np.argmax(explained))])
 
 
 def characteristic_speeds(speed: Array) -> NDArray[np.float64]:
-    """Return three speeds at which the velocity is compressed, from those that occur, rad/s."""
+    """Return three speeds at which velocity features saturate, from the speeds that occur, rad/s."""
     moving = speed[speed > 1e-9 * np.max(speed)] if np.max(speed) > 0.0 else np.ones(1)
     low, middle, high = np.quantile(moving, (0.02, 0.1, 0.4))
     return np.asarray(np.maximum(np.array([middle, high, low]), 1e-4 * np.max(moving)))
 
 
 def rate_bounds(samples: Samples) -> tuple[float, float]:
-    """Return bounds of a gate's rate, rad^-1, from the paths that the motion of the samples makes."""
+    """Return bounds of a gate's rate, rad^-1, from the distances travelled in the samples."""
     path = np.abs(samples.velocity) * samples.dt
     moving = path[path > 1e-9 * path.max()] if path.max() > 0.0 else np.ones(1)
     return 1.0 / float(moving.sum() + moving.max()), 3.0 / float(np.quantile(moving, 0.1))

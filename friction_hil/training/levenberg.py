@@ -1,4 +1,8 @@
-"""Levenberg-Marquardt on normal equations, with column scaling and gain-ratio damping. Pure.
+"""Levenberg-Marquardt search without bounds, on normal equations that the caller accumulates. Pure.
+
+For many samples and about a hundred parameters: the whole Jacobian is never stored, and derivatives are computed after
+accepted steps only. `friction_hil.identification.least_squares` searches within bounds; each of the two does worse on
+the problems of the other.
 
 Sources: J. J. More, Numerical Analysis, Lecture Notes in Mathematics 630, 1978 (scaling); K. Madsen, H. B. Nielsen,
 O. Tingleff, Methods for Non-Linear Least Squares Problems, 2nd ed., DTU 2004, section 3.2 (damping).
@@ -15,15 +19,15 @@ from friction_hil.training.normal import solve
 
 _FIRST_DAMPING = 1e-2
 _MOST_DAMPING = 1e12
-_REFUSALS = 12  # steps in a row that do not lower the cost before a search gives up
+_REJECTIONS = 12  # steps in a row that do not lower the cost before the search ends
 
 Cost = Callable[[Array], float]
-Linear = Callable[[], tuple[Array, Array]]
+NormalEquations = Callable[[], tuple[Array, Array]]
 
 
 @dataclass(frozen=True, slots=True)
-class Progress:
-    """Where a search stands after an iteration."""
+class SearchStep:
+    """State of a search after a step that lowered the cost."""
 
     iteration: int
     cost: float
@@ -32,19 +36,19 @@ class Progress:
 
 
 @dataclass(frozen=True, slots=True)
-class Solution:
-    """Where a search ended.
+class UnboundedSolution:
+    """Result of `minimise_unbounded`.
 
     Attributes
     ----------
     at : (m,) array
     cost : float
     iterations : int
-        Accepted and refused steps.
+        Accepted and rejected steps.
     damping : float
-        To go on with.
+        With which to continue the search.
     is_converged : bool
-        Whether no step was left that lowers the cost by more than the tolerance.
+        True if the predicted decrease of the next step is below the tolerance.
     """
 
     at: Array
@@ -54,62 +58,62 @@ class Solution:
     is_converged: bool
 
 
-def minimise(
+def minimise_unbounded(
     cost: Cost,
-    linear: Linear,
+    normal_equations: NormalEquations,
     start: Array,
     *,
     iterations: int,
     damping: float = _FIRST_DAMPING,
     tolerance: float = 1e-9,
-    goes_on: Callable[[Progress], bool] = lambda progress: True,
-) -> Solution:
-    """Find the least sum of squares from ``start``.
+    goes_on: Callable[[SearchStep], bool] = lambda step: True,
+) -> UnboundedSolution:
+    """Minimise a sum of squares, from ``start``.
 
     Parameters
     ----------
     cost : callable
-        Sum of squares r' r at (m,); not finite where there is no model.
-    linear : callable
-        J' J (m, m) and J' r (m,) where ``cost`` was called last.
+        Takes (m,) and returns the sum of squares r' r; not finite where it is undefined.
+    normal_equations : callable
+        Returns J' J (m, m) and J' r (m,) at the argument of the last call of ``cost``.
     start : (m,) array
     iterations : int
-        Most steps.
+        Largest number of steps.
     damping : float
-        At the start, relative to the scaled normal equations.
+        Initial damping, relative to the scaled normal equations.
     tolerance : float
-        Relative decrease, as the linear model promises it, below which the search is over.
+        Relative decrease predicted by the linear model below which the search ends.
     goes_on : callable
-        Called after every step that lowered the cost; returns False to stop there.
+        Called after every step that lowered the cost; returns False to end the search.
     """
     at, size = np.array(start, dtype=np.float64), len(start)
-    now, factor, scale = cost(at), 2.0, np.zeros(size)
+    now, growth, scale = cost(at), 2.0, np.zeros(size)
     if not math.isfinite(now):
-        return Solution(at, math.inf, 0, damping, False)
-    matrix, gradient = linear()
-    step, room, refused = np.empty(size), np.empty((size, size)), 0
+        return UnboundedSolution(at, math.inf, 0, damping, False)
+    matrix, gradient = normal_equations()
+    step, cholesky, rejected = np.empty(size), np.empty((size, size)), 0
     for iteration in range(1, iterations + 1):
         diagonal = np.diag(matrix)
         scale = np.maximum(scale, diagonal)
         weights = np.where(scale > 0.0, scale, 1.0)
         damped = matrix + np.diag(damping * weights)
-        if not solve(damped, -gradient, step, room):
-            damping, factor, refused = damping * factor, 2.0 * factor, refused + 1
+        if not solve(damped, -gradient, step, cholesky):
+            damping, growth, rejected = damping * growth, 2.0 * growth, rejected + 1
             continue
-        promised = float(step @ (damping * weights * step - gradient))
-        if promised <= tolerance * now:
-            return Solution(at, now, iteration, damping, True)
+        predicted = float(step @ (damping * weights * step - gradient))
+        if predicted <= tolerance * now:
+            return UnboundedSolution(at, now, iteration, damping, True)
         trial = at + step
         then = cost(trial)
-        gain = (now - then) / promised if math.isfinite(then) else -1.0
+        gain = (now - then) / predicted if math.isfinite(then) else -1.0
         if gain > 0.0:
-            at, now, refused = trial, then, 0
-            damping, factor = max(damping * max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3), 1e-15), 2.0
-            matrix, gradient = linear()
-            if not goes_on(Progress(iteration, now, damping, at)):
-                return Solution(at, now, iteration, damping, False)
+            at, now, rejected = trial, then, 0
+            damping, growth = max(damping * max(1.0 / 3.0, 1.0 - (2.0 * gain - 1.0) ** 3), 1e-15), 2.0
+            matrix, gradient = normal_equations()
+            if not goes_on(SearchStep(iteration, now, damping, at)):
+                return UnboundedSolution(at, now, iteration, damping, False)
         else:
-            damping, factor, refused = damping * factor, 2.0 * factor, refused + 1
-            if damping > _MOST_DAMPING or refused > _REFUSALS:
-                return Solution(at, now, iteration, damping, False)
-    return Solution(at, now, iterations, damping, False)
+            damping, growth, rejected = damping * growth, 2.0 * growth, rejected + 1
+            if damping > _MOST_DAMPING or rejected > _REJECTIONS:
+                return UnboundedSolution(at, now, iteration, damping, False)
+    return UnboundedSolution(at, now, iterations, damping, False)

@@ -1,8 +1,8 @@
-"""Normal equations of a tall and thin Jacobian, summed block by block, and their solution.
+"""Normal equations of a tall and thin Jacobian, accumulated block by block, and their solution.
 
-Compiled here, in one thread, rather than left to a BLAS: two threads of a BLAS take twice as long for matrices of
-this shape, and which one takes what changes the bits of the sum. These operations are correctly rounded and their
-order is fixed. Against one thread of OpenBLAS they take about 0.7 times as long.
+Compiled for one thread instead of using a BLAS: two threads of a BLAS take twice as long with matrices of this shape,
+and their division of the work changes the bits of the sum. Here every operation is correctly rounded and the order is
+fixed. The run time is about 0.7 times that of one thread of OpenBLAS.
 """
 
 from typing import Any
@@ -16,8 +16,8 @@ from friction_hil.friction.lanes import cgutils
 from friction_hil.numerics.dual import intrinsic
 from friction_hil.numerics.jit import Array, compiled
 
-# of the tile of the result that stays in registers while the rows of a block go by: 12 sums of 4 numbers, so that no
-# multiply-add waits for the one before it
+# Size of the tile of the result that stays in registers while the rows of a block are added: 12 sums of 4 numbers, so
+# that no multiply-add waits for the one before it.
 ROWS, COLUMNS = 6, 8
 
 _F8 = ir.DoubleType()
@@ -28,7 +28,7 @@ _VECTOR = ir.VectorType(_F8, COLUMNS)
 def _add_tile(_: Any, block: Any, rows: Any, i: Any, j: Any, matrix: Any) -> Any:
     """Add to ``matrix[i : i + ROWS, j : j + COLUMNS]`` the products of those columns of ``block``, summed over rows.
 
-    In vector instructions by name, because the compiler does not find them in a loop over numbers.
+    Vector instructions are given explicitly, because the compiler does not derive them from a loop over numbers.
     """
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
@@ -39,20 +39,20 @@ def _add_tile(_: Any, block: Any, rows: Any, i: Any, j: Any, matrix: Any) -> Any
         target_bytes = cgutils.unpack_tuple(builder, targets.strides)[0]
         vectors, zero = _VECTOR.as_pointer(), ir.Constant(_VECTOR, [0.0] * COLUMNS)
         sums = [cgutils.alloca_once_value(builder, zero) for _ in range(ROWS)]
-        for place in sums:
-            builder.store(zero, place)
+        for slot in sums:
+            builder.store(zero, slot)
         with cgutils.for_range(builder, count) as loop:
             row = cgutils.pointer_add(builder, sources.data, builder.mul(loop.index, row_bytes))
             right = builder.load(builder.bitcast(builder.gep(row, [second]), vectors), align=8)
-            for a, place in enumerate(sums):
+            for a, slot in enumerate(sums):
                 one = builder.load(builder.gep(row, [builder.add(first, ir.Constant(first.type, a))]))
                 left = lanes.spread(builder, _VECTOR, one)
-                builder.store(lanes.fma(builder, left, right, builder.load(place)), place)
-        for a, place in enumerate(sums):
+                builder.store(lanes.fma(builder, left, right, builder.load(slot)), slot)
+        for a, slot in enumerate(sums):
             down = builder.mul(builder.add(first, ir.Constant(first.type, a)), target_bytes)
             into = builder.gep(cgutils.pointer_add(builder, targets.data, down), [second])
             into = builder.bitcast(into, vectors)
-            builder.store(builder.fadd(builder.load(into, align=8), builder.load(place)), into, align=8)
+            builder.store(builder.fadd(builder.load(into, align=8), builder.load(slot)), into, align=8)
         return context.get_dummy_value()
 
     return types.void(block, types.int64, types.int64, types.int64, matrix), generate
@@ -64,12 +64,12 @@ def add_products(block: Array, rows: int, columns: int, matrix: Array) -> None:
 
     Parameters
     ----------
-    block : (most rows, room) array
-        Room is `room` (columns), with zeros in the places left over.
+    block : (most rows, width) array
+        ``width`` is `padded` (columns); unused columns are zero.
     rows, columns : int
-        How many of each count.
-    matrix : (room, room) array
-        Changed in place; what is above its diagonal is of no use.
+        Number of rows and columns in use.
+    matrix : (width, width) array
+        Changed in place; elements above the diagonal are undefined.
     """
     for i in range(0, columns, ROWS):
         for j in range(0, i + ROWS, COLUMNS):
@@ -77,8 +77,8 @@ def add_products(block: Array, rows: int, columns: int, matrix: Array) -> None:
 
 
 @compiled
-def room(columns: int) -> int:
-    """``columns`` rounded up to a multiple of `ROWS`, and that to a multiple of `COLUMNS`."""
+def padded(columns: int) -> int:
+    """Return ``columns`` rounded up to a multiple of `ROWS`, and that to a multiple of `COLUMNS`."""
     rows = (columns + ROWS - 1) // ROWS * ROWS
     return (rows + COLUMNS - 1) // COLUMNS * COLUMNS
 
@@ -90,15 +90,15 @@ def solve(matrix: Array, right: Array, solution: Array, factor: Array) -> bool:
     Parameters
     ----------
     matrix : (m, m) array
-        Its lower triangle is read.
+        Only its lower triangle is read.
     right, solution : (m,) array
     factor : (m, m) array
-        Room; filled with the lower triangular factor.
+        Output: the lower triangular factor.
 
     Returns
     -------
     bool
-        Whether the matrix is positive definite. If it is not, ``solution`` means nothing.
+        True if the matrix is positive definite; otherwise ``solution`` is undefined.
     """
     size = right.shape[0]
     for i in range(size):

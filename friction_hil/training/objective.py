@@ -1,4 +1,4 @@
-"""Error of a network over samples, as a function of the numbers that are searched for, and its derivative."""
+"""Error of a network over samples, as a function of the searched weights, and its derivative."""
 
 import math
 
@@ -9,18 +9,29 @@ from friction_hil.numerics.jit import Array
 from friction_hil.training import jacobian
 from friction_hil.training.constraints import Constraint
 from friction_hil.training.layout import Samples
-from friction_hil.training.normal import room
+from friction_hil.training.normal import padded
 
 
-class Record:
-    """Samples as a network of one structure and one set of scales sees them, and its runs over them.
+class NetworkRun:
+    """Runs of networks with one header (structure and scales) over the same samples.
 
     Parameters
     ----------
     p : array
-        Network; its header counts, its weights do not.
+        Network; its header is used, its weights are not.
     samples : Samples
-        At the period that the network is trained at.
+        At the period at which the network is trained.
+
+    Attributes
+    ----------
+    inputs, gate_features : array
+        Inputs of the network and of its gates, see `jacobian`.
+    path : (n,) array
+        Distance travelled in each sample, rad.
+    target, weight : (n,) array
+        Torque in units of the torque scale, and weights that sum to 1.
+    trace : (n, trace_width) array
+        Trace of the last `simulate`.
     """
 
     def __init__(self, p: Array, samples: Samples) -> None:
@@ -40,25 +51,25 @@ class Record:
         self._spread = math.sqrt(float(self.weight @ (self.target - mean) ** 2)) or 1.0
         self.trace = np.empty((len(samples), jacobian.trace_width(p)))
 
-    def run(self, p: Array, is_free: bool) -> float:
-        """Run the network; return the weighted mean of its squared error, in units of the torque scale squared."""
+    def simulate(self, p: Array, is_free: bool) -> float:
+        """Run a network; return the weighted mean of its squared error, in units of the torque scale squared."""
         motion = (self.samples.starts, self.inputs, self.gate_features, self.path)
         jacobian.run(p, *motion, self.target, is_free, self.trace)
         return jacobian.squared_error(self.trace, self.target, self.weight)
 
     def error(self, p: Array, is_free: bool) -> float:
-        """NRMSE: root of the mean squared error over the standard deviation of the target."""
-        return math.sqrt(self.run(p, is_free)) / self._spread
+        """Return the NRMSE: root mean squared error over the standard deviation of the target."""
+        return math.sqrt(self.simulate(p, is_free)) / self._spread
 
     def normal_equations(self, p: Array, is_free: bool, matrix: Array) -> None:
-        """Fill ``matrix`` as `jacobian.normal_equations` does, for the last `run`."""
+        """Fill ``matrix`` as `jacobian.normal_equations` does, for the last `simulate`."""
         weights = p.size - network.HEADER
         record = (self.samples.starts, self.inputs, self.gate_features, self.path, self.trace)
         jacobian.normal_equations(p, *record, is_free, self.target, self.weight, weights, matrix)
 
 
 class Objective:
-    """Mean squared error with weight decay, for `levenberg.minimise`.
+    """Mean squared error with weight decay, for `levenberg.minimise_unbounded`.
 
     Attributes
     ----------
@@ -66,34 +77,34 @@ class Objective:
         Network with the weights of the last `cost`.
     """
 
-    def __init__(self, p: Array, record: Record, constraint: Constraint, decay: float, is_free: bool) -> None:
+    def __init__(self, p: Array, run: NetworkRun, constraint: Constraint, decay: float, is_free: bool) -> None:
         self.p = p.copy()
-        self._record, self._constraint = record, constraint
+        self._run, self._constraint = run, constraint
         self._decay, self._is_free = decay, is_free
         self._weights = p.size - network.HEADER
-        self._matrix = np.zeros((room(self._weights + 1),) * 2)
+        self._matrix = np.zeros((padded(self._weights + 1),) * 2)
         self._searched, self._change = np.zeros(0), np.zeros((0, 0))
 
     def network_at(self, searched: Array) -> Array:
-        """Parameter array of the network that the searched numbers mean."""
+        """Return the parameter array of the network with these searched weights."""
         p = self.p.copy()
         p[network.HEADER :] = self._constraint.apply(searched)[0]
         return p
 
     def cost(self, searched: Array) -> float:
-        """Mean squared error plus decay times the squared length of ``searched``."""
+        """Return the mean squared error plus decay times the squared norm of ``searched``."""
         self._searched = searched
         self.p[network.HEADER :], self._change = self._constraint.apply(searched)
-        return self._record.run(self.p, self._is_free) + self._decay * float(searched @ searched)
+        return self._run.simulate(self.p, self._is_free) + self._decay * float(searched @ searched)
 
-    def linear(self) -> tuple[Array, Array]:
-        """Gauss-Newton matrix and half the gradient of the last `cost`."""
-        self._record.normal_equations(self.p, self._is_free, self._matrix)
+    def normal_equations(self) -> tuple[Array, Array]:
+        """Return the Gauss-Newton matrix and half the gradient of the last `cost`."""
+        self._run.normal_equations(self.p, self._is_free, self._matrix)
         lower = np.tril(self._matrix[: self._weights, : self._weights])
         matrix = lower + np.tril(lower, -1).T
         gradient = self._matrix[self._weights, : self._weights]
-        places, change = self._constraint.feedback, self._change
-        turned = matrix[:, places] @ change  # too small for a BLAS to wake a second thread, which takes far longer
-        over_searched = matrix + turned + turned.T + change.T @ (matrix[np.ix_(places, places)] @ change)
+        fed_back, change = self._constraint.feedback, self._change
+        turned = matrix[:, fed_back] @ change  # small enough for a BLAS to stay on one thread: two take far longer
+        over_searched = matrix + turned + turned.T + change.T @ (matrix[np.ix_(fed_back, fed_back)] @ change)
         over_searched[np.diag_indices_from(matrix)] += self._decay
-        return over_searched, gradient + change.T @ gradient[places] + self._decay * self._searched
+        return over_searched, gradient + change.T @ gradient[fed_back] + self._decay * self._searched

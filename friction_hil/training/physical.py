@@ -1,28 +1,29 @@
-"""What models of the library make of the samples that a network is trained on: the measure of what it is worth."""
+"""Physical models fitted to the samples of a training, for comparison with the network."""
 
 import itertools
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from friction_hil.friction import Axis, FrictionModel, create
+from friction_hil.identification import structures
+from friction_hil.identification.data import Data, RegressionSegment
+from friction_hil.identification.fits import fit
+from friction_hil.identification.regression import Regression
+from friction_hil.identification.scales import estimate_scales
 from friction_hil.numerics.jit import Array
 from friction_hil.training.layout import Samples
-
-if TYPE_CHECKING:
-    from friction_hil.identification.data import RegressionSegment
 
 FAMILIES = ("coulomb", "stribeck", "dahl", "lugre")
 
 
 def parts_of(samples: Samples) -> list[slice]:
-    """Where each record of the samples is."""
+    """Return the rows of each record of the samples."""
     ends = [*np.flatnonzero(samples.starts).tolist(), len(samples)]
     return [slice(a, b) for a, b in itertools.pairwise(ends)]
 
 
 def simulate(model: FrictionModel, samples: Samples) -> Array:
-    """Torque of a model along samples, (n,), N m; every record starts anew."""
+    """Return the torque of a model along samples, (n,), N m; every record starts from rest."""
     return np.concatenate(
         [
             model.simulate(
@@ -38,32 +39,25 @@ def simulate(model: FrictionModel, samples: Samples) -> Array:
 
 
 def fitted(samples: Samples, axis: Axis) -> dict[str, FrictionModel]:
-    """Fit each of `FAMILIES` to the torque of samples that count, as `identify` does where the mechanics is known.
+    """Fit each of `FAMILIES` to the torque of the weighted samples, as `identify` does for known mechanics.
 
     Parameters
     ----------
     samples : Samples
-        Of friction alone.
+        Friction torque alone.
     axis : {"rotary", "linear"}
     """
-    from friction_hil.identification import scales, structures
-    from friction_hil.identification.data import Data
-    from friction_hil.identification.fits import fit
-    from friction_hil.identification.problem import Problem
-
     data = Data([_record(samples, part, axis) for part in parts_of(samples)])
-    sizes, found = scales.scales(data, ()), {}
+    scales, found = estimate_scales(data, ()), {}
     for family in FAMILIES:
-        structure = structures.build(family, sizes, axis, samples.dt, is_directed=False)
-        parameters, modifiers = fit(Problem(data, structure, ()), sizes).friction
+        structure = structures.build(family, scales, axis, samples.dt, is_directed=False)
+        parameters, modifiers = fit(Regression(data, structure, ()), scales).friction
         found[family] = create(family, modifiers=modifiers, axis=axis, **parameters)
     return found
 
 
-def _record(samples: Samples, part: slice, axis: Axis) -> "RegressionSegment":
-    """The samples of a record as regression sees them: friction is all of the torque, and nothing is filtered."""
-    from friction_hil.identification.data import RegressionSegment
-
+def _record(samples: Samples, part: slice, axis: Axis) -> RegressionSegment:
+    """Return the samples of a record for regression: unfiltered, with friction as the only torque."""
     velocity, position, count = samples.velocity[part], samples.position[part], part.stop - part.start
     temperature = samples.temperature[part]
     if np.ptp(position) == 0.0:  # not given

@@ -7,11 +7,10 @@ from dataclasses import replace
 from friction_hil import friction as models
 from friction_hil.config import Configuration
 from friction_hil.errors import RecordingError
-from friction_hil.identification import Fit, Identification, identify
-from friction_hil.identification import Settings as IdentificationSettings
+from friction_hil.identification import Fit, Identification, IdentificationSettings, identify
 from friction_hil.identification.choice import is_determined
-from friction_hil.identification.identify import chosen_families
 from friction_hil.identification.refine import is_dynamic
+from friction_hil.identification.settings import chosen_families
 from friction_hil.motion.experiment import is_fast
 from friction_hil.recordings import Recording
 from friction_hil.tuning.motions import experiment_of, sliding_part

@@ -9,7 +9,7 @@ from friction_hil.config import Configuration
 from friction_hil.daemon.assembly import ramp_s
 from friction_hil.errors import FrictionHilError, UsageError, choices
 from friction_hil.identification import Identification
-from friction_hil.identification.identify import chosen_families
+from friction_hil.identification.settings import chosen_families
 from friction_hil.models.model_file import ModelFile
 from friction_hil.recordings import Recording, read, read_all
 from friction_hil.tuning.candidates import CandidateFit, candidates, identified

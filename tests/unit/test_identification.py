@@ -7,7 +7,7 @@ import pytest
 
 import friction_hil as fh
 from friction_hil.errors import RecordingError, UsageError
-from friction_hil.identification import Identification, Settings, identify
+from friction_hil.identification import Identification, IdentificationSettings, identify
 from friction_hil.identification.choice import to_refine
 from friction_hil.identification.data import prepare
 from friction_hil.identification.export import as_json, as_model_file, model_file
@@ -86,7 +86,7 @@ def recorded(family: str, noise: float = 0.0, seed: int = 1, **changes: Any) -> 
 
 
 def found(*recordings: Recording, **settings: Any) -> Identification:
-    return identify(recordings, Settings(**{"gravity": "none", "has_modifiers": False, **settings}))
+    return identify(recordings, IdentificationSettings(**{"gravity": "none", "has_modifiers": False, **settings}))
 
 
 def plain(result: Identification, family: str) -> Any:
@@ -216,10 +216,12 @@ def test_outliers_count_less_with_the_robust_loss() -> None:
 def test_pendulum_is_recognised() -> None:
     recording = recorded("coulomb", noise=0.01)
     recording.columns["torque"] += 0.5 * np.sin(recording["position"]) - 0.2 * np.cos(recording["position"])
-    best = identify([recording], Settings(families=("coulomb",), has_modifiers=False)).best
+    best = identify([recording], IdentificationSettings(families=("coulomb",), has_modifiers=False)).best
     assert best.mechanics["gravity.sine"] == pytest.approx(0.5, rel=0.02)
     assert best.mechanics["gravity.cosine"] == pytest.approx(-0.2, abs=0.02)
-    level = identify([recorded("coulomb", noise=0.01)], Settings(families=("coulomb",), has_modifiers=False)).best
+    level = identify(
+        [recorded("coulomb", noise=0.01)], IdentificationSettings(families=("coulomb",), has_modifiers=False)
+    ).best
     assert level.mechanics["gravity.sine"] == 0.0
 
 
@@ -269,12 +271,12 @@ def test_constant_speed_alone_cannot_tell_level_from_viscous() -> None:
     torque = 0.3 * np.sign(velocity) + 0.05 * velocity + 0.01 * np.random.default_rng(0).normal(size=len(time))
     columns = {"time_s": time, "position": np.cumsum(velocity) * PERIOD_S, "velocity": velocity, "torque": torque}
     fit = plain(found(Recording("made.csv", "x", columns), families=("coulomb",)), "coulomb")
-    told = [flag for flag in fit.flags if flag.startswith("collinear") and "coulomb" in flag and "viscous" in flag]
-    assert told
-    assert "wider range" in told[0]
+    flags = [flag for flag in fit.flags if flag.startswith("collinear") and "coulomb" in flag and "viscous" in flag]
+    assert flags
+    assert "wider range" in flags[0]
 
 
-def test_presliding_that_is_never_seen_is_told() -> None:
+def test_presliding_that_never_occurs_is_reported() -> None:
     """Sliding in one direction alone shows no stiffness."""
     time = np.arange(6000) * PERIOD_S
     velocity = 1.0 + 0.6 * np.sin(2.0 * np.pi * 0.5 * time)
@@ -283,14 +285,16 @@ def test_presliding_that_is_never_seen_is_told() -> None:
     torque += 0.01 * np.random.default_rng(0).normal(size=len(time))
     columns = {"time_s": time, "position": np.cumsum(velocity) * PERIOD_S, "velocity": velocity, "torque": torque}
     fit = plain(found(Recording("made.csv", "x", columns), families=("dahl",)), "dahl")
-    told = [flag for flag in fit.flags if "sigma0" in flag and not flag.startswith("collinear")]
-    assert told
-    assert "presliding" in told[0]
+    flags = [flag for flag in fit.flags if "sigma0" in flag and not flag.startswith("collinear")]
+    assert flags
+    assert "presliding" in flags[0]
 
 
 def test_validation_recording_decides() -> None:
     true, other = recorded("stribeck", noise=0.01), recorded("stribeck", noise=0.01, seed=9)
-    result = identify([true], Settings(families=("coulomb", "stribeck"), gravity="none"), validation=[other])
+    result = identify(
+        [true], IdentificationSettings(families=("coulomb", "stribeck"), gravity="none"), validation=[other]
+    )
     assert result.best.structure.family == "stribeck"
     assert result.best.validation is not None
     assert result.best.validation.relative_error == pytest.approx(result.best.train.relative_error, rel=0.3)
@@ -305,7 +309,7 @@ def test_several_recordings_are_one_fit() -> None:
     assert fit.inference.standard_errors["static"] < 0.85 * alone.inference.standard_errors["static"]
 
 
-def test_model_file_predicts_what_was_fitted() -> None:
+def test_model_file_predicts_the_fitted_torque() -> None:
     """What is written gives the error that was stated, through replay, which knows nothing of identification."""
     from friction_hil.replay.comparison import replay
 
@@ -318,7 +322,7 @@ def test_model_file_predicts_what_was_fitted() -> None:
     assert content["fit"]["train"]["relative_error"] == pytest.approx(prediction.relative_error, rel=1e-6)
 
 
-def test_json_has_what_the_contract_names() -> None:
+def test_json_has_the_keys_of_the_contract() -> None:
     result = found(recorded("coulomb", noise=0.01), families=("coulomb",))
     document = as_json(result)
     assert document["best"] == result.best.label
@@ -349,7 +353,7 @@ def test_curves_add_up() -> None:
         ({}, {"decimation": 0}, UsageError, "whole number from 1"),
     ],
 )
-def test_mistakes_are_told(
+def test_mistakes_are_reported(
     change: dict[str, float | None], settings: dict[str, Any], error: type[Exception], message: str
 ) -> None:
     recording = recorded("coulomb")

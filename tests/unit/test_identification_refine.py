@@ -16,12 +16,12 @@ from friction_hil.daemon.assembly import make_path
 from friction_hil.daemon.axis import AxisLoop
 from friction_hil.drive import AxisFacts
 from friction_hil.errors import RecordingError, UsageError
-from friction_hil.identification import Identification, Settings, identify
+from friction_hil.identification import Identification, IdentificationSettings, identify
 from friction_hil.identification.data import prepare
 from friction_hil.identification.export import as_json, as_model_file
 from friction_hil.identification.fine import fine_data, is_fine, is_presliding_excited, velocity_by_bands
-from friction_hil.identification.problem import Problem
 from friction_hil.identification.refine import _corrected
+from friction_hil.identification.regression import Regression
 from friction_hil.motion import experiment
 from friction_hil.motion.trajectory import PathTime, extent, sweeps_path
 from friction_hil.numerics import filtering
@@ -66,14 +66,14 @@ def recorded(seed: int, duration_s: float = 60.0, noise: float = 0.01) -> Record
     position, torque = np.empty_like(time), np.empty_like(time)
     sweeps = experiment.plan(2.0, 0.5, 1.0 / servo.counts_per_unit, duration_s)
     before = 0.0
-    lag_share = 1.0 / (STEPS * math.expm1(1.0 / (PLANT.integration_hz * PLANT.motor.torque_lag_s)))
+    lag_fraction = 1.0 / (STEPS * math.expm1(1.0 / (PLANT.integration_hz * PLANT.motor.torque_lag_s)))
     for k, demand in enumerate((start + experiment.demand(time, sweeps)[0]).tolist()):
         servo.command(CSP, demand)
         total = 0.0
         for _ in range(PARTS):
             servo.advance(STEPS)
             # the demand stands between samples and the torque follows it exponentially: its exact mean
-            total += servo.torque_demand - lag_share * (servo.torque - before)
+            total += servo.torque_demand - lag_fraction * (servo.torque - before)
             before = servo.torque
         position[k], torque[k] = servo.position, total / PARTS
     torque += noise * np.sqrt(np.mean(torque**2)) * random.standard_normal(len(torque))
@@ -81,7 +81,7 @@ def recorded(seed: int, duration_s: float = 60.0, noise: float = 0.01) -> Record
 
 
 def found(recording: Recording, **changes: Any) -> Identification:
-    return identify([recording], Settings(**{"families": ("lugre",), "has_modifiers": False, **changes}))
+    return identify([recording], IdentificationSettings(**{"families": ("lugre",), "has_modifiers": False, **changes}))
 
 
 @pytest.fixture(scope="module")
@@ -98,7 +98,7 @@ def test_each_parameter_is_found_within_its_limits(results: list[Identification]
             assert result.best.values[name] == pytest.approx(value, rel=limit), name
 
 
-def test_stated_errors_hold_the_truth_and_are_no_wider_than_they_must_be(results: list[Identification]) -> None:
+def test_stated_errors_cover_the_truth_and_are_not_too_wide(results: list[Identification]) -> None:
     """95 % intervals of LuGre's own parameters; a few seeds cannot tell 88 from 99, but 60 from 95."""
     names = [name for name in LUGRE if name != "damping_velocity"]  # tied to the Stribeck velocity
     errors = np.array([[fit.values[name] / TRUTH[name] - 1.0 for name in names] for fit in bests(results)])
@@ -115,8 +115,8 @@ def bests(results: list[Identification]) -> list[Any]:
     return [result.best for result in results]
 
 
-def test_what_is_left_is_the_noise_of_the_torque(results: list[Identification]) -> None:
-    """White noise of 1 % passes the low-pass at 80 of 500 Hz with its share; the rest is states that got lost."""
+def test_the_residual_is_the_noise_of_the_torque(results: list[Identification]) -> None:
+    """White noise of 1 % passes the low-pass at 80 of 500 Hz in part; the rest is due to wrong states."""
     for fit in bests(results):
         assert 0.003 < fit.train.relative_error < 0.04
         assert fit.held_out.relative_error < 0.04
@@ -130,24 +130,24 @@ def test_the_result_says_that_it_was_refined(results: list[Identification]) -> N
     assert [fit["refined"] for fit in as_json(result)["fits"]] == [True] + [False] * (len(result.fits) - 1)
 
 
-def test_unrefined_the_same_recording_does_not_tell_damping() -> None:
-    """What the refinement is for: if this comes true without it, it can go."""
+def test_without_refinement_the_same_recording_does_not_determine_damping() -> None:
+    """Reason for the refinement: if this test fails, the refinement is unnecessary."""
     fit = found(recorded(0), refine=False).best
     assert not fit.is_refined
     assert abs(fit.values["sigma1"] / LUGRE["sigma1"] - 1.0) > 0.2
 
 
-def test_taking_the_shift_off_leaves_viscous_friction_and_inertia_at_zero_or_above(
+def test_subtracting_the_shift_leaves_viscous_friction_and_inertia_at_zero_or_above(
     results: list[Identification],
 ) -> None:
-    """A shift as large as the parameter itself: more taken off would be friction that drives the axis."""
+    """A shift as large as the parameter: subtracting more would make friction drive the axis."""
     fit = results[0].best
-    problem = Problem(fine_data(results[0].records, is_mean=True), fit.structure, ["inertia", "offset"])
-    estimate = problem.estimate(fit.coordinates)
+    regression = Regression(fine_data(results[0].records, is_mean=True), fit.structure, ["inertia", "offset"])
+    estimate = regression.estimate(fit.coordinates)
     size = np.array([{"sigma2": 1.5, "offset": 3.0}.get(name, 1e-3) * estimate.values[name] for name in estimate.names])
     shifts = size * np.array([[0.9], [1.1]])
 
-    corrected, _, notes = _corrected(problem, estimate, fit.inference, shifts)
+    corrected, _, notes = _corrected(regression, estimate, fit.inference, shifts)
 
     assert (corrected.values["sigma2"], corrected.at_bound, notes) == (0.0, ("sigma2",), [])
     assert corrected.values["offset"] * estimate.values["offset"] < 0.0, "an offset may have any sign"
@@ -185,7 +185,7 @@ def test_the_data_decide_what_is_refined(
     assert is_presliding_excited(record) == is_excited
 
 
-def test_what_cannot_be_refined_is_refused_and_a_static_map_is_left_alone() -> None:
+def test_coarse_records_are_not_refined_and_neither_is_a_static_map() -> None:
     with pytest.raises(RecordingError, match="steps of the encoder"):
         found(short(None, 20.0, 1e-3), refine=True, families=("dahl",))
     assert not found(short(COUNT, 20.0, 1e-3), refine=True, families=("coulomb",)).best.is_refined
@@ -213,7 +213,7 @@ def test_bands_keep_a_clean_signal(frequencies: list[float]) -> None:
     assert np.abs(estimated - velocity)[middle].max() < 2e-3 * np.abs(velocity).max()
 
 
-def test_bands_leave_the_noise_of_the_counts_out() -> None:
+def test_bands_remove_the_noise_of_the_counts() -> None:
     """A slow sine counted coarsely: less error than from one low-pass that is open as far as the last band."""
     position, velocity = sines([2.0])
     count = 3e-5
@@ -279,7 +279,7 @@ def test_the_experiment_reaches_its_speed_and_shows_presliding_at_several_freque
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"resolution": 1e-2}, "finer encoder"),
         ({"acceleration": 1e-3}, "counts"),
@@ -289,8 +289,8 @@ def test_the_experiment_reaches_its_speed_and_shows_presliding_at_several_freque
         ({"resolution": math.inf}, "resolution"),
     ],
 )
-def test_an_impossible_experiment_is_refused(change: dict[str, float], told: str) -> None:
-    with pytest.raises(UsageError, match=told):
+def test_an_impossible_experiment_is_refused(change: dict[str, float], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
         experiment.plan(**{"rated_velocity": 2.0, "travel": 0.5, "resolution": COUNT, **change})
 
 
@@ -303,7 +303,7 @@ def test_an_impossible_experiment_is_refused(change: dict[str, float], told: str
         {"resolution": 2.0 * math.pi / 4096, "acceleration": 20.0, "travel": 0.01},
     ],
 )
-def test_what_a_coarse_encoder_asks_for_is_enough_and_hardly_more(change: dict[str, float]) -> None:
+def test_limits_asked_for_by_a_coarse_encoder_are_enough_and_hardly_more(change: dict[str, float]) -> None:
     wanted = {"rated_velocity": 2.0, "travel": 0.5, "resolution": COUNT, **change}
     with pytest.raises(UsageError, match="the encoder is too coarse") as refusal:
         experiment.plan(**wanted)
@@ -351,7 +351,7 @@ def test_a_configuration_can_ask_for_the_experiment() -> None:
     assert [path(float(t))[1] for t in times] == velocity.tolist()
 
 
-def test_an_encoder_that_is_too_coarse_is_told_with_the_axis() -> None:
+def test_an_encoder_that_is_too_coarse_is_reported_with_the_axis() -> None:
     facts = AxisFacts("x", "servo", 0.01, 1e-3, 1e-3, 1e-3)
     with pytest.raises(UsageError, match=r"^x: the encoder is too coarse for this experiment"):
         AxisLoop("x", configured(limits={"torque": 0.3, "velocity": 9.0}).axes["x"], facts, PERIOD_S, PathTime(1.0))

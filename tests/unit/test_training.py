@@ -191,7 +191,7 @@ def test_a_network_that_has_not_learned_says_so():
     assert any("has not learned" in flag for flag in result.flags)
 
 
-def test_what_cannot_be_trained_on_is_refused():
+def test_constant_torque_and_wrong_options_are_refused():
     training, _ = small_set()
     with pytest.raises(UsageError, match="torque that varies"):
         train(NetworkStructure(), training, training.weighted(np.zeros(len(training))))

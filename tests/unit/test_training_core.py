@@ -15,7 +15,7 @@ from friction_hil.training import constraints, gated, jacobian, levenberg, norma
 from friction_hil.training.checks import at_rest, simulate
 from friction_hil.training.excitation import excitation
 from friction_hil.training.layout import Samples, empty, join
-from friction_hil.training.objective import Objective, Record
+from friction_hil.training.objective import NetworkRun, Objective
 
 DT = 1e-3
 STRUCTURES = {
@@ -50,12 +50,12 @@ def random_network(structure, data, seed=0, size=0.4):
     return p
 
 
-def jacobian_of(p, record, is_free):
-    data, weights = record.samples, p.size - network.HEADER
-    record.run(p, is_free)
+def jacobian_of(p, run, is_free):
+    data, weights = run.samples, p.size - network.HEADER
+    run.simulate(p, is_free)
     rows = np.zeros((len(data), weights + network.SPARE))
-    sensitivities = np.zeros((max(1, int(p[network.FEEDBACKS])), gated.row_room(p)))
-    common = (data.starts, record.inputs, record.gate_features, record.path, record.trace)
+    sensitivities = np.zeros((max(1, int(p[network.FEEDBACKS])), gated.row_length(p)))
+    common = (data.starts, run.inputs, run.gate_features, run.path, run.trace)
     jacobian.fill_rows(p, *common, is_free, 0, len(data), sensitivities, rows, weights)
     return rows[:, :weights]
 
@@ -64,14 +64,14 @@ def jacobian_of(p, record, is_free):
 
 
 @each_structure
-def test_training_runs_the_very_step(structure):
+def test_training_runs_the_step_of_the_model(structure):
     data = samples()
     p = random_network(structure, data)
-    record = Record(p, data)
-    record.run(p, is_free=True)
+    run = NetworkRun(p, data)
+    run.simulate(p, is_free=True)
     others = {"position": data.position, "load_torque": data.load_torque, "temperature": data.temperature}
     torque = simulate(structure, p, data.velocity, DT, **others)
-    np.testing.assert_array_equal(torque, p[network.TORQUE_SCALE] * record.trace[:, -1])
+    np.testing.assert_array_equal(torque, p[network.TORQUE_SCALE] * run.trace[:, -1])
     assert np.ptp(torque) > 0.0
 
 
@@ -115,10 +115,10 @@ def test_a_state_goes_towards_its_aim_as_its_equation_says(distance, way, knee):
     for _ in range(count):
         slope *= 1.0 - way / count * (abs(left) < knee)
         left -= way / count * min(max(left, -knee), knee)
-    share, soft, _, _ = network.travelled(distance, way, 1.0 / knee)
-    assert 0.0 <= share <= 1.0
+    fraction, soft, _, _ = network.travelled(distance, way, 1.0 / knee)
+    assert 0.0 <= fraction <= 1.0
     assert 0.0 <= soft <= 1.0
-    assert (1.0 - share) * distance == pytest.approx(left, abs=5e-3 * max(abs(distance), 1e-9))
+    assert (1.0 - fraction) * distance == pytest.approx(left, abs=5e-3 * max(abs(distance), 1e-9))
     assert 1.0 - soft == pytest.approx(slope, abs=1e-2)
     assert network.travelled(distance, 0.0, 1.0 / knee)[0] == 0.0
 
@@ -138,31 +138,31 @@ def test_the_jacobian_is_exact(name, is_free):
     structure = STRUCTURES[name]
     p = random_network(structure, samples())
     data = join([samples(150, dt=0.8 * DT), samples(100, seed=5, dt=0.8 * DT)])
-    record = Record(p, data)
-    exact = jacobian_of(p, record, is_free)
+    run = NetworkRun(p, data)
+    exact = jacobian_of(p, run, is_free)
 
-    def torque(place, change):
+    def torque(index, change):
         q = p.copy()
-        q[network.HEADER + place] += change
-        record.run(q, is_free)
-        return record.trace[:, -1].copy()
+        q[network.HEADER + index] += change
+        run.simulate(q, is_free)
+        return run.trace[:, -1].copy()
 
-    for place in range(structure.weights):
+    for index in range(structure.weights):
         step = 1e-4
-        near, far = (torque(place, k * step) - torque(place, -k * step) for k in (1, 2))
+        near, far = (torque(index, k * step) - torque(index, -k * step) for k in (1, 2))
         numeric = (8.0 * near - far) / (12.0 * step)
-        np.testing.assert_allclose(exact[:, place], numeric, atol=1e-8 * (1.0 + np.max(np.abs(numeric))), rtol=0.0)
+        np.testing.assert_allclose(exact[:, index], numeric, atol=1e-8 * (1.0 + np.max(np.abs(numeric))), rtol=0.0)
 
 
 @each_structure
-def test_the_gradient_over_what_is_searched_is_that_of_the_cost(structure):
+def test_the_gradient_over_searched_weights_is_that_of_the_cost(structure):
     data = samples()
-    record = Record(empty(structure, data), data)
+    run = NetworkRun(empty(structure, data), data)
     constraint = constraints.Constraint(structure, 0.3)  # so that feedback is at its bound
-    objective = Objective(empty(structure, data), record, constraint, 1e-3, is_free=True)
+    objective = Objective(empty(structure, data), run, constraint, 1e-3, is_free=True)
     at = 0.4 * np.random.default_rng(1).standard_normal(structure.weights)
     objective.cost(at)
-    matrix, gradient = objective.linear()
+    matrix, gradient = objective.normal_equations()
     np.testing.assert_allclose(matrix, matrix.T, atol=1e-14)
     for direction in np.random.default_rng(2).standard_normal((5, structure.weights)):
         slope = (objective.cost(at + 1e-6 * direction) - objective.cost(at - 1e-6 * direction)) / 2e-6
@@ -173,12 +173,12 @@ def test_weights_leave_samples_out():
     structure, data = STRUCTURES["gated"], samples()
     p = random_network(structure, data)
     weight = (np.arange(len(data)) % 100 < 60).astype(float)
-    record = Record(p, data.weighted(weight))
-    room = normal.room(structure.weights + 1)
-    matrix = np.zeros((room, room))
-    mean = record.run(p, is_free=True)
-    record.normal_equations(p, True, matrix)
-    kept = np.column_stack([jacobian_of(p, record, True), record.trace[:, -1] - record.target])[weight > 0.0]
+    run = NetworkRun(p, data.weighted(weight))
+    width = normal.padded(structure.weights + 1)
+    matrix = np.zeros((width, width))
+    mean = run.simulate(p, is_free=True)
+    run.normal_equations(p, True, matrix)
+    kept = np.column_stack([jacobian_of(p, run, True), run.trace[:, -1] - run.target])[weight > 0.0]
     size = structure.weights + 1
     np.testing.assert_allclose(np.tril(matrix[:size, :size]), np.tril(kept.T @ kept) / len(kept), atol=1e-12)
     assert mean == pytest.approx(matrix[size - 1, size - 1], rel=1e-12)
@@ -308,8 +308,8 @@ def test_a_limit_cycle_at_rest_is_seen():
 @pytest.mark.parametrize(("rows", "columns"), [(1, 1), (7, 5), (64, 82), (33, 41)])
 def test_products_are_those_of_numpy(rows, columns):
     random = np.random.default_rng(rows)
-    room = normal.room(columns)
-    block, matrix = np.zeros((rows, room)), np.ones((room, room))
+    width = normal.padded(columns)
+    block, matrix = np.zeros((rows, width)), np.ones((width, width))
     block[:, :columns] = random.standard_normal((rows, columns))
     normal.add_products(block, rows, columns, matrix)
     np.testing.assert_allclose(np.tril(matrix), np.tril(1.0 + block.T @ block), rtol=1e-13, atol=1e-13)
@@ -319,11 +319,11 @@ def test_cholesky_solves_and_says_when_it_cannot():
     random = np.random.default_rng(0)
     tall = random.standard_normal((30, 12))
     matrix, right = tall.T @ tall, random.standard_normal(12)
-    solution, room = np.empty(12), np.empty((12, 12))
-    assert normal.solve(matrix, right, solution, room)
+    solution, factor = np.empty(12), np.empty((12, 12))
+    assert normal.solve(matrix, right, solution, factor)
     np.testing.assert_allclose(solution, np.linalg.solve(matrix, right), rtol=1e-9)
-    assert not normal.solve(matrix - 100.0 * np.eye(12), right, solution, room)
-    assert not normal.solve(np.full((12, 12), np.nan), right, solution, room)
+    assert not normal.solve(matrix - 100.0 * np.eye(12), right, solution, factor)
+    assert not normal.solve(np.full((12, 12), np.nan), right, solution, factor)
 
 
 def osborne(at):
@@ -341,7 +341,7 @@ def osborne(at):
     return model, slopes
 
 
-def test_the_search_finds_what_scipy_finds():
+def test_the_search_finds_the_minimum_of_scipy():
     """Osborne's first problem: two exponentials, scales of 1 and of 0.01 in one vector."""
     truth, start = np.array([0.3754, 1.9358, -1.4647, 0.01287, 0.02212]), np.array([0.5, 1.5, -1.0, 0.01, 0.02])
     data = osborne(truth)[0] + 1e-3 * np.random.default_rng(0).standard_normal(33)
@@ -351,7 +351,7 @@ def test_the_search_finds_what_scipy_finds():
         last[:] = [osborne(at)[0] - data, osborne(at)[1]]
         return float(last[0] @ last[0])
 
-    solution = levenberg.minimise(
+    solution = levenberg.minimise_unbounded(
         cost, lambda: (last[1].T @ last[1], last[1].T @ last[0]), start, iterations=200, tolerance=1e-14
     )
     reference = least_squares(
@@ -377,7 +377,7 @@ def test_the_search_is_not_changed_by_the_units_of_its_numbers():
         def linear(last=last):
             return last[1].T @ last[1], last[1].T @ last[0]
 
-        costs.append(levenberg.minimise(cost, linear, start / unit, iterations=6).cost)
+        costs.append(levenberg.minimise_unbounded(cost, linear, start / unit, iterations=6).cost)
     assert costs[1] == pytest.approx(costs[0], rel=1e-6)
 
 

@@ -1,4 +1,4 @@
-"""What a network is trained on where the data are recordings: the motion as the encoder's counts tell it best."""
+"""Training data from recordings: the motion as derived from the counts of the encoder."""
 
 import numpy as np
 import pytest
@@ -67,7 +67,7 @@ def test_a_velocity_that_is_differences_of_counts_is_replaced_and_a_finer_one_is
 
 
 @pytest.mark.parametrize("options", [{"lowpass_hz": 80.0}, {"is_static": True}])
-def test_who_wants_a_low_pass_gets_it(options):
+def test_a_low_pass_is_used_if_given_or_for_a_static_network(options):
     _, _, recording = recorded()
     task = samples(recording, **options)
     assert not any("counts" in note for note in task.notes)

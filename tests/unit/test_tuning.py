@@ -19,7 +19,7 @@ from friction_hil.config import from_dict
 from friction_hil.daemon.assembly import make_path, ramp_s
 from friction_hil.daemon.safety import LoopState
 from friction_hil.errors import OptionError, RecordingError
-from friction_hil.identification import Settings, identify
+from friction_hil.identification import IdentificationSettings, identify
 from friction_hil.motion.trajectory import PathTime, Trajectory, extent
 from friction_hil.recordings import Recording
 from friction_hil.tuning import AxisTuning, TriedModel, Tuning
@@ -252,7 +252,9 @@ def test_a_static_model_that_takes_presliding_for_no_friction_at_standstill_is_n
     torque = models.create("dahl", sigma0=100.0, coulomb=0.1).simulate(velocity, 4e-3) + 2e-3 * velocity
     noise = 1e-3 * np.random.default_rng(0).standard_normal(len(time))
     recording = Recording("dahl.csv", "x", {"time_s": time, "position": position, "torque": torque + noise})
-    sought = Settings(families=("coulomb", "stribeck"), axis="linear", has_modifiers=False, least_speed=0.03)
+    sought = IdentificationSettings(
+        families=("coulomb", "stribeck"), axis="linear", has_modifiers=False, least_speed=0.03
+    )
 
     found = identify([recording], sought)
     alone = identify([recording], replace(sought, families=("stribeck",)))

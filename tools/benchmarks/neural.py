@@ -29,15 +29,16 @@ from friction_hil.models import NetworkStructure
 from friction_hil.models.model_file import ModelFile
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
-from friction_hil.training import Wanted, levenberg, normal, task_of_recordings, train_task
+from friction_hil.training import NetworkSpec, levenberg, normal, task_of_recordings, train_task
 from friction_hil.training.checks import simulate
 from friction_hil.training.constraints import CONTRACTIONS, Constraint
 from friction_hil.training.excitation import excitation
-from friction_hil.training.gated import row_room
+from friction_hil.training.first_weights import first_weights
+from friction_hil.training.gated import row_length
 from friction_hil.training.jacobian import fill_rows
 from friction_hil.training.layout import Samples, empty
-from friction_hil.training.objective import Objective, Record
-from friction_hil.training.train import Options, first_weights, train
+from friction_hil.training.objective import NetworkRun, Objective
+from friction_hil.training.train import Options, train
 from tools.benchmarks.report import Row, against, compare, note
 
 DT, SAMPLES, TOP_SPEED = 1e-3, 20_000, 1.2
@@ -102,7 +103,7 @@ def iterations() -> list[Row]:
         p = empty(structure, data)
         at = first_weights(p, structure, data, np.random.default_rng(0))
         objective = Objective(
-            p, Record(p, data), Constraint(structure, CONTRACTIONS[structure.kind]), 1e-9, is_free=True
+            p, NetworkRun(p, data), Constraint(structure, CONTRACTIONS[structure.kind]), 1e-9, is_free=True
         )
         jacobian = np.random.default_rng(0).standard_normal((SAMPLES, structure.weights))
         step, factor = np.empty(structure.weights), np.empty((structure.weights, structure.weights))
@@ -111,7 +112,7 @@ def iterations() -> list[Row]:
             objective: Objective = objective, at: Array = at, step: Array = step, factor: Array = factor
         ) -> None:
             objective.cost(at)
-            matrix, gradient = objective.linear()
+            matrix, gradient = objective.normal_equations()
             normal.solve(matrix + 1e-3 * np.diag(np.diag(matrix)), -gradient, step, factor)
 
         def product(jacobian: Array = jacobian) -> Array:
@@ -181,14 +182,14 @@ def time_to_error() -> list[Row]:
     data, structure = samples(0), GATED
     p = empty(structure, data)
     start, constraint = first_weights(p, structure, data, np.random.default_rng(1)), Constraint(structure, 0.8)
-    record, goal = Record(p, data), 0.01
+    record, goal = NetworkRun(p, data), 0.01
     spread = float(np.std(record.target))
 
     def ours() -> float:
         objective, began = Objective(p, record, constraint, 0.0, is_free=True), time.process_time()
-        levenberg.minimise(
+        levenberg.minimise_unbounded(
             objective.cost,
-            objective.linear,
+            objective.normal_equations,
             start,
             iterations=300,
             goes_on=lambda progress: math.sqrt(progress.cost) / spread > goal,
@@ -208,7 +209,7 @@ def time_to_error() -> list[Row]:
     def jacobian(at: Array) -> Array:
         objective.cost(at)
         rows = np.zeros((SAMPLES, structure.weights + network.SPARE))
-        carried = np.zeros((1, row_room(objective.p)))
+        carried = np.zeros((1, row_length(objective.p)))
         common = (data.starts, record.inputs, record.gate_features, record.path, record.trace)
         fill_rows(objective.p, *common, True, 0, SAMPLES, carried, rows, structure.weights)
         rows = rows[:, : structure.weights]
@@ -299,7 +300,7 @@ def other_plants() -> list[Row]:
         model = fh.models.create(name, **parameters)
         top, began = 10.0 * parameters["stribeck_velocity"], time.process_time()
         recordings = [recorded(model, top, count, seed) for seed, count in ((0, SAMPLES), (100, 8000))]
-        found = train_task(task_of_recordings(recordings[:1], recordings[1:], known), Wanted())
+        found = train_task(task_of_recordings(recordings[:1], recordings[1:], known), NetworkSpec())
         seconds, velocity = time.process_time() - began, excitation(top, DT, SAMPLES, seed=200)
         truth, trained = model.simulate(velocity, DT), found.trained
         left = simulate(trained.structure, trained.parameters, velocity, DT) - truth

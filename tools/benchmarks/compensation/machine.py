@@ -10,7 +10,7 @@ import numpy as np
 from friction_hil import compensator as compensation
 from friction_hil.friction import kernel
 from friction_hil.motion.controller import cascade
-from friction_hil.numerics.jit import Array, Record, compiled
+from friction_hil.numerics.jit import Array, StructuredArray, compiled
 
 MOST_DELAY_CYCLES = 8
 NONE, TRUE_LATE, MEASURED, OURS = range(4)  # where the feed-forward torque comes from
@@ -96,9 +96,9 @@ def coupling_torque(stiffness: float, damping: float, gap: float, twist: float, 
 
 @compiled
 def advance(
-    plant: Record,
-    controller: Record,
-    state: Record,
+    plant: StructuredArray,
+    controller: StructuredArray,
+    state: StructuredArray,
     position_demand: Array,
     velocity_demand: Array,
     acceleration_demand: Array,
@@ -159,14 +159,14 @@ def advance(
 
 @compiled
 def run(
-    plant: Record,
-    controller: Record,
-    state: Record,
-    cycle: Record,
-    feedforward: Record,
+    plant: StructuredArray,
+    controller: StructuredArray,
+    state: StructuredArray,
+    cycle: StructuredArray,
+    feedforward: StructuredArray,
     feedforward_state: Array,
-    settings: Record,
-    compensator_state: Record,
+    settings: StructuredArray,
+    compensator_state: StructuredArray,
     position_demand: Array,
     velocity_demand: Array,
     acceleration_demand: Array,
@@ -182,11 +182,11 @@ def run(
     Parameters
     ----------
     plant, controller, state, cycle, feedforward
-        Record arrays of length 1: `PLANT`, `CONTROLLER`, `PLANT_STATE`, `CYCLE`, `FEEDFORWARD`.
+        Structured arrays of length 1: `PLANT`, `CONTROLLER`, `PLANT_STATE`, `CYCLE`, `FEEDFORWARD`.
     feedforward_state
         State of the model in ``feedforward``; changed in place.
     settings, compensator_state
-        Record and state of a `Compensator`.
+        Structured array and state of a `Compensator`.
     position_demand, velocity_demand, acceleration_demand
         (n,) arrays at the drive's samples.
     velocity_ahead

@@ -3,7 +3,7 @@
 import numpy as np
 
 from friction_hil.models import FrictionModel
-from friction_hil.numerics.jit import Record
+from friction_hil.numerics.jit import StructuredArray
 from tools.benchmarks.compensation import machine
 from tools.benchmarks.compensation.belief import converted
 
@@ -17,7 +17,9 @@ METHODS = {
 _SMOOTHING = 0.5  # of the measured velocity that the two plain ones take
 
 
-def feedforward(method: str, believed: FrictionModel, gain: float, period_s: float, resolution: float) -> Record:
+def feedforward(
+    method: str, believed: FrictionModel, gain: float, period_s: float, resolution: float
+) -> StructuredArray:
     """Return the `machine.FEEDFORWARD` record of a method.
 
     The measured ones take the encoder difference through a one-pole filter, as it comes: no lead, no limit; the

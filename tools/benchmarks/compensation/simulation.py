@@ -17,7 +17,7 @@ from friction_hil.compensator import Compensator
 from friction_hil.errors import FrictionHilError
 from friction_hil.models import FrictionModel
 from friction_hil.motion.controller import CONTROLLER
-from friction_hil.numerics.jit import Array, Record
+from friction_hil.numerics.jit import Array, StructuredArray
 from tools.benchmarks.compensation import machine
 from tools.benchmarks.compensation.grid import Drive, Grid, Plant
 from tools.benchmarks.compensation.methods import METHODS, NONE, feedforward
@@ -130,7 +130,7 @@ class Simulation:
         return self.grid.motions[motion].course(t, self.grid.seed)[1]
 
 
-def plant_record(plant: Plant, drive: Drive) -> Record:
+def plant_record(plant: Plant, drive: Drive) -> StructuredArray:
     """Return the `machine.PLANT` record."""
     friction = plant.friction_model
     rate_hz = integration_hz(plant, drive.rate_hz, friction)
@@ -152,7 +152,7 @@ def plant_record(plant: Plant, drive: Drive) -> Record:
     return record
 
 
-def controller_record(plant: Plant, drive: Drive) -> Record:
+def controller_record(plant: Plant, drive: Drive) -> StructuredArray:
     """Return the drive's `CONTROLLER` record: velocity and inertia are fed forward in full."""
     record = np.zeros(1, CONTROLLER)
     c = record[0]

@@ -1,12 +1,12 @@
-"""A drive whose torque is a signal of unknown gain: volts, amperes, per cent of a duty cycle. Pure.
+"""Identification with a torque signal of unknown gain, in volts, amperes or per cent of a duty cycle. Pure.
 
-gain u - back_emf v = inertia a + offset + gravity(q) + friction: all of it can be multiplied by one number, so that
-something on the right-hand side has to be known. The regression runs in the units of the signal u, which is where
-the error is (what the model leaves out, and what an axis at rest does not show), with the torque of all that is
-known as one regressor, whose factor is 1 / gain; regressing the known torque on the signal would take that error
-into a regressor, and make the gain too small. Afterwards everything is brought to torque.
+The equation is gain u - back_emf v = inertia a + offset + gravity(q) + friction. Both sides can be multiplied by any
+number, so that a term of the right-hand side must be known. The regression runs in the units of the signal u, which
+carries the error (model error, and static friction at rest). The torque of all known terms is one regressor, with the
+coefficient 1 / gain. Regressing the known torque on the signal instead would put the error into a regressor and
+underestimate the gain. The result is converted to torque at the end.
 
-Back-EMF and viscous friction are both proportional to the velocity: only their sum shows.
+Back-EMF and viscous friction are both proportional to the velocity: only their sum can be identified.
 """
 
 from collections.abc import Mapping, Sequence
@@ -15,45 +15,45 @@ from dataclasses import replace
 from friction_hil import friction as models
 from friction_hil.errors import RecordingError, UsageError, choices
 from friction_hil.friction.modifiers import HARMONIC, VISCOUS
-from friction_hil.identification.errors import PredictionError
 from friction_hil.identification.fits import MECHANICS, Curves, Fit
 from friction_hil.identification.inference import flags, infer
-from friction_hil.identification.problem import BACK_EMF, GAIN, INVERSE_GAIN, Estimate
-from friction_hil.identification.structures import Structure
+from friction_hil.identification.prediction_errors import PredictionError
+from friction_hil.identification.regression import BACK_EMF, GAIN, INVERSE_GAIN, Estimate
+from friction_hil.identification.structures import ModelStructure
 
 _SCALING = ("inertia", "gravity.constant", "gravity.sine", "gravity.cosine")
-_TOGETHER = ("viscous", "viscous.positive", "viscous.negative")  # columns that make up the one of back-EMF
+_VISCOUS_COLUMNS = ("viscous", "viscous.positive", "viscous.negative")  # their span contains the back-EMF's column
 
 
 def known_torque(held: Mapping[str, float]) -> dict[str, float]:
-    """What is held of the mechanics and the back-EMF, N m per unit of its column: that sets the scale.
+    """Return the held mechanical parameters and back-EMF, N m per unit of their columns; they set the scale.
 
     Raises
     ------
     UsageError
-        Nothing that is held does.
+        No held parameter sets the scale, or the gain itself is held.
     """
     known = {name: value for name, value in held.items() if name in (*MECHANICS, BACK_EMF)}
     if GAIN in held:
-        raise UsageError(f"{GAIN} is what is looked for; where it is known, scale the signal: --scale torque=GAIN")
+        raise UsageError(f"{GAIN} is identified here; if it is known, scale the signal: --scale torque=GAIN")
     if not any(known.get(name) for name in _SCALING):
         raise UsageError(
-            "the gain of the drive is unknown, so that nothing says how large a torque is: hold what is known, "
+            "the gain of the drive is unknown, so that no torque has a scale: hold a known parameter, "
             "--fix gravity.sine=MASS*9.81*LENGTH (N m) of a pendulum, --fix gravity.constant=..., or --fix inertia=..."
         )
     return known
 
 
-def without_viscous(structure: Structure) -> Structure:
-    """The structure without what the back-EMF makes up as well."""
+def without_viscous(structure: ModelStructure) -> ModelStructure:
+    """Return the structure without the viscous friction that the back-EMF can replace."""
     for name, key in dict(structure.linear).items():
-        if key in _TOGETHER:
+        if key in _VISCOUS_COLUMNS:
             structure = structure.hold(name, 0.0)
     return structure
 
 
-def notes(structure: Structure, known: Mapping[str, float]) -> list[str]:
-    """What an unknown gain means for a candidate."""
+def notes(structure: ModelStructure, known: Mapping[str, float]) -> list[str]:
+    """Return notes on a candidate that concern the unknown gain."""
     if BACK_EMF in known or not any(name.rpartition(".")[2] in ("viscous", "sigma2") for name in structure.constants):
         return []
     return [
@@ -62,8 +62,8 @@ def notes(structure: Structure, known: Mapping[str, float]) -> list[str]:
     ]
 
 
-def check_held(structure: Structure, held: Mapping[str, float]) -> None:
-    """Refuse held friction torques: they are in N m, which nothing is before the gain is known."""
+def check_held(structure: ModelStructure, held: Mapping[str, float]) -> None:
+    """Raise `UsageError` if a friction torque is held: before the gain is known, nothing can be in N m."""
     for name, value in held.items():
         if value and name not in (*MECHANICS, BACK_EMF) and _is_torque(structure, name):
             possible = [*_SCALING, "offset", BACK_EMF]
@@ -73,24 +73,24 @@ def check_held(structure: Structure, held: Mapping[str, float]) -> None:
 
 
 def usable(fits: Sequence[Fit]) -> list[Fit]:
-    """Fits, in units of the signal, whose gain is positive.
+    """Return the fits, in units of the signal, whose gain is positive.
 
     Raises
     ------
     RecordingError
-        The gain of none is positive.
+        No fit has a positive gain.
     """
     found = [each for each in fits if each.values[INVERSE_GAIN] > 0.0]
     if not found:
         raise RecordingError(
-            "the signal does not grow with the torque that is held: the sign of the signal (--scale torque=-1), of the "
-            "position, or of what is held is the other one, or the axis does not move enough to tell"
+            "the signal does not grow with the held torque: the sign of the signal (--scale torque=-1), of the "
+            "position or of the held parameter is wrong, or the axis moves too little to tell"
         )
     return found
 
 
 def in_torque(fit: Fit, parts: Sequence[slice]) -> Fit:
-    """Bring a fit in units of the signal, to records that are the ``parts`` of its rows, to torque."""
+    """Convert a fit from units of the signal to torque; ``parts`` are the rows of each record."""
     structure, gain = fit.structure, 1.0 / fit.values[INVERSE_GAIN]
     before = flags(fit.estimate, fit.inference)
     estimate = _estimate_in_torque(structure, fit.estimate, gain, fit.curves)
@@ -122,11 +122,11 @@ def in_torque(fit: Fit, parts: Sequence[slice]) -> Fit:
     )
 
 
-def _estimate_in_torque(structure: Structure, estimate: Estimate, gain: float, curves: Curves) -> Estimate:
-    """An estimate whose predicted quantity is the torque gain u, with the gain for its inverse.
+def _estimate_in_torque(structure: ModelStructure, estimate: Estimate, gain: float, curves: Curves) -> Estimate:
+    """Convert an estimate from units of the signal to torque, with the gain in place of its inverse.
 
-    The signal is tau(parameters) / gain, tau being proportional to all that is a torque: gain times its derivatives
-    is what it was for those, and -u for the gain.
+    The signal is u = tau(parameters) / gain, and tau is proportional to all torque parameters. The Jacobian keeps its
+    columns for these, is multiplied by the gain for the others, and is -u for the gain.
     """
     jacobian = estimate.jacobian.copy()
     for column, name in enumerate(estimate.names):
@@ -155,8 +155,8 @@ def _estimate_in_torque(structure: Structure, estimate: Estimate, gain: float, c
     )
 
 
-def _is_torque(structure: Structure, name: str) -> bool:
-    """Whether a parameter is proportional to the unit of torque."""
+def _is_torque(structure: ModelStructure, name: str) -> bool:
+    """Return True if a parameter is proportional to the unit of torque."""
     if name in (*MECHANICS, BACK_EMF):
         return True
     parameters = (*models.describe(structure.family).parameters, *VISCOUS.parameters, *HARMONIC.parameters)

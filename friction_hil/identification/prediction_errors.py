@@ -1,4 +1,4 @@
-"""Prediction errors: of a fit, of blocks held out of it, and of other recordings."""
+"""Prediction errors of a fit: on its data, on blocks held out of it, and on other recordings."""
 
 import itertools
 import math
@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from friction_hil.identification.data import Data, Mask
-from friction_hil.identification.problem import Estimate, Problem
+from friction_hil.identification.regression import Estimate, Regression
 from friction_hil.numerics.jit import Array
 
 BLOCKS = 6
 SPEED_GROUPS = 4
 _LEAST_STROKE = 10  # rows
-_RECORDINGS_AS_BLOCKS = 4  # from so many recordings on, each is held out as a whole
+_RECORDINGS_AS_BLOCKS = 4  # with this many recordings or more, each is a block
 _MARGIN = 5  # rows on either side of a block, which share samples with it through the filters
 
 
@@ -25,9 +25,9 @@ class PredictionError:
     Attributes
     ----------
     rmse : float
-        N m or N.
+        Root mean square error, N m or N.
     relative_error : float
-        norm(measured - predicted) / norm(measured); NaN where nothing was measured but zeros.
+        norm(measured - predicted) / norm(measured); NaN if all measured torques are zero.
     blocks : tuple of float
         Mean square error of each block or recording.
     """
@@ -38,7 +38,7 @@ class PredictionError:
 
 
 def prediction_error(measured: Array, predicted: Array, blocks: Sequence[Mask] = ()) -> PredictionError:
-    """Compare (k,) arrays; ``blocks`` select rows."""
+    """Return the error of (k,) predicted torques, in all rows and in those that each mask of ``blocks`` selects."""
     square = (measured - predicted) ** 2
     norm = float(np.linalg.norm(measured))
     return PredictionError(
@@ -49,7 +49,7 @@ def prediction_error(measured: Array, predicted: Array, blocks: Sequence[Mask] =
 
 
 def blocks(data: Data) -> list[Mask]:
-    """Rows (masks) of each block: contiguous in time, or, of several recordings, each or each group."""
+    """Return masks of the rows of each block: a stretch of time, a recording, or a group of recordings."""
     owners = [record.group or record.path for record in data.records]
     masks = []
     if is_grouped(data) or len(set(owners)) >= _RECORDINGS_AS_BLOCKS:
@@ -68,16 +68,16 @@ def blocks(data: Data) -> list[Mask]:
 
 
 def is_grouped(data: Data) -> bool:
-    """Whether somebody has said which recordings are to be held out together."""
+    """Return True if the user grouped the recordings, so that each group is held out as a whole."""
     return len({record.group for record in data.records if record.group}) > 1
 
 
 def speed_groups(data: Data) -> list[Mask]:
-    """Rows (masks) of groups of strokes, a stroke being what lies between two reversals, ordered by their top speed.
+    """Return masks of groups of strokes (motions between two reversals), ordered by their top speed.
 
-    A record often repeats one motion: each block of it is like the others, and a model flexible enough to
-    memorise that motion predicts them all. Strokes of one speed held out are predicted from those of others.
-    Empty where there are too few strokes, or where the recordings are grouped already.
+    A record often repeats one motion, so that its blocks are alike and a model flexible enough to memorise that motion
+    predicts them all. Holding out the strokes of some speeds tests whether they follow from those of other speeds.
+    The list is empty if there are too few strokes, or if the recordings are grouped already.
     """
     if is_grouped(data):
         return []
@@ -100,26 +100,26 @@ def speed_groups(data: Data) -> list[Mask]:
     return masks if all(np.count_nonzero(mask) > _LEAST_STROKE for mask in masks) else []
 
 
-def cross_validate(problem: Problem, estimate: Estimate, masks: Sequence[Mask]) -> PredictionError:
-    """Hold out the rows of one mask after the other, fit to the rest, and predict them.
+def cross_validate(regression: Regression, estimate: Estimate, masks: Sequence[Mask]) -> PredictionError:
+    """Fit with the rows of each mask held out in turn, and return the error of predicting these rows.
 
-    The models run through the whole record: what is held out is the torque, not the motion.
+    The models run through the whole record: only the torque is held out, not the motion.
     """
-    data = problem.data
+    data = regression.data
     predicted = np.empty(len(data))
-    pinned = [name for name in estimate.at_bound if name in problem.keys]
+    pinned = [name for name in estimate.at_bound if name in regression.keys]
     robust = None if np.all(estimate.weights == 1.0) else estimate.weights
     for mask in masks:
         near = np.convolve(mask, np.ones(2 * _MARGIN + 1), mode="same") > 0.0
         rows = ~near
-        at, torque = problem.refit(estimate.coordinates, rows=rows, weights=robust, pinned=pinned)
-        linear = problem.linear(torque, rows=rows, weights=robust, pinned=pinned)
-        predicted[mask] = problem.predict(at, linear, torque)[mask]
+        at, torque = regression.refit(estimate.coordinates, rows=rows, weights=robust, pinned=pinned)
+        linear = regression.linear(torque, rows=rows, weights=robust, pinned=pinned)
+        predicted[mask] = regression.predict(at, linear, torque)[mask]
     return prediction_error(data.torque, predicted, masks)
 
 
-def validate(problem: Problem, estimate: Estimate) -> PredictionError:
-    """Error of an estimate on the data of another problem of the same structure."""
-    linear: Mapping[str, float] = {name: estimate.values[name] for name in problem.keys}
-    predicted = problem.predict(estimate.coordinates, linear)
-    return prediction_error(problem.data.torque, predicted, blocks(problem.data))
+def validate(regression: Regression, estimate: Estimate) -> PredictionError:
+    """Return the error of an estimate on the data of another regression with the same structure."""
+    linear: Mapping[str, float] = {name: estimate.values[name] for name in regression.keys}
+    predicted = regression.predict(estimate.coordinates, linear)
+    return prediction_error(regression.data.torque, predicted, blocks(regression.data))

@@ -1,7 +1,7 @@
-"""One structure against data: residual and Jacobian, the linear parameters projected out.
+"""Regression of one model structure on data: residual and Jacobian with the linear parameters projected out.
 
-Variable projection: what the torque is linear in has columns that do not change, so that searching for the rest
-in the complement of their span finds all parameters at once. Source: G. Golub, V. Pereyra, SIAM Journal on
+Variable projection: the columns of the linear parameters are constant, so that a search for the nonlinear ones in the
+orthogonal complement of their span finds all parameters at once. Source: G. Golub, V. Pereyra, SIAM Journal on
 Numerical Analysis 10(2), 1973.
 """
 
@@ -13,19 +13,19 @@ import numpy as np
 
 from friction_hil.errors import UsageError
 from friction_hil.identification.data import Data, Mask
-from friction_hil.identification.least_squares import Solution, minimise, project_out
-from friction_hil.identification.structures import Structure
+from friction_hil.identification.least_squares import BoundedSolution, minimise_bounded, project_out
+from friction_hil.identification.structures import ModelStructure
 from friction_hil.numerics.jit import Array
 
-# Linear parameters that stay at or above zero: what would drive the axis is no friction, and a torque that bends
-# down with the speed (which power_law can) must not turn around beyond the speeds that were seen.
+# Linear parameters that stay at or above zero: friction must not drive the axis, and a torque that bends down with the
+# speed (power_law can) must not change its sign beyond the speeds of the recording.
 _POSITIVE = ("inertia", "viscous", "sigma2", "quadratic", "back_emf")
-# Of a drive whose torque is a signal times an unknown gain: see `friction_hil.identification.drive`.
+# Parameters of a drive with an unknown gain: see `friction_hil.identification.unknown_gain`.
 GAIN, INVERSE_GAIN, BACK_EMF = "drive.gain", "drive.inverse_gain", "drive.back_emf"
-_LONGEST_STEP = 2.0  # of a logarithm: a factor of seven
-_REMEMBERED = 6  # evaluations
-_RANK = 1e-9  # of a column's norm: what is left of one that the columns before it make up
-_COLLINEAR = 1e-7  # likewise, of a derivative
+_LONGEST_STEP = 2.0  # of a logarithm: the parameter changes by a factor of 7 at most
+_REMEMBERED = 6  # evaluations kept
+_RANK = 1e-9  # of a column's norm: a smaller remainder outside the span of the columns before it is rounding
+_COLLINEAR = 1e-7  # the same for a derivative
 _REFIT_DAMPING = 0.1  # of columns of length 1
 _ROUNDS = 4  # of reweighting
 _NORMAL_MAD = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
@@ -34,26 +34,26 @@ ROBUST_DEVIATIONS = 3.0  # beyond which a residual counts less
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """Parameters of a structure and of the mechanics, and what they leave.
+    """Estimated parameters of a structure and of the mechanics, with the residual.
 
     Attributes
     ----------
     values : dict
-        All parameters that were found, by name: of friction, and ``inertia``, ``offset``, ``gravity.sine`` ...
+        All estimated parameters by name: of friction, and ``inertia``, ``offset``, ``gravity.sine`` ...
     coordinates : (m,) array
-        Those that were searched for, as the search sees them.
+        Coordinates of the nonlinear parameters.
     at_bound : tuple of str
         Parameters that ended at a bound.
     dependent : tuple of str
-        Linear parameters left out because the others make up their columns.
+        Linear parameters left out because their columns are combinations of the others.
     residual : (k,) array
         Measured minus predicted torque.
     jacobian : (k, p) array
         Derivative of the predicted torque with respect to each parameter of ``names``.
     names : tuple of str
-        Parameters that are free: not held, at a bound or dependent.
+        Free parameters: neither held nor at a bound nor dependent.
     weights : (k,) array
-        Of the robust loss; ones without it.
+        Weights of the rows; ones for plain least squares.
     is_converged : bool
     """
 
@@ -73,25 +73,25 @@ class Estimate:
         return float(np.sqrt(np.mean(self.residual**2)))
 
 
-class Problem:
-    """A structure, the linear parameters of the mechanics, and data.
+class Regression:
+    """A model structure and the linear parameters of the mechanics, to be fitted to data.
 
     Parameters
     ----------
     data : Data
-    structure : Structure
+    structure : ModelStructure
     mechanics : sequence of str
-        Linear parameters of the mechanics that are looked for.
+        Linear parameters of the mechanics to identify.
     held : mapping
-        Those that are held, by name.
+        Held ones by name.
     loads : sequence of (n,) arrays, optional
-        Load torque of each record, for a structure that depends on it.
+        Load torque of each record, if the structure depends on it.
     """
 
     def __init__(
         self,
         data: Data,
-        structure: Structure,
+        structure: ModelStructure,
         mechanics: Sequence[str],
         held: Mapping[str, float] | None = None,
         loads: Sequence[Array] | None = None,
@@ -106,13 +106,13 @@ class Problem:
             [_LONGEST_STEP if each.is_log else math.inf for each in structure.coordinates], dtype=float
         )
         self._known: dict[bytes, tuple[Array, Array]] = {}
-        self._rooms: list[tuple[Array, Array]] | None = None  # for torque and gradient at the full rate
-        self._given = np.zeros(len(data))
+        self._buffers: list[tuple[Array, Array]] | None = None  # for torque and gradient at the full rate
+        self._held_torque = np.zeros(len(data))
         for name, value in self.held.items():
-            self._given += value * data.column(name)
+            self._held_torque += value * data.column(name)
 
     def friction(self, coordinates: Array) -> tuple[Array, Array]:
-        """`_friction`, remembered for the last few coordinates: folds of a cross-validation begin at the same ones."""
+        """Return `_friction`, kept for the last few coordinates: folds of a cross-validation start at the same ones."""
         key = coordinates.tobytes()
         known = self._known.pop(key, None)
         self._known[key] = self._friction(coordinates) if known is None else known
@@ -121,20 +121,20 @@ class Problem:
         return self._known[key]
 
     def _friction(self, coordinates: Array) -> tuple[Array, Array]:
-        """Torque (k,) of friction without its linear part, and its derivatives (k, m); NaN where there is no model."""
+        """Return the nonlinear friction torque (k,) and its derivatives (k, m); NaN for inconsistent parameters."""
         structure, records = self.structure, self.data.records
         try:
             model = structure.model(structure.values(coordinates))
         except UsageError:
             return np.full(len(self.data), math.nan), np.zeros((len(self.data), len(coordinates)))
-        # gamma in a logarithm and the like: derivative of each parameter with respect to its coordinate
+        # derivative of each parameter with respect to its coordinate
         slopes = [
             each.outer(float(x)) if each.is_log else 1.0
             for each, x in zip(structure.coordinates, coordinates, strict=True)
         ]
         directions = [dict.fromkeys(each.names, x) for each, x in zip(structure.coordinates, slopes, strict=True)]
-        if self._rooms is None:
-            self._rooms = [
+        if self._buffers is None:
+            self._buffers = [
                 (np.empty(record.velocity.size), np.empty((record.velocity.size, len(directions))))
                 for record in records
             ]
@@ -146,9 +146,9 @@ class Problem:
                 position=record.position,
                 load_torque=None if self.loads is None else self.loads[number],
                 temperature=record.temperature,
-                out=self._rooms[number],
+                out=self._buffers[number],
             )
-        torques, gradients = zip(*self._rooms, strict=True)
+        torques, gradients = zip(*self._buffers, strict=True)
         return self.data.stack(torques), self.data.stack(gradients)
 
     def search(
@@ -160,22 +160,22 @@ class Problem:
         weights: Array | None = None,
         pinned: Sequence[str] = (),
         tolerance: float = 1e-6,
-    ) -> Solution:
-        """Search from ``start`` with the linear parameters projected out, on some rows (mask) alone if wanted."""
+    ) -> BoundedSolution:
+        """Search from ``start`` with the linear parameters projected out, on the rows of a mask if given."""
         basis = self._basis(rows, weights, pinned)[1]
-        target = self.data.torque - self._given
+        target = self.data.torque - self._held_torque
 
         def residual(at: Array) -> tuple[Array, Array]:
             torque, gradient = self.friction(at)
             both = _rows(np.column_stack([target - torque, -gradient]), rows, weights)
             before = np.linalg.norm(both, axis=0)
             project_out(basis, both)
-            # what the linear parameters can make up as well is rounding, and no direction to search in
+            # a derivative inside the span of the linear parameters leaves rounding only: not a direction to search in
             is_made_up = np.linalg.norm(both, axis=0) <= _COLLINEAR * before
             both[:, 1:][:, is_made_up[1:]] = 0.0
             return np.ascontiguousarray(both[:, 0]), np.ascontiguousarray(both[:, 1:])
 
-        return minimise(
+        return minimise_bounded(
             residual,
             start,
             self.lower,
@@ -188,17 +188,17 @@ class Problem:
     def refit(
         self, at: Array, *, rows: Mask, weights: Array | None = None, pinned: Sequence[str] = (), evaluations: int = 4
     ) -> tuple[Array, Array]:
-        """Coordinates that fit some rows (mask), found from those that fit all, and their friction torque (k,).
+        """Return coordinates fitted to the rows of a mask, starting from a fit to all rows, and their torque (k,).
 
-        One Gauss-Newton step, whose gradient is known already, does where the sum of squares falls by most of what
-        it promises; else one that is damped, since what the data hardly determine leads the step far away; a search
-        where neither does.
+        One Gauss-Newton step, whose gradient is known already, is taken if the sum of squares falls by at least half of
+        the predicted decrease. Otherwise a damped step is tried, because parameters that the data hardly determine make
+        the step too long, and finally a search.
         """
         torque, gradient = self.friction(at)
         if not len(at):
             return at, torque
         basis = self._basis(rows, weights, pinned)[1]
-        target = self.data.torque - self._given
+        target = self.data.torque - self._held_torque
         both = _rows(np.column_stack([target - torque, -gradient]), rows, weights)
         project_out(basis, both)
         cost = float(np.sum(both[:, 0] ** 2))
@@ -224,7 +224,7 @@ class Problem:
         return at, self.friction(at)[0]
 
     def _basis(self, rows: Mask | None, weights: Array | None, pinned: Sequence[str]) -> tuple[list[str], Array]:
-        """Names of the linear parameters whose columns are independent, and an orthonormal basis of their span."""
+        """Return the names of linear parameters with independent columns, and an orthonormal basis of their span."""
         names: list[str] = []
         basis = np.empty((len(self.data) if rows is None else int(np.sum(rows)), 0))
         for name, key in self.keys.items():
@@ -249,26 +249,26 @@ class Problem:
         weights: Array | None = None,
         pinned: Sequence[str] = (),
     ) -> dict[str, float]:
-        """Linear parameters that go best with the friction ``torque`` (k,) of the rest; 0 where there are none."""
+        """Return the linear parameters that fit best to a nonlinear friction ``torque`` (k,); 0 for dependent ones."""
         names, _ = self._basis(rows, weights, pinned)
         values = dict.fromkeys(self.keys, 0.0)
         if names:
             matrix = np.column_stack([self.data.column(self.keys[name]) for name in names])
             norms = np.linalg.norm(matrix, axis=0)
-            target = _rows(self.data.torque - self._given - torque, rows, weights)
+            target = _rows(self.data.torque - self._held_torque - torque, rows, weights)
             found = np.linalg.lstsq(_rows(matrix / norms, rows, weights), target, rcond=None)[0] / norms
             values.update(zip(names, map(float, found), strict=True))
         return values
 
     def predict(self, coordinates: Array, linear: Mapping[str, float], friction: Array | None = None) -> Array:
-        """Predicted torque (k,); ``friction`` is that of `friction_torque` where it is known already."""
-        torque = self._given + (self.friction_torque(coordinates) if friction is None else friction)
+        """Return the predicted torque (k,); ``friction`` is the result of `friction_torque` if known already."""
+        torque = self._held_torque + (self.friction_torque(coordinates) if friction is None else friction)
         for name, value in linear.items():
             torque = torque + value * self.data.column(self.keys[name])
         return torque
 
     def friction_torque(self, coordinates: Array) -> Array:
-        """`friction` without derivatives."""
+        """Return the torque of `friction` without derivatives."""
         model = self.structure.model(self.structure.values(coordinates))
         torques = [
             model.simulate(
@@ -283,24 +283,32 @@ class Problem:
         return self.data.stack(torques)
 
     def jacobian(self, at: Array, names: Sequence[str]) -> Array:
-        """Derivative (k, p) of the predicted torque with respect to parameters by name, linear ones among them."""
+        """Return the derivative (k, p) of the predicted torque over named parameters, linear ones included."""
         gradient = self.friction(at)[1]
-        places = {each.name: i for i, each in enumerate(self.structure.coordinates)}
+        indices = {each.name: i for i, each in enumerate(self.structure.coordinates)}
         columns = []
         for name in names:
             if name in self.keys:
                 columns.append(self.data.column(self.keys[name]))
                 continue
-            each, i = self.structure.coordinates[places[name]], places[name]
+            each, i = self.structure.coordinates[indices[name]], indices[name]
             columns.append(gradient[:, i] / (each.outer(float(at[i])) if each.is_log else 1.0))
         return np.column_stack(columns) if columns else np.empty((len(self.data), 0))
 
     def estimate(
         self, start: Array, *, is_robust: bool = False, evaluations: int = 60, weights: Array | None = None
     ) -> Estimate:
-        """Find all parameters from one start; robust: residuals beyond three robust deviations count less.
+        """Estimate all parameters from one start.
 
-        ``weights`` (k,) are those of the rows to begin with.
+        Parameters
+        ----------
+        start : (m,) array
+        is_robust : bool
+            True to reweight residuals beyond three robust standard deviations.
+        evaluations : int
+            Largest number of evaluations of each search.
+        weights : (k,) array, optional
+            Initial weights of the rows.
         """
         pinned: list[str] = []
         at = start
@@ -340,19 +348,19 @@ class Problem:
 
 
 def _rows(values: Array, rows: Mask | None, weights: Array | None) -> Array:
-    """Rows of (k,) or (k, m) values that count, weighted."""
+    """Return the rows of (k,) or (k, m) values that a mask selects, weighted."""
     if weights is not None:
         values = values * (weights if values.ndim == 1 else weights[:, None])
     return values if rows is None else values[rows]
 
 
 def is_positive(name: str) -> bool:
-    """Whether a linear parameter stays at or above zero."""
+    """Return True if a linear parameter must not be negative."""
     return name.rpartition(".")[2] in _POSITIVE
 
 
 def robust_weights(residual: Array) -> Array:
-    """Square roots of Huber's weights, (k,): 1 within three robust standard deviations, falling beyond.
+    """Return square roots of Huber's weights, (k,): 1 within three robust standard deviations, decreasing beyond.
 
     Source: P. J. Huber, Annals of Mathematical Statistics 35(1), 1964; scale from the median absolute deviation.
     """

@@ -12,7 +12,7 @@ import friction_hil as fh
 from friction_hil import recordings
 from friction_hil.cli import main
 from friction_hil.errors import RecordingError, UsageError
-from friction_hil.identification import Identification, Settings, identify
+from friction_hil.identification import Identification, IdentificationSettings, identify
 from friction_hil.models.files import load_model_file
 from friction_hil.recordings import Recording
 
@@ -26,7 +26,9 @@ FRICTION: dict[str, dict[str, Any]] = {
     "power_law": {"coulomb": 0.05, "factor": 0.02, "exponent": 0.5},
     "dahl": {"sigma0": 20.0, "coulomb": 0.05},
 }
-IN_VOLTS = Settings(families=("coulomb",), gravity="pendulum", held={"gravity.cosine": 0.0}, has_modifiers=False)
+IN_VOLTS = IdentificationSettings(
+    families=("coulomb",), gravity="pendulum", held={"gravity.cosine": 0.0}, has_modifiers=False
+)
 
 
 def recorded(
@@ -60,7 +62,7 @@ def found(*given: Recording, held: dict[str, float] | None = None, **settings: A
     """Identify a pendulum with an unknown gain, its gravity held."""
     held = {"gravity.sine": GRAVITY, "gravity.cosine": 0.0} if held is None else held
     content: dict[str, Any] = {"families": ("coulomb",), "gravity": "pendulum", "has_modifiers": False, **settings}
-    return identify(given, Settings(held=held, has_unknown_gain=True, **content))
+    return identify(given, IdentificationSettings(held=held, has_unknown_gain=True, **content))
 
 
 def plain(result: Identification, family: str) -> Any:
@@ -190,7 +192,7 @@ def test_groups_are_held_out_as_a_whole() -> None:
         ({"gravity.sine": GRAVITY}, {"least_speed": -1.0}, UsageError, "above 0, not -1"),
     ],
 )
-def test_mistakes_are_told(
+def test_mistakes_are_reported(
     held: dict[str, float], settings: dict[str, Any], error: type[Exception], message: str
 ) -> None:
     with pytest.raises(error, match=message):

@@ -1,0 +1,304 @@
+"""Candidate models of one identification: their structures, the mechanics fitted with them, and their fits. Pure."""
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+
+import numpy as np
+
+from friction_hil import friction as models
+from friction_hil.errors import RecordingError, UsageError, choices
+from friction_hil.friction.modifiers import SIDES
+from friction_hil.identification import modifiers, structures, unknown_gain
+from friction_hil.identification.choice import is_better
+from friction_hil.identification.data import LEAST_ROWS, Data, RegressionSegment, prepare
+from friction_hil.identification.fine import fine_data, is_fine
+from friction_hil.identification.fits import MECHANICS, Fit, fit, refined
+from friction_hil.identification.regression import BACK_EMF, INVERSE_GAIN, Regression
+from friction_hil.identification.scales import estimate_scales
+from friction_hil.identification.settings import IdentificationSettings, chosen_families
+from friction_hil.identification.structures import EQUAL_IN_FEEDFORWARD, ModelStructure
+from friction_hil.numerics.jit import Array
+from friction_hil.recordings import Recording
+
+_PENDULUM_TRAVEL = 0.3  # rad: over a smaller range sine and cosine look like a straight line
+_LARGE_OFFSET = 0.5  # of the friction level: a larger offset cannot be a difference between the two directions
+_LOAD_ROUNDS = 3  # alternating fits of gravity, which is the load, and of the friction that grows with it
+
+
+class CandidateFitter:
+    """Fits candidate models to the recordings of one axis on equal terms.
+
+    Parameters
+    ----------
+    recordings, validation : sequence of Recording
+        Recordings to fit to, and recordings that every candidate is judged on.
+    settings : IdentificationSettings
+    progress : callable
+        Called with the label of each candidate before it is fitted.
+
+    Attributes
+    ----------
+    families : tuple of str
+    data, validation : Data
+        ``validation`` is None without validation recordings.
+    known : dict
+        Known torques per unit of their column, if the gain of the drive is unknown; else empty.
+    notes : list of str
+        Remarks that concern all candidates.
+
+    Raises
+    ------
+    RecordingError
+        A recording lacks a column or is too short, or the axis does not move.
+    UsageError
+        A setting is invalid.
+    """
+
+    def __init__(
+        self,
+        recordings: Sequence[Recording],
+        validation: Sequence[Recording],
+        settings: IdentificationSettings,
+        progress: Callable[[str], None],
+    ) -> None:
+        self.settings = settings
+        self._progress = progress
+        self.families = chosen_families(settings.families)
+        self.known = unknown_gain.known_torque(settings.held) if settings.has_unknown_gain else {}
+        self.data = Data(self._prepared(recordings), self.known)
+        if len(self.data) < LEAST_ROWS:
+            name = recordings[0].axis
+            raise RecordingError(f"axis {name} moves in {len(self.data)} rows only; {LEAST_ROWS} are the least")
+        kept = self._prepared(validation)
+        self.validation = Data(kept, self.known) if kept else None
+        self._held = {} if self.known else {name: x for name, x in settings.held.items() if name in MECHANICS}
+        self.notes: list[str] = []
+        self._offset: float | None = None
+        if not settings.families:
+            self.notes += [
+                f"{a} equals {b} in a recording: fitted only if named" for a, b in EQUAL_IN_FEEDFORWARD.items()
+            ]
+        self._loads: list[Array] | None = None
+        self._scales = estimate_scales(self.data, ("inertia", "offset"))
+        self._gravity = self._fitted_gravity()
+        if self._gravity:
+            self._scales = estimate_scales(self.data, ("inertia", "offset", *self._gravity))
+        self._check_held()
+
+    def _prepared(self, recordings: Sequence[Recording]) -> list[RegressionSegment]:
+        settings = self.settings
+        return [
+            part
+            for each in recordings
+            for part in prepare(
+                each,
+                lowpass_hz=settings.lowpass_hz,
+                decimation=settings.decimation,
+                least_speed=settings.least_speed,
+                group_by=settings.group_by,
+            )
+        ]
+
+    # --- structures
+
+    def build(self, family: str, *, is_directed: bool) -> ModelStructure:
+        """Return the structure of a family, with the parameters that the user holds."""
+        structure = self._plain_structure(family, is_directed=is_directed)
+        for name, value in self.settings.held.items():
+            if name in (*MECHANICS, BACK_EMF):
+                continue
+            sides = [f"direction.{side}.{name}" for side in SIDES]
+            if all(side in structure.names for side in sides):
+                for side in sides:
+                    structure = structure.hold(side, value)
+            elif name in _names(structure):
+                structure = structure.hold(name, value)
+        if self.known and BACK_EMF not in self.known:
+            structure = unknown_gain.without_viscous(structure)
+        return structure
+
+    def _plain_structure(self, family: str, *, is_directed: bool) -> ModelStructure:
+        return structures.build(
+            family, self._scales, self.settings.axis, self.data.records[0].dt, is_directed=is_directed
+        )
+
+    def with_modifier(self, base: Fit) -> Iterator[ModelStructure]:
+        """Yield the structure of a fit with one modifier more, for each modifier that the data could show."""
+        self.set_load(base.mechanics)
+        yield from modifiers.excited(
+            base.structure,
+            self.data,
+            self._scales,
+            base.curves.residual,
+            self._loads,
+            is_load_fitted=self._is_load_fitted,
+        )
+
+    # --- fits
+
+    def fit(self, structure: ModelStructure, warm: Mapping[str, float] | None = None) -> Fit:
+        """Fit one candidate, starting from the values ``warm`` of a related one if given."""
+        self._progress(structure.label)
+        mechanics, held, notes = self._mechanics(structure)
+        if structure.family in EQUAL_IN_FEEDFORWARD:
+            notes.append(
+                f"not excited: stick_velocity; while it slides {structure.family} is "
+                f"{EQUAL_IN_FEEDFORWARD[structure.family]}, and a recording does not show how it sticks"
+            )
+        loads = self._loads if "load" in structure.modifiers else None
+        regression = Regression(self.data, structure, mechanics, held, loads)
+        check = None
+        if self.validation is not None:
+            own = self._loads_of(self.validation, warm) if loads else None
+            check = Regression(self.validation, structure, mechanics, held, own)
+        return fit(
+            regression,
+            self._scales,
+            seed=self.settings.seed,
+            warm=warm,
+            is_robust=self.settings.is_robust,
+            validation=check,
+            notes=notes,
+        )
+
+    def fit_with_load(self, structure: ModelStructure, base: Fit) -> Fit:
+        """Fit a structure whose load is gravity: alternately, if gravity is identified by the same fit."""
+        fitted = base
+        for _ in range(_LOAD_ROUNDS):
+            self.set_load(fitted.mechanics)
+            fitted = self.fit(structure, {**fitted.values, **fitted.mechanics})
+            if not self._is_load_fitted:
+                break
+        return fitted
+
+    def refine(self, base: Fit) -> Fit:
+        """Fit the structure of ``base`` once more, on records at the full resolution of the encoder."""
+        self._progress(f"{base.label}, refined at the resolution of the encoder")
+        mechanics, held, notes = self._mechanics(base.structure)
+
+        def regression(data: Data) -> Regression:
+            loads = self._loads_of(data, base.mechanics) if "load" in base.structure.modifiers else None
+            return Regression(data, base.structure, mechanics, held, loads)
+
+        is_mean, check = self.settings.torque == "mean", None
+        if self.validation is not None:
+            records = self.validation.records
+            check = regression(fine_data(records, is_mean=is_mean) if all(map(is_fine, records)) else self.validation)
+        return refined(
+            base,
+            regression(fine_data(self.data.records, is_mean=is_mean)),
+            self.data,
+            self._scales,
+            replicas=self.settings.replicas,
+            seed=self.settings.seed,
+            validation=check,
+            notes=notes,
+        )
+
+    # --- mechanics and load
+
+    def _mechanics(self, structure: ModelStructure) -> tuple[list[str], dict[str, float], list[str]]:
+        """Return the mechanical parameters fitted with a structure, those held, and notes on both."""
+        level = "gravity.constant" if "gravity.constant" in self._gravity else "offset"
+        names = self._linear("inertia", level, *self._gravity)
+        held = dict(self._held)
+        notes: list[str] = []
+        if self.known:
+            notes += unknown_gain.notes(structure, self.known)
+        if "load" in structure.modifiers and self._is_load_fitted:
+            notes.append(
+                "collinear: load.motoring and load.driven with gravity, which is fitted too; one value is used for both"
+            )
+        if "direction" in structure.modifiers and level in names:
+            names.remove(level)
+            held[level] = (
+                self._constant_torque if abs(self._constant_torque) > _LARGE_OFFSET * self._scales.level else 0.0
+            )
+            notes.append(
+                f"collinear: {level} with the difference between the levels of the two directions; {level} is held at "
+                f"{held[level]:.4g}: only a torque at rest that is free of friction could tell them apart"
+            )
+        return names, held, notes
+
+    @property
+    def _constant_torque(self) -> float:
+        """Offset of a Coulomb fit without modifiers."""
+        if self._offset is None:
+            swinging = [name for name in self._gravity if name != "gravity.constant"]
+            self._offset = self._coulomb_fit("inertia", "offset", *swinging).mechanics["offset"]
+        return self._offset
+
+    def _coulomb_fit(self, *mechanics: str) -> Fit:
+        structure = self._plain_structure("coulomb", is_directed=False)
+        return fit(Regression(self.data, structure, self._linear(*mechanics), self._held), self._scales)
+
+    def _fitted_gravity(self) -> tuple[str, ...]:
+        """Return the names of the gravity parameters to identify."""
+        kind = self.settings.gravity
+        pendulum = ("gravity.sine", "gravity.cosine")
+        if kind == "constant":
+            return ("gravity.constant",)
+        if kind == "pendulum":
+            return pendulum
+        if kind == "none" or self.settings.axis == "linear" or self._scales.travel < _PENDULUM_TRAVEL:
+            return ()
+        without, swinging = (self._coulomb_fit("inertia", "offset", *gravity) for gravity in ((), pendulum))
+        if not is_better(swinging, without):
+            return ()
+        self.notes.append("gravity: sine and cosine of the position predict held-out blocks better than none")
+        return pendulum
+
+    def _linear(self, *mechanics: str) -> list[str]:
+        """Return the linear parameters to identify; with an unknown gain, its inverse replaces known ones."""
+        names = [name for name in dict.fromkeys(mechanics) if name not in self._held]
+        if self.known:
+            names = [INVERSE_GAIN, *(name for name in (*names, BACK_EMF) if name not in self.known)]
+        return names
+
+    @property
+    def _is_load_fitted(self) -> bool:
+        """True if the load is a gravity that is identified, or known in another unit than the signal."""
+        if self.known:
+            return True
+        if all(record.load_torque is not None for record in self.data.records):
+            return False
+        return any(name not in self._held for name in self._gravity)
+
+    def set_load(self, mechanics: Mapping[str, float]) -> bool:
+        """Take gravity for the load of fits to come, unless a load was recorded; return True if there is a load."""
+        self._loads = self._loads_of(self.data, mechanics)
+        return self._loads is not None
+
+    def _loads_of(self, data: Data, mechanics: Mapping[str, float] | None) -> list[Array] | None:
+        """Return the load torque of each record, recorded or due to gravity; None if there is neither."""
+        recorded = [record.load_torque for record in data.records if record.load_torque is not None]
+        if len(recorded) == len(data.records) and not self.known:
+            return recorded
+        names = [name for name in MECHANICS if name.startswith("gravity.")]
+        factors = [0.0 if mechanics is None else mechanics.get(name, 0.0) for name in names]
+        if not any(factors):
+            return None
+        constant, sine, cosine = factors
+        return [constant + sine * np.sin(record.position) + cosine * np.cos(record.position) for record in data.records]
+
+    def _check_held(self) -> None:
+        """Raise `UsageError` if a held parameter belongs to no candidate or its value is not a number."""
+        known = {*MECHANICS, BACK_EMF} if self.known else set(MECHANICS)
+        for family in self.families:
+            for is_directed in (False, True):
+                structure = self._plain_structure(family, is_directed=is_directed)
+                known |= _names(structure)
+                if self.known:
+                    unknown_gain.check_held(structure, self.settings.held)
+        for name, value in self.settings.held.items():
+            if name not in known:
+                raise UsageError(f"no candidate has a parameter {name!r} to hold; {choices(name, known)}")
+            if math.isnan(value):
+                raise UsageError(f"a value to hold is a number; {name} is {value}")
+
+
+def _names(structure: ModelStructure) -> set[str]:
+    """Return all parameter names of a structure that can be held."""
+    own = {parameter.name for parameter in models.describe(structure.family).parameters}
+    tied = {name for each in structure.coordinates for name in each.names}
+    return own | tied | set(structure.linear)

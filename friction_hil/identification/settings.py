@@ -1,0 +1,88 @@
+"""Settings of an identification: model families, mechanics, filters and loss. Pure."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+from friction_hil import friction as models
+from friction_hil.errors import UsageError, choices
+from friction_hil.identification import structures
+from friction_hil.identification.refine import REPLICAS
+from friction_hil.identification.structures import EQUAL_IN_FEEDFORWARD
+
+GravityKind = Literal["auto", "none", "constant", "pendulum"]
+
+
+@dataclass(frozen=True, slots=True)
+class IdentificationSettings:
+    """Settings of `friction_hil.identification.identify`.
+
+    Attributes
+    ----------
+    families : tuple of str
+        Names of the model families to fit; empty for all.
+    axis : str
+        ``rotary`` or ``linear``.
+    gravity : str
+        ``none``, ``constant`` (vertical axis), ``pendulum`` (sine and cosine of the position), or ``auto``: pendulum
+        if it predicts held-out blocks better.
+    held : dict
+        Parameters held at a given value, by name.
+    is_robust : bool
+        True for Huber's loss instead of least squares.
+    has_modifiers : bool
+        True to try modifiers other than direction.
+    has_unknown_gain : bool
+        True if the column ``torque`` is a signal in a unit of its own (V, A), with torque = gain signal - back_emf
+        velocity. Gain and back-EMF are then identified, and the held inertia or gravity sets the scale
+        (`friction_hil.identification.unknown_gain`).
+    least_speed, group_by
+        See `friction_hil.identification.data.prepare`. Groups are held out one after the other.
+    seed : int
+        Seed of the random starting points.
+    lowpass_hz, decimation
+        See `friction_hil.identification.data.prepare`.
+    refine : bool, optional
+        True to fit dynamic models once more at the full resolution of the encoder
+        (`friction_hil.identification.refine`). By default they are refined if all recordings show presliding:
+        position in known steps, sampled at 500 Hz or more, with oscillations faster than 8 Hz.
+    torque : str
+        Meaning of a measured torque, which the refinement needs: ``mean`` over the period that ends at the sample, or
+        the value at that ``instant``.
+    replicas : int
+        Number of simulated experiments that the refinement uses to estimate its bias.
+    """
+
+    families: tuple[str, ...] = ()
+    axis: Literal["rotary", "linear"] = "rotary"
+    gravity: GravityKind = "auto"
+    held: Mapping[str, float] = field(default_factory=dict)
+    is_robust: bool = False
+    has_modifiers: bool = True
+    has_unknown_gain: bool = False
+    least_speed: float = 0.0
+    group_by: str | None = None
+    seed: int = 0
+    lowpass_hz: float | None = None
+    decimation: int | None = None
+    refine: bool | None = None
+    torque: Literal["mean", "instant"] = "mean"
+    replicas: int = REPLICAS
+
+
+def chosen_families(names: Sequence[str]) -> tuple[str, ...]:
+    """Return the families of friction models to fit: the named ones, or all if ``names`` is empty.
+
+    Raises
+    ------
+    UsageError
+        A name is unknown, or that family cannot be fitted to recordings.
+    """
+    if not names:
+        return structures.families()
+    known = (*structures.families(), *EQUAL_IN_FEEDFORWARD)
+    for name in names:
+        models.describe(name)
+        if name not in known:
+            raise UsageError(f"no recording can be fitted with {name!r}; {choices(name, known)}")
+    return tuple(dict.fromkeys(names))
