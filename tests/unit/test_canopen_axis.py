@@ -7,8 +7,8 @@ import pytest
 from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.axis import CanopenAxis
 from friction_hil_drivers.canopen.configure import ConfiguredDrive
-from friction_hil_drivers.canopen.mapping import COMMANDS, FEEDBACK, Pdo
-from friction_hil_drivers.canopen.units import Units
+from friction_hil_drivers.canopen.mapping import COMMANDS, FEEDBACK, MappedPdo
+from friction_hil_drivers.canopen.units import CanopenUnits
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -17,7 +17,7 @@ from friction_hil.errors import DriveError
 
 NODE = 5
 TPDO1, TPDO2, RPDO1, EMCY, HEARTBEAT = 0x185, 0x285, 0x205, 0x085, 0x705
-UNITS = Units(1000.0, 500.0, 0.64)
+UNITS = CanopenUnits(1000.0, 500.0, 0.64)
 LAYOUTS = {Mode.CSP: "<Hih", Mode.CSV: "<Hih", Mode.CST: "<Hh"}
 MS = 1_000_000
 BOOT_UP, STOPPED, OPERATIONAL, PRE_OPERATIONAL = b"\x00", b"\x04", b"\x05", b"\x7f"
@@ -28,10 +28,10 @@ class Bench:
 
     def __init__(self, mode=Mode.CSP, units=UNITS, *, is_listened_to=False, error="", heartbeat_s=0.1):
         tpdos = (
-            Pdo(TPDO1, FEEDBACK[0], struct.Struct("<Hih")),
-            Pdo(TPDO2, FEEDBACK[1], struct.Struct("<ib")),
+            MappedPdo(TPDO1, FEEDBACK[0], struct.Struct("<Hih")),
+            MappedPdo(TPDO2, FEEDBACK[1], struct.Struct("<ib")),
         )
-        rpdo = None if is_listened_to else Pdo(RPDO1, COMMANDS[mode], struct.Struct(LAYOUTS[mode]))
+        rpdo = None if is_listened_to else MappedPdo(RPDO1, COMMANDS[mode], struct.Struct(LAYOUTS[mode]))
         facts = AxisFacts("x", "a drive", 1e-3, 6.4e-4, 2.5e-3, 1.5e-3)
         self.axis = CanopenAxis(ConfiguredDrive(facts, units, mode, tpdos, rpdo, error), NODE, heartbeat_s)
         self.axis.begin(0)
@@ -67,7 +67,9 @@ def test_frames_become_si_values():
 
 
 def test_an_inverted_axis_turns_all_signs():
-    feedback = Bench(units=Units(-1000.0, -500.0, -0.64)).cycle((TPDO1, "3706 e8030000 f4ff"), (TPDO2, "18fcffff 08"))
+    feedback = Bench(units=CanopenUnits(-1000.0, -500.0, -0.64)).cycle(
+        (TPDO1, "3706 e8030000 f4ff"), (TPDO2, "18fcffff 08")
+    )
     assert (feedback.position, feedback.velocity) == (-1.0, 2.0)
     assert feedback.torque == pytest.approx(12 * 0.64e-3)
 

@@ -4,13 +4,13 @@ import math
 import struct
 
 import pytest
-from friction_hil_drivers.canopen.units import Units, Unwrapper, wrap
+from friction_hil_drivers.canopen.units import CanopenUnits, Unwrapper, wrap
 from hypothesis import given
 from hypothesis import strategies as st
 
 COUNTS = 1048576 / (2.0 * math.pi)
-UNITS = Units(COUNTS, COUNTS, 0.64)
-INVERTED = Units(-COUNTS, -COUNTS, -0.64)
+UNITS = CanopenUnits(COUNTS, COUNTS, 0.64)
+INVERTED = CanopenUnits(-COUNTS, -COUNTS, -0.64)
 both = pytest.mark.parametrize("units", [UNITS, INVERTED])
 
 

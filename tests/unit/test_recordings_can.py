@@ -10,9 +10,9 @@ import pytest
 from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.axis import CanopenAxis
 from friction_hil_drivers.canopen.configure import ConfiguredDrive
-from friction_hil_drivers.canopen.mapping import COMMANDS, FEEDBACK, Pdo, pdo_layout
+from friction_hil_drivers.canopen.mapping import COMMANDS, FEEDBACK, MappedPdo, pdo_layout
 from friction_hil_drivers.canopen.objects import Object
-from friction_hil_drivers.canopen.units import Units
+from friction_hil_drivers.canopen.units import CanopenUnits
 
 import friction_hil as fh
 from friction_hil.cli import main
@@ -23,7 +23,7 @@ from friction_hil.errors import FrictionHilError, RecordingError, UsageError
 ROOT = Path(__file__).parents[2]
 CYCLES = 60
 PERIOD = 1e-3
-UNITS = Units(counts_per_unit=65536 / (2.0 * np.pi), velocity_per_unit=65536 / (2.0 * np.pi), rated_torque=0.5)
+UNITS = CanopenUnits(counts_per_unit=65536 / (2.0 * np.pi), velocity_per_unit=65536 / (2.0 * np.pi), rated_torque=0.5)
 WRITERS = {".log": can.CanutilsLogWriter, ".asc": can.ASCWriter, ".blf": can.BLFWriter}
 FACTS = AxisFacts("x", "", 1e-4, 1e-3, 0.0, 0.0)
 
@@ -58,8 +58,8 @@ def machine(folder: Path, mode: Mode, *keys: str) -> Path:
 def drive(mode: Mode) -> CanopenAxis:
     """The driver's encoder and decoder of node 1."""
 
-    def pdo(cob_id: int, entries: tuple[Object, ...]) -> Pdo:
-        return Pdo(cob_id, entries, pdo_layout(entries, [entry.type.bits for entry in entries]))
+    def pdo(cob_id: int, entries: tuple[Object, ...]) -> MappedPdo:
+        return MappedPdo(cob_id, entries, pdo_layout(entries, [entry.type.bits for entry in entries]))
 
     tpdos = tuple(pdo(objects.TPDO_BASES[i] + 1, entries) for i, entries in enumerate(FEEDBACK))
     rpdo = pdo(objects.RPDO_BASES[0] + 1, COMMANDS[mode])

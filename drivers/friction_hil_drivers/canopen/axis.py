@@ -8,7 +8,7 @@ from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.configure import ConfiguredDrive
 from friction_hil_drivers.canopen.frames import Frame
-from friction_hil_drivers.canopen.mapping import Pdo
+from friction_hil_drivers.canopen.mapping import MappedPdo
 from friction_hil_drivers.canopen.units import Unwrapper
 from friction_hil_drivers.cia402 import profile
 
@@ -58,7 +58,7 @@ class CanopenAxis:
         self.handlers = self._make_handlers()  # what to do with the data of a frame, by its identifier
 
     @property
-    def pdos(self) -> tuple[Pdo, ...]:
+    def pdos(self) -> tuple[MappedPdo, ...]:
         """All PDOs of a cycle."""
         return self.tpdos if self._rpdo is None else (*self.tpdos, self._rpdo)
 

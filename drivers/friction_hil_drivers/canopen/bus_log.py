@@ -18,7 +18,7 @@ from friction_hil_drivers.canopen.mapping import COMMANDS, FEEDBACK, pdo_layout
 from friction_hil_drivers.canopen.objects import Object
 from friction_hil_drivers.canopen.options import CanopenOptions
 from friction_hil_drivers.canopen.sdo import ObjectAccess
-from friction_hil_drivers.canopen.units import PER_MILLE, Units
+from friction_hil_drivers.canopen.units import PER_MILLE, CanopenUnits
 from friction_hil_drivers.cia402 import profile
 
 if TYPE_CHECKING:
@@ -151,7 +151,9 @@ def read_bus_log(path: Path, axes: "Mapping[str, AxisConfig]") -> list[Recording
     return recordings
 
 
-def _decode(frames: _Frames, access: _LoggedObjects, units: Units, mode: Mode, node: int, path: Path) -> Recording:
+def _decode(
+    frames: _Frames, access: _LoggedObjects, units: CanopenUnits, mode: Mode, node: int, path: Path
+) -> Recording:
     recording = Recording(str(path), access.axis, {}, problems=list(frames.problems))
     syncs = frames.of(_SYNC)
     first = objects.TPDO_BASES[0] + node
@@ -200,7 +202,7 @@ def _decode(frames: _Frames, access: _LoggedObjects, units: Units, mode: Mode, n
     return recording
 
 
-def _columns(units: Units, mode: Mode) -> dict[str, tuple[Object, float]]:
+def _columns(units: CanopenUnits, mode: Mode) -> dict[str, tuple[Object, float]]:
     """Our columns, the object that each comes from, and its scale."""
     torque = units.rated_torque / PER_MILLE
     columns = {

@@ -9,11 +9,11 @@ from friction_hil.drive import AxisFacts, DriveState, Mode
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.eds import load_eds
-from friction_hil_drivers.canopen.mapping import COMMANDS, FEEDBACK, Pdo, map_pdo, switch_off
+from friction_hil_drivers.canopen.mapping import COMMANDS, FEEDBACK, MappedPdo, map_pdo, switch_off
 from friction_hil_drivers.canopen.objects import Object
 from friction_hil_drivers.canopen.options import CanopenOptions
 from friction_hil_drivers.canopen.sdo import ObjectAccess
-from friction_hil_drivers.canopen.units import Units
+from friction_hil_drivers.canopen.units import CanopenUnits
 from friction_hil_drivers.cia402 import profile
 
 if TYPE_CHECKING:
@@ -32,10 +32,10 @@ class ConfiguredDrive:
     """What the cyclic phase needs to know of a drive."""
 
     facts: AxisFacts
-    units: Units
+    units: CanopenUnits
     mode: Mode
-    tpdos: tuple[Pdo, ...]
-    rpdo: Pdo | None  # None: the drive is only listened to
+    tpdos: tuple[MappedPdo, ...]
+    rpdo: MappedPdo | None  # None: the drive is only listened to
     error: str  # why the drive is in fault, if it is
 
 
@@ -143,7 +143,7 @@ def _check_mode(access: ObjectAccess, mode: Mode, notes: list[str]) -> None:
         raise DriveError(f"{access.axis}: {access.where} does not support mode {mode.name.lower()}; it supports {able}")
 
 
-def read_units(access: ObjectAccess, options: CanopenOptions, kind: str) -> Units:
+def read_units(access: ObjectAccess, options: CanopenOptions, kind: str) -> CanopenUnits:
     """Scales of a drive: as the options give them, else as the drive tells them.
 
     Raises
@@ -182,7 +182,7 @@ def read_units(access: ObjectAccess, options: CanopenOptions, kind: str) -> Unit
             f"{access.axis}: {access.where} reports velocity in a unit that is not known here "
             f"({objects.VELOCITY_UNIT} = {unit:08X}h; counts/s is 00B50300h, 1/min is 00B44700h)"
         )
-    return Units(sign * counts, sign * velocity, sign * rated)
+    return CanopenUnits(sign * counts, sign * velocity, sign * rated)
 
 
 def _prepare(access: ObjectAccess, mode: Mode, period_s: float) -> None:

@@ -25,7 +25,7 @@ COMMANDS = {
 
 
 @dataclass(frozen=True, slots=True)
-class Pdo:
+class MappedPdo:
     """One PDO in force: its identifier on the bus and the layout of its bytes."""
 
     cob_id: int
@@ -48,7 +48,7 @@ def map_pdo(
     node: int,
     entries: Sequence[Object],
     event_ms: int = 0,
-) -> Pdo:
+) -> MappedPdo:
     """Set up PDO ``number`` (from 0) of a drive and read back what it made of it.
 
     The widths are those that the drive itself gives its objects: a PDO mapped with another width is accepted
@@ -96,7 +96,7 @@ def map_pdo(
                 f"{access.axis}: {name} of {access.where} holds {kept:08X}h at position {position} "
                 f"after {word:08X}h was written"
             )
-    return Pdo(base + node, tuple(entries), layout)
+    return MappedPdo(base + node, tuple(entries), layout)
 
 
 def switch_off(access: ObjectAccess, *, is_receive: bool, number: int, node: int) -> None:
@@ -119,12 +119,12 @@ def frame_bits(size: int) -> int:
     return stuffed + (stuffed - 1) // 4 + 13
 
 
-def wire_time_s(bitrate: int, pdos: Sequence[Pdo]) -> float:
+def wire_time_s(bitrate: int, pdos: Sequence[MappedPdo]) -> float:
     """Time that one cycle's SYNC and ``pdos`` occupy the bus."""
     return (frame_bits(0) + sum(frame_bits(pdo.layout.size) for pdo in pdos)) / bitrate
 
 
-def check_bus_load(bitrate: int, period_s: float, pdos: Sequence[Pdo]) -> str:
+def check_bus_load(bitrate: int, period_s: float, pdos: Sequence[MappedPdo]) -> str:
     """Refuse a cycle that does not fit on the wire with some room for SDO, heartbeats and emergencies; else say it.
 
     Raises
@@ -143,9 +143,9 @@ def check_bus_load(bitrate: int, period_s: float, pdos: Sequence[Pdo]) -> str:
     return f"a cycle needs {needed * 1e6:.0f} us of {period_s * 1e6:.0f} us on the bus at {bitrate} bit/s"
 
 
-def expected_pdos(mode: Mode) -> list[Pdo]:
+def expected_pdos(mode: Mode) -> list[MappedPdo]:
     """PDOs of a drive whose objects have the standard's widths, for arithmetic before it was asked."""
     return [
-        Pdo(0, entries, pdo_layout(entries, [entry.type.bits for entry in entries]))
+        MappedPdo(0, entries, pdo_layout(entries, [entry.type.bits for entry in entries]))
         for entries in (*FEEDBACK, COMMANDS[mode])
     ]

@@ -10,7 +10,7 @@ _I32 = 1 << 32
 
 
 @dataclass(frozen=True, slots=True)
-class Units:
+class CanopenUnits:
     """Scales of one drive; negative ones turn the direction.
 
     Attributes
