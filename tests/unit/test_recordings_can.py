@@ -88,11 +88,11 @@ def session(mode: Mode, *, start: int = 2**31 - 700) -> tuple[list[can.Message],
             axis.tpdos[0].layout.pack(0x27, counts, 5 * cycle - 100),
             axis.tpdos[1].layout.pack(-11 * cycle, mode),
         ]
-        axis.expect(0)
+        axis.begin_cycle(0)
         for pdo, content in zip(axis.tpdos, data, strict=True):
             axis.handlers[pdo.cob_id](content)
-        axis.fill(feedback, 0)
-        identifier, content = axis.command_frame(command)
+        axis.report(feedback, 0)
+        identifier, content = axis.encode(command)
         frames.append(message(0x080, b"", at))
         frames += [message(pdo.cob_id, d, at + 1e-4) for pdo, d in zip(axis.tpdos, data, strict=True)]
         frames.append(message(identifier, content, at + 3e-4))
