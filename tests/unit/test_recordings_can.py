@@ -191,9 +191,9 @@ def test_without_sync_a_cycle_begins_with_its_first_frame(tmp_path: Path) -> Non
 def test_scales_come_from_the_configuration_first(tmp_path: Path) -> None:
     frames = [frame for frame in session(Mode.CSP)[0] if frame.arbitration_id != 0x581]
     path = write(tmp_path / "x.log", frames)
-    with pytest.raises(RecordingError, match=r"node 1 in .*x\.log does not tell its encoder .* give counts_per_unit"):
+    with pytest.raises(RecordingError, match=r"node 1 in .*x\.log does not report its encoder .* give counts_per_unit"):
         fh.recordings.read(path, configuration=load(machine(tmp_path, Mode.CSP)))
-    with pytest.raises(RecordingError, match=r"does not tell its rated torque .* give rated_torque"):
+    with pytest.raises(RecordingError, match=r"does not report its rated torque .* give rated_torque"):
         fh.recordings.read(path, configuration=load(machine(tmp_path, Mode.CSP, "counts_per_unit: 100.0")))
     keys = ("counts_per_unit: 100.0", "rated_torque: 2.0", "is_inverted: true")
     read = fh.recordings.read(path, configuration=load(machine(tmp_path, Mode.CSP, *keys)))

@@ -51,7 +51,7 @@ def _opened(config: "BusConfig") -> Finding:
     if device.is_absolute() and not os.access(device, os.R_OK | os.W_OK):
         reason = "permission denied" if device.exists() else "there is no such device"
         return Finding(check, "fail", f"{device}: {reason}", "plug the adapter in, and see who may open it: ls -l /dev")
-    detail = f"{bus_name(config)} was not opened: such an adapter takes part in the bus as soon as it is open"
+    detail = f"{bus_name(config)} is not opened here: such an adapter takes part in the bus as soon as it is open"
     return Finding(check, "warn", detail, "friction-hil run with --dry-run opens it and commands nothing")
 
 

@@ -24,7 +24,7 @@ class CyclicExchange:
     Parameters
     ----------
     bus : FrameBus
-        Read and written by nobody else meanwhile.
+        Nothing else may read or write it during the cyclic phase.
     axes : sequence of CanopenAxis
     clock : Clock
     period_s : float

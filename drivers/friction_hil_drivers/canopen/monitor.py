@@ -33,7 +33,7 @@ class NodeMonitor:
         if state == NmtState.BOOT_UP:
             return coded(f"node {self._node} restarted (boot-up message)", codes.NODE_RESTARTED)
         if self._last_ns is None:
-            return ""  # on its way to Operational
+            return ""  # not yet in Operational
         name = _STATE_NAMES.get(state, state)
         return coded(f"node {self._node} left Operational: it is {name}", codes.NOT_OPERATIONAL)
 

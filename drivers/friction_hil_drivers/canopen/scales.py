@@ -62,6 +62,6 @@ def _required(access: ObjectReader, entry: Object, name: str, fix: str) -> int:
     """Return the value of an object that the configuration may replace."""
     value = access.find(entry)
     if not value:
-        text = f"{access.axis}: {access.where} does not tell its {name} ({entry}): {fix}"
+        text = f"{access.axis}: {access.where} does not report its {name} ({entry}): {fix}"
         raise DriveError(coded(text, codes.UNIT_UNKNOWN))
     return value
