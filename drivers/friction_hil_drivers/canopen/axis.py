@@ -53,7 +53,7 @@ class CanopenAxis:
         self.tpdos = drive.tpdos
         self._monitor = NodeMonitor(node, heartbeat_s)
         self._now_ns = 0
-        self._frames: list[bytes | None] = [None] * len(drive.tpdos)  # of this cycle
+        self._frames = [b""] * len(drive.tpdos)  # TPDOs of this cycle; empty: not arrived
         self._short = ""  # a TPDO of this cycle had too few bytes
         self._measured = Measurement()  # of the last complete cycle
         self._error = drive.error
@@ -86,19 +86,19 @@ class CanopenAxis:
     def begin_cycle(self, now_ns: int) -> None:
         """Forget the TPDOs that arrived before this cycle's SYNC."""
         self._now_ns = now_ns
-        self._frames = [None] * len(self.tpdos)
+        self._frames = [b""] * len(self.tpdos)
         self._short = ""
 
     @property
     def is_complete(self) -> bool:
         """True if every TPDO of this cycle arrived."""
-        return None not in self._frames
+        return all(self._frames)
 
     def _on_tpdo(self, number: int, data: bytes) -> None:
         size = self.tpdos[number].layout.size
         if len(data) < size:
             self._short = f"TPDO {number + 1} of node {self.node} has {len(data)} bytes instead of {size}"
-        elif self._frames[number] is None:
+        elif not self._frames[number]:
             self._frames[number] = data
 
     def _on_emergency(self, data: bytes) -> None:
@@ -113,10 +113,9 @@ class CanopenAxis:
 
     def report(self, feedback: Feedback, now_ns: int) -> None:
         """Write the drive's feedback; without all TPDOs the values stay those of the last complete cycle."""
-        received = [data for data in self._frames if data is not None]
-        is_fresh = len(received) == len(self.tpdos)
+        is_fresh = self.is_complete
         if is_fresh:
-            self._measured = decode_feedback(self.tpdos, received, self._drive.units, self._measured.counts)
+            self._measured = decode_feedback(self.tpdos, self._frames, self._drive.units, self._measured.counts)
             self._keep(self._wrong_mode())
         self._keep(self._monitor.check(now_ns))
         measured = self._measured
@@ -159,5 +158,5 @@ class CanopenAxis:
 
     def _missing(self) -> str:
         """Why the feedback of this cycle is not complete."""
-        lost = [f"TPDO {number + 1}" for number, data in enumerate(self._frames) if data is None]
+        lost = [f"TPDO {number + 1}" for number, data in enumerate(self._frames) if not data]
         return self._short or f"{' and '.join(lost)} of node {self.node} did not arrive in time"

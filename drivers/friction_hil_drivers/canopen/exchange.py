@@ -116,19 +116,16 @@ class CyclicExchange:
     def _collect(self, deadline_ns: int) -> None:
         """Take frames until every axis is complete; in simulated time for as long as the bus waits."""
         clock = self._clock
-        while not self._is_complete:
-            timeout = (deadline_ns - clock.now_ns()) * 1e-9 if clock.is_real else STEPPED_TIMEOUT_S
-            if timeout <= 0.0:
-                return
-            frame = self._bus.receive(timeout)
-            if frame is not None:
-                self._take(frame)
-            elif not clock.is_real:
-                return
-
-    @property
-    def _is_complete(self) -> bool:
-        return all(axis.is_complete for axis in self._axes)
+        for axis in self._axes:
+            while not axis.is_complete:
+                timeout = (deadline_ns - clock.now_ns()) * 1e-9 if clock.is_real else STEPPED_TIMEOUT_S
+                if timeout <= 0.0:
+                    return
+                frame = self._bus.receive(timeout)
+                if frame is not None:
+                    self._take(frame)
+                elif not clock.is_real:
+                    return
 
     def _take(self, frame: Frame) -> None:
         """Give a frame to the axis that it belongs to; frames of other nodes are ignored."""
@@ -146,7 +143,8 @@ class CyclicExchange:
         """
         if self._clock.is_real:
             return
-        self._timeouts = 0 if self._is_complete else self._timeouts + 1
+        is_complete = all(axis.is_complete for axis in self._axes)
+        self._timeouts = 0 if is_complete else self._timeouts + 1
         if self._timeouts >= STEPPED_TIMEOUTS:
             waited_s = STEPPED_TIMEOUTS * STEPPED_TIMEOUT_S
             text = f"not every drive has answered SYNC for {waited_s:g} s: are they still running?"
