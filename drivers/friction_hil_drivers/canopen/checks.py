@@ -36,7 +36,7 @@ def check_connection(configuration: "Configuration", axes: "Mapping[str, AxisCon
 
 
 def _opened(config: "BusConfig") -> Finding:
-    # imported here: python-can takes 0.3 s, and reading a configuration does not need it
+    # imported here: python-can takes 0.5 s, and reading a configuration does not need it
     from friction_hil_drivers.canopen.bus import open_bus, require_known
 
     check = "bus"

@@ -58,7 +58,7 @@ class CanopenDrives:
     @staticmethod
     def read_bus_log(path: Path, axes: "Mapping[str, AxisConfig]") -> "list[Recording]":
         """Decode a log of CAN frames; see `bus_log.read_bus_log`."""
-        # imported here: python-can takes 0.3 s, and only commands that read a log need it
+        # imported here: python-can takes 0.5 s, and only commands that read a log need it
         from friction_hil_drivers.canopen.bus_log import read_bus_log
 
         return read_bus_log(path, axes)
@@ -89,7 +89,7 @@ class CanopenDrives:
 
     def connect(self) -> Sequence[AxisFacts]:
         """Configure every drive; nothing is enabled. See `friction_hil.drive.Drives.connect`."""
-        # imported here: python-can and canopen take 0.3 s each, and reading a configuration needs neither
+        # imported here: python-can and canopen take 0.5 s each, and reading a configuration needs neither
         from friction_hil_drivers.canopen.bus import open_frame_bus
         from friction_hil_drivers.canopen.sdo import SdoNetwork
 

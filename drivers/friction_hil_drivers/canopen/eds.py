@@ -26,7 +26,7 @@ def load_eds(path: Path, node: int) -> "ObjectDictionary":
     UsageError
         The file cannot be read or is no EDS.
     """
-    # imported here: canopen takes 0.3 s, and only an axis with an EDS needs it to check a configuration
+    # imported here: canopen takes 0.5 s, and only an axis with an EDS needs it to check a configuration
     import canopen
 
     if path.suffix.lower() not in (".eds", ".dcf"):

@@ -1,6 +1,7 @@
 """The cyclic phase: SYNC, feedback of every drive, command to every drive, in one thread."""
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from friction_hil.drive import Clock, Command, Feedback, Request
 from friction_hil.errors import DriveError
@@ -8,7 +9,9 @@ from friction_hil_drivers.canopen import codes, objects
 from friction_hil_drivers.canopen.axis import CanopenAxis
 from friction_hil_drivers.canopen.codec import Frame
 from friction_hil_drivers.canopen.codes import coded
-from friction_hil_drivers.canopen.frames import FrameBus
+
+if TYPE_CHECKING:
+    from friction_hil_drivers.canopen.frames import FrameBus
 
 _COMMAND_FRACTION = 0.25  # of the period, kept for computing and sending what acts from the next SYNC on
 _OPERATIONAL = bytes([objects.NmtState.OPERATIONAL])
@@ -39,7 +42,7 @@ class CyclicExchange:
 
     def __init__(
         self,
-        bus: FrameBus,
+        bus: "FrameBus",
         axes: Sequence[CanopenAxis],
         clock: Clock,
         *,
