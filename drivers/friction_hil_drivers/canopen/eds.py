@@ -24,13 +24,13 @@ def load_eds(path: Path, node: int) -> "ObjectDictionary":
     Raises
     ------
     UsageError
-        The file cannot be read or is no EDS.
+        The file cannot be read or is not an EDS.
     """
     # imported here: canopen takes 0.5 s, and only an axis with an EDS needs it to check a configuration
     import canopen
 
     if path.suffix.lower() not in (".eds", ".dcf"):
-        raise UsageError(f"{path} is no EDS: its name should end in .eds or .dcf")
+        raise UsageError(f"{path} is not an EDS: its name should end in .eds or .dcf")
     try:
         text = path.read_text(encoding="utf-8", errors="replace")
     except OSError as error:
@@ -43,5 +43,5 @@ def load_eds(path: Path, node: int) -> "ObjectDictionary":
         reason = str(error).partition("\n")[0]  # the lines after it quote the file, which may be anything
         raise UsageError(f"{path} is no valid EDS: {reason}") from error
     if len(dictionary) == 0:
-        raise UsageError(f"{path} is no EDS: it has no object")
+        raise UsageError(f"{path} is not an EDS: it has no object")
     return dictionary
