@@ -1,10 +1,12 @@
 """A simulated CANopen drive on the bench: raw frames in, raw frames out, no bus and no clock."""
 
+import queue
 import struct
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import can
 from friction_hil_drivers.canopen.eds import SIMULATED_SERVO
 from friction_hil_drivers.canopen.simulated.dictionary import Dictionary
 from friction_hil_drivers.canopen.simulated.drive import SimulatedCia402Drive
@@ -103,11 +105,11 @@ class Bench:
         return [frame for frame in self.send(0x600 + NODE, request) if frame[0] == 0x580 + NODE]
 
     def map(self, parameter: int, mapping: int, cob_id: int, kind: int, words: Sequence[int]) -> None:
-        """Set up a PDO through SDO, the way CiA 301 prescribes."""
+        """Set up a PDO through SDO, as CiA 301 prescribes."""
         self.write(parameter, 1, "I", 0x80000000 | cob_id)
         self.write(mapping, 0, "B", 0)
-        for place, word in enumerate(words, 1):
-            self.write(mapping, place, "I", word)
+        for position, word in enumerate(words, 1):
+            self.write(mapping, position, "I", word)
         self.write(mapping, 0, "B", len(words))
         self.write(parameter, 2, "B", kind)
         self.write(parameter, 1, "I", cob_id)
@@ -136,3 +138,30 @@ class Bench:
         self.map(0x1800, 0x1A00, 0x185, 1, [0x60410010, 0x60640020, 0x60770010])
         self.nmt(0x01)
         self.enable(mode)
+
+
+class BenchBus(can.BusABC):
+    """A bus to a drive on the bench: its answers are there before anybody asks for them."""
+
+    def __init__(self, bench: Bench) -> None:
+        super().__init__(channel="bench")
+        self.bench = bench
+        self.answers: queue.SimpleQueue[can.Message] = queue.SimpleQueue()
+        self.sent: list[Frame] = []
+
+    def loses(self, can_id: int, data: bytes) -> bool:
+        """Return True for a frame of the master that never reaches the drive."""
+        return False
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        frame = msg.arbitration_id, bytes(msg.data)
+        self.sent.append(frame)
+        if not self.loses(*frame):
+            for can_id, data in self.bench.send(*frame):
+                self.answers.put(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        try:
+            return self.answers.get(timeout=timeout), True
+        except queue.Empty:
+            return None, True

@@ -118,8 +118,8 @@ class Drives:
         mapping = parameter + 0x200
         self.write(parameter, 1, "I", 0x80000000 | cob_id, node)
         self.write(mapping, 0, "B", 0, node)
-        for place, word in enumerate(words, 1):
-            self.write(mapping, place, "I", word, node)
+        for position, word in enumerate(words, 1):
+            self.write(mapping, position, "I", word, node)
         self.write(mapping, 0, "B", len(words), node)
         self.write(parameter, 2, "B", 1, node)
         self.write(parameter, 1, "I", cob_id, node)

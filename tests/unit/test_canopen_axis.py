@@ -6,9 +6,10 @@ import struct
 import pytest
 from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.axis import CanopenAxis
+from friction_hil_drivers.canopen.codec import decode_feedback
 from friction_hil_drivers.canopen.configure import ConfiguredDrive
-from friction_hil_drivers.canopen.mapping import COMMANDS, FEEDBACK, Pdo
-from friction_hil_drivers.canopen.units import Units
+from friction_hil_drivers.canopen.mapping import COMMANDS, FEEDBACK, MappedPdo
+from friction_hil_drivers.canopen.units import CanopenUnits, wrap
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -17,7 +18,7 @@ from friction_hil.errors import DriveError
 
 NODE = 5
 TPDO1, TPDO2, RPDO1, EMCY, HEARTBEAT = 0x185, 0x285, 0x205, 0x085, 0x705
-UNITS = Units(1000.0, 500.0, 0.64)
+UNITS = CanopenUnits(1000.0, 500.0, 0.64)
 LAYOUTS = {Mode.CSP: "<Hih", Mode.CSV: "<Hih", Mode.CST: "<Hh"}
 MS = 1_000_000
 BOOT_UP, STOPPED, OPERATIONAL, PRE_OPERATIONAL = b"\x00", b"\x04", b"\x05", b"\x7f"
@@ -28,23 +29,23 @@ class Bench:
 
     def __init__(self, mode=Mode.CSP, units=UNITS, *, is_listened_to=False, error="", heartbeat_s=0.1):
         tpdos = (
-            Pdo(TPDO1, FEEDBACK[0], struct.Struct("<Hih")),
-            Pdo(TPDO2, FEEDBACK[1], struct.Struct("<ib")),
+            MappedPdo(TPDO1, FEEDBACK[0], struct.Struct("<Hih")),
+            MappedPdo(TPDO2, FEEDBACK[1], struct.Struct("<ib")),
         )
-        rpdo = None if is_listened_to else Pdo(RPDO1, COMMANDS[mode], struct.Struct(LAYOUTS[mode]))
+        rpdo = None if is_listened_to else MappedPdo(RPDO1, COMMANDS[mode], struct.Struct(LAYOUTS[mode]))
         facts = AxisFacts("x", "a drive", 1e-3, 6.4e-4, 2.5e-3, 1.5e-3)
         self.axis = CanopenAxis(ConfiguredDrive(facts, units, mode, tpdos, rpdo, error), NODE, heartbeat_s)
-        self.axis.begin(0)
+        self.axis.start(0)
         self.now_ns = 0
 
     def cycle(self, *frames, after_ms=1):
         """One period: SYNC, then frames (identifier, data); the feedback."""
         self.now_ns += after_ms * MS
-        self.axis.expect(self.now_ns)
+        self.axis.begin_cycle(self.now_ns)
         for can_id, data in frames:
             self.axis.handlers[can_id](bytes.fromhex(data) if isinstance(data, str) else data)
         feedback = Feedback()
-        self.axis.fill(feedback, self.now_ns)
+        self.axis.report(feedback, self.now_ns)
         return feedback
 
     def heard(self, state=0x0637, counts=0, torque=0, velocity=0, mode=8, **what):
@@ -53,7 +54,7 @@ class Bench:
         return self.cycle((TPDO1, first), (TPDO2, second), **what)
 
     def command(self, request, position=0.0, velocity=0.0, torque=0.0):
-        can_id, data = self.axis.command_frame(Command(request, position, velocity, torque))
+        can_id, data = self.axis.encode(Command(request, position, velocity, torque))
         assert can_id == RPDO1
         return data.hex()
 
@@ -66,8 +67,10 @@ def test_frames_become_si_values():
     assert feedback == Feedback(1.0, -2.0, pytest.approx(-12 * 0.64e-3), DriveState.OPERATION_ENABLED, True, "", "")
 
 
-def test_an_inverted_axis_turns_all_signs():
-    feedback = Bench(units=Units(-1000.0, -500.0, -0.64)).cycle((TPDO1, "3706 e8030000 f4ff"), (TPDO2, "18fcffff 08"))
+def test_an_inverted_axis_inverts_all_signs():
+    feedback = Bench(units=CanopenUnits(-1000.0, -500.0, -0.64)).cycle(
+        (TPDO1, "3706 e8030000 f4ff"), (TPDO2, "18fcffff 08")
+    )
     assert (feedback.position, feedback.velocity) == (-1.0, 2.0)
     assert feedback.torque == pytest.approx(12 * 0.64e-3)
 
@@ -82,24 +85,26 @@ def test_the_order_of_frames_does_not_matter_but_their_cycle_does():
 
 
 @pytest.mark.parametrize(
-    "frames",
+    ("frames", "missing"),
     [
-        [],
-        [(TPDO1, "2106 d0070000 0000")],
-        [(TPDO2, "d0070000 08")],
-        [(TPDO1, "2106 d0070000 00"), (TPDO2, "d0070000 08")],  # a byte short
-        [(TPDO1, "2106 d0070000 0000"), (TPDO2, "d0070000")],
-        [(TPDO1, ""), (TPDO2, "")],
+        ([], "TPDO 1 and TPDO 2 of node 5 did not arrive in time"),
+        ([(TPDO1, "2106 d0070000 0000")], "TPDO 2 of node 5 did not arrive in time"),
+        ([(TPDO2, "d0070000 08")], "TPDO 1 of node 5 did not arrive in time"),
+        ([(TPDO1, "2106 d0070000 00"), (TPDO2, "d0070000 08")], "TPDO 1 of node 5 has 7 bytes instead of 8"),
+        ([(TPDO1, "2106 d0070000 0000"), (TPDO2, "d0070000")], "TPDO 2 of node 5 has 4 bytes instead of 5"),
+        ([(TPDO1, ""), (TPDO2, "")], "TPDO 2 of node 5 has 0 bytes instead of 5"),
     ],
 )
-def test_half_a_cycle_changes_nothing(frames):
-    """No torn snapshot: the values of the last complete cycle stay, and are marked as old."""
+def test_half_a_cycle_changes_nothing(frames, missing):
+    """No torn snapshot: the values of the last complete cycle stay, are marked as old, and the reason is given."""
     bench = Bench()
     before = bench.heard(counts=1000, velocity=250, torque=7)
     after = bench.cycle(*frames)
     assert not after.is_fresh
-    after.is_fresh = True
+    assert after.missing == missing
+    after.is_fresh, after.missing = True, ""
     assert after == before
+    assert bench.heard().missing == ""
 
 
 def test_before_anything_was_heard_nothing_is_known():
@@ -142,15 +147,15 @@ def test_the_statusword_is_decoded_by_its_state_bits(word, state):
     assert Bench().heard(state=word).state is state
 
 
-# --- what is wrong
+# --- faults
 
 
-def test_a_drive_in_another_mode_than_asked_for_is_told_once_it_is_enabled():
+def test_an_enabled_drive_in_another_mode_is_a_fault():
     bench = Bench(Mode.CSP)
     assert bench.heard(state=0x0233, mode=0).message == ""
-    assert bench.heard(state=0x0237, mode=10).message == "the drive is in mode 10 and not in CSP (8)"
+    assert bench.heard(state=0x0237, mode=10).message == "the drive is in mode 10 and not in CSP (8) [FH-233]"
     assert Bench(Mode.CST).heard(mode=10).message == ""
-    assert Bench(is_listened_to=True).heard(mode=3).message == ""  # somebody else's business
+    assert Bench(is_listened_to=True).heard(mode=3).message == ""  # another master chose the mode
 
 
 @pytest.mark.parametrize(
@@ -164,30 +169,30 @@ def test_a_drive_in_another_mode_than_asked_for_is_told_once_it_is_enabled():
         ("", "as before"),
     ],
 )
-def test_an_emergency_says_what_the_error_is(data, error):
+def test_an_emergency_gives_the_error_in_words(data, error):
     bench = Bench(error="as before")
     feedback = bench.cycle((EMCY, data))
     assert feedback.error == error
     assert bench.cycle((EMCY, "0000 00 0000000000")).error == ""  # error reset
 
 
-def test_a_drive_that_restarts_is_told_and_not_forgotten():
+def test_a_restart_of_the_drive_is_a_fault_that_stays():
     bench = Bench()
     bench.heard()
     bench.axis.handlers[HEARTBEAT](BOOT_UP)
-    assert bench.heard().message == "node 5 restarted (boot-up message)"
+    assert bench.heard().message == "node 5 restarted (boot-up message) [FH-231]"
     bench.axis.handlers[HEARTBEAT](OPERATIONAL)
-    assert bench.heard().message == "node 5 restarted (boot-up message)"
+    assert bench.heard().message == "node 5 restarted (boot-up message) [FH-231]"
 
 
 @pytest.mark.parametrize(("state", "name"), [(PRE_OPERATIONAL, "pre-operational"), (STOPPED, "stopped")])
-def test_a_drive_that_leaves_operational_is_told(state, name):
+def test_a_drive_that_leaves_operational_is_a_fault(state, name):
     bench = Bench()
     bench.axis.handlers[HEARTBEAT](state)  # on its way up
     assert bench.heard().message == ""
     bench.axis.handlers[HEARTBEAT](OPERATIONAL)
     bench.axis.handlers[HEARTBEAT](bytes([state[0] | 0x80]))  # the toggle bit of node guarding is no state
-    assert bench.heard().message == f"node 5 left Operational: it is {name}"
+    assert bench.heard().message == f"node 5 left Operational: it is {name} [FH-232]"
 
 
 def test_three_missing_heartbeats_are_a_loss():
@@ -198,9 +203,9 @@ def test_three_missing_heartbeats_are_a_loss():
         assert bench.heard(after_ms=150).message == ""
         bench.axis.handlers[HEARTBEAT](OPERATIONAL)
     assert bench.heard(after_ms=300).message == ""
-    assert bench.heard(after_ms=1).message == "no heartbeat from node 5 for more than 300 ms"
+    assert bench.heard(after_ms=1).message == "no heartbeat from node 5 for more than 300 ms [FH-230]"
     bench.axis.handlers[HEARTBEAT](OPERATIONAL)
-    assert "no heartbeat" in bench.heard().message  # one loss is one too many
+    assert "no heartbeat" in bench.heard().message  # a loss is not forgotten
 
 
 @given(st.lists(st.tuples(st.sampled_from([TPDO1, TPDO2, EMCY, HEARTBEAT]), st.binary(max_size=8)), max_size=30))
@@ -210,7 +215,9 @@ def test_no_bytes_on_the_bus_break_the_decoder(frames):
         feedback = bench.cycle(*frames[start : start + 4])
         assert all(map(math.isfinite, (feedback.position, feedback.velocity, feedback.torque)))
         assert isinstance(feedback.state, DriveState)
-        bench.command(Request.ENABLE)
+        data = bytes.fromhex(bench.command(Request.ENABLE))
+        assert len(data) == 8
+        assert data[0] in (0x00, 0x06, 0x07, 0x0F), "neither a fault reset nor a quick stop"
 
 
 # --- commands
@@ -233,7 +240,7 @@ def test_a_command_is_packed_as_it_is_mapped(mode, data):
         (0x0231, Request.ENABLE, 0x07),
         (0x0233, Request.ENABLE, 0x0F),
         (0x0237, Request.ENABLE, 0x0F),
-        (0x0217, Request.ENABLE, 0x00),  # out of the quick stop, by way of Switch On Disabled
+        (0x0217, Request.ENABLE, 0x00),  # leaves the quick stop through Switch On Disabled
         (0x0218, Request.ENABLE, 0x00),  # a fault stays
         (0x0237, Request.QUICK_STOP, 0x02),
         (0x0217, Request.QUICK_STOP, 0x02),
@@ -243,7 +250,7 @@ def test_a_command_is_packed_as_it_is_mapped(mode, data):
         (0x0218, Request.DISABLE, 0x00),
     ],
 )
-def test_the_controlword_leads_one_step_towards_what_is_requested(word, wish, sent):
+def test_the_controlword_asks_for_one_step_towards_the_request(word, wish, sent):
     bench = Bench()
     bench.heard(state=word)
     assert bench.command(wish)[:4] == struct.pack("<H", sent).hex()
@@ -286,18 +293,36 @@ def test_a_drive_that_is_only_listened_to_gets_no_command():
     bench = Bench(is_listened_to=True)
     bench.heard()
     with pytest.raises(DriveError, match="x: a drive that is only listened to"):
-        bench.axis.command_frame(Command(Request.DISABLE))
+        bench.axis.encode(Command(Request.DISABLE))
     assert [pdo.cob_id for pdo in bench.axis.pdos] == [TPDO1, TPDO2]
 
 
-def test_a_double_decodes_by_itself():
+def test_a_copy_decodes_by_itself():
     bench = Bench()
     bench.heard(counts=1000)
-    double = bench.axis.double()
-    double.handlers[TPDO1](struct.pack("<Hih", 0x0218, 77, 0))
-    double.handlers[TPDO2](bytes(5))
+    copy = bench.axis.copy()
+    copy.handlers[TPDO1](struct.pack("<Hih", 0x0218, 77, 0))
+    copy.handlers[TPDO2](bytes(5))
     feedback = Feedback()
-    double.fill(feedback, 0)
+    copy.report(feedback, 0)
     assert feedback.state is DriveState.FAULT
     assert bench.cycle().state is DriveState.OPERATION_ENABLED
     assert objects.TPDO_BASES[0] + NODE == TPDO1
+
+
+def test_a_position_is_unwrapped_from_the_cycle_before():
+    tpdos = Bench().axis.tpdos
+    frames = [struct.pack("<Hih", 0x0637, -(1 << 31) + 4, 0), bytes(5)]
+    assert decode_feedback(tpdos, frames, UNITS, None).counts == -(1 << 31) + 4
+    assert decode_feedback(tpdos, frames, UNITS, (1 << 31) - 1).counts == (1 << 31) + 4
+    assert decode_feedback(tpdos, frames, UNITS, -(1 << 32)).counts == -(3 << 31) + 4
+
+
+@given(st.integers(-(1 << 31), (1 << 31) - 1), st.lists(st.integers(-(1 << 31) + 1, (1 << 31) - 1), max_size=50))
+def test_a_position_is_followed_through_all_wraps(start, steps):
+    tpdos, true, counts = Bench().axis.tpdos, start, None
+    for step in [0, *steps]:
+        true += step
+        frames = [struct.pack("<Hih", 0x0637, wrap(true), 0), bytes(5)]
+        counts = decode_feedback(tpdos, frames, UNITS, counts).counts
+        assert counts == true

@@ -1,9 +1,7 @@
-"""The driver on a bus that hands every frame to a simulated drive and back: what it leaves behind."""
+"""The driver on a bus that hands every frame to a simulated drive and back."""
 
-import queue
 import struct
 
-import can
 import numpy as np
 import pytest
 from friction_hil_drivers.canopen import objects
@@ -11,36 +9,13 @@ from friction_hil_drivers.canopen.drives import CanopenDrives
 
 from friction_hil.daemon.realtime import SteppedClock
 from friction_hil.drive import Command, DriveState, Feedback, Request
-from tests.canopen_bench import NODE, Bench
+from friction_hil.errors import BusError
+from tests.canopen_bench import NODE, Bench, BenchBus
 from tests.servo_drives import axis_dict, configuration
 
 CONTROLLER = {"position_gain": 1.0, "velocity_gain": 0.1}
 RPDO1, SDO_REQUEST = 0x205, 0x605
 NO_REACTION = 0  # 6007h: the drive does nothing when the connection is lost
-
-
-class BenchBus(can.BusABC):
-    """Answers are there before anybody asks for them; ``refuse`` may swallow a frame."""
-
-    def __init__(self, bench):
-        super().__init__(channel="bench")
-        self.bench = bench
-        self.answers = queue.SimpleQueue()
-        self.sent = []
-        self.refuse = lambda can_id, data: False
-
-    def send(self, msg, timeout=None):
-        frame = msg.arbitration_id, bytes(msg.data)
-        self.sent.append(frame)
-        if not self.refuse(*frame):
-            for can_id, data in self.bench.send(*frame):
-                self.answers.put(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
-
-    def _recv_internal(self, timeout):
-        try:
-            return self.answers.get(timeout=timeout), True
-        except queue.Empty:
-            return None, True
 
 
 class Driven:
@@ -87,7 +62,7 @@ def test_a_drive_is_enabled_pushed_and_disabled(driven):
     driven.cycle(Request.DISABLE, count=300)  # it brakes first
     assert not driven.feedback.state.is_powered
     driven.drives.close()
-    assert driven.bench.read(0x1016, 1) == 0  # nobody is to be watched any more
+    assert driven.bench.read(0x1016, 1) == 0  # it watches nobody any more
     assert driven.bench.emergencies == []
 
 
@@ -136,14 +111,14 @@ def test_after_a_crash_in_motion_no_drive_keeps_its_power(driven):
     assert driven.bench.read(0x1016, 1) == 0
 
 
-def test_a_drive_that_keeps_its_power_keeps_its_watch(driven):
+def test_a_drive_that_keeps_its_power_keeps_watching_the_daemon(driven):
     def is_controlword(can_id, data):
         return can_id == SDO_REQUEST and data[0] & 0xE0 == 0x20 and data[1:3] == b"\x40\x60"
 
     driven.bench.write(0x6007, 0, "h", NO_REACTION)
     driven.cycle(Request.ENABLE, 0.3, count=10)
     armed = driven.bench.read(0x1016, 1)
-    driven.bus.refuse = is_controlword
+    driven.bus.loses = is_controlword
     driven.drives.close()
     assert driven.bench.read(0x1016, 1) == armed != 0
 
@@ -165,6 +140,11 @@ def test_a_dry_run_writes_nothing_that_moves_or_changes_a_drive():
 
 def test_closing_twice_or_before_anything_was_opened_is_harmless(driven):
     driven.drives.close()
+    sent = len(driven.bus.sent)
     driven.drives.close()
+    assert len(driven.bus.sent) == sent
     config = configuration(x=axis_dict(node=NODE + 1))
-    CanopenDrives(config, config.axes, SteppedClock(), dry_run=False).close()
+    unopened = CanopenDrives(config, config.axes, SteppedClock(), dry_run=False)
+    unopened.close()
+    with pytest.raises(BusError, match="the bus is not open"):
+        unopened.start()

@@ -1,4 +1,4 @@
-"""CAN interfaces as the kernel and ``ip`` tell them."""
+"""CAN interfaces as the kernel and ``ip`` report them."""
 
 import json
 
@@ -14,7 +14,7 @@ from tests.system_files import lay
 GOOD = Link("can", 500_000, "ERROR-ACTIVE")
 
 
-def told(kind="can", **data):
+def reported(kind="can", **data):
     """What ``ip -json -details link show`` prints, as far as it matters here."""
     link = {"ifname": "can0", "flags": ["NOARP", "UP"], "linkinfo": {"info_kind": kind, "info_data": data}}
     return json.dumps([link])
@@ -23,9 +23,9 @@ def told(kind="can", **data):
 @pytest.mark.parametrize(
     ("text", "link"),
     [
-        (told(state="ERROR-ACTIVE", bittiming={"bitrate": 500000, "sample_point": "0.875"}), GOOD),
-        (told(state="ERROR-ACTIVE", bittiming_bitrate=500000, bitrate_const=[125000, 500000]), GOOD),
-        (told(state="STOPPED"), Link("can", None, "STOPPED")),
+        (reported(state="ERROR-ACTIVE", bittiming={"bitrate": 500000, "sample_point": "0.875"}), GOOD),
+        (reported(state="ERROR-ACTIVE", bittiming_bitrate=500000, bitrate_const=[125000, 500000]), GOOD),
+        (reported(state="STOPPED"), Link("can", None, "STOPPED")),
         (json.dumps([{"ifname": "vcan0", "linkinfo": {"info_kind": "vcan"}}]), Link("vcan")),
         (json.dumps([{"ifname": "eth0"}]), Link()),
         ("[]", Link()),
@@ -42,7 +42,7 @@ def interface(root, name="can0", *, is_up=True, kind="280"):
     return lay(root, **{f"sys__class__net__{name}__type": kind, f"sys__class__net__{name}__flags": hex(0x40C0 | is_up)})
 
 
-def test_interfaces_are_told_apart_from_others_and_each_is_told(tmp_path):
+def test_each_can_interface_is_reported_and_no_other(tmp_path):
     interface(tmp_path)
     interface(tmp_path, "can1", is_up=False)
     interface(tmp_path, "eth0", kind="1")
@@ -53,15 +53,16 @@ def test_interfaces_are_told_apart_from_others_and_each_is_told(tmp_path):
         return GOOD
 
     up, down = check_machine(tmp_path, ask)
-    assert asked == ["can0", "can1"] == interfaces.there(tmp_path)
+    assert asked == ["can0", "can1"] == interfaces.can_interfaces(tmp_path)
     assert (up.check, up.result, up.detail) == ("CAN interface can0", "pass", "up, 500000 bit/s, ERROR-ACTIVE")
     assert (down.check, down.result) == ("CAN interface can1", "warn")
     assert down.fix == "ip link set can1 up type can bitrate 500000"
 
 
-def test_a_machine_without_any_is_told_as_that(tmp_path):
+def test_a_machine_without_any_is_a_warning_with_a_remedy(tmp_path):
     (found,) = check_machine(tmp_path, lambda name: GOOD)
-    assert (found.result, found.fix != "") == ("warn", True)
+    assert (found.check, found.result) == ("CAN interfaces", "warn")
+    assert found.fix.endswith("modprobe vcan && ip link add dev vcan0 type vcan && ip link set vcan0 up")
 
 
 @pytest.mark.parametrize(
@@ -83,7 +84,7 @@ def test_an_interface_beside_its_configuration(tmp_path, link, bitrate, result, 
     assert bool(found.fix) == (result != "pass")
 
 
-def test_what_no_configuration_needs_yet_does_not_fail(tmp_path):
+def test_an_interface_that_no_configuration_needs_yet_does_not_fail(tmp_path):
     (found,) = check_machine(interface(tmp_path), lambda name: Link("can", 500_000, "BUS-OFF"))
     assert found.result == "warn"
 

@@ -11,13 +11,14 @@ from friction_hil_drivers.canopen.eds import SIMULATED_SERVO
 from friction_hil_drivers.canopen.mapping import (
     COMMANDS,
     FEEDBACK,
+    PdoRecord,
     check_bus_load,
     frame_bits,
     map_pdo,
     switch_off,
     wire_time_s,
 )
-from friction_hil_drivers.canopen.sdo import ObjectAccess
+from friction_hil_drivers.canopen.sdo import SdoClient
 
 from friction_hil.drive import Mode
 from friction_hil.errors import DriveError
@@ -47,10 +48,10 @@ class Drive:
         self.bench = Bench(**settings)
         network.bus = self.wire = Wire(network, self.bench)
         node = network.add_node(NODE, object_dictionary=None)
-        self.access = ObjectAccess(node, "x", f"node {NODE} on a wire")
+        self.access = SdoClient(node, "x", f"node {NODE} on a wire")
 
     def map(self, entries, *, is_receive=False, number=0, event_ms=0):
-        return map_pdo(self.access, is_receive=is_receive, number=number, node=NODE, entries=entries, event_ms=event_ms)
+        return map_pdo(self.access, PdoRecord(is_receive, number, NODE), entries, event_ms)
 
 
 @pytest.fixture
@@ -139,7 +140,7 @@ def test_a_missing_object_is_named(make):
         drive.map(COMMANDS[Mode.CSP], is_receive=True)
 
 
-def test_a_drive_that_keeps_another_mapping_is_found_out(drive):
+def test_a_drive_that_keeps_another_mapping_is_refused(drive):
     upload_of_second = bytes.fromhex("43001a02")
     drive.wire.garble = lambda data: data[:4] + bytes.fromhex("20006c60") if data[:4] == upload_of_second else data
     with pytest.raises(DriveError, match="TPDO 1 of node 5 on a wire holds 606C0020h at position 2 after 60640020h"):
@@ -149,18 +150,18 @@ def test_a_drive_that_keeps_another_mapping_is_found_out(drive):
 def test_unused_pdos_are_switched_off_once(drive):
     drive.map(FEEDBACK[0], number=2)
     assert drive.bench.read(0x1802, 1) == 0x385
-    switch_off(drive.access, is_receive=False, number=2, node=NODE)
+    switch_off(drive.access, PdoRecord(False, 2, NODE))
     assert drive.bench.read(0x1802, 1) & objects.PDO_INVALID
     drive.wire.requests.clear()
-    switch_off(drive.access, is_receive=False, number=2, node=NODE)
+    switch_off(drive.access, PdoRecord(False, 2, NODE))
     assert all(data[0] == 0x40 for data in drive.wire.requests)  # it only looked
 
 
 def test_a_pdo_that_the_drive_does_not_have_needs_no_switching_off(make):
     drive = make(missing=[0x1803, 0x1A03])
     drive.wire.requests.clear()
-    switch_off(drive.access, is_receive=False, number=3, node=NODE)
-    assert [data[0] for data in drive.wire.requests] == [0x40]  # one look, and nothing written
+    switch_off(drive.access, PdoRecord(False, 3, NODE))
+    assert [data[:4].hex() for data in drive.wire.requests] == ["40031801"]  # it only looked
 
 
 # --- time on the wire: figures of CAN at 1 Mbit/s with worst-case stuffing
@@ -180,8 +181,9 @@ def test_a_cycle_takes_its_known_time(drive, axes, microseconds):
 def test_a_cycle_that_does_not_fit_is_refused_with_the_arithmetic(drive):
     pdos = [drive.map(FEEDBACK[0]), drive.map(FEEDBACK[1], number=1), drive.map(COMMANDS[Mode.CSP], is_receive=True)]
     bits = 55 + 135 + frame_bits(5) + 135
-    check_bus_load(1_000_000, 1e-3, pdos * 2)
-    check_bus_load(500_000, 2.0 * bits / 500_000, pdos)
+    two = 55 + 2 * (bits - 55)
+    assert check_bus_load(1_000_000, 1e-3, pdos * 2) == f"a cycle needs {two} us of 1000 us on the bus at 1000000 bit/s"
+    assert f"needs {2 * bits} us of {4 * bits} us" in check_bus_load(500_000, 2.0 * bits / 500_000, pdos)
     with pytest.raises(DriveError) as caught:
         check_bus_load(1_000_000, 1e-3, pdos * 3)
     needed = 55 + 3 * (bits - 55)

@@ -1,60 +1,75 @@
-"""Simulated time: a drive that falls silent must end the run, for nothing else would."""
-
-import collections
+"""Simulated time: a drive that does not answer must end the run, for no clock would."""
 
 import can
 import pytest
-from friction_hil_drivers.canopen import drives as driver
 from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen.drives import CanopenDrives
+from friction_hil_drivers.canopen.exchange import STEPPED_TIMEOUT_S, STEPPED_TIMEOUTS
 
 from friction_hil.daemon.realtime import SteppedClock
 from friction_hil.drive import Feedback
 from friction_hil.errors import DriveError
-from tests.canopen_bench import NODE, Bench
+from tests.canopen_bench import NODE, Bench, BenchBus
 from tests.servo_drives import axis_dict, configuration
 
 
-class DeafBus(can.BusABC):
-    """Hands frames to a simulated drive, but for SYNC while it is deaf."""
+class PatientBus(BenchBus):
+    """Loses SYNC while it is deaf; counts the seconds for which the driver waited in vain, and waits for none."""
 
     def __init__(self):
-        super().__init__(channel="bench")
-        self.bench = Bench()
-        self.answers = collections.deque()
+        super().__init__(Bench())
         self.is_deaf = False
+        self.waited_s = 0.0
 
-    def send(self, msg, timeout=None):
-        if self.is_deaf and msg.arbitration_id == objects.SYNC_ID:
-            return
-        for can_id, data in self.bench.send(msg.arbitration_id, bytes(msg.data)):
-            self.answers.append(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
+    def loses(self, can_id, data):
+        return self.is_deaf and can_id == objects.SYNC_ID
 
-    def _recv_internal(self, timeout):
-        return (self.answers.popleft() if self.answers else None), True
+    def recv(self, timeout=None):
+        if self.is_deaf and self.answers.empty():
+            self.waited_s += timeout
+            return None
+        return super().recv(timeout)
 
 
-def test_a_drive_that_answers_no_sync_ends_the_run(monkeypatch):
-    bus = DeafBus()
+@pytest.fixture
+def bus():
+    one = PatientBus()
+    yield one
+    one.shutdown()
+
+
+@pytest.fixture
+def drives(bus):
     config = configuration(x=axis_dict(node=NODE))
-    drives = driver.CanopenDrives(config, config.axes, SteppedClock(), dry_run=False, bus=bus)
+    one = CanopenDrives(config, config.axes, SteppedClock(), dry_run=False, bus=bus)
+    one.connect()
+    one.start()
+    yield one
+    bus.is_deaf = False
+    one.close()
+
+
+def test_a_drive_that_answers_no_sync_ends_the_run(drives, bus):
     feedback = Feedback()
-    try:
-        drives.connect()
-        drives.start()
+    drives.receive([feedback], 0)
+    assert feedback.is_fresh
+    for _ in range(5):  # a single cycle may be lost now and then
+        for bus.is_deaf in (True, False):
+            drives.receive([feedback], 0)
+            assert feedback.is_fresh is not bus.is_deaf
+    bus.is_deaf, bus.waited_s = True, 0.0
+    for _ in range(STEPPED_TIMEOUTS - 1):
         drives.receive([feedback], 0)
-        assert feedback.is_fresh
-        monkeypatch.setattr(driver, "_STEPPED_TIMEOUT_S", 0.1)  # not before: the first cycle compiles the drive
-        for _ in range(5):  # what is lost now and then is bridged
-            bus.is_deaf = True
-            drives.receive([feedback], 0)
-            assert not feedback.is_fresh
-            bus.is_deaf = False
-            drives.receive([feedback], 0)
-        bus.is_deaf = True
-        for _ in range(2):
-            drives.receive([feedback], 0)
-        with pytest.raises(DriveError, match="not every drive has answered SYNC"):
-            drives.receive([feedback], 0)
-    finally:
-        drives.close()
-        bus.shutdown()
+    with pytest.raises(DriveError, match=r"not every drive has answered SYNC for 30 s: .* \[FH-234\]"):
+        drives.receive([feedback], 0)
+    assert bus.waited_s == STEPPED_TIMEOUTS * STEPPED_TIMEOUT_S
+
+
+def test_a_bus_that_fails_is_an_error_with_a_code(drives, bus):
+    def fail(msg, timeout=None):
+        raise can.CanOperationError("bus-off")
+
+    bus.send, working = fail, bus.send
+    with pytest.raises(Exception, match=r"the bus virtual test-\d+ cannot send: bus-off \[FH-202\]"):
+        drives.receive([Feedback()], 0)
+    bus.send = working

@@ -102,7 +102,7 @@ def test_modes_of_6502h() -> None:
         assert mode == OperationMode.NAME2CODE[name]
 
 
-def test_error_codes_are_told_in_words() -> None:
+def test_error_codes_have_words() -> None:
     assert profile.error_text(0x8130) == "8130h heartbeat or life guard lost"
     assert profile.error_text(0x8999) == "8999h monitoring"
     assert profile.error_text(0xB123) == "B123h the manufacturer's own"

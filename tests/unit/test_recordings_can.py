@@ -10,9 +10,9 @@ import pytest
 from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.axis import CanopenAxis
 from friction_hil_drivers.canopen.configure import ConfiguredDrive
-from friction_hil_drivers.canopen.mapping import COMMANDS, FEEDBACK, Pdo, pdo_layout
+from friction_hil_drivers.canopen.mapping import COMMANDS, FEEDBACK, MappedPdo, pdo_layout
 from friction_hil_drivers.canopen.objects import Object
-from friction_hil_drivers.canopen.units import Units
+from friction_hil_drivers.canopen.units import CanopenUnits
 
 import friction_hil as fh
 from friction_hil.cli import main
@@ -23,7 +23,7 @@ from friction_hil.errors import FrictionHilError, RecordingError, UsageError
 ROOT = Path(__file__).parents[2]
 CYCLES = 60
 PERIOD = 1e-3
-UNITS = Units(counts_per_unit=65536 / (2.0 * np.pi), velocity_per_unit=65536 / (2.0 * np.pi), rated_torque=0.5)
+UNITS = CanopenUnits(counts_per_unit=65536 / (2.0 * np.pi), velocity_per_unit=65536 / (2.0 * np.pi), rated_torque=0.5)
 WRITERS = {".log": can.CanutilsLogWriter, ".asc": can.ASCWriter, ".blf": can.BLFWriter}
 FACTS = AxisFacts("x", "", 1e-4, 1e-3, 0.0, 0.0)
 
@@ -58,8 +58,8 @@ def machine(folder: Path, mode: Mode, *keys: str) -> Path:
 def drive(mode: Mode) -> CanopenAxis:
     """The driver's encoder and decoder of node 1."""
 
-    def pdo(cob_id: int, entries: tuple[Object, ...]) -> Pdo:
-        return Pdo(cob_id, entries, pdo_layout(entries, [entry.type.bits for entry in entries]))
+    def pdo(cob_id: int, entries: tuple[Object, ...]) -> MappedPdo:
+        return MappedPdo(cob_id, entries, pdo_layout(entries, [entry.type.bits for entry in entries]))
 
     tpdos = tuple(pdo(objects.TPDO_BASES[i] + 1, entries) for i, entries in enumerate(FEEDBACK))
     rpdo = pdo(objects.RPDO_BASES[0] + 1, COMMANDS[mode])
@@ -88,11 +88,11 @@ def session(mode: Mode, *, start: int = 2**31 - 700) -> tuple[list[can.Message],
             axis.tpdos[0].layout.pack(0x27, counts, 5 * cycle - 100),
             axis.tpdos[1].layout.pack(-11 * cycle, mode),
         ]
-        axis.expect(0)
+        axis.begin_cycle(0)
         for pdo, content in zip(axis.tpdos, data, strict=True):
             axis.handlers[pdo.cob_id](content)
-        axis.fill(feedback, 0)
-        identifier, content = axis.command_frame(command)
+        axis.report(feedback, 0)
+        identifier, content = axis.encode(command)
         frames.append(message(0x080, b"", at))
         frames += [message(pdo.cob_id, d, at + 1e-4) for pdo, d in zip(axis.tpdos, data, strict=True)]
         frames.append(message(identifier, content, at + 3e-4))
@@ -191,9 +191,9 @@ def test_without_sync_a_cycle_begins_with_its_first_frame(tmp_path: Path) -> Non
 def test_scales_come_from_the_configuration_first(tmp_path: Path) -> None:
     frames = [frame for frame in session(Mode.CSP)[0] if frame.arbitration_id != 0x581]
     path = write(tmp_path / "x.log", frames)
-    with pytest.raises(RecordingError, match=r"node 1 in .*x\.log does not tell its encoder .* give counts_per_unit"):
+    with pytest.raises(RecordingError, match=r"node 1 in .*x\.log does not report its encoder .* give counts_per_unit"):
         fh.recordings.read(path, configuration=load(machine(tmp_path, Mode.CSP)))
-    with pytest.raises(RecordingError, match=r"does not tell its rated torque .* give rated_torque"):
+    with pytest.raises(RecordingError, match=r"does not report its rated torque .* give rated_torque"):
         fh.recordings.read(path, configuration=load(machine(tmp_path, Mode.CSP, "counts_per_unit: 100.0")))
     keys = ("counts_per_unit: 100.0", "rated_torque: 2.0", "is_inverted: true")
     read = fh.recordings.read(path, configuration=load(machine(tmp_path, Mode.CSP, *keys)))

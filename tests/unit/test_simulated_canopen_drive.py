@@ -123,12 +123,12 @@ def test_quick_stop(bench: Bench, option: int) -> None:
         return
     assert state(bench) == STOPPING
     assert bench.statusword & 0x400, "target reached: it stands"
-    place = bench.servo.position
+    start = bench.servo.position
     bench.sync(50)
-    assert bench.servo.position == pytest.approx(place, abs=1e-3)
+    assert bench.servo.position == pytest.approx(start, abs=1e-3)
     assert control(bench, 0x0F) == ENABLED, "transition 16"
     bench.sync(50)
-    assert bench.servo.position == pytest.approx(place, abs=1e-3), "it resumes from where it stands"
+    assert bench.servo.position == pytest.approx(start, abs=1e-3), "it resumes from its position"
 
 
 def test_quick_stop_holds_against_a_load() -> None:
@@ -136,10 +136,10 @@ def test_quick_stop_holds_against_a_load() -> None:
     bench.write(0x605A, 0, "h", 6)
     bench.stream(8)
     bench.sync(200)
-    place = bench.servo.position
+    start = bench.servo.position
     assert control(bench, 0x02) == STOPPING
     bench.sync(200)
-    assert bench.servo.position == pytest.approx(place, abs=2e-3)
+    assert bench.servo.position == pytest.approx(start, abs=2e-3)
     assert bench.servo.torque == pytest.approx(0.1, abs=2 * FRICTION)
 
 
@@ -394,11 +394,11 @@ def test_reset_node_returns_to_the_defaults_and_keeps_the_place(bench: Bench) ->
     bench.stream(8)
     move(bench, 8, 3000, 100)
     bench.write(0x6065, 0, "I", 7)
-    place = bench.servo.position
+    start = bench.servo.position
     assert bench.nmt(0x81)[0] == (0x705, b"\0")
     assert state(bench) == DISABLED
     assert torque(bench) == 0.0
     assert bench.read(0x6065) == round(1048576 / 20)
     assert bench.read(0x6060, 0, "b") == 0
     assert bench.read(0x1600, 0, "B") == 1
-    assert bench.servo.position == pytest.approx(place, abs=1e-3)
+    assert bench.servo.position == pytest.approx(start, abs=1e-3)

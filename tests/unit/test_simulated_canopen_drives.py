@@ -15,7 +15,7 @@ _channels = itertools.count()
 
 
 def drives_on_a_bus(pace: Any, simulation: Any = None, period_s: float = 1e-3) -> tuple[SimulatedCanopenDrives, Any]:
-    """Make two axes and somebody who listens."""
+    """Make two axes and a listener."""
     channel = f"simulated-{next(_channels)}"
     axis = {
         "driver": "canopen",
@@ -120,7 +120,7 @@ def test_period_must_fit_the_integration() -> None:
     listener.shutdown()
 
 
-def test_specimen_is_what_the_configuration_says() -> None:
+def test_drive_is_what_the_configuration_says() -> None:
     shown = {
         "vendor_id": 7,
         "product_code": 8,

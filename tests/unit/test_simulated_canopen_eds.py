@@ -117,7 +117,7 @@ PDOMapping=1
 """
 
 
-def test_drive_with_somebody_elses_eds(tmp_path: Path) -> None:
+def test_drive_with_a_foreign_eds(tmp_path: Path) -> None:
     path = tmp_path / "foreign.eds"
     path.write_text(FOREIGN)
     bench = Bench(eds=path)

@@ -103,7 +103,7 @@ def test_heartbeat_is_watched_from_the_first_on() -> None:
     bench.send(MASTER, b"\x05")
     assert bench.at(1049) == []
     assert bench.at(1050) == [(0x085, bytes.fromhex("30 81 11 00 00 00 00 00"))]
-    assert bench.at(5000) == [], "told once"
+    assert bench.at(5000) == [], "reported once"
     assert bench.send(MASTER, b"\x05") == [(0x085, bytes(8))]
 
 
@@ -227,7 +227,7 @@ def test_late_sync_stops_the_drive() -> None:
     assert bench.node.drive.state is DriveState.FAULT
 
 
-def test_lost_connection_of_a_drive_that_is_off_is_told_but_no_fault() -> None:
+def test_lost_connection_of_a_drive_that_is_off_is_reported_but_no_fault() -> None:
     bench = Bench(PLAIN)
     bench.write(0x1400, 5, "H", 20)
     bench.nmt(0x01)
@@ -266,7 +266,7 @@ def test_errors_are_listed_newest_first() -> None:
     bench.sync(30)
     bench.send(0x205, b"")
     assert bench.read(0x1003, 0, "B") == 3
-    assert [bench.read(0x1003, place) for place in (1, 2, 3)] == [0x8210, 0x8250, 0x8130]
+    assert [bench.read(0x1003, entry) for entry in (1, 2, 3)] == [0x8210, 0x8250, 0x8130]
     assert bench.read(0x603F, 0, "H") == 0x8210
 
 

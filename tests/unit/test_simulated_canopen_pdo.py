@@ -30,7 +30,7 @@ def test_default_mapping_is_the_profile_s(bench: Bench) -> None:
     }
     for index, words in expected.items():
         assert bench.read(index, 0, "B") == len(words)
-        assert [bench.read(index, place) for place in range(1, len(words) + 1)] == words
+        assert [bench.read(index, position) for position in range(1, len(words) + 1)] == words
     assert [bench.read(0x1400 + n, 1) & 0x800007FF for n in range(4)] == [
         0x205,
         0x80000305,
@@ -85,12 +85,12 @@ def test_what_cannot_be_mapped(bench: Bench, mapping: int, word: int) -> None:
 def test_mapping_holds_eight_bytes(bench: Bench) -> None:
     bench.write(0x1400, 1, "I", 0x80000205)
     bench.write(0x1600, 0, "B", 0)
-    for place, word in enumerate((TARGET_POSITION, 0x60FF0020, CONTROLWORD), 1):
-        bench.write(0x1600, place, "I", word)
+    for position, word in enumerate((TARGET_POSITION, 0x60FF0020, CONTROLWORD), 1):
+        bench.write(0x1600, position, "I", word)
     assert bench.try_write(0x1600, 0, "B", 3) == TOO_LONG
     assert bench.try_write(0x1600, 0, "B", 9) == 0x06090031
     bench.write(0x1600, 0, "B", 2)
-    assert bench.try_write(0x1600, 0, "B", 4) == NOT_MAPPABLE, "nothing stands in the fourth place"
+    assert bench.try_write(0x1600, 0, "B", 4) == NOT_MAPPABLE, "the fourth entry is empty"
 
 
 @pytest.mark.parametrize("cob_id", [0x000, 0x07F, 0x101, 0x180, 0x585, 0x605, 0x6E0, 0x705, 0x7FF, 0x20000205, 0x805])
@@ -140,7 +140,7 @@ def test_short_rpdo_is_reported_and_ignored_and_a_long_one_taken(bench: Bench) -
     bench.nmt(0x01)
     frames = bench.send(0x205, b"\x06\x00\x6f")
     assert frames == [(0x085, bytes.fromhex("10 82 11 00 00 00 00 00")), (0x185, b"\xd0\x02")]
-    assert bench.send(0x205, b"\x06\x00\x6f") == [], "told once"
+    assert bench.send(0x205, b"\x06\x00\x6f") == [], "reported once"
     assert bench.read(0x6071, 0, "h") == 0
     assert bench.statusword & 0x80, "warning"
     assert bench.send(0x205, b"\x00\x00\x6f\x00\xff\xff") == [(0x085, bytes(8)), (0x185, b"\x50\x02")]
@@ -228,7 +228,7 @@ def test_all_four_of_each_direction_work(bench: Bench) -> None:
     assert [data for _, data in frames] == [struct.pack("<h", 1), struct.pack("<h", 2), b"\3\0\0\0", b"\4\0\0\0"]
 
 
-def test_objects_that_a_specimen_lacks_cannot_be_mapped() -> None:
+def test_objects_that_a_drive_lacks_cannot_be_mapped() -> None:
     bench = Bench(missing=[0x60B2, 0x6064])
     bench.write(0x1400, 1, "I", 0x80000205)
     bench.write(0x1600, 0, "B", 0)

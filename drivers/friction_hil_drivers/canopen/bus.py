@@ -4,32 +4,34 @@ import logging
 import socket
 from typing import TYPE_CHECKING, Any
 
+import can
+from can.interfaces import VALID_INTERFACES
+
 from friction_hil.errors import BusError, UsageError, choices
-from friction_hil_drivers.canopen import interfaces
+from friction_hil_drivers.canopen import codes, interfaces
+from friction_hil_drivers.canopen.codes import coded
+from friction_hil_drivers.canopen.frames import FrameBus, frame_bus
+from friction_hil_drivers.canopen.interfaces import bus_name
 
 if TYPE_CHECKING:
-    import can
-
     from friction_hil.config import BusConfig
 
 _WITHOUT_BITRATE = ("udp_multicast", "virtual", "socketcan")
 
-# What these libraries log, Python prints where nobody handles it; our own errors say it, once and in full.
+# Without a handler Python prints what these libraries log; the errors raised here say the same, once.
 for _library in ("can", "canopen"):
     logging.getLogger(_library).addHandler(logging.NullHandler())
 
 
-def bus_name(config: "BusConfig") -> str:
-    """Name of a bus for people: ``udp_multicast 239.74.163.2:43113``."""
-    port = "" if config.port is None else f":{config.port}"
-    return f"{config.interface} {config.channel}{port}"
+def open_frame_bus(config: "BusConfig", bus: can.BusABC | None = None) -> FrameBus:
+    """Open the bus that the configuration names, or take the open one given, for raw frames; see `open_bus`."""
+    return frame_bus(bus or open_bus(config), config, bus_name(config))
 
 
-def open_bus(config: "BusConfig") -> "can.BusABC":
+def open_bus(config: "BusConfig") -> can.BusABC:
     """Open the bus that the configuration names.
 
-    Note what a caller has to expect of python-can: udp_multicast delivers a node's own frames to itself, and
-    every interface delivers frames that are addressed to nobody here.
+    With udp_multicast a process receives its own frames too, and every interface delivers frames for other nodes.
 
     Raises
     ------
@@ -38,9 +40,22 @@ def open_bus(config: "BusConfig") -> "can.BusABC":
     UsageError
         python-can has no such interface.
     """
-    import can
-
     require_known(config)
+    try:
+        if config.interface == "udp_multicast":
+            _require_route(str(config.channel), config.port or 0)
+        elif config.interface == "socketcan":
+            _require_interface(str(config.channel))
+        # ignore_config: a ~/.canrc must not change what the configuration file says
+        return can.Bus(interface=config.interface, channel=config.channel, ignore_config=True, **_arguments(config))
+    except (can.CanError, OSError, ValueError, TypeError, ImportError) as error:
+        reason = str(error) or type(error).__name__
+        text = f"the bus {bus_name(config)} does not open: {reason}"
+        raise BusError(coded(text, codes.BUS_NOT_OPENED), advice(config)) from error
+
+
+def _arguments(config: "BusConfig") -> dict[str, Any]:
+    """Return the keyword arguments of `can.Bus` beside interface and channel."""
     arguments: dict[str, Any] = dict(config.further)
     if config.port is not None:
         arguments["port"] = config.port
@@ -50,28 +65,17 @@ def open_bus(config: "BusConfig") -> "can.BusABC":
         arguments["bitrate"] = config.bitrate
     if config.interface == "udp_multicast":
         arguments["fd"] = False
-    try:
-        if config.interface == "udp_multicast":
-            _require_route(str(config.channel), config.port or 0)
-        elif config.interface == "socketcan":
-            _require_interface(str(config.channel))
-        # ignore_config: a ~/.canrc must not change what the configuration file says
-        return can.Bus(interface=config.interface, channel=config.channel, ignore_config=True, **arguments)
-    except (can.CanError, OSError, ValueError, TypeError, ImportError) as error:
-        reason = str(error) or type(error).__name__
-        raise BusError(f"the bus {bus_name(config)} does not open: {reason}", advice(config)) from error
+    return arguments
 
 
 def require_known(config: "BusConfig") -> None:
-    """See that python-can has the interface.
+    """Check that python-can has the interface.
 
     Raises
     ------
     UsageError
-        It has not; the message has those that there are.
+        It has not; the message lists those that it has.
     """
-    from can.interfaces import VALID_INTERFACES
-
     if config.interface not in VALID_INTERFACES:
         raise UsageError(
             f"bus.interface: python-can has no interface {config.interface!r}",
@@ -80,28 +84,28 @@ def require_known(config: "BusConfig") -> None:
 
 
 def _require_route(group: str, port: int) -> None:
-    """Fail early where multicast frames would have nowhere to go; python-can notices only when sending."""
+    """Fail early where multicast has no route; python-can fails only when it sends."""
     family, _, _, _, address = socket.getaddrinfo(group, port or 1, type=socket.SOCK_DGRAM)[0]
     with socket.socket(family, socket.SOCK_DGRAM) as probe:
         probe.connect(address)
 
 
 def _require_interface(name: str) -> None:
-    """Fail early where a CAN interface is down; the kernel lets it be opened and then delivers nothing."""
+    """Fail early where a CAN interface is down; the kernel opens it all the same and delivers nothing."""
     if name not in (each for _, each in socket.if_nameindex()):
-        there = ", ".join(interfaces.there()) or "none"
-        raise OSError(f"there is no interface {name}; CAN interfaces of this machine: {there}")
+        present = ", ".join(interfaces.can_interfaces()) or "none"
+        raise OSError(f"there is no interface {name}; CAN interfaces of this machine: {present}")
     if interfaces.is_up(name) is False:
         raise OSError(f"the interface {name} is down")
 
 
 def advice(config: "BusConfig") -> str:
-    """Say what to do about a bus that does not open; nothing where that is not known."""
+    """Return what to do about a bus that does not open, "" where that is not known."""
     if config.interface == "udp_multicast":
         return "where only the loopback interface is up, give multicast a route: ip route add 239.0.0.0/8 dev lo"
     if config.interface == "socketcan":
         name = str(config.channel)
-        is_there = name in interfaces.there()
-        first = "bring it up with" if is_there or name.startswith("vcan") else "plug the adapter in, then"
-        return f"{first}: {interfaces.how_to_bring_up(name, config.bitrate, is_there=is_there)}"
+        is_present = name in interfaces.can_interfaces()
+        first = "bring it up with" if is_present or name.startswith("vcan") else "plug the adapter in, then"
+        return f"{first}: {interfaces.how_to_bring_up(name, config.bitrate, is_present=is_present)}"
     return ""

@@ -1,4 +1,4 @@
-"""What can be told of a CAN bus and its drives before anything is said on it."""
+"""Checks of a CAN bus and its drives that send nothing on the bus."""
 
 import os
 from collections.abc import Iterator, Mapping
@@ -9,19 +9,19 @@ from friction_hil.drive import Mode
 from friction_hil.drive.finding import Finding, failure
 from friction_hil.errors import DriveError, FrictionHilError
 from friction_hil_drivers.canopen import interfaces
-from friction_hil_drivers.canopen.bus import bus_name, open_bus, require_known
 from friction_hil_drivers.canopen.exclusive import AxisLock
+from friction_hil_drivers.canopen.interfaces import bus_name
 from friction_hil_drivers.canopen.mapping import check_bus_load, expected_pdos
-from friction_hil_drivers.canopen.options import CanopenOptions
+from friction_hil_drivers.canopen.options import canopen_options
 
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig, BusConfig, Configuration
 
-_SILENT = ("socketcan", "udp_multicast", "virtual")  # to open these changes nothing for anybody
+_SILENT = ("socketcan", "udp_multicast", "virtual")  # opening one of these disturbs no other node
 
 
 def check_connection(configuration: "Configuration", axes: "Mapping[str, AxisConfig]") -> Iterator[Finding]:
-    """Tell how the bus is, whether the cycle fits on it, and whose the drives are; see `friction_hil.drive.Driver`."""
+    """Yield the state of the bus, its load and the owner of each drive; see `friction_hil.drive.Driver`."""
     config = configuration.bus
     assert config is not None  # the driver's options have checked it
     opened = _opened(config)
@@ -36,6 +36,9 @@ def check_connection(configuration: "Configuration", axes: "Mapping[str, AxisCon
 
 
 def _opened(config: "BusConfig") -> Finding:
+    # imported here: python-can takes 0.5 s, and reading a configuration does not need it
+    from friction_hil_drivers.canopen.bus import open_bus, require_known
+
     check = "bus"
     try:
         require_known(config)
@@ -48,8 +51,8 @@ def _opened(config: "BusConfig") -> Finding:
     if device.is_absolute() and not os.access(device, os.R_OK | os.W_OK):
         reason = "permission denied" if device.exists() else "there is no such device"
         return Finding(check, "fail", f"{device}: {reason}", "plug the adapter in, and see who may open it: ls -l /dev")
-    detail = f"{bus_name(config)} is not opened here: such an adapter takes part in the bus as soon as it is"
-    return Finding(check, "warn", detail, "friction-hil run with --dry-run opens it, and commands nothing")
+    detail = f"{bus_name(config)} is not opened here: such an adapter takes part in the bus as soon as it is open"
+    return Finding(check, "warn", detail, "friction-hil run with --dry-run opens it and commands nothing")
 
 
 def _load(bitrate: int, period_s: float, axes: "Mapping[str, AxisConfig]") -> Finding:
@@ -61,12 +64,11 @@ def _load(bitrate: int, period_s: float, axes: "Mapping[str, AxisConfig]") -> Fi
 
 
 def _owner(config: "BusConfig", name: str, axis: "AxisConfig") -> Finding:
-    """Tell whether a daemon of this machine drives the axis: it would be refused to another one."""
-    options = axis.options
-    assert isinstance(options, CanopenOptions)
-    check = f"{name}: node {options.node}"
+    """Check that no other daemon of this machine drives the axis."""
+    node = canopen_options(axis).node
+    check = f"{name}: node {node}"
     try:
-        AxisLock(config, options.node, name).release()
+        AxisLock(config, node, name).release()
     except DriveError as error:
         return failure(check, error)
     return Finding(check, "pass", "no other daemon of this machine drives it")

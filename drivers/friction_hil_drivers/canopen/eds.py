@@ -1,4 +1,4 @@
-"""Reading EDS and DCF files, sloppy ones included."""
+"""Reading EDS and DCF files, including those with faulty comments."""
 
 import configparser
 import io
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 FOLDER = Path(__file__).parents[1] / "eds"
 SIMULATED_SERVO = FOLDER / "friction_hil_servo.eds"
 
-# Many vendors number their comments wrongly, over which canopen stops; nobody needs them.
+# Many vendors number their comments wrongly, and canopen fails on that; the comments are not needed.
 _COMMENTS = re.compile(r"^\[Comments\][^\[]*", re.MULTILINE | re.IGNORECASE)
 
 
@@ -24,12 +24,13 @@ def load_eds(path: Path, node: int) -> "ObjectDictionary":
     Raises
     ------
     UsageError
-        The file cannot be read or is no EDS.
+        The file cannot be read or is not an EDS.
     """
+    # imported here: canopen takes 0.5 s, and only an axis with an EDS needs it to check a configuration
     import canopen
 
     if path.suffix.lower() not in (".eds", ".dcf"):
-        raise UsageError(f"{path} is no EDS: its name should end in .eds or .dcf")
+        raise UsageError(f"{path} is not an EDS: its name should end in .eds or .dcf")
     try:
         text = path.read_text(encoding="utf-8", errors="replace")
     except OSError as error:
@@ -39,8 +40,8 @@ def load_eds(path: Path, node: int) -> "ObjectDictionary":
     try:
         dictionary = canopen.import_od(source, node)
     except (configparser.Error, ValueError, KeyError, TypeError) as error:
-        reason = str(error).partition("\n")[0]  # what follows quotes the file, which may be anything
+        reason = str(error).partition("\n")[0]  # the lines after it quote the file, which may be anything
         raise UsageError(f"{path} is no valid EDS: {reason}") from error
     if len(dictionary) == 0:
-        raise UsageError(f"{path} is no EDS: it has no object")
+        raise UsageError(f"{path} is not an EDS: it has no object")
     return dictionary

@@ -1,4 +1,4 @@
-"""One daemon an axis: a lock that the kernel releases when its owner ends, however it ends."""
+"""One daemon for each axis: a lock that the kernel releases when its owner ends, even by a crash."""
 
 import fcntl
 import os
@@ -8,14 +8,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from friction_hil.errors import DriveError
-from friction_hil_drivers.canopen.bus import bus_name
+from friction_hil_drivers.canopen import codes
+from friction_hil_drivers.canopen.codes import coded
+from friction_hil_drivers.canopen.interfaces import bus_name
 
 if TYPE_CHECKING:
     from friction_hil.config import BusConfig
 
 
 class AxisLock:
-    """Held by the daemon that owns a node of a bus, on this machine.
+    """Lock of one node of a bus, held by the daemon of this machine that drives it.
 
     Raises
     ------
@@ -28,37 +30,36 @@ class AxisLock:
         self._path = Path(tempfile.gettempdir()) / name
         self._descriptor = self._open(axis)
         try:
-            # the owner before may have removed the file between our opening and locking it
+            # the owner before may have removed the file after it was opened here and before it was locked
             while not self._lock():
                 os.close(self._descriptor)
                 self._descriptor = self._open(axis)
         except BlockingIOError:
             owner = os.read(self._descriptor, 32).decode(errors="replace").strip() or "unknown"
             os.close(self._descriptor)
-            raise DriveError(
-                f"{axis}: node {node} on {bus_name(bus)} belongs to another daemon already (process {owner})",
-                "stop that one first",
-            ) from None
+            text = f"{axis}: node {node} on {bus_name(bus)} belongs to another daemon already (process {owner})"
+            raise DriveError(coded(text, codes.NODE_LOCKED), "stop that one first") from None
         os.ftruncate(self._descriptor, 0)
         os.pwrite(self._descriptor, f"{os.getpid()}\n".encode(), 0)
 
     def release(self) -> None:
-        """Give the axis free; safe to call twice."""
+        """Release the axis; safe to call twice."""
         if self._descriptor >= 0:
             self._path.unlink(missing_ok=True)
             os.close(self._descriptor)
             self._descriptor = -1
 
     def _open(self, axis: str) -> int:
-        # for all users, as the bus is; never through a link that somebody else may have laid
+        # for all users, as the bus is; never through a link that another user may have placed there
         flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW
         try:
             return os.open(self._path, flags, 0o666)
         except OSError as error:
-            raise DriveError(f"{axis}: the lock file {self._path} cannot be opened: {error.strerror}") from error
+            text = f"{axis}: the lock file {self._path} cannot be opened: {error.strerror}"
+            raise DriveError(coded(text, codes.LOCK_FILE)) from error
 
     def _lock(self) -> bool:
-        """Lock the open file; whether it is still the one that others will find."""
+        """Lock the open file; return True if it is still the one under its name."""
         fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         try:
             return os.path.samestat(os.fstat(self._descriptor), os.stat(self._path))

@@ -12,24 +12,26 @@ import socket
 import struct
 from typing import TYPE_CHECKING, Any
 
+import can
+import msgpack
+
 from friction_hil.errors import BusError
+from friction_hil_drivers.canopen import codes
+from friction_hil_drivers.canopen.codec import Frame
+from friction_hil_drivers.canopen.codes import coded
 
 if TYPE_CHECKING:
-    import can
-
     from friction_hil.config import BusConfig
 
-Frame = tuple[int, bytes]
-
 _SOCKETCAN_FRAME = struct.Struct("=IB3x8s")
-_NO_PLAIN_FRAME = 0xE0000000  # extended, remote or error frame
+_NO_DATA_FRAME = 0xE0000000  # extended, remote or error frame
 _LONGEST_DATAGRAM = 2048
 
 
 class FrameBus:
-    """Plain data frames with 11-bit identifiers on an open python-can bus.
+    """Data frames with 11-bit identifiers on an open python-can bus.
 
-    Frames of other kinds are passed over. udp_multicast delivers a process's own frames to it as well.
+    Frames of other kinds are ignored. udp_multicast delivers a process's own frames to it as well.
 
     Parameters
     ----------
@@ -39,7 +41,7 @@ class FrameBus:
         For messages.
     """
 
-    def __init__(self, bus: "can.BusABC", name: str) -> None:
+    def __init__(self, bus: can.BusABC, name: str) -> None:
         self.bus = bus
         self._name = name
 
@@ -51,29 +53,25 @@ class FrameBus:
         BusError
             The bus cannot send.
         """
-        import can
-
         try:
             self.bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
         except (can.CanError, OSError) as error:
             raise self._error("send", error) from error
 
     def receive(self, timeout: float) -> Frame | None:
-        """Next frame, or None after ``timeout`` seconds (or earlier, where something else arrived).
+        """Return the next frame, None after ``timeout`` seconds (or earlier, where something else arrived).
 
         Raises
         ------
         BusError
             The bus is gone.
         """
-        import can
-
         try:
             message = self.bus.recv(timeout)
         except can.CanOperationError as error:
             if isinstance(error.__cause__, OSError):
                 raise self._error("be read any more", error) from error
-            return None  # somebody's datagram that is no CAN frame
+            return None  # a datagram that is no CAN frame
         if message is None or message.is_extended_id or message.is_remote_frame or message.is_error_frame:
             return None
         return message.arbitration_id, bytes(message.data)
@@ -82,38 +80,37 @@ class FrameBus:
         """Shut the bus down."""
         self.bus.shutdown()
 
-    def _error(self, what: str, error: Exception) -> BusError:
-        return BusError(f"the bus {self._name} cannot {what}: {error}")
+    def _error(self, verb: str, error: Exception) -> BusError:
+        return BusError(coded(f"the bus {self._name} cannot {verb}: {error}", codes.BUS_FAILED))
 
 
 class _SocketBus(FrameBus):
     """A bus whose frames are read and written on its own socket."""
 
-    def __init__(self, bus: "can.BusABC", name: str) -> None:
+    def __init__(self, bus: can.BusABC, name: str) -> None:
         super().__init__(bus, name)
         # a second descriptor of the same socket: python-can keeps its own for configuration
         self._socket = socket.socket(fileno=os.dup(bus.fileno()))
         self._socket.setblocking(False)
 
     def receive(self, timeout: float) -> Frame | None:
-        try:
-            data = self._socket.recv(_LONGEST_DATAGRAM)
-        except BlockingIOError:
-            if timeout <= 0.0 or not select.select((self._socket,), (), (), timeout)[0]:
-                return None
-            try:
-                data = self._socket.recv(_LONGEST_DATAGRAM)
-            except BlockingIOError:
-                return None
-            except OSError as error:
-                raise self._error("be read any more", error) from error
-        except OSError as error:
-            raise self._error("be read any more", error) from error
-        return self._decode(data)
+        data = self._read()
+        if data is None and timeout > 0.0 and select.select((self._socket,), (), (), timeout)[0]:
+            data = self._read()
+        return None if data is None else self._decode(data)
 
     def close(self) -> None:
         self._socket.close()
         super().close()
+
+    def _read(self) -> bytes | None:
+        """Return a datagram that has arrived, if any."""
+        try:
+            return self._socket.recv(_LONGEST_DATAGRAM)
+        except BlockingIOError:
+            return None
+        except OSError as error:
+            raise self._error("be read any more", error) from error
 
     def _decode(self, data: bytes) -> Frame | None:
         raise AssertionError("each kind of socket has its own")
@@ -132,20 +129,19 @@ class _SocketCan(_SocketBus):
         if len(data) != _SOCKETCAN_FRAME.size:
             return None
         can_id, length, payload = _SOCKETCAN_FRAME.unpack(data)
-        return None if can_id & _NO_PLAIN_FRAME else (can_id, payload[:length])
+        return None if can_id & _NO_DATA_FRAME else (can_id, payload[:length])
 
 
 class _UdpMulticast(_SocketBus):
     """python-can's udp_multicast: each datagram a msgpack map with the fields of a message."""
 
-    def __init__(self, bus: "can.BusABC", name: str, destination: tuple[str, int]) -> None:
-        import msgpack
+    _UNREADABLE: Any = (ValueError, TypeError, KeyError, msgpack.exceptions.UnpackException)
 
+    def __init__(self, bus: can.BusABC, name: str, destination: tuple[str, int]) -> None:
         super().__init__(bus, name)
         self._destination = destination
         self._pack = msgpack.Packer(use_bin_type=True, autoreset=True).pack
         self._unpack = msgpack.unpackb
-        self._faulty: Any = (ValueError, TypeError, KeyError, msgpack.exceptions.UnpackException)
         self._fields: dict[str, Any] = {
             "timestamp": 0.0,
             "arbitration_id": 0,
@@ -174,17 +170,16 @@ class _UdpMulticast(_SocketBus):
             if fields["is_extended_id"] or fields["is_remote_frame"] or fields["is_error_frame"] or fields["is_fd"]:
                 return None
             can_id, payload = fields["arbitration_id"], fields["data"]
-        except self._faulty:
-            return None  # somebody's datagram that is no CAN frame
+        except self._UNREADABLE:
+            return None  # a datagram that is no CAN frame
         is_frame = type(can_id) is int and 0 <= can_id <= 0x7FF and type(payload) is bytes and len(payload) <= 8
         return (can_id, payload) if is_frame else None
 
 
-def frame_bus(bus: "can.BusABC", config: "BusConfig", name: str) -> FrameBus:
-    """Make the fastest `FrameBus` that there is for an open bus."""
+def frame_bus(bus: can.BusABC, config: "BusConfig", name: str) -> FrameBus:
+    """Return the fastest `FrameBus` for an open bus."""
     if config.interface == "socketcan":
         return _SocketCan(bus, name)
-    if config.interface == "udp_multicast":
-        # python-can has a default port of its own, which only it knows
-        return _UdpMulticast(bus, name, (str(config.channel), config.port)) if config.port else FrameBus(bus, name)
+    if config.interface == "udp_multicast" and config.port:  # python-can's own default port is not known here
+        return _UdpMulticast(bus, name, (str(config.channel), config.port))
     return FrameBus(bus, name)

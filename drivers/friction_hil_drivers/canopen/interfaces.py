@@ -1,6 +1,6 @@
-"""The CAN interfaces of a machine, as its kernel tells them; nothing is opened for it.
+"""CAN interfaces of a machine, as its kernel reports them; no interface is opened.
 
-Functions take the root of the file system, so that a test can lay out a machine of its own.
+Functions take the root of the file system, so that a test can imitate a machine with a folder.
 """
 
 import json
@@ -10,8 +10,12 @@ import subprocess
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from friction_hil.drive.finding import NOT_TOLD, Finding, system_text
+
+if TYPE_CHECKING:
+    from friction_hil.config import BusConfig
 
 _ROOT = Path("/")
 _ARPHRD_CAN = "280"
@@ -24,35 +28,41 @@ _DEAD_STATE = "BUS-OFF"
 
 @dataclass(frozen=True, slots=True)
 class Link:
-    """What ``ip`` tells of a CAN interface; empty or None where it does not."""
+    """Properties of a CAN interface as ``ip`` reports them; empty or None where it does not."""
 
     kind: str = ""  # can, vcan, slcan
     bitrate: int | None = None  # bit/s
     state: str = ""  # of the controller: ERROR-ACTIVE is the good one
 
 
-def there(root: Path = _ROOT) -> list[str]:
-    """Names of the CAN interfaces."""
+def bus_name(config: "BusConfig") -> str:
+    """Return the name of a bus for people: ``udp_multicast 239.74.163.2:43113``."""
+    port = "" if config.port is None else f":{config.port}"
+    return f"{config.interface} {config.channel}{port}"
+
+
+def can_interfaces(root: Path = _ROOT) -> list[str]:
+    """Return the names of the CAN interfaces."""
     types = sorted(root.glob("sys/class/net/*/type"))
     return [file.parent.name for file in types if system_text(file) == _ARPHRD_CAN]
 
 
 def is_up(name: str, root: Path = _ROOT) -> bool | None:
-    """Whether an interface is up; None where the system does not tell."""
+    """True if an interface is up; None where the system does not report it."""
     flags = system_text(root / "sys/class/net" / name / "flags")
     return None if flags is None else bool(int(flags, 16) & _IFF_UP)
 
 
-def how_to_bring_up(name: str, bitrate: int | None, *, is_there: bool = True) -> str:
-    """Command that makes an interface usable; a virtual one that is not there is made first."""
+def how_to_bring_up(name: str, bitrate: int | None, *, is_present: bool = True) -> str:
+    """Return the command that brings an interface up; a virtual one that does not exist is created first."""
     if name.startswith("vcan"):
-        made = "" if is_there else f"ip link add dev {name} type vcan && "
+        made = "" if is_present else f"ip link add dev {name} type vcan && "
         return f"{made}ip link set {name} up"
     return f"ip link set {name} up type can bitrate {bitrate or _USUAL_BITRATE}"
 
 
 def ask_ip(name: str) -> Link:
-    """Ask the program ``ip``, because the kernel's files have no bit rate."""
+    """Ask the program ``ip`` for an interface: the kernel's files have no bit rate."""
     path = f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin"
     program = shutil.which("ip", path=path)
     if program is None:
@@ -66,11 +76,11 @@ def ask_ip(name: str) -> Link:
 
 
 def parse(text: str) -> Link:
-    """Understand the JSON that ``ip -json -details link show`` prints of one interface."""
+    """Parse the JSON that ``ip -json -details link show`` prints for one interface."""
     try:
         info = json.loads(text)[0]["linkinfo"]
         data = info.get("info_data", {})
-        # an adapter with a fixed set of bit rates tells it otherwise
+        # an adapter with a fixed set of bit rates has it under another key
         bitrate = data.get("bittiming", {}).get("bitrate") or data.get("bittiming_bitrate")
         return Link(str(info.get("info_kind", "")), bitrate, str(data.get("state", "")))
     except (ValueError, LookupError, TypeError, AttributeError):
@@ -78,28 +88,29 @@ def parse(text: str) -> Link:
 
 
 def check_machine(root: Path, ask: Callable[[str], Link] = ask_ip) -> Iterator[Finding]:
-    """Tell which CAN interfaces there are, and how they are."""
-    names = there(root)
+    """Yield the state of each CAN interface."""
+    names = can_interfaces(root)
     if not names:
         yield Finding(
             "CAN interfaces",
             "warn",
-            "none, which only CANopen drives on SocketCAN need",
-            f"plug the adapter in; for a try: modprobe vcan && {how_to_bring_up('vcan0', None, is_there=False)}",
+            "none; only CANopen drives on SocketCAN need one",
+            f"plug the adapter in; to try one: modprobe vcan && {how_to_bring_up('vcan0', None, is_present=False)}",
         )
     for name in names:
         found = check_interface(name, ask(name), None, root)
-        yield replace(found, result="warn") if found.result == "fail" else found  # nobody needs it yet
+        # no configuration needs it yet
+        yield replace(found, result="warn") if found.result == "fail" else found
 
 
 def check_interface(name: str, link: Link, bitrate: int | None, root: Path = _ROOT) -> Finding:
-    """Tell how an interface is, beside the ``bitrate`` that a configuration says of it."""
+    """Return the state of an interface; ``bitrate`` is that of the configuration, None for none."""
     check = f"CAN interface {name}"
     if not is_up(name, root):
         return Finding(check, "warn", "it is down", how_to_bring_up(name, link.bitrate or bitrate))
     if link.state == _DEAD_STATE:
-        detail = "BUS-OFF: after too many errors the controller takes no part in the bus"
-        return Finding(check, "fail", detail, f"see to wires and bit rate; then: ip link set {name} type can restart")
+        detail = "BUS-OFF: the controller left the bus after too many errors"
+        return Finding(check, "fail", detail, f"check wires and bit rate; then: ip link set {name} type can restart")
     if bitrate and link.bitrate and link.bitrate != bitrate:
         return Finding(
             check,
@@ -113,7 +124,9 @@ def check_interface(name: str, link: Link, bitrate: int | None, root: Path = _RO
     facts += [link.state] if link.state else []
     detail = ", ".join(facts)
     if link.state in _SICK_STATES:
-        return Finding(check, "warn", detail, "see to wires, terminating resistors and the bit rate of all nodes")
+        return Finding(
+            check, "warn", detail, "check the wires, the terminating resistors and the bit rate of all nodes"
+        )
     if link.kind != "vcan" and link.bitrate is None:
-        return Finding(check, "warn", detail, f"install iproute2, and compare: ip -details link show {name}")
+        return Finding(check, "warn", detail, f"install iproute2, then compare: ip -details link show {name}")
     return Finding(check, "pass", detail)

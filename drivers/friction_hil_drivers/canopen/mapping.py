@@ -1,17 +1,23 @@
-"""Which objects travel in which PDO, how they are packed, and what that costs on the wire."""
+"""PDOs: which objects they carry, how they are set up in a drive, and how long a cycle of them occupies the bus."""
 
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from friction_hil.drive import Mode
 from friction_hil.errors import DriveError
-from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen import codes, objects
+from friction_hil_drivers.canopen.codes import coded
 from friction_hil_drivers.canopen.objects import DataType, Object
-from friction_hil_drivers.canopen.sdo import ObjectAccess, integer_format
+
+if TYPE_CHECKING:
+    from friction_hil_drivers.canopen.sdo import SdoClient
 
 SYNCHRONOUS = 1  # transmission type: with every SYNC
 _INVALID = objects.PDO_INVALID
+_LARGEST = 8  # bytes
+_LARGEST_LOAD = 0.9  # of the period; the rest is for SDO, heartbeats and emergencies
 
 FEEDBACK = (
     (objects.STATUSWORD, objects.POSITION_ACTUAL, objects.TORQUE_ACTUAL),
@@ -22,10 +28,11 @@ COMMANDS = {
     Mode.CSV: (objects.CONTROLWORD, objects.TARGET_VELOCITY, objects.TORQUE_OFFSET),
     Mode.CST: (objects.CONTROLWORD, objects.TARGET_TORQUE),
 }
+_FORMATS = {8: "b", 16: "h", 32: "i"}  # of `struct`, for signed integers by their width
 
 
 @dataclass(frozen=True, slots=True)
-class Pdo:
+class MappedPdo:
     """One PDO in force: its identifier on the bus and the layout of its bytes."""
 
     cob_id: int
@@ -33,23 +40,59 @@ class Pdo:
     layout: struct.Struct
 
 
+@dataclass(frozen=True, slots=True)
+class PdoRecord:
+    """Objects that configure one PDO of a drive; ``number`` counts from 0, separately for each direction."""
+
+    is_receive: bool
+    number: int
+    node: int
+
+    @property
+    def name(self) -> str:
+        """Name in messages: ``RPDO 1``."""
+        return f"{'RPDO' if self.is_receive else 'TPDO'} {self.number + 1}"
+
+    @property
+    def identifier(self) -> int:
+        """Identifier of the PDO's frames, from the pre-defined connection set."""
+        bases = objects.RPDO_BASES if self.is_receive else objects.TPDO_BASES
+        return bases[self.number] + self.node
+
+    def parameter(self, subindex: int, name: str, kind: DataType) -> Object:
+        """Return an object of the communication record (1400h, 1800h)."""
+        base = objects.RPDO_PARAMETER if self.is_receive else objects.TPDO_PARAMETER
+        return Object(base + self.number, f"{name} of {self.name}", kind, subindex)
+
+    def mapping(self, position: int) -> Object:
+        """Return an object of the mapping record (1600h, 1A00h); position 0 is the number of mapped objects."""
+        index = (objects.RPDO_MAPPING if self.is_receive else objects.TPDO_MAPPING) + self.number
+        if position == 0:
+            return Object(index, f"number of objects in {self.name}", DataType.UNSIGNED8, 0)
+        return Object(index, f"object {position} of {self.name}", DataType.UNSIGNED32, position)
+
+    @property
+    def cob_id(self) -> Object:
+        """Entry with the identifier, and the bit that switches the PDO off."""
+        return self.parameter(objects.PDO_COB_ID, "COB-ID", DataType.UNSIGNED32)
+
+    @property
+    def event_timer(self) -> Object:
+        """Entry with the event timer; of an RPDO, the time after which its absence is an error."""
+        return self.parameter(objects.PDO_EVENT_TIMER, "event timer", DataType.UNSIGNED16)
+
+
 def pdo_layout(entries: Sequence[Object], widths: Sequence[int]) -> struct.Struct:
-    """Layout of the bytes of a PDO that carries ``entries``, with their widths in bits on this drive."""
-    signed = (DataType.INTEGER8, DataType.INTEGER16, DataType.INTEGER32)
-    formats = [integer_format(bits, entry.type in signed) for entry, bits in zip(entries, widths, strict=True)]
+    """Return the layout of a PDO that carries ``entries``, with their widths in bits on this drive."""
+    formats = [
+        _FORMATS[bits] if entry.type.is_signed else _FORMATS[bits].upper()
+        for entry, bits in zip(entries, widths, strict=True)
+    ]
     return struct.Struct("<" + "".join(formats))
 
 
-def map_pdo(
-    access: ObjectAccess,
-    *,
-    is_receive: bool,
-    number: int,
-    node: int,
-    entries: Sequence[Object],
-    event_ms: int = 0,
-) -> Pdo:
-    """Set up PDO ``number`` (from 0) of a drive and read back what it made of it.
+def map_pdo(access: "SdoClient", record: PdoRecord, entries: Sequence[Object], event_ms: int = 0) -> MappedPdo:
+    """Set up a PDO of a drive and check that the drive keeps the mapping.
 
     The widths are those that the drive itself gives its objects: a PDO mapped with another width is accepted
     by many drives and shifts every later field.
@@ -59,58 +102,63 @@ def map_pdo(
     DriveError
         The drive lacks an object, or keeps another mapping than was written.
     """
-    parameter = (objects.RPDO_PARAMETER if is_receive else objects.TPDO_PARAMETER) + number
-    mapping = (objects.RPDO_MAPPING if is_receive else objects.TPDO_MAPPING) + number
-    name = f"{'RPDO' if is_receive else 'TPDO'} {number + 1}"
-    base = (objects.RPDO_BASES if is_receive else objects.TPDO_BASES)[number]
-    cob_id = Object(parameter, f"COB-ID of {name}", DataType.UNSIGNED32, objects.PDO_COB_ID)
-    kind = Object(parameter, f"transmission type of {name}", DataType.UNSIGNED8, objects.PDO_TRANSMISSION_TYPE)
-    timer = Object(parameter, f"event timer of {name}", DataType.UNSIGNED16, objects.PDO_EVENT_TIMER)
-    count = Object(mapping, f"number of objects in {name}", DataType.UNSIGNED8, 0)
+    widths = _widths(access, record, entries)
+    layout = pdo_layout(entries, widths)
+    if layout.size > _LARGEST:
+        listed = ", ".join(map(str, entries))
+        text = f"{access.axis}: {listed} need {layout.size} bytes on this drive; {record.name} carries {_LARGEST}"
+        raise DriveError(coded(text, codes.OBJECT_SIZE))
+    words = [entry.index << 16 | entry.subindex << 8 | bits for entry, bits in zip(entries, widths, strict=True)]
+    _write_mapping(access, record, words, event_ms)
+    _check_mapping(access, record, words)
+    return MappedPdo(record.identifier, tuple(entries), layout)
 
-    widths, words = [], []
+
+def _widths(access: "SdoClient", record: PdoRecord, entries: Sequence[Object]) -> list[int]:
+    widths = []
     for entry in entries:
         bits = access.width(entry)
         if bits is None:
-            raise DriveError(f"{access.axis}: {access.where} lacks object {entry}, which belongs into {name}")
+            text = f"{access.axis}: {access.where} lacks object {entry}, which belongs into {record.name}"
+            raise DriveError(coded(text, codes.OBJECT_MISSING))
         widths.append(bits)
-        words.append(entry.index << 16 | entry.subindex << 8 | bits)
-    layout = pdo_layout(entries, widths)
-    if layout.size > 8:
-        listed = ", ".join(map(str, entries))
-        raise DriveError(f"{access.axis}: {listed} need {layout.size} bytes on this drive; {name} carries 8")
+    return widths
 
-    access.write(cob_id, _INVALID | base + node)
-    access.write(count, 0)
+
+def _write_mapping(access: "SdoClient", record: PdoRecord, words: Sequence[int], event_ms: int) -> None:
+    """Write a mapping in the order that CiA 301 prescribes: PDO off, count 0, entries, count, PDO on."""
+    access.write(record.cob_id, _INVALID | record.identifier)
+    access.write(record.mapping(0), 0)
     for position, word in enumerate(words, 1):
-        access.write(Object(mapping, f"object {position} of {name}", DataType.UNSIGNED32, position), word)
-    access.write(count, len(words))
+        access.write(record.mapping(position), word)
+    access.write(record.mapping(0), len(words))
+    kind = record.parameter(objects.PDO_TRANSMISSION_TYPE, "transmission type", DataType.UNSIGNED8)
     access.write(kind, SYNCHRONOUS)
     if event_ms:
-        access.try_write(timer, event_ms)
-    access.write(cob_id, base + node)
+        access.try_write(record.event_timer, event_ms)
+    access.write(record.cob_id, record.identifier)
+
+
+def _check_mapping(access: "SdoClient", record: PdoRecord, words: Sequence[int]) -> None:
     for position, word in enumerate(words, 1):
-        kept = access.read(Object(mapping, f"object {position} of {name}", DataType.UNSIGNED32, position))
+        kept = access.read(record.mapping(position))
         if kept != word:
-            raise DriveError(
-                f"{access.axis}: {name} of {access.where} holds {kept:08X}h at position {position} "
+            text = (
+                f"{access.axis}: {record.name} of {access.where} holds {kept:08X}h at position {position} "
                 f"after {word:08X}h was written"
             )
-    return Pdo(base + node, tuple(entries), layout)
+            raise DriveError(coded(text, codes.MAPPING_NOT_KEPT))
 
 
-def switch_off(access: ObjectAccess, *, is_receive: bool, number: int, node: int) -> None:
+def switch_off(access: "SdoClient", record: PdoRecord) -> None:
     """Switch off a PDO that is not used, where the drive has it."""
-    parameter = (objects.RPDO_PARAMETER if is_receive else objects.TPDO_PARAMETER) + number
-    base = (objects.RPDO_BASES if is_receive else objects.TPDO_BASES)[number]
-    cob_id = Object(parameter, "COB-ID of an unused PDO", DataType.UNSIGNED32, objects.PDO_COB_ID)
-    before = access.find(cob_id)
+    before = access.find(record.cob_id)
     if before is not None and not before & _INVALID:
-        access.write(cob_id, _INVALID | base + node)
+        access.write(record.cob_id, _INVALID | record.identifier)
 
 
 def frame_bits(size: int) -> int:
-    """Bits of a CAN frame with an 11-bit identifier and ``size`` data bytes, with worst-case stuffing.
+    """Return the bits of a CAN frame with an 11-bit identifier and ``size`` data bytes, with worst-case stuffing.
 
     Source: K. Tindell, A. Burns, A. Wellings, Control Engineering Practice 3(8), 1995; with the interframe
     space of 3 bits.
@@ -119,33 +167,34 @@ def frame_bits(size: int) -> int:
     return stuffed + (stuffed - 1) // 4 + 13
 
 
-def wire_time_s(bitrate: int, pdos: Sequence[Pdo]) -> float:
-    """Time that one cycle's SYNC and ``pdos`` occupy the bus."""
+def wire_time_s(bitrate: int, pdos: Sequence[MappedPdo]) -> float:
+    """Return the time for which SYNC and ``pdos`` of one cycle occupy the bus, s."""
     return (frame_bits(0) + sum(frame_bits(pdo.layout.size) for pdo in pdos)) / bitrate
 
 
-def check_bus_load(bitrate: int, period_s: float, pdos: Sequence[Pdo]) -> str:
-    """Refuse a cycle that does not fit on the wire with some room for SDO, heartbeats and emergencies; else say it.
+def check_bus_load(bitrate: int, period_s: float, pdos: Sequence[MappedPdo]) -> str:
+    """Return the load of the bus in words, if a cycle fits with room for SDO, heartbeats and emergencies.
 
     Raises
     ------
     DriveError
-        With the arithmetic.
+        It does not; the message has the calculation.
     """
     needed = wire_time_s(bitrate, pdos)
-    if needed > 0.9 * period_s:
+    if needed > _LARGEST_LOAD * period_s:
         sizes = " + ".join(f"{frame_bits(pdo.layout.size)}" for pdo in pdos)
-        raise DriveError(
+        text = (
             f"a cycle needs {needed * 1e6:.0f} us on the bus at {bitrate} bit/s (SYNC {frame_bits(0)} + PDOs {sizes} "
-            f"bits with worst-case stuffing), more than 90 % of the period of {period_s * 1e6:.0f} us",
-            "take a longer period_s, a higher bit rate, or fewer axes",
+            f"bits with worst-case stuffing), more than {100 * _LARGEST_LOAD:.0f} % of the period of "
+            f"{period_s * 1e6:.0f} us"
         )
+        raise DriveError(coded(text, codes.BUS_OVERLOAD), "take a longer period_s, a higher bit rate, or fewer axes")
     return f"a cycle needs {needed * 1e6:.0f} us of {period_s * 1e6:.0f} us on the bus at {bitrate} bit/s"
 
 
-def expected_pdos(mode: Mode) -> list[Pdo]:
-    """PDOs of a drive whose objects have the standard's widths, for arithmetic before it was asked."""
+def expected_pdos(mode: Mode) -> list[MappedPdo]:
+    """Return the PDOs of a drive whose objects have the standard's widths, to compute the load before connecting."""
     return [
-        Pdo(0, entries, pdo_layout(entries, [entry.type.bits for entry in entries]))
+        MappedPdo(0, entries, pdo_layout(entries, [entry.type.bits for entry in entries]))
         for entries in (*FEEDBACK, COMMANDS[mode])
     ]

@@ -1,7 +1,7 @@
-"""Objects of CiA 301 and CiA 402 that this driver and its simulated drive live on, and their identifiers.
+"""Objects of CiA 301 and CiA 402 that the driver and its simulated drive use, and identifiers of frames.
 
-The one place where an index, a name or a type stands. Types are those of the standard; a real drive may
-differ (60B2h is INTEGER32 in some), so the width of what is mapped is checked against the drive's EDS.
+Every index, name and type is defined here and nowhere else. Types are those of the standard; a real drive may differ
+(60B2h is INTEGER32 in some), so objects are mapped with the widths that the drive itself gives them.
 """
 
 from dataclasses import dataclass
@@ -31,9 +31,14 @@ class DataType(IntEnum):
         return _CODES[self]
 
     @property
+    def is_signed(self) -> bool:
+        """True for signed integers."""
+        return self in (DataType.INTEGER8, DataType.INTEGER16, DataType.INTEGER32)
+
+    @property
     def bounds(self) -> tuple[int, int]:
         """Smallest and largest value of an integer type."""
-        if self in (DataType.INTEGER8, DataType.INTEGER16, DataType.INTEGER32):
+        if self.is_signed:
             return -(1 << (self.bits - 1)), (1 << (self.bits - 1)) - 1
         return 0, (1 << self.bits) - 1
 
@@ -84,8 +89,8 @@ class Object:
         return self.index << 16 | self.subindex << 8 | self.type.bits
 
     def __str__(self) -> str:
-        where = f"{self.index:04X}h" if self.subindex == 0 else f"{self.index:04X}h:{self.subindex:02X}"
-        return f"{where} {self.name}"
+        address = f"{self.index:04X}h" if self.subindex == 0 else f"{self.index:04X}h:{self.subindex:02X}"
+        return f"{address} {self.name}"
 
 
 # Communication profile, CiA 301

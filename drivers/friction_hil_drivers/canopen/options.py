@@ -1,4 +1,4 @@
-"""The keys of an axis that are the CANopen driver's own."""
+"""Keys of an axis that belong to the CANopen driver."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -13,7 +13,7 @@ Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 
 
 class Identity(BaseModel):
-    """What object 1018h must say."""
+    """Content that object 1018h of the drive must have."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -36,7 +36,7 @@ class CanopenOptions(BaseModel):
     rated_torque: Positive | None = Field(
         None, description="torque at 1000 per mille, N m (N on a linear axis); from 6076h when not given"
     )
-    is_inverted: bool = Field(False, description="turn the sign of position, velocity and torque")
+    is_inverted: bool = Field(False, description="invert the sign of position, velocity and torque")
     setpoint_delay_cycles: float | None = Field(
         None,
         ge=0.0,
@@ -45,7 +45,7 @@ class CanopenOptions(BaseModel):
         "when not given: one for the exchange, the rest for the drive's interpolation",
     )
     heartbeat_s: float = Field(
-        0.1, ge=0.01, le=10.0, description="period of heartbeats, both ways; three missing ones are a loss"
+        0.1, ge=0.01, le=10.0, description="period of heartbeats in both directions; three missing ones are a loss"
     )
     master_node: int = Field(126, ge=1, le=127, description="node number under which the daemon sends its heartbeat")
     is_watchdog_required: bool = Field(
@@ -54,11 +54,10 @@ class CanopenOptions(BaseModel):
 
     @classmethod
     def check(cls, axes: "Mapping[str, AxisConfig]", bus: "BusConfig | None") -> Iterator[tuple[str, str, str]]:
-        """Mistakes that concern several axes, or an axis and the bus: (axis, field, message)."""
+        """Yield mistakes that concern several axes, or an axis and the bus: (axis, field, message)."""
         owners: dict[int, str] = {}
         for name, axis in axes.items():
-            options = axis.options
-            assert isinstance(options, CanopenOptions)
+            options = canopen_options(axis)
             if bus is None:
                 yield name, "driver", "the canopen driver needs a bus: section (interface, channel)"
             if options.node in owners:
@@ -70,3 +69,9 @@ class CanopenOptions(BaseModel):
                     if getattr(options, field) is None:
                         yield name, field, "must be given for a linear axis: drives report neither per metre"
             owners.setdefault(options.node, name)
+
+
+def canopen_options(axis: "AxisConfig") -> CanopenOptions:
+    """Return the options of an axis of this driver."""
+    assert isinstance(axis.options, CanopenOptions)
+    return axis.options

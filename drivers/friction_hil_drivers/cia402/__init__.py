@@ -1,1 +1,1 @@
-"""CiA 402, the drive profile, as far as every bus and both ends of it share it."""
+"""CiA 402, the drive profile: what drivers and simulated drives of every bus have in common."""

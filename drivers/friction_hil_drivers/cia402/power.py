@@ -1,4 +1,4 @@
-"""Power drive system state machine of CiA 402: which state a controlword asks for. Pure."""
+"""Power drive system state machine of CiA 402: the state that a controlword asks for. Pure functions."""
 
 from enum import IntEnum
 
@@ -16,7 +16,7 @@ class PowerCommand(IntEnum):
 
 
 def command(controlword: int) -> PowerCommand:
-    """Device control command in a controlword."""
+    """Return the device control command in a controlword."""
     if not controlword & 0x02:
         return PowerCommand.DISABLE_VOLTAGE
     if not controlword & 0x04:
@@ -55,14 +55,14 @@ def _requested(state: DriveState, controlword: int) -> DriveState:
     return state if controlword & 0x80 and (state, wanted) in _UPWARD else wanted
 
 
-# by state and low byte of the controlword: looked up in every cycle
+# by state and low byte of the controlword: read in every cycle
 _REQUESTED = {state: tuple(_requested(state, word) for word in range(0x100)) for state in DriveState}
 
 
 def requested_state(state: DriveState, controlword: int) -> DriveState:
-    """State that a controlword asks for, one transition from ``state``; ``state`` itself for none.
+    """Return the state that a controlword asks for, one transition from ``state``; ``state`` itself for none.
 
     While the fault reset bit is set no transition leads towards Operation Enabled: resetting a fault must not
-    switch a drive on. The reset itself (transition 15) needs the bit's history and is not decided here.
+    switch a drive on. The reset itself (transition 15) depends on the controlword before and is not part of this.
     """
     return _REQUESTED[state][controlword & 0xFF]

@@ -1,4 +1,4 @@
-"""CiA 402 as both sides know it: controlword, statusword, modes and error codes. Pure, no bus."""
+"""Controlword, statusword, modes and error codes of CiA 402. Pure functions, no bus."""
 
 from friction_hil.drive import DriveState, Mode, Request
 
@@ -51,7 +51,7 @@ _STATES = tuple(_decode(bits) for bits in range(0x70))
 
 
 def drive_state(statusword: int) -> DriveState:
-    """State that a statusword reports; `DriveState.UNKNOWN` for bits that the profile does not define."""
+    """Return the state that a statusword reports, `DriveState.UNKNOWN` for bits that the profile does not define."""
     return _STATES[statusword & 0x6F]
 
 
@@ -73,17 +73,16 @@ _STEPS = {Request.DISABLE: _TO_DISABLE, Request.ENABLE: _TO_ENABLE, Request.QUIC
 
 
 def next_controlword(state: DriveState, request: Request) -> int:
-    """Controlword that takes a drive in ``state`` one transition towards ``request``.
+    """Return the controlword that takes a drive in ``state`` one transition towards ``request``.
 
-    A fault is never reset from here, whatever is requested: leaving it is the user's explicit decision
-    (`FAULT_RESET`, once, after a controlword without that bit). A drive in Quick Stop Active is enabled by
-    way of Switch On Disabled, because few drives support the direct transition 16.
+    None of these resets a fault: that is the user's explicit decision (`reset_controlword`). A drive in Quick Stop
+    Active is enabled through Switch On Disabled, because few drives support the direct transition 16.
 
     Raises
     ------
     ValueError
-        ``request`` is `Request.LISTEN`: then no controlword is written at all; or `Request.RESET_FAULT`: that
-        depends on the controlword before.
+        ``request`` is `Request.LISTEN`, for which no controlword is written, or `Request.RESET_FAULT`, which depends
+        on the controlword before.
     """
     if request not in _STEPS:
         raise ValueError(f"no controlword follows from {request.name} and the drive's state alone")
@@ -91,12 +90,12 @@ def next_controlword(state: DriveState, request: Request) -> int:
 
 
 def reset_controlword(state: DriveState, before: int) -> int:
-    """Controlword that takes a drive out of fault, once: the drive looks for a rising edge after ``before``."""
+    """Return the controlword that resets a fault once: the drive needs a rising edge after ``before``."""
     return FAULT_RESET if state is DriveState.FAULT and not before & FAULT_RESET else DISABLE_VOLTAGE
 
 
 def supported_modes(bits: int) -> tuple[Mode, ...]:
-    """Cyclic synchronous modes among the bits of object 6502h: mode n has bit n - 1."""
+    """Return the cyclic synchronous modes in object 6502h: mode n has bit n - 1."""
     return tuple(mode for mode in Mode if bits >> (mode - 1) & 1)
 
 
@@ -146,6 +145,6 @@ _ERROR_CLASSES = {
 
 
 def error_text(code: int) -> str:
-    """Say what an error code means: ``8611h following error``; unknown ones by their class."""
+    """Return an error code in words: ``8611h following error``; an unknown one by its class."""
     text = ERROR_TEXTS.get(code) or _ERROR_CLASSES.get(code & 0xF000, "the manufacturer's own")
     return f"{code:04X}h {text}"

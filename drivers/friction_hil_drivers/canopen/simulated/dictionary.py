@@ -1,17 +1,16 @@
-"""Object dictionary of a simulated node: what SDO and PDO may do to each entry, and which code answers."""
+"""Object dictionary of a simulated node: values, access rights, limits and abort codes."""
 
 import struct
 from collections.abc import Callable, Iterable, Iterator
 from enum import IntEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from canopen.objectdictionary import ODVariable
 
 from friction_hil.errors import UsageError
 from friction_hil_drivers.canopen.eds import SIMULATED_SERVO, load_eds
 from friction_hil_drivers.canopen.objects import DataType, Object
-
-if TYPE_CHECKING:
-    from canopen.objectdictionary import ODVariable
 
 Value = int | bytes
 _FIRST_OBJECT = 0x1000
@@ -40,7 +39,7 @@ class Abort(IntEnum):
 
 
 class SdoAbortError(Exception):
-    """A transfer is refused, for the reason that ``code`` gives."""
+    """Refusal of a transfer, with its abort code."""
 
     def __init__(self, code: Abort) -> None:
         super().__init__(f"{code:08X}h {code.name}")
@@ -84,24 +83,24 @@ class Entry:
 
     @property
     def is_readable(self) -> bool:
-        """Whether SDO may upload it, and a TPDO carry it."""
+        """True if SDO may upload it, and a TPDO carry it."""
         return "r" in self.access or self.access == "const"
 
     @property
     def is_writable(self) -> bool:
-        """Whether SDO may download it, and an RPDO carry it."""
+        """True if SDO may download it, and an RPDO carry it."""
         return "w" in self.access
 
     def read(self) -> Value:
-        """Current value."""
+        """Return the current value."""
         return self.value if self.on_read is None else self.on_read()
 
     def reader(self) -> Callable[[], Value]:
-        """What `read` calls, for those who read often."""
+        """Return a function that does what `read` does, for frequent reading."""
         return (lambda: self.value) if self.on_read is None else self.on_read
 
     def write(self, value: int) -> None:
-        """Take a new integer value, or raise `SdoAbortError`."""
+        """Store a new integer value, or raise `SdoAbortError`."""
         if value > self.maximum:
             raise SdoAbortError(Abort.TOO_HIGH)
         if value < self.minimum:
@@ -111,7 +110,7 @@ class Entry:
         self.value = value
 
     def upload(self) -> bytes:
-        """Current value as it goes on the wire."""
+        """Return the current value as on the wire, or raise `SdoAbortError`."""
         if not self.is_readable:
             raise SdoAbortError(Abort.WRITE_ONLY)
         value = self.read()
@@ -121,7 +120,7 @@ class Entry:
         return data
 
     def download(self, data: bytes) -> None:
-        """Take a value from the wire."""
+        """Store a value as on the wire, or raise `SdoAbortError`."""
         if not self.is_writable:
             raise SdoAbortError(Abort.READ_ONLY)
         if not self.type.bits:
@@ -138,9 +137,9 @@ class Dictionary:
     Parameters
     ----------
     entries : iterable of Entry
-        All that the device works with.
+        Every entry that the device uses.
     hidden : iterable of (index, sub-index)
-        Those that SDO and PDO do not find: this specimen lacks them, and works with their defaults.
+        Entries that SDO and PDO do not find; the device uses their defaults.
     """
 
     def __init__(self, entries: Iterable[Entry], hidden: Iterable[tuple[int, int]] = ()) -> None:
@@ -155,16 +154,16 @@ class Dictionary:
         Parameters
         ----------
         path : Path
-            What the device shows. What it lacks but works with is taken from the EDS of this package.
+            EDS of the entries that SDO and PDO find. Others that the device uses come from the EDS of this package.
         node : int
             For the entries that depend on the node's number.
         missing : iterable of int
-            Indices that the device lacks although the EDS has them.
+            Indices in the EDS that SDO and PDO do not find.
 
         Raises
         ------
         UsageError
-            The file is no EDS, or a default does not fit its type.
+            The file is not an EDS, or a default does not fit its type.
         """
         own = {(entry.index, entry.subindex): entry for entry in _entries(SIMULATED_SERVO, node)}
         shown = own if path == SIMULATED_SERVO else {(e.index, e.subindex): e for e in _entries(path, node)}
@@ -173,36 +172,38 @@ class Dictionary:
         return cls((own | shown).values(), hidden)
 
     def find(self, index: int, subindex: int) -> Entry:
-        """Entry as SDO and PDO see it; raises `SdoAbortError` where there is none."""
+        """Return an entry as SDO and PDO find it, or raise `SdoAbortError`."""
         entry = self._visible.get((index, subindex))
         if entry is None:
             raise SdoAbortError(Abort.NO_SUBINDEX if index in self._indices else Abort.NO_OBJECT)
         return entry
 
     def of(self, known: Object) -> Entry:
-        """Entry that the device itself uses, visible or not."""
+        """Return an entry that the device itself uses, visible or not."""
         return self._entries[known.address]
 
+    def entries(self, *known: Object) -> list[Entry]:
+        """Return several entries that the device itself uses, visible or not."""
+        return [self.of(one) for one in known]
+
     def at(self, index: int, subindex: int) -> Entry:
-        """Entry that the device itself uses, visible or not."""
+        """Return an entry that the device itself uses, visible or not."""
         return self._entries[index, subindex]
 
     def set_default(self, known: Object, value: int) -> None:
-        """Give an entry this specimen's own default, limited to what its type can hold."""
+        """Set the default of an entry, limited to the range of its type."""
         entry = self.of(known)
         low, high = entry.type.bounds
         entry.default = entry.value = min(max(value, low), high)
 
     def reset(self, first: int, last: int) -> None:
-        """Return the entries of the indices ``first`` to ``last`` to their defaults, without any hook."""
+        """Return the entries of the indices ``first`` to ``last`` to their defaults, without calling ``on_write``."""
         for entry in self._entries.values():
             if first <= entry.index <= last:
                 entry.value = entry.default
 
 
 def _entries(path: Path, node: int) -> Iterator[Entry]:
-    from canopen.objectdictionary import ODVariable
-
     for item in load_eds(path, node).values():
         if item.index < _FIRST_OBJECT:
             continue  # data types, listed for dummy mapping
@@ -210,7 +211,7 @@ def _entries(path: Path, node: int) -> Iterator[Entry]:
         yield from (_entry(variable, path) for variable in variables)
 
 
-def _entry(variable: "ODVariable", path: Path) -> Entry:
+def _entry(variable: ODVariable, path: Path) -> Entry:
     kind = variable.data_type or DataType.VISIBLE_STRING
     entry = Entry(
         variable.index,

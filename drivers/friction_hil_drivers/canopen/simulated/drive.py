@@ -32,7 +32,7 @@ _PROFILE_RAMP_AND_STAY, _QUICK_STOP_RAMP_AND_STAY = 5, 6  # 605Ah
 
 @dataclass(frozen=True, slots=True)
 class _Stop:
-    """A ramp to standstill under way, and the state that follows it (None: stay, holding the position)."""
+    """A ramp to standstill, and the state that follows it (None: stay and hold the position)."""
 
     then: DriveState | None
     give_up_ns: int
@@ -41,7 +41,7 @@ class _Stop:
 class SimulatedCia402Drive:
     """Power stage, loops and motor behind their objects.
 
-    ``update`` is to be called after every frame and regularly between frames: it obeys the controlword, ends
+    ``update`` is to be called after every frame and regularly between frames: it follows the controlword, ends
     ramps, activates new set-points and supervises the following error.
     """
 
@@ -60,19 +60,21 @@ class SimulatedCia402Drive:
         set_defaults(dictionary, servo, self._units, self._modes)
         connect_live_values(dictionary, servo, self._units)
 
-        self._controlword_wanted = dictionary.of(objects.CONTROLWORD)
-        self._mode_wanted = dictionary.of(objects.MODE)
+        self._controlword_wanted, self._mode_wanted = dictionary.entries(objects.CONTROLWORD, objects.MODE)
         self._mode_wanted.on_write = self._check_mode
-        self._abort_option = dictionary.of(objects.ABORT_CONNECTION_OPTION)
-        self._quick_stop_option = dictionary.of(objects.QUICK_STOP_OPTION)
+        self._abort_option, self._quick_stop_option = dictionary.entries(
+            objects.ABORT_CONNECTION_OPTION, objects.QUICK_STOP_OPTION
+        )
         self._quick_stop_option.on_write = self._check_quick_stop_option
-        self._shutdown_option = dictionary.of(objects.SHUTDOWN_OPTION)
-        self._disable_option = dictionary.of(objects.DISABLE_OPERATION_OPTION)
-        self._fault_option = dictionary.of(objects.FAULT_REACTION_OPTION)
-        self._profile_deceleration = dictionary.of(objects.PROFILE_DECELERATION)
-        self._quick_stop_deceleration = dictionary.of(objects.QUICK_STOP_DECELERATION)
-        self._window = dictionary.of(objects.FOLLOWING_ERROR_WINDOW)
-        self._timeout = dictionary.of(objects.FOLLOWING_ERROR_TIMEOUT)
+        self._shutdown_option, self._disable_option, self._fault_option = dictionary.entries(
+            objects.SHUTDOWN_OPTION, objects.DISABLE_OPERATION_OPTION, objects.FAULT_REACTION_OPTION
+        )
+        self._profile_deceleration, self._quick_stop_deceleration = dictionary.entries(
+            objects.PROFILE_DECELERATION, objects.QUICK_STOP_DECELERATION
+        )
+        self._window, self._timeout = dictionary.entries(
+            objects.FOLLOWING_ERROR_WINDOW, objects.FOLLOWING_ERROR_TIMEOUT
+        )
         dictionary.of(objects.STATUSWORD).on_read = lambda: self.statusword
         dictionary.of(objects.MODE_DISPLAY).on_read = lambda: self._mode
 
@@ -81,7 +83,7 @@ class SimulatedCia402Drive:
         self.reset()
 
     def reset(self) -> None:
-        """Start from the dictionary's values, as after power-on; the mechanics goes on moving."""
+        """Start from the dictionary's values, as after power-on; the mechanics keeps moving."""
         self._setpoints.load()
         self._faults.clear()
         self._controlword = 0
@@ -117,11 +119,11 @@ class SimulatedCia402Drive:
         """
         self.servo.advance(steps)
         if not math.isfinite(self.servo.true_position):
-            raise DriveError("the simulated servo diverged: look at mechanics, friction and loops under simulation")
+            raise DriveError("the simulated servo diverged: check mechanics, friction and loops under simulation")
 
     def update(self, now_ns: int) -> None:
-        """Obey, activate, supervise."""
-        self._obey(now_ns)
+        """Follow the controlword, activate new set-points, supervise the following error."""
+        self._follow_controlword(now_ns)
         if self._stop is not None:
             self._continue_stop(self._stop, now_ns)
         if self._mode != self._mode_wanted.value:
@@ -138,7 +140,7 @@ class SimulatedCia402Drive:
             self._supervise(now_ns)
 
     def connection_lost(self, code: int, now_ns: int) -> None:
-        """Report that the master's sign of life is missing and, while powered, do what 6007h says."""
+        """Report that the master is missing and, while powered, react as 6007h says."""
         if not self.state.is_powered:
             self._emergencies.report(code)
             return
@@ -153,11 +155,11 @@ class SimulatedCia402Drive:
             self._quick_stop(now_ns)
 
     def connection_restored(self, *codes: int) -> None:
-        """Take back what `connection_lost` reported, unless it is a fault: that stays until it is reset."""
+        """Take back what `connection_lost` reported; a fault stays until it is reset."""
         self._emergencies.clear(*(code for code in codes if code not in self._faults))
 
     def fault(self, code: int, now_ns: int) -> None:
-        """Enter the fault state by way of the fault reaction (605Eh)."""
+        """Enter the fault state through the fault reaction (605Eh)."""
         self._faults.add(code)
         self._emergencies.report(code)
         if self.state in (_FAULT, DriveState.FAULT_REACTION_ACTIVE):
@@ -171,7 +173,7 @@ class SimulatedCia402Drive:
 
     # Device control
 
-    def _obey(self, now_ns: int) -> None:
+    def _follow_controlword(self, now_ns: int) -> None:
         word, before = self._controlword_wanted.value, self._controlword
         self._controlword = word
         if self.state is _FAULT:
@@ -195,12 +197,12 @@ class SimulatedCia402Drive:
         self._enter(_DISABLED)
 
     def _may_resume(self) -> bool:
-        """Whether transition 16 is open: the master itself asked for the stop, and 605Ah lets it stay."""
+        """True if transition 16 is allowed: the controlword asked for the stop, and 605Ah keeps the drive in it."""
         may_stay = (_PROFILE_RAMP_AND_STAY, _QUICK_STOP_RAMP_AND_STAY)
         return self._stop_was_commanded and self._quick_stop_option.value in may_stay
 
     def _change(self, wanted: DriveState, now_ns: int) -> None:
-        """Make a transition that the controlword asks for, with the ramp that its option code wants."""
+        """Make a transition that the controlword asks for, with the ramp of its option code."""
         if wanted is _ENABLED and not self._setpoints.has_period:
             self.fault(PARAMETER_ERROR, now_ns)
             return
@@ -232,7 +234,7 @@ class SimulatedCia402Drive:
         deceleration = self._quick_stop_deceleration if is_quick else self._profile_deceleration
         rate = deceleration.value / self._units.counts
         self.servo.quick_stop(rate)
-        # a blocked or driven axis must not stay powered for ever: twice the ramp's time is patience enough
+        # a blocked axis, or one driven from outside, must not stay powered: the ramp is given up after twice its time
         patience_s = min(0.5 + 2.0 * abs(self.servo.velocity_demand) / rate, 60.0)
         self._stop = _Stop(then, now_ns + round(patience_s * _S))
 
@@ -244,7 +246,7 @@ class SimulatedCia402Drive:
         return self.servo.velocity_demand == 0.0 and self.servo.is_at_rest
 
     def _enter(self, state: DriveState) -> None:
-        """Be in a state, without any ramp; without power unless it is Operation Enabled."""
+        """Enter a state at once, without a ramp; without power unless it is Operation Enabled."""
         self.state = state
         self._stop = None
         self._exceeded_since_ns = None

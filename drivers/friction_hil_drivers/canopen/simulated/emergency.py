@@ -20,7 +20,7 @@ def _register_bit(code: int) -> int:
 
 
 class Emergencies:
-    """Which errors are present, and who is told.
+    """Errors that are present, and the emergency messages that report them.
 
     Parameters
     ----------
@@ -39,8 +39,8 @@ class Emergencies:
         count = dictionary.of(objects.ERROR_HISTORY_COUNT)
         count.on_read = lambda: len(self._history)
         count.on_write = self._clear_history
-        for place in range(_HISTORY_LENGTH):
-            dictionary.at(count.index, place + 1).on_read = lambda place=place: self._past(place)
+        for age in range(_HISTORY_LENGTH):
+            dictionary.at(count.index, age + 1).on_read = lambda age=age: self._past(age)
 
     @property
     def register(self) -> int:
@@ -51,7 +51,7 @@ class Emergencies:
         return bits
 
     def report(self, code: int) -> None:
-        """An error occurred. While it stays present it is not reported again."""
+        """Report an error; while it stays present it is not reported again."""
         if code in self._present:
             return
         self._present.append(code)
@@ -60,26 +60,26 @@ class Emergencies:
         self._send(_FRAME.pack(code, self.register))
 
     def clear(self, *codes: int) -> None:
-        """These errors are gone, those of them that were present."""
+        """Take back errors, those of them that were present."""
         remaining = [code for code in self._present if code not in codes]
         if len(remaining) < len(self._present):
             self._present = remaining
             self._send(_FRAME.pack(0, self.register))
 
     def reset(self) -> None:
-        """Forget everything, silently, as when the node starts."""
+        """Forget all errors without a message, as when the node starts."""
         self._present.clear()
         self._history.clear()
 
     @property
     def are_present(self) -> bool:
-        """Whether an error was reported that is not gone."""
+        """True if an error was reported and not taken back."""
         return bool(self._present)
 
-    def _past(self, place: int) -> int:
-        if place >= len(self._history):
+    def _past(self, age: int) -> int:
+        if age >= len(self._history):
             raise SdoAbortError(Abort.NO_DATA)
-        return self._history[place]
+        return self._history[age]
 
     def _clear_history(self, value: int) -> None:
         if value != 0:

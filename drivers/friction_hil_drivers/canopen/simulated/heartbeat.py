@@ -7,23 +7,26 @@ _MS = 1_000_000  # ns
 
 
 class Producer:
-    """When this node's own heartbeat is due."""
+    """Timer of this node's own heartbeat."""
 
     def __init__(self, dictionary: Dictionary) -> None:
         self._time = dictionary.of(objects.PRODUCER_HEARTBEAT)
         self._last_ns = 0
 
+    @property
+    def _interval_ns(self) -> int:
+        return int(self._time.value) * _MS
+
     def is_due(self, now_ns: int) -> bool:
-        """Whether to send one now; from then on the next interval counts."""
-        interval = self._time.value * _MS
-        if not interval or now_ns - self._last_ns < interval:
-            return False
-        # whole intervals since the last one, so that late service does not shift the grid
-        self._last_ns += (now_ns - self._last_ns) // interval * interval
-        return True
+        """True if a heartbeat is to be sent now."""
+        return self._interval_ns > 0 and now_ns - self._last_ns >= self._interval_ns
+
+    def sent(self, now_ns: int) -> None:
+        """Begin the next interval, in whole intervals since the last one: late service does not shift the grid."""
+        self._last_ns += (now_ns - self._last_ns) // self._interval_ns * self._interval_ns
 
     def restart(self, now_ns: int) -> None:
-        """Count from here: the boot-up message stands for the first heartbeat."""
+        """Count from here: the boot-up message replaces the first heartbeat."""
         self._last_ns = now_ns
 
 
@@ -32,7 +35,7 @@ class Consumer:
 
     def __init__(self, dictionary: Dictionary) -> None:
         index, count = objects.CONSUMER_HEARTBEAT.index, dictionary.of(objects.CONSUMER_HEARTBEAT_COUNT)
-        self._entries = [dictionary.at(index, place) for place in range(1, count.value + 1)]
+        self._entries = [dictionary.at(index, subindex) for subindex in range(1, count.value + 1)]
         for entry in self._entries:
             entry.on_write = lambda value, entry=entry: self._write(entry, value)
         self._deadlines_ns: dict[int, int] = {}  # by node
@@ -45,23 +48,23 @@ class Consumer:
 
     @property
     def are_all_present(self) -> bool:
-        """Whether no node is lost."""
+        """True if no node is lost."""
         return not self._missing
 
     @property
     def nodes(self) -> list[int]:
-        """Nodes to be watched."""
+        """Nodes that are watched."""
         return [entry.value >> 16 for entry in self._entries if _interval_ns(entry.value)]
 
     def heard(self, node: int, now_ns: int) -> None:
-        """A heartbeat of ``node`` arrived."""
+        """Take a heartbeat of ``node``."""
         for entry in self._entries:
             if entry.value >> 16 == node and (interval := _interval_ns(entry.value)):
                 self._deadlines_ns[node] = now_ns + interval
                 self._missing.discard(node)
 
-    def lost(self, now_ns: int) -> list[int]:
-        """Nodes whose heartbeat has failed to come since the last call."""
+    def take_lost(self, now_ns: int) -> list[int]:
+        """Return the nodes whose heartbeat became overdue since the last call."""
         late = [node for node, deadline in self._deadlines_ns.items() if now_ns >= deadline]
         for node in late:
             del self._deadlines_ns[node]
@@ -81,5 +84,5 @@ class Consumer:
 
 
 def _interval_ns(entry: int) -> int:
-    """Consumer time of an entry of 1016h; 0 where the entry is unused."""
+    """Return the consumer time of an entry of 1016h, ns; 0 where the entry is unused."""
     return (entry & 0xFFFF) * _MS if entry >> 16 else 0

@@ -25,23 +25,23 @@ _S, _US = 1_000_000_000, 1_000  # ns
 class SimulatedNode:
     """One node on the bus.
 
-    Frames come in through `receive`, time through `advance_to`; frames go out through ``send``. `poll` does what is
-    due: it is to be called when `needs_poll` says so, that is after a SYNC (once all nodes have sent their PDOs),
-    and regularly between frames. With ``sync_steps`` the node has a time of its own that passes by that many
-    integration steps at each SYNC and stands still in between, so that all it does is a function of the frames.
+    Frames come in through `receive`, time through `advance_to`; frames go out through ``send``. `poll` is to be called
+    when `needs_poll` is true: after a SYNC (once all nodes have sent their PDOs), and regularly between frames. With
+    ``sync_steps`` the node has a time of its own that passes by that many integration steps at each SYNC and stands
+    still in between, so that its behaviour is a function of the frames.
 
     Parameters
     ----------
     number : int
         Node number, 1 to 127.
     dictionary : Dictionary
-        Made for that number.
+        Dictionary of a node with that number.
     make_drive : callable
         Makes the device from the dictionary and the emergencies.
     send : callable
         Called with identifier and data of each frame to be sent.
     sync_steps : int or None
-        Integration steps a SYNC; None: time comes from `advance_to`.
+        Integration steps at each SYNC; None: time comes from `advance_to`.
     lock_steps : int or None
         With time from `advance_to`: integration steps between two SYNCs, to which the drive locks its clock as real
         drives do, so that a SYNC that comes late by some microseconds does not shift the instants at which it samples
@@ -61,12 +61,12 @@ class SimulatedNode:
         self.state = NmtState.BOOT_UP
         self.now_ns = 0
         self._polled_ns = 0
-        self._has_sync = False  # one came whose received PDOs are still to take effect
+        self._has_sync = False  # a SYNC came; received PDOs are still to take effect
         self._steps = 0  # integration steps done
         self._sync_steps = sync_steps
         self._lock_steps = lock_steps
         self._locked_until_ns = 0
-        self._is_ahead = False  # at the coming SYNC already
+        self._is_ahead = False  # integrated up to the coming SYNC
         self._send = send
         self._dictionary = dictionary
         self._emergencies = Emergencies(dictionary, self._send_emergency)
@@ -74,8 +74,8 @@ class SimulatedNode:
         self._sdo = SdoServer(dictionary, partial(send, objects.SDO_RESPONSE_BASE + number))
         self._producer = Producer(dictionary)
         self._consumer = Consumer(dictionary)
-        self._rpdos = [Rpdo(place, dictionary) for place in range(objects.PDO_COUNT)]
-        self._tpdos = [Tpdo(place, dictionary) for place in range(objects.PDO_COUNT)]
+        self._rpdos = [Rpdo(number, dictionary) for number in range(objects.PDO_COUNT)]
+        self._tpdos = [Tpdo(number, dictionary) for number in range(objects.PDO_COUNT)]
         self._sync_id = dictionary.of(objects.SYNC_COB_ID)
         self._sync_id.on_write = self._write_sync_id
         self._sync_period = dictionary.of(objects.COMMUNICATION_CYCLE_PERIOD)
@@ -88,13 +88,13 @@ class SimulatedNode:
         self._connect()
 
     def boot(self) -> None:
-        """Say that the node is there, and be pre-operational."""
+        """Send the boot-up message and be pre-operational."""
         self.state = NmtState.PRE_OPERATIONAL
         self._send(objects.HEARTBEAT_BASE + self.number, bytes([NmtState.BOOT_UP]))
         self._producer.restart(self.now_ns)
 
     def listens_to(self, can_id: int) -> bool:
-        """Whether a frame of this identifier concerns the node."""
+        """True if the node takes frames with this identifier."""
         return can_id in self._handlers
 
     def receive(self, can_id: int, data: bytes) -> None:
@@ -115,9 +115,9 @@ class SimulatedNode:
                 self._steps += steps
 
     def prepare(self) -> None:
-        """Integrate up to the coming SYNC before it comes, where the clock is locked: nothing is lost by it.
+        """Integrate up to the coming SYNC before it comes, where the clock is locked.
 
-        What synchronous PDOs bring takes effect at a SYNC anyway.
+        This changes no result: synchronous PDOs take effect at a SYNC anyway.
         """
         if self._lock_steps is not None and self.now_ns < self._locked_until_ns and not self._is_ahead:
             self.drive.advance(self._lock_steps)
@@ -125,11 +125,11 @@ class SimulatedNode:
             self._is_ahead = True
 
     def needs_poll(self, now_ns: int) -> bool:
-        """Whether `poll` is to be called."""
+        """True if `poll` is to be called."""
         return self._has_sync or now_ns - self._polled_ns >= _POLL_NS
 
     def poll(self) -> None:
-        """Do what is due at this time: what a SYNC brought, timers, ramps, event-driven PDOs."""
+        """Apply the PDOs received before a SYNC; serve timers, ramps and event-driven PDOs."""
         if self._has_sync:
             self._has_sync = False
             for rpdo in self._rpdos:
@@ -238,7 +238,7 @@ class SimulatedNode:
         self._set_state(state)
 
     def _leave_operational(self) -> None:
-        """Without PDOs nobody guides a drive that is enabled."""
+        """Report a lost connection to a powered drive: without PDOs it gets no set-points."""
         if self.state is _OPERATIONAL and self.drive.state.is_powered:
             self.drive.connection_lost(COMMUNICATION, self.now_ns)
 
@@ -253,7 +253,7 @@ class SimulatedNode:
             self._sdo.reset()
 
     def _reset(self, last_index: int) -> None:
-        """Return to the defaults up to ``last_index``: of the communication alone, or of the whole node."""
+        """Return objects up to ``last_index`` to their defaults: those of the communication, or of the whole node."""
         self._dictionary.reset(0x1000, last_index)
         if last_index > 0x1FFF:
             self._emergencies.reset()
@@ -269,8 +269,9 @@ class SimulatedNode:
     def _check_timers(self) -> None:
         now_ns = self._polled_ns = self.now_ns
         if self._producer.is_due(now_ns):
+            self._producer.sent(now_ns)
             self._send(objects.HEARTBEAT_BASE + self.number, bytes([self.state]))
-        for _ in self._consumer.lost(now_ns):
+        for _ in self._consumer.take_lost(now_ns):
             self._lose_connection(HEARTBEAT_LOST)
         if self.state is not _OPERATIONAL:
             return
@@ -293,7 +294,7 @@ class SimulatedNode:
     # Parameters
 
     def _write_sync_id(self, value: int) -> None:
-        if value & ~0x7FF or value == 0:  # a producer (bit 30) it cannot be
+        if value & ~0x7FF or value == 0:  # bit 30, of a producer, is not supported
             raise SdoAbortError(Abort.VALUE)
 
     def _write_emergency_id(self, value: int) -> None:
@@ -304,14 +305,14 @@ class SimulatedNode:
         self._sync_deadline_ns = None
 
     def _load(self) -> None:
-        """Take over the communication parameters that were written."""
+        """Apply the communication parameters that were written."""
         for pdo in (*self._rpdos, *self._tpdos):
             if pdo.is_stale:
                 pdo.load()
         self._connect()
 
     def _connect(self) -> None:
-        """Say what is done with each identifier, and which PDOs are sent when."""
+        """Set the handler of each identifier, and which PDOs are sent with SYNC and which by event."""
         self._synchronous = [tpdo for tpdo in self._tpdos if tpdo.exists and tpdo.is_synchronous]
         self._event_driven = [tpdo for tpdo in self._tpdos if tpdo.exists and not tpdo.is_synchronous]
         self._handlers = {rpdo.can_id: partial(self._on_rpdo, rpdo) for rpdo in self._rpdos if rpdo.exists}

@@ -1,4 +1,4 @@
-"""What the simulated drive of an axis is: the keys of its ``simulation``."""
+"""Keys of an axis's ``simulation``: its simulated servo and drive."""
 
 from pathlib import Path
 from typing import Annotated, Literal
@@ -12,12 +12,12 @@ Index = Annotated[int, Field(ge=0x1000, le=0xFFFF)]
 
 
 class CanopenSimulation(BaseModel):
-    """How the simulated drive shows itself on the bus."""
+    """Identity and abilities of the simulated drive on the bus."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     eds: Path | None = Field(
-        None, description="EDS that it follows, seen from the configuration file; its own when not given"
+        None, description="EDS that it follows, relative to the configuration file; its own when not given"
     )
     vendor_id: Unsigned32 | None = Field(None, description="1018h:01; as in the EDS when not given")
     product_code: Unsigned32 | None = Field(None, description="1018h:02; as in the EDS when not given")

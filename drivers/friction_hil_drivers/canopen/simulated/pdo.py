@@ -12,7 +12,7 @@ _MS, _INHIBIT_UNIT = 1_000_000, 100_000  # ns
 
 
 def _is_restricted(can_id: int) -> bool:
-    """Whether CiA 301 keeps this identifier for something else."""
+    """True if CiA 301 reserves this identifier."""
     return (
         can_id < 0x80
         or 0x101 <= can_id <= 0x180
@@ -24,9 +24,9 @@ def _is_restricted(can_id: int) -> bool:
 
 
 class SimulatedPdo:
-    """What both directions share: one communication record, one mapping record.
+    """Base of both directions: one communication record, one mapping record.
 
-    Writes to the records are checked at once and make it stale; they take effect when the node calls `load`.
+    Writes to the records are checked at once and make the PDO stale; they take effect when the node calls `load`.
     """
 
     _is_receive: bool
@@ -40,7 +40,7 @@ class SimulatedPdo:
         self._type = dictionary.at(parameter, objects.PDO_TRANSMISSION_TYPE)
         self._event_timer = dictionary.at(parameter, objects.PDO_EVENT_TIMER)
         self._count = dictionary.at(mapping, 0)
-        self._mapped = [dictionary.at(mapping, place) for place in range(1, 9)]
+        self._mapped = [dictionary.at(mapping, position) for position in range(1, 9)]
         self._cob_id.on_write = self._write_cob_id
         self._type.on_write = self._write_type
         self._event_timer.on_write = self._note
@@ -50,7 +50,7 @@ class SimulatedPdo:
         self.load()
 
     def load(self) -> None:
-        """Take over what the records say now."""
+        """Apply the records as they are now."""
         self.is_stale = False
         self.can_id = self._cob_id.value & 0x7FF
         self.transmission_type = self._type.value
@@ -59,7 +59,7 @@ class SimulatedPdo:
         try:
             mapping = [entry.value for entry in self._mapped[: self._count.value]]
             self._entries = [self._resolve(word) for word in mapping]
-        except SdoAbortError:  # the default mapping names an object that this specimen lacks
+        except SdoAbortError:  # the default mapping names an object that this drive lacks
             self._entries = []
         self._struct = struct.Struct("<" + "".join(entry.type.code for entry in self._entries))
         self.size = self._struct.size
@@ -101,7 +101,7 @@ class SimulatedPdo:
             self._resolve(value)
 
     def _resolve(self, word: int) -> Entry:
-        """Entry that a mapping word names; refused where a PDO of this direction cannot carry it."""
+        """Return the entry that a mapping word names; refuse one that a PDO of this direction cannot carry."""
         index, subindex, bits = word >> 16, word >> 8 & 0xFF, word & 0xFF
         if self._is_receive and index in _DUMMIES:
             entry = Entry(index, subindex, "dummy", index)
@@ -126,7 +126,7 @@ class Rpdo(SimulatedPdo):
     _mapping_base = objects.RPDO_MAPPING
 
     def load(self) -> None:
-        """Take over what the records say now, and start afresh."""
+        """Apply the records as they are now, and start afresh."""
         super().load()
         self.stop()
 
@@ -138,7 +138,7 @@ class Rpdo(SimulatedPdo):
         self.is_too_short = False
 
     def write(self, data: bytes) -> None:
-        """Write a frame's values. One that its entry refuses is left out: nobody could be told."""
+        """Write a frame's values. One that its entry refuses is left out: an RPDO has no answer."""
         for entry, value in zip(self._entries, self._struct.unpack_from(data), strict=True):
             try:
                 entry.write(value)
@@ -149,7 +149,7 @@ class Rpdo(SimulatedPdo):
 class Tpdo(SimulatedPdo):
     """Transmitted: samples the entries mapped to it.
 
-    Event-driven ones are due when their content has changed or their event timer has run off, not before the
+    Event-driven ones are sent when their content has changed or their event timer has expired, but not before the
     inhibit time has passed.
     """
 
@@ -163,7 +163,7 @@ class Tpdo(SimulatedPdo):
         super().__init__(number, dictionary)
 
     def load(self) -> None:
-        """Take over what the records say now, and start afresh."""
+        """Apply the records as they are now, and start afresh."""
         super().load()
         self._readers = [entry.reader() for entry in self._entries]
         self._inhibit_ns = self._inhibit.value * _INHIBIT_UNIT
@@ -176,11 +176,11 @@ class Tpdo(SimulatedPdo):
         self._sent_ns = 0
 
     def sample(self) -> bytes:
-        """Content at this moment."""
+        """Return the content at this moment."""
         return self._struct.pack(*[read() for read in self._readers])
 
     def at_sync(self) -> bytes | None:
-        """What to send at this SYNC, if anything."""
+        """Return what to send at this SYNC, None for nothing."""
         if self.transmission_type == 0:
             data = self.sample()
             if data == self._sent:
@@ -194,7 +194,7 @@ class Tpdo(SimulatedPdo):
         return self.sample()
 
     def at_time(self, now_ns: int) -> bytes | None:
-        """What an event-driven PDO has to send at this moment, if anything."""
+        """Return what an event-driven PDO sends at this moment, None for nothing."""
         if self._sent is not None and now_ns - self._sent_ns < self._inhibit_ns:
             return None
         data = self.sample()

@@ -9,7 +9,7 @@ from friction_hil_drivers.canopen.simulated.dictionary import Abort, Dictionary,
 _HEAD = struct.Struct("<BHB")
 _SIZE = struct.Struct("<I")
 _ABORT = struct.Struct("<BHBI")
-_LARGEST = 4096  # bytes of one object: a confused client must not fill the memory
+_LARGEST = 4096  # bytes of one object: a faulty client must not fill the memory
 
 # Command specifiers of the client, in the upper three bits
 _DOWNLOAD_SEGMENT, _DOWNLOAD, _UPLOAD, _UPLOAD_SEGMENT, _ABORTED = 0, 1, 2, 3, 4
@@ -36,7 +36,7 @@ class SdoServer:
     Parameters
     ----------
     dictionary : Dictionary
-        What is served.
+        Dictionary that is served.
     send : callable
         Called with the eight bytes of each response.
     """
@@ -57,7 +57,7 @@ class SdoServer:
         self._transfer = None
 
     def request(self, data: bytes) -> None:
-        """Answer a request. What has not eight bytes is no SDO and gets no answer."""
+        """Answer a request; one that has not eight bytes is not an SDO request and gets no answer."""
         if len(data) != 8:
             return
         command, index, subindex = _HEAD.unpack_from(data)
@@ -131,7 +131,7 @@ class SdoServer:
         transfer.toggle ^= _TOGGLE
 
     def _expected(self, command: int, *, is_upload: bool) -> _Transfer:
-        """Transfer that a segment belongs to, or the abort that answers a segment out of place."""
+        """Return the transfer that a segment belongs to; abort where it belongs to none."""
         transfer = self._transfer
         if transfer is None or transfer.is_upload is not is_upload:
             raise SdoAbortError(Abort.COMMAND)

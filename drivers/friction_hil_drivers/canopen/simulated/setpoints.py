@@ -15,21 +15,19 @@ _CSP, _CSV, _CST = Mode.CSP, Mode.CSV, Mode.CST
 
 
 class Setpoints:
-    """What the master wants, from the moment of `forget` on.
+    """Targets and offsets that the master wrote since `forget`.
 
-    What was written before that moment stays in the dictionary without effect, so that a drive neither jumps
-    nor pushes when it is enabled or changes its mode: until then it holds its position, or gives no torque.
+    What was written before stays in the dictionary without effect, so that a drive neither jumps nor pushes when it is
+    enabled or changes its mode: until the next target it holds its position, or gives no torque.
     """
 
     def __init__(self, servo: Servo, units: SimulatedUnits, dictionary: Dictionary) -> None:
         self._servo = servo
         self._units = units
-        self._min_position = dictionary.of(objects.MIN_POSITION_LIMIT)
-        self._max_position = dictionary.of(objects.MAX_POSITION_LIMIT)
-        self._max_speed = dictionary.of(objects.MAX_MOTOR_SPEED)
-        self._max_torque = dictionary.of(objects.MAX_TORQUE)
-        self._period = dictionary.of(objects.INTERPOLATION_PERIOD)
-        self._exponent = dictionary.of(objects.INTERPOLATION_EXPONENT)
+        self._min_position, self._max_position, self._max_speed, self._max_torque = dictionary.entries(
+            objects.MIN_POSITION_LIMIT, objects.MAX_POSITION_LIMIT, objects.MAX_MOTOR_SPEED, objects.MAX_TORQUE
+        )
+        self._period, self._exponent = dictionary.entries(objects.INTERPOLATION_PERIOD, objects.INTERPOLATION_EXPONENT)
         self._max_torque.on_write = self._limit_torque
         self._period.on_write = self._write_period
         self._exponent.on_write = lambda value: self._set_period(self._period.value, value)
@@ -47,33 +45,33 @@ class Setpoints:
         self.forget()
 
     def load(self) -> None:
-        """Apply the settings as they stand in the dictionary."""
+        """Apply the settings in the dictionary."""
         self._limit_torque(self._max_torque.value)
         self._set_period(self._period.value, self._exponent.value)
 
     def forget(self) -> None:
-        """Hold from here on: the present position, no velocity, no torque."""
+        """Hold the present position, without velocity and torque, until the next target."""
         self._position: int | None = None  # as on the wire; None: no target came yet
-        self._in_force = round(self._servo.position * self._units.counts)  # counts without wrap-around
+        self._in_force = round(self._servo.position * self._units.counts)  # counts without wraps
         self._velocity = self._torque = 0
         self._position_offset = self._velocity_offset = self._torque_offset = 0
         self._is_first = True
-        self.are_new = True  # something is to be activated
-        self.are_limited = False  # a limit other than the torque's cut the last target
+        self.are_new = True  # not activated yet
+        self.are_limited = False  # a limit other than that of the torque cut the last target
 
     def jumps_beyond(self, window: int) -> bool:
-        """Whether the first target position is further than ``window`` counts from where the axis stands."""
+        """True if the first target position is further than ``window`` counts from the position of the axis."""
         if not self._is_first or self._position is None:
             return False
-        return abs(self._wanted_position() - self._in_force) > window
+        return abs(self._absolute(self._within_limits(self._position)) - self._in_force) > window
 
     def activate(self, mode: int) -> None:
-        """Hand the set-points to the servo, which reaches them over the next interpolation periods."""
+        """Give the set-points to the servo, which reaches them over the next interpolation periods."""
         self.are_new = self.are_limited = False
         velocity_offset = self._velocity_offset / self._units.counts
         torque_offset = self._torque_offset * self._units.torque
         if mode == _CSP:
-            target = self._limited_position() / self._units.counts
+            target = self._next_position() / self._units.counts
             self._servo.command(_CSP, target, velocity_offset, torque_offset)
         elif mode == _CSV:
             limit = self._units.speed(self._max_speed.value)
@@ -89,25 +87,25 @@ class Setpoints:
         setattr(self, name, value)
         self.are_new = True
 
-    def _wanted_position(self) -> int:
-        """Target and offset in counts without wrap-around, within the software position limits (607Dh)."""
-        assert self._position is not None
-        position = self._position
+    def _within_limits(self, position: int) -> int:
+        """Return a target position cut to the software position limits (607Dh)."""
         low, high = self._min_position.value, self._max_position.value
-        if low < high:
-            position = min(max(position, low), high)
-        self.are_limited |= position != self._position
+        return min(max(position, low), high) if low < high else position
+
+    def _absolute(self, position: int) -> int:
+        """Return a target position with its offset, in counts without wraps."""
         return unwrapped(wrap(position + self._position_offset), self._in_force)
 
-    def _limited_position(self) -> int:
-        """Next target: no further from the last one than the motor's highest speed takes it."""
+    def _next_position(self) -> int:
+        """Take the next target: no further from the last one than the motor's highest speed reaches."""
         if self._position is None:
             return self._in_force
         self._is_first = False
-        wanted = self._wanted_position()
+        within = self._within_limits(self._position)
+        target = self._absolute(within)
         reach = math.ceil(self._units.speed(self._max_speed.value) * self._period_s)
-        limited = min(max(wanted, self._in_force - reach), self._in_force + reach)
-        self.are_limited |= limited != wanted
+        limited = min(max(target, self._in_force - reach), self._in_force + reach)
+        self.are_limited = within != self._position or limited != target
         self._in_force = limited
         return limited
 
@@ -121,9 +119,9 @@ class Setpoints:
             raise SdoAbortError(Abort.VALUE)
 
     def _set_period(self, mantissa: int, exponent: int) -> None:
-        """Take an interpolation period; one that the servo cannot do shows in `has_period`.
+        """Set the interpolation period; `has_period` is False for one that the servo does not support.
 
-        The exponent may come before the mantissa that it belongs to, so it alone is no reason to refuse.
+        The exponent may be written before the mantissa that it belongs to, so it alone is never refused.
         """
         period_s = mantissa * 10.0**exponent
         try:

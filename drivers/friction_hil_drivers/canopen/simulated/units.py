@@ -9,20 +9,20 @@ INT16, INT32 = (-0x8000, 0x7FFF), (-(1 << 31), (1 << 31) - 1)
 
 
 def saturated(value: float, bounds: tuple[int, int]) -> int:
-    """Nearest integer within ``bounds``."""
+    """Return the nearest integer within ``bounds``."""
     return round(min(max(value, bounds[0]), bounds[1]))
 
 
 def unwrapped(position: int, near: int) -> int:
-    """Position without wrap-around that looks like ``position`` on the wire and is closest to ``near``."""
+    """Return the position without wraps that equals ``position`` modulo 2^32 and is closest to ``near``."""
     return near + wrap(position - near)
 
 
 class SimulatedUnits:
     """Conversion of one axis.
 
-    A revolution is one turn of a rotary axis and one metre of a linear one. The rated torque is what object
-    6076h can say of it, whole mN m (mN), so that both sides of the bus scale alike.
+    A revolution is one turn of a rotary axis and one metre of a linear one. The rated torque is rounded to whole
+    mN m (mN), the unit of object 6076h, so that both sides of the bus use the same scale.
     """
 
     def __init__(self, servo: Servo) -> None:
@@ -34,5 +34,5 @@ class SimulatedUnits:
         self.torque = self.rated_torque * 1e-6  # N m or N per per mille
 
     def speed(self, revolutions_per_minute: int) -> float:
-        """Counts per second of a speed in revolutions per minute."""
+        """Return the counts per second of a speed in revolutions per minute."""
         return revolutions_per_minute * self._per_minute

@@ -23,7 +23,7 @@ def connect_live_values(dictionary: Dictionary, servo: Servo, units: SimulatedUn
 
 
 def set_defaults(dictionary: Dictionary, servo: Servo, units: SimulatedUnits, modes: Iterable[Mode]) -> None:
-    """Give the entries that describe this motor their values, as its commissioning would have done.
+    """Set the entries that describe this motor, as its commissioning would do.
 
     The quick stop uses half of the rated torque on the inertia, the profile ramp a quarter; the following
     error window is a twentieth of a revolution.

@@ -1,0 +1,58 @@
+"""Codes of the CANopen driver's fault messages; README.md has the cause and the remedy of each."""
+
+BUS_NOT_OPENED = "FH-201"
+BUS_FAILED = "FH-202"
+SECOND_MASTER = "FH-203"
+NODE_LOCKED = "FH-204"
+LOCK_FILE = "FH-205"
+NO_ANSWER = "FH-206"
+ANSWER_LOST = "FH-207"
+SDO_ABORT = "FH-208"
+OBJECT_MISSING = "FH-209"
+OBJECT_SIZE = "FH-210"
+WRONG_IDENTITY = "FH-211"
+MODE_NOT_SUPPORTED = "FH-212"
+WRONG_EDS = "FH-213"
+UNIT_UNKNOWN = "FH-214"
+ALREADY_POWERED = "FH-215"
+PERIOD_NOT_EXPRESSIBLE = "FH-216"
+NO_WATCHDOG = "FH-217"
+BUS_OVERLOAD = "FH-218"
+MAPPING_NOT_KEPT = "FH-219"
+HEARTBEAT_LOST = "FH-230"
+NODE_RESTARTED = "FH-231"
+NOT_OPERATIONAL = "FH-232"
+WRONG_MODE = "FH-233"
+SYNC_NOT_ANSWERED = "FH-234"
+
+TITLES = {
+    BUS_NOT_OPENED: "The CAN bus does not open",
+    BUS_FAILED: "The CAN bus cannot send or receive any more",
+    SECOND_MASTER: "Another master sends SYNC on the bus",
+    NODE_LOCKED: "Another daemon of this machine drives the node",
+    LOCK_FILE: "The lock file of a node cannot be opened",
+    NO_ANSWER: "No node answers under the configured number",
+    ANSWER_LOST: "A node stopped answering while it was being configured",
+    SDO_ABORT: "A drive refuses to read or write an object",
+    OBJECT_MISSING: "A drive lacks an object that is needed",
+    OBJECT_SIZE: "A value or an object has a size that does not fit",
+    WRONG_IDENTITY: "The drive is not the one that the configuration names",
+    MODE_NOT_SUPPORTED: "The drive does not support the mode of operation",
+    WRONG_EDS: "The EDS is not that of the drive",
+    UNIT_UNKNOWN: "A unit of the drive is not known",
+    ALREADY_POWERED: "The drive is powered before the daemon enabled it",
+    PERIOD_NOT_EXPRESSIBLE: "The period cannot be written as an interpolation period",
+    NO_WATCHDOG: "The drive cannot watch the daemon",
+    BUS_OVERLOAD: "A cycle does not fit on the bus",
+    MAPPING_NOT_KEPT: "The drive keeps another PDO mapping than was written",
+    HEARTBEAT_LOST: "The heartbeat of a node is missing",
+    NODE_RESTARTED: "A node restarted during the run",
+    NOT_OPERATIONAL: "A node left the state Operational",
+    WRONG_MODE: "An enabled drive is in another mode of operation",
+    SYNC_NOT_ANSWERED: "Drives do not answer SYNC in simulated time",
+}
+
+
+def coded(text: str, code: str) -> str:
+    """Append a code to a message: ``no heartbeat from node 5 [FH-230]``."""
+    return f"{text} [{code}]"

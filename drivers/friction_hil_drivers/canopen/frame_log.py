@@ -1,0 +1,131 @@
+"""Data frames of a log of raw CAN frames: candump .log, Vector .asc and .blf."""
+
+import io
+from collections.abc import Iterator
+from pathlib import Path
+
+import can
+import numpy as np
+from numpy.typing import NDArray
+
+_LONGEST_LIST = 5  # of line numbers in a message
+
+
+class FrameLog:
+    """Data frames with 11-bit identifiers, in the order of the log.
+
+    Attributes
+    ----------
+    times : array of float, shape (n,)
+        Time stamps, s.
+    identifiers, lengths : array of int, shape (n,)
+    data : array of uint8, shape (n, 8)
+        Filled up with zeros behind ``lengths``.
+    rows : dict
+        Indices of the frames by identifier, in the order of the log.
+    problems : list of str
+        What could not be read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        times: list[float] = []
+        identifiers: list[int] = []
+        lengths: list[int] = []
+        data: list[bytes] = []
+        self.problems: list[str] = []
+        for message in _messages(path, self.problems):
+            if message.is_extended_id or message.is_remote_frame or message.is_error_frame or len(message.data) > 8:
+                continue
+            times.append(message.timestamp)
+            identifiers.append(message.arbitration_id)
+            lengths.append(len(message.data))
+            data.append(bytes(message.data).ljust(8, b"\0"))
+        self.times = np.array(times)
+        self.identifiers = np.array(identifiers, dtype=np.int64)
+        self.lengths = np.array(lengths, dtype=np.int64)
+        self.data = np.frombuffer(b"".join(data), dtype=np.uint8).reshape(-1, 8)
+        self.rows = _rows_by_identifier(self.identifiers)
+
+    def rows_of(self, identifier: int) -> NDArray[np.intp]:
+        """Return the indices of the frames with an identifier."""
+        return self.rows.get(identifier, np.empty(0, np.intp))
+
+    def since_start_s(self, row: int) -> float:
+        """Return the time of a frame since the first one, s."""
+        return float(self.times[row] - self.times[0])
+
+
+def _rows_by_identifier(identifiers: NDArray[np.int64]) -> dict[int, NDArray[np.intp]]:
+    if not identifiers.size:
+        return {}
+    order = np.argsort(identifiers, kind="stable")
+    bounds = np.flatnonzero(np.diff(identifiers[order])) + 1
+    return {int(identifiers[rows[0]]): rows for rows in np.split(order, bounds)}
+
+
+def _messages(path: Path, problems: list[str]) -> Iterator[can.Message]:
+    """Yield every frame that can be read; where the log ends too early, add that to ``problems``."""
+    if path.suffix.lower() == ".log":
+        yield from _candump(path, problems)
+    else:
+        yield from _vector(path, problems)
+
+
+def _vector(path: Path, problems: list[str]) -> Iterator[can.Message]:
+    count, last = 0, 0.0
+    try:
+        with path.open("rb") as file:
+            is_binary = path.suffix.lower() == ".blf"
+            reader = can.BLFReader(file) if is_binary else can.ASCReader(_whole_lines(path, problems))
+            for message in reader:
+                count, last = count + 1, message.timestamp
+                yield message
+            claimed = getattr(reader, "file_size", 0)
+            if claimed > path.stat().st_size:
+                problems.append(
+                    f"the file was cut off: it has {path.stat().st_size} of {claimed} bytes; "
+                    f"what followed frame {count} (at {last:.6f} s) is lost"
+                )
+    except OSError:
+        raise
+    except Exception as error:  # noqa: BLE001 - damaged bytes make the parsers raise errors of any kind
+        reason = " ".join(str(error).split()) or type(error).__name__
+        problems.append(
+            f"the file was cut off or is damaged behind frame {count} (at {last:.6f} s): "
+            f"what followed is lost ({reason})"
+        )
+
+
+def _whole_lines(path: Path, problems: list[str]) -> io.StringIO:
+    """Return the text of an .asc file up to its last complete line."""
+    text = path.read_bytes().decode("utf-8", "replace")
+    whole, newline, rest = text.rpartition("\n")
+    lines = whole.count("\n") + 1
+    if rest.strip("\0 \r"):
+        problems.append(f"the file was cut off in line {lines + 1}: that line and what followed are lost")
+    elif "begin triggerblock" in whole[:10_000].lower() and not whole.rstrip().lower().endswith("end triggerblock"):
+        problems.append(f"the file was cut off behind line {lines}, before its end mark: what followed is lost")
+    return io.StringIO(whole + newline)
+
+
+def _candump(path: Path, problems: list[str]) -> Iterator[can.Message]:
+    """Yield the frames of a log in the form of ``candump -l``; lines that cannot be read are counted."""
+    data = path.read_bytes()
+    whole, newline, rest = data.rpartition(b"\n")
+    text = (whole + newline).decode("utf-8", "replace")
+    if rest.strip(b"\0 \r"):
+        problems.append(f"the file was cut off in line {text.count(chr(10)) + 1}: that line is lost")
+    lines = io.StringIO(text)
+    wrong = []
+    while True:
+        before = lines.tell()
+        try:
+            yield from can.CanutilsLogReader(lines)
+            break
+        except Exception:  # noqa: BLE001 - a damaged line makes the parser raise any error; a new parser goes on after it
+            if lines.tell() == before:
+                break
+            wrong.append(text.count("\n", 0, lines.tell()))
+    if wrong:
+        listed = ", ".join(map(str, wrong[:_LONGEST_LIST])) + (", ..." if len(wrong) > _LONGEST_LIST else "")
+        problems.append(f"{len(wrong)} lines are no frames (line {listed}): left out")

@@ -1,0 +1,56 @@
+"""Reading a drive's objects, from the drive itself or from a log of its answers."""
+
+from abc import ABC, abstractmethod
+
+from friction_hil.errors import DriveError
+from friction_hil_drivers.canopen import codes
+from friction_hil_drivers.canopen.codes import coded
+from friction_hil_drivers.canopen.objects import Object
+
+
+class ObjectReader(ABC):
+    """Objects of one node.
+
+    Attributes
+    ----------
+    axis : str
+        Name of the axis, for messages.
+    where : str
+        Node and bus (or log), for messages.
+    """
+
+    axis: str
+    where: str
+
+    @abstractmethod
+    def bytes_of(self, entry: Object) -> bytes | None:
+        """Return the content of an object as on the wire, None where the drive has no such object.
+
+        Raises
+        ------
+        DriveError
+            The drive does not answer, or refuses.
+        """
+
+    def width(self, entry: Object) -> int | None:
+        """Return the width in bits that the drive gives an object, None where it has no such object."""
+        data = self.bytes_of(entry)
+        return None if data is None else 8 * len(data)
+
+    def find(self, entry: Object) -> int | None:
+        """Return the value of an integer object, None where the drive has no such object."""
+        data = self.bytes_of(entry)
+        if data is None:
+            return None
+        if len(data) not in (1, 2, 4):
+            text = f"{self.axis}: {entry} of {self.where} has {len(data)} bytes; integers have 1, 2 or 4"
+            raise DriveError(coded(text, codes.OBJECT_SIZE))
+        return int.from_bytes(data, "little", signed=entry.type.is_signed)
+
+    def read(self, entry: Object) -> int:
+        """Return the value of an integer object that the drive must have."""
+        value = self.find(entry)
+        if value is None:
+            text = f"{self.axis}: {self.where} lacks object {entry}, which is needed"
+            raise DriveError(coded(text, codes.OBJECT_MISSING))
+        return value

@@ -1,0 +1,93 @@
+"""Simulated nodes, made from their configuration."""
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from friction_hil.drive import Mode
+from friction_hil.errors import UsageError
+from friction_hil.servo.servo import Servo
+from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen.eds import SIMULATED_SERVO
+from friction_hil_drivers.canopen.simulated.dictionary import Dictionary
+from friction_hil_drivers.canopen.simulated.drive import SimulatedCia402Drive
+from friction_hil_drivers.canopen.simulated.node import SimulatedNode
+from friction_hil_drivers.canopen.simulated.options import SimulationOptions
+
+if TYPE_CHECKING:
+    from friction_hil.config import AxisConfig, Configuration
+
+
+def make_node(
+    configuration: "Configuration", axis: "AxisConfig", send: Callable[[int, bytes], None], *, is_real: bool
+) -> SimulatedNode:
+    """Make the node of an axis, with its servo compiled.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        Its period and the folder of its files.
+    axis : AxisConfig
+        With its ``simulation``.
+    send : callable
+        Called with identifier and data of each frame that the node sends.
+    is_real : bool
+        Time is real and the node locks to SYNC; else it passes at SYNC only.
+
+    Raises
+    ------
+    UsageError
+        An EDS is invalid, or the period is not a whole number of integration steps.
+    """
+    simulation = axis.simulation
+    assert isinstance(simulation, SimulationOptions)
+    number: int = getattr(axis.options, "node")  # noqa: B009 - the driver's options, known to it alone
+    servo = Servo(simulation)
+    modes = [Mode[name.upper()] for name in simulation.canopen.supported_modes]
+    _compile(Servo(simulation))
+    steps = _steps_per_period(configuration.period_s, servo)
+    return SimulatedNode(
+        number,
+        _dictionary(configuration, number, simulation),
+        lambda dictionary, emergencies: SimulatedCia402Drive(servo, dictionary, emergencies, modes),
+        send,
+        sync_steps=None if is_real else steps,
+        lock_steps=steps if is_real else None,
+    )
+
+
+def _dictionary(configuration: "Configuration", number: int, simulation: SimulationOptions) -> Dictionary:
+    shown = simulation.canopen
+    path = SIMULATED_SERVO
+    if shown.eds is not None:
+        source = configuration.source_path
+        path = shown.eds if source is None else source.parent / shown.eds
+    dictionary = Dictionary.from_eds(path, number, shown.missing)
+    for entry, value in (
+        (objects.VENDOR_ID, shown.vendor_id),
+        (objects.PRODUCT_CODE, shown.product_code),
+        (objects.REVISION_NUMBER, shown.revision),
+        (objects.SERIAL_NUMBER, number if shown.serial is None else shown.serial),
+    ):
+        if value is not None:
+            dictionary.set_default(entry, value)
+    return dictionary
+
+
+def _steps_per_period(period_s: float, servo: Servo) -> int:
+    exact = period_s * servo.steps_per_second
+    steps = round(exact)
+    if steps < 1 or abs(exact - steps) > 1e-6:
+        raise UsageError(
+            f"the period must be a whole number of integration steps of the simulated servo; "
+            f"{period_s:g} s is {exact:g} of them (integration_hz)"
+        )
+    return steps
+
+
+def _compile(servo: Servo) -> None:
+    """Let numba compile the servo in each mode, before time counts."""
+    for mode in Mode:
+        servo.command(mode, 0.0)
+        servo.advance(1)
+    servo.quick_stop(1.0)
+    servo.advance(1)
