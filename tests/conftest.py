@@ -1,5 +1,6 @@
 """What all tests need before they start."""
 
+import gc
 import os
 import signal
 
@@ -17,3 +18,9 @@ def pytest_sessionstart() -> None:
     workers = int(os.environ["PYTEST_XDIST_WORKER_COUNT"])
     for name in models.names()[int(worker.removeprefix("gw")) :: workers]:
         models.create(name, **models.describe(name).example).simulate_with_gradient([0.1], 1e-3)
+
+
+def pytest_collection_finish() -> None:
+    """Spare the garbage collector what was imported: some hundred thousand objects that stay until the end."""
+    gc.collect()
+    gc.freeze()
