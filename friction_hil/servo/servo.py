@@ -6,7 +6,7 @@ import numpy as np
 
 from friction_hil.errors import UsageError
 from friction_hil.motion.controller import CONTROLLER
-from friction_hil.numerics.jit import Record
+from friction_hil.numerics.jit import StructuredArray
 from friction_hil.servo import plant
 from friction_hil.servo.config import ServoConfig
 
@@ -40,7 +40,7 @@ _VELOCITY_OFFSET = _field_index("velocity_offset")
 _VELOCITY_ESTIMATE = _field_index("velocity_estimate")
 
 
-def _plant_record(config: ServoConfig, counts_per_unit: float) -> Record:
+def _plant_record(config: ServoConfig, counts_per_unit: float) -> StructuredArray:
     friction = config.friction_model
     step_s = 1.0 / config.integration_hz
     lag = config.motor.torque_lag_s
@@ -63,7 +63,7 @@ def _plant_record(config: ServoConfig, counts_per_unit: float) -> Record:
     return record
 
 
-def _controller_record(config: ServoConfig) -> Record:
+def _controller_record(config: ServoConfig) -> StructuredArray:
     record = np.zeros(1, CONTROLLER)
     k = record[0]
     k["position_gain"] = config.loops.position_gain
