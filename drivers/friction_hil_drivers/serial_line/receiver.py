@@ -97,7 +97,7 @@ class ReplyReceiver:
         self._callbacks.pop(exchange, None)
         if error.is_complete and exchange.writes:
             self.refusals.note(exchange)
-        self.last_error = f"{exchange.what}: {error}"
+        self.last_error = f"{exchange.label}: {error}"
         if not error.is_complete:
             # where another reply follows, it is found in what is left of this one
             is_last = len(self.outstanding) == 1
@@ -108,7 +108,7 @@ class ReplyReceiver:
         callback = self._callbacks.pop(exchange, None)
         if not self.state.permission.replies_used:
             callback = None
-            self.last_error = f"{exchange.what}: the reply may have been one to an earlier request"
+            self.last_error = f"{exchange.label}: the reply may have been one to an earlier request"
         self._apply(LineEvent.LAST_REPLY if len(self.outstanding) == 1 else LineEvent.REPLY, self._stale_ns)
         self._late.note_answer(exchange)
         self._note_all_answered()
@@ -148,7 +148,7 @@ class ReplyReceiver:
         """Count an unsolicited error as the refusal of a command without a reply; return True if it is one."""
         exchange = self.refusals.note_unsolicited(error)
         if exchange is not None:
-            self.last_error = f"{exchange.what}: {error}"
+            self.last_error = f"{exchange.label}: {error}"
         return exchange is not None
 
     def _take_late_reply(self, now: int) -> None:
@@ -163,7 +163,7 @@ class ReplyReceiver:
                 if not self._note_refusal(error):
                     # broken, or of another drive that is late: this one's reply is still expected
                     self._apply(LineEvent.LATE_REPLY_BROKEN, self._min_discard_ns)
-                    self.last_error = f"late, {exchange.what}: {error}"
+                    self.last_error = f"late, {exchange.label}: {error}"
             if is_complete:
                 del late.expected[0]
                 self._quiet_until_ns = now + self._silence_ns

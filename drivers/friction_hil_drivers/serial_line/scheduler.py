@@ -206,7 +206,7 @@ class BusScheduler(ReplyReceiver):
         self._callbacks.clear()
         self.deadline_ns = None
         if self.outstanding:
-            self.last_error = f"{self.outstanding[0].what}: no reply in time"
+            self.last_error = f"{self.outstanding[0].label}: no reply in time"
             self._late.note_silent(self.outstanding)
             if not self._reply_limit_ns:
                 self.state.apply(LineEvent.REPLY_MISSED)
@@ -307,13 +307,13 @@ class BusScheduler(ReplyReceiver):
     def _drop_queue(self, exchange: Exchange) -> None:
         """Send nothing more in this cycle: the reply would be late, and so would all replies after it."""
         if not self._late.silent:  # else that is the reason
-            self.last_error = f"{exchange.what}: no time was left for it"
+            self.last_error = f"{exchange.label}: no time was left for it"
         self.queue.clear()
 
     def _note_sent(self, unanswered: Iterable[Exchange]) -> None:
         """Note commands that were sent and to which nothing is replied."""
         for exchange in unanswered:
-            if exchange.tells_refusal:
+            if exchange.reports_refusal:
                 self.refusals.unconfirmed.append(exchange)
             if self._callbacks and exchange in self._callbacks:
                 self._callbacks.pop(exchange)()
