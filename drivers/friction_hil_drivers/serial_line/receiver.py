@@ -73,10 +73,13 @@ class ReplyReceiver:
         """Take the replies that are complete, in the order of the requests."""
         outstanding, received, refusals, state = self.outstanding, self._received, self.refusals, self.state
         while outstanding and received:
-            exchange, is_normal = outstanding[0], state.is_normal
+            exchange = outstanding[0]
+            is_normal = state.is_normal
             try:
-                is_used = is_normal or state.permission.replies_used
-                if not (exchange.take(received) if is_used else self._take_unused(exchange)):
+                if is_normal or state.permission.replies_used:
+                    if not exchange.take(received):
+                        return
+                elif not self._take_unused(exchange):
                     return
             except ReplyError as error:
                 if self._note_refusal(error):  # the reply proper follows

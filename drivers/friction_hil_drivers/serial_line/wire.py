@@ -120,6 +120,8 @@ class Batch:
         They may go out in one write.
     known_before : frozenset of Exchange
         Exchanges that may be outstanding when they go out.
+    is_single : bool
+        One request on its own, not the requests of an undisturbed cycle.
     """
 
     exchanges: tuple[Exchange, ...]
@@ -130,10 +132,17 @@ class Batch:
     wire_ns: int
     are_joint: bool
     known_before: frozenset[Exchange]
+    is_single: bool
 
     @classmethod
     def of(
-        cls, exchanges: Sequence[Exchange], wire_ns: int, before: Iterable[Exchange] = (), *, keeps_silence: bool
+        cls,
+        exchanges: Sequence[Exchange],
+        wire_ns: int,
+        before: Iterable[Exchange] = (),
+        *,
+        keeps_silence: bool,
+        is_single: bool = False,
     ) -> Self:
         """Make a batch.
 
@@ -146,6 +155,8 @@ class Batch:
             Exchanges that are often outstanding when they go out.
         keeps_silence : bool
             Silence has to pass between frames on the line.
+        is_single : bool
+            See `Batch`.
         """
         answered: list[Exchange] = []
         size = ahead_chars = 0
@@ -168,6 +179,7 @@ class Batch:
             known_before=frozenset(
                 each for each in before if not keeps_silence and all(late.may_follow(each) for late in exchanges)
             ),
+            is_single=is_single,
         )
 
     def may_follow(self, outstanding: Iterable[Exchange]) -> bool:
