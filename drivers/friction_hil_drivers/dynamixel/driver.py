@@ -46,7 +46,7 @@ class DynamixelLine:
     def plan(self, wanted: Mapping[str, CycleSignals]) -> Plan:
         """Plan a cycle: items at the same addresses of several servos are one request.
 
-        What changes slowly is read with the rest where it lies beside it, else in turns.
+        Signals that change slowly are read with the others where they lie beside them, else by background reads.
         """
         fast: list[Member] = []
         slow: list[Member] = []
