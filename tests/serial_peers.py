@@ -86,7 +86,7 @@ class Ask(Single):
     def __init__(self, image: Image, name: str, drive: str = "a drive") -> None:
         self.image = image
         self.name = name
-        self.what = f"reading {name}"
+        self.label = f"reading {name}"
         self.addressees = self.unanswered = frozenset((drive,))
         self.reads: tuple[str, ...] = (name,)
         self.writes: tuple[str, ...] = ()
@@ -129,10 +129,10 @@ class Word(Ask):
 class Push(Single):
     """A made-up command to which nothing is replied but a refusal: ``!;``."""
 
-    tells_refusal = True
+    reports_refusal = True
 
     def __init__(self, image: Image, name: str) -> None:
-        self.image, self.name, self.what = image, name, f"pushing {name}"
+        self.image, self.name, self.label = image, name, f"pushing {name}"
         self.addressees = self.unanswered = frozenset(("a drive",))
         self.reads: tuple[str, ...] = ()
         self.writes: tuple[str, ...] = (name,)
@@ -150,11 +150,11 @@ class Push(Single):
 class Tell(Push):
     """A made-up command: ``NAME=NUMBER;``, answered by ``;`` where ``is_answered``."""
 
-    tells_refusal = False
+    reports_refusal = False
 
     def __init__(self, image: Image, name: str, *, is_answered: bool = False) -> None:
         super().__init__(image, name)
-        self.what = f"writing {name}"
+        self.label = f"writing {name}"
         self.reply_size = int(is_answered)
 
     def take(self, received: bytearray) -> bool:

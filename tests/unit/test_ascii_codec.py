@@ -476,7 +476,7 @@ def test_an_error_line_is_a_refusal_of_a_set_point_without_a_reply_and_nothing_e
     plan, _ = plan_of(ODRIVE, "cst")
     (push,) = plan.push
     push.encode()
-    assert push.tells_refusal
+    assert push.reports_refusal
     assert not push.take(bytearray(b"invalid mo"))
     with pytest.raises(ReplyError, match="has no axis of that number") as error:
         push.take(bytearray(seal(b"invalid motor 7")))

@@ -232,7 +232,7 @@ def test_stuffing_comes_and_goes(data: bytes, servo: int) -> None:
 def test_a_cycle_of_servos_on_a_line() -> None:
     line, images = on_line(1, 2, 3)
     plan = line.plan(dict.fromkeys(images, ALL))
-    assert [(e.what, e.reads) for e in plan.poll] == [
+    assert [(e.label, e.reads) for e in plan.poll] == [
         ("read 10 bytes at 126 of id 1, 2, 3", ("torque", "velocity", "position"))
     ]
     assert [e.reads for e in plan.background] == [("status",), ("error",)]
@@ -246,7 +246,7 @@ def test_servos_of_different_tables_are_asked_apart() -> None:
     options = {f"{n}": DynamixelOptions(line={"port": "x"}, description="x", id=n) for n in (1, 2)}  # type: ignore[arg-type]
     line = DynamixelLine({"1": described(), "2": described(signals=far)}, options, images)
     plan = line.plan(dict.fromkeys(images, ALL))
-    assert [e.what for e in plan.poll] == [
+    assert [e.label for e in plan.poll] == [
         "read 10 bytes at 126 of id 1",
         "read 6 bytes at 126 of id 2",
         "read 4 bytes at 611 of id 2",
@@ -301,14 +301,14 @@ def test_a_missing_servo_is_named_and_the_others_are_fresh() -> None:
     line, images = on_line(1, 2, 3)
     exchange = poll(line, images)
     assert not exchange.take(bytearray())
-    assert exchange.what == "read 10 bytes at 126 of id 1, 2, 3"
+    assert exchange.label == "read 10 bytes at 126 of id 1, 2, 3"
     received = bytearray(status(1, feedback(1, 2, 3)) + status(3, feedback(4, 5, 6)))
     assert not exchange.take(received)
     assert [axis for axis in images if images[axis].fresh] == ["1", "3"]
-    assert exchange.what == "read 10 bytes at 126 of id 1, 2, 3 (2 missing)"
+    assert exchange.label == "read 10 bytes at 126 of id 1, 2, 3 (2 missing)"
     received += status(2, feedback(7, 8, 9))
     assert exchange.take(received)
-    assert exchange.what == "read 10 bytes at 126 of id 1, 2, 3"
+    assert exchange.label == "read 10 bytes at 126 of id 1, 2, 3"
 
 
 def test_a_missing_servo_ends_a_fast_reply_but_not_those_before_it() -> None:
@@ -316,7 +316,7 @@ def test_a_missing_servo_ends_a_fast_reply_but_not_those_before_it() -> None:
     exchange = poll(line, images, CycleSignals(("position",), (), ()))
     assert not exchange.take(bytearray(unhex(FAST_STATUS)[:-8]))
     assert [images[axis].fresh for axis in "374"] == [{"position"}, {"position"}, set()]
-    assert exchange.what.endswith("(4 missing)")
+    assert exchange.label.endswith("(4 missing)")
 
 
 @pytest.mark.parametrize("place", range(8, 32))

@@ -132,7 +132,7 @@ def test_a_servo_that_is_not_there_is_missing_alone(is_fast: bool) -> None:
     assert reply
     assert not poll.take(bytearray(reply))
     assert [bool(image.fresh) for image in bench.images.values()] == [True, True, False]
-    assert poll.what.endswith("(3 missing)")
+    assert poll.label.endswith("(3 missing)")
 
 
 def test_fast_and_slow_reads_say_the_same() -> None:

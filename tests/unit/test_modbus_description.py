@@ -62,7 +62,7 @@ def planned(description: ModbusDescription, commands: tuple[str, ...] = ("torque
 
 def told(plan: Plan) -> list[list[str]]:
     """What a plan says, without the words that are always there."""
-    return [[e.what.removesuffix(" of unit 1") for e in part] for part in (plan.poll, plan.background, plan.push)]
+    return [[e.label.removesuffix(" of unit 1") for e in part] for part in (plan.poll, plan.background, plan.push)]
 
 
 class TestMistakes:
@@ -232,7 +232,7 @@ class TestPlan:
         image.values.update(torque_command=5.0)
         request = line.write("a", ("torque_command",))
         assert request.encode()[:-2] == bytes.fromhex("01 10 00 30 00 02 04 00 05 00 00")
-        assert line.read("a", ("torque",)).what == "read 2 registers at 0016h of unit 1"
+        assert line.read("a", ("torque",)).label == "read 2 registers at 0016h of unit 1"
 
     def test_signals_far_apart_need_several_requests(self) -> None:
         line, _ = on_line(described())

@@ -166,11 +166,11 @@ def test_a_state_that_is_not_told_for_long_is_an_error():
     hear(axis, image, 0.0, position=0, velocity=0, status=1, error=0)
     assert not hear(axis, image, 0.49, position=0, velocity=0).message
     feedback = hear(axis, image, 0.51, "exception 2", position=0, velocity=0)
-    assert "has not told its state for more than 0.5 s: exception 2" in feedback.message
+    assert "has not reported its state for more than 0.5 s: exception 2" in feedback.message
 
 
 def test_after_a_silence_that_the_loop_bridges_the_state_has_time_to_be_told():
-    """Where the state is read in turns, position is back some cycles before it."""
+    """Where the state is read in the background, position is back some cycles before it."""
     axis, image = make()
     hear(axis, image, 0.0, position=0, velocity=0, status=1, error=0)
     for k in range(1, 100):

@@ -27,7 +27,7 @@ def test_ports_are_those_with_hardware(port):
     port("ttyS0", sys__class__tty__ttyS0__type="4\n")
     port("ttyS1", sys__class__tty__ttyS1__type="0\n")  # room is kept for it, nothing is there
     lay(root, sys__class__tty__tty1__active="")  # a console
-    assert ports.there(root) == ["/dev/ttyS0", "/dev/ttyUSB0"]
+    assert ports.serial_ports(root) == ["/dev/ttyS0", "/dev/ttyUSB0"]
     first = next(ports.check_machine(root))
     assert (first.result, first.detail) == ("pass", "/dev/ttyS0, /dev/ttyUSB0")
 
@@ -76,7 +76,7 @@ def test_a_port_that_the_user_may_not_open_is_told_with_its_group(port, monkeypa
 def test_nobody_is_told_to_join_the_group_of_root(port, monkeypatch):
     device = port() / "dev" / "ttyUSB0"
     monkeypatch.setattr(ports.grp, "getgrgid", lambda number: type("Group", (), {"gr_name": "root"}))
-    assert ports.how_to_be_let_in(device).startswith(f"let a udev rule give {device} to the group dialout")
+    assert ports.permission_remedy(device).startswith(f"let a udev rule give {device} to the group dialout")
 
 
 @pytest.mark.parametrize(("timer", "result"), [(16, "warn"), (2, "warn"), (1, "pass")])

@@ -1,4 +1,4 @@
-"""What is said on a serial line, and when: one request at a time, and no reply taken for another one's."""
+"""Scheduler of a serial line: requests one after the other, and no reply taken for that of another request."""
 
 import pytest
 from friction_hil_drivers.serial_line.protocol import Image
@@ -15,7 +15,7 @@ REPLY_LIMIT_MS = 50.0
 
 
 class Bench:
-    """A conversation whose peer answers by a table."""
+    """A scheduler whose peer answers by a table."""
 
     def __init__(self, *, reply_limit_ms=REPLY_LIMIT_MS, **answers):
         self.answers = answers

@@ -81,7 +81,7 @@ def test_closed_twice_gives_nothing_of_others_back(ticker):
 
 
 class Talk:
-    """A conversation on a pipe, with a timer that has been set up."""
+    """A scheduler on a pipe, with a timer that has been set up."""
 
     def __init__(self):
         self.theirs = 0

@@ -14,7 +14,7 @@ _WIDTHS = {"xor": 8, "sum": 8, "crc8": 8, "crc16": 16}
 
 
 class Checksum(Part):
-    """How lines are checked, in both directions.
+    """Kind and form of the checksum, in both directions.
 
     The parameters of a CRC are those of the usual catalogues: CRC-16/MODBUS is polynomial 8005h, initial FFFFh,
     reflected; CRC-16/XMODEM polynomial 1021h alone.
@@ -43,7 +43,7 @@ class Checksum(Part):
 
 
 def checksum_function(settings: Checksum) -> Callable[[bytes], int]:
-    """Checksum of a line, of which some characters may not be counted."""
+    """Compute the checksum of a line without the characters that do not count."""
     if settings.skip:
         skip, counted = settings.skip, checksum_function(settings.model_copy(update={"skip": 0}))
         return lambda line: counted(line[skip:])
@@ -79,7 +79,7 @@ def _reversed(value: int, width: int) -> int:
 
 
 def _crc_table(polynomial: int, width: int, *, is_reflected: bool) -> tuple[int, ...]:
-    """Remainders of the 256 bytes."""
+    """Compute the CRC table of all 256 bytes."""
     table = []
     for byte in range(256):
         value = (_reversed(byte, 8) if is_reflected else byte) << (width - 8)
@@ -91,7 +91,7 @@ def _crc_table(polynomial: int, width: int, *, is_reflected: bool) -> tuple[int,
 
 
 class Checker:
-    """How checksums are written behind lines and read there.
+    """Appends checksums to lines, and checks them.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ class Checker:
         self.size = len(prefix) + width
 
     def remove(self, line: bytes) -> bytes:
-        """Line without its checksum.
+        """Return the line without its checksum.
 
         Raises
         ------

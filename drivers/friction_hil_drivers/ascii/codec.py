@@ -41,7 +41,7 @@ class AsciiExchange:
         self.reads = self._first.reads
         parts = [f"read {' and '.join(self.reads)}"] if self.reads else []
         parts += [f"write {' and '.join(self.writes)}"] if self.writes else []
-        self.what = f"{', '.join(parts)} of {axis}"
+        self.label = f"{', '.join(parts)} of {axis}"
         longest = max(message.request.size for message in self._messages)
         self.request_size = language.sealed_size(longest, language.request_end)
         replies = self._first.replies
@@ -50,18 +50,18 @@ class AsciiExchange:
         if replies:
             self.reply_size += language.sealed_size(max(form.size for form in replies), language.reply_end)
         self._words = frozenset(form.words for form in replies)
-        self.tells_refusal = self.reply_size == 0 and language.has_error_replies
+        self.reports_refusal = self.reply_size == 0 and language.has_error_replies
 
     def may_follow(self, before: Exchange) -> bool:
-        """Whether it may be sent while ``before`` is not answered: their replies have different numbers of words."""
+        """Return True if the replies to this and to ``before`` differ in their number of words; see `Exchange`."""
         return isinstance(before, AsciiExchange) and self.reply_size > 0 and self._words.isdisjoint(before._words)
 
     def without(self, addressees: frozenset[str]) -> Exchange | None:
-        """See `Exchange`: one drive answers, or nobody knows which."""
+        """Return None: one drive answers, or it is unknown which; see `Exchange`."""
         return None
 
     def encode(self) -> bytes:
-        """Make the request, from the image's values where it writes.
+        """Return the request; the values that it writes are those of the image.
 
         Raises
         ------
@@ -88,7 +88,7 @@ class AsciiExchange:
         raise ValueError(f"{self._axis}: {given} cannot be written; what can be is {known}")
 
     def take(self, received: bytearray) -> bool:
-        """Remove the reply from ``received`` and put what it tells into the image; whether it was complete.
+        """Remove the reply from ``received`` and store it in the image; return True if it was complete.
 
         Raises
         ------
@@ -97,7 +97,7 @@ class AsciiExchange:
         """
         if self._is_echo_due and not self._take_echo(received):
             return False
-        if not self._first.replies and not self.tells_refusal:
+        if not self._first.replies and not self.reports_refusal:
             return True
         known = self._known
         if known is not None and received.startswith(known):
@@ -120,7 +120,7 @@ class AsciiExchange:
         return True
 
     def _read_line(self, received: bytearray) -> bool:
-        """Take whatever line has come off; whether it was complete.
+        """Remove the next line and read it; return True if it was complete.
 
         Raises
         ------
@@ -157,7 +157,7 @@ class AsciiExchange:
         return True
 
     def _error(self, line: bytes) -> ReplyError:
-        """What is wrong with a line that is none of the replies.
+        """Return the error for a line that is none of the expected replies.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Description of a drive that speaks in lines of text: its signals, and the messages in which they travel."""
+"""Description of a drive that speaks in lines of text: its signals, and its messages."""
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
@@ -19,7 +19,7 @@ _REPEATED_GROUP = re.compile(r"\)[*+{]")
 
 
 class AsciiSignal(Signal):
-    """A value of the drive, and how its number is written."""
+    """A value of the drive, and the format of its number."""
 
     bits: Literal[8, 16, 32, 64] | None = Field(
         None, description="width of an integer (int, hex): bounds it; a position wraps there"
@@ -45,7 +45,7 @@ class AsciiSignal(Signal):
 
     @property
     def has_sign(self) -> bool:
-        """Whether the drive's number can be negative."""
+        """True if the drive's number can be negative."""
         return self.bits is None or self.is_signed
 
     @property
@@ -55,7 +55,7 @@ class AsciiSignal(Signal):
 
 
 class Message(Part):
-    """A request and its reply. What it writes are the fields of the request, what it reads those of the reply."""
+    """A request and its reply. The fields of the request are written, those of the reply are read."""
 
     request: str = Field(description="template, e.g. v {axis} {velocity_command:float}")
     reply: str | tuple[str, ...] | None = Field(
@@ -86,7 +86,7 @@ class Message(Part):
 
     @property
     def forms(self) -> tuple[str, ...] | None:
-        """Templates of its reply; None where the description's acknowledgement is."""
+        """Templates of its reply; None if the acknowledgement of the description applies."""
         return (self.reply,) if isinstance(self.reply, str) else self.reply
 
     @property
@@ -150,26 +150,26 @@ class AsciiDescription(Description):
         return replies
 
     def axis_name(self, given: str | None) -> str:
-        """What stands for ``{axis}``."""
+        """Return the text that replaces ``{axis}``."""
         return self.axis if given is None else given
 
     def units(self) -> dict[str, Signal]:
-        """Signals by name."""
+        """Return the signals by name."""
         return {**self.signals}
 
     def replies(self, message: Message) -> tuple[str, ...]:
-        """Templates of what is replied to a message; nothing where no reply comes."""
+        """Return the templates of the replies to a message; none if no reply comes."""
         forms = (self.acknowledge,) if message.forms is None else message.forms
         return tuple(form for form in forms if form)
 
     @property
     def all_replies(self) -> tuple[str, ...]:
-        """Templates of all replies there are."""
+        """Templates of all replies."""
         return tuple(form for message in self.messages.values() for form in self.replies(message))
 
     @property
     def is_answering_all(self) -> bool:
-        """Whether every request gets a reply, so that none can come unasked."""
+        """True if every request gets a reply, so that no error can be unsolicited."""
         return all(self.replies(message) for message in self.messages.values())
 
     def _mistakes(self) -> Iterator[Mistake]:
@@ -223,7 +223,7 @@ class AsciiDescription(Description):
                 yield ("modes", mode), f"no messages write just {', '.join(part.commands)}"
 
     def _steps(self) -> Iterator[tuple[FieldPath, Mapping[str, float | None]]]:
-        """What is written at once, by the key under which that stands; None: any number."""
+        """Return the values that one message writes, by their key in the file; None: any number."""
         yield from ((place, step.write) for place, step in self.steps())
         if self.watchdog is not None:
             yield ("watchdog",), {self.watchdog.signal: None}
@@ -238,7 +238,7 @@ class AsciiDescription(Description):
 
 
 def covering(wanted: Iterable[str], ways: Iterable[tuple[str, ...]]) -> list[tuple[str, ...]] | None:
-    """Choose ways that have all of ``wanted`` once and nothing else, the largest first; None where there are none."""
+    """Choose disjoint groups that cover ``wanted`` exactly, the largest first; None if there are none."""
     rest, chosen = set(wanted), []
     for way in sorted(ways, key=len, reverse=True):
         if way and rest.issuperset(way):

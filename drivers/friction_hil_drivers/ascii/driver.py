@@ -1,4 +1,4 @@
-"""Lines of text as they are spoken on one serial line: exchanges of a cycle, and the driver."""
+"""Driver for drives that speak in lines of text: exchanges of a cycle on one line, and the drive port."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -25,12 +25,12 @@ class _Axis:
         return AsciiExchange(self.name, self.language, messages, self.image, self.addressee)
 
     def writing(self, names: Iterable[str]) -> list[CompiledMessage]:
-        """Messages that write just these."""
+        """Return the messages that write exactly these signals."""
         wanted = set(names)
         return [message for message in self.language.messages if set(message.writes) == wanted]
 
     def reading(self, names: Iterable[str], along: Iterable[str] = ()) -> list[CompiledMessage]:
-        """Messages that read all of these without writing, as few as there can be, best with some others along.
+        """Return the fewest messages that read these signals without writing, preferably with some others along.
 
         Raises
         ------
@@ -50,7 +50,7 @@ class _Axis:
 
 
 class AsciiLine:
-    """Lines of text as they are spoken on one serial line; see `LineProtocol`.
+    """Exchanges with the axes on one line, in lines of text; see `LineProtocol`.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ class AsciiLine:
         }
 
     def plan(self, wanted: Mapping[str, CycleSignals]) -> Plan:
-        """Put a cycle together from as few exchanges as there can be, for the axes by name.
+        """Plan a cycle with as few exchanges as possible, for the axes by name.
 
         Raises
         ------
@@ -108,14 +108,14 @@ class AsciiLine:
         return Plan(tuple(poll), tuple(turns), tuple(push))
 
     def _commanding(self, axis: _Axis, commands: tuple[str, ...]) -> list[list[CompiledMessage]]:
-        """Messages that write the commands together, each with its alternatives."""
+        """Return the messages that write the commands together, each with its alternatives."""
         ways = covering(commands, (message.writes for message in axis.language.messages))
         if ways is None:
             raise UsageError(f"{axis.name}: no messages of its description write just {', '.join(commands)}")
         return [axis.writing(way) for way in ways]
 
     def read(self, axis: str, names: Sequence[str]) -> AsciiExchange:
-        """Exchange that reads some signals of an axis that one message has.
+        """Return the exchange that reads some signals of an axis, all by one message.
 
         Raises
         ------
@@ -128,7 +128,7 @@ class AsciiLine:
         return self._axes[axis].exchange(chosen)
 
     def write(self, axis: str, names: Sequence[str]) -> AsciiExchange:
-        """Exchange that writes some signals of an axis, those and no others, by one message.
+        """Return the exchange that writes exactly these signals of an axis, by one message.
 
         Raises
         ------

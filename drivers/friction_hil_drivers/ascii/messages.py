@@ -1,4 +1,4 @@
-"""The messages of a description compiled for one axis, for either end of the line."""
+"""Messages of a description, compiled for one axis and either end of the line."""
 
 import re
 from collections.abc import Callable, Mapping
@@ -15,7 +15,7 @@ _BLANKS = b"\r\n\0"  # of other line ends, and of adapters that are switched on
 
 @dataclass(frozen=True, slots=True)
 class CompiledMessage:
-    """A message as one axis has it."""
+    """A message, compiled for one axis."""
 
     request: LineFormat
     replies: tuple[LineFormat, ...]  # any of them may come; none: no reply
@@ -26,7 +26,7 @@ class CompiledMessage:
 
 
 class Language:
-    """All that can be said to one axis and by it.
+    """All messages to one axis and from it.
 
     Parameters
     ----------
@@ -61,16 +61,16 @@ class Language:
         self.is_error = re.compile(errors).fullmatch if errors else None
 
     def meaning(self, line: bytes) -> str | None:
-        """What an error reply means; None where it is none."""
+        """Return the meaning of an error reply; None if it is none."""
         return next((text for form, text in self._meanings if form.fullmatch(line)), None)
 
     def sealed_size(self, size: int, end: bytes) -> int:
-        """Characters of a line of ``size``, with all that belongs behind it."""
+        """Return the size of a line of ``size`` characters with checksum and line end."""
         return size + (0 if self.checker is None else self.checker.size) + len(end)
 
 
 def sealer(checker: Checker | None, end: bytes) -> Callable[[bytes], bytes]:
-    """Make what puts all that belongs there behind a line."""
+    """Return the function that appends checksum and line end to a line."""
     if checker is None:
         return lambda line: line + end
     form, compute = checker.form + end, checker.compute  # no line end has a % in it
@@ -78,7 +78,7 @@ def sealer(checker: Checker | None, end: bytes) -> Callable[[bytes], bytes]:
 
 
 def reader(form: LineFormat, language: Language) -> Callable[[bytes | bytearray], tuple[list[float], int] | None]:
-    """Make what reads one form of a reply at once: line, checksum and line end, and that it is no error reply.
+    """Return the function that reads one form of a reply: line, checksum and line end; no error reply.
 
     Returns
     -------
@@ -119,7 +119,7 @@ def reader(form: LineFormat, language: Language) -> Callable[[bytes | bytearray]
 
 
 def take_line(received: bytearray, end: bytes) -> bytes | None:
-    """Remove the first line that is not empty, without its end; None where it is not complete.
+    """Remove the first line that is not empty, and return it without its end; None if it is not complete.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The keys of an axis on a line of text."""
+"""Options of the driver for lines of text: its own keys of an axis."""
 
 from typing import Annotated
 
@@ -12,7 +12,7 @@ def _as_text(value: object) -> object:
 
 
 class AsciiOptions(SerialOptions):
-    """Options of an axis on a line of text."""
+    """Options of an axis with ``driver: ascii``."""
 
     axis: Annotated[str, BeforeValidator(_as_text)] | None = Field(
         None,
@@ -22,5 +22,5 @@ class AsciiOptions(SerialOptions):
 
     @property
     def address(self) -> str:
-        """What tells this axis from the others on its line."""
+        """Address of this axis on its line."""
         return f"axis {self.axis}" if self.axis else "the only drive"

@@ -1,4 +1,4 @@
-"""The drives' end of a line of text in the simulation: requests taken off the line, answered from simulated drives."""
+"""Simulated drives that answer lines of text."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
@@ -19,7 +19,7 @@ _NO_REPLY = b""
 
 
 class _Speaker:
-    """One drive on the line."""
+    """One simulated drive on the line."""
 
     def __init__(self, drive: "SimulatedDrive", description: AsciiDescription, axis: str) -> None:
         self.language = Language(description, axis)
@@ -29,11 +29,11 @@ class _Speaker:
         self._refusal = description.refusal.encode()
 
     def is_meant_for_another(self, line: bytes) -> bool:
-        """Whether it would be understood under another name."""
+        """Return True if the request would be understood under another name."""
         return any(_numbers(message, line) is not None for message in self._anybody.messages)
 
     def answer(self, line: bytes) -> bytes | None:
-        """Carry a request out; the reply, or None where it is not understood here."""
+        """Carry a request out and return the reply; None if it is not understood here."""
         for message in self.language.messages:
             numbers = _numbers(message, line)
             if numbers is not None:
@@ -41,11 +41,11 @@ class _Speaker:
         return None
 
     def refusal(self) -> bytes:
-        """What the drive says to what it does not understand."""
+        """Return the reply to a request that the drive does not understand."""
         return self.reply(self._refusal) if self._refusal else _NO_REPLY
 
     def reply(self, text: bytes) -> bytes:
-        """Line with all that belongs behind it."""
+        """Return a line with checksum and line end."""
         return self.language.seal_reply(text)
 
     def _carry_out(self, message: CompiledMessage, numbers: Mapping[str, float]) -> bytes:
@@ -69,7 +69,7 @@ class _Speaker:
 
 
 def _numbers(message: CompiledMessage, line: bytes) -> Mapping[str, float] | None:
-    """Numbers in a request by signal; None where it is another one."""
+    """Return the numbers in a request by signal; None if the line is another request."""
     try:
         numbers = message.request.read(line)
     except ValueError:
@@ -140,7 +140,7 @@ class AsciiResponder:
         return self._speakers[0].refusal()
 
     def forget(self) -> None:
-        """Take what comes next for the beginning of a line."""
+        """Treat the next bytes as the beginning of a line."""
         self._is_too_long = False
 
 

@@ -1,4 +1,4 @@
-"""A line of text with numbers in it: the template in a description, compiled to write numbers and to read them.
+"""Templates of lines of text with numbers in them, compiled to write and to read the numbers.
 
 A field in braces stands for a number, ``v {axis} {velocity_command:float}``; ``{axis}`` alone for the name of the
 axis. Numbers are written without exponents: the readers of many drives know none.
@@ -30,7 +30,7 @@ _HEXADECIMAL = rb"[0-9A-Fa-f]{1,16}"
 
 @dataclass(frozen=True, slots=True)
 class NumberField:
-    """A number in a line: the signal it belongs to, and how it is written."""
+    """A number in a line: its signal, and its format."""
 
     name: str
     type: str
@@ -40,7 +40,7 @@ Part = str | NumberField  # text as it is, with {axis} still in it, or a number
 
 
 def parse(template: str) -> tuple[Part, ...]:
-    """Take a template apart.
+    """Split a template into its parts.
 
     Raises
     ------
@@ -74,7 +74,7 @@ def parse(template: str) -> tuple[Part, ...]:
 
 
 def fields(parts: tuple[Part, ...]) -> tuple[NumberField, ...]:
-    """Numbers in a template, in their order."""
+    """Return the numbers in a template, in their order."""
     return tuple(part for part in parts if isinstance(part, NumberField))
 
 
@@ -142,7 +142,7 @@ class LineFormat:
         self._match = re.compile(self.pattern).fullmatch
 
     def write(self, values: Mapping[str, float]) -> bytes:
-        """Line with the numbers of ``values``, rounded, saturated and (integer positions) wrapped.
+        """Return the line with the numbers of ``values``, rounded, saturated and (integer positions) wrapped.
 
         Raises
         ------
@@ -159,7 +159,7 @@ class LineFormat:
         return self._written % tuple(numbers)
 
     def read(self, line: bytes) -> list[float] | None:
-        """Numbers in ``line``, in the order of `names`; None where it is another line.
+        """Return the numbers in ``line``, in the order of `names`; None if it is another line.
 
         Raises
         ------
@@ -170,7 +170,7 @@ class LineFormat:
         return None if found is None else self.numbers(found.groups())
 
     def numbers(self, texts: Sequence[bytes]) -> list[float]:
-        """Numbers that `pattern` has found.
+        """Convert the texts that `pattern` has found.
 
         Raises
         ------
@@ -192,7 +192,7 @@ class LineFormat:
 
 
 def _text_pattern(text: str, axis: str | None) -> bytes:
-    """Expression for the text between numbers; where there is a space, several may come."""
+    """Return the expression for the text between numbers; a space stands for one or more."""
     pieces = []
     for index, piece in enumerate(text.split(f"{{{AXIS}}}")):
         if index:
@@ -206,7 +206,7 @@ def _text_pattern(text: str, axis: str | None) -> bytes:
 
 
 def _writer(field: NumberField, signal: "AsciiSignal") -> tuple[bytes, float, float, Callable[[float], float], int]:
-    """How a number is written: %-format, bounds between which it needs no conversion, conversion, most characters."""
+    """Return how to write a number: %-format, bounds that need no conversion, conversion, largest size."""
     if field.type == FLOAT:
         digits = signal.digits
         end = 10.0**signal.whole_digits
@@ -237,7 +237,7 @@ def _rounded(value: float) -> int:
 
 
 def _reader(field: NumberField, signal: "AsciiSignal") -> tuple[bytes, Callable[[bytes], float]]:
-    """How a number is read: expression, conversion of what it found."""
+    """Return how to read a number: regular expression, conversion of the match."""
     name = field.name
     if field.type == FLOAT:
         return _FLOAT, float

@@ -1,4 +1,4 @@
-"""Dynamixel Protocol 2.0 as it is spoken on one line: requests made of commands, status packets put into images."""
+"""Dynamixel exchanges: instruction packets made from process images, and status packets stored in them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -36,7 +36,7 @@ ERRORS = {
 
 @dataclass(frozen=True, slots=True)
 class Member:
-    """A servo that takes part in a request, and what of it is read or written."""
+    """A servo that takes part in a request, and the items that are read or written."""
 
     id: int
     image: Image
@@ -47,19 +47,19 @@ class Member:
         return str(self.block)
 
     def put(self, data: bytes) -> None:
-        """Put the bytes of the block into the image."""
+        """Store the bytes of the block in the image."""
         first, items = self.block.address, self.block.items
         numbers = [item.number(data[item.address - first : item.end - first]) for item in items]
         self.image.put([item.name for item in items], numbers)
 
 
 class _Request(Single):
-    """What all requests have; see `friction_hil_drivers.serial_line.protocol.Exchange`.
+    """Common part of all exchanges; see `friction_hil_drivers.serial_line.protocol.Exchange`.
 
     Parameters
     ----------
     packets : Packets
-    what : str
+    label : str
         For people.
     members : sequence of Member
         In the order in which they answer.
@@ -71,9 +71,9 @@ class _Request(Single):
     writes: tuple[str, ...] = ()
     request_size = reply_size = 0
 
-    def __init__(self, packets: Packets, what: str, members: Sequence[Member], reply_bytes: int) -> None:
+    def __init__(self, packets: Packets, label: str, members: Sequence[Member], reply_bytes: int) -> None:
         ids = ", ".join(str(member.id) for member in members)
-        self.what = self._what = f"{what} of id {ids}"
+        self.label = self._label = f"{label} of id {ids}"
         self.addressees = frozenset(str(member.id) for member in members)
         self._packets = packets
         self._members = {member.id: member for member in members}
@@ -92,16 +92,16 @@ class _Request(Single):
 
     @property
     def breaker(self) -> int | None:
-        """Servo of several that did not answer when it was its turn; None: all did."""
+        """First of several servos that did not answer; None if all did."""
         return next(iter(self._missing), None) if len(self._members) > 1 else None
 
     def _begin(self) -> None:
-        self.what, self._is_broken, self._noise = self._what, False, 0
+        self.label, self._is_broken, self._noise = self._label, False, 0
         self._answered.clear()
         self._failed.clear()
 
     def take(self, received: bytearray) -> bool:
-        """Take the status packets that came into the images; whether all servos have answered.
+        """Store the status packets that came in the images; return True if all servos have answered.
 
         What a servo says counts at once, whatever becomes of the others.
 
@@ -136,14 +136,14 @@ class _Request(Single):
         return [servo for servo in self._members if servo not in self._answered and servo not in self._failed]
 
     def _check_noise(self, received: bytearray, expected: int) -> None:
-        """Do not wait for packets whose bytes have all come, with a broken header."""
+        """Stop waiting for packets whose bytes have all come, with a broken header."""
         kept = len(HEADER) - 1  # of noise; they may begin a header
         if self._noise >= expected - kept and HEADER not in received:
             missing = ", ".join(map(str, self._missing))
             raise ReplyError(f"{self._noise} bytes came in which there is no packet of id {missing}")
 
     def _blame(self, servo: int) -> bool:
-        """Take a broken packet for that of the servo it names, or of the only missing one; whether it is known."""
+        """Assign a broken packet to the servo it names, or to the only missing one; return True if it is known."""
         self._is_broken = True
         missing = self._missing
         if servo not in missing and len(missing) == 1:
@@ -173,19 +173,19 @@ class _Request(Single):
             member.put(data)
 
     def _name_missing(self) -> None:
-        """Say in ``what`` who is missing, where others are not: a time-out is told by that name."""
+        """Name the missing servos in ``label`` where others answered: a time-out is reported by that name."""
         if self._answered or self._failed:
-            self.what = f"{self._what} ({', '.join(map(str, self._missing))} missing)"
+            self.label = f"{self._label} ({', '.join(map(str, self._missing))} missing)"
 
     def _finish(self) -> bool:
-        self.what = self._what
+        self.label = self._label
         if self._failed:
             raise ReplyError("; ".join(self._failed.values()), is_complete=not self._is_broken)
         return True
 
 
 class Order:
-    """Order in which servos of a line are read: whoever broke the chain comes after all others, the latest one last.
+    """Order in which the servos of a line are read: those that broke the chain come last, the latest at the end.
 
     Attributes
     ----------
@@ -199,14 +199,14 @@ class Order:
         self._asked: _Request | None = None
 
     def ask(self, request: _Request) -> None:
-        """Take notice of a request that is made now, and of whoever broke the chain of the one before it."""
+        """Note a request that is made now, and the servo that broke the chain of the one before it."""
         if self._asked is not None and (breaker := self._asked.breaker) is not None:
             self.breaks += 1
             self._last[breaker] = self.breaks
         self._asked = request
 
     def key(self, servo: int) -> int:
-        """Sort by this."""
+        """Return the sorting key of a servo."""
         return self._last.get(servo, 0)
 
 
@@ -236,7 +236,7 @@ class Read(_Request):
         return self._packets.pack(BROADCAST, SYNC_READ, self._span + servos)
 
     def encode(self) -> bytes:
-        """Make the request."""
+        """Return the request."""
         self._order.ask(self)
         if self._known_breaks != self._order.breaks:
             self._known_breaks = self._order.breaks
@@ -246,7 +246,7 @@ class Read(_Request):
         return self._request
 
     def without(self, addressees: frozenset[str]) -> Exchange | None:
-        """Read the same of all other servos; made once for each choice of them."""
+        """Return the exchange that reads the same of all other servos; made once for each choice of them."""
         if addressees not in self._others:
             rest = [member for servo, member in self._members.items() if str(servo) not in addressees]
             self._others[addressees] = read_exchange(self._packets, rest, self._order) if rest else None
@@ -263,7 +263,7 @@ class FastRead(Read):
     def __init__(self, packets: Packets, members: Sequence[Member], order: Order) -> None:
         super().__init__(packets, members, order)
         block = members[0].block
-        self.what = self._what = f"{self._what} (fast)"
+        self.label = self._label = f"{self._label} (fast)"
         self._part = 2 + block.size + CRC  # error, ID, data, CRC
         length = 1 + len(members) * self._part
         self._head = HEADER + bytes((BROADCAST,)) + length.to_bytes(2, "little") + bytes((STATUS,))
@@ -274,12 +274,12 @@ class FastRead(Read):
         return self._packets.pack(BROADCAST, FAST_SYNC_READ, self._span + bytes(self._members))
 
     def encode(self) -> bytes:
-        """Make the request."""
+        """Return the request."""
         self._heard, self._crc = 0, self._packets.crc(self._head)  # parts, and the CRC of all up to them
         return super().encode()
 
     def take(self, received: bytearray) -> bool:
-        """Take the parts that came into the images; see `_Request.take`."""
+        """Store the parts that came in the images; see `_Request.take`."""
         before = len(received)
         if not self._find_head(received):
             self._noise += before - len(received)
@@ -328,7 +328,7 @@ class Write(_Request):
         self.reply_size = STATUS_SIZE
 
     def encode(self) -> bytes:
-        """Make the request from the image's numbers.
+        """Return the request with the image's numbers.
 
         Raises
         ------
@@ -337,7 +337,7 @@ class Write(_Request):
         """
         self._begin()
         member = self._member
-        data = _words(member.block.address) + _packed(member, self.what)
+        data = _words(member.block.address) + _packed(member, self.label)
         return self._packets.pack(member.id, WRITE, data)
 
 
@@ -353,7 +353,7 @@ class SyncWrite(_Request):
         self.request_size = REQUEST_SIZE + 4 + len(members) * (1 + block.size + _stuffing(block.size))
 
     def encode(self) -> bytes:
-        """Make the request from the images' numbers.
+        """Return the request with the images' numbers.
 
         Raises
         ------
@@ -362,7 +362,7 @@ class SyncWrite(_Request):
         """
         parts = [self._span]
         for servo, member in self._members.items():
-            parts += bytes((servo,)), _packed(member, self.what)
+            parts += bytes((servo,)), _packed(member, self.label)
         return self._packets.pack(BROADCAST, SYNC_WRITE, b"".join(parts))
 
 
@@ -385,11 +385,11 @@ def _names(members: Sequence[Member]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(item.name for item in items))
 
 
-def _packed(member: Member, what: str) -> bytes:
+def _packed(member: Member, label: str) -> bytes:
     try:
         return member.block.pack(member.image.values)
     except ValueError as error:
-        raise ValueError(f"{what}: id {member.id}: {error}") from None
+        raise ValueError(f"{label}: id {member.id}: {error}") from None
 
 
 def _words(*numbers: int) -> bytes:
@@ -397,5 +397,5 @@ def _words(*numbers: int) -> bytes:
 
 
 def _stuffing(size: int) -> int:
-    """Most bytes that stuffing can add to data: one to each FF FF FD."""
+    """Return the most bytes that stuffing can add to data: one to each FF FF FD."""
     return size // 3

@@ -1,4 +1,4 @@
-"""A servo as a control table, read from a YAML file."""
+"""Description of a servo: its control table, read from a YAML file."""
 
 from collections.abc import Iterable, Iterator
 from itertools import pairwise
@@ -40,7 +40,7 @@ class DynamixelSignal(Signal):
 
     @property
     def has_sign(self) -> bool:
-        """Whether the servo's number can be negative."""
+        """True if the servo's number can be negative."""
         return self.is_signed
 
 
@@ -54,11 +54,11 @@ class DynamixelDescription(Description):
     )
 
     def units(self) -> dict[str, Signal]:
-        """Signals by name."""
+        """Return the signals by name."""
         return dict(self.signals)
 
     def blocks(self, names: Iterable[str]) -> list[ItemBlock]:
-        """Fewest blocks of bytes that hold the signals."""
+        """Return the fewest blocks of bytes that hold the signals."""
         return side_by_side(map(self._item, dict.fromkeys(names)))
 
     def _item(self, name: str) -> Item:

@@ -1,4 +1,4 @@
-"""Dynamixel Protocol 2.0 as it is spoken on one line: exchanges of a cycle, and the driver."""
+"""Driver for Dynamixel Protocol 2.0: exchanges of a cycle on one line, and the drive port."""
 
 from collections.abc import Mapping, Sequence
 
@@ -13,7 +13,7 @@ from friction_hil_drivers.serial_line.protocol import CycleSignals, Image, Plan,
 
 
 class DynamixelLine:
-    """Dynamixel Protocol 2.0 to the axes on one line; see `friction_hil_drivers.serial_line.protocol.LineProtocol`.
+    """Dynamixel exchanges with the axes on one line; see `LineProtocol`.
 
     Parameters
     ----------
@@ -44,9 +44,9 @@ class DynamixelLine:
         self._images = images
 
     def plan(self, wanted: Mapping[str, CycleSignals]) -> Plan:
-        """Put a cycle together: items at the same addresses of several servos are one request.
+        """Plan a cycle: items at the same addresses of several servos are one request.
 
-        What changes slowly is read with the rest where it lies beside it, else in turns.
+        Signals that change slowly are read with the others where they lie beside them, else by background reads.
         """
         fast: list[Member] = []
         slow: list[Member] = []
@@ -61,7 +61,7 @@ class DynamixelLine:
         return Plan(poll, turns, tuple(SyncWrite(self._packets, group) for group in alike(commands)))
 
     def read(self, axis: str, names: Sequence[str]) -> Read:
-        """Request that reads some signals of an axis.
+        """Return the exchange that reads some signals of an axis.
 
         Raises
         ------
@@ -71,7 +71,7 @@ class DynamixelLine:
         return Read(self._packets, [only(self._members(axis, names), "read", names)], self._order)
 
     def write(self, axis: str, names: Sequence[str]) -> Write:
-        """Request that writes some signals of an axis.
+        """Return the exchange that writes some signals of an axis.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""The keys of an axis that are the Dynamixel driver's own."""
+"""Options of the Dynamixel driver: its own keys of an axis."""
 
 from typing import Annotated
 
@@ -27,5 +27,5 @@ class DynamixelOptions(SerialOptions):
 
     @property
     def address(self) -> str:
-        """What tells this axis from the others on its line."""
+        """Address of this axis on its line."""
         return f"id {self.id}"

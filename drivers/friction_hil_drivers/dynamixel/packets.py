@@ -25,7 +25,7 @@ _STUFFED, _PLAIN = b"\xff\xff\xfd\xfd", b"\xff\xff\xfd"
 
 @dataclass(frozen=True, slots=True)
 class Packet:
-    """What came behind a header.
+    """Contents of a received packet.
 
     Attributes
     ----------
@@ -71,12 +71,12 @@ class Packets:
         return stuffed + self.crc(stuffed).to_bytes(CRC, "little")
 
     def crc(self, data: bytes | bytearray, before: int = 0) -> int:
-        """CRC of data that follow upon others with the CRC ``before``."""
+        """Compute the CRC of data; ``before`` is the CRC of the data ahead of them."""
         crc: int = self._handler.updateCRC(before, data, len(data))
         return crc
 
     def cut(self, received: bytearray, longest: int) -> Packet | None:
-        """Remove the first packet and what comes before it; None while there is none.
+        """Remove the first packet and the bytes before it; None while there is none.
 
         Behind a header whose packet is broken the search goes on with the next byte, so that no length that came
         wrong hides a packet that came right.

@@ -1,4 +1,4 @@
-"""The servos' end of Dynamixel Protocol 2.0 in the simulation: requests taken off a line, answered from drives."""
+"""Simulated servos that answer Dynamixel requests."""
 
 import itertools
 from collections.abc import Mapping
@@ -42,16 +42,16 @@ class _Servo:
 
     @property
     def alert(self) -> int:
-        """Bit of the error field that says whether the servo has an error."""
+        """Alert bit of the error field: set while the servo has an error."""
         has_error = any(item.name == "error" for item in self._items)
         return ALERT if has_error and self._drive.read("error") else 0
 
     def fed(self) -> None:
-        """Feed the bus watchdog, to which any instruction is as good as another."""
+        """Feed the bus watchdog; any instruction does that."""
         self._drive.fed()
 
     def read(self, address: int, size: int) -> bytes:
-        """Bytes of the table.
+        """Return bytes of the table.
 
         Raises
         ------
@@ -126,7 +126,7 @@ class DynamixelResponder:
         return None
 
     def forget(self) -> None:
-        """Do nothing: what is left of a request is told from the next one by its header."""
+        """Do nothing: the header of the next request tells it from what is left of the last one."""
 
     def _answer(self, packet: Packet) -> bytes:
         if packet.id == BROADCAST:
@@ -182,7 +182,7 @@ class DynamixelResponder:
             return self._status(servo, error=error.number)
 
     def _read_fast(self, address: int, size: int, servos: bytes) -> bytes:
-        """One packet that the servos write together; it ends where one of them is not there."""
+        """Return the packet that the servos write together; it ends at the first servo that is missing."""
         length = 1 + len(servos) * (2 + size + CRC)
         if length > _LONGEST:
             return b""
@@ -200,7 +200,7 @@ class DynamixelResponder:
         return bytes(packet)
 
     def _write(self, servo: int, address: int, data: bytes) -> None:
-        """Write where nobody answers, so that a refusal is not told."""
+        """Write without an answer, so that a refusal is not reported."""
         if servo in self._servos:
             try:
                 self._servos[servo].write(address, data)

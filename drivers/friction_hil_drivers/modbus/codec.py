@@ -1,4 +1,4 @@
-"""Modbus as it is spoken on one line: requests made of commands, replies put into process images."""
+"""Modbus exchanges: requests made from process images, and replies stored in them."""
 
 from collections.abc import Callable, Mapping, Sequence
 
@@ -85,13 +85,13 @@ class ModbusExchange(Single):
             assert read is not None
             pdu = _pdu(_READ_REQUESTS[read.table](address=read.address, count=read.count))
             self._make: Callable[[Mapping[str, float]], bytes] = lambda values: pdu
-            self.what = f"read {read} of unit {unit}"
+            self.label = f"read {read} of unit {unit}"
         elif read is None:
             pdu, self._make = _writer(write, write_functions)
-            self.what = f"write {write} of unit {unit}"
+            self.label = f"write {write} of unit {unit}"
         else:
             pdu, self._make = _both(read, write)
-            self.what = f"write {write} and read {read} of unit {unit}"
+            self.label = f"write {write} and read {read} of unit {unit}"
         self._head = self._reply_head(pdu)
         if read is None:
             self._reply_length = 5  # function, address, and the value or the number of registers
@@ -101,7 +101,7 @@ class ModbusExchange(Single):
         self.reply_size = self._reply_length + framing.overhead
 
     def encode(self) -> bytes:
-        """Make the request, from the image's numbers where it writes.
+        """Return the request; the numbers that it writes are those of the image.
 
         Raises
         ------
@@ -111,20 +111,20 @@ class ModbusExchange(Single):
         try:
             pdu = self._make(self._image.values)
         except ValueError as error:
-            raise ValueError(f"{self.what}: {error}") from None
+            raise ValueError(f"{self.label}: {error}") from None
         if self._read is None:
             self._head = self._reply_head(pdu)
         return self._framing.frame(self._unit, pdu)
 
     def _reply_head(self, pdu: bytes) -> bytes:
-        """How a reply that is none of refusal begins; with a write alone, what it repeats of the request."""
+        """Return the first bytes of a reply that is no exception; of a write alone, what it repeats of the request."""
         if self._read is None:
             return pdu[:5]
         size = (self._read.count + 7) // 8 if self._is_bits else 2 * self._read.count
         return bytes((pdu[0], size))
 
     def take(self, received: bytearray) -> bool:
-        """Remove the reply from ``received`` and put what it says into the image; whether it was there.
+        """Remove the reply from ``received`` and store it in the image; return True if it was complete.
 
         Raises
         ------
@@ -175,7 +175,7 @@ def _both(read: RegisterBlock, write: RegisterBlock) -> _Writer:
 
 
 def _register_writer(pdu: bytes, block: RegisterBlock) -> _Writer:
-    """What writes registers: in each of these requests they are the end, and all before them stays the same."""
+    """Return the request and the function that fills it in; the registers are its end, and the rest is constant."""
     layout = Layout(block)
     head = pdu[: -layout.size]
     return pdu, lambda values: head + layout.pack(values)

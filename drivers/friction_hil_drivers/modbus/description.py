@@ -1,4 +1,4 @@
-"""A drive as a register map, read from a YAML file."""
+"""Description of a Modbus drive: its register map, read from a YAML file."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -48,7 +48,7 @@ class ModbusSignal(Signal):
 
     @property
     def has_sign(self) -> bool:
-        """Whether the drive's number can be negative."""
+        """True if the drive's number can be negative."""
         return self.type in ("int16", "int32", "float32")
 
 
@@ -74,11 +74,11 @@ class ModbusDescription(Description):
     )
 
     def units(self) -> dict[str, Signal]:
-        """Signals by name."""
+        """Return the signals by name."""
         return dict(self.signals)
 
     def field(self, name: str) -> RegisterField:
-        """Where a signal is found."""
+        """Return the registers of a signal."""
         signal = self.signals[name]
         word_order = signal.word_order or self.word_order or "big"
         return RegisterField(
@@ -86,7 +86,7 @@ class ModbusDescription(Description):
         )
 
     def read_blocks(self, names: tuple[str, ...]) -> list[RegisterBlock]:
-        """Fewest blocks of registers that hold the signals."""
+        """Return the fewest blocks of registers that hold the signals."""
         return merged(
             map(self.field, names),
             max_gap=self.max_gap_registers,
@@ -95,7 +95,7 @@ class ModbusDescription(Description):
         )
 
     def write_blocks(self, names: tuple[str, ...]) -> list[RegisterBlock]:
-        """Fewest blocks of registers that are written when the signals are; nothing else lies in them."""
+        """Return the fewest blocks of registers to write for the signals; nothing else lies in them."""
         fields = [self.field(name) for name in names]
         blocks: list[RegisterBlock] = []
         for table, joining in (("holding", 16), ("coil", 15)):
@@ -132,7 +132,7 @@ class ModbusDescription(Description):
         yield from self._scattered_steps(self.write_blocks)
 
     def _divided_numbers(self) -> Iterator[Mistake]:
-        """Signals that begin inside of a number of 32 bits."""
+        """Yield signals that begin inside a number of 32 bits."""
         fields = [self.field(name) for name in self.signals]
         for wide in fields:
             for other in fields:

@@ -1,4 +1,4 @@
-"""Modbus as it is spoken on one line: exchanges of a cycle, and the driver."""
+"""Driver for Modbus RTU and TCP: exchanges of a cycle on one line, and the drive port."""
 
 from collections.abc import Mapping, Sequence
 from itertools import zip_longest
@@ -16,7 +16,7 @@ _SILENCE_CHARS = 3.5
 
 
 class ModbusLine:
-    """Modbus to the axes on one line; see `friction_hil_drivers.serial_line.protocol.LineProtocol`.
+    """Modbus exchanges with the axes on one line; see `LineProtocol`.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ class ModbusLine:
         self.silence_chars = 0.0 if line.is_tcp else max(_SILENCE_CHARS, silence_s / character_s(line))
 
     def plan(self, wanted: Mapping[str, CycleSignals]) -> Plan:
-        """Put a cycle together from as few requests as there can be, for the axes by name.
+        """Plan a cycle with as few requests as possible, for the axes by name.
 
         Slow signals are read with the fast ones where that costs no request. Where the drive has function 23, all
         commands are written in the poll: those that find no read to ride with, in requests of their own after it,
@@ -66,7 +66,7 @@ class ModbusLine:
         return Plan(tuple(poll), tuple(turns), tuple(push))
 
     def read(self, axis: str, names: Sequence[str]) -> ModbusExchange:
-        """ModbusExchange that reads some signals of an axis.
+        """Return the exchange that reads some signals of an axis.
 
         Raises
         ------
@@ -76,7 +76,7 @@ class ModbusLine:
         return self._request(axis, read=only(self._descriptions[axis].read_blocks(tuple(names)), "read", names))
 
     def write(self, axis: str, names: Sequence[str]) -> ModbusExchange:
-        """ModbusExchange that writes some signals of an axis.
+        """Return the exchange that writes some signals of an axis.
 
         Raises
         ------
@@ -99,7 +99,7 @@ class ModbusLine:
 
 
 def _reads(description: ModbusDescription, needs: CycleSignals) -> tuple[list[RegisterBlock], list[RegisterBlock]]:
-    """Blocks to be read in every cycle, and those to be read in turns."""
+    """Return the blocks to read in every cycle, and those of the background reads."""
     slow_names = tuple(name for name in needs.slow if name not in needs.fast)
     together = description.read_blocks((*needs.fast, *slow_names))
     fast = [block for block in together if not set(block.names).isdisjoint(needs.fast)]

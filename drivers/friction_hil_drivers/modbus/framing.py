@@ -20,16 +20,16 @@ _SHOWN = 24
 
 
 class Framing(Protocol):
-    """How requests and replies are framed on a line."""
+    """Framing of requests and replies on a line."""
 
     overhead: int  # characters beside the PDU
 
     def frame(self, unit: int, pdu: bytes) -> bytes:
-        """Frame of a request."""
+        """Return the frame of a request."""
         ...
 
     def cut(self, received: bytearray, unit: int, head: bytes, size: int) -> bytes | None:
-        """Remove the reply to the request framed last; its PDU, or None while it is not complete.
+        """Remove the reply to the last request, and return its PDU; None while it is not complete.
 
         Parameters
         ----------
@@ -60,7 +60,7 @@ class RtuFraming:
         self._sent = b""
 
     def frame(self, unit: int, pdu: bytes) -> bytes:
-        """Frame of a request."""
+        """Return the frame of a request."""
         self._sent = self._framer.encode(pdu, unit, 0)
         return self._sent
 
@@ -115,7 +115,7 @@ class TcpFraming:
         self._transaction = 0
 
     def frame(self, unit: int, pdu: bytes) -> bytes:
-        """Frame of a request, with the next transaction number."""
+        """Return the frame of a request, with the next transaction number."""
         self._transaction = self._transaction % 0xFFFF + 1
         return self._framer.encode(pdu, unit, self._transaction)
 
@@ -142,7 +142,7 @@ class TcpFraming:
 
 
 def _has_crc(frame: bytearray) -> bool:
-    """Whether it is a frame with a right CRC, whatever is in it."""
+    """Return True if the frame has a correct CRC, whatever its contents."""
     if len(frame) < _REFUSAL_SIZE:
         return False
     return FramerRTU.check_CRC(bytes(frame[:-_CRC]), int.from_bytes(frame[-_CRC:], "big"))

@@ -1,4 +1,4 @@
-"""The keys of an axis that are the Modbus driver's own."""
+"""Options of the Modbus driver: its own keys of an axis."""
 
 from typing import Self
 
@@ -22,5 +22,5 @@ class ModbusOptions(SerialOptions):
 
     @property
     def address(self) -> str:
-        """What tells this axis from the others on its line."""
+        """Address of this axis on its line."""
         return f"unit {self.unit}"

@@ -1,4 +1,4 @@
-"""The drives' end of Modbus in the simulation: requests taken off a line, answered from simulated drives."""
+"""Simulated drives that answer Modbus requests."""
 
 import math
 import struct
@@ -63,7 +63,7 @@ class _RegisterSpace:
         self._half_written: dict[str, list[int]] = {}
 
     def answer(self, pdu: bytes) -> bytes:
-        """Carry a request out; the PDU of the reply."""
+        """Carry a request out and return the PDU of the reply."""
         try:
             if pdu[0] not in self._functions:
                 raise RequestError(ILLEGAL_FUNCTION)
@@ -78,7 +78,7 @@ class _RegisterSpace:
         return pdu[:1] + data
 
     def _carry_out(self, request: ModbusPDU, pdu: bytes) -> bytes:
-        """Write, then read; what the reply has after the function code."""
+        """Write, then read; return the reply after the function code."""
         if isinstance(request, registers.ReadWriteMultipleRegistersRequest):
             self._check(len(request.write_registers), request.write_count, pdu[9], len(pdu) - 10)
             found = self._found("holding", request.read_address, request.read_count)
@@ -106,7 +106,7 @@ class _RegisterSpace:
             raise RequestError(ILLEGAL_VALUE)
 
     def _found(self, table: Table, address: int, count: int) -> list[tuple[RegisterField, int] | None]:
-        """What lies at these addresses; None where nothing is and a real drive would not mind.
+        """Return the registers at these addresses; None for gaps that a real drive would read over.
 
         Raises
         ------
@@ -147,7 +147,7 @@ class _RegisterSpace:
                 self._write_word(*entry, word)
 
     def _write_word(self, field: RegisterField, k: int, word: int) -> None:
-        """Take one register; a number of two takes effect with the second."""
+        """Write one register; a number of two registers takes effect with the second."""
         if field.name not in self._half_written:
             self._half_written[field.name] = field.words(self._drive.read(field.name))
         words = self._half_written[field.name]
@@ -164,7 +164,7 @@ class _RegisterSpace:
             raise RequestError(ILLEGAL_VALUE) from None
 
     def _unwrapped(self, command: float) -> float:
-        """Commanded position nearest to the present one, of all those that look the same on the line."""
+        """Return the commanded position nearest to the present one, of all that have the same number on the line."""
         at, target = (self._description.signals[name] for name in ("position", "position_command"))
         if target.counter_bits is None or at.unit != target.unit:
             return command

@@ -1,1 +1,1 @@
-"""What all drives on serial lines share: the line, exchanges on it, their description, the axis behind it."""
+"""Common parts of the drivers for serial lines: line, scheduler, description of a drive, axis."""

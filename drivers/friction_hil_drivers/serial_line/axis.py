@@ -1,4 +1,4 @@
-"""One drive in the cyclic phase: its process image read as feedback, commands put into it. No line, no clock."""
+"""One drive in the cyclic phase: its process image becomes feedback, commands go into the image. No line, no clock."""
 
 import math
 import operator
@@ -19,43 +19,43 @@ _WANTED = {
     "velocity_command": operator.attrgetter("velocity"),
     "torque_command": operator.attrgetter("torque"),
 }
-_STATUS_LOSS_S = 0.5  # without having heard the state that long, nobody knows it
+_STATUS_LOSS_S = 0.5  # after this time without a report the state counts as unknown
 
 
 @dataclass(frozen=True, slots=True)
 class SignalScales:
-    """SI value of one in the drive's numbers, by signal; negative where the axis is turned round."""
+    """SI value of one unit of the drive's number, by signal; negative where the axis is inverted."""
 
     of: Mapping[str, float]
     position_bits: int | None  # width of the position counter, which wraps
 
 
 def unit_mistakes(axis: str, description: Description, units: AxisUnits, kind: str) -> list[OptionError]:
-    """What the configuration does not say of the drive's units, and units that are none of this kind of axis."""
+    """Return the mistakes in the configuration's units: missing keys, and units that do not fit the kind of axis."""
     found: dict[str, OptionError] = {}
     for name, signal in _scaled(description).items():
-        told = f"{description.name} has {name} in {signal.unit}"
+        text = f"{description.name} has {name} in {signal.unit}"
         if signal.unit in (ROTARY if kind == "linear" else LINEAR):
-            found.setdefault("description", OptionError(axis, "description", f"{told}, but the axis is {kind}"))
+            found.setdefault("description", OptionError(axis, "description", f"{text}, but the axis is {kind}"))
         elif not math.isfinite(UNITS[signal.unit](units)):
             key = NEEDS[signal.unit]
-            found.setdefault(key, OptionError(axis, key, f"{told}: give {key} of the axis"))
+            found.setdefault(key, OptionError(axis, key, f"{text}: give {key} of the axis"))
     return list(found.values())
 
 
 def _scaled(description: Description) -> dict[str, Signal]:
-    """Signals that are converted to SI."""
+    """Return the signals that are converted to SI."""
     known = (*COMMANDS, "position", "velocity", "torque")
     return {name: signal for name, signal in description.units().items() if name in known}
 
 
 def make_scales(axis: str, description: Description, units: AxisUnits, *, kind: str, is_inverted: bool) -> SignalScales:
-    """Scales of a drive on one axis.
+    """Compute the scales of a drive on one axis.
 
     Raises
     ------
     OptionError
-        A unit needs something that the configuration does not give, or is none of this kind of axis.
+        A unit needs something that the configuration does not give, or does not fit this kind of axis.
     """
     for mistake in unit_mistakes(axis, description, units, kind):
         raise mistake
@@ -81,7 +81,7 @@ class SerialAxis:
     commands : sequence of str
         Signals that are commanded in each cycle.
     before : sequence of Step
-        What is written before the drive is enabled.
+        Steps written before the drive is enabled.
     """
 
     def __init__(
@@ -111,19 +111,19 @@ class SerialAxis:
         self._position = self._velocity = 0.0
         self._position_s = math.nan
         self._state_s = self._filled_s = math.nan
-        self._told: list[float | None] = []  # what the state follows from
+        self._state_numbers: list[float | None] = []  # that the state was derived from
         self.state_signals = state_signals(description)
 
-    def fill(self, feedback: Feedback, time_s: float, trouble: str) -> None:
-        """Tell what the image says; without position and velocity since the last time they stay what they were.
+    def fill(self, feedback: Feedback, time_s: float, last_error: str) -> None:
+        """Fill the feedback from the image; position and velocity that were not read keep their last values.
 
         Parameters
         ----------
         feedback : Feedback
         time_s : float
             Of this cycle.
-        trouble : str
-            What went wrong on the line last.
+        last_error : str
+            The last thing that went wrong on the line.
         """
         values, fresh = self.image.values, self.image.fresh
         is_fresh = fresh.issuperset(self._fast)
@@ -142,7 +142,7 @@ class SerialAxis:
             self._state_s = time_s
         elif math.isnan(self._state_s):
             self._state_s = time_s
-        elif not is_fresh:  # while nothing comes at all, the loop counts: how long that is bridged is configured there
+        elif not is_fresh:  # the loop limits the time without any feedback: it does not count here
             self._state_s += time_s - self._filled_s
         self._filled_s = time_s
         fresh.clear()
@@ -153,17 +153,17 @@ class SerialAxis:
         feedback.is_fresh = is_fresh
         number = values.get("error", 0.0)
         feedback.error = self._error(number) if number else ""
-        feedback.missing = "" if is_fresh else trouble
-        feedback.message = self.sequencer.trouble
+        feedback.missing = "" if is_fresh else last_error
+        feedback.message = self.sequencer.problem
         if self._position_s - self._state_s > _STATUS_LOSS_S:
-            feedback.message = f"the drive has not told its state for more than {_STATUS_LOSS_S:g} s: {trouble}"
+            feedback.message = f"the drive has not reported its state for more than {_STATUS_LOSS_S:g} s: {last_error}"
 
     def read_state(self) -> DriveState:
-        """State that the image tells."""
+        """Return the state that the image shows."""
         values = self.image.values
-        told = list(map(values.get, self.state_signals))
-        if told != self._told:  # which is seldom
-            self._told, self.state = told, state_of(self._description, values)
+        numbers = list(map(values.get, self.state_signals))
+        if numbers != self._state_numbers:  # seldom
+            self._state_numbers, self.state = numbers, state_of(self._description, values)
         return self.state
 
     def disable_writes(self) -> list[Mapping[str, float]]:
@@ -192,7 +192,7 @@ class SerialAxis:
             self.image.values["position_command"] = position / self._scales["position_command"]
 
     def take(self, command: Command, time_s: float) -> Mapping[str, float]:
-        """Put a command into the image; values to write beside it, for the state that is wanted."""
+        """Put a command into the image; return the values to write beside it, for the requested state."""
         values = self.image.values
         for name, wanted, scale in self._wanted:
             values[name] = wanted(command) / scale

@@ -139,7 +139,7 @@ class SerialBus:
         exchange = plan.background[index]
         if end_ns is not None and time.monotonic_ns() + endings[index].wire_ns > end_ns:
             if not self.scheduler.last_error:
-                self.scheduler.last_error = f"{exchange.what}: no time was left for it"
+                self.scheduler.last_error = f"{exchange.label}: no time was left for it"
             return
         self._background_index = index
         self.scheduler.enqueue((exchange,))
@@ -209,7 +209,7 @@ class SerialBus:
             if not scheduler.line.is_open:
                 raise BusError(f"{axis}: {scheduler.last_error}")
         options, text = scheduler.line.options, scheduler.last_error or "no reply"
-        if not any(exchange.what in text for exchange in exchanges):
-            text = f"{' and '.join(exchange.what for exchange in exchanges)}: {text}"
+        if not any(exchange.label in text for exchange in exchanges):
+            text = f"{' and '.join(exchange.label for exchange in exchanges)}: {text}"
         right = "address and port" if options.is_tcp else f"address, port and baud rate ({options.baud})"
         raise DriveError(f"{axis}: {text} ({attempts} attempts). Right {right}?")

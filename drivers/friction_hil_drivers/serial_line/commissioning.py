@@ -1,4 +1,4 @@
-"""From a configuration to lines whose drives are ready to be enabled: all that may take its time, before the loop."""
+"""From a configuration to lines whose drives are ready to be enabled. All this runs before the loop, and may wait."""
 
 import itertools
 import statistics
@@ -25,11 +25,11 @@ from friction_hil_drivers.serial_line.wire import character_s, check_rate, wire_
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig, Configuration
 
-_REPLY_LIMIT_S, _REPLY_LIMIT_SHARE = 0.05, 0.4
+_REPLY_LIMIT_S, _REPLY_LIMIT_FRACTION = 0.05, 0.4
 _MEASURED_CYCLES = 25
 _WATCHDOG_PERIODS, _LEAST_WATCHDOG_PERIODS, _LEAST_WATCHDOG_S = 20, 3, 0.1
-_LATENESS_S = 2e-3  # of a reply, beside the adapter's latency
-_INTERPOLATION_CYCLES = {"csp": 1.0, "csv": 0.5, "cst": 0.0}  # between set-points, beside half a period as for torques
+_LATENESS_S = 2e-3  # margin for a reply, beside the adapter's latency
+_INTERPOLATION_CYCLES = {"csp": 1.0, "csv": 0.5, "cst": 0.0}  # of set-points, beside half a period as for torques
 
 
 class Commissioning:
@@ -43,7 +43,7 @@ class Commissioning:
     dry_run : bool
         Nothing is written.
     is_real : bool
-        Time passes by itself: what a poll takes can be measured.
+        Real time: the time of a poll can be measured.
     """
 
     def __init__(
@@ -69,12 +69,12 @@ class Commissioning:
         Raises
         ------
         UsageError
-            The configuration asks for what a drive or the line cannot do.
+            The configuration asks for something that a drive or the line cannot do.
         """
         options = {name: self._options[name] for name in descriptions}
         images = {name: Image() for name in descriptions}
         protocol = self._protocol(descriptions, options, images)
-        axes, wanted, heard = [], {}, {}
+        axes, commanded, listening_to = [], {}, {}
         for name, description in descriptions.items():
             config = self._configs[name]
             signals = description.units()
@@ -93,14 +93,14 @@ class Commissioning:
             )
             fast = tuple(signal for signal in FAST if signal in signals)
             slow = tuple(signal for signal in signals if signal in (*SLOW, *state_signals(description)))
-            wanted[name] = CycleSignals(fast, slow, mode.commands)
-            heard[name] = CycleSignals(fast, slow, ())
+            commanded[name] = CycleSignals(fast, slow, mode.commands)
+            listening_to[name] = CycleSignals(fast, slow, ())
             before = (*mode.prepare, *self._watchdog_steps(name, description))
             axes.append(SerialAxis(name, description, scales, images[name], mode.commands, before))
             self._check_counter(name, scales)
         first = next(iter(options.values())).line
-        listening = protocol.plan(heard)
-        plan = listening if self._dry_run else protocol.plan(wanted)
+        listening = protocol.plan(listening_to)
+        plan = listening if self._dry_run else protocol.plan(commanded)
         line = Line(first)
         reply_s = _longest_reply_s(line, plan, protocol.silence_chars)
         scheduler = BusScheduler(
@@ -119,7 +119,7 @@ class Commissioning:
         return bus
 
     def _reply_limit_s(self, axis: str, least_s: float) -> float:
-        """Time for which a drive that did not answer is not asked again; ``least_s`` is what a reply may take.
+        """Return the time for which a drive that did not answer is not asked again, s; a reply may take ``least_s``.
 
         A lost reply alone must be no fault; but a reply must not be late by more than this.
 
@@ -130,7 +130,7 @@ class Commissioning:
         """
         options = self._options[axis].line
         if options.reply_limit_s is None:
-            return max(least_s, min(_REPLY_LIMIT_S, _REPLY_LIMIT_SHARE * self._max_missed * self._period_s))
+            return max(least_s, min(_REPLY_LIMIT_S, _REPLY_LIMIT_FRACTION * self._max_missed * self._period_s))
         if options.reply_limit_s < least_s:
             raise OptionError(
                 axis,
@@ -141,7 +141,7 @@ class Commissioning:
         return options.reply_limit_s
 
     def _check_counter(self, axis: str, scales: SignalScales) -> None:
-        """See that a counter cannot go half round while feedback is bridged."""
+        """Refuse a position counter that could move by half its range while feedback is bridged."""
         if scales.position_bits is None:
             return
         bridged_s = self._period_s * (self._max_missed + 1)
@@ -166,7 +166,7 @@ class Commissioning:
             )
 
     def _longest_step(self, bus: SerialBus, descriptions: Mapping[str, Description]) -> Exchange | None:
-        """The exchange of a sequence that takes longest beside the cycle."""
+        """Return the exchange of a sequence that takes longest on the wire."""
         if self._dry_run:
             return None
         steps = []
@@ -179,12 +179,12 @@ class Commissioning:
         return max(steps, key=lambda step: step.request_size + step.reply_size, default=None)
 
     def prepare(self, bus: SerialBus, descriptions: Mapping[str, Description]) -> list[AxisFacts]:
-        """Read all that the drives of an open line tell, write what has to be there before they are enabled.
+        """Read the state of all drives on an open line, and write their configuration; none is enabled.
 
         Raises
         ------
         DriveError
-            A drive does not answer, refuses, has power already, or is not what its description says.
+            A drive does not answer, refuses, has power already, or does not match its description.
         """
         if not bus.protocol.numbers_replies:
             bus.discard_input(_REPLY_LIMIT_S)
@@ -193,7 +193,7 @@ class Commissioning:
         return [self._facts(bus, axis, descriptions[axis.name], delay_s, notes[axis.name]) for axis in bus.axes]
 
     def _prepare(self, bus: SerialBus, axis: SerialAxis, description: Description) -> list[str]:
-        """Prepare one drive; what the user should know."""
+        """Prepare one drive; return notes for the user."""
         notes = [*bus.scheduler.line.notes()]
         if description.inferred:
             notes.append(str(_sources(axis.name, description)))
@@ -201,8 +201,8 @@ class Commissioning:
             bus.transact(axis.name, bus.protocol.read(axis.name, (name,)))
         state = axis.read_state()
         if state is DriveState.UNKNOWN and not self._dry_run:
-            told = ", ".join(f"{name} = {axis.image.values[name]:g}" for name in axis.state_signals)
-            raise DriveError(f"{axis.name}: the drive tells no state that its description knows: {told}")
+            shown = ", ".join(f"{name} = {axis.image.values[name]:g}" for name in axis.state_signals)
+            raise DriveError(f"{axis.name}: the drive reports a state that its description does not know: {shown}")
         if state.is_powered and not self._dry_run:
             raise DriveError(
                 f"{axis.name}: the drive is in state {state.words} already: another master "
@@ -216,7 +216,7 @@ class Commissioning:
         return notes
 
     def line_findings(self, bus: SerialBus) -> Iterator[Finding]:
-        """Tell what is known beforehand of the time that a cycle takes; nothing is said on the line."""
+        """Report what is known in advance of the cycle time; nothing is sent."""
         line = bus.scheduler.line
         if (found := ports.latency(ports.name_of(line.options.port))) is not None:
             needed_s = bus.wire_s(*bus.plan.push, *bus.plan.poll) + line.latency_s
@@ -228,7 +228,7 @@ class Commissioning:
             yield Finding(f"rate of {', '.join(axis.name for axis in bus.axes)}", "pass", bus.rate)
 
     def drive_findings(self, axis: str, description: Description) -> Iterator[Finding]:
-        """Tell what is known beforehand of a drive.
+        """Report what is known in advance of a drive.
 
         Raises
         ------
@@ -245,7 +245,7 @@ class Commissioning:
         config, options = self._configs[axis.name], self._options[axis.name]
         scales, signals = axis.scales, description.units()
         resolution = abs(scales.of["position"]) * signals["position"].step
-        if options.counts_per_unit is not None:  # a position in turns is printed finer than the encoder is
+        if options.counts_per_unit is not None:  # a position in revolutions has more digits than the encoder resolves
             resolution = max(resolution, 1.0 / options.counts_per_unit)
         return AxisFacts(
             name=axis.name,
@@ -265,7 +265,7 @@ class Commissioning:
         return [self._watchdog(axis.name, description).detail]
 
     def _watchdog(self, axis: str, description: Description) -> Finding:
-        """Tell whether the drive notices a daemon that died."""
+        """Report whether the drive drops its torque when the daemon dies."""
         check = f"{axis}: watchdog"
         if description.watchdog is None:
             return Finding(
@@ -274,7 +274,7 @@ class Commissioning:
                 "the drive does NOT watch the daemon: if the daemon dies, its last torque stays",
                 "keep the emergency stop in reach",
             )
-        signal = description.watchdog.signal  # which counts in steps of its own
+        signal = description.watchdog.signal  # in units of its own
         time_s = self._watchdog_steps(axis, description)[0].write[signal] * description.units()[signal].scale
         detail = f"the drive watches the daemon: {time_s * 1e3:g} ms without a command end its torque"
         return Finding(check, "pass", detail)
@@ -295,13 +295,13 @@ class Commissioning:
 
 
 def _longest_reply_s(line: Line, plan: Plan, silence_chars: float) -> float:
-    """Time from a request to its reply, at most, s."""
+    """Return the longest time from a request to the end of its reply, s."""
     longest_s = max(wire_s((each,), line.options, silence_chars) for each in (*plan.poll, *plan.background, *plan.push))
     return longest_s + _LATENESS_S + line.latency_s
 
 
 def by_port(axes: "Mapping[str, AxisConfig]") -> Sequence[list[str]]:
-    """Names of the axes that share a line, for each line."""
+    """Return the names of the axes that share a line, for each line."""
     ports: dict[str, list[str]] = {}
     for name, axis in axes.items():
         ports.setdefault(options_of(axis).line.port, []).append(name)
@@ -309,7 +309,7 @@ def by_port(axes: "Mapping[str, AxisConfig]") -> Sequence[list[str]]:
 
 
 def options_of(axis: "AxisConfig") -> SerialOptions:
-    """Options of an axis on a serial line."""
+    """Return the options of an axis on a serial line."""
     assert isinstance(axis.options, SerialOptions)
     return axis.options
 
@@ -317,14 +317,14 @@ def options_of(axis: "AxisConfig") -> SerialOptions:
 def descriptions_of(
     axes: "Mapping[str, AxisConfig]", beside: Path | None, directory: Path, kind: type[Description]
 ) -> dict[str, Description]:
-    """Descriptions of the drives of some axes; see `load_description`."""
+    """Read the descriptions of the drives of some axes; see `load_description`."""
     return {
         name: load_description(options_of(axis).description, beside, directory, kind) for name, axis in axes.items()
     }
 
 
 def _write(bus: SerialBus, axis: SerialAxis, step: Step) -> None:
-    """Write a step of the preparations, wait for what it should lead to.
+    """Write one step of the preparation, and wait for the state that it leads to.
 
     Raises
     ------
@@ -335,7 +335,7 @@ def _write(bus: SerialBus, axis: SerialAxis, step: Step) -> None:
     exchange = bus.write_exchange(axis.name, step.write)
     bus.transact(axis.name, exchange)
     refusals = bus.scheduler.refusals.count
-    if exchange.tells_refusal:  # at once: before the reply to what is asked next
+    if exchange.reports_refusal:  # before anything else is asked
         _read_state(bus, axis)
     if bus.scheduler.refusals.count > refusals:
         raise DriveError(f"{axis.name}: the drive refuses to be prepared: {bus.scheduler.last_error}")
@@ -358,15 +358,15 @@ def _read_state(bus: SerialBus, axis: SerialAxis) -> None:
 
 
 def _torque_delay_s(plan: Plan, period_s: float) -> float | None:
-    """Mean age of the torque as the position comes: read in turns, at least a period and at most a round of them."""
+    """Return the mean age of the torque at the time of the position, s; a background read is one to N periods old."""
     if any("torque" in exchange.reads for exchange in plan.poll):
         return 0.0
-    is_in_turns = any("torque" in exchange.reads for exchange in plan.background)
-    return 0.5 * (1 + len(plan.background)) * period_s if is_in_turns else None
+    is_background = any("torque" in exchange.reads for exchange in plan.background)
+    return 0.5 * (1 + len(plan.background)) * period_s if is_background else None
 
 
 def _poll_s(bus: SerialBus) -> float:
-    """Median time that the poll of a cycle takes on this line, s."""
+    """Measure the median time that the poll of a cycle takes on this line, s."""
     took = []
     for _ in range(_MEASURED_CYCLES):
         began = time.perf_counter()
@@ -376,10 +376,10 @@ def _poll_s(bus: SerialBus) -> float:
 
 
 def _actuation_delay_s(bus: SerialBus, poll_s: float, period_s: float) -> float:
-    """From sampling a position to the middle of the time in which the torque computed from it acts, s.
+    """Return the time from sampling a position to the middle of the period in which the resulting torque acts, s.
 
-    A torque that is pushed acts as soon as its request is complete; one that rides in the poll, a period after the
-    sample. Either holds for a period. ``poll_s`` is what the poll took when it was measured.
+    A torque in the push acts as soon as its request is complete; one in the poll, a period after the
+    sample. Either holds for a period. ``poll_s`` is the measured time of the poll.
     """
     if not bus.plan.push:
         return 1.5 * period_s
@@ -392,14 +392,14 @@ def _actuation_delay_s(bus: SerialBus, poll_s: float, period_s: float) -> float:
 
 
 def _setpoint_delay_s(actuation_s: float, mode: str, cycles: float | None, period_s: float) -> float:
-    """From sending a set-point to the drive's demand being equal to it, s; ``cycles`` is what the user knows of it."""
+    """Return the time from sending a set-point until the drive follows it, s; ``cycles`` is the user's own figure."""
     if cycles is not None:
         return cycles * period_s
     return actuation_s + _INTERPOLATION_CYCLES[mode] * period_s
 
 
 def _sources(axis: str, description: Description) -> Finding:
-    """Tell whether a manual was read for all that the description says."""
+    """Report which signals of the description were not taken from a manual."""
     check = f"{axis}: description"
     if not description.inferred:
         return Finding(check, "pass", f"{description.name}: none of its signals is marked as inferred")

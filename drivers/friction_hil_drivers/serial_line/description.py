@@ -1,4 +1,4 @@
-"""A drive described rather than programmed: its signals, states and sequences, read from a YAML file."""
+"""Description of a drive, read from a YAML file: its signals, states and sequences."""
 
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
@@ -60,7 +60,7 @@ class Part(BaseModel):
 
 
 class Signal(Part):
-    """A value of the drive; a protocol adds where it is found."""
+    """A value of the drive; each protocol adds its address or format."""
 
     unit: str = Field("", description="unit of the number times its scale")
     scale: Finite = Field(1.0, description="unit's value of one in the drive's number, e.g. 0.1 for tenths")
@@ -71,7 +71,7 @@ class Signal(Part):
 
     @property
     def has_sign(self) -> bool:
-        """Whether the drive's number can be negative."""
+        """True if the drive's number can be negative."""
         return True
 
     @property
@@ -105,7 +105,7 @@ class Signal(Part):
 
 
 class Rule(Part):
-    """The drive is in ``state`` where the signal, under the mask, has the value."""
+    """Condition for a state: the signal, under the mask, has the value."""
 
     state: StateName
     signal: str = "status"
@@ -123,44 +123,46 @@ class Rule(Part):
         return self
 
     def fits(self, number: float) -> bool:
-        """Whether the drive's number says so."""
+        """Return True if the drive's number fulfils the condition."""
         bits = int(number) if self.mask is None else int(number) & self.mask
         return bits == self.value if self.value is not None else bits != self.value_not
 
 
 class Step(Part):
-    """Values to write, and the state that has to follow before the next step."""
+    """Values to write, and the state to wait for before the next step."""
 
     write: dict[str, Finite] = Field(min_length=1, description="the drive's own numbers by signal")
     until: StateName | None = Field(None, description="written again each cycle until the drive is in this state")
-    timeout_s: Positive = Field(1.0, description="after which the drive is said not to follow")
+    timeout_s: Positive = Field(1.0, description="after which the drive is reported not to follow")
 
 
 class ModeDescription(Part):
-    """How the drive is commanded in one mode."""
+    """Commands of one mode, and its preparation."""
 
     commands: tuple[str, ...] = Field(min_length=1, description="signals written in each cycle")
     prepare: tuple[Step, ...] = Field((), description="written once, while the drive is still disabled")
 
 
 class WatchdogDescription(Part):
-    """How the drive is told to watch the daemon: after this time without a command it drops its torque."""
+    """Communication watchdog of the drive: after a time without a command it drops its torque."""
 
     signal: str = Field(description="takes the time")
     enable: tuple[Step, ...] = Field((), description="written after it")
 
 
 class Description(Part):
-    """What all descriptions have; a protocol's own adds to it."""
+    """Keys that all descriptions have; each protocol adds its own."""
 
     version: Literal[1]
     name: str
     sources: tuple[str, ...] = Field(min_length=1, description="where all this was read")
-    inferred: tuple[str, ...] = Field((), description="signals whose place no manual says; told at the start")
+    inferred: tuple[str, ...] = Field(
+        (), description="signals whose address or format no manual gives; reported at the start"
+    )
     state_machine: Literal["cia402", "own"] = Field(
         "own", description="cia402: signals control and status are its control- and statusword"
     )
-    states: tuple[Rule, ...] = Field((), description="own: the first rule that fits tells the state")
+    states: tuple[Rule, ...] = Field((), description="own: the first rule that fits gives the state")
     modes: dict[Literal["csp", "csv", "cst"], ModeDescription] = Field(min_length=1)
     prepare: tuple[Step, ...] = Field((), description="written once at the start, whatever the mode")
     enable: tuple[Step, ...] = ()
@@ -171,12 +173,12 @@ class Description(Part):
     errors: dict[ErrorNumber, str] = Field({}, description="what the numbers of the signal error mean")
 
     def units(self) -> dict[str, Signal]:
-        """Signals by name; each protocol has its own."""
+        """Return the signals by name; each protocol has its own."""
         raise NotImplementedError
 
     @property
     def sequences(self) -> dict[tuple[str, ...], tuple[Step, ...]]:
-        """All steps there are, by the keys under which they stand."""
+        """All steps of the description, by the keys under which they stand."""
         found: dict[tuple[str, ...], tuple[Step, ...]] = {
             (key,): getattr(self, key) for key in ("prepare", "enable", "disable", "quick_stop", "reset_fault")
         }
@@ -186,26 +188,26 @@ class Description(Part):
         return found
 
     def steps(self) -> Iterator[tuple[FieldPath, Step]]:
-        """All steps there are, each with the way to it."""
+        """Yield all steps, each with its path in the file."""
         for key, steps in self.sequences.items():
             for k, step in enumerate(steps):
                 yield (*key, k), step
 
     def _scattered_steps(self, blocks: Callable[[tuple[str, ...]], Sequence[object]]) -> Iterator[Mistake]:
-        """Mistakes: steps whose signals lie in more than one of the ``blocks`` that a request can write."""
-        for place, step in self.steps():
+        """Yield steps whose signals lie in more than one of the ``blocks`` that a request can write."""
+        for path, step in self.steps():
             if step.write.keys() <= self.units().keys() and len(blocks(tuple(step.write))) > 1:
                 names = ", ".join(step.write)
-                yield place, f"writes {names}, which do not lie side by side: make a step of each"
+                yield path, f"writes {names}, which do not lie side by side: make a step of each"
 
     def _unwritable_numbers(self) -> Iterator[Mistake]:
         signals = self.units()
-        for place, step in self.steps():
+        for path, step in self.steps():
             for name, number in step.write.items():
                 bounds = signals[name].bounds if name in signals else None
                 if bounds is not None and not (bounds[0] <= number <= bounds[1] and number.is_integer()):
                     text = f"{name} takes whole numbers from {bounds[0]} to {bounds[1]}, not {number:.12g}"
-                    yield (*place, "write", name), text
+                    yield (*path, "write", name), text
 
     @model_validator(mode="after")
     def _is_consistent(self) -> Self:
@@ -213,9 +215,9 @@ class Description(Part):
         return self
 
     def _named(self) -> Iterator[tuple[FieldPath, str]]:
-        """Where a signal is named, and which."""
+        """Yield each mention of a signal: path in the file, and name."""
         yield from ((("states", k), rule.signal) for k, rule in enumerate(self.states))
-        yield from ((place, name) for place, step in self.steps() for name in step.write)
+        yield from ((path, name) for path, step in self.steps() for name in step.write)
         yield from ((("modes", mode), name) for mode, part in self.modes.items() for name in part.commands)
         yield from ((("inferred", k), name) for k, name in enumerate(self.inferred))
         if self.watchdog is not None:
@@ -223,9 +225,9 @@ class Description(Part):
 
     def _mistakes(self) -> Iterator[Mistake]:
         signals = self.units()
-        for place, name in self._named():
+        for path, name in self._named():
             if name not in signals:
-                yield place, f"names the signal {name!r}; {choices(name, signals)}"
+                yield path, f"names the signal {name!r}; {choices(name, signals)}"
         yield from self._unwritable_numbers()
         for name, units in _UNITS_OF.items():
             if name in signals and signals[name].unit not in units:
@@ -261,7 +263,7 @@ Kind = TypeVar("Kind", bound=Description)
 
 
 def ready(directory: Path) -> dict[str, Path]:
-    """Descriptions that come with a driver, by name."""
+    """Return the descriptions that come with a driver, by name."""
     return {path.stem: path for path in sorted(directory.glob("*.yaml"))}
 
 
@@ -273,7 +275,7 @@ def load_description(given: str, beside: Path | None, directory: Path, kind: typ
     given : str
         Path of a file, ending in .yaml, or a name.
     beside : Path, optional
-        The configuration that says so: a relative path starts from its directory.
+        Configuration that names the description: a relative path starts from its directory.
     directory : Path
         Where the ready ones are.
     kind : type
@@ -284,7 +286,7 @@ def load_description(given: str, beside: Path | None, directory: Path, kind: typ
     ConfigurationError
         The file has mistakes; each with its line.
     UsageError
-        There is none of that name; the message lists those that there are.
+        There is no description of that name; the message lists the known ones.
     """
     if given.endswith((".yaml", ".yml")):
         return read_section(Path(given) if beside is None else beside.parent / given, kind)

@@ -41,7 +41,7 @@ _MAX_REFUSALS = 10  # of commands, in a row: the drive does not accept them
 
 
 class SerialDrives:
-    """The drives of some axes; see `friction_hil.drive.Drives`. A protocol sets the class's attributes."""
+    """Drives of some axes on serial lines; see `friction_hil.drive.Drives`. A protocol sets the class attributes."""
 
     description_type: ClassVar[type[Description]]
     descriptions: ClassVar[Path]  # directory of the ready ones
@@ -80,7 +80,7 @@ class SerialDrives:
 
     @classmethod
     def check_connection(cls, configuration: "Configuration", axes: "Mapping[str, AxisConfig]") -> Iterator[Finding]:
-        """Open each line and give it back, and tell what is known of it; see `friction_hil.drive.Driver`."""
+        """Open each line, close it again, and report what is known of it; see `friction_hil.drive.Driver`."""
         commissioning = Commissioning(configuration, axes, cls.protocol, dry_run=False, is_real=False)
         for names in by_port(axes):
             of_line = {name: axes[name] for name in names}
@@ -247,7 +247,7 @@ class SerialDrives:
 
 
 def _opened(line: Line, axes: "Mapping[str, AxisConfig]") -> Finding:
-    """Open a line as the daemon does, and give it back; one that somebody else has is left alone."""
+    """Open a line as the daemon does, and close it again; a line in use by another process is left alone."""
     port = line.options.port
     check = f"line of {', '.join(axes)}"
     try:

@@ -1,4 +1,4 @@
-"""Bytes in and out of a serial port or a TCP connection. Nothing here blocks once the line is open."""
+"""Serial port or TCP connection: bytes in and out. Nothing here blocks once the line is open."""
 
 import contextlib
 import errno
@@ -19,19 +19,19 @@ from friction_hil_drivers.serial_line.options import LineOptions, tcp_address
 
 _CONNECT_S = 2.0
 _PSEUDO_TERMINALS = Path("/dev/pts")
-_AT_ONCE = 448  # bytes: more than a cycle's replies, and few enough for Python's pool of small objects
+_READ_SIZE = 448  # bytes; more than the replies of a cycle, and within Python's pool of small objects
 _PARITY = {"none": serial.PARITY_NONE, "even": serial.PARITY_EVEN, "odd": serial.PARITY_ODD}
 
 
 class _Link(NamedTuple):
-    """What tells a link to a pseudo-terminal, and the terminal, from others of the same name that are made later."""
+    """Identity of a link to a pseudo-terminal and of the terminal; a later one of the same name differs."""
 
     made: tuple[int, int]
     terminal: tuple[int, int]
 
 
 class LineGoneError(Exception):
-    """The adapter was pulled out, or the peer closed the connection."""
+    """The adapter was unplugged, or the peer closed the connection."""
 
 
 class Line:
@@ -49,13 +49,15 @@ class Line:
         self._link: _Link | None = None  # to the pseudo-terminal that was opened
         self._socket: socket.socket | None = None
         self._connecting: socket.socket | None = None
-        self._peer: tuple[socket.AddressFamily, Any] | None = None  # found when the line was opened: names take time
-        self._hang_up = select.poll()  # tells that a serial port is there no more
-        self.descriptor = -1  # of the open line, for select; -1 where it is gone
+        self._peer: tuple[socket.AddressFamily, Any] | None = (
+            None  # resolved when the line was opened, because resolving takes time
+        )
+        self._hang_up = select.poll()  # reports that the adapter of a serial port is gone
+        self.descriptor = -1  # of the open line, for select; -1 if it is gone
 
     @property
     def is_open(self) -> bool:
-        """Whether the line is there."""
+        """True if the line is open."""
         return self.descriptor >= 0
 
     def open(self) -> None:
@@ -64,7 +66,7 @@ class Line:
         Raises
         ------
         BusError
-            There is no such port, it belongs to somebody else, or nobody listens.
+            There is no such port, it is in use, or nobody listens.
         """
         if self.options.is_tcp:
             address = tcp_address(self.options.port)
@@ -114,29 +116,29 @@ class Line:
 
     @property
     def latency_s(self) -> float:
-        """Time for which a USB adapter holds short replies back; 0 where nothing says so."""
+        """Latency timer of the USB adapter, which holds short replies back, s; 0 if there is none."""
         return ports.latency_s(ports.name_of(self.options.port)) or 0.0
 
     def notes(self) -> list[str]:
-        """What slows the line down, for people."""
+        """Return what slows the line down, for people."""
         found = ports.latency(ports.name_of(self.options.port))
         return [] if found is None or found.result == "pass" else [str(found)]
 
     def read(self, *, is_ready: bool = True) -> bytes:
-        """Return what has arrived, nothing where that is nothing.
+        """Return what has arrived; empty if nothing has.
 
         Parameters
         ----------
         is_ready : bool
-            Something is said to be there: then nothing means that the adapter is not there any more.
+            The system reports bytes: if there are none, the adapter is gone.
 
         Raises
         ------
         LineGoneError
-            There is no line any more.
+            The line is gone.
         """
         try:
-            data = os.read(self.descriptor, _AT_ONCE)
+            data = os.read(self.descriptor, _READ_SIZE)
         except BlockingIOError:
             return b""
         except OSError as error:
@@ -155,7 +157,7 @@ class Line:
         Raises
         ------
         LineGoneError
-            There is no line any more, or it takes no more bytes: whoever should read them does not.
+            The line is gone, or accepts no more bytes because the peer does not read them.
         """
         try:
             if os.write(self.descriptor, data) == len(data):
@@ -166,7 +168,7 @@ class Line:
         raise self._lose(reason)
 
     def acknowledge(self) -> None:
-        """Let a TCP peer know at once what has come of it.
+        """Acknowledge at once what a TCP peer has sent.
 
         Many a peer sends no reply while the one before is not acknowledged (Nagle's algorithm), and the kernel
         acknowledges with the next request: a peer that was late once would answer each request after the next one,
@@ -181,7 +183,7 @@ class Line:
         return LineGoneError(f"{self.options.port} is gone: {reason}")
 
     def reopen(self) -> bool:
-        """Try, without waiting, to get a line back that is gone; whether it is there."""
+        """Try, without waiting, to reopen a line that is gone; return True if it is open."""
         if self.is_open:
             return True
         if not self.options.is_tcp:
@@ -207,12 +209,12 @@ class Line:
         return self.is_open
 
     def _is_left_behind(self) -> bool:
-        """Whether who made the link to a pseudo-terminal has died: the one of that number is somebody else's now."""
+        """Return True if the maker of the link has died, so that its pseudo-terminal belongs to another process now."""
         before, now = self._link, _link(self.options.port)
         return before is not None and now is not None and now.made == before.made and now.terminal != before.terminal
 
     def close(self) -> None:
-        """Give the line back. Safe to call twice."""
+        """Close the line. Safe to call twice."""
         self._hang_up = select.poll()
         self.descriptor = -1
         for part in (self._port, self._socket, self._connecting):
@@ -239,12 +241,12 @@ def _reason(error: OSError) -> str:
 
 
 def _refusal(port: str, error: Exception) -> BusError:
-    """Say why a serial port does not open."""
+    """Return the error for a serial port that does not open."""
     number = getattr(error, "errno", None)
     if number == errno.EACCES:
-        return BusError(f"{port} cannot be opened: permission denied", ports.how_to_be_let_in(Path(port)))
+        return BusError(f"{port} cannot be opened: permission denied", ports.permission_remedy(Path(port)))
     if number == errno.ENOENT:
-        there = ", ".join(ports.there()) or "none"
+        there = ", ".join(ports.serial_ports()) or "none"
         return BusError(
             f"{port} cannot be opened: there is no such port; serial ports of this machine: {there}",
             "plug the adapter in, or correct line.port",
@@ -257,7 +259,7 @@ def _refusal(port: str, error: Exception) -> BusError:
 
 
 def taken(port: str, holders: Sequence[str]) -> BusError:
-    """Error of a port that somebody else has; ``holders`` are those processes, as far as they are known."""
+    """Return the error for a port that other processes use; ``holders`` are those that are known."""
     who = f" ({', '.join(holders)})" if holders else ""
     detail = f"{port} cannot be opened: another process has it{who}: two masters must not talk on one line"
     return BusError(detail, "end that one first")

@@ -21,7 +21,7 @@ class Reception(IntEnum):
 
 
 class Timeliness(IntEnum):
-    """Punctuality of the drives. The numbers differ from those of `Reception`: both are keys of one table."""
+    """Punctuality of the drives. Its numbers differ from those of `Reception`: both are keys of one table."""
 
     ON_TIME = 10  # every drive answered the last request to it
     SILENT = 11  # a drive did not answer; its reply is not expected any more, and it is asked after the others

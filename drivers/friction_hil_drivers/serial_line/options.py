@@ -1,4 +1,4 @@
-"""The keys of an axis that all serial drivers have, and the serial line itself."""
+"""Options that all serial drivers share: keys of an axis, and of its line."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -17,7 +17,7 @@ TCP = "tcp://"
 
 
 def tcp_address(port: str) -> tuple[str, int]:
-    """Host and port number of ``tcp://HOST:PORT``.
+    """Return host and port number of ``tcp://HOST:PORT``.
 
     Raises
     ------
@@ -31,7 +31,7 @@ def tcp_address(port: str) -> tuple[str, int]:
 
 
 class LineOptions(BaseModel):
-    """A serial line, or a TCP connection that stands for one. Axes on one line say the same of it."""
+    """A serial line, or a TCP connection in its place; equal for all axes on one line."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -41,7 +41,7 @@ class LineOptions(BaseModel):
     stop_bits: Literal[1, 2] = Field(1, description="stop bits")
     is_rs485: bool = Field(False, description="let the kernel switch the direction of an RS-485 line by RTS")
     turnaround_s: NotNegative = Field(
-        0.0, le=0.1, description="what the drive takes to answer, beside the time on the wire, s"
+        0.0, le=0.1, description="time that the drive needs to answer, beside the time on the wire, s"
     )
     reply_limit_s: Positive | None = Field(
         None,
@@ -61,7 +61,7 @@ class LineOptions(BaseModel):
 
     @property
     def is_tcp(self) -> bool:
-        """Whether it is a TCP connection."""
+        """True for a TCP connection."""
         return self.port.startswith(TCP)
 
     @property
@@ -95,18 +95,18 @@ class SerialOptions(BaseModel):
 
     @property
     def units(self) -> AxisUnits:
-        """The axis's own units, as far as they are given."""
+        """Units of the axis, as far as they are given."""
         given = (self.counts_per_unit, self.rated_torque, self.torque_constant)
         return AxisUnits(*(math.nan if value is None else value for value in given))
 
     @property
     def address(self) -> str:
-        """What tells this axis from the others on its line."""
+        """Address of this axis on its line."""
         raise NotImplementedError
 
     @classmethod
     def check(cls, axes: "Mapping[str, AxisConfig]", bus: "BusConfig | None") -> Iterator[tuple[str, str, str]]:
-        """Mistakes that concern several axes: (axis, field, message)."""
+        """Yield mistakes that concern several axes: (axis, field, message)."""
         lines: dict[str, tuple[str, LineOptions]] = {}
         owners: dict[tuple[str, str], str] = {}
         for name, axis in axes.items():
@@ -115,7 +115,7 @@ class SerialOptions(BaseModel):
             first, line = lines.setdefault(options.line.port, (name, options.line))
             if line != options.line:
                 yield name, "line", f"{line.port} is described otherwise for axis {first!r}"
-            place = options.line.port, options.address
-            if place in owners:
-                yield name, "line", f"{options.address} on {line.port} is axis {owners[place]!r} already"
-            owners.setdefault(place, name)
+            address = options.line.port, options.address
+            if address in owners:
+                yield name, "line", f"{options.address} on {line.port} is axis {owners[address]!r} already"
+            owners.setdefault(address, name)

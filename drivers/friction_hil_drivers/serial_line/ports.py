@@ -1,4 +1,4 @@
-"""The serial ports of a machine, as its kernel tells them; nothing is opened for it.
+"""Serial ports of a machine, as its kernel lists them; none is opened.
 
 Functions take the root of the file system, so that a test can lay out a machine of its own.
 """
@@ -18,8 +18,8 @@ _USUAL_GROUPS = ("dialout", "uucp")
 _PSEUDO_TERMINAL = re.compile(r"/dev/pts/(\d+)")
 
 
-def there(root: Path = _ROOT) -> list[str]:
-    """Devices of the serial ports that there are: ``/dev/ttyUSB0``."""
+def serial_ports(root: Path = _ROOT) -> list[str]:
+    """Return the devices of the serial ports of this machine: ``/dev/ttyUSB0``."""
     return [
         f"/dev/{entry.name}"
         for entry in sorted(root.glob("sys/class/tty/*"))
@@ -29,18 +29,18 @@ def there(root: Path = _ROOT) -> list[str]:
 
 
 def name_of(port: str) -> str:
-    """Name by which the kernel knows a port that may be given by a link to it: ``ttyUSB0``."""
+    """Return the kernel's name of a port, which may be given by a link: ``ttyUSB0``."""
     return Path(port).resolve().name
 
 
 def latency_s(name: str, root: Path = _ROOT) -> float | None:
-    """Time for which the USB adapter ``name`` holds short replies back; None where nothing says so."""
+    """Return the time for which the USB adapter ``name`` holds short replies back, s; None if it has no timer."""
     text = system_text(_timer(name, root))
     return 1e-3 * int(text) if text and text.isdecimal() else None
 
 
 def latency(name: str, root: Path = _ROOT) -> Finding | None:
-    """Tell whether the USB adapter ``name`` holds replies back; None where it has no such timer."""
+    """Check the latency timer of the USB adapter ``name``; None if it has none."""
     held_s = latency_s(name, root)
     if held_s is None:
         return None
@@ -55,8 +55,8 @@ def _timer(name: str, root: Path) -> Path:
     return root / "sys/bus/usb-serial/devices" / name / "latency_timer"
 
 
-def how_to_be_let_in(device: Path | None = None) -> str:
-    """Say what gives the user the right to open a port; of which group it is, where there is one."""
+def permission_remedy(device: Path | None = None) -> str:
+    """Return the remedy for a user who may not open a port; it names the group of ``device``."""
     group = _USUAL_GROUPS[0]
     with contextlib.suppress(OSError, KeyError):
         if device is not None:
@@ -67,8 +67,8 @@ def how_to_be_let_in(device: Path | None = None) -> str:
 
 
 def check_machine(root: Path) -> Iterator[Finding]:
-    """Tell which serial ports there are, whether the user may open them, and what slows them down."""
-    devices = there(root)
+    """Report the serial ports, the right to open them, and what slows them down."""
+    devices = serial_ports(root)
     missing = [device for device in devices if not (root / device.removeprefix("/")).exists()]
     if missing:  # a container sees the host's kernel, not its devices
         detail = f"{', '.join(devices)}; but /dev has no {', '.join(missing)}"
@@ -93,7 +93,7 @@ def _permission(devices: list[Path]) -> Finding:
     closed = [device for device in devices if not os.access(device, os.R_OK | os.W_OK)]
     if closed:
         listed = ", ".join(f"/dev/{device.name}" for device in closed)
-        return Finding(check, "warn", f"permission denied: {listed}", how_to_be_let_in(closed[0]))
+        return Finding(check, "warn", f"permission denied: {listed}", permission_remedy(closed[0]))
     if devices:
         return Finding(check, "pass", "the user may open all of them")
     if os.geteuid() == 0:
@@ -102,19 +102,19 @@ def _permission(devices: list[Path]) -> Finding:
     own = [group for group in _USUAL_GROUPS if group in groups]
     if own:
         return Finding(check, "pass", f"the user is in the group {own[0]}")
-    return Finding(check, "warn", "the user is not in the group dialout", how_to_be_let_in())
+    return Finding(check, "warn", "the user is not in the group dialout", permission_remedy())
 
 
 def holders(port: str) -> list[str]:
-    """Processes that have a port open, as far as this user may know: ``process 4711 (minicom)``.
+    """Return the processes that have a port open, as far as this user may see: ``process 4711, minicom``.
 
-    Whoever has the other end of a pseudo-terminal is the drive, not another master.
+    A process with the other end of a pseudo-terminal is a drive, not another master.
     """
     device = os.path.realpath(port)
     pseudo = _PSEUDO_TERMINAL.fullmatch(device)
     found = []
     for process in Path("/proc").glob("[0-9]*"):
-        with contextlib.suppress(OSError):  # it has ended, or belongs to somebody else
+        with contextlib.suppress(OSError):  # it has ended, or belongs to another user
             opened = {entry.name: os.readlink(entry) for entry in (process / "fd").iterdir()}
             if device in opened.values() and not (pseudo and _has_master(process, opened, pseudo[1])):
                 found.append(f"process {process.name}, {system_text(process / 'comm') or 'unknown'}")
@@ -122,7 +122,7 @@ def holders(port: str) -> list[str]:
 
 
 def _has_master(process: Path, opened: dict[str, str], index: str) -> bool:
-    """Whether a process has the other end of the pseudo-terminal number ``index``."""
+    """Return True if a process has the other end of the pseudo-terminal number ``index``."""
     masters = [number for number, target in opened.items() if target.endswith("/ptmx")]
-    told = [system_text(process / "fdinfo" / number) or "" for number in masters]
-    return any(re.search(rf"^tty-index:\s*{index}$", text, re.MULTILINE) for text in told)
+    info = [system_text(process / "fdinfo" / number) or "" for number in masters]
+    return any(re.search(rf"^tty-index:\s*{index}$", text, re.MULTILINE) for text in info)

@@ -1,4 +1,4 @@
-"""What a protocol has to provide so that its drives can be driven: exchanges, and a plan of a cycle made of them."""
+"""Interfaces of a serial protocol: exchanges, and the plan of a cycle that is made of them."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -7,23 +7,23 @@ from typing import Any, Protocol, TypeVar
 
 # Signals that the driver itself understands; a description may have others, for its sequences.
 FAST = ("position", "velocity")  # read in every cycle
-SLOW = ("torque", "status", "error")  # read in every cycle where they come along, else in turns
+SLOW = ("torque", "status", "error")  # read in every cycle if that costs no request, else by background reads
 COMMANDS = ("position_command", "velocity_command", "torque_command")
 _SHOWN = 60  # characters
 
 
 class ReplyError(Exception):
-    """A reply came that is none: a wrong checksum, an exception, somebody else's.
+    """The received bytes are no valid reply: a wrong checksum, an exception, a reply of another drive.
 
     Parameters
     ----------
     message : str
-        What came, in words.
+        Description of the received bytes, for people.
     is_complete : bool
-        The drive has said all it has to say (an exception code, an error text). Otherwise more may come, and the
+        The drive has sent all it will send (an exception code, an error text). Otherwise more may come, and the
         line has to fall silent before the next request.
     is_unsolicited : bool
-        It is an error that may belong to a request before this one, to which nothing is replied otherwise.
+        The error may belong to an earlier request to which nothing is replied otherwise.
     """
 
     def __init__(self, message: str, *, is_complete: bool = False, is_unsolicited: bool = False) -> None:
@@ -41,19 +41,19 @@ class Image:
     values : dict of str to float
         As last read, or to be written.
     fresh : set of str
-        What was read since the set was last emptied.
+        Signals read since the set was last emptied.
     """
 
     values: dict[str, float] = field(default_factory=dict)
     fresh: set[str] = field(default_factory=set)
 
     def put(self, names: Sequence[str], numbers: Sequence[float]) -> None:
-        """Take numbers that were read together.
+        """Store numbers that were read together.
 
         Raises
         ------
         ReplyError
-            One of them is not finite; none was taken.
+            One of them is not finite; none was stored.
         """
         if not all(map(math.isfinite, numbers)):
             listed = ", ".join(f"{n} is {x}" for n, x in zip(names, numbers, strict=True) if not math.isfinite(x))
@@ -63,16 +63,16 @@ class Image:
 
 
 class Exchange(Protocol):
-    """One request and its reply. It is made once, bound to the images that it serves, and used in many cycles."""
+    """One request and its reply. It is made once for certain process images, and used in many cycles."""
 
-    what: str  # for people: "read 3 registers at 6064h of unit 1"
-    addressees: frozenset[str]  # drives that answer, each by a name of its own on the line
+    label: str  # for messages: "read 3 registers at 6064h of unit 1"
+    addressees: frozenset[str]  # drives that answer, each by its name on the line
     reads: tuple[str, ...]
     writes: tuple[str, ...]
-    request_size: int  # characters on the line, the most there can be
+    request_size: int  # characters on the line, at most
     reply_size: int  # likewise; 0: no reply comes
-    tells_refusal: bool  # no reply comes, but an error does where the drive refuses
-    constant: bytes  # all that `encode` would do is to return this; empty: it has to be called
+    reports_refusal: bool  # no reply comes, but an error does if the drive refuses
+    constant: bytes  # the request, if it is always the same; empty: `encode` has to be called
 
     @property
     def unanswered(self) -> frozenset[str]:
@@ -80,7 +80,7 @@ class Exchange(Protocol):
         ...
 
     def encode(self) -> bytes:
-        """Make the request, from the images' values where it writes.
+        """Return the request; the values that it writes are those of the images.
 
         Raises
         ------
@@ -90,7 +90,7 @@ class Exchange(Protocol):
         ...
 
     def take(self, received: bytearray) -> bool:
-        """Remove from ``received`` what is understood and put it into the images; whether the reply is complete.
+        """Remove the reply from ``received`` and store it in the images; return True if it is complete.
 
         Raises
         ------
@@ -100,18 +100,18 @@ class Exchange(Protocol):
         ...
 
     def may_follow(self, before: "Exchange") -> bool:
-        """Whether it may be sent while ``before`` is not answered: neither's reply can be taken for the other's."""
+        """Return True if it may be sent while ``before`` is outstanding: their replies cannot be confused."""
         ...
 
     def without(self, addressees: frozenset[str]) -> "Exchange | None":
-        """Return the same for all other addressees; None where it cannot be divided so."""
+        """Return the same exchange with all other addressees; None if it cannot be divided so."""
         ...
 
 
 class Single:
-    """What an `Exchange` has that is made by itself, whole or not at all, and whose drives do not err unasked."""
+    """Defaults of an `Exchange` that is sent alone, as a whole, to drives that send no unsolicited errors."""
 
-    tells_refusal = False
+    reports_refusal = False
     constant = b""
 
     def may_follow(self, before: Exchange) -> bool:
@@ -127,12 +127,12 @@ Part = TypeVar("Part")
 
 
 def only(parts: Sequence[Part], verb: str, names: Sequence[str]) -> Part:
-    """Return the one part of a drive in which some signals lie.
+    """Return the only part of a drive in which some signals lie.
 
     Raises
     ------
     ValueError
-        They lie in several, or in none: no single request can ``verb`` them.
+        They lie in several parts, or in none: no single request can ``verb`` them.
     """
     if len(parts) != 1:
         listed = "; ".join(map(str, parts))
@@ -141,18 +141,18 @@ def only(parts: Sequence[Part], verb: str, names: Sequence[str]) -> Part:
 
 
 def shown(data: bytes | bytearray) -> str:
-    """Text of what came, for messages."""
+    """Return received bytes as text, for messages."""
     text = repr(bytes(data[:_SHOWN]))[2:-1]
     return f"'{text}'" + (" ..." if len(data) > _SHOWN else "")
 
 
 @dataclass(frozen=True, slots=True)
 class CycleSignals:
-    """What a cycle of one axis needs, by names of signals."""
+    """Signals that a cycle of one axis reads and writes, by name."""
 
     fast: tuple[str, ...]  # to be read in every cycle
-    slow: tuple[str, ...]  # to be read now and then
-    commands: tuple[str, ...]  # to be written in every cycle; none where the drive is only listened to
+    slow: tuple[str, ...]  # to be read now and then, in the background
+    commands: tuple[str, ...]  # to be written in every cycle; none if the drive is only read
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,19 +161,19 @@ class Plan:
 
     poll: tuple[Exchange, ...]  # each cycle, before the computation
     background: tuple[Exchange, ...]  # one of them each cycle, after the push
-    push: tuple[Exchange, ...]  # each cycle, after the computation; none where the poll of the next cycle writes
+    push: tuple[Exchange, ...]  # each cycle, after the computation; empty if the next poll writes the commands
 
 
 class LineProtocol(Protocol):
-    """A protocol as it is spoken on one line, to the axes there."""
+    """A protocol on one line, for the axes there."""
 
-    silence_chars: float  # that end a frame and have to pass before the next one
-    numbers_replies: bool  # a reply tells to which request it belongs
-    names_drives: bool  # a reply tells which of the drives it is from
-    ahead_chars: int  # of requests that the drives take in before they answer the first; 0: one at a time
+    silence_chars: float  # silence that ends a frame and has to pass before the next one
+    numbers_replies: bool  # each reply tells to which request it belongs
+    names_drives: bool  # each reply tells which drive it is from
+    ahead_chars: int  # characters of requests that a drive reads before it answers the first; 0: one request at a time
 
     def plan(self, wanted: Mapping[str, CycleSignals]) -> Plan:
-        """Put a cycle together from as few exchanges as there can be, for the axes by name."""
+        """Plan a cycle with as few exchanges as possible, for the axes by name."""
         ...
 
     def read(self, axis: str, names: Sequence[str]) -> Exchange:

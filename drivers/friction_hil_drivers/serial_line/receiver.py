@@ -73,10 +73,13 @@ class ReplyReceiver:
         """Take the replies that are complete, in the order of the requests."""
         outstanding, received, refusals, state = self.outstanding, self._received, self.refusals, self.state
         while outstanding and received:
-            exchange, is_normal = outstanding[0], state.is_normal
+            exchange = outstanding[0]
+            is_normal = state.is_normal
             try:
-                is_used = is_normal or state.permission.replies_used
-                if not (exchange.take(received) if is_used else self._take_unused(exchange)):
+                if is_normal or state.permission.replies_used:
+                    if not exchange.take(received):
+                        return
+                elif not self._take_unused(exchange):
                     return
             except ReplyError as error:
                 if self._note_refusal(error):  # the reply proper follows
@@ -97,7 +100,7 @@ class ReplyReceiver:
         self._callbacks.pop(exchange, None)
         if error.is_complete and exchange.writes:
             self.refusals.note(exchange)
-        self.last_error = f"{exchange.what}: {error}"
+        self.last_error = f"{exchange.label}: {error}"
         if not error.is_complete:
             # where another reply follows, it is found in what is left of this one
             is_last = len(self.outstanding) == 1
@@ -108,7 +111,7 @@ class ReplyReceiver:
         callback = self._callbacks.pop(exchange, None)
         if not self.state.permission.replies_used:
             callback = None
-            self.last_error = f"{exchange.what}: the reply may have been one to an earlier request"
+            self.last_error = f"{exchange.label}: the reply may have been one to an earlier request"
         self._apply(LineEvent.LAST_REPLY if len(self.outstanding) == 1 else LineEvent.REPLY, self._stale_ns)
         self._late.note_answer(exchange)
         self._note_all_answered()
@@ -148,7 +151,7 @@ class ReplyReceiver:
         """Count an unsolicited error as the refusal of a command without a reply; return True if it is one."""
         exchange = self.refusals.note_unsolicited(error)
         if exchange is not None:
-            self.last_error = f"{exchange.what}: {error}"
+            self.last_error = f"{exchange.label}: {error}"
         return exchange is not None
 
     def _take_late_reply(self, now: int) -> None:
@@ -163,7 +166,7 @@ class ReplyReceiver:
                 if not self._note_refusal(error):
                     # broken, or of another drive that is late: this one's reply is still expected
                     self._apply(LineEvent.LATE_REPLY_BROKEN, self._min_discard_ns)
-                    self.last_error = f"late, {exchange.what}: {error}"
+                    self.last_error = f"late, {exchange.label}: {error}"
             if is_complete:
                 del late.expected[0]
                 self._quiet_until_ns = now + self._silence_ns

@@ -1,6 +1,6 @@
 """Records about replies: which may still come although their cycle is over, and which commands drives refuse.
 
-No line and no clock: both are told what happened by the scheduler.
+No line and no clock: the scheduler reports what happened.
 """
 
 from collections import deque

@@ -136,7 +136,7 @@ class BusScheduler(ReplyReceiver):
         deadline_ns : int or None
             Moment by which all replies have to be complete.
         """
-        if self.queue or self._received or self.line.descriptor < 0 or not self.state.is_normal:
+        if self.queue or self._received or self.line.descriptor < 0:
             return False
         now = self._now_ns()
         if self._verdict(batch, now, deadline_ns) is not _SEND:
@@ -206,7 +206,7 @@ class BusScheduler(ReplyReceiver):
         self._callbacks.clear()
         self.deadline_ns = None
         if self.outstanding:
-            self.last_error = f"{self.outstanding[0].what}: no reply in time"
+            self.last_error = f"{self.outstanding[0].label}: no reply in time"
             self._late.note_silent(self.outstanding)
             if not self._reply_limit_ns:
                 self.state.apply(LineEvent.REPLY_MISSED)
@@ -250,6 +250,8 @@ class BusScheduler(ReplyReceiver):
 
     def _is_permitted(self, batch: Batch, *, is_joined: bool) -> bool:
         """True if the disturbed line lets a request pass: the part of the rule that depends on the state."""
+        if not batch.is_single:
+            return False
         state, permission = self.state, self.state.permission
         if not (permission.requests if batch.answered else permission.commands):
             return False
@@ -258,8 +260,8 @@ class BusScheduler(ReplyReceiver):
         if is_joined and not self.outstanding and batch.answered and not permission.joined:
             return False
         if state.timeliness is Timeliness.ON_TIME:
-            return batch.are_joint
-        if is_joined or len(batch.exchanges) > 1:
+            return True
+        if is_joined:
             return False
         if state.timeliness is Timeliness.LATE and self._received and not self.outstanding:
             return state.is_noisy and not batch.answered  # a late reply is coming in
@@ -307,13 +309,13 @@ class BusScheduler(ReplyReceiver):
     def _drop_queue(self, exchange: Exchange) -> None:
         """Send nothing more in this cycle: the reply would be late, and so would all replies after it."""
         if not self._late.silent:  # else that is the reason
-            self.last_error = f"{exchange.what}: no time was left for it"
+            self.last_error = f"{exchange.label}: no time was left for it"
         self.queue.clear()
 
     def _note_sent(self, unanswered: Iterable[Exchange]) -> None:
         """Note commands that were sent and to which nothing is replied."""
         for exchange in unanswered:
-            if exchange.tells_refusal:
+            if exchange.reports_refusal:
                 self.refusals.unconfirmed.append(exchange)
             if self._callbacks and exchange in self._callbacks:
                 self._callbacks.pop(exchange)()
@@ -325,7 +327,8 @@ class BusScheduler(ReplyReceiver):
             wire_ns = (exchange.request_size + exchange.reply_size) * self._character_ns
             if exchange.reply_size:
                 wire_ns += self._silence_ns + round(self.line.options.turnaround_s * 1e9)
-            batch = self._singles[exchange] = Batch.of((exchange,), wire_ns, keeps_silence=self.keeps_silence)
+            batch = Batch.of((exchange,), wire_ns, keeps_silence=self.keeps_silence, is_single=True)
+            self._singles[exchange] = batch
         return batch
 
     def _write(self, data: bytes, now: int, answered: Collection[Exchange]) -> None:

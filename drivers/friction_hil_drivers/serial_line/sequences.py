@@ -1,4 +1,4 @@
-"""The way to the state that is wanted, one step a cycle: what to write next. No line, no clock."""
+"""Sequences from one drive state to another, one step a cycle. No line, no clock."""
 
 from collections.abc import Mapping, Sequence
 
@@ -16,14 +16,14 @@ _OFF = (
 
 
 def state_signals(description: Description) -> tuple[str, ...]:
-    """Signals that tell the state."""
+    """Return the signals that show the state."""
     if description.state_machine == "cia402":
         return ("status",)
     return tuple(dict.fromkeys(rule.signal for rule in description.states))
 
 
 def state_of(description: Description, values: Mapping[str, float]) -> DriveState:
-    """State that the drive's numbers tell; unknown while it has not told all that is needed."""
+    """Return the state that the drive's numbers show; unknown until all of them were read."""
     if description.state_machine == "cia402":
         return profile.drive_state(int(values["status"])) if "status" in values else DriveState.UNKNOWN
     for rule in description.states:
@@ -35,7 +35,7 @@ def state_of(description: Description, values: Mapping[str, float]) -> DriveStat
 
 
 class Sequencer:
-    """Leads one drive from state to state.
+    """Takes one drive from state to state.
 
     Parameters
     ----------
@@ -46,8 +46,8 @@ class Sequencer:
 
     Attributes
     ----------
-    trouble : str
-        The step that the drive does not follow, in words; empty while it does.
+    problem : str
+        The step that the drive does not follow, for people; empty while it does.
     """
 
     def __init__(self, description: Description, before: Sequence[Step] = ()) -> None:
@@ -56,38 +56,38 @@ class Sequencer:
         self._request = Request.LISTEN
         self._steps: tuple[Step, ...] = ()
         self._index = 0
-        self._is_written = False  # the step at hand, and the drive has acknowledged it
+        self._is_written = False  # the present step, and the drive has acknowledged it
         self._since_s = 0.0
-        self._word = 0  # cia402: the controlword that the drive took last
-        self._next_word = 0  # cia402: the one that it is given; it may have to wait for its turn on the line
-        self.trouble = ""
+        self._word = 0  # cia402: the controlword that the drive accepted last
+        self._next_word = 0  # cia402: the one to write; it may have to wait on the line
+        self.problem = ""
 
     def acknowledge(self) -> None:
-        """Note that the drive took what `next_write` gave."""
+        """Note that the drive accepted the values of `next_write`."""
         self._is_written, self._word = True, self._next_word
 
     def next_write(self, request: Request, state: DriveState, time_s: float) -> Mapping[str, float]:
-        """Values to write in this cycle, by signal; none where nothing is left to be done.
+        """Return the values to write in this cycle, by signal; none if nothing is left to do.
 
         Parameters
         ----------
         request : Request
-            What the drive shall be; never `Request.LISTEN`.
+            Requested state; never `Request.LISTEN`.
         state : DriveState
-            What it was last heard to be.
+            State that was reported last.
         time_s : float
             For time-outs.
         """
         self._next_word = self._word
         if request is not self._request:
             self._request, self._index, self._is_written, self._since_s = request, 0, False, time_s
-            self._steps, self.trouble = self._sequence(request), ""
+            self._steps, self.problem = self._sequence(request), ""
         while self._index < len(self._steps):
             step = self._steps[self._index]
             is_reached = step.until is None or state is STATES[step.until]
             if not (self._is_written and is_reached):
-                if time_s - self._since_s > step.timeout_s and not self.trouble:
-                    self.trouble = _not_followed(step, state)
+                if time_s - self._since_s > step.timeout_s and not self.problem:
+                    self.problem = _not_followed(step, state)
                 # a step that waits for a state is repeated: some drives need it twice
                 return step.write
             self._index, self._is_written, self._since_s = self._index + 1, False, time_s
@@ -118,12 +118,12 @@ class Sequencer:
 
 
 def watchdog_steps(description: Description, time_s: float) -> tuple[Step, ...]:
-    """Steps that make the drive watch the daemon; none where it cannot.
+    """Return the steps that switch the drive's watchdog on; none if it has none.
 
     Raises
     ------
     ValueError
-        So short or so long a time is none for the drive.
+        The drive cannot count so short or so long a time.
     """
     watchdog = description.watchdog
     if watchdog is None:
@@ -144,7 +144,7 @@ def watchdog_steps(description: Description, time_s: float) -> tuple[Step, ...]:
 
 
 def disable_writes(description: Description) -> list[Mapping[str, float]]:
-    """All there is to write, in turn, so that a drive is disabled, whatever it answers."""
+    """Return the values to write, in order, that disable a drive whatever it answers."""
     if description.state_machine == "cia402":
         return [{"control": profile.DISABLE_VOLTAGE}]
     return [step.write for step in description.disable]

@@ -9,7 +9,7 @@ _TURN = 2.0 * math.pi
 
 @dataclass(frozen=True, slots=True)
 class AxisUnits:
-    """What the configuration knows of an axis's own units; NaN where it does not say.
+    """Units of an axis, from its configuration; NaN where they are not given.
 
     Attributes
     ----------
@@ -26,7 +26,7 @@ class AxisUnits:
     torque_constant: float = math.nan
 
 
-# Unit of a signal -> SI value of one, for an axis. NaN: the configuration has to say something first.
+# Unit of a signal -> SI value of one, for an axis. NaN: the configuration does not give the factor.
 UNITS: dict[str, Callable[[AxisUnits], float]] = {
     "count": lambda a: 1.0 / a.counts_per_unit,
     "count/s": lambda a: 1.0 / a.counts_per_unit,

@@ -10,15 +10,15 @@ from friction_hil_drivers.serial_line.protocol import Exchange, Plan
 
 
 def character_s(line: LineOptions) -> float:
-    """Time of one character, s; 0 on a TCP connection, whose baud rate says nothing."""
+    """Return the time of one character, s; 0 on a TCP connection, where the baud rate has no effect."""
     return 0.0 if line.is_tcp else line.bits_per_character / line.baud
 
 
 def wire_s(exchanges: Iterable[Exchange], line: LineOptions, silence_chars: float, ahead_chars: int = 0) -> float:
-    """Least time from the first request of some exchanges to the next one, s.
+    """Compute the least time from the first of some exchanges to the next one after them, s.
 
     For one exchange that is request, silence, turn-around, reply, silence. Requests that go out together overlap with
-    the replies to those before. What needs no reply has to come first: it is sent at the end of a cycle.
+    the replies to those before. Commands without a reply have to come first: they are sent at the end of a cycle.
 
     Parameters
     ----------
@@ -54,14 +54,14 @@ def wire_s(exchanges: Iterable[Exchange], line: LineOptions, silence_chars: floa
 def check_rate(
     plan: Plan, step: Exchange | None, line: LineOptions, silence_chars: float, ahead_chars: int, period_s: float
 ) -> str:
-    """Compare what a cycle takes on the wire with the period; say it.
+    """Compare the time of a cycle on the wire with the period; return the result as text.
 
     Parameters
     ----------
     plan : Plan
-        Of which a cycle has the poll, the longest of the turns, and the push.
+        A cycle consists of its push, the longest of its background reads, and its poll.
     step : Exchange, optional
-        Longest step of a sequence, which takes the place of a turn.
+        Longest step of a sequence, which replaces a background read.
     line : LineOptions
     silence_chars : float
     ahead_chars : int
@@ -88,7 +88,7 @@ def check_rate(
             text += f", {with_step * 1e3:.3g} ms with a step on the way to another state: each such step loses a cycle"
         return text
     listed = "; ".join(
-        f"{each.what}: {each.request_size} + {each.reply_size} characters, {time_s(each) * 1e3:.3g} ms"
+        f"{each.label}: {each.request_size} + {each.reply_size} characters, {time_s(each) * 1e3:.3g} ms"
         for each in parts
     )
     if needed < sum(map(time_s, parts)) - character_s(line):
@@ -103,7 +103,7 @@ def check_rate(
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """Requests that go out together, with what the rule for sending asks of them.
+    """Requests that go out together, with the properties that the rule for sending needs.
 
     Attributes
     ----------
@@ -120,6 +120,8 @@ class Batch:
         They may go out in one write.
     known_before : frozenset of Exchange
         Exchanges that may be outstanding when they go out.
+    is_single : bool
+        One request on its own, not the requests of an undisturbed cycle.
     """
 
     exchanges: tuple[Exchange, ...]
@@ -130,10 +132,17 @@ class Batch:
     wire_ns: int
     are_joint: bool
     known_before: frozenset[Exchange]
+    is_single: bool
 
     @classmethod
     def of(
-        cls, exchanges: Sequence[Exchange], wire_ns: int, before: Iterable[Exchange] = (), *, keeps_silence: bool
+        cls,
+        exchanges: Sequence[Exchange],
+        wire_ns: int,
+        before: Iterable[Exchange] = (),
+        *,
+        keeps_silence: bool,
+        is_single: bool = False,
     ) -> Self:
         """Make a batch.
 
@@ -146,6 +155,8 @@ class Batch:
             Exchanges that are often outstanding when they go out.
         keeps_silence : bool
             Silence has to pass between frames on the line.
+        is_single : bool
+            See `Batch`.
         """
         answered: list[Exchange] = []
         size = ahead_chars = 0
@@ -160,7 +171,7 @@ class Batch:
         return cls(
             exchanges=tuple(exchanges),
             answered=tuple(answered),
-            refusable=tuple(exchange for exchange in exchanges if exchange.tells_refusal),
+            refusable=tuple(exchange for exchange in exchanges if exchange.reports_refusal),
             chars=size,
             ahead_chars=ahead_chars,
             wire_ns=wire_ns,
@@ -168,6 +179,7 @@ class Batch:
             known_before=frozenset(
                 each for each in before if not keeps_silence and all(late.may_follow(each) for late in exchanges)
             ),
+            is_single=is_single,
         )
 
     def may_follow(self, outstanding: Iterable[Exchange]) -> bool:

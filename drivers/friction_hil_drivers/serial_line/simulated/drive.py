@@ -104,7 +104,7 @@ class SimulatedDrive:
         return self._steps / self._per_second
 
     def sample(self) -> None:
-        """Let one period pass with pace sync: a request that reads the position has come.
+        """With pace sync, advance by one period: a request that reads the position has come.
 
         To be called once for the request, before what it writes takes effect and before what it reads is read.
         """
@@ -113,7 +113,7 @@ class SimulatedDrive:
             self._advance(self._sync_steps)
 
     def advance_to(self, now_ns: int) -> None:
-        """Let time pass until ``now_ns`` after the start, unless it is counted in samples.
+        """Advance to ``now_ns`` after the start, unless time is counted in samples.
 
         Raises
         ------
@@ -141,7 +141,7 @@ class SimulatedDrive:
     # Signals
 
     def read(self, name: str) -> float:
-        """Number of a signal now, not rounded: live, or what was last written (0 before).
+        """Return the present number of a signal, not rounded: live, or as last written (0 before).
 
         With pace real it is that of the moment up to which the drive was advanced: when the request was complete.
         """
@@ -196,12 +196,12 @@ class SimulatedDrive:
     # Supply
 
     def switch_off(self) -> None:
-        """Take the supply away: no power, and nothing is kept; the mechanics goes on moving."""
+        """Switch the supply off: no power, and no settings are kept; the mechanics goes on moving."""
         self.is_on = False
         self._enter(_OFF)
 
     def switch_on(self) -> None:
-        """Be as after power-on."""
+        """Return to the state after power-on."""
         self.is_on = True
         self._values: dict[str, float] = {}
         self._targets: dict[str, float] = {}  # commands that came since the drive was enabled, SI
@@ -266,7 +266,7 @@ class SimulatedDrive:
 
 
 def _scales(name: str, description: Description, servo: "Servo", units: AxisUnits) -> dict[str, float]:
-    """SI value of one, by signal; of those signals that the drive itself understands."""
+    """Return the SI value of one unit of each signal that the drive itself uses."""
     if math.isnan(units.counts_per_unit):
         units = dataclasses.replace(units, counts_per_unit=servo.counts_per_unit)
     if math.isnan(units.rated_torque):
@@ -284,7 +284,7 @@ def _scales(name: str, description: Description, servo: "Servo", units: AxisUnit
 
 
 def _accepted_numbers(description: Description) -> Mapping[str, frozenset[float]]:
-    """What can be written, and which numbers; none listed: all."""
+    """Return the signals that can be written, and the accepted numbers; an empty set: all."""
     found: dict[str, set[float]] = {}
     for steps in description.sequences.values():
         for step in steps:

@@ -29,7 +29,7 @@ class ResponderFactory(Protocol):
 
 
 class SimulatedSerialDrives(ABC):
-    """Drives that speak one protocol, on as many lines as their axes name. A protocol sets the class's attributes.
+    """Simulated drives of one protocol, on as many lines as their axes name. A protocol sets the class attributes.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What happens to replies on a bad line. Deterministic: same seed, same replies, same faults."""
+"""Faults of a bad line. Deterministic: same seed, same replies, same faults."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ _MOST_NOISE = 4  # stray bytes
 
 @dataclass(frozen=True, slots=True)
 class Spoiled:
-    """What becomes of a reply.
+    """Faults of one reply.
 
     Attributes
     ----------
@@ -26,7 +26,7 @@ class Spoiled:
 
 
 class Faults:
-    """Draws the fate of each reply.
+    """Draws the faults of each reply.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class Faults:
         self._is_good = not any(chances)
 
     def spoil(self, reply: bytes) -> Spoiled:
-        """Say what becomes of a reply of at least one byte."""
+        """Draw the faults of a reply of at least one byte."""
         if self._is_good:
             return Spoiled((reply,))
         # all drawn for every reply, so that one fault more in the settings does not shift the others

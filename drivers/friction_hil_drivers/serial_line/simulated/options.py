@@ -1,4 +1,4 @@
-"""What the simulated drive of an axis on a serial line is: the keys of its ``simulation``."""
+"""Options of a simulated drive on a serial line: the keys of ``simulation`` of its axis."""
 
 from typing import Annotated
 
@@ -11,7 +11,7 @@ Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 
 
 class LineFaults(BaseModel):
-    """What goes wrong on the line, on purpose. Simulated axes on one line say the same of it."""
+    """Faults of the line, on purpose; equal for all simulated axes on one line."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -30,6 +30,6 @@ class LineFaults(BaseModel):
 
 
 class SerialSimulation(ServoConfig):
-    """A simulated servo, and the line on which its drive is."""
+    """Options of a simulated servo, and of its line."""
 
     line: LineFaults = LineFaults()

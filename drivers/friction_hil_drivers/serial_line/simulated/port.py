@@ -30,19 +30,19 @@ class Port(Protocol):
         ...
 
     def read(self) -> bytes | None:
-        """What came; None: the master has gone, and what it left half-said with it."""
+        """Return what came; None if the master has gone, and its unfinished request with it."""
         ...
 
     def write(self, data: bytes) -> None:
-        """Send; lost where nobody listens, as on a line."""
+        """Send; bytes are lost if nobody listens, as on a real line."""
         ...
 
     def idle(self) -> None:
-        """Take notice that time passes: replies that nobody has read for long are lost."""
+        """Drop replies that nobody has read for long."""
         ...
 
     def close(self) -> None:
-        """Leave no trace. Safe to call twice."""
+        """Close the port and remove its link. Safe to call twice."""
         ...
 
 
@@ -180,7 +180,7 @@ class TcpPort:
                 self._client.send(data)
 
     def idle(self) -> None:
-        """See `Port`: who connects begins anew."""
+        """See `Port`: a new master starts with empty buffers."""
 
     def close(self) -> None:
         """See `Port`."""
@@ -188,7 +188,7 @@ class TcpPort:
         self._listener.close()
 
     def _drain(self, client: socket.socket, received: bytearray) -> bool:
-        """Read all that has come; whether the master is still there."""
+        """Read everything that has come; return True if the master is still there."""
         while True:
             try:
                 data = client.recv(_MOST)

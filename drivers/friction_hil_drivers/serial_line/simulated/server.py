@@ -24,7 +24,7 @@ _S = 1e9  # ns
 
 
 class Responder(Protocol):
-    """A protocol as the drives of one line speak it."""
+    """Drives' end of a protocol on one line."""
 
     request_end: bytes  # ends every request, which is answered while the next one still comes; b"" where nothing does
 
@@ -33,12 +33,12 @@ class Responder(Protocol):
         ...
 
     def forget(self) -> None:
-        """Take notice that the line was silent: what came before is no beginning of a request."""
+        """Drop an unfinished request: the line was silent since."""
         ...
 
 
 class SimulatedLine:
-    """One line: requests arrive in the time of their characters, replies leave likewise.
+    """One line, on which requests and replies take the time of their characters.
 
     Both directions are counted by themselves, as with a master that keeps the turns of a half-duplex line. With pace
     sync nothing takes any time.
@@ -95,12 +95,12 @@ class SimulatedLine:
 
     @property
     def due_ns(self) -> int | None:
-        """When `work` has to be called next; None: not before something comes."""
+        """Moment at which `work` has to be called next; None: not before bytes arrive."""
         moments = [queue[0][0] for queue in (self._arriving, self._departing) if queue]
         return min(moments, default=None)
 
     def hear(self, now_ns: int) -> None:
-        """Take what has come to the port by now."""
+        """Read what has arrived at the port."""
         data = self.port.read()
         if data is None:
             self._arriving.clear()
@@ -127,12 +127,12 @@ class SimulatedLine:
             self._forget()
 
     def idle(self) -> None:
-        """Take notice, with pace sync, that nothing has come for long: the line was silent."""
+        """With pace sync, note that the line was silent for long."""
         if self._silence_ns and self._received:
             self._forget()
 
     def advance_to(self, now_ns: int) -> None:
-        """Let time pass for the drives, up to ``now_ns`` after the start."""
+        """Advance the drives to ``now_ns`` after the start."""
         self.port.idle()
         for drive in self._drives:
             drive.advance_to(now_ns)
@@ -179,7 +179,7 @@ class SimulatedLine:
         self._responder.forget()
 
     def _watch_supply(self) -> None:
-        """Take the drives' supply away when it is time, and give it back."""
+        """Switch the drives' supply off and on when it is time."""
         now_s = max(drive.time_s for drive in self._drives)
         if self._reboots and now_s >= self._reboots[0]:
             self._reboots.popleft()
@@ -195,7 +195,7 @@ class SimulatedLine:
 
 
 def _divided(data: bytes, end: bytes) -> list[bytes]:
-    """What came, a piece for each request in it."""
+    """Split received bytes into one piece for each request."""
     if not end or data.find(end) in (-1, len(data) - len(end)):
         return [data]
     *whole, rest = data.split(end)
@@ -257,7 +257,7 @@ def serve_in_steps(lines: Sequence[SimulatedLine], is_stopping: Callable[[], boo
 
 
 def _patience_ns(line: SimulatedLine, now_ns: int, spin_ns: int) -> int:
-    """How long the process may sleep before something is due on a line."""
+    """Return the time that the process may sleep before something is due on a line."""
     moments = [_IDLE_NS]
     if line.due_ns is not None:
         moments.append(line.due_ns - now_ns - spin_ns)

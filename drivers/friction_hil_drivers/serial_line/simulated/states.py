@@ -1,4 +1,4 @@
-"""State machines of simulated drives: what a written number asks for, and which numbers show a state. Pure."""
+"""State machines of simulated drives: effect of written numbers, and numbers that show a state. Pure."""
 
 import itertools
 import math
@@ -20,14 +20,14 @@ _ANY_BITS = 0xFF  # that are tried where a number merely has to differ
 
 
 class StateMachine(Protocol):
-    """What of a drive depends on its kind of device control."""
+    """State machine of a simulated drive."""
 
     disabled: DriveState  # without power and ready to be enabled, as after power-on
     fault: DriveState
     after_stop: DriveState  # once the quick stop has brought the axis to rest
 
     def wanted(self, name: str, values: Mapping[str, float], state: DriveState) -> DriveState:
-        """State that the drive takes from ``state``, now that the signal ``name`` was written.
+        """Return the state that follows ``state`` when the signal ``name`` was written.
 
         Parameters
         ----------
@@ -41,20 +41,20 @@ class StateMachine(Protocol):
         ...
 
     def shown(self, state: DriveState) -> Mapping[str, float]:
-        """Numbers of the signals that tell the state."""
+        """Return the numbers of the signals that show the state."""
         ...
 
     def fail(self) -> None:
-        """Take notice that a fault begins: only what is written from now on leads out of it."""
+        """Note that a fault begins: only values written from now on lead out of it."""
         ...
 
     def forget(self) -> None:
-        """Begin anew, as after power-on."""
+        """Return to the state after power-on."""
         ...
 
 
 def state_machine(description: Description) -> StateMachine:
-    """Make the state machine that a description speaks of.
+    """Make the state machine of a description.
 
     Raises
     ------
@@ -104,7 +104,7 @@ class Cia402States:
 
 
 class DescribedStates:
-    """States that follow from the steps of a description's sequences and show as its rules want it.
+    """States reached by the steps of a description's sequences, and shown as its rules ask for.
 
     A step acts once all its signals have its values, the step before having been done. Sequences act where they
     make sense: ``reset_fault`` in a fault, ``quick_stop`` under power, the others anywhere but in a fault.
@@ -182,7 +182,7 @@ class DescribedStates:
     def _matching(
         self, key: str, steps: Sequence[Step], name: str, values: Mapping[str, float], state: DriveState
     ) -> int | None:
-        """Which step the values as last written are; the one that is due before all others."""
+        """Return the step whose values were written last; the one that is due comes before all others."""
         last = self._done.get(key, -1)
         for place in sorted(range(len(steps)), key=lambda place: (place != last + 1, place)):
             if name not in steps[place].write or not matches(steps[place].write, values):
@@ -195,7 +195,7 @@ class DescribedStates:
         return step.until is not None and STATES[step.until] is state
 
     def _target(self, key: str, place: int) -> DriveState | None:
-        """State in which a step ends; where the last one does not say it, the one that the sequence is for."""
+        """Return the state in which a step ends; for a last step without ``until``, the goal of the sequence."""
         steps = self._sequences[key]
         until = steps[place].until
         if until is not None:
@@ -206,7 +206,7 @@ class DescribedStates:
 
 
 def matches(wanted: Mapping[str, float], values: Mapping[str, float]) -> bool:
-    """Whether all wanted numbers were written, as exactly as 32-bit floats on the line can say it."""
+    """Return True if all wanted numbers were written, within the precision of 32-bit floats."""
     return all(
         name in values and math.isclose(values[name], number, rel_tol=1e-6, abs_tol=1e-9)
         for name, number in wanted.items()
@@ -216,7 +216,7 @@ def matches(wanted: Mapping[str, float], values: Mapping[str, float]) -> bool:
 def telling_numbers(
     rules: Sequence[Rule], state: DriveState, preferred: Mapping[str, Iterable[int]]
 ) -> dict[str, float] | None:
-    """Numbers of the rules' signals from which the first rule that fits tells ``state``; None: there are none.
+    """Return numbers of the rules' signals for which the first rule that fits gives ``state``; None if there are none.
 
     Parameters
     ----------
@@ -243,7 +243,7 @@ def telling_numbers(
 
 
 def _number(demands: Sequence[tuple[Rule, bool]], preferred: Iterable[int]) -> int | None:
-    """Number that some rules fit and others do not."""
+    """Return a number that fulfils some rules and not others."""
     for number in (*preferred, 0):
         if _meets(number, demands):
             return number
@@ -287,7 +287,7 @@ def _statusword(state: DriveState) -> int:
 
 
 def _error_number(description: Description) -> int:
-    """Number by which the drive says that its master fell silent, as far as the description knows it."""
+    """Return the error number of a lost master, if the description has one."""
     errors = description.errors
     for sign in _SIGNS_OF_SILENCE:
         for number, text in errors.items():
