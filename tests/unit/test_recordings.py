@@ -194,7 +194,7 @@ def test_mat_is_read_without_scipy_as_with_it(
     """Only what is compressed has to go through scipy."""
     shapes = st.sampled_from([(4, 1), (1, 4), (3, 1), (2, 2), (1, 1), (0, 0)])
     content = {name: data.draw(arrays(np.float64, shapes, elements=st.floats())) for name in names}
-    content |= {name: np.arange(4.0)[:, None] for name in ("time_s", "A", "B", "C", "D")}  # the commonest length
+    content |= {name: np.arange(4.0)[:, None] for name in ("time_s", "A", "B", "C", "D")}  # the most frequent length
     paths = [tmp_path_factory.mktemp(name) / "x.mat" for name in ("plain", "compressed")]
     for path, is_compressed in zip(paths, (False, True), strict=True):
         savemat(path, content, do_compression=is_compressed)
@@ -206,7 +206,7 @@ def test_mat_is_read_without_scipy_as_with_it(
     assert list(plain.columns) == list(compressed.columns)
     for name, values in plain.columns.items():
         assert values.flags.c_contiguous
-        assert values.tobytes() == compressed[name].tobytes() == content[name].tobytes()
+        assert values.tobytes() == compressed.columns[name].tobytes() == content[name].tobytes()
 
 
 def test_mat_that_cannot_be_read(tmp_path: Path) -> None:
