@@ -59,9 +59,9 @@ def look(write, capsys):
         assert err == ""
         findings = json.loads(out)
         for each in findings:
-            assert list(each) == ["check", "result", "detail", "fix"]
+            assert list(each) == ["check", "result", "detail", "fix", "code"]
             assert each["result"] in ("pass", "warn", "fail")
-            assert bool(each["fix"]) == (each["result"] != "pass"), each
+            assert bool(each["fix"]) == bool(each["code"]) == (each["result"] != "pass"), each
         is_failed = any(each["result"] == "fail" for each in findings)
         assert status == (2 if any(is_mistake(each) for each in findings) else is_failed)
         return {each["check"]: each for each in findings}, status
@@ -120,7 +120,7 @@ def test_a_system_that_tells_nothing_passes_nothing_of_what_it_would_tell(tmp_pa
     found = {each.check: each for each in doctor.examine(None, tmp_path)}
     for check in ("kernel", "processor clock"):
         assert found[check].result == "warn"
-        assert "not told by this system" in found[check].detail
+        assert "not reported by this system" in found[check].detail
 
 
 def test_without_a_priority_nothing_is_asked_of_the_system(look, terminal):
@@ -179,7 +179,13 @@ def test_a_line_that_is_free_passes_and_its_drive_hears_nothing(look, terminal):
     master, path = terminal
     found, status = look(serial(path))
     assert status == 0
-    assert found["line of x"] == {"check": "line of x", "result": "pass", "detail": f"{path} can be opened", "fix": ""}
+    assert found["line of x"] == {
+        "check": "line of x",
+        "result": "pass",
+        "detail": f"{path} can be opened",
+        "fix": "",
+        "code": "",
+    }
     assert found["rate of x"]["result"] == found["x: description"]["result"] == found["x: watchdog"]["result"] == "pass"
     assert f"of 4 ms on {path}" in found["rate of x"]["detail"]
     assert told_to_the_drive(master) == b""

@@ -28,7 +28,7 @@ VERSION = "proc__sys__kernel__version"
         ),
         ({VERSION: "#1 SMP PREEMPT Debian\n"}, "warn", "(PREEMPT)"),
         ({VERSION: "#1 SMP Debian 5.10 (2021-01-01)\n"}, "warn", "(not preemptible)"),
-        ({}, "warn", "preemption model: not told by this system"),
+        ({}, "warn", "preemption model: not reported by this system"),
     ],
 )
 def test_the_preemption_model(tmp_path, files, result, text):
@@ -60,7 +60,7 @@ def test_one_processor_that_slows_down_is_enough_for_a_warning(tmp_path):
 def test_no_governor_is_not_told_rather_than_good(tmp_path):
     found = machine.processor_clock(governors(tmp_path))
     assert found.result == "warn"
-    assert "not told by this system" in found.detail
+    assert "not reported by this system" in found.detail
 
 
 def test_compiled_kernels(tmp_path):
