@@ -1,4 +1,4 @@
-"""The pictures of the study, one function an experiment."""
+"""The pictures of the study, one function for each."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from friction_hil.numerics.jit import Array
+from friction_hil.reports.figures import INK, WITH, WITHOUT, new_figure
 from friction_hil.reports.numbers import digits
-from friction_hil.reports.study.panels import FAINT, INK, WITH, WITHOUT, matrix, new_figure, panels, together
+from friction_hil.reports.study.panels import FAINT, matrix, panels, together
 from friction_hil.study import Study
 from friction_hil.study.circle import RADIUS
 from friction_hil.study.subjects import REFERENCE
@@ -27,7 +28,7 @@ def draw_static_curves(study: Study) -> "Figure":
 
 
 def draw_pulse(study: Study) -> "Figure":
-    """Draw friction over time while the velocity goes up, down, and the other way."""
+    """Draw friction over time during a velocity pulse in each direction."""
 
     def draw(axes: "Axes", name: str) -> None:
         lines = study.single["velocity_pulse"][name].lines
@@ -49,7 +50,7 @@ def draw_presliding(study: Study) -> "Figure":
 
 
 def draw_drift(study: Study) -> "Figure":
-    """Draw displacement over time under a force that shakes."""
+    """Draw displacement over time under an oscillating force."""
     lines = {
         name: (time, position * 1e6) for name, (time, position) in _lines(study, "presliding", "shaken", 1.0).items()
     }
@@ -68,7 +69,7 @@ def draw_strain(study: Study) -> "Figure":
 
 
 def draw_lag(study: Study) -> "Figure":
-    """Draw friction over a swinging velocity."""
+    """Draw friction over an oscillating velocity."""
 
     def draw(axes: "Axes", name: str) -> None:
         for (label, (velocity, force)), color in zip(
@@ -111,7 +112,7 @@ def draw_hunting(study: Study) -> "Figure":
 
 
 def draw_reversal(study: Study) -> "Figure":
-    """Draw the radius error behind a reversal, without and with compensation by its own model."""
+    """Draw the radius error after a reversal, without and with compensation by its own model."""
 
     def draw(axes: "Axes", name: str) -> None:
         for believed, color, label in _pair(name):
@@ -127,7 +128,7 @@ def draw_reversal(study: Study) -> "Figure":
 
 
 def draw_circle(study: Study, name: str) -> "Figure":
-    """Draw the whole circle of one friction, its radius error magnified."""
+    """Draw the whole circle of one model, with its radius error magnified."""
     outcomes = study.paired["reversal"]
     worst = max(outcomes[name, each].facts["peak_urad"] for each in (None, name)) * 1e-6
     magnification = 10.0 ** np.floor(np.log10(0.4 * RADIUS / worst))
@@ -151,7 +152,7 @@ def draw_circle(study: Study, name: str) -> "Figure":
 
 
 def draw_matrix(study: Study, experiment: str, fact: str, floor: float) -> "Figure":
-    """Draw a fact of a closed loop for each friction and each compensation."""
+    """Draw a number of a closed-loop experiment for each true friction and each compensating model."""
     outcomes = study.paired[experiment]
     return matrix(
         study.models, lambda name, each: outcomes[name, each].facts[fact], lambda value: _brief(value), floor=floor
