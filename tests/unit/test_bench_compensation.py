@@ -232,7 +232,7 @@ def test_measured_map_follows_the_filtered_encoder_difference(tmp_path):
     assert np.abs(acting[is_slow]).max() < 0.04
 
 
-def test_compensator_is_told_what_the_grid_says(tmp_path):
+def test_the_compensator_has_the_settings_of_the_grid(tmp_path):
     grid = grid_of(
         tmp_path, TINY.replace("inertia_error: 0.05", "inertia_error: 0.05, smoothing: 0.25, source: demand")
     )
