@@ -97,8 +97,8 @@ def resolve(words: tuple[str, ...], *, is_complete: bool = True) -> tuple[str, f
         found = command.get_command(context, rest[0])
         assert found is not None, f"no command {rest[0]!r}"
         name, command, rest = f"{name} {rest[0]}", found, rest[1:]
-    unknown = options - {opt for parameter in command.get_params(context) for opt in parameter.opts}
-    assert not unknown, f"{name} has no {', '.join(unknown)}"
+    known = {word for each in command.get_params(context) for word in (*each.opts, *each.secondary_opts)}
+    assert options <= known, f"{name} has no {', '.join(options - known)}"
     if is_complete and "--help" not in options:
         command.make_context(name, rest)
     return name, options

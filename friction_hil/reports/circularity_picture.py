@@ -112,10 +112,10 @@ def draw_friction(circularity: Circularity) -> "Figure":
         plant: Any = config.simulation
         side = np.geomspace(1e-4, 1.0, 300) * fastest
         velocity = np.concatenate([-side[::-1], [0.0], side])
-        believed = config.model.friction_model
+        assumed = config.model.friction_model
         curves = [
             (plant.friction_model, "true friction of the simulated axis", "-", INK),
-            (believed, "model of the compensator", "--", "#777777"),
+            (assumed, "model of the compensator", "--", "#777777"),
         ]
         for model, label, style, color in curves:
             level = np.where(velocity == 0.0, np.nan, model.steady_state(velocity))

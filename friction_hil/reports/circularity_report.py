@@ -150,11 +150,11 @@ def _parameters(circularity: Circularity, axis: str) -> str:
     is_rotary = circularity.unit == "rad"
     true_model, model = plant.friction_model, config.model.friction_model
     rows = [
-        (name, unit if is_rotary else unit.replace("N m", "N").replace("rad", "m"), true, believed, meaning)
-        for (name, unit, true, meaning), (*_, believed, _) in zip(
+        (name, unit if is_rotary else unit.replace("N m", "N").replace("rad", "m"), true, assumed, meaning)
+        for (name, unit, true, meaning), (*_, assumed, _) in zip(
             _shared_quantities(true_model), _shared_quantities(model), strict=True
         )
-        if true is not None and believed is not None
+        if true is not None and assumed is not None
     ]
     mechanics = config.model.mechanics
     rows.append(
@@ -166,11 +166,11 @@ def _parameters(circularity: Circularity, axis: str) -> str:
             html.escape(name),
             unit,
             f"{true:g}",
-            f"{believed:g}",
-            f"{100.0 * (believed / true - 1.0):+.0f} %".replace("-", "−") if believed != true else "",
+            f"{assumed:g}",
+            f"{100.0 * (assumed / true - 1.0):+.0f} %".replace("-", "−") if assumed != true else "",
             f"<span class='note'>{html.escape(meaning)}</span>",
         )
-        for name, unit, true, believed, meaning in rows
+        for name, unit, true, assumed, meaning in rows
     ]
     header = (f"<strong>{axis}</strong>", "unit", "true", "compensator", "difference", "")
     notes = (

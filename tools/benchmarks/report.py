@@ -1,4 +1,4 @@
-"""What benchmarks have in common: the rows of their results, how they are shown, and rounds with progress."""
+"""Parts that benchmarks have in common: rows of results, their table, and rounds with progress."""
 
 import math
 import os

@@ -94,7 +94,9 @@ def _print(demo: Demo) -> None:
             table.add_row(f"{axis} {name}", *values, digits(circularity.factor(axis, name), 2))
     print_table(table)
     left_out = before.left_out + after.left_out
-    click.echo(f"{before.count} laps each; {left_out} of {2 * before.rows} periods are left out: the computer was late")
+    click.echo(
+        f"{before.count} laps each; {left_out} of {2 * before.rows} periods left out because the computer was late"
+    )
     late = "in simulated time"
     if demo.pace == "real":
         late = f"late p50 {loop['late_p50_us']:.0f} us, p99 {loop['late_p99_us']:.0f} us; {loop['missed']} missed"

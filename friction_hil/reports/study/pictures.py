@@ -91,8 +91,8 @@ def draw_stick_slip(study: Study) -> "Figure":
     """Draw the velocity of the pulled mass, without and with compensation by its own model."""
 
     def draw(axes: "Axes", name: str) -> None:
-        for believed, color, label in _pair(name):
-            time, velocity = study.paired["stick_slip"][name, believed].lines["velocity"]
+        for assumed, color, label in _pair(name):
+            time, velocity = study.paired["stick_slip"][name, assumed].lines["velocity"]
             axes.plot(time, velocity, color=color, linewidth=1.2, label=label)
 
     return panels(study.models, draw, ("time [s]", "velocity [m/s]"), legend=True)
@@ -102,8 +102,8 @@ def draw_hunting(study: Study) -> "Figure":
     """Draw the position under PID control, without and with compensation by its own model."""
 
     def draw(axes: "Axes", name: str) -> None:
-        for believed, color, label in _pair(name):
-            time, position = study.paired["hunting"][name, believed].lines["position"]
+        for assumed, color, label in _pair(name):
+            time, position = study.paired["hunting"][name, assumed].lines["position"]
             axes.plot(time, position, color=color, linewidth=1.2, label=label)
         axes.axhline(1.0, color=FAINT, linewidth=0.8, zorder=0)
         axes.set_ylim(*_SHOWN_HUNTING_M)
@@ -115,8 +115,8 @@ def draw_reversal(study: Study) -> "Figure":
     """Draw the radius error after a reversal, without and with compensation by its own model."""
 
     def draw(axes: "Axes", name: str) -> None:
-        for believed, color, label in _pair(name):
-            angle, error = study.paired["reversal"][name, believed].lines["radius error"]
+        for assumed, color, label in _pair(name):
+            angle, error = study.paired["reversal"][name, assumed].lines["radius error"]
             shown = np.degrees((angle + np.pi) % (2.0 * np.pi) - np.pi)
             order = np.argsort(shown)
             axes.plot(shown[order], error[order] * 1e3, color=color, linewidth=1.3, label=label)
@@ -137,8 +137,8 @@ def draw_circle(study: Study, name: str) -> "Figure":
     axes = figure.subplots()
     turn = np.linspace(0.0, 2.0 * np.pi, 400)
     axes.plot(np.cos(turn), np.sin(turn), color=FAINT, linewidth=0.9, label="set-point")
-    for believed, color, label in _pair(name):
-        angle, error = outcomes[name, believed].lines["radius error"]
+    for assumed, color, label in _pair(name):
+        angle, error = outcomes[name, assumed].lines["radius error"]
         drawn = 1.0 + error * magnification / RADIUS
         axes.plot(drawn * np.cos(angle), drawn * np.sin(angle), color=color, linewidth=1.4, label=label)
     axes.set_aspect("equal")

@@ -71,7 +71,7 @@ class Belief(Section):
 
     parameters: dict[str, Any] = key("values, of the compensator's model", default={})
     factors: dict[str, Annotated[float, Field(gt=0)]] = key("factors of the plant's own values", default={})
-    modifiers: dict[str, Any] | None = key("in place of the plant's own", default=None)
+    modifiers: dict[str, Any] | None = key("instead of those of the plant", default=None)
 
 
 class Condition(Section):
