@@ -80,7 +80,7 @@ def check_machine(root: Path) -> Iterator[Finding]:
             "serial ports",
             "warn",
             "none, which only drives on serial lines need",
-            "plug the adapter in (a container needs --device /dev/ttyUSB0); dmesg shows whether the kernel recognised it",
+            "plug the adapter in (a container needs --device /dev/ttyUSB0); dmesg shows whether it was recognised",
             "FH-412",
         )
     yield _permission([root / device.removeprefix("/") for device in devices if device not in missing])

@@ -38,7 +38,7 @@ def identify_axis(
     as_json: bool,
     **options: Any,
 ) -> int:
-    """Identify an axis, write model file and report, and print the result; ``options`` become `IdentificationSettings`."""
+    """Identify an axis, write model file and report, and print the result; ``options`` become settings."""
     settings = _settings(**options)
     check_result_files(output, report)
     if settings.has_unknown_gain and controller:

@@ -78,7 +78,7 @@ def _task_of_recordings(
     is_linear: bool,
     lowpass_hz: float | None,
     **reading: Any,
-) -> training.Task:
+) -> training.TrainingTask:
     with console(stderr=True).status("reading"):
         return training.task_of_recordings(
             read_recordings(sources, axis, **reading),
