@@ -13,7 +13,7 @@ from tools.benchmarks.commands import command as benchmarks
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted(ROOT.glob("friction_hil/*/README.md")), ROOT / "drivers/README.md"]
-_BLOCK = re.compile(r"^```sh\n(.*?)^```", re.MULTILINE | re.DOTALL)
+_BLOCK = re.compile(r"^ *```sh\n(.*?)^ *```", re.MULTILINE | re.DOTALL)
 _CODE = re.compile(r"`([^`\n]+)`")
 _FIRST = re.compile(r"^(?:\.venv/bin/)?(friction-hil|\./tools/\w+)(?= |$)")
 _NUMBERS = {"S", "N", "V", "HZ", "SPEED"}  # placeholders for numbers
@@ -43,7 +43,7 @@ def shown_commands() -> Iterator[Shown]:
         for block in _BLOCK.findall(text):
             for line in block.replace("\\\n", " ").splitlines():
                 yield from _cut(name, line.split("  #")[0].strip(), is_complete=True)
-        for line in re.sub(r"^```.*?^```", "", text, flags=re.MULTILINE | re.DOTALL).splitlines():
+        for line in re.sub(r"^ *```.*?^ *```", "", text, flags=re.MULTILINE | re.DOTALL).splitlines():
             yield from _in_line(name, line)
 
 
