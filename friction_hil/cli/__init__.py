@@ -1,8 +1,11 @@
-"""The command ``friction-hil``: one module a command, imported only when that command is used.
+"""The command ``friction-hil``.
 
-A command is a ``click`` command in the module of its name, under the name ``command``. It returns its exit
-status (nothing: 0, done; 1: the work failed or found a fault), and raises a ``FrictionHilError`` for what is
-the user's to mend.
+Each command is a module of this package, which declares its options and is imported only when that command is used. Its
+work is in the module of the same name in `friction_hil.cli.work`, which imports numpy, numba and the rest: neither
+``friction-hil --help`` nor ``friction-hil run --help`` waits for these.
+
+A command is a ``click`` command called ``command``. It returns its exit status (None or 0: done; 1: the work failed or
+found a fault), and raises a ``FrictionHilError`` for mistakes that the user can correct.
 """
 
 import atexit
@@ -19,28 +22,28 @@ from friction_hil.errors import ConfigurationError, FrictionHilError, choices
 
 # The short help stands here, so that the overview imports no command.
 COMMANDS = {
-    "demo": "Show the whole thing without hardware: a circle, before and after.",
-    "run": "Run the daemon against the drives of a configuration.",
+    "demo": "Show compensation with two simulated axes that draw a circle.",
+    "run": "Run the daemon with the drives of a configuration.",
     "simulate": "Simulate the drives of a configuration on its bus.",
-    "replay": "Run recordings through friction models, or verify them.",
-    "identify": "Find friction model and mechanics from recordings.",
-    "tune": "Let the axes of a machine learn their friction, and try it.",
-    "train": "Train a network on the friction of recordings, or of a model.",
-    "convert": "Convert a recording, or say what is in it.",
-    "study": "Show what each friction model does to a servo.",
+    "replay": "Compare recordings with friction models, or verify them.",
+    "identify": "Identify friction model and mechanics from recordings.",
+    "tune": "Identify friction on the machine, and test the compensation.",
+    "train": "Train a network on the friction in recordings, or of a model.",
+    "convert": "Convert a recording, or describe its content.",
+    "study": "Show the effect of each friction model on a servo.",
     "models": "List the friction models, or describe one.",
-    "doctor": "Tell what keeps the daemon from running, and what mends it.",
+    "doctor": "Check machine, configuration and connection before a run.",
     "config": "Check, show and describe configurations.",
 }
 
 
 class Group(click.Group):
-    """A group that answers an unknown command with what there is."""
+    """A group that answers an unknown command with a list of its commands."""
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Find the command, or say which there are."""
+        """Find the command; raise a usage error that lists the commands if there is none of this name."""
         name, known = args[0], self.list_commands(ctx)
         if name not in known and not ctx.resilient_parsing and not name.startswith("-"):
             raise click.UsageError(f"no command is called {name!r}; {choices(name, known)}", ctx)
@@ -51,11 +54,11 @@ class LazyGroup(Group):
     """A group whose commands are modules of this package, imported on use."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Names in the order of the table."""
+        """Return the names in the order of the table."""
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Import one command; None for an unknown name."""
+        """Import one command; return None for an unknown name."""
         if cmd_name not in COMMANDS:
             return None
         command = importlib.import_module(f"friction_hil.cli.{cmd_name}").command
@@ -71,30 +74,35 @@ class LazyGroup(Group):
 @click.group(cls=LazyGroup, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
 @click.version_option(__version__, prog_name="friction-hil", message="%(prog)s %(version)s")
 def application() -> None:
-    """Take the friction out of a servo axis: real-time compensation, replay and simulated drives.
+    """Compensate the friction of servo axes: real-time daemon, simulated drives, replay and identification.
 
     Exit status: 0 done, 1 the work failed or found a fault, 2 wrong use or configuration.
     """
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line and return its exit status; what went wrong is on stderr.
+    """Run the command line and return its exit status; errors are printed on stderr.
 
     Parameters
     ----------
     arguments
-        The words after the program's name; those of the process when not given.
+        Arguments after the program's name; those of the process if None.
     """
     _open_standard_streams()
-    # Matrices here are tall and thin, on which a second thread of a BLAS takes a hundred times longer, or its core away
-    # from the loop. It reads this when numpy is imported.
+    # Matrices here are tall and thin: a second BLAS thread makes them a hundred times slower, or occupies the core of
+    # the loop. OpenBLAS reads this when numpy is imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # Imports make many objects and no garbage: to look for it each 700 of them, and in all of them at the end, takes a
+    # Imports allocate many objects and free few: collecting after each 700 allocations, and once more at exit, takes a
     # fifth of a short command's time.
     gc.set_threshold(50_000, 20, 50)
     atexit.register(gc.freeze)
+    return exit_status(application, arguments, "friction-hil")
+
+
+def exit_status(command: click.Command, arguments: Sequence[str] | None, program: str) -> int:
+    """Run a click command as ``program``, print its error on stderr, and return its exit status."""
     try:
-        result = application.main(arguments, prog_name="friction-hil", standalone_mode=False)
+        result = command.main(arguments, prog_name=program, standalone_mode=False)
         sys.stdout.flush()
     except ConfigurationError as error:
         click.echo(str(error), err=True)  # each line already begins with file:line
@@ -108,14 +116,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (click.Abort, KeyboardInterrupt):
         return 130
     except BrokenPipeError:
-        # The reader has gone. Python flushes once more at exit; let it have somewhere to write.
+        # The reader of stdout has gone. Python flushes once more at exit, which must not fail.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except OSError as error:
         click.echo(f"Error: {error}", err=True)
         return 1
-    except Exception:  # noqa: BLE001 - the last resort: say that it is not the user's mistake
-        import traceback
+    except Exception:  # noqa: BLE001 - the last resort: a traceback, and where to report it
+        import traceback  # imported here: --help must not wait for it
 
         click.echo(traceback.format_exc() + _REPORT, err=True)
         return 1
@@ -123,19 +131,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _open_standard_streams() -> None:
-    """Put the null device where the caller has closed one of the standard streams.
+    """Open the null device for each standard stream that the caller has closed.
 
-    Otherwise the next file to be opened would take its number, and what is printed would end up in it.
+    Otherwise the next file to be opened would get its number, and printed text would end up in that file.
     """
     for descriptor, (name, mode) in enumerate((("stdin", "r"), ("stdout", "w"), ("stderr", "w"))):
         try:
             os.fstat(descriptor)
         except OSError:
-            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # the lowest number that is free: this one
+            os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # gets the lowest free number: this one
             setattr(sys, name, open(descriptor, mode, encoding="utf-8", closefd=False))  # noqa: SIM115
 
 
 _REPORT = (
-    f"This is a mistake in friction-hil {__version__}, not yours. Please report it with the lines above"
-    " and the command that led to it."
+    f"This is an error in friction-hil {__version__}, not in your input. Please report it with the lines above"
+    " and the command that caused it."
 )

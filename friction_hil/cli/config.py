@@ -1,12 +1,9 @@
 """``friction-hil config``: check configurations, show them in full, describe their format."""
 
-from dataclasses import asdict
-
 import click
 
 from friction_hil.cli import Group
-from friction_hil.cli.output import option_json, print_json
-from friction_hil.errors import ConfigurationError, Problem
+from friction_hil.cli.options import option_json
 
 
 @click.group(cls=Group)
@@ -18,45 +15,34 @@ def command() -> None:
 @click.argument("files", nargs=-1, required=True, metavar="FILE...")
 @option_json
 def check(files: tuple[str, ...], as_json: bool) -> int:
-    """Report every mistake of the configurations FILE..., and of the files that they name, with file and line.
+    """Report all mistakes in configurations.
 
-    No bus is opened. Exit status 2 if there is any.
+    Each mistake in FILE..., and in the files that they name, is reported with file and line. No bus is opened. Exit
+    status 2 if there is any.
     """
-    from friction_hil.config import file_problems, load
+    from friction_hil.cli.work.config import check_files  # imported here: --help must not wait for numba
 
-    reports: dict[str, tuple[Problem, ...]] = {}
-    for file in files:
-        try:
-            reports[file] = tuple(file_problems(file, load(file)))
-        except ConfigurationError as error:
-            reports[file] = error.problems
-    if as_json:
-        found = [
-            {"path": file, "problems": [asdict(problem) for problem in problems]} for file, problems in reports.items()
-        ]
-        print_json({"files": found})
-    else:
-        for file, problems in reports.items():
-            for problem in problems:
-                click.echo(str(problem), err=True)
-            if not problems:
-                click.echo(f"{file}: ok")
-    return 2 if any(reports.values()) else 0
+    return check_files(files, as_json)
 
 
 @command.command()
 @click.argument("file", metavar="FILE")
 def show(file: str) -> None:
-    """Print the configuration FILE with its defaults filled in and its models inlined, as YAML."""
-    from friction_hil.checked_yaml.text import dump
-    from friction_hil.config import load, self_contained
+    """Print a configuration with all defaults.
 
-    click.echo(dump(self_contained(load(file))), nl=False)
+    The models that FILE names are included, so that the result is self-contained YAML.
+    """
+    from friction_hil.cli.work.config import show_file  # imported here: --help must not wait for numba
+
+    show_file(file)
 
 
 @command.command()
 def schema() -> None:
-    """Print the JSON Schema of configurations, for editors; it knows the installed drivers."""
-    from friction_hil.config import json_schema
+    """Print the JSON Schema, for editors.
 
-    print_json(json_schema())
+    It includes the options of the installed drivers.
+    """
+    from friction_hil.cli.work.config import print_schema  # imported here: --help must not wait for numba
+
+    print_schema()

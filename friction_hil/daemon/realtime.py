@@ -95,13 +95,13 @@ def _lock_memory(stack: contextlib.ExitStack) -> Finding:
     check, fix = "memory", "raise memlock in /etc/security/limits.conf (of a container: --ulimit memlock=-1)"
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) != 0:
-        return Finding(check, "warn", f"memory is not locked ({os.strerror(ctypes.get_errno())})", fix)
+        return Finding(check, "warn", f"memory is not locked ({os.strerror(ctypes.get_errno())})", fix, "FH-310")
     stack.callback(libc.munlockall)
     limit = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0]
     if limit == resource.RLIM_INFINITY or _may_lock_anything():
         return Finding(check, "pass", "memory is locked")
     detail = f"memory is locked, but the limit of {limit / 1e6:.0f} MB leaves little room: more is not granted"
-    return Finding(check, "warn", detail, fix)
+    return Finding(check, "warn", detail, fix, "FH-311")
 
 
 def _may_lock_anything() -> bool:
@@ -122,6 +122,7 @@ def _take_priority(priority: int, stack: contextlib.ExitStack) -> Finding:
             "warn",
             f"no SCHED_FIFO priority {priority} ({error.strerror}): the loop runs at ordinary priority",
             "run as root (in a container: --cap-add SYS_NICE), or give the user rtprio in /etc/security/limits.conf",
+            "FH-312",
         )
     stack.callback(os.sched_setscheduler, 0, *before)
     return Finding(check, "pass", f"SCHED_FIFO priority {priority} is granted")
@@ -138,5 +139,7 @@ def _stay_awake(stack: contextlib.ExitStack) -> Finding:
         detail = f"/dev/cpu_dma_latency cannot be held ({error.strerror}): wake-ups may take longer"
         is_there = not isinstance(error, FileNotFoundError)
         fix = "run as root, or let a udev rule give the user write access to it"
-        return Finding(check, "warn", detail, fix if is_there else "a container needs --device /dev/cpu_dma_latency")
+        if not is_there:
+            fix = "a container needs --device /dev/cpu_dma_latency"
+        return Finding(check, "warn", detail, fix, "FH-314")
     return Finding(check, "pass", "/dev/cpu_dma_latency can be held: the processor stays out of deep sleep")

@@ -1,1 +1,1 @@
-"""``friction-hil doctor``: checks of this machine, and of the connection to the drives."""
+"""``friction-hil doctor``: checks of this machine, of a configuration, and of the connection to its drives."""

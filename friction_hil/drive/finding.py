@@ -1,4 +1,4 @@
-"""What was found when something was looked at, whether it is as it should be, and what would mend it."""
+"""A finding: the result of one check of the machine, the configuration, a bus or a drive."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -7,46 +7,52 @@ from typing import Literal
 
 from friction_hil.errors import FrictionHilError
 
-NOT_TOLD = "not told by this system"
+NOT_REPORTED = "not reported by this system"
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that was looked at.
+    """Result of one check.
 
     Attributes
     ----------
     check : str
-        What was looked at, in a few words.
+        Name of the check: what was examined, in a few words.
     result : str
-        ``fail``: the daemon will not run, or not safely; ``warn``: it runs, but worse, or nothing tells; ``pass``.
+        ``pass``; ``warn``: the daemon runs, but worse, or the system does not report what was checked; ``fail``: the
+        daemon will not run, or not safely.
     detail : str
         What was found.
     fix : str
-        What would mend it; empty where nothing needs to be mended.
+        Remedy; empty if the check passed.
+    code : str
+        Code under which ``friction_hil/doctor/README.md`` explains the finding, e.g. ``FH-310``; empty if the check
+        passed.
     """
 
     check: str
     result: Literal["pass", "warn", "fail"]
     detail: str
     fix: str = ""
+    code: str = ""
 
     def __str__(self) -> str:
-        return f"{self.detail}; {self.fix}" if self.fix else self.detail
+        text = f"{self.detail}; {self.fix}" if self.fix else self.detail
+        return f"{text} [{self.code}]" if self.code else text
 
 
-def failure(check: str, error: FrictionHilError) -> Finding:
-    """Make a finding of what a run would end with."""
-    return Finding(check, "fail", error.detail, error.fix)
+def failure(check: str, error: FrictionHilError, code: str = "") -> Finding:
+    """Return the finding for an error that would end a run."""
+    return Finding(check, "fail", error.detail, error.fix, code)
 
 
 def complaints(findings: Iterable[Finding]) -> Iterator[str]:
-    """What is not as it should be, in words."""
+    """Yield the text of each finding that did not pass."""
     return (str(finding) for finding in findings if finding.result != "pass")
 
 
 def system_text(path: Path) -> str | None:
-    """Content of a file by which the system tells something, without blanks at its ends; None where it does not."""
+    """Return the content of a system file without surrounding blanks; None if it cannot be read."""
     try:
         return path.read_text(encoding="utf-8", errors="replace").strip()
     except OSError:

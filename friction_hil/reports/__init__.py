@@ -1,1 +1,1 @@
-"""Pictures and reports of what was measured and computed."""
+"""Reports and pictures: HTML pages that need no other file, and figures."""

@@ -6,21 +6,20 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from friction_hil.analysis.circularity import Circularity, Laps
+from friction_hil.reports.figures import INK, WITH, WITHOUT, new_figure, remove_frame
 from friction_hil.reports.numbers import digits, readable, unit_of_figures
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Okabe and Ito's: told apart with any colour vision, and in grey.
-WITHOUT, WITH = "#d55e00", "#0072b2"
-_INK, _FAINT = "#222222", "#c8c8c8"
-_RING = 0.2  # of the drawn radius, between two rings of the scale
-_RINGS = 3  # the largest error reaches the last of them
+_FAINT = "#c8c8c8"
+_RING = 0.2  # distance between two rings of the scale, as a fraction of the drawn radius
+_RINGS = 3  # number of rings that the largest error reaches
 
 
 def division(largest: float) -> float:
-    """Smallest of 1, 2, 5, 10, ... times a power of ten of which ``_RINGS`` reach ``largest``."""
+    """Return the smallest of 1, 2, 5, 10, ... times a power of ten of which ``_RINGS`` reach ``largest``."""
     power = 10.0 ** math.floor(math.log10(largest / _RINGS))
     return next(power * step for step in (1.0, 2.0, 5.0, 10.0) if power * step * _RINGS >= largest * (1.0 - 1e-9))
 
@@ -34,7 +33,7 @@ def draw_circle(circularity: Circularity) -> "Figure":
     magnification = _RING * circularity.radius / ring
     factor, unit = readable(circularity.unit, ring)
 
-    figure = _figure(8.0, 8.0)
+    figure = new_figure(8.0, 8.0, layout=None)
     axes = figure.add_axes((0.0, 0.0, 1.0, 0.92))
     axes.set_aspect("equal")
     axes.axis("off")
@@ -57,17 +56,15 @@ def draw_circle(circularity: Circularity) -> "Figure":
     motion = circularity.configuration.axes[circularity.axes[0]].trajectory
     shape = f"radius {circularity.radius:g} {circularity.unit}, {getattr(motion, 'frequency', 0.0):g} Hz"
     title = f"Radius error of a circle, magnified {magnification:g} times"
-    figure.text(0.5, 0.955, title, ha="center", fontsize=17, color=_INK, fontweight="bold")
-    figure.text(
-        0.5, 0.925, f"{shape}; from ring to ring {ring * factor:g} {unit}", ha="center", fontsize=13, color=_INK
-    )
+    figure.text(0.5, 0.955, title, ha="center", fontsize=17, color=INK, fontweight="bold")
+    figure.text(0.5, 0.925, f"{shape}; from ring to ring {ring * factor:g} {unit}", ha="center", fontsize=13, color=INK)
     return figure
 
 
 def draw_error(circularity: Circularity) -> "Figure":
     """Draw the following error of both axes over the whole motion."""
     factor, unit = unit_of_figures(circularity)
-    figure = _figure(10.0, 5.2, layout="constrained")
+    figure = new_figure(10.0, 5.2)
     panels = figure.subplots(2, 1, sharex=True, sharey=True)
     for axes, axis in zip(panels, circularity.axes, strict=True):
         columns = circularity.columns[axis]
@@ -93,19 +90,18 @@ def draw_error(circularity: Circularity) -> "Figure":
             )
         axes.set_ylabel(f"{axis} [{unit}]")
         axes.margins(x=0.01, y=0.35)
-        _plain(axes)
+        remove_frame(axes)
     panels[-1].set_xlabel("time [s]")
-    figure.suptitle("Following error: demanded less measured position", fontsize=13, fontweight="bold", color=_INK)
+    figure.suptitle("Following error: demanded minus measured position", fontsize=13, fontweight="bold", color=INK)
     return figure
 
 
 def draw_friction(circularity: Circularity) -> "Figure":
-    """Draw true friction, believed friction and applied compensation over velocity."""
-
+    """Draw true friction, the compensator's model and the applied compensation over velocity."""
     configuration = circularity.configuration
     angle = circularity.unit
     torque = "N m" if angle == "rad" else "N"
-    figure = _figure(10.0, 4.6, layout="constrained")
+    figure = new_figure(10.0, 4.6)
     panels = figure.subplots(1, 2)
     start, stop = circularity.compensated.interval_s
     for axes, axis in zip(panels, circularity.axes, strict=True):
@@ -116,10 +112,10 @@ def draw_friction(circularity: Circularity) -> "Figure":
         plant: Any = config.simulation
         side = np.geomspace(1e-4, 1.0, 300) * fastest
         velocity = np.concatenate([-side[::-1], [0.0], side])
-        believed = config.model.friction_model
+        assumed = config.model.friction_model
         curves = [
-            (plant.friction_model, "true friction of the simulated axis", "-", _INK),
-            (believed, "what the compensator believes", "--", "#777777"),
+            (plant.friction_model, "true friction of the simulated axis", "-", INK),
+            (assumed, "model of the compensator", "--", "#777777"),
         ]
         for model, label, style, color in curves:
             level = np.where(velocity == 0.0, np.nan, model.steady_state(velocity))
@@ -134,22 +130,10 @@ def draw_friction(circularity: Circularity) -> "Figure":
         axes.set(xlabel=f"velocity of {axis} [{angle}/s]", ylabel=f"torque [{torque}]")
         axes.axhline(0.0, color=_FAINT, linewidth=0.8, zorder=0)
         axes.axvline(0.0, color=_FAINT, linewidth=0.8, zorder=0)
-        _plain(axes)
+        remove_frame(axes)
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
-    figure.suptitle("Friction over velocity, steady state", fontsize=13, fontweight="bold", color=_INK)
+    figure.suptitle("Friction over velocity, steady state", fontsize=13, fontweight="bold", color=INK)
     return figure
-
-
-def _figure(width: float, height: float, **options: Any) -> "Figure":
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), facecolor="white", **options)
-
-
-def _plain(axes: "Axes") -> None:
-    axes.grid(alpha=0.3)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
 
 
 def _laps(laps: Laps) -> str:
@@ -158,9 +142,9 @@ def _laps(laps: Laps) -> str:
 
 def _ring(axes: "Axes", radius: float, text: str) -> None:
     """Draw a ring of the scale with its label; the nominal circle has none."""
-    from matplotlib.patches import Circle
+    from matplotlib.patches import Circle  # imported here: matplotlib is optional, and takes 0.3 s
 
-    color, width = (_FAINT, 0.8) if text else (_INK, 1.0)
+    color, width = (_FAINT, 0.8) if text else (INK, 1.0)
     axes.add_patch(Circle((0.0, 0.0), radius, fill=False, color=color, linewidth=width, zorder=1))
     at = radius * math.sqrt(0.5)
     box = {"facecolor": "white", "edgecolor": "none", "pad": 1.0}
@@ -175,11 +159,11 @@ def _label_quadrants(axes: "Axes", names: tuple[str, str], at: float) -> None:
         (0, at, names[1], 0),
         (0, -at, names[1], 0),
     ):
-        axes.text(x, y, f"{name} reverses", rotation=turn, ha="center", va="center", fontsize=12, color=_INK)
+        axes.text(x, y, f"{name} reverses", rotation=turn, ha="center", va="center", fontsize=12, color=INK)
 
 
 def _write_figures(axes: "Axes", circularity: Circularity) -> None:
-    """Write legend and figures where a circle has room: in its middle."""
+    """Write legend and figures into the middle of the circle."""
     laps = circularity.uncompensated, circularity.compensated
     factor, unit = unit_of_figures(circularity)
     rows: list[tuple[str, ...]] = [("", "without", "with", "times"), ("", "", "", "lower")]
@@ -188,16 +172,16 @@ def _write_figures(axes: "Axes", circularity: Circularity) -> None:
             values = [digits(getattr(each.figures[axis], name) * factor) for each in laps]
             rows.append((f"{axis} {name}", *values, digits(circularity.factor(axis, name), 2)))
     top, line = 0.24, 0.105
-    axes.text(0.0, top + 1.5 * line, f"following error in {unit}", ha="center", va="center", fontsize=14, color=_INK)
-    axes.text(0.015, top - line, "compensation", ha="center", va="center", fontsize=14, color=_INK)
+    axes.text(0.0, top + 1.5 * line, f"following error in {unit}", ha="center", va="center", fontsize=14, color=INK)
+    axes.text(0.015, top - line, "compensation", ha="center", va="center", fontsize=14, color=INK)
     for k, row in enumerate(rows):
-        for text, x, color in zip(row, (-0.37, 0.06, 0.37, 0.70), (_INK, WITHOUT, WITH, _INK), strict=True):
+        for text, x, color in zip(row, (-0.37, 0.06, 0.37, 0.70), (INK, WITHOUT, WITH, INK), strict=True):
             weight = "bold" if color in (WITHOUT, WITH) else "normal"
             axes.text(x, top - k * line, text, ha="right", va="center", fontsize=14, color=color, fontweight=weight)
 
 
 def _broken(angle: Any, *lines: Any) -> tuple[Any, ...]:
-    """Put NaN where rows are left out, so that nothing is drawn across."""
+    """Insert NaN where rows are left out, so that no line is drawn across the gap."""
     steps = np.abs(np.diff(np.unwrap(angle)))
     gaps = np.flatnonzero(steps > 5.0 * np.median(steps)) + 1
     return tuple(np.insert(line, gaps, np.nan) for line in lines)

@@ -1,4 +1,4 @@
-"""The circularity test as one HTML file that needs nothing else: pictures, figures, and what was true and believed."""
+"""The report of the circularity test: pictures, figures, and the parameters of plant and compensator."""
 
 import html
 from collections.abc import Mapping
@@ -7,16 +7,18 @@ from typing import TYPE_CHECKING, Any
 
 from friction_hil import __version__
 from friction_hil.analysis.circularity import Circularity
-from friction_hil.reports.circularity_picture import WITH, WITHOUT, draw_error, draw_friction
+from friction_hil.friction.parameters import COULOMB, STATIC, STRIBECK_VELOCITY, VISCOUS
+from friction_hil.reports.circularity_picture import draw_error, draw_friction
+from friction_hil.reports.figures import WITH, WITHOUT
 from friction_hil.reports.numbers import digits, unit_of_figures
-from friction_hil.reports.page import page, picture, table
+from friction_hil.reports.page import generator, page, picture, table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from friction_hil.friction import FrictionModel
 
-MARK = '<meta name="generator" content="friction-hil demo'
+MARK = generator("demo")
 
 _STYLE = f"""
 figure.circle img {{ display: block; width: 100%; max-width: 46rem; margin: auto }}
@@ -37,9 +39,9 @@ def write_report(
     circle : Figure
         Its picture.
     loop : dict
-        ``cycles``, ``late_p50_us``, ``late_p99_us`` and ``missed`` as 'friction-hil run --json' gives them.
+        ``cycles``, ``late_p50_us``, ``late_p99_us`` and ``missed`` of the output of ``friction-hil run --json``.
     notes : str
-        What the daemon said at its start.
+        Messages of the daemon.
     pace : str
         ``real`` or ``sync``.
     """
@@ -60,12 +62,12 @@ def write_report(
 {picture(draw_error(circularity), _ERROR_CAPTION, "wide")}
 <h2>Friction over velocity</h2>
 {picture(draw_friction(circularity), _FRICTION_CAPTION, "wide")}
-<h2>What is true, and what the compensator believes</h2>
-<p>The compensator's model and parameters are wrong on purpose, as those of a real axis always are.</p>
+<h2>Parameters of the axes and of the compensator</h2>
+<p>The compensator's model and parameters deviate from the true ones on purpose, as they always do on a real axis.</p>
 {"".join(_parameters(circularity, axis) for axis in circularity.axes)}
-<h2>The drive's own loops, the same in all laps</h2>
+<h2>Control loops of the drive, the same in all laps</h2>
 {_loops(circularity)}
-<h2>What the daemon said</h2>
+<h2>Messages of the daemon</h2>
 <pre>{html.escape(notes.strip() or "nothing")}</pre>
 <p class="note">friction-hil {__version__}. The recording beside this file holds every cycle and the whole
 configuration; <code>friction-hil replay RECORDING --verify</code> runs the compensator again, bit for bit.</p>
@@ -75,24 +77,26 @@ configuration; <code>friction-hil replay RECORDING --verify</code> runs the comp
 
 
 _CIRCLE_CAPTION = (
-    "Distance from the centre, less the nominal radius, over the angle. Where {x} or {y} reverses, friction changes "
-    "its sign faster than the drive's loops can answer: the axis stays behind, and leaves a spike."
+    "Distance from the centre minus the nominal radius, over the angle. Where {x} or {y} reverses, friction changes "
+    "its sign faster than the control loops of the drive can react: the axis lags behind, which causes a spike."
 )
-_ERROR_CAPTION = "The whole run. The shaded laps count: whole ones, in steady motion. Grey: the computer was late."
+_ERROR_CAPTION = (
+    "The whole run. Shaded: the complete laps in steady motion that the figures refer to. Grey: the computer was late."
+)
 _FRICTION_CAPTION = (
-    "Lines: friction at constant velocity, true and believed. Blue: the torque that was added, over the estimated "
-    "velocity, in the laps with compensation; it is the believed friction times the gain, with the bristle's "
-    "presliding about zero."
+    "Lines: friction at constant velocity, true and of the compensator's model. Blue: the torque that was added in the "
+    "laps with compensation, over the estimated velocity: the model's friction times the gain, with the presliding of "
+    "the bristle around zero."
 )
 
 
 def _what_ran(circularity: Circularity, pace: str) -> str:
     period = f"{circularity.configuration.period_s * 1e3:g} ms"
-    time = "in real time" if pace == "real" else "in simulated time, one period a SYNC"
+    time = "in real time" if pace == "real" else "in simulated time, one period for each SYNC"
     return (
         f"The daemon, its CANopen driver and two simulated CiA 402 drives ran as separate processes on a virtual CAN "
         f"bus, with a period of {period}, {time}. Laps without and with compensation come from one run, in which "
-        "nothing differs but the friction torque that is added."
+        "only the added friction torque differs."
     )
 
 
@@ -108,7 +112,7 @@ def _figures(circularity: Circularity) -> str:
     ranges = before.circular_range, after.circular_range
     rows.append(
         (
-            "radius error, largest less smallest",
+            "radius error, largest minus smallest",
             unit,
             *(digits(value * factor) for value in ranges),
             digits(ranges[0] / ranges[1], 2),
@@ -123,8 +127,8 @@ def _left_out(circularity: Circularity) -> str:
     text = f"{before.count} laps each, {before.rows} periods. "
     if before.left_out or after.left_out:
         text += (
-            f"{before.left_out} of them without and {after.left_out} with compensation do not count: in them, or "
-            "shortly before, the computer was late."
+            f"{before.left_out} of them without and {after.left_out} with compensation are left out: the computer "
+            "was late in them or shortly before."
         )
     return text
 
@@ -140,17 +144,17 @@ def _loop(circularity: Circularity, loop: Mapping[str, Any], pace: str) -> str:
 
 
 def _parameters(circularity: Circularity, axis: str) -> str:
-    """Parameters of plant and compensator side by side."""
+    """Return a table of the parameters of plant and compensator, side by side."""
     config = circularity.configuration.axes[axis]
     plant: Any = config.simulation
     is_rotary = circularity.unit == "rad"
     true_model, model = plant.friction_model, config.model.friction_model
     rows = [
-        (name, unit if is_rotary else unit.replace("N m", "N").replace("rad", "m"), true, believed, meaning)
-        for (name, unit, true, meaning), (*_, believed, _) in zip(
+        (name, unit if is_rotary else unit.replace("N m", "N").replace("rad", "m"), true, assumed, meaning)
+        for (name, unit, true, meaning), (*_, assumed, _) in zip(
             _shared_quantities(true_model), _shared_quantities(model), strict=True
         )
-        if true is not None and believed is not None
+        if true is not None and assumed is not None
     ]
     mechanics = config.model.mechanics
     rows.append(
@@ -162,16 +166,16 @@ def _parameters(circularity: Circularity, axis: str) -> str:
             html.escape(name),
             unit,
             f"{true:g}",
-            f"{believed:g}",
-            f"{100.0 * (believed / true - 1.0):+.0f} %".replace("-", "−") if believed != true else "",
+            f"{assumed:g}",
+            f"{100.0 * (assumed / true - 1.0):+.0f} %".replace("-", "−") if assumed != true else "",
             f"<span class='note'>{html.escape(meaning)}</span>",
         )
-        for name, unit, true, believed, meaning in rows
+        for name, unit, true, assumed, meaning in rows
     ]
-    header = (f"<strong>{axis}</strong>", "unit", "true", "believed", "difference", "")
+    header = (f"<strong>{axis}</strong>", "unit", "true", "compensator", "difference", "")
     notes = (
         f"True: {true_model}.",
-        f"Believed: {model}.",
+        f"Compensator: {model}.",
         f"Gain of the compensation on {axis}: {config.compensation.gain:g}.",
     )
     paragraphs = "".join(f'<p class="note">{html.escape(note)}</p>' for note in notes)
@@ -179,9 +183,7 @@ def _parameters(circularity: Circularity, axis: str) -> str:
 
 
 def _shared_quantities(model: "FrictionModel") -> list[tuple[str, str, float | None, str]]:
-    """Name, unit, value and meaning of what most models have in common; None for what this one has not."""
-    from friction_hil.friction.parameters import COULOMB, STATIC, STRIBECK_VELOCITY, VISCOUS
-
+    """Return name, unit, value and meaning of quantities that most models have; value None if this one has not."""
     named = [
         (each.name, each.unit, model.parameters.get(each.name), each.meaning)
         for each in (COULOMB, STATIC, STRIBECK_VELOCITY)

@@ -1,4 +1,4 @@
-"""Pictures of an identification: torque over time and velocity, what is left over everything, hysteresis loops."""
+"""Pictures of an identification: torque over time, friction over velocity, residuals, hysteresis loops."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -6,22 +6,21 @@ import numpy as np
 
 from friction_hil.identification.fits import Curves
 from friction_hil.numerics.jit import Array
+from friction_hil.reports.figures import MEASURED, PREDICTED, RESIDUAL, add_grid, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Okabe and Ito's: told apart with any colour vision, and in grey.
-MEASURED, PREDICTED, RESIDUAL = "#999999", "#0072b2", "#d55e00"
-_MOST_POINTS = 20_000  # in a picture: far more than it can show
+_MOST_POINTS = 20_000  # of a picture: more than it can resolve
 _BINS = 24
 _LEAST_IN_BIN = 5
-_LOOPS = 6  # parts of a record, each from one reversal to the next but one
+_LOOPS = 6  # hysteresis loops, each from one reversal to the next but one
 
 
 def draw_time(curves: Curves, unit: str) -> "Figure":
-    """Draw measured and predicted torque over time, with what is left below."""
-    figure = _figure(11.0, 5.5)
+    """Draw measured and predicted torque over time, with the residual below."""
+    figure = new_figure(11.0, 5.5)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[2, 1])
     time, measured, predicted = (_broken(curves, each) for each in (curves.time_s, curves.measured, curves.predicted))
     upper.plot(time, measured, color=MEASURED, linewidth=1.6, label="measured")
@@ -30,12 +29,12 @@ def draw_time(curves: Curves, unit: str) -> "Figure":
     upper.set(ylabel=f"torque [{unit}]")
     lower.set(ylabel=f"residual [{unit}]", xlabel="time [s]")
     upper.legend(loc="upper right", ncols=2)
-    return _gridded(figure)
+    return add_grid(figure)
 
 
 def draw_velocity(curves: Curves, unit: str, speed_unit: str) -> "Figure":
     """Draw friction over velocity: measured torque less the mechanics, and the model."""
-    figure = _figure(11.0, 4.6)
+    figure = new_figure(11.0, 4.6)
     left, right = figure.subplots(1, 2)
     every = _every(curves)
     velocity, measured = curves.velocity[every], (curves.friction + curves.residual)[every]
@@ -47,16 +46,16 @@ def draw_velocity(curves: Curves, unit: str, speed_unit: str) -> "Figure":
         if limit:
             axes.set_xlim(-limit, limit)
             axes.set_title("the slowest quarter")
-    return _gridded(figure)
+    return add_grid(figure)
 
 
-def draw_residuals(curves: Curves, unit: str, speed_unit: str, place_unit: str) -> "Figure":
-    """Draw what is left over velocity, position and time, with means that show what the model misses."""
-    figure = _figure(11.0, 4.0)
+def draw_residuals(curves: Curves, unit: str, speed_unit: str, position_unit: str) -> "Figure":
+    """Draw the residual over velocity, position and time, with its mean in intervals of each."""
+    figure = new_figure(11.0, 4.0)
     every = _every(curves)
     quantities = (
         (curves.velocity, f"velocity [{speed_unit}]"),
-        (curves.position, f"position [{place_unit}]"),
+        (curves.position, f"position [{position_unit}]"),
         (curves.time_s, "time [s]"),
     )
     all_axes = figure.subplots(1, 3, sharey=True)
@@ -65,38 +64,28 @@ def draw_residuals(curves: Curves, unit: str, speed_unit: str, place_unit: str) 
         axes.plot(*_means(values, curves.residual), color=RESIDUAL, marker="o", markersize=3.0)
         axes.set(xlabel=label)
     all_axes[0].set(ylabel=f"residual [{unit}]")
-    return _gridded(figure)
+    return add_grid(figure)
 
 
-def draw_loops(curves: Curves, unit: str, place_unit: str) -> "Figure":
-    """Draw friction over position from one reversal to the next but one, where it turns round."""
-    figure = _figure(11.0, 4.6)
+def draw_loops(curves: Curves, unit: str, position_unit: str) -> "Figure":
+    """Draw friction over position, from one reversal to the next but one."""
+    figure = new_figure(11.0, 4.6)
     measured = curves.friction + curves.residual
     loops = _loops(curves)
     all_axes: Any = figure.subplots(1, max(len(loops), 1), sharey=True, squeeze=False)[0]
     for axes, part in zip(all_axes, loops, strict=False):
         axes.plot(curves.position[part], measured[part], color=MEASURED, linewidth=1.4)
         axes.plot(curves.position[part], curves.friction[part], color=PREDICTED, linewidth=1.0)
-        axes.set(xlabel=f"position [{place_unit}]")
+        axes.set(xlabel=f"position [{position_unit}]")
         axes.tick_params(axis="x", labelrotation=45)
     all_axes[0].set(ylabel=f"friction [{unit}]")
-    return _gridded(figure)
-
-
-def _figure(width: float, height: float) -> "Figure":
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), facecolor="white", layout="constrained")
-
-
-def _gridded(figure: "Figure") -> "Figure":
-    for axes in figure.axes:
-        axes.grid(alpha=0.3)
-    return figure
+    return add_grid(figure)
 
 
 def _points(axes: "Axes", x: Array, y: Array, color: str) -> None:
-    axes.plot(x, y, ".", color=color, markersize=2.0, rasterized=True)  # thousands of them as shapes are megabytes
+    axes.plot(
+        x, y, ".", color=color, markersize=2.0, rasterized=True
+    )  # thousands of points as SVG shapes take megabytes
 
 
 def _every(curves: Curves) -> slice:
@@ -104,7 +93,7 @@ def _every(curves: Curves) -> slice:
 
 
 def _broken(curves: Curves, values: Array) -> Array:
-    """A value for each point of a line, broken between recordings."""
+    """Return the points of a line, with gaps between recordings."""
     every = 1 + len(values) // _MOST_POINTS
     ends = np.flatnonzero(np.diff(curves.recording)) + 1
     pieces = [np.append(piece[::every], np.nan) for piece in np.split(values, ends)]
@@ -112,18 +101,18 @@ def _broken(curves: Curves, values: Array) -> Array:
 
 
 def _means(values: Array, residual: Array) -> tuple[Array, Array]:
-    """Means of the residual in equally large ranges of values; of those that hold enough."""
+    """Return centres of equal intervals of ``values``, and the mean residual in each that has enough samples."""
     low, high = float(values.min()), float(values.max())
-    place = np.clip(((values - low) / ((high - low) or 1.0) * _BINS).astype(int), 0, _BINS - 1)
-    count = np.bincount(place, minlength=_BINS)
+    index = np.clip(((values - low) / ((high - low) or 1.0) * _BINS).astype(int), 0, _BINS - 1)
+    count = np.bincount(index, minlength=_BINS)
     is_known = count >= _LEAST_IN_BIN
-    sums = np.bincount(place, residual, _BINS)
+    sums = np.bincount(index, residual, _BINS)
     centres = low + (np.arange(_BINS) + 0.5) * (high - low) / _BINS
     return centres[is_known], sums[is_known] / count[is_known]
 
 
 def _loops(curves: Curves) -> list[slice]:
-    """Parts that go to and fro, spread over the range of travels."""
+    """Return parts of the recording that move forth and back, from small to large travel."""
     moving = np.abs(curves.velocity) > 1e-3 * np.max(np.abs(curves.velocity))
     rows = np.flatnonzero(moving)
     turns = rows[np.flatnonzero(np.diff(np.sign(curves.velocity[rows])) != 0) + 1]

@@ -1,4 +1,4 @@
-"""The picture of a friction model: torque over velocity, over position in a slow cycle, and its ripple."""
+"""The picture of a friction model: torque over velocity, over position in a slow cycle, and ripple."""
 
 import math
 import textwrap
@@ -12,35 +12,36 @@ from numpy.typing import NDArray
 from friction_hil import friction as models
 from friction_hil.friction import FrictionModel
 from friction_hil.numerics.jit import Array
-from friction_hil.reports.figures import new_figure, save
+from friction_hil.reports.figures import BLUE, GREEN, INK, ORANGE, new_figure_for, remove_frame, save
+from friction_hil.reports.numbers import readable
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# Okabe and Ito's: told apart with any colour vision.
-_MAIN, _OTHER, _THIRD = "#0072b2", "#d55e00", "#009e73"
-_INK, _FAINT = "#222222", "#888888"
+_MAIN, _OTHER, _THIRD = BLUE, ORANGE, GREEN
+_FAINT = "#888888"
 
-_STRIBECK_VELOCITIES = 10.0  # so many the velocity axis reaches
-_SLOW = 1e-3  # of the velocity axis
-_SETTLED = 0.9  # of its largest torque: presliding from rest counts as over
-_STROKE = 2.0  # times the distance until then, to either side
-_INNER_TOP, _INNER_SHARE = 0.8, 0.6  # torque at which the inner loop begins, and its share of the way back
-_SAMPLES = 400  # a leg of the cycle
+_STRIBECK_VELOCITIES = 10.0  # range of the velocity axis, in Stribeck velocities
+_SLOW = 1e-3  # speed of the slow cycle, as a fraction of the velocity axis
+_SETTLED = 0.9  # of the largest torque: end of the presliding from rest
+_STROKE = 2.0  # travel of the cycle to either side, in presliding distances
+_INNER_TOP = 0.8  # of the largest torque: start of the inner loop
+_INNER_LENGTH = 0.6  # of the distance back to the other end: length of the inner loop
+_SAMPLES = 400  # of a leg of the cycle
 _TEMPERATURE_STEP = 20.0  # K
 
 
 @dataclass(frozen=True, slots=True)
 class SlowCycle:
-    """A slow motion from rest to one end, to the other and back, with a reversal inside the way back.
+    """A slow motion from rest to one end, to the other end and back, with a small loop on the last leg.
 
     Attributes
     ----------
     position, torque : (n,) array
-        rad, N m. The position of a static map is a share of the stroke: such a map has no length of its own.
+        rad, N m. The position of a static map is a fraction of the stroke: such a map has no length scale.
     leg : (n,) array of int
-        0 from rest to the first end; 1 to the other end; 2 back as far as the loop inside; 3 and 4 that loop;
-        5 on to the first end.
+        0 from rest to the first end; 1 to the other end; 2 back to the small loop; 3 and 4 the small loop; 5 on to the
+        first end.
     velocity : float
         rad/s.
     """
@@ -52,14 +53,14 @@ class SlowCycle:
 
 
 def draw(model: FrictionModel, path: Path, title: str) -> None:
-    """Draw a model into a file; the suffix says which format.
+    """Draw a model into a file; the suffix gives the format.
 
     Parameters
     ----------
     model : FrictionModel
     path : Path
     title : str
-        Heading; the parameters follow below it.
+        Heading; the parameters are listed below the panels.
 
     Raises
     ------
@@ -71,24 +72,22 @@ def draw(model: FrictionModel, path: Path, title: str) -> None:
     painters = [_draw_velocity, _draw_cycle]
     if model.modifiers.get("ripple"):
         painters.append(_draw_ripple)
-    figure = new_figure(path, 5.4 * len(painters), 5.0)
+    figure = new_figure_for(path, 5.4 * len(painters), 5.0)
     for axes, paint in zip(figure.subplots(1, len(painters), squeeze=False)[0], painters, strict=True):
         paint(axes, model)
         axes.axhline(0.0, color=_FAINT, linewidth=0.6, zorder=0)
-        axes.grid(alpha=0.3)
         axes.set_ylabel(_words(model, "friction torque [N m]"))
-        for side in ("top", "right"):
-            axes.spines[side].set_visible(False)
-    figure.suptitle(title, fontsize=12, fontweight="bold", color=_INK)
-    figure.supxlabel("\n".join(textwrap.wrap(_caption(model), 78 * len(painters))[:4]), fontsize=8.5, color=_INK)
+        remove_frame(axes)
+    figure.suptitle(title, fontsize=12, fontweight="bold", color=INK)
+    figure.supxlabel("\n".join(textwrap.wrap(_caption(model), 78 * len(painters))[:4]), fontsize=8.5, color=INK)
     save(figure, path)
 
 
 def velocity_range(model: FrictionModel) -> float:
-    """Velocity up to which the steady torque shows its shape, rad/s.
+    """Return the velocity up to which the steady torque is drawn, rad/s.
 
-    Ten Stribeck velocities; past the last point of a table; otherwise where the torque is half as much again as
-    in slow motion.
+    Ten Stribeck velocities; of a table, beyond its last point; otherwise the velocity at which the torque is 1.5 times
+    that in slow motion.
     """
     sides = _sides(model)
     if "stribeck_velocity" in model.parameters:
@@ -103,13 +102,13 @@ def velocity_range(model: FrictionModel) -> float:
 
 
 def slow_cycle(model: FrictionModel) -> SlowCycle:
-    """Move a model, without its ripple, through the cycle that shows its presliding, or its jump."""
+    """Move a model, without its ripple, through a cycle that shows its presliding or its jump at a reversal."""
     velocity = _SLOW * velocity_range(model)
     if model.family.is_static:
         band = max(float(side.get("stick_velocity", 0.0)) for side in _sides(model))
         return _move(model, max(velocity, 2.0 * band), [1.0, -1.0, 0.2, -0.4, 0.2, 1.0])
     deflection = model.level / model.presliding_stiffness
-    velocity = min(velocity, deflection)  # at least a second for such a distance
+    velocity = min(velocity, deflection)  # at least one second for this distance
     position = deflection * np.geomspace(1e-2, 1e4, 2001)
     steps = np.diff(position, prepend=0.0)
     torque = _torque(model, np.full(steps.size, velocity), steps / velocity)
@@ -117,18 +116,18 @@ def slow_cycle(model: FrictionModel) -> SlowCycle:
     whole = _move(model, velocity, [end, -end, end])
     back = np.flatnonzero(whole.leg == 2)
     top = float(whole.position[back[np.argmax(whole.torque[back] >= _INNER_TOP * whole.torque[back].max())]])
-    return _move(model, velocity, [end, -end, top, top - _INNER_SHARE * (top + end), top, end])
+    return _move(model, velocity, [end, -end, top, top - _INNER_LENGTH * (top + end), top, end])
 
 
 def ripple(model: FrictionModel, position: Array) -> Array:
-    """Torque that the model's ripple adds at each ``position``, N m."""
+    """Return the torque that the model's ripple adds at each ``position``, N m."""
     modifiers = {"ripple": model.modifiers.get("ripple", [])}
     alone = models.create("coulomb", coulomb=0.0, modifiers=modifiers, axis=model.axis)
     return alone.simulate(np.ones(position.size), 1.0, position=position)
 
 
 def _sides(model: FrictionModel) -> list[dict[str, Any]]:
-    """Parameters as they are, and as they are in each direction."""
+    """Return the parameters without directions, and those of each direction."""
     changes = model.modifiers.get("direction", {}).values()
     return [model.parameters, *({**model.parameters, **each} for each in changes)]
 
@@ -139,14 +138,14 @@ def _steady(model: FrictionModel, velocity: Array, load_torque: float = 0.0, tem
 
 
 def _torque(model: FrictionModel, velocity: Array, dt: Array, applied_torque: Array | float = 0.0) -> Array:
-    """Torque of a motion from rest, without load and ripple."""
+    """Return the torque of a motion from rest, without load and ripple."""
     constant = float(ripple(model, np.zeros(1))[0])
     pushed = np.asarray(applied_torque) + constant
     return model.simulate(velocity, dt, position=0.0, load_torque=0.0, applied_torque=pushed) - constant
 
 
 def _break_away(model: FrictionModel, sign: float) -> float:
-    """Torque up to which a static map holds, with its sign."""
+    """Return the break-away torque of a static map, with its sign."""
     plenty = sign * 1e6 * (1.0 + model.level)
     return float(_torque(model, np.zeros(1), np.ones(1), plenty)[0])
 
@@ -154,8 +153,8 @@ def _break_away(model: FrictionModel, sign: float) -> float:
 def _move(model: FrictionModel, velocity: float, waypoints: list[float]) -> SlowCycle:
     """Move at a constant speed from 0 to each of ``waypoints``.
 
-    A static map stands at each reversal until the applied torque, which grows from that of the motion before, has
-    reached the level at which it breaks away.
+    A static map rests at each reversal while the applied torque changes from that of the previous motion to the
+    break-away torque.
     """
     columns: list[list[Array]] = [[], [], [], [], []]
     here, before = 0.0, 0.0
@@ -166,7 +165,7 @@ def _move(model: FrictionModel, velocity: float, waypoints: list[float]) -> Slow
             applied = np.linspace(start, _break_away(model, sign), _SAMPLES)
             rest = np.zeros(_SAMPLES)
             _append(columns, here + rest, rest, 1.0 + rest, applied, leg + rest)
-        first = here if model.family.is_static else here + (there - here) / _SAMPLES  # a map jumps where it stands
+        first = here if model.family.is_static else here + (there - here) / _SAMPLES  # a static map jumps at rest
         moved = np.linspace(first, there, _SAMPLES)
         same = np.ones(_SAMPLES)
         dt = abs(there - here) / _SAMPLES / velocity
@@ -194,7 +193,7 @@ def _draw_velocity(axes: "Axes", model: FrictionModel) -> None:
         curves[0] = (f"{'no load, ' if curves[0][0] else ''}{reference:g} °C", _MAIN, {})
         for step, color in ((-_TEMPERATURE_STEP, "#56b4e9"), (_TEMPERATURE_STEP, _THIRD)):
             curves.append((f"{reference + step:g} °C", color, {"temperature": reference + step}))
-    factor, unit = _readable(float(side[-1]), _words(model, "rad/s"))
+    factor, unit = readable(_words(model, "rad/s"), float(side[-1]))
     for label, color, inputs in curves:
         torque = np.full(velocity.size, np.nan)
         moving = np.isfinite(velocity)
@@ -203,25 +202,25 @@ def _draw_velocity(axes: "Axes", model: FrictionModel) -> None:
         axes.plot(velocity * factor, torque, color=color, linewidth=width, zorder=order, label=label or None)
     if model.family.is_static:
         ends = [_break_away(model, -1.0), _break_away(model, 1.0)]
-        label = "at rest: what is applied, up to break-away"
+        label = "at rest: the applied torque, up to break-away"
         axes.plot([0.0, 0.0], ends, color=_MAIN, linewidth=1.2, marker="o", markersize=4.5, label=label)
     else:
         edges = _steady(model, -side[:1]), _steady(model, side[:1])
-        axes.plot([0.0, 0.0], [edges[0][0], edges[1][0]], ":", color=_MAIN, label="at rest: what its state holds")
+        axes.plot([0.0, 0.0], [edges[0][0], edges[1][0]], ":", color=_MAIN, label="at rest: the torque of its state")
     _legend(axes, 2)
     axes.set(xlabel=f"velocity [{unit}]", title="at constant velocity")
 
 
 def _draw_cycle(axes: "Axes", model: FrictionModel) -> None:
     cycle = slow_cycle(model)
-    factor, unit = 1.0, "share of the stroke"
+    factor, unit = 1.0, "fraction of the stroke"
     if not model.family.is_static:
-        factor, unit = _readable(float(cycle.position.max()), _words(model, "rad"))
-    styles = (("from rest", _FAINT, "--", (0,)), ("cycle", _MAIN, "-", (1, 2, 5)), ("loop inside", _OTHER, "-", (3, 4)))
+        factor, unit = readable(_words(model, "rad"), float(cycle.position.max()))
+    styles = (("from rest", _FAINT, "--", (0,)), ("cycle", _MAIN, "-", (1, 2, 5)), ("small loop", _OTHER, "-", (3, 4)))
     for label, color, style, legs in styles:
         for leg in legs:
             rows = np.flatnonzero(cycle.leg == leg)
-            rows = np.concatenate([rows[:1] - 1, rows]) if rows[0] else rows  # from where the leg before ended
+            rows = np.concatenate([rows[:1] - 1, rows]) if rows[0] else rows  # from the end of the previous leg
             position, torque = cycle.position[rows] * factor, cycle.torque[rows]
             if leg == 0:
                 position, torque = np.insert(position, 0, 0.0), np.insert(torque, 0, 0.0)
@@ -231,7 +230,7 @@ def _draw_cycle(axes: "Axes", model: FrictionModel) -> None:
                 arrow = {"arrowstyle": "-|>", "color": color, "mutation_scale": 16.0}
                 axes.annotate("", (position[at + 1], torque[at + 1]), (position[at], torque[at]), arrowprops=arrow)
     _legend(axes, 3)
-    speed, speed_unit = _readable(cycle.velocity, _words(model, "rad/s"))
+    speed, speed_unit = readable(_words(model, "rad/s"), cycle.velocity)
     axes.set(xlabel=f"position [{unit}]", title=f"in a slow cycle, {cycle.velocity * speed:.3g} {speed_unit}")
 
 
@@ -241,7 +240,7 @@ def _draw_ripple(axes: "Axes", model: FrictionModel) -> None:
     position = np.linspace(0.0, min(turn, 4.0 * turn / lowest), 2001)
     slow = _SLOW * velocity_range(model)
     added = ripple(model, position)
-    factor, unit = _readable(float(position[-1]), _words(model, "rad"))
+    factor, unit = readable(_words(model, "rad"), float(position[-1]))
     for sign, label, color in ((1.0, "forward", _MAIN), (-1.0, "backward", _OTHER)):
         level = float(_steady(model, np.array([sign * slow]))[0])
         axes.plot(position * factor, level + added, color=color, linewidth=1.4, label=label)
@@ -250,27 +249,19 @@ def _draw_ripple(axes: "Axes", model: FrictionModel) -> None:
 
 
 def _legend(axes: "Axes", columns: int) -> None:
-    """Name the curves below the panel, where they hide nothing."""
+    """Put the legend below the panel, where it hides nothing."""
     axes.legend(frameon=False, fontsize=9, ncols=columns, loc="upper center", bbox_to_anchor=(0.5, -0.13))
 
 
 def _words(model: FrictionModel, text: str) -> str:
-    """Text of a rotary axis as it reads for the model's own."""
+    """Replace the words for a rotary axis by those for the model's axis."""
     if model.axis == "rotary":
         return text
     return text.replace("torque", "force").replace("N m", "N").replace("rad", "m")
 
 
-def _readable(largest: float, unit: str) -> tuple[float, str]:
-    """Factor and unit in which ``largest`` (SI) is at least 1."""
-    for factor, prefix in ((1.0, ""), (1e3, "m"), (1e6, "µ")):
-        if largest * factor >= 1.0:
-            return factor, prefix + unit
-    return 1e9, "n" + unit
-
-
 def _caption(model: FrictionModel) -> str:
-    """Parameters with units, of points only their number, and which modifiers there are."""
+    """Return the parameters with units, the number of points of a table, and the names of the modifiers."""
     words = []
     for parameter in model.family.parameters:
         value = model.parameters[parameter.name]

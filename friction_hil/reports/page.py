@@ -1,10 +1,13 @@
-"""Pieces of an HTML report that needs no other file: style, pictures, tables."""
+"""HTML reports in one file: style, pictures, tables, and writing them."""
 
 import base64
 import html
 import io
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
+
+from friction_hil.errors import FrictionHilError, UsageError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -28,11 +31,11 @@ pre { white-space: pre-wrap; font-size: .85rem; background: #f5f5f5; padding: .6
 
 
 def picture(figure: "Figure", caption: str, kind: str = "") -> str:
-    """Put a figure into the page, as SVG, with its caption; ``kind`` is its class, ``wide`` fills the page."""
-    from matplotlib import rc_context
+    """Return a figure as HTML: SVG with a caption. ``kind`` is its CSS class; ``wide`` fills the width of the page."""
+    from matplotlib import rc_context  # imported here: matplotlib is optional, and takes 0.3 s
 
     text = io.StringIO()
-    with rc_context({"svg.hashsalt": "friction-hil"}):  # the same picture is the same text
+    with rc_context({"svg.hashsalt": "friction-hil"}):  # equal pictures become equal text
         figure.savefig(text, format="svg", metadata={"Date": None})
     data = base64.b64encode(text.getvalue().encode()).decode()
     escaped = html.escape(caption)
@@ -43,7 +46,7 @@ def picture(figure: "Figure", caption: str, kind: str = "") -> str:
 
 
 def table(header: Sequence[str], rows: Iterable[Sequence[str]], classes: Sequence[str] = ()) -> str:
-    """Lay out a table; its cells are HTML. ``classes`` are those of the columns after the first."""
+    """Return a table as HTML. Its cells are HTML; ``classes`` are the CSS classes of the columns after the first."""
     marks = ["", *classes, *[""] * len(header)]
     heads = "".join(f'<th scope="col" class="{mark}">{cell}</th>' for cell, mark in zip(header, marks, strict=False))
     lines = []
@@ -54,8 +57,63 @@ def table(header: Sequence[str], rows: Iterable[Sequence[str]], classes: Sequenc
     return f'<div class="scroll"><table>{body}</table></div>'
 
 
+def generator(command: str) -> str:
+    """Return the beginning of the meta element by which the reports of a command are recognised."""
+    return f'<meta name="generator" content="friction-hil {command}'
+
+
 def page(title: str, mark: str, body: str, style: str = "") -> str:
-    """Put the whole document together; ``mark`` is the meta element that says who made it, ``style`` goes on top."""
+    """Return the document; ``mark`` is the meta element that names its generator, ``style`` is added to the style."""
     head = f'<meta charset="utf-8">\n{mark}\n<meta name="viewport" content="width=device-width">'
     start = f"<title>{html.escape(title)}</title>\n<style>\n{STYLE}\n{style}</style>"
     return f'<!doctype html>\n<html lang="en">\n<head>\n{head}\n{start}\n</head>\n<body>{body}</body>\n</html>\n'
+
+
+def unordered_list(lines: Iterable[str]) -> str:
+    """Return lines of text as an HTML list; nothing if there is none."""
+    items = "".join(f"<li>{html.escape(line)}</li>" for line in lines)
+    return f"<ul>{items}</ul>" if items else ""
+
+
+def write_page(path: Path, text: str) -> None:
+    """Write a report; an existing file is overwritten.
+
+    Raises
+    ------
+    FrictionHilError
+        The file cannot be written.
+    """
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise FrictionHilError(f"{path} cannot be written: {error.strerror}") from None
+
+
+def claim_folder(folder: Path, names: Sequence[str], mark: str, maker: str) -> None:
+    """Create a folder for a report and the files beside it.
+
+    Parameters
+    ----------
+    folder : Path
+    names : sequence of str
+        Files that will be written; the first is the report.
+    mark : str
+        Beginning of the meta element by which an earlier report is recognised.
+    maker : str
+        Name of the command that makes such reports.
+
+    Raises
+    ------
+    UsageError
+        A file of one of these names exists, and the report in the folder was not made by the same command.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    present = [name for name in names if (folder / name).exists()]
+    if not present:
+        return
+    report = folder / names[0]
+    if not (report.is_file() and mark in report.read_text(encoding="utf-8", errors="replace")[:1000]):
+        raise UsageError(
+            f"{folder / present[0]} exists and no former {maker} made it: it is not overwritten; choose another folder "
+            "with --output"
+        )

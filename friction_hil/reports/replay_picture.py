@@ -1,4 +1,4 @@
-"""The picture of a replay: predicted and measured torque, what is left, and friction over velocity."""
+"""The picture of a replay: predicted and measured torque, the residual, and friction over velocity."""
 
 from pathlib import Path
 
@@ -6,13 +6,13 @@ import numpy as np
 
 from friction_hil.numerics.jit import Array
 from friction_hil.replay.comparison import Replay
-from friction_hil.reports.figures import new_figure, save
+from friction_hil.reports.figures import new_figure_for, save
 
-_MOST_POINTS = 100_000  # in a line: far more than a picture can show
+_MOST_POINTS = 100_000  # of a line: more than a picture can resolve
 
 
 def draw(replay: Replay, path: Path) -> None:
-    """Draw one recording with all its models into a file; the suffix says which format.
+    """Draw one recording with all its models into a file; the suffix gives the format.
 
     Raises
     ------
@@ -21,12 +21,12 @@ def draw(replay: Replay, path: Path) -> None:
     FrictionHilError
         The file cannot be written.
     """
-    figure = new_figure(path, 11.0, 8.0)
+    figure = new_figure_for(path, 11.0, 8.0)
     first = replay.predictions[0]
     what, speed = ("torque", "rad/s") if first.unit == "N m" else ("force", "m/s")
 
     def line(values: Array) -> Array:
-        """A value for each point of a line, broken between the parts of the record."""
+        """Return the points of a line, with gaps between the parts of the recording."""
         pieces = [np.append(values[part][::every], np.nan) for part in replay.segments]
         return np.concatenate(pieces)
 

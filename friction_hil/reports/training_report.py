@@ -1,4 +1,4 @@
-"""A training as one HTML file that needs nothing else: network against friction, errors, the course of the training."""
+"""The report of a training: errors, network against friction, comparison with models, course of the training."""
 
 import html
 from pathlib import Path
@@ -7,18 +7,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from friction_hil import __version__
-from friction_hil.errors import FrictionHilError
 from friction_hil.numerics.jit import Array
-from friction_hil.reports.page import page, picture, table
+from friction_hil.reports.figures import BLUE, GREY, INK, ORANGE, add_grid, new_figure
+from friction_hil.reports.page import page, picture, table, unordered_list, write_page
 from friction_hil.training import Samples, TrainedModel
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 MARK = f'<meta name="generator" content="friction-hil train {__version__}">'
-# Okabe and Ito's: told apart with any colour vision, and in grey.
-_TRUE, _LEARNED, _ERROR = "#999999", "#0072b2", "#d55e00"
-_MOST_POINTS = 6000  # of a signal that is drawn
+_TRUE, _LEARNED, _ERROR = GREY, BLUE, ORANGE
+_MOST_POINTS = 6000  # of a drawn signal
 
 
 def write_report(path: Path, candidate: TrainedModel, seconds: float) -> None:
@@ -32,15 +31,15 @@ def write_report(path: Path, candidate: TrainedModel, seconds: float) -> None:
     task, trained = candidate.task, candidate.trained
     is_rotary = task.known.axis == "rotary"
     unit, speed = ("N m", "rad/s") if is_rotary else ("N", "m/s")
-    signals = task.unseen or {"what was held out": task.validation}
+    signals = task.unseen or {"held-out data": task.validation}
     runs = {name: (samples, candidate.free_run(samples)) for name, samples in signals.items()}
     body = f"""
 <h1>A network for friction: {html.escape(str(candidate.network))}</h1>
 <p>{_result(candidate)} Trained in {seconds:.1f} s, {trained.iterations} iterations, seed {trained.seed}.</p>
 <h2>Errors</h2>
 {_errors(candidate)}
-{_list([*task.notes, *trained.flags])}
-<h2>On signals that it was not trained on, in free run</h2>
+{unordered_list([*task.notes, *trained.flags])}
+<h2>Free run on signals that were not used for training</h2>
 {
         "".join(
             picture(_draw_signal(*run, unit, speed), f"{name}: NRMSE {candidate.error(run[0]):.4f}.", "wide")
@@ -56,33 +55,29 @@ def write_report(path: Path, candidate: TrainedModel, seconds: float) -> None:
 {picture(_draw_course(candidate), _COURSE_CAPTION, "wide")}
 <p class="note">friction-hil {__version__}</p>
 """
-    try:
-        path.write_text(page("friction-hil: a network for friction", MARK, body), encoding="utf-8")
-    except OSError as error:
-        raise FrictionHilError(f"{path} cannot be written: {error.strerror}") from None
+    write_page(path, page("friction-hil: a network for friction", MARK, body))
 
 
 _ERRORS_CAPTION = "Error of each sample in free run, over the velocity and over its rate of change."
 _COMPARED = (
-    "<p>Each model of the library is fitted to the samples that the network was trained on, and runs free along "
-    "signals that neither has seen. Where a model is as good, it is the better choice: its parameters mean something."
-    "</p>"
+    "<p>Each model of the library is fitted to the samples on which the network was trained, and runs free along "
+    "signals that neither has seen. If a model is as good, prefer it: its parameters have a physical meaning.</p>"
 )
 _CURVE_CAPTION = (
-    "What the network settles on at constant velocity (line), and the friction that it was trained on (points). Beyond "
-    "the speeds of the training, shaded, its torque stays what it is there; beside a model it fades out."
+    "Steady torque of the network at constant velocity (line), and the friction on which it was trained (points). In "
+    "the shaded range, beyond the speeds of the training, its torque is held; that of a residual fades out."
 )
 _COURSE_CAPTION = (
     "Error on the training set and, in free run, on the validation set, after each iteration of Levenberg-Marquardt; "
-    "starts are told apart by colour."
+    "each start has its own colour."
 )
 
 
 def _result(candidate: TrainedModel) -> str:
     errors = candidate.trained.validation
     return (
-        f"In free run, as it is used, its NRMSE on data that it was not trained on is <strong>{errors.free_run:.4f}"
-        f"</strong>; one step ahead, fed the measured torque, it is {errors.one_step:.4f}."
+        f"NRMSE in free run, as the network is used, on data that it was not trained on: <strong>{errors.free_run:.4f}"
+        f"</strong>; one step ahead, with the measured torque as input: {errors.one_step:.4f}."
     )
 
 
@@ -94,13 +89,13 @@ def _errors(candidate: TrainedModel) -> str:
     rows += [(html.escape(name), "", f"{candidate.error(each):.4f}") for name, each in candidate.task.unseen.items()]
     text = table(("NRMSE", "one step", "free run"), rows)
     if candidate.relative_errors:
-        shares = [(html.escape(name), f"{100.0 * value:.3f} %") for name, value in candidate.relative_errors.items()]
-        text += table(("held out", "relative error of the whole torque"), shares)
+        held_out = [(html.escape(name), f"{100.0 * value:.3f} %") for name, value in candidate.relative_errors.items()]
+        text += table(("held out", "relative error of the whole torque"), held_out)
     return text
 
 
 def _compared(candidate: TrainedModel) -> str:
-    """Table of the network and the models of the library on the signals that none of them has seen."""
+    """Compare the network with the models of the library, on signals that none of them has seen."""
     errors = candidate.physical_errors()
     if not errors:
         return ""
@@ -111,23 +106,13 @@ def _compared(candidate: TrainedModel) -> str:
     )
 
 
-def _list(lines: list[str]) -> str:
-    return "<ul>" + "".join(f"<li>{html.escape(line)}</li>" for line in lines) + "</ul>" if lines else ""
-
-
-def _figure(width: float, height: float) -> "Figure":
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), facecolor="white", layout="constrained")
-
-
 def _draw_signal(samples: Samples, torque: Array, unit: str, speed: str) -> "Figure":
-    figure = _figure(11.0, 5.5)
+    figure = new_figure(11.0, 5.5)
     above, middle, below = figure.subplots(3, 1, sharex=True, height_ratios=[1, 2, 1])
     counts = np.flatnonzero(samples.weight > 0.0)
     shown = slice(int(counts[0]), int(min(counts[0] + _MOST_POINTS, counts[-1] + 1)))
     time = samples.dt * np.arange(len(samples))[shown]
-    above.plot(time, samples.velocity[shown], color="#222222", linewidth=0.8)
+    above.plot(time, samples.velocity[shown], color=INK, linewidth=0.8)
     middle.plot(time, samples.torque[shown], color=_TRUE, linewidth=1.8, label="friction")
     middle.plot(time, torque[shown], color=_LEARNED, linewidth=0.8, label="network")
     below.plot(time, (samples.torque - torque)[shown], color=_ERROR, linewidth=0.8)
@@ -135,11 +120,11 @@ def _draw_signal(samples: Samples, torque: Array, unit: str, speed: str) -> "Fig
     middle.set(ylabel=f"torque [{unit}]")
     below.set(ylabel=f"error [{unit}]", xlabel="time [s]")
     middle.legend(loc="upper right", ncols=2)
-    return _gridded(figure)
+    return add_grid(figure)
 
 
 def _draw_errors(runs: list[tuple[Samples, Array]], unit: str, speed: str) -> "Figure":
-    figure = _figure(11.0, 4.0)
+    figure = new_figure(11.0, 4.0)
     left, right = figure.subplots(1, 2, sharey=True)
     for samples, torque in runs:
         counts = samples.weight > 0.0
@@ -150,11 +135,11 @@ def _draw_errors(runs: list[tuple[Samples, Array]], unit: str, speed: str) -> "F
     left.set(xlabel=f"velocity [{speed}]", ylabel=f"error [{unit}]")
     right.set(xlabel=f"rate of the velocity [{speed}²]")
     right.set_xscale("symlog", linthresh=1.0)
-    return _gridded(figure)
+    return add_grid(figure)
 
 
 def _draw_curve(candidate: TrainedModel, unit: str, speed: str) -> "Figure":
-    figure = _figure(8.0, 4.5)
+    figure = new_figure(8.0, 4.5)
     axes = figure.subplots()
     limit, samples = candidate.network.speed_limit, candidate.task.samples
     every = slice(None, None, 1 + len(samples) // _MOST_POINTS)
@@ -167,11 +152,11 @@ def _draw_curve(candidate: TrainedModel, unit: str, speed: str) -> "Figure":
     for side in (-1.0, 1.0):
         axes.axvspan(side * limit, 1.4 * side * limit, color="#eeeeee", zorder=0)
     axes.set(xlabel=f"velocity [{speed}]", ylabel=f"torque [{unit}]")
-    return _gridded(figure)
+    return add_grid(figure)
 
 
 def _draw_course(candidate: TrainedModel) -> "Figure":
-    figure = _figure(11.0, 4.0)
+    figure = new_figure(11.0, 4.0)
     left, right = figure.subplots(1, 2)
     history = candidate.trained.history
     for start in sorted({step.start for step in history}):
@@ -182,10 +167,4 @@ def _draw_course(candidate: TrainedModel) -> "Figure":
         right.plot(iterations, [step.damping for step in own], color=f"C{start % 10}", linewidth=1.0)
     left.set(xlabel="iteration", ylabel="NRMSE (dotted: training)", yscale="log")
     right.set(xlabel="iteration", ylabel="damping", yscale="log")
-    return _gridded(figure)
-
-
-def _gridded(figure: "Figure") -> "Figure":
-    for axes in figure.axes:
-        axes.grid(alpha=0.3)
-    return figure
+    return add_grid(figure)

@@ -1,4 +1,4 @@
-"""A tuning as HTML: what each model is worth on the machine; beside it the identification of each axis."""
+"""The report of a tuning: the effect of each model on the machine, with a page on each identification."""
 
 import html
 import math
@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from friction_hil import __version__
-from friction_hil.errors import FrictionHilError
-from friction_hil.reports.circularity_picture import WITH, WITHOUT
+from friction_hil.reports.figures import WITH, WITHOUT, add_grid, new_figure
+from friction_hil.reports.identification_report import write_report
 from friction_hil.reports.numbers import digits, readable
-from friction_hil.reports.page import page, picture, table
+from friction_hil.reports.page import page, picture, table, unordered_list, write_page
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -19,38 +19,32 @@ if TYPE_CHECKING:
 
 NAME = "report.html"
 _MARK = f'<meta name="generator" content="friction-hil tune {__version__}">'
-_NO_FREE_RUN = {"relative_error": None, "reason": "the machine itself has tried the model"}
+_NO_FREE_RUN = {"relative_error": None, "reason": "the model was tested on the machine itself"}
 
 
 def write_reports(folder: Path, tuning: "Tuning") -> Path:
-    """Write ``report.html`` and a page on each identification; return the path of the first.
+    """Write ``report.html`` and a page on each identification; return the path of ``report.html``.
 
     Raises
     ------
     FrictionHilError
         A file cannot be written.
     """
-    from friction_hil.reports.identification_report import write_report
-
     for name, axis in tuning.axes.items():
         for file, candidate in _identifications(name, axis):
             write_report(folder / file, candidate.identification, _NO_FREE_RUN)
-    body = "<h1>Friction, learned on the drive</h1>" + "".join(
+    body = "<h1>Friction identified on the machine</h1>" + "".join(
         _section(name, axis) for name, axis in tuning.axes.items()
     )
     if tuning.warnings:
-        warnings = "".join(f"<li>{html.escape(line)}</li>" for line in tuning.warnings)
-        body += f"<h2>What the daemon warned of</h2><ul>{warnings}</ul>"
+        body += f"<h2>Warnings of the daemon</h2>{unordered_list(tuning.warnings)}"
     path = folder / NAME
-    try:
-        path.write_text(page("friction-hil: tuning", _MARK, body), encoding="utf-8")
-    except OSError as error:
-        raise FrictionHilError(f"{path} cannot be written: {error.strerror}") from None
+    write_page(path, page("friction-hil: tuning", _MARK, body))
     return path
 
 
 def figures(axis: "AxisTuning", candidate: "TriedModel") -> Iterator[tuple[str, ...]]:
-    """RMS and peak of the following error: name with unit, without, with compensation, how many times lower."""
+    """Yield RMS and peak of the following error: name with unit, without, with compensation, reduction factor."""
     trial = candidate.trial
     unit = "rad" if axis.best.identification.settings.axis == "rotary" else "m"
     factor, shown = readable(unit, [trial.uncompensated.rms, trial.compensated.rms])
@@ -61,7 +55,7 @@ def figures(axis: "AxisTuning", candidate: "TriedModel") -> Iterator[tuple[str, 
 
 
 def _identifications(name: str, axis: "AxisTuning") -> Iterator[tuple[str, "TriedModel"]]:
-    """Name of the page on each identification, and the first candidate that came of it."""
+    """Yield the file name of each identification's page, and the first candidate that it produced."""
     first: dict[int, TriedModel] = {}
     for each in axis.candidates:
         first.setdefault(id(each.identification), each)
@@ -71,7 +65,7 @@ def _identifications(name: str, axis: "AxisTuning") -> Iterator[tuple[str, "Trie
 
 def _section(name: str, axis: "AxisTuning") -> str:
     best = axis.best
-    verdict = f"kept: {html.escape(str(axis.file))}" if best.trial.has_helped else "no model is put to use"
+    verdict = f"kept: {html.escape(str(axis.file))}" if best.trial.has_helped else "not used: no model helped"
     rows = []
     for each in axis.candidates:
         label = f"<strong>{html.escape(each.fit.label)}</strong>" if each is best else html.escape(each.fit.label)
@@ -82,28 +76,25 @@ def _section(name: str, axis: "AxisTuning") -> str:
     )
     return f"""
 <h2>{html.escape(name)}: {html.escape(best.fit.label)}</h2>
-<p>{verdict}. How the models were identified, and how sure they are: {links}.</p>
+<p>{verdict}. Identification of the models, with standard errors: {links}.</p>
 {table(header, rows, ("text",))}
 {picture(_draw(axis), _CAPTION, "wide")}
 """
 
 
-_CAPTION = "One period of the axis's motion. Where it reverses, friction changes its sign and leaves a spike."
+_CAPTION = "One period of the motion. At a reversal friction changes its sign, which causes a spike of the error."
 
 
 def _draw(axis: "AxisTuning") -> "Figure":
-    from matplotlib.figure import Figure
-
     best = axis.best.trial
     unit = "rad" if axis.best.identification.settings.axis == "rotary" else "m"
     factor, shown = readable(unit, [best.uncompensated.rms, best.compensated.rms])
-    figure = Figure(figsize=(10.0, 3.4), facecolor="white", layout="constrained")
+    figure = new_figure(10.0, 3.4)
     axes = figure.subplots()
     for error, color, label in zip(
         best.errors, (WITHOUT, WITH), ("without", f"with compensation by {axis.best.fit.label}"), strict=True
     ):
         axes.plot(best.time_s, error * factor, color=color, linewidth=1.2, label=label)
     axes.set(xlabel="time [s]", ylabel=f"following error [{shown}]")
-    axes.grid(alpha=0.3)
     axes.legend(loc="upper right")
-    return figure
+    return add_grid(figure)

@@ -36,7 +36,7 @@ def test_model_file_loads_and_predicts(swing: Path, capsys: pytest.CaptureFixtur
     assert main(words) == 0
     text = capsys.readouterr().out
     assert "Chosen: coulomb" in text
-    assert "No free simulation: nothing is known of the controller" in text
+    assert "No closed-loop simulation: the controller is not known" in text
     model = load_model_file("axis.yaml")
     assert model.friction.parameters["coulomb"] == pytest.approx(0.3, rel=0.02)
     assert model.mechanics.inertia == pytest.approx(0.02, rel=0.02)
@@ -72,14 +72,14 @@ def test_json_is_one_object_without_nan(swing: Path, capsys: pytest.CaptureFixtu
     [
         (["--models", "coulom"], 2, "did you mean 'coulomb'"),
         (["--models", "coulomb", "--fix", "mass=1"], 2, "no candidate has a parameter 'mass'"),
-        (["--fix", "inertia"], 2, "has not the form 'name=1.5'"),
+        (["--fix", "inertia"], 2, "does not have the form 'name=1.5'"),
         (["--fix", "inertia=1", "--fix", "inertia=2"], 2, "given twice"),
         (["--output", "axis.json"], 2, "ends in .yaml"),
         (["--report", "axis.pdf"], 2, "ends in .html"),
         (["--seed", "-1"], 2, "x>=0"),
         (["--column", "torque=curent"], 2, "curent"),
         (["--models", "coulomb", "--controller", "kp=3"], 2, "--controller takes position_gain and velocity_gain"),
-        (["--models", "coulomb", "--controller", "position_gain=3"], 2, "needs velocity_gain, too"),
+        (["--models", "coulomb", "--controller", "position_gain=3"], 2, "also needs velocity_gain"),
     ],
 )
 def test_mistakes(swing: Path, capsys: pytest.CaptureFixture[str], words: list[str], status: int, message: str) -> None:

@@ -230,7 +230,7 @@ def busy_computer(outcome, monkeypatch):
     return asked
 
 
-def test_a_busy_computer_gets_its_circle_in_simulated_time_and_is_told(busy_computer, tmp_path, capsys):
+def test_a_busy_computer_gets_its_circle_in_simulated_time_and_is_reported(busy_computer, tmp_path, capsys):
     assert main(["demo", "--output", str(tmp_path)]) == 0
     assert busy_computer == ["real", "sync"]
     said = capsys.readouterr()

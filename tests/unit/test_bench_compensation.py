@@ -17,15 +17,15 @@ from friction_hil.errors import FrictionHilError
 from friction_hil.motion.controller import CONTROLLER
 from tests.compensation_grids import LUGRE, TINY, grid_of
 from tools.benchmarks.compensation import run, simulation
-from tools.benchmarks.compensation.grid import Compliance, Drive, Plant
+from tools.benchmarks.compensation.grid import Compliance, DriveLoops, Plant
 from tools.benchmarks.compensation.machine import PLANT_STATE, TRACE, advance
 from tools.benchmarks.compensation.methods import METHODS
-from tools.benchmarks.compensation.motions import Motion
+from tools.benchmarks.compensation.motions import GridMotion
 from tools.benchmarks.compensation.report import as_json, geometric_mean, show
 from tools.benchmarks.compensation.simulation import (
     Case,
+    CaseResult,
     Error,
-    Outcome,
     Simulation,
     controller_record,
     plant_record,
@@ -34,7 +34,7 @@ from tools.benchmarks.compensation.simulation import (
 
 PROJECT = Path(__file__).parents[2]
 FRICTIONLESS = {"model": "dahl", "parameters": {"sigma0": 1e-12, "coulomb": 1e-12}}
-SOFT = Drive(position_gain=100.0, velocity_gain=0.06, integral_hz=16.0, torque_lag_s=3e-4, rate_hz=8000.0)
+SOFT = DriveLoops(position_gain=100.0, velocity_gain=0.06, integral_hz=16.0, torque_lag_s=3e-4, rate_hz=8000.0)
 LAZY = SOFT.model_copy(update={"position_gain": 0.0, "velocity_gain": 0.0})
 
 
@@ -128,7 +128,7 @@ def test_friction_takes_the_kinetic_energy_that_the_library_says():
 def test_the_drive_closes_its_loop_as_a_linear_simulation_says():
     inertia, n = 1e-4, 1600
     t = np.arange(n) / SOFT.rate_hz
-    demands = Motion(amplitude=0.1, frequency=3.0).course(t, 0)
+    demands = GridMotion(amplitude=0.1, frequency=3.0).at(t, 0)
     moved = free_motion(make_plant(inertia=inertia), 0.2, drive=SOFT, demands=demands, position=0.02)
     system = np.zeros((4, 4))  # position, velocity, torque, demanded torque
     system[0, 1], system[1, 2] = 1.0, 1.0 / inertia
@@ -232,7 +232,7 @@ def test_measured_map_follows_the_filtered_encoder_difference(tmp_path):
     assert np.abs(acting[is_slow]).max() < 0.04
 
 
-def test_compensator_is_told_what_the_grid_says(tmp_path):
+def test_the_compensator_has_the_settings_of_the_grid(tmp_path):
     grid = grid_of(
         tmp_path, TINY.replace("inertia_error: 0.05", "inertia_error: 0.05, smoothing: 0.25, source: demand")
     )
@@ -306,7 +306,7 @@ def test_an_axis_that_is_unstable_by_itself_is_named(tmp_path):
 # motions
 
 MOTIONS = st.builds(
-    lambda kind, amplitude, frequency, share: Motion.model_validate(
+    lambda kind, amplitude, frequency, share: GridMotion.model_validate(
         {
             "kind": kind,
             "amplitude": amplitude,
@@ -326,7 +326,7 @@ MOTIONS = st.builds(
 @settings(max_examples=60, deadline=None)
 def test_velocity_and_acceleration_are_derivatives_of_the_position(motion, seed):
     t = np.linspace(0.0, 2.5 / motion.frequency, 20001)
-    position, velocity, acceleration = motion.course(t, seed)
+    position, velocity, acceleration = motion.at(t, seed)
     dt = t[1]
     # trapezoidal integrals, whose error is of second order; corners of the acceleration cost little
     for value, rate in ((position, velocity), (velocity, acceleration)):
@@ -344,13 +344,13 @@ def test_velocity_and_acceleration_are_derivatives_of_the_position(motion, seed)
 
 def test_each_kind_of_motion_does_what_its_name_says():
     t = np.linspace(0.0, 4.0, 40001)
-    speed = np.abs(Motion(kind="triangle", amplitude=0.1, frequency=0.5).course(t, 0)[1])
+    speed = np.abs(GridMotion(kind="triangle", amplitude=0.1, frequency=0.5).at(t, 0)[1])
     assert np.mean(speed > 0.999 * speed.max()) == pytest.approx(0.9, abs=0.02)
-    resting = Motion(kind="dwell", amplitude=0.1, frequency=0.5, rest=0.4).course(t, 0)[1] == 0.0
+    resting = GridMotion(kind="dwell", amplitude=0.1, frequency=0.5, rest=0.4).at(t, 0)[1] == 0.0
     assert np.mean(resting) == pytest.approx(0.4, abs=0.01)
-    sines = Motion(kind="multisine", amplitude=0.1, frequency=0.5)
-    assert not np.array_equal(sines.course(t, 1)[0], sines.course(t, 2)[0])
-    a, b = sines.course(t, 1)[0][10000:20000], sines.course(t, 1)[0][30000:40000]
+    sines = GridMotion(kind="multisine", amplitude=0.1, frequency=0.5)
+    assert not np.array_equal(sines.at(t, 1)[0], sines.at(t, 2)[0])
+    a, b = sines.at(t, 1)[0][10000:20000], sines.at(t, 1)[0][30000:40000]
     np.testing.assert_allclose(a, b, atol=1e-9)  # with the period of its base
 
 
@@ -365,7 +365,7 @@ def test_geometric_mean_by_hand():
 
 def outcome(grid, drive, condition, rms, peak):
     reduction = {method: Error(1.0, 1.0) for method in METHODS} | {"ours": Error(rms, peak)}
-    return Outcome(Case("servo", drive, 0, condition), reduction)
+    return CaseResult(Case("servo", drive, 0, condition), reduction)
 
 
 def test_json_has_every_case_and_the_summary_of_each_condition(tmp_path):

@@ -80,7 +80,7 @@ def test_factors_reach_synonyms_lists_defaults_and_directions():
         ("settling_s: 0.3", "settling_s: 0.6", 19, "settling_s: leaves nothing to score"),
     ],
 )
-def test_mistake_in_a_grid_file_is_told_with_its_place(tmp_path, old, new, line, message):
+def test_mistake_in_a_grid_file_is_reported_with_its_place(tmp_path, old, new, line, message):
     assert TINY.count(old) == 1
     with pytest.raises(ConfigurationError) as caught:
         grid_of(tmp_path, TINY.replace(old, new))
@@ -89,7 +89,7 @@ def test_mistake_in_a_grid_file_is_told_with_its_place(tmp_path, old, new, line,
     assert message in str(problem)
 
 
-def test_several_mistakes_are_told_at_once(tmp_path):
+def test_several_mistakes_are_reported_at_once(tmp_path):
     text = TINY.replace("gain: 0.9", "gain: 9").replace("amplitude: 0.05", "amplitude: 0.0").replace("16.0", "x")
     with pytest.raises(ConfigurationError) as caught:
         grid_of(tmp_path, text)

@@ -73,7 +73,7 @@ def test_a_machine_without_any_is_a_warning_with_a_remedy(tmp_path):
         (GOOD, 1_000_000, "fail", "it runs at 500000 bit/s, the configuration says 1000000"),
         (Link("can", 500_000, "BUS-OFF"), 500_000, "fail", "BUS-OFF"),
         (Link("can", 500_000, "ERROR-PASSIVE"), 500_000, "warn", "ERROR-PASSIVE"),
-        (Link(), 500_000, "warn", "bit rate not told by this system"),
+        (Link(), 500_000, "warn", "bit rate not reported by this system"),
         (Link("vcan"), None, "pass", "up"),
     ],
 )

@@ -14,8 +14,9 @@ from friction_hil.config import from_dict, self_contained
 from friction_hil.daemon.safety import LoopState
 from friction_hil.errors import RecordingError
 from friction_hil.recordings import Recording
-from friction_hil.reports.circularity_picture import WITH, WITHOUT, division, draw_circle, draw_error, draw_friction
+from friction_hil.reports.circularity_picture import division, draw_circle, draw_error, draw_friction
 from friction_hil.reports.circularity_report import MARK, write_report
+from friction_hil.reports.figures import WITH, WITHOUT
 from friction_hil.reports.numbers import digits, readable
 from tests.servo_drives import PERIOD_S, axis_dict
 

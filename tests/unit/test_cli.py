@@ -15,7 +15,9 @@ import pytest
 
 from friction_hil import __version__
 from friction_hil.cli import COMMANDS, main
-from friction_hil.cli.output import console, option_json, print_json, to_json
+from friction_hil.cli.options import option_json
+from friction_hil.cli.output import print_json, to_json
+from friction_hil.cli.work.tables import console
 from friction_hil.config import json_schema, load, self_contained
 from friction_hil.errors import ConfigurationError, DriveError, Problem, UsageError
 
@@ -140,7 +142,7 @@ def test_a_mistake_of_ours_shows_where_and_asks_to_report_it(add_command, capsys
     err = capsys.readouterr().err
     assert "Traceback" in err
     assert "ZeroDivisionError: oh" in err
-    assert err.rstrip().splitlines()[-1].startswith("This is a mistake in friction-hil")
+    assert err.rstrip().splitlines()[-1].startswith("This is an error in friction-hil")
 
 
 @pytest.mark.parametrize(("result", "status"), [(None, 0), (0, 0), (1, 1), ("text", 0), (True, 0)])
@@ -205,7 +207,7 @@ def test_json_output(add_command, capsys):
 
 
 def test_what_has_no_form_in_json_is_refused():
-    with pytest.raises(TypeError, match="complex has no form in JSON"):
+    with pytest.raises(TypeError, match="complex cannot be represented in JSON"):
         to_json([1j])
 
 

@@ -71,7 +71,7 @@ def test_list(columns, capsys, monkeypatch):
     assert [name for name in names[names.index("modifier") :] if name in modifiers] == modifiers
 
 
-def test_list_says_defaults_and_units(capsys):
+def test_the_list_has_defaults_and_units(capsys):
     words = " ".join(output_of(capsys).split())
     assert "coulomb, static (=coulomb), viscous (=0)" in words
     assert "damping_velocity (=.inf)" in words
@@ -248,7 +248,7 @@ def test_name_of_a_model_wins_over_a_file_of_that_name(folder, capsys):
         (["lugre", "--draw", "nowhere/a.png"], 1, "nowhere/a.png cannot be written"),
     ],
 )
-def test_mistakes_are_told_in_a_sentence(words, status, message, folder, capsys):
+def test_mistakes_are_reported_in_a_sentence(words, status, message, folder, capsys):
     broken = "axis: rotary\nfriction:\n  model: coulomb\n  parameters: {coulomb: -1}\n"
     (folder / "broken.yaml").write_text(broken)
     assert main(["models", *words]) == status

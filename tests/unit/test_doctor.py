@@ -1,4 +1,4 @@
-"""``friction-hil doctor``: each obstacle is told with its fix, and no drive notices that it was looked for."""
+"""``friction-hil doctor``: each obstacle is reported with its fix, and no drive receives a byte."""
 
 import fcntl
 import json
@@ -34,7 +34,7 @@ def serial(port, kind=GENERIC, **changes):
 
 @pytest.fixture
 def write(tmp_path):
-    """Write a configuration; its loop asks the system for nothing."""
+    """Write a configuration whose loop makes no real-time settings."""
 
     def run(*axes, name="machine", period_s=4e-3, **top):
         data = {"version": 1, "period_s": period_s, "realtime": {"priority": 0}, **top, "axes": {}}
@@ -59,9 +59,9 @@ def look(write, capsys):
         assert err == ""
         findings = json.loads(out)
         for each in findings:
-            assert list(each) == ["check", "result", "detail", "fix"]
+            assert list(each) == ["check", "result", "detail", "fix", "code"]
             assert each["result"] in ("pass", "warn", "fail")
-            assert bool(each["fix"]) == (each["result"] != "pass"), each
+            assert bool(each["fix"]) == bool(each["code"]) == (each["result"] != "pass"), each
         is_failed = any(each["result"] == "fail" for each in findings)
         assert status == (2 if any(is_mistake(each) for each in findings) else is_failed)
         return {each["check"]: each for each in findings}, status
@@ -84,7 +84,7 @@ def terminal():
     os.close(slave)
 
 
-def told_to_the_drive(master):
+def received_by_the_drive(master):
     try:
         return os.read(master, 4096)
     except BlockingIOError:
@@ -100,7 +100,7 @@ def test_a_machine_alone(capsys, monkeypatch):
     findings = json.loads(capsys.readouterr().out)
     checks = [each["check"] for each in findings]
     wanted = ["kernel", "processor clock", "compiled kernels", "memory", "priority", "processor sleep", "serial ports"]
-    assert [check for check in checks if check in wanted] == wanted  # three drivers have lines, and tell it once
+    assert [check for check in checks if check in wanted] == wanted  # once, although three drivers yield it
     assert "configuration" not in checks
     broken = findings[checks.index("driver modbus")]
     assert (broken["result"], "no module named pymodbus" in broken["detail"]) == ("warn", True)
@@ -115,12 +115,12 @@ def raising_for(broken, load_driver):
     return load_or_raise
 
 
-def test_a_system_that_tells_nothing_passes_nothing_of_what_it_would_tell(tmp_path):
+def test_a_system_without_information_passes_no_check_that_needs_it(tmp_path):
     lay(tmp_path, proc__empty="")
     found = {each.check: each for each in doctor.examine(None, tmp_path)}
     for check in ("kernel", "processor clock"):
         assert found[check].result == "warn"
-        assert "not told by this system" in found[check].detail
+        assert "not reported by this system" in found[check].detail
 
 
 def test_without_a_priority_nothing_is_asked_of_the_system(look, terminal):
@@ -132,7 +132,7 @@ def test_without_a_priority_nothing_is_asked_of_the_system(look, terminal):
 # The configuration
 
 
-def test_mistakes_of_a_configuration_are_told_beside_the_machine(look, write):
+def test_mistakes_of_a_configuration_are_reported_beside_the_machine(look, write):
     path = write(serial("/dev/none", description="kinko_fd5p"))
     path.write_text(path.read_text().replace("period_s: 0.004", "period_s: none"))
     found, status = look(path=path)
@@ -149,7 +149,7 @@ def test_a_configuration_that_is_not_there(look, tmp_path):
     assert "nonsense.yaml: cannot be read: No such file" in found["configuration"]["detail"]
 
 
-def test_what_config_check_finds_in_files_is_found_and_the_rest_is_told_all_the_same(look, terminal):
+def test_what_config_check_finds_in_files_is_found_and_the_rest_is_reported_all_the_same(look, terminal):
     found, status = look(serial(terminal[1], KINCO, is_watchdog_required=False), period_s=1e-3)
     assert status == 2
     assert "is too short for" in found["configuration"]["detail"]
@@ -165,7 +165,7 @@ def test_two_drivers_in_one_run_are_refused_beforehand(look, terminal):
     assert found["line of x"]["result"] == found["bus"]["result"] == "pass"
 
 
-def test_notes_on_a_model_are_told(look, terminal):
+def test_notes_on_a_model_are_reported(look, terminal):
     model = {"axis": "rotary", "friction": {"model": "coulomb", "parameters": {"coulomb": 0.1, "static": 0.05}}}
     found, status = look(serial(terminal[1], model=model))
     assert status == 0
@@ -179,10 +179,16 @@ def test_a_line_that_is_free_passes_and_its_drive_hears_nothing(look, terminal):
     master, path = terminal
     found, status = look(serial(path))
     assert status == 0
-    assert found["line of x"] == {"check": "line of x", "result": "pass", "detail": f"{path} can be opened", "fix": ""}
+    assert found["line of x"] == {
+        "check": "line of x",
+        "result": "pass",
+        "detail": f"{path} can be opened",
+        "fix": "",
+        "code": "",
+    }
     assert found["rate of x"]["result"] == found["x: description"]["result"] == found["x: watchdog"]["result"] == "pass"
     assert f"of 4 ms on {path}" in found["rate of x"]["detail"]
-    assert told_to_the_drive(master) == b""
+    assert received_by_the_drive(master) == b""
 
 
 def test_a_line_is_given_back(look, terminal):
@@ -193,8 +199,8 @@ def test_a_line_is_given_back(look, terminal):
     os.close(descriptor)
 
 
-def test_a_line_that_another_process_has_is_told_with_that_process_and_left_as_it_is(look, terminal):
-    """Not each program locks its port: opening it would change its baud rate under way."""
+def test_a_line_that_another_process_has_is_reported_with_that_process_and_left_as_it_is(look, terminal):
+    """Some programs do not lock their port: opening it would change its baud rate while they use it."""
     with open(terminal[1], "rb", buffering=0) as line, subprocess.Popen(["sleep", "60"], stdin=line) as other:
         before = tty.tcgetattr(line)
         try:
@@ -207,7 +213,7 @@ def test_a_line_that_another_process_has_is_told_with_that_process_and_left_as_i
     assert found["line of x"]["fix"] == "end that one first"
 
 
-def test_a_line_that_is_locked_is_told_although_its_holder_is_not_known(look, terminal, monkeypatch):
+def test_a_line_that_is_locked_is_reported_although_its_holder_is_not_known(look, terminal, monkeypatch):
     monkeypatch.setattr(ports, "holders", lambda port: [])  # as of another user's process
     descriptor = os.open(terminal[1], os.O_RDWR | os.O_NOCTTY)
     fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -218,7 +224,7 @@ def test_a_line_that_is_locked_is_told_although_its_holder_is_not_known(look, te
 
 
 @pytest.mark.parametrize("is_simulated", [False, True])
-def test_a_port_that_is_missing(look, tmp_path, is_simulated):
+def test_a_missing_port_is_reported(look, tmp_path, is_simulated):
     found, status = look(serial(tmp_path / "ttyUSB7", **({"simulation": {}} if is_simulated else {})))
     assert status == 1
     assert "there is no such port; serial ports of this machine:" in found["line of x"]["detail"]
@@ -239,7 +245,7 @@ def test_an_address_that_is_none_is_a_mistake_of_the_configuration(look):
     assert "is no tcp://HOST:PORT" in found["configuration"]["detail"]
 
 
-def test_tcp_is_connected_to_without_a_word(look):
+def test_a_tcp_connection_sends_nothing(look):
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = f"tcp://127.0.0.1:{listener.getsockname()[1]}"
         listener.settimeout(10.0)
@@ -265,7 +271,7 @@ def test_the_latency_of_an_adapter_is_judged_by_the_period(look, terminal, monke
     assert status == (result == "fail")
 
 
-def test_signals_that_no_manual_was_read_for_are_told(look, terminal):
+def test_signals_that_no_manual_was_read_for_are_reported(look, terminal):
     found, status = look(serial(terminal[1], KINCO, is_watchdog_required=False))
     assert status == 0
     assert found["x: description"]["result"] == "warn"
@@ -280,7 +286,7 @@ def test_a_drive_that_would_not_notice_a_dead_daemon_is_a_mistake_where_that_is_
     assert "x: watchdog" not in found
 
 
-def test_axes_on_one_line_are_told_together_and_a_broken_description_hides_no_other(look, terminal, tmp_path):
+def test_axes_on_one_line_are_reported_together_and_a_broken_description_hides_no_other(look, terminal, tmp_path):
     line = serial(terminal[1])
     found, status = look(line, {**line, "unit": 4}, {**line, "unit": 5, "description": "missing.yaml"})
     assert status == 2
@@ -336,10 +342,10 @@ def test_an_axis_that_another_daemon_drives(look, write):
     assert look(NODE, bus=bus)[1] == 0
 
 
-# A driver that has nothing to say
+# A driver without checks
 
 
-def test_a_driver_without_checks_is_said_to_tell_nothing(look, terminal, monkeypatch):
+def test_a_driver_without_checks_is_reported(look, terminal, monkeypatch):
     monkeypatch.setattr(doctor, "load_driver", lambda name: object())
     found, status = look(serial(terminal[1]))
     assert status == 0

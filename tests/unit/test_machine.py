@@ -1,4 +1,4 @@
-"""What a machine offers a punctual loop, told from files that a test lays out."""
+"""Checks of the machine, on system files that a test provides."""
 
 from pathlib import Path
 
@@ -28,7 +28,7 @@ VERSION = "proc__sys__kernel__version"
         ),
         ({VERSION: "#1 SMP PREEMPT Debian\n"}, "warn", "(PREEMPT)"),
         ({VERSION: "#1 SMP Debian 5.10 (2021-01-01)\n"}, "warn", "(not preemptible)"),
-        ({}, "warn", "preemption model: not told by this system"),
+        ({}, "warn", "preemption model: not reported by this system"),
     ],
 )
 def test_the_preemption_model(tmp_path, files, result, text):
@@ -57,10 +57,10 @@ def test_one_processor_that_slows_down_is_enough_for_a_warning(tmp_path):
     assert "echo performance" in found.fix
 
 
-def test_no_governor_is_not_told_rather_than_good(tmp_path):
+def test_an_unknown_governor_is_a_warning(tmp_path):
     found = machine.processor_clock(governors(tmp_path))
     assert found.result == "warn"
-    assert "not told by this system" in found.detail
+    assert "not reported by this system" in found.detail
 
 
 def test_compiled_kernels(tmp_path):
@@ -99,7 +99,7 @@ def test_a_recording_below_a_file_cannot_be_written(tmp_path):
     assert f"{tmp_path / 'out'} is no folder" in found.detail
 
 
-def test_a_disk_that_is_nearly_full_is_told(tmp_path, monkeypatch):
+def test_a_disk_that_is_nearly_full_is_reported(tmp_path, monkeypatch):
     monkeypatch.setattr(machine, "_LEAST_FREE_BYTES", 1 << 62)
     found = machine.recording_folder(tmp_path / "run.mcap")
     assert (found.result, found.fix != "") == ("warn", True)

@@ -12,7 +12,7 @@ import pytest
 
 from friction_hil.errors import FrictionHilError
 from friction_hil.recordings import formats, read, write
-from tools.benchmarks import models, recordings
+from tools.benchmarks import models, neural, recordings
 from tools.benchmarks.report import Row, compare, percentile, show
 
 PROJECT = Path(__file__).parents[2]
@@ -376,6 +376,16 @@ def test_benchmark_of_recordings_has_every_format(
     measured = {name.partition(",")[0] for name in names if name.startswith(".")}
     assert {".hdf5", *measured} == set(formats(to_write=True))  # .hdf5 and .h5 are one format
     assert [row["unit"] for row in result["rows"][-3:]] == ["M rows/s", "M rows/s", "M samples/s"]
+
+
+def test_the_benchmark_of_networks_measures_an_iteration(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(neural, "ROUNDS", 1)
+    rows = neural.iterations()
+    assert [row.name.partition(":")[0] for row in rows] == ["gated", "narx"]
+    for row in rows:
+        assert row.unit == "ms"
+        assert 0.0 < row.value < math.inf
+        assert row.ratio is not None
 
 
 def test_benchmark_of_recordings_compares_equal_work(tmp_path: Path) -> None:

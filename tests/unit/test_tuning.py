@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from friction_hil import models
 from friction_hil.analysis.following import RECOVERY_S, SETTLE_S, Figures
-from friction_hil.cli.tune import _report
+from friction_hil.cli.work.tune import _report
 from friction_hil.config import from_dict
 from friction_hil.daemon.assembly import make_path, ramp_s
 from friction_hil.daemon.safety import LoopState
@@ -321,7 +321,7 @@ def test_a_broken_matplotlib_costs_no_result(mistake, tmp_path, capsys, monkeypa
     monkeypatch.syspath_prepend(tmp_path)
     trial = judged(recorded(wave(4e-3), wave(1e-3)))
     found = SimpleNamespace(settings=SimpleNamespace(axis="rotary"))
-    monkeypatch.setattr("friction_hil.reports.identification_report.write_report", lambda *_: None)
+    monkeypatch.setattr("friction_hil.reports.tuning_report.write_report", lambda *_: None)
     learned = AxisTuning((TriedModel(found, SimpleNamespace(label="coulomb"), {}, trial),), tmp_path / "x.yaml", True)
 
     assert _report(tmp_path, Tuning(axes={"x": learned})) is None

@@ -1,1 +1,1 @@
-"""Benchmarks: one module each, under its name, with a function ``run`` that returns the rows of the result."""
+"""Benchmarks: one module or package each, with a function ``run`` that returns the rows of the result."""

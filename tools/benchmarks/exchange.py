@@ -1,9 +1,9 @@
-"""What the cyclic exchange of one CANopen axis costs, with the bus and the drive's own time left out.
+"""Processor time of the cyclic exchange with one CANopen axis, without bus and drive.
 
-The real loop, driver and compensator run the first axis of the shipped demo at its period, against a simulated
-drive in this process. That drive works while the loop sleeps; what it sends lies ready when the loop sends SYNC.
-The exchange is SYNC, TPDOs and decoding (receive), model and compensator (step), encoding and RPDO (send); the
-whole cycle has the set-point, supervision and the row of the recording besides.
+The loop, driver and compensator of the daemon run the first axis of the demo at its period, against a simulated drive
+in this process. The drive computes while the loop sleeps; its frames are ready when the loop sends SYNC. The exchange
+consists of SYNC, TPDOs and decoding (receive), model and compensator (step), encoding and RPDO (send). The whole cycle
+also includes set-point, supervision and the row of the recording.
 """
 
 import time
@@ -41,8 +41,8 @@ TARGET_US = 60.0
 STATE, EXCHANGE = columns.NAMES.index("state"), columns.NAMES.index("exchange_us")
 
 
-class Bus:
-    """One end of a bus without a wire, in the form of python-can; what is sent here arrives at the other end."""
+class MemoryBus:
+    """One end of a bus in memory, with the interface of python-can; frames arrive at the other end."""
 
     channel_info = "bus of the benchmark"
 
@@ -51,11 +51,11 @@ class Bus:
         self.other = self
 
     def send(self, message: "can.Message") -> None:
-        """Hand a frame over."""
+        """Pass a frame to the other end."""
         self.other.received.append(message)
 
     def recv(self, timeout: float | None = None) -> "can.Message | None":
-        """Take the next frame."""
+        """Return the next frame, or None."""
         if not self.received and timeout:
             end = time.monotonic() + timeout
             while not self.received and time.monotonic() < end:
@@ -63,107 +63,107 @@ class Bus:
         return self.received.popleft() if self.received else None
 
     def fileno(self) -> int:
-        """There is no descriptor."""
+        """Return -1: there is no descriptor."""
         return -1
 
     def shutdown(self) -> None:
-        """Nothing to close."""
+        """Do nothing: there is nothing to close."""
 
 
-class LoopBus(Bus):
-    """The loop's end while it connects: the drives answer each frame before `send` returns."""
+class LoopBus(MemoryBus):
+    """The loop's end during commissioning: the drives reply to each frame before `send` returns."""
 
     def __init__(self, configuration: config.Configuration) -> None:
         super().__init__()
-        self.other = Bus()
+        self.other = MemoryBus()
         self.other.other = self
         drives_bus: Any = self.other
         self._drives = SimulatedCanopenDrives(configuration, configuration.axes, pace="sync", bus=drives_bus)
         self._drives.open()
 
     def send(self, message: "can.Message") -> None:
-        """Hand a frame over and see to the answer."""
+        """Pass a frame to the drives and let them reply."""
         super().send(message)
         self._drives.run(lambda: not self.other.received)
 
 
 class ReadyFrames(FrameBus):
-    """The loop's end in the cyclic phase: SYNC is answered at once, with what the drives have worked out before."""
+    """The loop's end in the cyclic phase: the replies to SYNC were computed before, and arrive at once."""
 
     def __init__(self, bus: LoopBus) -> None:
         python_can: Any = bus
         super().__init__(python_can, bus.channel_info)
         self._loop_bus = bus
         self._sent: list[Frame] = []
-        self._answers: list[Frame] = []
+        self._replies: list[Frame] = []
         self._received: deque[Frame] = deque()
 
     def send(self, can_id: int, data: bytes | bytearray) -> None:
         """Keep a frame for the drives."""
-        self._sent.append((can_id, data))  # type: ignore[arg-type]    # nobody changes it before it is used
+        self._sent.append((can_id, data))  # type: ignore[arg-type]    # it is not changed before it is used
         if can_id == objects.SYNC_ID:
-            self._received.extend(self._answers)
-            self._answers.clear()
+            self._received.extend(self._replies)
+            self._replies.clear()
 
     def receive(self, timeout: float) -> Frame | None:
-        """Next frame; what is not here does not come either."""
+        """Return the next frame, or None without waiting."""
         return self._received.popleft() if self._received else None
 
     def work(self) -> None:
-        """Let the drives take all frames that were sent, and keep their answers."""
+        """Pass the sent frames to the drives, and keep their replies."""
         for frame in self._sent:
             super().send(*frame)
         self._sent.clear()
-        while (answer := super().receive(0.0)) is not None:
-            self._answers.append(answer)
+        while (reply := super().receive(0.0)) is not None:
+            self._replies.append(reply)
 
 
-class Clock(RealClock):
-    """The loop's clock; while the loop sleeps, the drives work."""
+class SharedClock(RealClock):
+    """The loop's clock; the drives work while the loop sleeps."""
 
     def __init__(self, spin_us: int, frames: ReadyFrames) -> None:
         super().__init__(spin_us)
         self._frames = frames
 
     def doze_until(self, deadline_ns: int) -> bool:
-        """Sleep until shortly before the deadline."""
+        """Let the drives work, then sleep until shortly before the deadline."""
         self._frames.work()
         return super().doze_until(deadline_ns)
 
 
 class TimedDrives(CanopenDrives):
-    """The driver, with the time that its part of a cycle takes."""
+    """The driver, with the time of its part of a cycle."""
 
     receive_ns = send_ns = 0
 
     def receive(self, feedback: Sequence[Feedback], end_ns: int) -> None:
-        """SYNC, TPDOs, decoding."""
+        """Send SYNC; receive and decode the TPDOs."""
         began = time.perf_counter_ns()
         super().receive(feedback, end_ns)
         self.receive_ns = time.perf_counter_ns() - began
 
     def send(self, commands: Sequence[Command]) -> None:
-        """Encoding, RPDO."""
+        """Encode and send the RPDO."""
         began = time.perf_counter_ns()
         super().send(commands)
         self.send_ns = time.perf_counter_ns() - began
 
 
 class TimedCompensator(Compensator):
-    """The compensator, with the time that a step takes."""
+    """The compensator, with the time of a step."""
 
     __slots__ = ("step_ns",)
 
     def step(self, *inputs: float) -> float:
-        """One cycle."""
+        """Compute one cycle."""
         began = time.perf_counter_ns()
         torque = super().step(*inputs)  # type: ignore[arg-type]
         self.step_ns = time.perf_counter_ns() - began
         return torque
 
 
-class Samples:
-    """The loop's sink: keeps the times of the cycles in motion, us."""
+class CycleTimes:
+    """Sink of the loop that keeps the times of the cycles in motion, us."""
 
     def __init__(self, drives: TimedDrives, compensator: TimedCompensator) -> None:
         self._drives = drives
@@ -171,7 +171,7 @@ class Samples:
         self.times: dict[str, list[float]] = {"exchange": [], "receive": [], "step": [], "send": [], "whole cycle": []}
 
     def push(self, row: Array) -> None:
-        """Take a row."""
+        """Keep the times of a row."""
         if row[STATE] != LoopState.RUNNING:
             return
         parts = (self._drives.receive_ns / 1e3, self._compensator.step_ns / 1e3, self._drives.send_ns / 1e3)
@@ -179,7 +179,7 @@ class Samples:
             series.append(taken)
 
     def event(self, cycle: int, name: str, text: str) -> None:
-        """Take an event, and forget it."""
+        """Ignore an event."""
 
 
 def run() -> list[Row]:
@@ -188,19 +188,19 @@ def run() -> list[Row]:
     Raises
     ------
     FrictionHilError
-        The loop met a fault.
+        The loop ended with a fault.
     """
     configuration = one_axis(config.load(DEMO))
     bus = LoopBus(configuration)
     frames = ReadyFrames(bus)
-    clock = Clock(configuration.realtime.spin_us, frames)
+    clock = SharedClock(configuration.realtime.spin_us, frames)
     drives = TimedDrives(configuration, configuration.axes, clock, dry_run=False, bus=frames.bus)
     (facts,) = drives.connect()
-    drives._bus = frames  # from here on the cycle alone counts
+    drives._bus = frames  # from here on only the cycle is measured
     path_time = PathTime(1.0)
     axis = AxisLoop(facts.name, configuration.axes[facts.name], facts, configuration.period_s, path_time)
     axis.compensator = compensator = TimedCompensator(axis.compensator.model, axis.compensator.settings)
-    samples = Samples(drives, compensator)
+    samples = CycleTimes(drives, compensator)
     settings = LoopSettings(configuration.period_s, duration_s=DURATION_S)
     note(f"one axis for {DURATION_S:g} s")
     with punctuality(configuration.realtime.priority) as findings:
@@ -208,7 +208,7 @@ def run() -> list[Row]:
     for line in complaints(findings):
         note(line)
     if result.faults:
-        raise FrictionHilError("the loop met a fault: " + "; ".join(result.faults))
+        raise FrictionHilError("the loop ended with a fault: " + "; ".join(result.faults))
     (_, exchange), *others = ((name, sorted(series)) for name, series in samples.times.items())
     return [
         against(TARGET_US, "exchange p50 (target)", "us", percentile(exchange, 0.5)),
@@ -218,7 +218,7 @@ def run() -> list[Row]:
 
 
 def one_axis(configuration: config.Configuration) -> config.Configuration:
-    """Keep the first axis, compensated from the start, on a bus of its own name."""
+    """Return a configuration of the first axis, compensated from the start, on a bus of its own."""
     name, axis = next(iter(configuration.axes.items()))
     compensation = axis.compensation.model_copy(update={"baseline_s": 0.0})
     assert configuration.bus is not None

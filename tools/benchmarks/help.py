@@ -1,4 +1,4 @@
-"""How long ``friction-hil --help`` takes, against a Python that starts and imports click, in turns with it."""
+"""Time of ``friction-hil --help``, compared with a Python that only starts and imports click."""
 
 import subprocess
 import sys
@@ -11,7 +11,7 @@ ROUNDS = 21
 
 
 def run() -> list[Row]:
-    """Measure all three in turns; the first, cold round does not count."""
+    """Measure all three alternately; the first round, with cold caches, is not counted."""
     program = str(Path(sys.executable).with_name("friction-hil"))
     commands = {
         "help": [program, "--help"],
@@ -24,7 +24,7 @@ def run() -> list[Row]:
             taken = wall_ms(command)
             if number:
                 times[name].append(taken)
-    # bare Python plus click's import is what Python takes to import click
+    # the second row separates the import of click from the start of Python
     return [
         compare("friction-hil --help (python -c 'import click')", "ms", times["help"], times["click"]),
         compare("python -c 'import click' (python -c pass)", "ms", times["click"], times["bare"]),
@@ -32,7 +32,7 @@ def run() -> list[Row]:
 
 
 def wall_ms(command: list[str]) -> float:
-    """Wall time of a command that must succeed, ms."""
+    """Return the wall time of a command that must succeed, ms."""
     began = time.perf_counter()
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
     return (time.perf_counter() - began) * 1e3

@@ -1,7 +1,7 @@
-"""How late the loop's clock wakes up, against cyclictest of rt-tests in turns with it.
+"""Lateness of the loop's clock, compared with cyclictest of rt-tests.
 
-Both wait for absolute deadlines of the monotonic clock, 1 ms apart, with locked memory and under SCHED_FIFO
-where that is allowed. The clock is measured as it sleeps, and as the loop uses it: spinning before a deadline.
+Both wait for absolute deadlines of the monotonic clock, 1 ms apart, with locked memory and under SCHED_FIFO if that is
+allowed. The clock is measured twice: sleeping only, and as the loop uses it, spinning before a deadline.
 """
 
 import array
@@ -19,19 +19,19 @@ ROUNDS = 7
 CYCLES = 2000
 PERIOD_NS = 1_000_000
 HISTOGRAM_US = 20_000
-SHARES = {"p50": 0.5, "p99": 0.99}
+QUANTILES = {"p50": 0.5, "p99": 0.99}
 
 
 def run() -> list[Row]:
-    """Measure both in turns.
+    """Measure both alternately.
 
     Raises
     ------
     FrictionHilError
-        There is no cyclictest here, or it failed.
+        cyclictest is not installed, or it failed.
     """
     if shutil.which("cyclictest") is None:
-        raise FrictionHilError("there is no cyclictest here to compare with: sudo apt install rt-tests")
+        raise FrictionHilError("cyclictest is not installed: sudo apt install rt-tests")
     defaults = Realtime()
     priority = defaults.priority if is_fifo_allowed(defaults.priority) else 0
     if priority:
@@ -41,7 +41,7 @@ def run() -> list[Row]:
     clocks = {"sleep": RealClock(spin_us=0), f"spin {defaults.spin_us} us": RealClock(defaults.spin_us)}
     ours: dict[str, list[list[float]]] = {name: [] for name in clocks}
     theirs: list[list[float]] = []
-    for _ in rounds(ROUNDS, "clock and cyclictest in turns"):
+    for _ in rounds(ROUNDS, "clock and cyclictest"):
         theirs.append(cyclictest(priority))
         for name, clock in clocks.items():
             with punctuality(priority):
@@ -50,16 +50,16 @@ def run() -> list[Row]:
         compare(
             f"late {label}, {name} (cyclictest)",
             "us",
-            [percentile(samples, share) for samples in series],
-            [percentile(samples, share) for samples in theirs],
+            [percentile(samples, quantile) for samples in series],
+            [percentile(samples, quantile) for samples in theirs],
         )
         for name, series in ours.items()
-        for label, share in SHARES.items()
+        for label, quantile in QUANTILES.items()
     ]
 
 
 def is_fifo_allowed(priority: int) -> bool:
-    """Whether this process may have ``priority`` under SCHED_FIFO."""
+    """True if this process may have ``priority`` under SCHED_FIFO."""
     before = os.sched_getscheduler(0), os.sched_getparam(0)
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
@@ -70,7 +70,7 @@ def is_fifo_allowed(priority: int) -> bool:
 
 
 def lateness(clock: RealClock) -> list[float]:
-    """Lateness of each wake-up, us, ascending."""
+    """Return the lateness of each wake-up, us, ascending."""
     late = array.array("q", bytes(8 * CYCLES))
     deadline = clock.now_ns() + PERIOD_NS
     for cycle in range(CYCLES):
@@ -82,7 +82,10 @@ def lateness(clock: RealClock) -> list[float]:
 
 
 def cyclictest(priority: int) -> list[float]:
-    """Lateness of each wake-up of cyclictest, us, ascending; whole microseconds, each taken at its middle."""
+    """Return the lateness of each wake-up of cyclictest, us, ascending.
+
+    cyclictest counts whole microseconds; the middle of each is returned.
+    """
     scheduling = [f"--priority={priority}"] if priority else ["--policy=other"]
     command = ["cyclictest", "--quiet", "--threads=1", f"--interval={PERIOD_NS // 1000}", f"--loops={CYCLES}"]
     if priority:

@@ -1,7 +1,6 @@
-"""What the friction models cost, against a plain C loop of the same model (``models.c``), in turns with it.
+"""Time of the friction models, compared with a plain C loop of the same model (``models.c``).
 
-gcc compiles the C on the spot with -O3 -march=native and nothing else. Both sides take the same record and
-return a new array.
+gcc compiles the C code at each run with -O3 -march=native. Both sides simulate the same motion into an array.
 """
 
 import ctypes
@@ -24,15 +23,15 @@ from friction_hil.models import FrictionModel
 from friction_hil.numerics.jit import Array
 from tools.benchmarks.report import Row, against, compare, note, rounds
 
-Loop = Callable[..., Array]
-Work = tuple[int, Callable[[], object]]  # how many equal parts it has, and what to do
+Simulate = Callable[..., Array]
+Work = tuple[int, Callable[[], object]]  # number of equal parts, and the function that does them
 
 SOURCE = Path(__file__).with_suffix(".c")
 COMMAND = ("gcc", "-O3", "-march=native", "-shared", "-fPIC")
 DT = 1e-3
 ROUNDS = 15
 SAMPLES = 1_000_000
-SLOW, SHORT_SAMPLES = ("elasto_plastic",), 200_000  # its substeps take far longer than any other model
+SLOW, SHORT_SAMPLES = ("elasto_plastic",), 200_000  # its substeps take much longer than any other model
 CANDIDATES, CANDIDATE_SAMPLES = 64, 25_000
 GRADIENT_SAMPLES = 200_000
 STEPS = 20_000
@@ -42,12 +41,12 @@ SIX = ("sigma0", "sigma1", "sigma2", "coulomb", "static", "stribeck_velocity")
 
 
 class CLoops:
-    """The loops of ``models.c``, compiled here and now.
+    """The loops of ``models.c``, compiled when it is created.
 
     Raises
     ------
     FrictionHilError
-        There is no gcc here, or it failed.
+        gcc is not installed, or it failed.
     """
 
     def __init__(self) -> None:
@@ -58,10 +57,10 @@ class CLoops:
             done = subprocess.run([*COMMAND, "-o", library, SOURCE, "-lm"], capture_output=True, text=True)
             if done.returncode:
                 raise FrictionHilError(f"gcc could not compile {SOURCE.name}: {done.stderr.strip()}")
-            self._library = ctypes.CDLL(str(library))  # stays loaded when the file has gone
+            self._library = ctypes.CDLL(str(library))  # stays loaded when the file is removed
 
-    def of(self, model: FrictionModel, dt: float = DT) -> Loop:
-        """Return the loop of ``model``: velocity (n,) to torque (n,), from rest."""
+    def of(self, model: FrictionModel, dt: float = DT) -> Simulate:
+        """Return the C function of ``model``: velocity (n,) to torque (n,), from rest."""
         function = self._library[model.name]
         array = np.ctypeslib.ndpointer(np.float64, ndim=1, flags="C")
         function.argtypes = (array, array, ctypes.c_long, ctypes.c_double, array)
@@ -77,7 +76,7 @@ class CLoops:
 
 
 def flat(values: Iterable[object]) -> list[float]:
-    """Values of parameters in a row, as the C loops take them: a list after its length, words left out."""
+    """Return parameter values as the C loops take them: a list follows its length, text is left out."""
     numbers: list[float] = []
     for value in values:
         if isinstance(value, list | tuple):
@@ -89,29 +88,29 @@ def flat(values: Iterable[object]) -> list[float]:
 
 
 def example(name: str, **changed: float) -> FrictionModel:
-    """Make the model that the family ``name`` gives as its example, with some parameters ``changed``."""
+    """Create the example model of the family ``name``, with some parameters ``changed``."""
     return fh.models.create(name, **{**fh.models.describe(name).example, **changed})
 
 
 def recording(samples: int) -> Array:
-    """Velocity, rad/s, of a motion that starts, stops, rests and turns: a gated multi-sine of up to 2 rad/s."""
+    """Return the velocity, rad/s, of a motion with starts, stops, rests and reversals: a gated multi-sine."""
     t = np.arange(samples) * DT
     sines = ((0.9, 0.31, 0.0), (0.5, 0.83, 1.0), (0.3, 2.3, 2.0), (0.15, 7.1, 3.0), (0.1, 19.0, 4.0))
     motion = sum(amplitude * np.sin(2.0 * np.pi * hertz * t + phase) for amplitude, hertz, phase in sines)
-    gate = np.clip(1.9 + 2.0 * np.sin(2.0 * np.pi * 0.05 * t), 0.0, 1.0)  # shut for a tenth of the time
+    gate = np.clip(1.9 + 2.0 * np.sin(2.0 * np.pi * 0.05 * t), 0.0, 1.0)  # closed for a tenth of the time
     return np.asarray(motion * gate * gate * (3.0 - 2.0 * gate), dtype=np.float64)
 
 
 def run() -> list[Row]:
-    """Measure everything in turns.
+    """Measure everything, each model alternately with its C loop.
 
     Raises
     ------
     FrictionHilError
-        There is no gcc here, or it failed.
+        gcc is not installed, or it failed.
     """
     loops = CLoops()
-    note(f"{' '.join(COMMAND)}; ns of processor time a sample, medians of {ROUNDS} rounds in turns")
+    note(f"{' '.join(COMMAND)}; ns of processor time a sample, medians of {ROUNDS} rounds")
     return [*whole_arrays(loops), *candidates(loops), *gradients(), single_step()]
 
 
@@ -199,11 +198,11 @@ def single_step() -> Row:
 def in_turns(
     work: dict[str, Work], label: str, clock: Callable[[], int] = time.process_time_ns
 ) -> dict[str, list[float]]:
-    """Do all the ``work`` in every round; return what each part of it took, ns.
+    """Do all the ``work`` in every round; return the time of one part of each, ns.
 
-    Processor time, where ``clock`` does not say otherwise: other programs on the machine hardly change it.
-    The first round compiles, and does not count. Every other round has the reverse order, so that none always
-    profits from what the one before it has left in the caches.
+    The default ``clock`` gives processor time, on which other programs have little influence. The first round compiles
+    and is not counted. Every other round has the reverse order, so that none always profits from the content of the
+    caches.
     """
     times: dict[str, list[float]] = {name: [] for name in work}
     for number in rounds(ROUNDS + 1, label):

@@ -1,8 +1,8 @@
-"""What the training of a friction network costs, against BLAS, C, pyrenn and scipy, in turns with them.
+"""Time and error of training a friction network, compared with BLAS, C, pyrenn and scipy.
 
-The plant is the LuGre set of the reference page, 20,000 samples at 1 kHz; see `friction_hil.training`. pyrenn (PyPI)
-is only looked for: install it beside the project to see its rows. It is stopped after a number of iterations, and both
-are timed to the error that it has then, in free run on the samples of the training.
+The plant is a LuGre model, 20,000 samples at 1 kHz; see `friction_hil.training`. pyrenn (PyPI) is optional: install it
+to see its rows. It is stopped after a number of iterations, and both are timed until they reach the error that it has
+then, in free run on the training samples.
 """
 
 import contextlib
@@ -27,7 +27,7 @@ from friction_hil.errors import FrictionHilError
 from friction_hil.friction import network
 from friction_hil.models import NetworkStructure
 from friction_hil.models.model_file import ModelFile
-from friction_hil.numerics.jit import Array
+from friction_hil.numerics.jit import Array, compiled_for_one_sample
 from friction_hil.recordings import Recording
 from friction_hil.training import NetworkSpec, levenberg, normal, task_of_recordings, train_task
 from friction_hil.training.checks import simulate
@@ -46,7 +46,7 @@ ROUNDS = 11
 SEEDS, NARX_SEEDS = range(10), range(3)
 GATED, NARX = NetworkStructure(hidden=(8,)), NetworkStructure("narx", (9,), 1, 1)
 STEP_NETWORK = NetworkStructure(hidden=(10,))
-PYRENN_ITERATIONS = 10  # each takes some 6 s here, and its error is where ours is after one or two by then
+PYRENN_ITERATIONS = 10  # each takes about 6 s; the error then is that of ours after one or two
 COUNT, TORQUE_NOISE = 2.0 * math.pi / 2**20, 0.01  # rad, and of the torque's standard deviation
 OTHERS: dict[str, dict[str, Any]] = {
     "lugre": {"sigma0": 2700.0, "sigma1": 0.9, "sigma2": 8e-3, "damping_velocity": 0.3}
@@ -61,13 +61,13 @@ COMMAND = ("gcc", "-O3", "-march=native", "-shared", "-fPIC")
 
 
 def plant() -> Any:
-    """Make the LuGre model of the reference page."""
+    """Create the LuGre model of the plant."""
     levels: dict[str, Any] = {"coulomb": 0.11, "static": 0.17, "stribeck_velocity": 0.12, "damping_velocity": 0.12}
     return fh.models.create("lugre", sigma0=900.0, sigma1=0.6, sigma2=4e-3, **levels)
 
 
 def samples(seed: int, count: int = SAMPLES, dt: float = DT) -> Samples:
-    """Torque of the plant for a designed signal."""
+    """Return samples of the plant along a designed excitation."""
     velocity = excitation(TOP_SPEED, dt, count, seed=seed)
     return Samples(dt, velocity, plant().simulate(velocity, dt))
 
@@ -78,14 +78,14 @@ def run() -> list[Row]:
     Raises
     ------
     FrictionHilError
-        There is no gcc here, or it failed.
+        gcc is not installed, or it failed.
     """
-    note(f"medians of {ROUNDS} rounds in turns, processor time; errors are NRMSE in free run")
+    note(f"medians of {ROUNDS} rounds, processor time; errors are NRMSE in free run")
     return [*iterations(), *whole_array(), single_step(), *time_to_error(), *errors(), *other_plants()]
 
 
 def in_turns(work: dict[str, Callable[[], object]]) -> dict[str, list[float]]:
-    """Do all the work in every round; return what each part took, ms. The first round compiles."""
+    """Do all the work in every round; return the processor time of each part, ms. The first round compiles."""
     times: dict[str, list[float]] = {name: [] for name in work}
     for number in range(ROUNDS + 1):
         for name, do in work.items():
@@ -157,8 +157,6 @@ def whole_array() -> list[Row]:
 
 def single_step() -> Row:
     """Time one step from Python."""
-    from friction_hil.numerics.jit import compiled_for_one_sample
-
     inner = network.step
 
     @compiled_for_one_sample
@@ -196,7 +194,7 @@ def time_to_error() -> list[Row]:
         )
         return time.process_time() - began
 
-    class Reached(Exception):  # noqa: N818 - it is good news
+    class Reached(Exception):  # noqa: N818 - not an error
         pass
 
     objective = Objective(p, record, constraint, 0.0, is_free=True)
@@ -235,18 +233,18 @@ def time_to_error() -> list[Row]:
     np.random.seed(0)  # pyrenn draws from it
     net, scaled = pyrenn.CreateNN([1, 8, 1], dIn=[0, 1], dOut=[1]), data.torque / np.std(data.torque)
     began = time.process_time()
-    with contextlib.redirect_stdout(io.StringIO()):  # it says when it is done
+    with contextlib.redirect_stdout(io.StringIO()):  # it prints when it is done
         net = pyrenn.train_LM(data.velocity[None], scaled[None], net, k_max=PYRENN_ITERATIONS)
     taken = time.process_time() - began
     goal = float(np.sqrt(np.mean((pyrenn.NNOut(data.velocity[None], net) - scaled) ** 2)))
     own = median(ours() for _ in range(5))
     name = f"to pyrenn's error of {goal:.3g}, after its {PYRENN_ITERATIONS} iterations (pyrenn)"
-    factor = against(50.0, "that many times as fast as pyrenn (target: at least)", "times", taken / own)
+    factor = against(50.0, "speed-up over pyrenn (target: at least)", "times", taken / own)
     return [*rows, compare(name, "s", [own], [taken]), factor]
 
 
 def errors() -> list[Row]:
-    """Train with ten seeds; free-run error on signals made of other seeds, at three periods."""
+    """Train with ten seeds; return the free-run errors on signals of other seeds, at three periods."""
     found: dict[float, list[float]] = {DT: [], 0.5 * DT: [], 4.0 * DT: []}
     seconds = []
     for seed in SEEDS:
@@ -270,7 +268,7 @@ def errors() -> list[Row]:
 
 
 def narx_errors() -> list[Row]:
-    """Train networks that are fed their own past torques; free-run error on sums of sines."""
+    """Train networks with their past torques as inputs; return the free-run error on sums of sines."""
     found = []
     for seed in NARX_SEEDS:
         result = train(NARX, samples(seed), samples(seed + 100, 8000), seed=seed, options=Options())
@@ -282,7 +280,7 @@ def narx_errors() -> list[Row]:
 
 
 def sines(seed: int) -> Array:
-    """Velocity of six sines from 0.2 to 8 Hz, 20 s."""
+    """Return the velocity of a sum of six sines from 0.2 to 8 Hz, 20 s."""
     random = np.random.default_rng(seed + 200)
     time_s, frequencies = DT * np.arange(SAMPLES), 0.2 * 40.0 ** random.uniform(0.0, 1.0, 6)
     phases = random.uniform(0.0, math.tau, 6)
@@ -292,8 +290,8 @@ def sines(seed: int) -> Array:
 
 
 def other_plants() -> list[Row]:
-    """Train on recordings of other plants by a coarse encoder and a noisy torque; judge by the truth without noise."""
-    friction = {"model": "coulomb", "parameters": {"coulomb": 0.1}}  # only the mechanics counts
+    """Train on recordings of other plants with encoder steps and torque noise; compare with the true torque."""
+    friction = {"model": "coulomb", "parameters": {"coulomb": 0.1}}  # only the mechanics is used
     known = ModelFile.model_validate({"axis": "rotary", "friction": friction})
     rows = []
     for name, parameters in OTHERS.items():
@@ -310,7 +308,7 @@ def other_plants() -> list[Row]:
 
 
 def recorded(model: Any, top_speed: float, count: int, seed: int) -> Recording:
-    """Recording of a designed motion with the counts of an encoder and a noisy torque."""
+    """Return a recording of a designed motion with encoder steps and a noisy torque."""
     velocity = excitation(top_speed, DT, count, seed=seed)
     torque = model.simulate(velocity, DT)
     noise = TORQUE_NOISE * np.std(torque) * np.random.default_rng(seed).standard_normal(count)

@@ -1,8 +1,8 @@
-"""What it costs to read recordings, against the bare library of each format in turns with it; and to replay them.
+"""Time to read recordings, compared with the bare library of each format, and to replay them.
 
-The library reads the same file into the same arrays and does nothing else: no mapping, no checks, no units. MCAP
-has rows a second besides, for the columns that a replay needs and for all; and LuGre replay its samples a second,
-against the model alone. Files are made for it, and removed.
+The library reads the same file into the same arrays, without mapping, checks and units. Also reported are the rows a
+second of MCAP, for the columns that a replay needs and for all columns, and the samples a second of a replay with
+LuGre, compared with the model alone. The files are made by the benchmark and removed.
 """
 
 import json
@@ -27,17 +27,18 @@ from tools.benchmarks import models
 from tools.benchmarks.models import DT, Work, example, in_turns
 from tools.benchmarks.report import Row, compare, note
 
+# The libraries are imported in the functions that read: each is optional, and some take a second to import.
 Columns = dict[str, Array]
 Read = Callable[[Path], Columns]
 
 ROWS = 60_000
-TEXT_ROWS = 5_000  # text is a hundred times as slow
+TEXT_ROWS = 5_000  # text takes a hundred times as long
 NEEDED = ("time_s", "position", "velocity", "torque")
 LUGRE = "lugre:sigma0=2000,sigma1=1,coulomb=0.08,static=0.12,stribeck_velocity=0.2"
 
 
 def csv(path: Path) -> Columns:
-    """Read by pyarrow."""
+    """Read with pyarrow."""
     from pyarrow import csv as arrow_csv
 
     table = arrow_csv.read_csv(path)
@@ -45,7 +46,7 @@ def csv(path: Path) -> Columns:
 
 
 def parquet(path: Path) -> Columns:
-    """Read by pyarrow."""
+    """Read with pyarrow."""
     from pyarrow import parquet as arrow_parquet
 
     table = arrow_parquet.read_table(path)
@@ -53,7 +54,7 @@ def parquet(path: Path) -> Columns:
 
 
 def mf4(path: Path) -> Columns:
-    """Read by asammdf."""
+    """Read with asammdf."""
     import asammdf
 
     with asammdf.MDF(path) as mdf:
@@ -62,7 +63,7 @@ def mf4(path: Path) -> Columns:
 
 
 def hdf5(path: Path) -> Columns:
-    """Read by h5py."""
+    """Read with h5py."""
     import h5py
 
     with h5py.File(path) as file:
@@ -70,26 +71,26 @@ def hdf5(path: Path) -> Columns:
 
 
 def matlab(path: Path) -> Columns:
-    """Read by scipy."""
+    """Read with scipy."""
     from scipy.io import loadmat
 
     return {name: value.ravel() for name, value in loadmat(path).items() if name[0] != "_"}
 
 
 def npz(path: Path) -> Columns:
-    """Read by numpy."""
+    """Read with numpy."""
     with np.load(path) as archive:
         return dict(archive)
 
 
 def json_rows(path: Path) -> Columns:
-    """Read by Python's json, with an array made of each column."""
+    """Read with Python's json module, and make an array of each column."""
     rows = json.loads(path.read_bytes())
     return {name: np.array([row[name] for row in rows], dtype=np.float64) for name in rows[0]}
 
 
 def mcap(path: Path) -> Columns:
-    """Read by mcap's reader, without its sorting, and all messages decoded at once."""
+    """Read with mcap's reader, without sorting, and decode all messages at once."""
     from mcap.reader import make_reader
 
     with path.open("rb") as file:
@@ -104,7 +105,7 @@ def mcap(path: Path) -> Columns:
 
 @dataclass(frozen=True, slots=True)
 class Format:
-    """A format, and how its library is used by whoever needs nothing but the numbers."""
+    """A format, and a function that reads only the numbers with its library."""
 
     suffix: str
     library: str
@@ -125,7 +126,7 @@ FORMATS = (
 
 
 def recording(rows: int) -> Recording:
-    """Make a recording with all the daemon's columns: a motion, LuGre's torque for it, noise."""
+    """Return a recording with all columns of the daemon: a motion, its LuGre torque, noise."""
     random = np.random.default_rng(1)
     columns: Columns = {name: random.normal(size=rows) for name in NAMES}
     velocity = models.recording(rows)
@@ -138,14 +139,14 @@ def recording(rows: int) -> Recording:
 
 
 def run() -> list[Row]:
-    """Measure everything in turns.
+    """Measure everything, each format alternately with its library.
 
     Raises
     ------
     UsageError
         A library is not installed.
     FrictionHilError
-        A library does not read what we read.
+        A library reads other values than friction_hil.
     """
     note(f"{len(NAMES)} columns, {ROWS} rows (text: {TEXT_ROWS}); processor time, medians of {models.ROUNDS} rounds")
     with tempfile.TemporaryDirectory() as folder:
@@ -176,7 +177,7 @@ def run() -> list[Row]:
 
 
 def written(folder: Path) -> dict[str, Path]:
-    """Write a file of each format, by the suffix."""
+    """Write a file of each format; return the paths by suffix."""
     whole, short = recording(ROWS), recording(TEXT_ROWS)
     paths = {each.suffix: folder / f"bench{each.suffix}" for each in FORMATS}
     for each in FORMATS:
@@ -185,16 +186,22 @@ def written(folder: Path) -> dict[str, Path]:
 
 
 def check(path: Path, ours: Columns, theirs: Columns) -> None:
-    """Make sure that both do the same work: the same values, as arrays of float64 that lie in one piece."""
+    """Check that both do the same work: equal values, as contiguous float64 arrays.
+
+    Raises
+    ------
+    FrictionHilError
+        Columns, values or types differ.
+    """
     if ours.keys() != theirs.keys() or any(not np.array_equal(ours[name], theirs[name]) for name in ours):
         raise FrictionHilError(f"{path.name}: the library reads other columns or values than friction_hil")
     for name, values in [*ours.items(), *theirs.items()]:
         if values.dtype != np.float64 or not values.flags.c_contiguous:
-            raise FrictionHilError(f"{path.name}: {name} is no float64 array in one piece: {values.dtype}")
+            raise FrictionHilError(f"{path.name}: {name} is not a contiguous float64 array: {values.dtype}")
 
 
 def lugre() -> Row:
-    """Replay a recording in memory with LuGre, samples a second; the model alone is the reference."""
+    """Measure the replay of a recording in memory with LuGre, samples a second, against the model alone."""
     log = recording(ROWS)
     model = model_from_argument(LUGRE)
     alone = fh.models.create("lugre", **model.friction.parameters)
@@ -207,10 +214,10 @@ def lugre() -> Row:
 
 
 def in_ms(times: Iterable[float]) -> list[float]:
-    """From ns."""
+    """Convert ns to ms."""
     return [each / 1e6 for each in times]
 
 
 def rate(name: str, what: str, ours: Iterable[float], theirs: Iterable[float]) -> Row:
-    """Compare times for ``ROWS``, ns, as millions a second of processor time."""
+    """Return the row that compares times for ``ROWS`` rows, ns, as millions of rows a second of processor time."""
     return compare(name, f"M {what}/s", [ROWS * 1e3 / each for each in ours], [ROWS * 1e3 / each for each in theirs])

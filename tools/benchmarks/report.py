@@ -1,4 +1,4 @@
-"""What benchmarks have in common: the rows of their results, how they are shown, and rounds with progress."""
+"""Parts that benchmarks have in common: rows of results, their table, and rounds with progress."""
 
 import math
 import os
@@ -9,8 +9,10 @@ from dataclasses import asdict, dataclass
 from statistics import median
 
 import click
+from rich.table import Table
 
-from friction_hil.cli.output import console, print_json
+from friction_hil.cli.output import print_json
+from friction_hil.cli.work.tables import console
 from friction_hil.recordings.fingerprint import fingerprint
 
 
@@ -21,14 +23,14 @@ class Row:
     Attributes
     ----------
     name : str
-        What was measured, and in brackets what the reference is.
+        Name of the quantity, with that of its reference in brackets.
     value : float
-        In ``unit``.
+        Value in ``unit``.
     unit : str
     reference : float or None
-        What it is compared with, in the same unit: another program measured in the same run, or a target.
+        Reference in the same unit: another program measured in the same run, or a target.
     ratio : float or None
-        Value over reference; where both were measured, the median of the ratios of the single rounds.
+        Value divided by reference; if both were measured, the median of the ratios of the single rounds.
     """
 
     name: str
@@ -39,47 +41,45 @@ class Row:
 
 
 def compare(name: str, unit: str, values: Sequence[float], references: Sequence[float]) -> Row:
-    """Compare two series measured in turns: medians, and the median of the ratios round by round."""
+    """Return the row of two series measured alternately: their medians, and the median ratio of the rounds."""
     ratios = [value / reference for value, reference in zip(values, references, strict=True)]
     return Row(name, median(values), unit, median(references), median(ratios))
 
 
 def against(target: float, name: str, unit: str, value: float) -> Row:
-    """Compare a value with its target."""
+    """Return the row of a value and its target."""
     return Row(name, value, unit, target, value / target)
 
 
-def percentile(ascending: Sequence[float], share: float) -> float:
-    """Smallest sample that at least ``share`` of them do not exceed."""
-    return ascending[math.ceil(share * len(ascending)) - 1]
+def percentile(ascending: Sequence[float], quantile: float) -> float:
+    """Return the smallest sample that at least the fraction ``quantile`` of the samples do not exceed."""
+    return ascending[math.ceil(quantile * len(ascending)) - 1]
 
 
 def rounds(count: int, label: str) -> Iterator[int]:
-    """Count the rounds of a measurement, with a progress bar on a terminal."""
-    # click's bar has no thread of its own, which would spoil what is measured
+    """Yield the numbers of the rounds of a measurement, with a progress bar on a terminal."""
+    # click's bar has no thread, which would disturb the measurement
     with click.progressbar(range(count), label=label, file=sys.stderr) as bar:
         yield from bar
 
 
 def note(text: str) -> None:
-    """Say on stderr under which conditions a measurement was made."""
+    """Print on stderr a condition of the measurement."""
     click.echo(text, err=True)
 
 
 def machine() -> str:
-    """Say in one line on what a measurement was made."""
+    """Return one line that describes the machine."""
     facts = fingerprint()
     cpus = len(os.sched_getaffinity(0))
     return f"{facts['cpu']}, {cpus} CPUs, {platform.system()} {platform.release()}, Python {facts['python']}"
 
 
 def show(rows: Sequence[Row], *, as_json: bool) -> None:
-    """Print the rows for people, or as one JSON object."""
+    """Print the rows as a table, or as one JSON object."""
     if as_json:
         print_json({"machine": machine(), "rows": [asdict(row) for row in rows]})
         return
-    from rich.table import Table
-
     table = Table(caption=machine(), caption_justify="left")
     table.add_column("measured")
     for heading in ("value", "reference", "ratio"):

@@ -1,8 +1,8 @@
-"""Drives on serial lines: how near the cycle comes to what the wire allows, what it costs, and what it is good for.
+"""Drives on serial lines: cycle rate compared with the limit of the wire, processor time, and a circle at 250 Hz.
 
-The driver runs against simulated drives in a process of their own, over a pseudo-terminal on which every character
-takes its time. The limit of the wire is request, silence, reply and silence; the cycle has besides what the two
-processes take to wake up. Last, the daemon itself: the demonstration's circle over a line at 250 Hz.
+The driver runs against simulated drives in another process, over a pseudo-terminal on which every character takes its
+time. The limit of the wire is the time of request, silence, reply and silence; the cycle also includes the wake-up
+times of the two processes. Finally the daemon runs the circle of the demo over a line at 250 Hz.
 """
 
 import contextlib
@@ -41,7 +41,7 @@ LEAST_REDUCTION = 2.0
 CIRCLE_S = 12.0
 _COMMAND = [sys.executable, "-m", "friction_hil"]
 _ENABLE = [Command(Request.ENABLE)]
-_MOVE = [Command(Request.ENABLE, torque=0.11)]  # more than the friction: replies that change have to be read anew
+_MOVE = [Command(Request.ENABLE, torque=0.11)]  # above the friction: the replies change
 _COUNTS = 2**20 / 6.283185307179586
 MODBUS = {"driver": "modbus", "description": "generic_cia402", "counts_per_unit": _COUNTS, "rated_torque": 0.64}
 ODRIVE = {"driver": "ascii", "description": "odrive", "torque_constant": 0.1}
@@ -53,7 +53,7 @@ def run() -> list[Row]:
     Raises
     ------
     FrictionHilError
-        A drive was not enabled, or the daemon met a fault.
+        A drive was not enabled, or the daemon ended with a fault.
     """
     rows = []
     with tempfile.TemporaryDirectory() as name:
@@ -71,7 +71,7 @@ def run() -> list[Row]:
 
 def _configuration(folder: Path, drive: dict[str, Any], baud: int, period_s: float, **changes: Any) -> Path:
     """Write the configuration of one axis; return its path."""
-    believed = TrueFriction()  # that of the simulated drive
+    friction = TrueFriction()  # of the simulated drive
     axis = {
         **drive,
         "line": {"port": str(folder / "line"), "baud": baud},
@@ -79,7 +79,7 @@ def _configuration(folder: Path, drive: dict[str, Any], baud: int, period_s: flo
         "limits": {"torque": 0.6, "velocity": 30.0, "following_error": 2.0},
         "model": {
             "axis": "rotary",
-            "friction": {"model": believed.model, "parameters": believed.parameters},
+            "friction": {"model": friction.model, "parameters": friction.parameters},
             "mechanics": {"inertia": 2e-4, "torque_lag_s": 3e-4},
         },
         "controller": {"position_gain": 15.0, "velocity_gain": 0.03, "integral_hz": 1.0},
@@ -96,7 +96,7 @@ def _configuration(folder: Path, drive: dict[str, Any], baud: int, period_s: flo
 
 @contextlib.contextmanager
 def _simulated(path: Path) -> Iterator[None]:
-    """Simulated drives of a configuration, in a process of their own."""
+    """Run the simulated drives of a configuration in another process."""
     words = [*_COMMAND, "simulate", str(path), "--exit-with-stdin"]
     with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdin is not None
@@ -111,7 +111,7 @@ def _simulated(path: Path) -> Iterator[None]:
 
 
 def _rates(label: str, path: Path, target_us: float) -> list[Row]:
-    """Cycles back to back, then at the configuration's period."""
+    """Measure cycles back to back, then at the period of the configuration."""
     configuration = config.load(path)
     with _simulated(path), punctuality(PRIORITY) as findings:
         for line in complaints(findings):
@@ -154,22 +154,22 @@ def _enabled(configuration: Configuration) -> SerialDrives:
 
 
 def _cycle(
-    drives: SerialDrives, feedback: Feedback, commands: list[Command] = _MOVE, patience_ns: int = 100_000_000
+    drives: SerialDrives, feedback: Feedback, commands: list[Command] = _MOVE, timeout_ns: int = 100_000_000
 ) -> None:
-    drives.receive([feedback], time.monotonic_ns() + patience_ns)
+    drives.receive([feedback], time.monotonic_ns() + timeout_ns)
     drives.send(commands)
 
 
 def _wire_s(drives: SerialDrives) -> float:
-    """What a cycle takes on the wire, s: push, poll, and each of the turns in turn."""
+    """Return the mean time of a cycle on the wire, s: commands, feedback, and one background read after the other."""
     (bus,) = drives._buses
-    turns: list[tuple[Exchange, ...]] = [(turn,) for turn in bus.plan.background] or [()]
-    cycles = [bus.wire_s(*bus.plan.push, *turn, *bus.plan.poll) for turn in turns]
+    background: list[tuple[Exchange, ...]] = [(each,) for each in bus.plan.background] or [()]
+    cycles = [bus.wire_s(*bus.plan.push, *each, *bus.plan.poll) for each in background]
     return sum(cycles) / len(cycles)
 
 
 def _back_to_back(drives: SerialDrives) -> tuple[float, float]:
-    """Time of all cycles, one after the other, and processor time of one (median), s."""
+    """Return the time of all cycles, one after the other, and the median processor time of one, s."""
     feedback, marks = Feedback(), [time.process_time()]
     began = time.perf_counter()
     for _ in range(CYCLES):
@@ -180,18 +180,18 @@ def _back_to_back(drives: SerialDrives) -> tuple[float, float]:
 
 
 def _paced(drives: SerialDrives, period_s: float) -> tuple[float, float, float]:
-    """Cycles that begin at their deadlines.
+    """Run cycles that begin at their deadlines.
 
     Returns
     -------
-    share : float
-        Of those that had fresh feedback before the next deadline.
+    fraction : float
+        Fraction of the cycles with fresh feedback before the next deadline.
     used_s : float
-        Processor time of one, s, in user and system mode: all that the driver does to receive and to send, waking up
-        for the replies included; not so the sleep until the deadline and the spin at its end, which are the loop's.
-        The median: a hypervisor that takes the processor away for a while spoils the mean.
+        Median processor time of a cycle, s, in user and system mode: receiving and sending, with the wake-ups for
+        replies, without the loop's sleep and spin before the deadline. The median, because pauses of a virtual machine
+        distort the mean.
     rehearsed_s : float
-        Processor time of the rehearsal in that spin, s, median; NaN where no cycle left time for one.
+        Median processor time of the rehearsal during that spin, s; NaN if no cycle left time for one.
     """
     feedback, fresh, period_ns = Feedback(), 0, round(period_s * 1e9)
     used_s: list[float] = []
@@ -215,7 +215,7 @@ def _paced(drives: SerialDrives, period_s: float) -> tuple[float, float, float]:
 
 
 def _circle(folder: Path) -> Row:
-    """Following error of the demonstration's motion over a line at 250 Hz, without over with compensation."""
+    """Measure the reduction of the following error of the demo's motion over a line at 250 Hz."""
     errors = []
     for is_compensated in (False, True):
         path = _configuration(folder, ODRIVE, 921600, 4e-3, compensation={"enabled": is_compensated})

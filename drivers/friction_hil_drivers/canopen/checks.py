@@ -46,13 +46,14 @@ def _opened(config: "BusConfig") -> Finding:
             open_bus(config).shutdown()
             return Finding(check, "pass", f"{bus_name(config)} can be opened")
     except FrictionHilError as error:
-        return failure(check, error)
+        return failure(check, error, "FH-437")
     device = Path(str(config.channel))
     if device.is_absolute() and not os.access(device, os.R_OK | os.W_OK):
         reason = "permission denied" if device.exists() else "there is no such device"
-        return Finding(check, "fail", f"{device}: {reason}", "plug the adapter in, and see who may open it: ls -l /dev")
+        fix = "plug the adapter in, and see who may open it: ls -l /dev"
+        return Finding(check, "fail", f"{device}: {reason}", fix, "FH-438")
     detail = f"{bus_name(config)} is not opened here: such an adapter takes part in the bus as soon as it is open"
-    return Finding(check, "warn", detail, "friction-hil run with --dry-run opens it and commands nothing")
+    return Finding(check, "warn", detail, "friction-hil run with --dry-run opens it and commands nothing", "FH-439")
 
 
 def _load(bitrate: int, period_s: float, axes: "Mapping[str, AxisConfig]") -> Finding:
@@ -60,7 +61,7 @@ def _load(bitrate: int, period_s: float, axes: "Mapping[str, AxisConfig]") -> Fi
     try:
         return Finding("bus load", "pass", check_bus_load(bitrate, period_s, pdos))
     except DriveError as error:
-        return failure("bus load", error)
+        return failure("bus load", error, "FH-440")
 
 
 def _owner(config: "BusConfig", name: str, axis: "AxisConfig") -> Finding:
@@ -70,5 +71,5 @@ def _owner(config: "BusConfig", name: str, axis: "AxisConfig") -> Finding:
     try:
         AxisLock(config, node, name).release()
     except DriveError as error:
-        return failure(check, error)
+        return failure(check, error, "FH-441")
     return Finding(check, "pass", "no other daemon of this machine drives it")

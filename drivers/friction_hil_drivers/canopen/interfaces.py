@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from friction_hil.drive.finding import NOT_TOLD, Finding, system_text
+from friction_hil.drive.finding import NOT_REPORTED, Finding, system_text
 
 if TYPE_CHECKING:
     from friction_hil.config import BusConfig
@@ -96,6 +96,7 @@ def check_machine(root: Path, ask: Callable[[str], Link] = ask_ip) -> Iterator[F
             "warn",
             "none; only CANopen drives on SocketCAN need one",
             f"plug the adapter in; to try one: modprobe vcan && {how_to_bring_up('vcan0', None, is_present=False)}",
+            "FH-431",
         )
     for name in names:
         found = check_interface(name, ask(name), None, root)
@@ -107,26 +108,28 @@ def check_interface(name: str, link: Link, bitrate: int | None, root: Path = _RO
     """Return the state of an interface; ``bitrate`` is that of the configuration, None for none."""
     check = f"CAN interface {name}"
     if not is_up(name, root):
-        return Finding(check, "warn", "it is down", how_to_bring_up(name, link.bitrate or bitrate))
+        return Finding(check, "warn", "it is down", how_to_bring_up(name, link.bitrate or bitrate), "FH-432")
     if link.state == _DEAD_STATE:
         detail = "BUS-OFF: the controller left the bus after too many errors"
-        return Finding(check, "fail", detail, f"check wires and bit rate; then: ip link set {name} type can restart")
+        fix = f"check wires and bit rate; then: ip link set {name} type can restart"
+        return Finding(check, "fail", detail, fix, "FH-433")
     if bitrate and link.bitrate and link.bitrate != bitrate:
         return Finding(
             check,
             "fail",
             f"it runs at {link.bitrate} bit/s, the configuration says {bitrate}",
             f"correct bus.bitrate, or: ip link set {name} down && {how_to_bring_up(name, bitrate)}",
+            "FH-434",
         )
     facts = ["up"]
     if link.kind != "vcan":
-        facts.append(f"{link.bitrate} bit/s" if link.bitrate else f"bit rate {NOT_TOLD}")
+        facts.append(f"{link.bitrate} bit/s" if link.bitrate else f"bit rate {NOT_REPORTED}")
     facts += [link.state] if link.state else []
     detail = ", ".join(facts)
     if link.state in _SICK_STATES:
-        return Finding(
-            check, "warn", detail, "check the wires, the terminating resistors and the bit rate of all nodes"
-        )
+        fix = "check the wires, the terminating resistors and the bit rate of all nodes"
+        return Finding(check, "warn", detail, fix, "FH-435")
     if link.kind != "vcan" and link.bitrate is None:
-        return Finding(check, "warn", detail, f"install iproute2, then compare: ip -details link show {name}")
+        fix = f"install iproute2, then compare: ip -details link show {name}"
+        return Finding(check, "warn", detail, fix, "FH-436")
     return Finding(check, "pass", detail)

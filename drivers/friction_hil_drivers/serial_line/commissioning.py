@@ -222,7 +222,7 @@ class Commissioning:
             needed_s = bus.wire_s(*bus.plan.push, *bus.plan.poll) + line.latency_s
             if needed_s > self._period_s:
                 detail = f"{found.detail}: with the wire's time a cycle takes {1e3 * needed_s:.3g} ms, the period is "
-                found = replace(found, result="fail", detail=f"{detail}{1e3 * self._period_s:g} ms")
+                found = replace(found, result="fail", detail=f"{detail}{1e3 * self._period_s:g} ms", code="FH-415")
             yield found
         if bus.rate:
             yield Finding(f"rate of {', '.join(axis.name for axis in bus.axes)}", "pass", bus.rate)
@@ -273,6 +273,7 @@ class Commissioning:
                 "warn",
                 "the drive does NOT watch the daemon: if the daemon dies, its last torque stays",
                 "keep the emergency stop in reach",
+                "FH-418",
             )
         signal = description.watchdog.signal  # in units of its own
         time_s = self._watchdog_steps(axis, description)[0].write[signal] * description.units()[signal].scale
@@ -405,4 +406,4 @@ def _sources(axis: str, description: Description) -> Finding:
         return Finding(check, "pass", f"{description.name}: none of its signals is marked as inferred")
     listed = ", ".join(description.inferred)
     detail = f"no manual was read for these of {description.name}: {listed}"
-    return Finding(check, "warn", detail, "check them first, with run --dry-run")
+    return Finding(check, "warn", detail, "check them first, with run --dry-run", "FH-419")

@@ -256,7 +256,7 @@ def _opened(line: Line, axes: "Mapping[str, AxisConfig]") -> Finding:
             raise taken(port, others)
         line.open()
     except FrictionHilError as error:
-        found = failure(check, error)
+        found = failure(check, error, "FH-416")
         is_missing = isinstance(error, BusError) and (line.options.is_tcp or not os.path.exists(port))
         if is_missing and any(axis.simulation is not None for axis in axes.values()):
             found = replace(found, fix=f"{found.fix}; or start friction-hil simulate with this configuration")

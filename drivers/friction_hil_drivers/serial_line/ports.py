@@ -48,7 +48,7 @@ def latency(name: str, root: Path = _ROOT) -> Finding | None:
     detail = f"the USB adapter {name} holds short replies back for {latency_ms} ms"
     if latency_ms <= _GOOD_LATENCY_MS:
         return Finding(check, "pass", detail)
-    return Finding(check, "warn", detail, f"as root: echo {_GOOD_LATENCY_MS} > {_timer(name, _ROOT)}")
+    return Finding(check, "warn", detail, f"as root: echo {_GOOD_LATENCY_MS} > {_timer(name, _ROOT)}", "FH-415")
 
 
 def _timer(name: str, root: Path) -> Path:
@@ -72,7 +72,7 @@ def check_machine(root: Path) -> Iterator[Finding]:
     missing = [device for device in devices if not (root / device.removeprefix("/")).exists()]
     if missing:  # a container sees the host's kernel, not its devices
         detail = f"{', '.join(devices)}; but /dev has no {', '.join(missing)}"
-        yield Finding("serial ports", "warn", detail, f"a container needs --device {missing[0]}")
+        yield Finding("serial ports", "warn", detail, f"a container needs --device {missing[0]}", "FH-411")
     elif devices:
         yield Finding("serial ports", "pass", ", ".join(devices))
     else:
@@ -80,7 +80,8 @@ def check_machine(root: Path) -> Iterator[Finding]:
             "serial ports",
             "warn",
             "none, which only drives on serial lines need",
-            "plug the adapter in (a container needs --device /dev/ttyUSB0); dmesg tells whether the kernel knows it",
+            "plug the adapter in (a container needs --device /dev/ttyUSB0); dmesg shows whether it was recognised",
+            "FH-412",
         )
     yield _permission([root / device.removeprefix("/") for device in devices if device not in missing])
     for device in devices:
@@ -93,7 +94,7 @@ def _permission(devices: list[Path]) -> Finding:
     closed = [device for device in devices if not os.access(device, os.R_OK | os.W_OK)]
     if closed:
         listed = ", ".join(f"/dev/{device.name}" for device in closed)
-        return Finding(check, "warn", f"permission denied: {listed}", permission_remedy(closed[0]))
+        return Finding(check, "warn", f"permission denied: {listed}", permission_remedy(closed[0]), "FH-413")
     if devices:
         return Finding(check, "pass", "the user may open all of them")
     if os.geteuid() == 0:
@@ -102,7 +103,7 @@ def _permission(devices: list[Path]) -> Finding:
     own = [group for group in _USUAL_GROUPS if group in groups]
     if own:
         return Finding(check, "pass", f"the user is in the group {own[0]}")
-    return Finding(check, "warn", "the user is not in the group dialout", permission_remedy())
+    return Finding(check, "warn", "the user is not in the group dialout", permission_remedy(), "FH-414")
 
 
 def holders(port: str) -> list[str]:

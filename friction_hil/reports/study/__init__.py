@@ -1,1 +1,1 @@
-"""The report of a study: pictures, tables, and what they show, in plain words."""
+"""The report of a study: pictures, tables and explanations."""

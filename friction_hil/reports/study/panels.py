@@ -1,4 +1,4 @@
-"""How the study's pictures are laid out: one panel a model, curves that coincide drawn once, matrices."""
+"""Layouts of the study's pictures: a panel for each model, all models in one panel, and a matrix of numbers."""
 
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -7,31 +7,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from friction_hil.numerics.jit import Array
+from friction_hil.reports.figures import INK, new_figure, remove_frame
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Okabe and Ito's: told apart with any colour vision.
-WITHOUT, WITH = "#d55e00", "#0072b2"
+# Okabe and Ito's colours: distinguishable with any colour vision.
 COLORS = ("#000000", "#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f7f7f")
-INK, FAINT = "#222222", "#bbbbbb"
+FAINT = "#bbbbbb"
 _DASHES = ("-", "--", "-.", ":")
-_SAME = 0.01  # of the largest value: closer curves are drawn as one
-
-
-def new_figure(width: float, height: float) -> "Figure":
-    """Make an empty white figure, in inches."""
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), facecolor="white", layout="constrained")
-
-
-def plain(axes: "Axes") -> None:
-    """Give axes a faint grid and no box."""
-    axes.grid(alpha=0.3)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
+_SAME = 0.01  # of the largest value: curves closer than this are drawn as one
 
 
 def panels(
@@ -43,7 +29,7 @@ def panels(
     legend: bool = False,
     title: Callable[[str], str] = lambda name: name,
 ) -> "Figure":
-    """Draw one panel a model, all with the same scales.
+    """Draw a panel for each model, all with the same scales.
 
     Parameters
     ----------
@@ -51,11 +37,11 @@ def panels(
     draw : callable
         Takes axes and a name.
     labels : (str, str)
-        Of the x and the y axis, with units.
+        Labels of the x and the y axis, with units.
     height : float
-        Of a row, in inches.
+        Height of a row of panels, in inches.
     legend : bool
-        Put the legend of the first panel below all.
+        Show the legend of the first panel above all panels.
     title : callable
         Takes a name and returns the panel's heading.
     """
@@ -63,12 +49,12 @@ def panels(
     rows = math.ceil(len(names) / columns)
     figure = new_figure(10.0 if columns > 2 else 4.5 * columns, height * rows + (0.7 if legend else 0.4))
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    for place, name in zip(grid.flat, names, strict=False):
-        draw(place, name)
-        plain(place)
-        place.set_title(title(name), fontsize=10, color=INK)
-    for place in grid.flat[len(names) :]:
-        place.set_axis_off()
+    for axes, name in zip(grid.flat, names, strict=False):
+        draw(axes, name)
+        remove_frame(axes)
+        axes.set_title(title(name), fontsize=10, color=INK)
+    for axes in grid.flat[len(names) :]:
+        axes.set_axis_off()
     for column in range(columns):
         bottom = (len(names) - 1 - column) // columns
         grid[bottom, column].tick_params(labelbottom=True)
@@ -83,7 +69,7 @@ def panels(
 def together(
     lines: Mapping[str, tuple[Array, Array]], labels: tuple[str, str], *, log: bool = False, markers: bool = False
 ) -> "Figure":
-    """Draw the lines of all models into one panel; those that coincide share one line and one name."""
+    """Draw the lines of all models into one panel; those that coincide share one line."""
     figure = new_figure(10.0, 4.2)
     axes = figure.subplots()
     for k, (names, (x, y)) in enumerate(groups(lines)):
@@ -96,13 +82,13 @@ def together(
     if log:
         axes.set_xscale("log")
     axes.set(xlabel=labels[0], ylabel=labels[1])
-    plain(axes)
+    remove_frame(axes)
     figure.legend(loc="outside right upper", frameon=False, fontsize=10)
     return figure
 
 
 def groups(lines: Mapping[str, tuple[Array, Array]]) -> list[tuple[list[str], tuple[Array, Array]]]:
-    """Gather names whose lines coincide."""
+    """Group the names whose lines coincide."""
     found: list[tuple[list[str], tuple[Array, Array]]] = []
     largest = max(float(np.abs(y).max()) for _, y in lines.values())
     for name, (x, y) in lines.items():
@@ -127,10 +113,9 @@ def matrix(
     *,
     floor: float,
 ) -> "Figure":
-    """Draw a table of numbers: a row for each friction that acts, a column for each that compensates.
+    """Draw a table of numbers: a row for each true friction, a column for each compensating model.
 
-    The colour compares a number with the one without compensation in its row; ``floor`` is what counts as
-    nothing, so that two small numbers are not told apart.
+    The colour compares a number with the one without compensation in its row. Numbers below ``floor`` count as equal.
     """
     columns: list[str | None] = [None, *names]
     values = np.array([[value(name, each) for each in columns] for name in names])
@@ -150,13 +135,13 @@ def matrix(
     axes.tick_params(which="minor", length=0, top=False)
     for spine in axes.spines.values():
         spine.set_visible(False)
-    axes.set_ylabel("friction that acts", fontsize=10)
-    axes.set_xlabel("model that compensates", fontsize=10, labelpad=10)
+    axes.set_ylabel("true friction", fontsize=10)
+    axes.set_xlabel("model of the compensator", fontsize=10, labelpad=10)
     axes.xaxis.set_label_position("top")
     return figure
 
 
 def _two_colours() -> Any:
-    from matplotlib.colors import LinearSegmentedColormap
+    from matplotlib.colors import LinearSegmentedColormap  # imported here: matplotlib is optional, and takes 0.3 s
 
     return LinearSegmentedColormap.from_list("help", ["#e8965a", "#ffffff", "#7db7dd"])

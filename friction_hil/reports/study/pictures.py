@@ -1,4 +1,4 @@
-"""The pictures of the study, one function an experiment."""
+"""The pictures of the study, one function for each."""
 
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from friction_hil.numerics.jit import Array
+from friction_hil.reports.figures import INK, WITH, WITHOUT, new_figure
 from friction_hil.reports.numbers import digits
-from friction_hil.reports.study.panels import FAINT, INK, WITH, WITHOUT, matrix, new_figure, panels, together
+from friction_hil.reports.study.panels import FAINT, matrix, panels, together
 from friction_hil.study import Study
 from friction_hil.study.circle import RADIUS
 from friction_hil.study.subjects import REFERENCE
@@ -27,7 +28,7 @@ def draw_static_curves(study: Study) -> "Figure":
 
 
 def draw_pulse(study: Study) -> "Figure":
-    """Draw friction over time while the velocity goes up, down, and the other way."""
+    """Draw friction over time during a velocity pulse in each direction."""
 
     def draw(axes: "Axes", name: str) -> None:
         lines = study.single["velocity_pulse"][name].lines
@@ -49,7 +50,7 @@ def draw_presliding(study: Study) -> "Figure":
 
 
 def draw_drift(study: Study) -> "Figure":
-    """Draw displacement over time under a force that shakes."""
+    """Draw displacement over time under an oscillating force."""
     lines = {
         name: (time, position * 1e6) for name, (time, position) in _lines(study, "presliding", "shaken", 1.0).items()
     }
@@ -68,7 +69,7 @@ def draw_strain(study: Study) -> "Figure":
 
 
 def draw_lag(study: Study) -> "Figure":
-    """Draw friction over a swinging velocity."""
+    """Draw friction over an oscillating velocity."""
 
     def draw(axes: "Axes", name: str) -> None:
         for (label, (velocity, force)), color in zip(
@@ -90,8 +91,8 @@ def draw_stick_slip(study: Study) -> "Figure":
     """Draw the velocity of the pulled mass, without and with compensation by its own model."""
 
     def draw(axes: "Axes", name: str) -> None:
-        for believed, color, label in _pair(name):
-            time, velocity = study.paired["stick_slip"][name, believed].lines["velocity"]
+        for assumed, color, label in _pair(name):
+            time, velocity = study.paired["stick_slip"][name, assumed].lines["velocity"]
             axes.plot(time, velocity, color=color, linewidth=1.2, label=label)
 
     return panels(study.models, draw, ("time [s]", "velocity [m/s]"), legend=True)
@@ -101,8 +102,8 @@ def draw_hunting(study: Study) -> "Figure":
     """Draw the position under PID control, without and with compensation by its own model."""
 
     def draw(axes: "Axes", name: str) -> None:
-        for believed, color, label in _pair(name):
-            time, position = study.paired["hunting"][name, believed].lines["position"]
+        for assumed, color, label in _pair(name):
+            time, position = study.paired["hunting"][name, assumed].lines["position"]
             axes.plot(time, position, color=color, linewidth=1.2, label=label)
         axes.axhline(1.0, color=FAINT, linewidth=0.8, zorder=0)
         axes.set_ylim(*_SHOWN_HUNTING_M)
@@ -111,11 +112,11 @@ def draw_hunting(study: Study) -> "Figure":
 
 
 def draw_reversal(study: Study) -> "Figure":
-    """Draw the radius error behind a reversal, without and with compensation by its own model."""
+    """Draw the radius error after a reversal, without and with compensation by its own model."""
 
     def draw(axes: "Axes", name: str) -> None:
-        for believed, color, label in _pair(name):
-            angle, error = study.paired["reversal"][name, believed].lines["radius error"]
+        for assumed, color, label in _pair(name):
+            angle, error = study.paired["reversal"][name, assumed].lines["radius error"]
             shown = np.degrees((angle + np.pi) % (2.0 * np.pi) - np.pi)
             order = np.argsort(shown)
             axes.plot(shown[order], error[order] * 1e3, color=color, linewidth=1.3, label=label)
@@ -127,7 +128,7 @@ def draw_reversal(study: Study) -> "Figure":
 
 
 def draw_circle(study: Study, name: str) -> "Figure":
-    """Draw the whole circle of one friction, its radius error magnified."""
+    """Draw the whole circle of one model, with its radius error magnified."""
     outcomes = study.paired["reversal"]
     worst = max(outcomes[name, each].facts["peak_urad"] for each in (None, name)) * 1e-6
     magnification = 10.0 ** np.floor(np.log10(0.4 * RADIUS / worst))
@@ -136,8 +137,8 @@ def draw_circle(study: Study, name: str) -> "Figure":
     axes = figure.subplots()
     turn = np.linspace(0.0, 2.0 * np.pi, 400)
     axes.plot(np.cos(turn), np.sin(turn), color=FAINT, linewidth=0.9, label="set-point")
-    for believed, color, label in _pair(name):
-        angle, error = outcomes[name, believed].lines["radius error"]
+    for assumed, color, label in _pair(name):
+        angle, error = outcomes[name, assumed].lines["radius error"]
         drawn = 1.0 + error * magnification / RADIUS
         axes.plot(drawn * np.cos(angle), drawn * np.sin(angle), color=color, linewidth=1.4, label=label)
     axes.set_aspect("equal")
@@ -151,7 +152,7 @@ def draw_circle(study: Study, name: str) -> "Figure":
 
 
 def draw_matrix(study: Study, experiment: str, fact: str, floor: float) -> "Figure":
-    """Draw a fact of a closed loop for each friction and each compensation."""
+    """Draw a number of a closed-loop experiment for each true friction and each compensating model."""
     outcomes = study.paired[experiment]
     return matrix(
         study.models, lambda name, each: outcomes[name, each].facts[fact], lambda value: _brief(value), floor=floor

@@ -1,4 +1,4 @@
-"""The study as one HTML file that needs nothing else: pictures, numbers, and what they mean."""
+"""The report of a study as one HTML file: pictures, numbers and explanations."""
 
 import html
 import os
@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from friction_hil import __version__
-from friction_hil.errors import UsageError
-from friction_hil.reports.page import page, picture, table
+from friction_hil.reports.page import claim_folder, generator, page, picture, table
 from friction_hil.reports.study import pictures
-from friction_hil.reports.study.text import HOW_MATCHED, SECTIONS, Section, look, number, summary_columns
+from friction_hil.reports.study.text import HOW_MATCHED, SECTIONS, ExperimentText, look, number, summary_columns
 from friction_hil.study import Study
 from friction_hil.study.circle import LEVELS_AT
 from friction_hil.study.subjects import REFERENCE, Levels, matched, servo_levels
@@ -21,9 +20,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 REPORT = "report.html"
-MARK = '<meta name="generator" content="friction-hil study'
+MARK = generator("study")
 
-Tell = Callable[[str, float], None]
+ShowProgress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,32 +32,25 @@ class _Drawing:
 
 
 def claim(folder: Path) -> None:
-    """Make the folder of a study.
+    """Create the folder of a study; see `claim_folder`."""
+    claim_folder(folder, (REPORT,), MARK, "study")
 
-    Raises
-    ------
-    UsageError
-        Somebody else's report would be overwritten in it.
+
+def write_report(folder: Path, study: Study, show: ShowProgress = lambda text, done: None) -> Path:
+    """Write the report into a folder prepared by `claim`, and return its path.
+
+    ``show`` takes a text and the completed fraction.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    report = folder / REPORT
-    if not report.exists():
-        return
-    if not (report.is_file() and MARK in report.read_text(encoding="utf-8", errors="replace")[:1000]):
-        raise UsageError(f"{report} exists and no former study made it: it stays; name another folder with --output")
-
-
-def write_report(folder: Path, study: Study, tell: Tell = lambda text, share: None) -> Path:
-    """Write the report into a folder that was claimed, and return its path."""
     parts = []
     for k, section in enumerate(SECTIONS):
-        tell(f"drawing {section.key}", k / len(SECTIONS))
+        show(f"drawing {section.key}", k / len(SECTIONS))
         parts.append(_section(study, section))
     body = f"""
 <h1>What friction does to a servo</h1>
 <p>Nine experiments, each with {len(study.models)} friction model{"s" if len(study.models) > 1 else ""}:
-{", ".join(f"<code>{name}</code>" for name in study.models)}. Everything is computed, nothing is random: the same
-version gives the same numbers. <code>friction-hil models NAME</code> prints the formula of a model.</p>
+{", ".join(f"<code>{name}</code>" for name in study.models)}. All numbers are computed without random
+inputs: the same version gives the same numbers. <code>friction-hil models NAME</code> prints the formula
+of a model.</p>
 <nav>{"".join(f'<a href="#{each.key}">{html.escape(each.title)}</a>' for each in SECTIONS)}</nav>
 <h2>The main facts</h2>
 {_summary(study)}
@@ -88,13 +80,13 @@ def _summary(study: Study) -> str:
         rows.append((f"<code>{name}</code>", *(html.escape(c.write(facts, name)) for c in columns), look(name)))
     header = ("model", *(html.escape(c.title) for c in columns), "what to look at")
     note = (
-        '<p class="note">Where a cell has an arrow, the second number is with compensation by the model itself; in '
-        "break-away it is the one at the fast rise of the force. Section 8 says why static maps hunt more with it.</p>"
+        '<p class="note">Second number of a cell with an arrow: with compensation by the model itself; for break-away, '
+        "at the fast rise of the force. Section 8 explains why static maps hunt more with compensation.</p>"
     )
     return table(header, rows, (*[""] * len(columns), "text")) + note
 
 
-def _section(study: Study, section: Section) -> str:
+def _section(study: Study, section: ExperimentText) -> str:
     drawings = "".join(picture(each.draw(study), each.caption) for each in _DRAWINGS[section.key])
     return (
         f'<h2 id="{section.key}">{html.escape(section.title)}</h2>\n<p>{section.text}</p>\n{drawings}\n'
@@ -102,8 +94,8 @@ def _section(study: Study, section: Section) -> str:
     )
 
 
-def _figures(study: Study, section: Section) -> str:
-    """The section's own numbers, one row a model."""
+def _figures(study: Study, section: ExperimentText) -> str:
+    """Return a table of the section's numbers, one row for each model."""
     rows = []
     for name in study.models:
         facts = study.facts[name]
@@ -134,8 +126,8 @@ def _circle(study: Study) -> "Figure":
 
 
 _MATRIX_CAPTION = (
-    "{what} Rows: the friction that acts. Columns: the model that compensates it, bold where it is the same. Blue: "
-    "better than without compensation; orange: worse."
+    "{what} Rows: true friction. Columns: model of the compensator, bold if it is the same. Blue: better than without "
+    "compensation; orange: worse."
 )
 
 _DRAWINGS: dict[str, tuple[_Drawing, ...]] = {
@@ -148,7 +140,7 @@ _DRAWINGS: dict[str, tuple[_Drawing, ...]] = {
     "presliding": (
         _Drawing(pictures.draw_presliding, "Force over displacement while the force is cycled below break-away."),
         _Drawing(
-            pictures.draw_drift, "Displacement while the force swings between 15 and 55 % of the break-away force."
+            pictures.draw_drift, "Displacement while the force oscillates between 15 and 55 % of the break-away force."
         ),
     ),
     "stress_strain": (
@@ -158,7 +150,7 @@ _DRAWINGS: dict[str, tuple[_Drawing, ...]] = {
         ),
     ),
     "frictional_lag": (
-        _Drawing(pictures.draw_lag, "Friction over velocity, which swings between 0 and 2 mm/s at three rates."),
+        _Drawing(pictures.draw_lag, "Friction over velocity, which oscillates between 0 and 2 mm/s at three rates."),
     ),
     "break_away": (
         _Drawing(pictures.draw_break_away, "Largest friction before the mass slides, over the rate of the force."),
@@ -167,19 +159,19 @@ _DRAWINGS: dict[str, tuple[_Drawing, ...]] = {
         _Drawing(pictures.draw_stick_slip, "Velocity of the mass; the spring is pulled at 0.1 m/s."),
         _Drawing(
             lambda study: pictures.draw_matrix(study, "stick_slip", "stuck_percent", 1.0),
-            _MATRIX_CAPTION.format(what="Share of the last 20 s in which the mass is stuck, in %."),
+            _MATRIX_CAPTION.format(what="Fraction of the last 20 s during which the mass is stuck, in %."),
         ),
     ),
     "hunting": (
-        _Drawing(pictures.draw_hunting, "Position of the mass, which is to be at 1 m."),
+        _Drawing(pictures.draw_hunting, "Position of the mass; the target is 1 m."),
         _Drawing(
             lambda study: pictures.draw_matrix(study, "hunting", "swing_mm", 1.0),
-            _MATRIX_CAPTION.format(what="Largest less smallest position in the last 40 s, in mm."),
+            _MATRIX_CAPTION.format(what="Largest minus smallest position in the last 40 s, in mm."),
         ),
     ),
     "reversal": (
-        _Drawing(_circle, "The circle, with its radius error magnified."),
-        _Drawing(pictures.draw_reversal, "Radius error behind a reversal of one axis."),
+        _Drawing(_circle, "The circle, with magnified radius error."),
+        _Drawing(pictures.draw_reversal, "Radius error after a reversal of one axis."),
         _Drawing(
             lambda study: pictures.draw_matrix(study, "reversal", "peak_urad", 1.0),
             _MATRIX_CAPTION.format(what="Largest radius error of a lap, in µrad."),

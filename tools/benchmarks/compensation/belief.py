@@ -1,4 +1,4 @@
-"""What a compensator believes of a plant's friction: the same family or another, with parameters that are off."""
+"""The compensator's model of a plant's friction: the same family or another, with wrong parameters."""
 
 from collections.abc import Container, Mapping
 from typing import Any
@@ -10,10 +10,10 @@ from friction_hil.models import FrictionModel
 # The same quantity under two names
 SYNONYMS = {"sigma0": "stiffness", "stiffness": "sigma0", "sigma2": "viscous", "viscous": "sigma2"}
 
-_STICTION_TRAVEL = 5e-5  # rad (or m) over which a plant without presliding is believed to break away
-_STRIBECK_VELOCITY = 0.1  # rad/s, of a plant that has none
-_STIFFNESS_SHARES = (0.4, 0.3, 0.2, 0.1)  # of Maxwell-slip elements that share the level equally
-_ATTRACTION_S = 0.01  # in which a slipping element comes to its level
+_STICTION_TRAVEL = 5e-5  # rad or m: presliding distance assumed for a plant without presliding
+_STRIBECK_VELOCITY = 0.1  # rad/s, assumed for a plant without one
+_STIFFNESS_FRACTIONS = (0.4, 0.3, 0.2, 0.1)  # of Maxwell-slip elements with equal levels
+_ATTRACTION_S = 0.01  # time in which a slipping element reaches its level
 
 
 def converted(own: FrictionModel, name: str) -> FrictionModel:
@@ -27,7 +27,7 @@ def converted(own: FrictionModel, name: str) -> FrictionModel:
     Raises
     ------
     UsageError
-        The family has a parameter without any rule.
+        The family has a parameter for which there is no rule.
     """
     if own.name == name:
         return own
@@ -57,8 +57,8 @@ def changed(
     parameters : mapping
         Values that replace its own.
     factors : mapping
-        What its own values are multiplied by, in both directions of motion, under their name or the synonym;
-        those that it does not have are left out.
+        Factors of its own values, in both directions of motion, by their name or synonym; factors of parameters that
+        it does not have are ignored.
     modifiers : mapping or None
         Replace its own, if given.
     """
@@ -75,7 +75,7 @@ def changed(
 
 
 def has_factor(name: str, others: Container[str]) -> bool:
-    """Whether ``name``, or its synonym, is among the ``others``."""
+    """True if ``name`` or its synonym is among the ``others``."""
     return name in others or SYNONYMS.get(name) in others
 
 
@@ -90,7 +90,7 @@ def _times(value: Any, factor: float) -> Any:
 
 
 def _derived(own: FrictionModel, name: str) -> dict[str, Any]:
-    """Parameters of the family ``name``, as far as there is a rule."""
+    """Return the parameters of the family ``name`` for which there is a rule."""
     p, level = own.parameters, own.level
     stiffness = own.presliding_stiffness or level / _STICTION_TRAVEL
     viscous = p.get("viscous", p.get("sigma2", 0.0))
@@ -103,8 +103,8 @@ def _derived(own: FrictionModel, name: str) -> dict[str, Any]:
         "sigma0": stiffness,
     }
     if name == "gms":
-        count = len(_STIFFNESS_SHARES)
-        rules["stiffness"] = [share * stiffness for share in _STIFFNESS_SHARES]
+        count = len(_STIFFNESS_FRACTIONS)
+        rules["stiffness"] = [fraction * stiffness for fraction in _STIFFNESS_FRACTIONS]
         rules["weight"] = [1.0 / count] * count
         rules["attraction"] = level / _ATTRACTION_S
     names = [parameter.name for parameter in models.describe(name).parameters]

@@ -1,4 +1,4 @@
-"""The grid file: which plants, drives, motions and conditions, and what the compensator knows."""
+"""The grid file: plants, drives, motions and conditions, and the knowledge of the compensator."""
 
 import math
 from collections.abc import Iterator
@@ -20,7 +20,7 @@ from friction_hil.models import FrictionModel
 from friction_hil.models.model_file import Friction
 from tools.benchmarks.compensation.belief import changed, converted, has_factor
 from tools.benchmarks.compensation.machine import MOST_DELAY_CYCLES
-from tools.benchmarks.compensation.motions import Motion
+from tools.benchmarks.compensation.motions import GridMotion
 
 SAME = "same"
 _UNLIMITED = 1e9  # N m
@@ -36,14 +36,14 @@ class Compliance(Section):
 
 
 class Plant(Section):
-    """Motor with friction and encoder, and what it moves."""
+    """Motor with friction and encoder, and its load."""
 
-    inertia: float = key("of the motor, or of all where nothing is compliant", "kg m^2", gt=0)
+    inertia: float = key("of the motor, or of motor and load without compliance", "kg m^2", gt=0)
     friction: Friction = key("the true one, at the motor")
     compliance: Compliance | None = key("between motor and load", default=None)
     backlash: float = key("total gap of the coupling; needs compliance", "rad", default=0.0, ge=0)
     rated_torque: float = key("its 1/1000 is the step of the torque feedback", "N m", default=0.64, gt=0)
-    drives: list[str] | None = key("the drives it goes with; all if not given", default=None, min_length=1)
+    drives: list[str] | None = key("drives that it is combined with; all by default", default=None, min_length=1)
 
     @property
     def total_inertia(self) -> float:
@@ -56,8 +56,8 @@ class Plant(Section):
         return models.create(self.friction.model, modifiers=self.friction.modifiers, **self.friction.parameters)
 
 
-class Drive(Section):
-    """The drive's own loops; what a drive does not name is as in the first one of the file."""
+class DriveLoops(Section):
+    """The drive's own loops; a key that a drive omits has the value of the first drive of the file."""
 
     position_gain: float = key("position loop", "1/s", ge=0)
     velocity_gain: float = key("velocity loop", "N m s/rad", ge=0)
@@ -67,27 +67,27 @@ class Drive(Section):
 
 
 class Belief(Section):
-    """What the compensator believes where it is not the plant's own."""
+    """Friction of the compensator where it differs from the plant's."""
 
     parameters: dict[str, Any] = key("values, of the compensator's model", default={})
-    factors: dict[str, Annotated[float, Field(gt=0)]] = key("what the plant's own are multiplied by", default={})
-    modifiers: dict[str, Any] | None = key("in place of the plant's own", default=None)
+    factors: dict[str, Annotated[float, Field(gt=0)]] = key("factors of the plant's own values", default={})
+    modifiers: dict[str, Any] | None = key("instead of those of the plant", default=None)
 
 
 class Condition(Section):
-    """How well the compensator is off."""
+    """Knowledge and feedback of the compensator."""
 
-    gain: float = key("share of the friction torque that is commanded", "1", default=1.0, gt=0, le=2)
-    friction: Belief = key("what the compensator believes; else the plant's own", default=Belief())
+    gain: float = key("fraction of the friction torque that is commanded", "1", default=1.0, gt=0, le=2)
+    friction: Belief = key("friction of the compensator; the plant's own by default", default=Belief())
     encoder_bits: int = key("of one revolution", default=20, ge=4, le=40)
-    delay_cycles: int = key("from reading the encoder to the torque's start", default=1, ge=0, le=MOST_DELAY_CYCLES)
+    delay_cycles: int = key("from reading the encoder to the torque", default=1, ge=0, le=MOST_DELAY_CYCLES)
 
 
 class CompensatorKeys(Section):
-    """What is compared: the model, how well the inertia is known, and settings other than the defaults."""
+    """Model of the compensator, error of its inertia, and settings other than the defaults."""
 
     model: str = key(f"name of a friction model, or {SAME}: the plant's own family")
-    inertia_error: float = key("relative, of the inertia it is told", "1", default=0.0, gt=-1)
+    inertia_error: float = key("relative error of the compensator's inertia", "1", default=0.0, gt=-1)
     source: Literal["auto", "measured", "demand"] | None = key("see CompensatorSettings", default=None)
     velocity: Literal["difference", "tracking", "kalman", "drive"] | None = key("see there", default=None)
     smoothing: float | None = key("see there", default=None, gt=0, le=1)
@@ -97,18 +97,18 @@ class CompensatorKeys(Section):
 
     @property
     def options(self) -> dict[str, Any]:
-        """Settings that are given, by their name in `CompensatorSettings`."""
+        """Given settings, by their name in `CompensatorSettings`."""
         return self.model_dump(exclude={"model", "inertia_error"}, exclude_none=True)
 
 
 class Grid(Section):
     """Plants, drives, motions and conditions, each combined with each."""
 
-    plants: dict[str, Plant] = key("what is moved", min_length=1)
-    drives: dict[str, Drive] = key("what moves it", min_length=1)
-    motions: list[Motion] = key("what is demanded", min_length=1)
-    conditions: dict[str, Condition] = key("what the compensator has to live with", min_length=1)
-    compensator: CompensatorKeys = key("what is compared with the others")
+    plants: dict[str, Plant] = key("simulated axes", min_length=1)
+    drives: dict[str, DriveLoops] = key("control loops of the drives", min_length=1)
+    motions: list[GridMotion] = key("demanded motions", min_length=1)
+    conditions: dict[str, Condition] = key("knowledge and feedback of the compensator", min_length=1)
+    compensator: CompensatorKeys = key("compensator that is compared with the other methods")
     duration_s: float = key("of each run", "s", default=6.0, gt=0, le=3600)
     settling_s: float = key("at the beginning of each run, not scored", "s", default=3.0, ge=0)
     period_s: float = key("of the compensator", "s", default=1e-3, gt=0)
@@ -122,7 +122,7 @@ class Grid(Section):
         return self
 
     def drives_of(self, plant: str) -> list[str]:
-        """Names of the drives that a plant goes with."""
+        """Return the names of the drives that a plant is combined with."""
         named = self.plants[plant].drives
         return list(self.drives) if named is None else named
 
@@ -135,7 +135,7 @@ class Grid(Section):
         return changed(own, belief.parameters, belief.factors, belief.modifiers)
 
     def settings(self, plant: str, drive: str, condition: str) -> CompensatorSettings:
-        """Return the compensator's settings: what identification and the drive tell, and the condition's gain."""
+        """Return the compensator's settings, with the gain of the condition."""
         given = self.conditions[condition]
         return CompensatorSettings(
             period_s=self.period_s,
@@ -149,7 +149,7 @@ class Grid(Section):
         )
 
     def lead_s(self, drive: str, condition: str) -> float:
-        """Time from reading the encoder to the middle of the torque's acting, s: delay, half a period, torque lag."""
+        """Return the time from reading the encoder to the middle of the torque, s: delay, half a period, torque lag."""
         return (self.conditions[condition].delay_cycles + 0.5) * self.period_s + self.drives[drive].torque_lag_s
 
 
@@ -177,7 +177,7 @@ def load(path: str | Path) -> Grid:
 
 
 def _with_inherited_keys(value: Any) -> Any:
-    """Give every drive the first one's keys where it has none of its own."""
+    """Add the first drive's keys to the drives that omit them."""
     drives = value.get("drives") if isinstance(value, dict) else None
     if not isinstance(drives, dict) or not all(isinstance(drive, dict) for drive in drives.values()):
         return value
@@ -186,7 +186,7 @@ def _with_inherited_keys(value: Any) -> Any:
 
 
 def _is_inherited(steps: FieldPath, document: Document) -> bool:
-    """Whether a mistake at this place is one of the first drive, which is told there."""
+    """True for a mistake in an inherited key, which is reported for the first drive."""
     if len(steps) < 3 or steps[0] != "drives":
         return False
     drives = document.value["drives"]
@@ -218,23 +218,23 @@ def _mistakes(grid: Grid) -> Iterator[Mistake]:
 
 
 def _belief_mistakes(grid: Grid) -> Iterator[Mistake]:
-    """Check that every condition makes a model for every plant, and that no factor goes unused."""
+    """Check that every condition yields a model for every plant, and that each factor is used."""
     known = (*models.names(), SAME)
     if grid.compensator.model not in known:
         wrong = grid.compensator.model
         yield ("compensator", "model"), f"no friction model is called {wrong!r}; {choices(wrong, known)}"
         return
-    told: set[FieldPath] = set()
+    reported: set[FieldPath] = set()
     for name, condition in grid.conditions.items():
         unused = set(condition.friction.factors)
         for plant in grid.plants:
             try:
                 own = grid.believed(plant, name).parameters
             except UsageError as error:
-                steps = _place(grid, name, error)
+                steps = _origin(grid, name, error)
                 unused.clear()
-                if steps not in told:
-                    told.add(steps)
+                if steps not in reported:
+                    reported.add(steps)
                     yield steps, f"plant {plant}: {error}"
                 continue
             unused = {factor for factor in unused if not has_factor(factor, own)}
@@ -242,8 +242,8 @@ def _belief_mistakes(grid: Grid) -> Iterator[Mistake]:
             yield ("conditions", name, "friction", "factors", factor), "is no parameter of any of the models"
 
 
-def _place(grid: Grid, condition: str, error: UsageError) -> FieldPath:
-    """Where a belief that makes no model comes from."""
+def _origin(grid: Grid, condition: str, error: UsageError) -> FieldPath:
+    """Return the path of the key that is the reason why there is no model."""
     belief = grid.conditions[condition].friction
     wrong = error.parameter if isinstance(error, InvalidParameterError) else None
     if wrong in belief.parameters:

@@ -1,6 +1,6 @@
 """The simulated servo: mechanics with true friction, drive loops, encoder, delays and feed-forward. Compiled.
 
-All kernels stand in this one file, because numba's cache notices a change of a kernel's own file only.
+All kernels are in this file, because the cache of numba notices only changes of a kernel's own file.
 """
 
 import math
@@ -13,9 +13,9 @@ from friction_hil.motion.controller import cascade
 from friction_hil.numerics.jit import Array, StructuredArray, compiled
 
 MOST_DELAY_CYCLES = 8
-NONE, TRUE_LATE, MEASURED, OURS = range(4)  # where the feed-forward torque comes from
-_UNLIMITED = 1e9  # N m: the benchmark's drives do not saturate
-_BALANCE = 1e-12  # relative difference of torque and friction that counts as none
+NONE, TRUE_LATE, MEASURED, OURS = range(4)  # origins of the feed-forward torque
+_UNLIMITED = 1e9  # N m: the drives of the benchmark do not saturate
+_BALANCE = 1e-12  # relative difference of torque and friction that is rounding
 
 PLANT = np.dtype(
     [
@@ -23,12 +23,12 @@ PLANT = np.dtype(
         ("friction", "f8", (kernel.PLAIN_ROOM,)),
         ("is_friction_static", "f8"),
         ("stick_velocity", "f8"),
-        ("inertia", "f8"),  # of the motor, which friction and encoder sit at
+        ("inertia", "f8"),  # of the motor, where friction and encoder are
         ("load_inertia", "f8"),  # 0: one stiff mass
         ("stiffness", "f8"),  # of the coupling between the two
         ("damping", "f8"),
         ("gap", "f8"),  # total backlash of the coupling, rad
-        ("torque_lag_share", "f8"),  # share of a torque step that arrives within one integration step
+        ("torque_lag_fraction", "f8"),  # of a torque step, after one integration step
         ("step_s", "f8"),  # of the integration
         ("steps_per_sample", "f8"),  # of the drive
     ]
@@ -51,7 +51,7 @@ CYCLE = np.dtype(
     [
         ("period_s", "f8"),
         ("samples", "f8"),  # of the drive, in one period
-        ("delay_cycles", "f8"),  # from sampling the encoder to the torque's acting
+        ("delay_cycles", "f8"),  # from sampling the encoder to the start of the torque
         ("settling_cycles", "f8"),  # not scored
         ("resolution", "f8"),  # of the encoder, rad
         ("torque_step", "f8"),  # of the torque feedback, N m
@@ -78,13 +78,13 @@ _compensate = compensation.step
 def friction_step(
     kind: int, p: Array, s: Array, velocity: float, dt: float, position: float, applied: float, epsilon: float
 ) -> float:
-    """Friction torque of one step; a function of its own, so that the families are compiled once."""
+    """Return the friction torque of one step; a separate function, so that the families are compiled once."""
     return kernel.step(kind, p, s, velocity, velocity, dt, position, 0.0, math.nan, applied, epsilon)
 
 
 @compiled
 def coupling_torque(stiffness: float, damping: float, gap: float, twist: float, rate: float) -> float:
-    """Torque from motor to load, N m, of a spring and damper behind a gap; none while the gap is open."""
+    """Return the torque from motor to load, N m, of a spring and damper with backlash; zero inside the gap."""
     if gap == 0.0:
         return stiffness * twist + damping * rate
     side = math.copysign(1.0, twist)
@@ -138,13 +138,13 @@ def advance(
         )
         demand += feedforward
         for _ in range(steps):
-            r.torque += c.torque_lag_share * (demand - r.torque)
+            r.torque += c.torque_lag_fraction * (demand - r.torque)
             applied = r.torque
             if c.load_inertia > 0.0:
                 twist, rate = r.position - r.load_position, r.velocity - r.load_velocity
-                passed_on = coupling_torque(c.stiffness, c.damping, c.gap, twist, rate)
-                applied -= passed_on
-                r.load_velocity += dt * passed_on / c.load_inertia
+                coupled = coupling_torque(c.stiffness, c.damping, c.gap, twist, rate)
+                applied -= coupled
+                r.load_velocity += dt * coupled / c.load_inertia
                 r.load_position += dt * r.load_velocity
             friction = friction_step(kind, c.friction, r.friction, r.velocity, dt, r.position, applied, 0.0)
             velocity = r.velocity + gain * (applied - friction)
@@ -176,8 +176,8 @@ def run(
 ) -> None:
     """Simulate one case; ``score`` becomes the sum of squares and the peak of the following error.
 
-    At the beginning of each period the encoder is read, and the feed-forward torque worked out that acts
-    ``delay_cycles`` periods later for one period. The drive's own loops see the true motion.
+    At the beginning of each period the encoder is read and a feed-forward torque computed, which acts ``delay_cycles``
+    periods later for one period. The drive's own loops see the true motion.
 
     Parameters
     ----------
@@ -190,7 +190,7 @@ def run(
     position_demand, velocity_demand, acceleration_demand
         (n,) arrays at the drive's samples.
     velocity_ahead
-        (m,) array: the demanded velocity when the torque of each period will act.
+        (m,) array: the demanded velocity at the time when the torque of each period acts.
     score
         (2,) array.
     trace

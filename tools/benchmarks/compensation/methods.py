@@ -1,4 +1,4 @@
-"""The compared ways to come by a feed-forward torque, each times the condition's gain."""
+"""The compared methods to compute a feed-forward torque, each multiplied by the gain of the condition."""
 
 import numpy as np
 
@@ -11,10 +11,10 @@ NONE, OURS = "none", "ours"
 METHODS = {
     "coulomb_measured": "Coulomb and viscous friction of the measured velocity",
     "lugre_measured": "LuGre of the measured velocity",
-    "true_late": "the true friction torque, as late as any",
+    "true_late": "the true friction torque, with the same delay",
     OURS: "the compensator",
 }
-_SMOOTHING = 0.5  # of the measured velocity that the two plain ones take
+_SMOOTHING = 0.5  # of the measured velocity of the two plain methods
 
 
 def feedforward(
@@ -22,8 +22,8 @@ def feedforward(
 ) -> StructuredArray:
     """Return the `machine.FEEDFORWARD` record of a method.
 
-    The measured ones take the encoder difference through a one-pole filter, as it comes: no lead, no limit; the
-    map's jump at zero velocity is smoothed over two encoder steps a period.
+    The methods with measured velocity use the encoder difference behind a one-pole filter, without lead and limits. The
+    jump of the map at zero velocity is smoothed over two encoder steps a period.
     """
     record = np.zeros(1, machine.FEEDFORWARD)
     c = record[0]

@@ -11,14 +11,14 @@ from friction_hil.checked_yaml.section import Section, key
 from friction_hil.numerics.jit import Array
 
 # Position (rad), velocity and acceleration, each (n,)
-Course = tuple[Array, Array, Array]
+Kinematics = tuple[Array, Array, Array]
 
 _HARMONICS = np.array([1.0, 2.0, 3.0, 5.0, 7.0])
-_RAMP_S = 0.5  # in which a multi-sine, which would begin with a jump of velocity, fades in
+_RAMP_S = 0.5  # a multi-sine is faded in, because it begins with a jump of velocity
 _OWN_KEYS = {"corner": "triangle", "rest": "dwell"}
 
 
-class Motion(Section):
+class GridMotion(Section):
     """A motion that starts at rest at zero; all but the multi-sine lie between 0 and twice the amplitude."""
 
     kind: Literal["cosine", "multisine", "triangle", "dwell"] = key(
@@ -28,8 +28,8 @@ class Motion(Section):
     )
     amplitude: float = key("half the stroke", "rad", gt=0)
     frequency: float = key("of the whole cycle, there and back", "Hz", gt=0, le=100)
-    corner: float | None = key("share of the cycle in which a triangle turns (0.1)", default=None, gt=0, le=1)
-    rest: float | None = key("share of the cycle in which a dwell rests (0.5)", default=None, ge=0, lt=1)
+    corner: float | None = key("fraction of the cycle in which a triangle reverses (0.1)", default=None, gt=0, le=1)
+    rest: float | None = key("fraction of the cycle in which a dwell rests (0.5)", default=None, ge=0, lt=1)
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -45,12 +45,12 @@ class Motion(Section):
 
     @property
     def name(self) -> str:
-        """What tables and JSON call it."""
+        """Name in tables and JSON."""
         kind = "" if self.kind == "cosine" else f"{self.kind} "
         own = "".join(f" {name} {getattr(self, name):g}" for name in _OWN_KEYS if getattr(self, name) is not None)
         return f"{kind}{self.amplitude:g} rad {self.frequency:g} Hz{own}"
 
-    def course(self, t: Array, seed: int) -> Course:
+    def at(self, t: Array, seed: int) -> Kinematics:
         """Return position, velocity and acceleration at the times ``t``, (n,), s, not negative."""
         if self.kind == "multisine":
             return _multisine(self.amplitude, self.frequency, t, seed)
@@ -63,52 +63,52 @@ class Motion(Section):
         return a * (1.0 - np.cos(w * t)), a * w * np.sin(w * t), a * w * w * np.cos(w * t)
 
 
-def _smooth_step(u: Array) -> Course:
-    """From 0 to 1 with least jerk, at rest on both sides: 10 u^3 - 15 u^4 + 6 u^5; its derivatives in u."""
+def _smooth_step(u: Array) -> Kinematics:
+    """Return 10 u^3 - 15 u^4 + 6 u^5, the minimum-jerk step from 0 to 1, and its derivatives in u."""
     u = np.clip(u, 0.0, 1.0)
     rest = 1.0 - u
     return u**3 * (10.0 - 15.0 * u + 6.0 * u * u), 30.0 * (u * rest) ** 2, 60.0 * u * rest * (1.0 - 2.0 * u)
 
 
-def _multisine(amplitude: float, frequency: float, t: Array, seed: int) -> Course:
-    """Harmonics of equal velocity, faded in: q = s(t) x(t)."""
+def _multisine(amplitude: float, frequency: float, t: Array, seed: int) -> Kinematics:
+    """Return harmonics of equal velocity amplitude, faded in: q = s(t) x(t)."""
     w = math.tau * frequency * _HARMONICS[:, np.newaxis]
-    share = amplitude / _HARMONICS / np.sum(1.0 / _HARMONICS)
+    weight = amplitude / _HARMONICS / np.sum(1.0 / _HARMONICS)
     angle = w * t + np.random.default_rng(seed).uniform(0.0, math.tau, w.shape)
-    x, dx, ddx = share @ np.sin(angle), share @ (w * np.cos(angle)), share @ (-w * w * np.sin(angle))
+    x, dx, ddx = weight @ np.sin(angle), weight @ (w * np.cos(angle)), weight @ (-w * w * np.sin(angle))
     s, ds, dds = _smooth_step(t / _RAMP_S)
     ds, dds = ds / _RAMP_S, dds / _RAMP_S**2
     return s * x, ds * x + s * dx, dds * x + 2.0 * ds * dx + s * ddx
 
 
 def _there_and_back(frequency: float, t: Array) -> tuple[Array, Array]:
-    """Time since the last turn, s, and whether it goes there (1) or back (-1)."""
+    """Return the time since the last reversal, s, and the direction: forward (1) or back (-1)."""
     half = 0.5 / frequency
     halves = np.floor(t / half)
     return t - halves * half, np.where(halves % 2.0 == 0.0, 1.0, -1.0)
 
 
-def _triangle(amplitude: float, frequency: float, corner: float, t: Array) -> Course:
-    """Constant speed; within a corner the velocity is a sine, so that the acceleration does not jump."""
+def _triangle(amplitude: float, frequency: float, corner: float, t: Array) -> Kinematics:
+    """Return a motion of constant speed with rounded corners, in which the velocity is a sine."""
     half, length = 0.5 / frequency, 0.5 * corner / frequency
-    rounded = 2.0 * length / math.pi  # path of the two half corners of a stroke, over the speed
+    rounded = 2.0 * length / math.pi  # path of the two half corners of a stroke, divided by the speed
     speed = 2.0 * amplitude / (half - length + rounded)
     w = math.pi / length
-    since, way = _there_and_back(frequency, t)
+    since, direction = _there_and_back(frequency, t)
     into = np.minimum(since, 0.5 * length)
     out = np.maximum(since - (half - 0.5 * length), 0.0)
     straight = np.clip(since - 0.5 * length, 0.0, half - length)
     path = speed * ((1.0 - np.cos(w * into)) / w + straight + np.sin(w * out) / w)
     velocity = speed * np.where(out > 0.0, np.cos(w * out), np.sin(w * into))
     acceleration = speed * w * np.where(out > 0.0, -np.sin(w * out), np.cos(w * into))
-    return np.where(way > 0.0, path, 2.0 * amplitude - path), way * velocity, way * acceleration
+    return np.where(direction > 0.0, path, 2.0 * amplitude - path), direction * velocity, direction * acceleration
 
 
-def _dwell(amplitude: float, frequency: float, rest: float, t: Array) -> Course:
-    """Moves of least jerk, each followed by its rest."""
+def _dwell(amplitude: float, frequency: float, rest: float, t: Array) -> Kinematics:
+    """Return minimum-jerk moves, each followed by a rest."""
     length = 0.5 * (1.0 - rest) / frequency
-    since, way = _there_and_back(frequency, t)
+    since, direction = _there_and_back(frequency, t)
     s, ds, dds = _smooth_step(since / length)
     stroke = 2.0 * amplitude
-    position = np.where(way > 0.0, stroke * s, stroke * (1.0 - s))
-    return position, way * stroke * ds / length, way * stroke * dds / length**2
+    position = np.where(direction > 0.0, stroke * s, stroke * (1.0 - s))
+    return position, direction * stroke * ds / length, direction * stroke * dds / length**2

@@ -1,110 +1,107 @@
-"""What a grid's outcomes come to: geometric means and worst cases, as JSON and as tables."""
+"""Results of a grid: geometric means and worst cases, as JSON and as tables."""
 
 import math
 from collections.abc import Iterable, Sequence
 from itertools import product
 from typing import Any
 
-from friction_hil.cli.output import console
+from rich.markup import escape
+from rich.table import Table
+
+from friction_hil.cli.work.tables import console
 from tools.benchmarks.compensation.grid import Grid
 from tools.benchmarks.compensation.methods import METHODS, OURS
-from tools.benchmarks.compensation.simulation import Outcome
+from tools.benchmarks.compensation.simulation import CaseResult
 from tools.benchmarks.report import machine
 
 _WORST_SHOWN = 10
 
 
 def geometric_mean(values: Iterable[float]) -> float:
-    """Geometric mean of numbers that are not negative; 0 if one of them is."""
+    """Return the geometric mean of numbers that are not negative; 0 if one of them is 0."""
     logarithms = [math.log(value) if value > 0.0 else -math.inf for value in values]
     if -math.inf in logarithms:
         return 0.0
     return math.exp(math.fsum(logarithms) / len(logarithms))
 
 
-def summary(outcomes: Sequence[Outcome]) -> dict[str, dict[str, dict[str, float]]]:
-    """Geometric mean and worst reduction: ``{method: {"rms": {"geomean", "worst"}, "peak": {..}}}``."""
+def summary(results: Sequence[CaseResult]) -> dict[str, dict[str, dict[str, float]]]:
+    """Return geometric mean and worst reduction: ``{method: {"rms": {"geomean", "worst"}, "peak": {..}}}``."""
     found: dict[str, dict[str, dict[str, float]]] = {}
     for method in METHODS:
         found[method] = {}
         for index, figure in enumerate(("rms", "peak")):
-            values = [outcome.reduction[method][index] for outcome in outcomes]
+            values = [result.reduction[method][index] for result in results]
             found[method][figure] = {"geomean": geometric_mean(values), "worst": min(values)}
     return found
 
 
-def as_json(grid: Grid, source: str, outcomes: Sequence[Outcome]) -> dict[str, Any]:
-    """Everything, as the contract of ``tools/bench compensation --json`` has it."""
+def as_json(grid: Grid, source: str, results: Sequence[CaseResult]) -> dict[str, Any]:
+    """Return the JSON object of ``tools/bench compensation --json``."""
     cases = [
         {
-            "plant": outcome.case.plant,
-            "drive": outcome.case.drive,
-            "motion": grid.motions[outcome.case.motion].name,
-            "condition": outcome.case.condition,
-            "reduction": {method: error._asdict() for method, error in outcome.reduction.items()},
+            "plant": result.case.plant,
+            "drive": result.case.drive,
+            "motion": grid.motions[result.case.motion].name,
+            "condition": result.case.condition,
+            "reduction": {method: error._asdict() for method, error in result.reduction.items()},
         }
-        for outcome in outcomes
+        for result in results
     ]
     by_condition = {
-        name: summary([each for each in outcomes if each.case.condition == name]) for name in grid.conditions
+        name: summary([each for each in results if each.case.condition == name]) for name in grid.conditions
     }
     return {"machine": machine(), "grid": source, "cases": cases, "summary": by_condition}
 
 
-def show(grid: Grid, source: str, outcomes: Sequence[Outcome]) -> None:
-    """Print tables for people."""
-    from rich.markup import escape
-
+def show(grid: Grid, source: str, results: Sequence[CaseResult]) -> None:
+    """Print the tables."""
     out = console()
     out.print(
-        f"{escape(source)}: how many times lower the following error is than without compensation,\n"
+        f"{escape(source)}: factor by which compensation reduces the following error,\n"
         "geometric mean of RMS/peak and \\[worst case]"
     )
-    _print_groups(out, ("condition", "drive"), outcomes)
+    _print_groups(out, ("condition", "drive"), results)
     if len(grid.plants) > 1:
-        _print_groups(out, ("plant", "drive"), outcomes)
-    _print_worst(out, grid, outcomes)
+        _print_groups(out, ("plant", "drive"), results)
+    _print_worst(out, grid, results)
     out.print(machine())
 
 
-def _print_groups(out: Any, headings: tuple[str, str], outcomes: Sequence[Outcome]) -> None:
+def _print_groups(out: Any, headings: tuple[str, str], results: Sequence[CaseResult]) -> None:
     """Print a row for each combination of two fields of the cases, and one for all."""
-    from rich.table import Table
-
     table = Table()
     for heading in headings:
         table.add_column(heading, overflow="fold", min_width=len(heading))
     for method in METHODS:
         table.add_column(method.replace("_", "\n"), justify="right", no_wrap=True)
-    values = [list(dict.fromkeys(getattr(each.case, name) for each in outcomes)) for name in headings]
+    values = [list(dict.fromkeys(getattr(each.case, name) for each in results)) for name in headings]
     for group in product(*values):
-        members = [each for each in outcomes if tuple(getattr(each.case, name) for name in headings) == group]
+        members = [each for each in results if tuple(getattr(each.case, name) for name in headings) == group]
         if members:
             table.add_row(*group, *_cells(members))
     table.add_section()
-    table.add_row("all", "", *_cells(outcomes))
+    table.add_row("all", "", *_cells(results))
     out.print(table)
 
 
-def _cells(outcomes: Sequence[Outcome]) -> list[str]:
+def _cells(results: Sequence[CaseResult]) -> list[str]:
     cells = []
-    for figures in summary(outcomes).values():
+    for figures in summary(results).values():
         rms, peak = figures["rms"], figures["peak"]
         means, worst = (f"{_brief(rms[each])}/{_brief(peak[each])}" for each in ("geomean", "worst"))
         cells.append(f"{means}\n\\[{worst}]")
     return cells
 
 
-def _print_worst(out: Any, grid: Grid, outcomes: Sequence[Outcome]) -> None:
-    from rich.table import Table
-
+def _print_worst(out: Any, grid: Grid, results: Sequence[CaseResult]) -> None:
     table = Table(title=f"worst cases of {OURS}", title_justify="left")
     for heading in ("plant", "drive", "motion", "condition"):
         table.add_column(heading, overflow="fold", min_width=len(heading))
     for heading in ("RMS", "peak", "true late"):
         table.add_column(heading, justify="right", no_wrap=True)
-    for outcome in sorted(outcomes, key=lambda each: min(each.reduction[OURS]))[:_WORST_SHOWN]:
-        case, ours, late = outcome.case, outcome.reduction[OURS], outcome.reduction["true_late"]
+    for result in sorted(results, key=lambda each: min(each.reduction[OURS]))[:_WORST_SHOWN]:
+        case, ours, late = result.case, result.reduction[OURS], result.reduction["true_late"]
         table.add_row(
             case.plant,
             case.drive,

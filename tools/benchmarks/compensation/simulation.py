@@ -19,7 +19,7 @@ from friction_hil.models import FrictionModel
 from friction_hil.motion.controller import CONTROLLER
 from friction_hil.numerics.jit import Array, StructuredArray
 from tools.benchmarks.compensation import machine
-from tools.benchmarks.compensation.grid import Drive, Grid, Plant
+from tools.benchmarks.compensation.grid import DriveLoops, Grid, Plant
 from tools.benchmarks.compensation.methods import METHODS, NONE, feedforward
 
 INTEGRATION_HZ = 80_000.0  # unless a plant needs more
@@ -29,14 +29,14 @@ Result = TypeVar("Result")
 
 
 class Error(NamedTuple):
-    """RMS and peak of a following error, rad; or how many times lower they are than without compensation."""
+    """RMS and peak of a following error, rad; or the factors by which compensation reduces them."""
 
     rms: float
     peak: float
 
 
 class Case(NamedTuple):
-    """One combination of the grid; ``motion`` is the place of the motion in it."""
+    """One combination of the grid; ``motion`` is an index."""
 
     plant: str
     drive: str
@@ -45,7 +45,7 @@ class Case(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class CaseResult:
     """A case, and the reduction by each method."""
 
     case: Case
@@ -53,15 +53,15 @@ class Outcome:
 
 
 class Simulation:
-    """A grid ready to run; what cases share is made once."""
+    """A grid ready to run; demands that cases have in common are computed once."""
 
     def __init__(self, grid: Grid) -> None:
         self.grid = grid
         self.cycles = round(grid.duration_s / grid.period_s)
-        self._course = cache(self._demands)
+        self._demands_of = cache(self._demands)
 
     def cases(self) -> list[Case]:
-        """All combinations, in the order of the file."""
+        """Return all combinations, in the order of the file."""
         grid = self.grid
         return [
             Case(plant, drive, motion, condition)
@@ -80,7 +80,7 @@ class Simulation:
         method : str
             One of `METHODS`, or ``none``.
         trace : (6, n) array, optional
-            To be filled with `machine.TRACE`, a column a sample of the drive, as many as it has room for.
+            Filled with `machine.TRACE`, one column for each sample of the drive, as far as it has room.
         """
         grid = self.grid
         plant, drive = grid.plants[case.plant], grid.drives[case.drive]
@@ -110,7 +110,7 @@ class Simulation:
             believed.initial_state(),
             compensator.record,
             compensator.state.view(compensation.STATE),
-            *self._course(case.motion, drive.rate_hz),
+            *self._demands_of(case.motion, drive.rate_hz),
             self._velocity(case.motion, grid.lead_s(case.drive, case.condition)),
             score,
             np.empty((len(machine.TRACE), 0)) if trace is None else trace,
@@ -122,15 +122,15 @@ class Simulation:
     def _demands(self, motion: int, rate_hz: float) -> tuple[Array, Array, Array]:
         samples = self.cycles * round(rate_hz * self.grid.period_s)
         t = np.arange(samples, dtype=np.float64) / rate_hz
-        return self.grid.motions[motion].course(t, self.grid.seed)
+        return self.grid.motions[motion].at(t, self.grid.seed)
 
     def _velocity(self, motion: int, lead_s: float) -> Array:
-        """Velocity demanded ``lead_s`` after the beginning of each period."""
+        """Return the velocity demanded ``lead_s`` after the beginning of each period."""
         t = np.arange(self.cycles, dtype=np.float64) * self.grid.period_s + lead_s
-        return self.grid.motions[motion].course(t, self.grid.seed)[1]
+        return self.grid.motions[motion].at(t, self.grid.seed)[1]
 
 
-def plant_record(plant: Plant, drive: Drive) -> StructuredArray:
+def plant_record(plant: Plant, drive: DriveLoops) -> StructuredArray:
     """Return the `machine.PLANT` record."""
     friction = plant.friction_model
     rate_hz = integration_hz(plant, drive.rate_hz, friction)
@@ -146,13 +146,13 @@ def plant_record(plant: Plant, drive: Drive) -> StructuredArray:
         c["gap"] = plant.backlash
     c["step_s"] = 1.0 / rate_hz
     c["steps_per_sample"] = round(rate_hz / drive.rate_hz)
-    c["torque_lag_share"] = 1.0
+    c["torque_lag_fraction"] = 1.0
     if drive.torque_lag_s > 0.0:
-        c["torque_lag_share"] = -math.expm1(-1.0 / (rate_hz * drive.torque_lag_s))
+        c["torque_lag_fraction"] = -math.expm1(-1.0 / (rate_hz * drive.torque_lag_s))
     return record
 
 
-def controller_record(plant: Plant, drive: Drive) -> StructuredArray:
+def controller_record(plant: Plant, drive: DriveLoops) -> StructuredArray:
     """Return the drive's `CONTROLLER` record: velocity and inertia are fed forward in full."""
     record = np.zeros(1, CONTROLLER)
     c = record[0]
@@ -164,7 +164,7 @@ def controller_record(plant: Plant, drive: Drive) -> StructuredArray:
 
 
 def integration_hz(plant: Plant, rate_hz: float, friction: FrictionModel) -> float:
-    """Rate of the integration: a multiple of ``rate_hz``, well inside the stability limits of the plant."""
+    """Return the rate of the integration: a multiple of ``rate_hz``, well inside the stability limits."""
     stiffness, damping = friction.presliding_stiffness, 0.0
     for name in ("sigma1", "sigma2", "viscous"):
         damping += friction.parameters.get(name, 0.0)
@@ -177,7 +177,7 @@ def integration_hz(plant: Plant, rate_hz: float, friction: FrictionModel) -> flo
     return rate_hz * math.ceil(needed / rate_hz * (1.0 - 1e-9))
 
 
-def simulate(grid: Grid) -> list[Outcome]:
+def simulate(grid: Grid) -> list[CaseResult]:
     """Run a whole grid on all cores, with a progress bar on a terminal.
 
     Raises
@@ -188,7 +188,7 @@ def simulate(grid: Grid) -> list[Outcome]:
     simulation = Simulation(grid)
     cases = simulation.cases()
     first = next(iter(grid.conditions))
-    # without compensation no condition makes a difference
+    # without compensation all conditions are equal
     plain = list(dict.fromkeys(case._replace(condition=first) for case in cases))
     jobs = [(case, NONE) for case in plain] + [(case, method) for case in cases for method in METHODS]
     errors = dict(zip(jobs, _with_progress(lambda job: simulation.run(*job), jobs), strict=True))
@@ -196,10 +196,12 @@ def simulate(grid: Grid) -> list[Outcome]:
         if not 0.0 < errors[case, NONE].rms < math.inf:
             raise FrictionHilError(
                 f"plant {case.plant} with drive {case.drive}, motion {grid.motions[case.motion].name}: the following "
-                f"error without compensation is {errors[case, NONE].rms:g} rad, with which nothing can be compared"
+                f"error without compensation is {errors[case, NONE].rms:g} rad, which is no basis for a comparison"
             )
     return [
-        Outcome(case, {m: _reduction(errors[case._replace(condition=first), NONE], errors[case, m]) for m in METHODS})
+        CaseResult(
+            case, {m: _reduction(errors[case._replace(condition=first), NONE], errors[case, m]) for m in METHODS}
+        )
         for case in cases
     ]
 
@@ -209,7 +211,7 @@ def _reduction(before: Error, after: Error) -> Error:
 
 
 def _with_progress(work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
-    """Do ``work`` on all ``items`` in threads, which the compiled simulation lets run side by side; in their order."""
+    """Do ``work`` on all ``items`` in threads, and yield the results in order; compiled code runs in parallel."""
     items = list(items)
     with (
         ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool,

@@ -1,0 +1,159 @@
+"""The work of ``friction-hil convert``."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+import numpy as np
+from rich.text import Text
+
+from friction_hil import models, recordings
+from friction_hil.cli.output import print_json
+from friction_hil.cli.work.tables import new_table, print_table
+from friction_hil.config import load
+from friction_hil.errors import RecordingError, UsageError
+from friction_hil.models import onnx_file
+from friction_hil.recordings import Recording
+from friction_hil.recordings.columns import TIME, unit
+from friction_hil.recordings.even import what_to_repair
+from friction_hil.recordings.quality import resolution, time_facts
+
+if TYPE_CHECKING:
+    from friction_hil.recordings.columns import AxisKind
+
+
+def convert(
+    *,
+    source: Path,
+    target: Path | None,
+    info: bool,
+    config: Path | None,
+    force: bool,
+    axis: str | None,
+    as_json: bool,
+    **options: Any,
+) -> None:
+    """Convert a recording or a model file, or print what is in a recording; ``options`` are those of `recordings`."""
+    if info == (target is not None):
+        raise click.UsageError("give OUT, or --info" if target is None else "--info writes nothing: leave OUT away")
+    if target is not None and target.suffix.lower() == ".onnx":
+        _write_onnx(source, target, force)
+        return
+    options["configuration"] = None if config is None else load(config)
+    found = recordings.read_all(source, **options) if axis is None else {axis: recordings.read(source, axis, **options)}
+    if target is None:
+        _print_info(source, found, as_json)
+        return
+    files = _targets(source, target, list(found), force)
+    for name, recording in found.items():
+        recordings.write(files[name], recording, overwrite=force)
+    for name, recording in found.items():
+        for problem in recording.problems:
+            click.echo(f"{recording.path}: {name}: {problem}", err=True)
+    written = [str(file) for file in files.values()]
+    if as_json:
+        print_json({"written": written, "rows": {name: len(recording) for name, recording in found.items()}})
+    else:
+        for path, recording in zip(written, found.values(), strict=True):
+            click.echo(f"{path}: {len(recording)} rows of {len(recording.columns)} columns")
+
+
+def _targets(source: Path, target: Path, axes: list[str], force: bool) -> dict[str, Path]:
+    """Return the file of each axis.
+
+    Raises
+    ------
+    click.UsageError
+        MCAP to MCAP, or several axes to one MCAP file.
+    RecordingError
+        A file exists and ``force`` is not given; nothing is written then.
+    """
+    if source.suffix.lower() == target.suffix.lower() == ".mcap":
+        raise click.UsageError(f"{source} is MCAP already; a copy would lose its metadata and restart points")
+    if len(axes) > 1 and target.suffix.lower() == ".mcap":
+        raise click.UsageError(f"{target} would hold one axis; choose it with --axis")
+    files = {name: target if len(axes) == 1 else target.with_stem(f"{target.stem}_{name}") for name in axes}
+    for file in () if force else files.values():
+        if file.exists():
+            raise RecordingError(f"{file} exists already; --force replaces it")
+    return files
+
+
+def _write_onnx(source: Path, target: Path, force: bool) -> None:
+    model = models.load(source)
+    if target.exists() and not force:
+        raise UsageError(f"{target} exists already; --force replaces it")
+    onnx_file.write(model, target)
+
+
+def _print_info(source: Path, found: dict[str, Recording], as_json: bool) -> None:
+    axes = {name: _facts(recording) for name, recording in found.items()}
+    if as_json:
+        print_json({"path": str(source), "axes": axes})
+        return
+    for name, facts in axes.items():
+        _print(name, facts)
+        for problem in facts["problems"]:
+            click.echo(f"{source}: {name}: {problem}", err=True)
+
+
+def _facts(recording: Recording) -> dict[str, Any]:
+    times = time_facts(recording.columns[TIME])
+    return {
+        "rows": len(recording),
+        "duration_s": recording.duration_s,
+        "rate_hz": 1.0 / times.period_s if times.period_s > 0.0 else None,
+        "jitter_s": times.jitter_s,
+        "gaps": len(times.gaps),
+        "longest_gap_s": times.longest_gap_s,
+        "columns": _column_facts(recording),
+        "events": [{"cycle": event.cycle, "name": event.name, "text": event.text} for event in recording.events],
+        "restart_points": len(recording.restarts),
+        "metadata": sorted(recording.metadata),
+        "problems": [*recording.problems, *what_to_repair(recording)],
+    }
+
+
+def _column_facts(recording: Recording) -> dict[str, dict[str, Any]]:
+    kinds = _kinds(recording)
+    facts = {}
+    for name, values in recording.columns.items():
+        finite = values[np.isfinite(values)]
+        expected = " or ".join(dict.fromkeys(filter(None, (unit(name, kind) for kind in kinds))))
+        facts[name] = {
+            "unit": recording.units.get(name, expected),
+            "values": int(finite.size),
+            "min": float(finite.min()) if finite.size else None,
+            "max": float(finite.max()) if finite.size else None,
+            "step": resolution(values),
+        }
+    return facts
+
+
+def _kinds(recording: Recording) -> "tuple[AxisKind, ...]":
+    """Return the kind of the axis if the recording carries the daemon's configuration, else both kinds."""
+    try:
+        kind = recording.metadata["configuration"]["axes"][recording.axis]["model"]["axis"]
+    except (KeyError, TypeError):
+        kind = None
+    return (kind,) if kind in ("rotary", "linear") else ("rotary", "linear")
+
+
+def _print(name: str, facts: dict[str, Any]) -> None:
+    rate = f" at {facts['rate_hz']:.6g} Hz" if facts["rate_hz"] else ""
+    click.echo(f"{name}: {facts['rows']} rows, {facts['duration_s']:.6g} s{rate}")
+    gaps = f", {facts['gaps']} gaps up to {facts['longest_gap_s']:.6g} s" if facts["gaps"] else ""
+    if facts["jitter_s"] > 0.0 or gaps:
+        click.echo(f"time stamps deviate by up to {facts['jitter_s']:.3g} s{gaps}")
+    table = new_table("column", "unit", "values", "min", "max", "step")
+    for number in table.columns[2:]:
+        number.justify = "right"
+    for column, fact in facts["columns"].items():
+        low, high = ("" if fact[key] is None else f"{fact[key]:.6g}" for key in ("min", "max"))
+        step = "" if fact["step"] is None else f"{fact['step']:.4g}"
+        table.add_row(Text(column), Text(fact["unit"]), str(fact["values"]), low, high, step)
+    print_table(table)
+    if facts["metadata"]:
+        click.echo(f"{facts['restart_points']} restart points; metadata: {', '.join(facts['metadata'])}")
+    for event in facts["events"]:
+        click.echo(f"cycle {event['cycle']:.0f}: {event['name']}: {event['text']}")

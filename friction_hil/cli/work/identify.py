@@ -1,0 +1,158 @@
+"""The work of ``friction-hil identify``."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.text import Text
+
+from friction_hil.checked_yaml.text import dump
+from friction_hil.cli.output import print_json
+from friction_hil.cli.work.progress import status_line
+from friction_hil.cli.work.read import read_recordings
+from friction_hil.cli.work.result_files import check_result_files
+from friction_hil.cli.work.tables import new_table, print_files, print_table
+from friction_hil.errors import UsageError
+from friction_hil.identification import Fit, Identification, IdentificationSettings, free_run, identify
+from friction_hil.identification.export import as_json as result_as_json
+from friction_hil.identification.export import as_model_file, model_file
+from friction_hil.reports.identification_report import write_report
+
+_SHOWN = 12  # candidates in the table, besides the simplest; JSON has all
+_CONTROLLER = {"position_gain", "velocity_gain"}
+
+
+def identify_axis(
+    *,
+    sources: tuple[Path, ...],
+    kept_apart: tuple[Path, ...],
+    axis: str | None,
+    columns: dict[str, str],
+    scale: dict[str, float],
+    where: str | None,
+    controller: dict[str, float],
+    output: Path | None,
+    report: Path | None,
+    as_json: bool,
+    **options: Any,
+) -> int:
+    """Identify an axis, write model file and report, and print the result; ``options`` become settings."""
+    settings = _settings(**options)
+    check_result_files(output, report)
+    if settings.has_unknown_gain and controller:
+        raise click.UsageError("--controller needs a measured torque: not with --unknown-gain")
+    reading: dict[str, Any] = {"columns": columns, "scale": scale, "where": where}
+    recordings = read_recordings(sources, axis, **reading)
+    validation = read_recordings(kept_apart, axis, **reading)
+    with status_line("reading") as show:
+        result = identify(recordings, settings, validation=validation, progress=lambda name: show(f"fitting {name}"))
+    free = _free_run(result, controller)
+    if output is not None:
+        model_file(result)  # raises before a file that could not be read again is written
+        output.write_text(dump(as_model_file(result)), encoding="utf-8")
+    if report is not None:
+        write_report(report, result, free)
+    if as_json:
+        print_json({**result_as_json(result), "free_run": free, "output": output, "report": report})
+    else:
+        _print(result, free)
+        print_files({"model file": output, "report": report})
+    return 0
+
+
+def _settings(
+    models: tuple[str, ...],
+    is_linear: bool,
+    loss: str,
+    is_refined: bool | None,
+    decimate: int | None,
+    **options: Any,
+) -> IdentificationSettings:
+    return IdentificationSettings(
+        families=models,
+        axis="linear" if is_linear else "rotary",
+        is_robust=loss == "huber",
+        refine=is_refined,
+        decimation=decimate,
+        **options,
+    )
+
+
+def _free_run(result: Identification, controller: dict[str, float]) -> dict[str, Any]:
+    """Simulate the chosen model in closed loop; return its relative error, or the reason why there is none."""
+    if set(controller) - _CONTROLLER:
+        raise UsageError(
+            f"--controller takes position_gain and velocity_gain, not {', '.join(set(controller) - _CONTROLLER)}"
+        )
+    if not controller:
+        return {"relative_error": None, "reason": "the controller is not known: give --controller"}
+    if set(controller) != _CONTROLLER:
+        raise UsageError(f"--controller also needs {', '.join(sorted(_CONTROLLER - set(controller)))}")
+    record = result.records[0]
+    if record.demand is None:
+        return {"relative_error": None, "reason": f"{record.path} has no position_demand"}
+    loop = free_run.cascade(record.demand, controller["position_gain"], controller["velocity_gain"])
+    run = free_run.simulate_axis(
+        model_file(result),
+        loop,
+        len(record.demand),
+        record.dt,
+        position=float(record.position[0]),
+        velocity=float(record.velocity[0]),
+    )
+    return {"relative_error": run.relative_error(record.torque, record.begin), "reason": None}
+
+
+def _print(result: Identification, free: dict[str, Any]) -> None:
+    for problem in dict.fromkeys(each for record in result.records for each in record.problems):
+        click.echo(problem, err=True)
+    for note in result.notes:
+        click.echo(note, err=True)
+    _print_candidates(result)
+    click.echo()
+    _print_parameters(result.best)
+    click.echo()
+    click.echo(f"Chosen: {result.best.label}. {result.reason[0].upper()}{result.reason[1:]}.")
+    for flag in result.best.flags:
+        click.echo(f"- {flag}")
+    if free["relative_error"] is None:
+        click.echo(f"No closed-loop simulation: {free['reason']}.")
+    else:
+        click.echo(f"Closed-loop simulation: relative error of the torque {100.0 * free['relative_error']:.2f} %.")
+
+
+def _print_candidates(result: Identification) -> None:
+    is_grouped = len({record.group for record in result.records}) > 1
+    table = new_table()
+    table.add_column("model", overflow="fold")
+    for heading in ("free", "error", "groups" if is_grouped else "blocks", "speeds", "others"):
+        table.add_column(heading, no_wrap=True)
+    for each in _shown(result.fits):
+        given = (each.train, each.cross_validation, each.across_speeds, each.validation)
+        errors = ["-" if error is None else f"{100.0 * error.relative_error:.3f} %" for error in given]
+        table.add_row(Text(each.label), str(each.count), *errors)
+    groups = f"the recordings of each {result.settings.group_by}" if is_grouped else "blocks of time"
+    click.echo(
+        "Number of free parameters; relative error of the torque on the fitted data, on "
+        f"{groups} held out, on speeds held out, on other recordings."
+    )
+    print_table(table)
+
+
+def _shown(fits: Sequence[Fit]) -> list[Fit]:
+    """Return the best candidates and the simplest one, with which the others are compared."""
+    shown = list(fits[:_SHOWN])
+    plain = [each for each in fits if not each.structure.modifiers]
+    if plain:
+        shown += [each for each in (min(plain, key=lambda each: each.count),) if each not in shown]
+    return shown
+
+
+def _print_parameters(best: Fit) -> None:
+    table = new_table("parameter", "value", "standard error")
+    for name, value in best.values.items():
+        error = best.inference.standard_errors.get(name, math.nan)
+        table.add_row(Text(name), f"{value:.6g}", f"{error:.2g}" if math.isfinite(error) else "-")
+    print_table(table)

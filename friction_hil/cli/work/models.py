@@ -1,0 +1,159 @@
+"""The work of ``friction-hil models``."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.table import Table
+
+from friction_hil import models
+from friction_hil.cli.output import print_json
+from friction_hil.cli.work.model_facts import describe_model, describe_modifier
+from friction_hil.cli.work.model_text import Page, default_text, in_units_of, new_table, unit_text, value_text
+from friction_hil.errors import ConfigurationError, UsageError
+from friction_hil.friction.modifiers import NAMES
+from friction_hil.models import Family, FrictionModel
+from friction_hil.models.files import model_from_argument
+from friction_hil.models.model_file import ModelFile
+from friction_hil.reports.model_picture import draw
+
+_OPTION = "--model "  # prefix of the messages about a model argument
+
+
+def show_models(*, name: str | None, picture: Path | None, as_json: bool) -> None:
+    """Print the list of models, or describe one model and draw it."""
+    if name is None:
+        if picture is not None:
+            raise UsageError(f"--draw needs a model: friction-hil models lugre --draw {picture}")
+        _list(as_json)
+        return
+    family, own = _find(name)
+    if picture is not None:
+        _draw(family, own, picture)
+    if as_json:
+        print_json(describe_model(family, own))
+        return
+    _print(family, own, name)
+    if picture is not None:
+        click.echo(f"\npicture: {picture}")
+
+
+def _find(name: str) -> tuple[Family, ModelFile | None]:
+    """Return the family that NAME stands for, and the model if NAME has values or is a file."""
+    if name in models.names() or name == models.NETWORK_ALONE.name:
+        return models.describe(name), None
+    try:
+        own = model_from_argument(name)
+    except ConfigurationError as error:
+        problems = [replace(each, path=each.path.removeprefix(_OPTION)) for each in error.problems]
+        raise ConfigurationError(problems) from None
+    except UsageError as error:
+        raise UsageError(str(error).removeprefix(_OPTION)) from None
+    return own.friction_model.family, own
+
+
+def _draw(family: Family, own: ModelFile | None, picture: Path) -> None:
+    title = f"{family.name}: {family.summary}"
+    if own is None:
+        draw(models.create(family.name, **family.example), picture, title)
+    else:
+        draw(own.friction_model, picture, f"{family.name} of {own.source_path.name}" if own.source_path else title)
+
+
+def _list(as_json: bool) -> None:
+    families = [models.describe(name) for name in models.names()]
+    modifiers = [describe_modifier(name) for name in NAMES]
+    if as_json:
+        print_json({"models": [describe_model(family) for family in families], "modifiers": modifiers})
+        return
+    page = Page()
+    room = page.width - 14 - 2 * 2
+    widths = 14, max(room * 2 // 5, 16), max(room - room * 2 // 5, 16)
+    for title, is_static in (
+        ("Static maps: friction is a function of the velocity", True),
+        ("Dynamic models: friction has a memory", False),
+    ):
+        click.echo(f"{title}\n")
+        page.write_table(_family_table([each for each in families if each.is_static == is_static], widths))
+        click.echo()
+    click.echo("Modifiers: they change the friction of any model, in the model file\n")
+    page.write_table(_modifier_table(modifiers, widths))
+    click.echo("\nFor example, under 'friction:' beside 'parameters:'\n")
+    page.write_yaml({"modifiers": {modifier["name"]: modifier["example"] for modifier in modifiers}}, indent=2)
+    click.echo()
+    page.write(
+        "'friction-hil models NAME' prints formula, units and an example; with --draw PICTURE it also draws the curves."
+    )
+
+
+def _family_table(families: list[Family], widths: tuple[int, ...]) -> Table:
+    table = new_table("model", "description", "parameters (=default)", widths=widths)
+    for family in families:
+        brief = [f"{each.name}{default_text(each.default)}" for each in family.parameters]
+        table.add_row(family.name, family.summary, ", ".join(brief))
+    return table
+
+
+def _modifier_table(modifiers: list[dict[str, Any]], widths: tuple[int, ...]) -> Table:
+    table = new_table("modifier", "description", "keys (=default) [unit]", widths=widths)
+    for modifier in modifiers:
+        keys = [
+            f"{key['name']}{default_text(key['default'])}: {key['meaning']}{unit_text(key['unit'])}"
+            for key in modifier["parameters"]
+        ]
+        table.add_row(modifier["name"], modifier["summary"], "\n".join(keys))
+    return table
+
+
+def _print(family: Family, own: ModelFile | None, name: str) -> None:
+    page = Page()
+    model = None if own is None else own.friction_model
+    page.write(f"{family.name}: {family.summary}")
+    click.echo()
+    for line in family.formula.split(";  "):
+        page.write(line, indent=2)
+    click.echo()
+    if family.parameters:
+        page.write_table(_parameter_table(family, model))
+        click.echo()
+    _print_remarks(page, family, model)
+    if not family.parameters or (model is not None and model.network is not None):
+        return  # the weights of a network are not for reading
+    content: dict[str, Any] = {"model": family.name, "parameters": dict(family.example)}
+    if own is not None:  # the values as they were given: a default may be that of a direction
+        content["parameters"] = own.friction.parameters
+        content |= {"modifiers": own.friction.modifiers} if own.friction.modifiers else {}
+    click.echo(f"\n{'Example' if own is None else name}, as in a model file:\n")
+    page.write_yaml({"friction": content})
+    if own is None:
+        click.echo()
+        page.write(f"Modifiers may follow the parameters: {', '.join(NAMES)}; 'friction-hil models' describes them.")
+
+
+def _print_remarks(page: Page, family: Family, model: FrictionModel | None) -> None:
+    if model is not None and model.network is not None:
+        network, speed = model.network, in_units_of(model, "rad/s")
+        page.write(
+            f"Network: {network}, trained at {network.period_s:g} s up to {network.speed_limit:g} {speed}; beyond, "
+            f"{network.beyond}."
+        )
+    if model is None and family.parameters:
+        page.write("Parameters without default must be given. On a linear axis read N for N m, and m for rad.")
+    if family.states:
+        page.write(f"State: {'; '.join(in_units_of(model, each) for each in family.states)}")
+    for note in ((family.note,) if family.note else ()) + (() if model is None else model.notes):
+        page.write(f"Note: {note}")
+    page.write(f"Source: {family.source}")
+
+
+def _parameter_table(family: Family, model: FrictionModel | None) -> Table:
+    values = "default" if model is None else "value"
+    table = new_table("parameter", "symbol", "unit", "bounds", values, "meaning")
+    for column in (0, 1, 2):
+        table.columns[column].no_wrap = True
+    for p in family.parameters:
+        bounds = p.bounds.removeprefix("a list of ").replace(", .inf allowed", " or .inf")
+        shown = value_text(p.default if model is None else model.parameters[p.name])
+        table.add_row(p.name, p.symbol, in_units_of(model, p.unit), bounds, shown, p.meaning)
+    return table

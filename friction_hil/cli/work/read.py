@@ -1,0 +1,54 @@
+"""Files that a command line names: patterns of files, and recordings of one axis."""
+
+import glob
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from friction_hil import recordings
+from friction_hil.errors import UsageError
+from friction_hil.recordings import Recording
+
+
+def expanded(words: Iterable[str | Path]) -> list[str]:
+    """Replace each pattern (``*``, ``?``, ``[..]``, ``**``) by the files that it matches, sorted by name.
+
+    The shell does so unless a pattern is quoted. A file whose name looks like a pattern is taken as it is.
+
+    Raises
+    ------
+    UsageError
+        A pattern matches nothing.
+    """
+    found: list[str] = []
+    for word in map(str, words):
+        if not glob.has_magic(word) or Path(word).exists():
+            found.append(word)
+            continue
+        matches = sorted(path for path in glob.glob(word, recursive=True) if Path(path).is_file())
+        if not matches:
+            raise UsageError(f"{word}: no file matches")
+        found += matches
+    return list(dict.fromkeys(found))
+
+
+def read_recordings(sources: Iterable[Path], axis: str | None, **options: Any) -> list[Recording]:
+    """Read the recordings of one axis from files and patterns; ``options`` are those of `recordings.read`.
+
+    Raises
+    ------
+    UsageError
+        A pattern matches nothing, or a file has several axes and none is chosen.
+    RecordingError
+        A file cannot be read.
+    """
+    found = []
+    for source in expanded(sources):
+        if axis is not None:
+            found.append(recordings.read(source, axis, **options))
+            continue
+        several = recordings.read_all(source, **options)
+        if len(several) > 1:
+            raise UsageError(f"{source}: has the axes {', '.join(several)}; choose one with --axis")
+        found += several.values()
+    return found

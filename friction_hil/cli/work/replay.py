@@ -1,0 +1,143 @@
+"""The work of ``friction-hil replay``."""
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.progress import Progress
+from rich.text import Text
+
+from friction_hil.cli.output import print_json
+from friction_hil.cli.work.read import expanded
+from friction_hil.cli.work.tables import console, new_table, print_table
+from friction_hil.config import load
+from friction_hil.errors import UsageError
+from friction_hil.models.files import model_from_argument
+from friction_hil.replay.batch import replay_many
+from friction_hil.replay.task import ReplayOutcome, ReplayTask
+from friction_hil.reports.replay_picture import draw
+
+
+def replay(
+    *,
+    sources: tuple[Path, ...],
+    model_arguments: tuple[str, ...],
+    is_verifying: bool,
+    config: Path | None,
+    output: Path | None,
+    scheduler: str | None,
+    as_json: bool,
+    **options: Any,
+) -> int:
+    """Replay files and print the result; return the highest exit status. ``options`` go to each `ReplayTask`."""
+    if output is not None and is_verifying and not model_arguments:
+        raise click.UsageError("--output draws models: give --model")
+    if options["where"] is not None and is_verifying:
+        raise click.UsageError("--verify uses every row as it was recorded: not with --where")
+    files = expanded(sources)
+    models = tuple(name for argument in model_arguments for name in _models(argument))
+    _check_once(models, config)
+    tasks = [
+        ReplayTask(
+            source=file,
+            models=models,
+            is_verifying=is_verifying,
+            config=None if config is None else str(config),
+            picture=None if output is None else str(output),
+            draw=None if output is None else draw,
+            name=name,
+            is_only=len(files) == 1,
+            **options,
+        )
+        for file, name in zip(files, _short_names(files), strict=True)
+    ]
+    with _progress(len(tasks)) as on_done:
+        found = replay_many(tasks, scheduler=scheduler, on_done=on_done, on_note=partial(click.echo, err=True))
+    outcomes = [outcome for each in found for outcome in each]
+    if as_json:
+        print_json({"recordings": [outcome.facts for outcome in outcomes]})
+    else:
+        _print(outcomes)
+    for outcome in outcomes:
+        if "error" in outcome.facts:
+            click.echo(f"Error: {outcome.facts['error']}", err=True)
+    return max((outcome.exit_status for outcome in outcomes), default=0)
+
+
+def _models(argument: str) -> list[str]:
+    """Expand a pattern of model files; return any other argument as it is."""
+    try:
+        return expanded([argument])
+    except UsageError:
+        return [argument]  # no file; `model_from_argument` reports what is wrong with it
+
+
+def _check_once(models: Sequence[str], config: Path | None) -> None:
+    """Read models and configuration once, so that a mistake is not reported for each of hundreds of files."""
+    for argument in models:
+        model_from_argument(argument)
+    if config is not None:
+        load(config)
+
+
+def _short_names(files: Sequence[str]) -> list[str]:
+    """Return the stems of files, with a number appended where several are equal."""
+    names: list[str] = []
+    for file in files:
+        stem = name = Path(file).stem
+        count = 1
+        while name in names:
+            count += 1
+            name = f"{stem}_{count}"
+        names.append(name)
+    return names
+
+
+@contextmanager
+def _progress(files: int) -> Iterator[Callable[[], None]]:
+    """Show a progress bar on a terminal if there are several files."""
+    errors = console(stderr=True)
+    if files < 2 or not errors.is_terminal:
+        yield lambda: None
+        return
+    with Progress(console=errors, transient=True) as progress:
+        bar = progress.add_task("replay", total=files)
+        yield lambda: progress.advance(bar)
+
+
+def _print(outcomes: Sequence[ReplayOutcome]) -> None:
+    table = new_table("recording", "axis", "model", "rmse", "relative error")
+    for outcome in outcomes:
+        facts = outcome.facts
+        name = Path(facts["path"]).name
+        for problem in facts["problems"]:
+            click.echo(f"{name}: {facts['axis']}: {problem}", err=True)
+        for each in facts["models"]:
+            error = f"{each['rmse']:.4g} {each['unit']}", _percent(each["relative_error"])
+            table.add_row(Text(name), facts["axis"], Text(each["model"]), *error)
+        if "verification" in facts:
+            click.echo(_verdict(name, facts))
+    if table.row_count:
+        print_table(table)
+    for outcome in outcomes:
+        if outcome.picture is not None:
+            click.echo(f"picture: {outcome.picture}")
+
+
+def _percent(relative_error: float) -> str:
+    return f"{100.0 * relative_error:.3f} %" if math.isfinite(relative_error) else "undefined: measured torque is 0"
+
+
+def _verdict(name: str, facts: dict[str, Any]) -> str:
+    verification = facts["verification"]
+    where = f"{name}: {facts['axis']}"
+    how = "bit for bit" if verification["tolerance"] == 0.0 else f"to {verification['tolerance']:.3g}"
+    if verification["differences"]:
+        how += f" (recorded elsewhere: {'; '.join(verification['differences'])})"
+    if facts["verified"]:
+        return f"{where}: verified: {verification['rows']} rows are reproduced {how}"
+    return f"{where}: NOT verified {how}: {verification['reason']}"

@@ -1,0 +1,153 @@
+"""The work of ``friction-hil train``."""
+
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import click
+
+from friction_hil import training
+from friction_hil.checked_yaml.text import dump
+from friction_hil.cli.output import print_json
+from friction_hil.cli.work.progress import status_line
+from friction_hil.cli.work.read import read_recordings
+from friction_hil.cli.work.result_files import check_result_files
+from friction_hil.cli.work.tables import console, new_table, print_files, print_table
+from friction_hil.errors import UsageError
+from friction_hil.models.files import model_from_argument
+from friction_hil.reports.training_report import write_report
+from friction_hil.training import Progress, TrainedModel
+
+
+def train(
+    *,
+    sources: tuple[Path, ...],
+    structure: Any,
+    hidden: tuple[int, ...],
+    inputs: tuple[str, ...],
+    from_model: str | None,
+    samples: int,
+    period_s: float,
+    top_speed: float | None,
+    base: str | None,
+    seed: int,
+    output: Path | None,
+    report: Path | None,
+    as_json: bool,
+    **options: Any,
+) -> int:
+    """Train a network, write model file and report, and print the result; ``options`` concern recordings."""
+    if bool(sources) == (from_model is not None):
+        raise UsageError("train needs recordings or --from-model, one of them")
+    check_result_files(output, report)
+    spec = training.NetworkSpec(structure=structure, hidden=hidden, inputs=inputs, seed=seed)
+    known = None if base is None else model_from_argument(base)
+    if structure == "residual" and from_model is not None:
+        raise UsageError("a residual learns what a model misses in recordings: give recordings, not --from-model")
+    if from_model is not None:
+        task = training.task_of_model(
+            model_from_argument(from_model), period_s=period_s, samples=samples, top_speed=top_speed, seed=seed
+        )
+    else:
+        task = _task_of_recordings(sources, structure, known, **options)
+    begin = time.monotonic()
+    with _stoppable() as goes_on, _progress() as show:
+        candidate = training.train_task(task, spec, lambda progress: show(progress) or goes_on())
+    seconds = time.monotonic() - begin
+    if output is not None:
+        output.write_text(dump(candidate.model_file()), encoding="utf-8")
+    if report is not None:
+        write_report(report, candidate, seconds)
+    if as_json:
+        print_json({**candidate.as_json(seconds), "output": output, "report": report})
+    else:
+        _print(candidate, seconds)
+        print_files({"model file": output, "report": report})
+    return 0
+
+
+def _task_of_recordings(
+    sources: tuple[Path, ...],
+    structure: str,
+    known: Any,
+    kept_apart: tuple[Path, ...],
+    axis: str | None,
+    is_linear: bool,
+    lowpass_hz: float | None,
+    **reading: Any,
+) -> training.TrainingTask:
+    with console(stderr=True).status("reading"):
+        return training.task_of_recordings(
+            read_recordings(sources, axis, **reading),
+            read_recordings(kept_apart, axis, **reading),
+            known,
+            is_linear=is_linear,
+            is_static=structure in ("static", "residual"),
+            is_residual=structure == "residual",
+            lowpass_hz=lowpass_hz,
+        )
+
+
+@contextmanager
+def _stoppable() -> Iterator[Callable[[], bool]]:
+    """Yield a function that is true until Ctrl-C is pressed; pressed again, it ends the program."""
+    is_stopped = False
+
+    def stop(*_: object) -> None:
+        nonlocal is_stopped
+        is_stopped = True
+        signal.signal(signal.SIGINT, before)
+
+    before = signal.signal(signal.SIGINT, stop)
+    try:
+        yield lambda: not is_stopped
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[Progress], None]]:
+    """Yield a function that shows the progress: in one line on a terminal, else a line for each stage."""
+    if not console(stderr=True).is_terminal:
+        yield _line_by_line()
+        return
+    with status_line("training") as show:
+        yield lambda progress: show(
+            f"iteration {progress.iteration}, start {progress.start + 1}, {progress.stage}: error "
+            f"{progress.error:.4f}, on validation {progress.validation_error:.4f}, damping {progress.damping:.1g}"
+        )
+
+
+def _line_by_line() -> Callable[[Progress], None]:
+    """Return a function that prints a line whenever a new start, or another stage of it, begins."""
+    last: tuple[int, str] | None = None
+
+    def write(progress: Progress) -> None:
+        nonlocal last
+        if (progress.start, progress.stage) != last:
+            last = progress.start, progress.stage
+            click.echo(
+                f"start {progress.start + 1}, {progress.stage}: on validation {progress.validation_error:.4f}", err=True
+            )
+
+    return write
+
+
+def _print(candidate: TrainedModel, seconds: float) -> None:
+    trained = candidate.trained
+    click.echo(f"{candidate.network}: {trained.iterations} iterations in {seconds:.1f} s")
+    table = new_table("NRMSE", "one step", "free run")
+    for name, errors in (("training", trained.train), ("validation", trained.validation)):
+        table.add_row(name, f"{errors.one_step:.4f}", f"{errors.free_run:.4f}")
+    print_table(table)
+    if candidate.relative_errors:
+        click.echo()
+        compared = new_table("relative error of the torque, held out", "")
+        for name, error in candidate.relative_errors.items():
+            compared.add_row(name, f"{100.0 * error:.3f} %")
+        print_table(compared)
+    for note in (*candidate.task.notes, *trained.flags):
+        click.echo(f"- {note}")

@@ -1,0 +1,171 @@
+"""The work of ``friction-hil tune``."""
+
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import click
+from rich.table import Table
+from rich.text import Text
+
+from friction_hil.cli.output import print_json
+from friction_hil.cli.work.progress import status_line
+from friction_hil.cli.work.tables import new_table, print_table
+from friction_hil.config import Configuration, file_problems, load, located
+from friction_hil.daemon.companion import free_path
+from friction_hil.errors import ConfigurationError, FrictionHilError, OptionError
+from friction_hil.reports.figures import require_matplotlib
+from friction_hil.reports.tuning_report import figures, write_reports
+from friction_hil.tuning import AxisTuning, TuneSettings, Tuning, tune
+
+_FOLDER = Path("out/tune")
+
+
+def tune_machine(
+    *,
+    config: Path,
+    names: tuple[str, ...],
+    models: tuple[str, ...],
+    output: Path | None,
+    yes: bool,
+    reset_fault: bool,
+    pace: str,
+    as_json: bool,
+) -> int:
+    """Tune the axes of a configuration and print the result; return 1 if a model did not help."""
+    if not yes and not sys.stdin.isatty():
+        raise click.UsageError(
+            "the machine moves several times, minutes apart, and there is no terminal to ask for confirmation: "
+            "--yes moves it without asking"
+        )
+    configuration = _checked(config)
+    settings = TuneSettings(
+        folder=free_path(_FOLDER, 0) if output is None else output,
+        names=names,
+        families=models,
+        is_fault_reset_wanted=reset_fault,
+        is_paced_by_sync=pace == "sync",
+        is_status_shown=not as_json and sys.stderr.isatty(),
+    )
+    try:
+        tuning = tune(configuration, settings, _Terminal(is_asked=not yes))
+    except OptionError as error:
+        raise located(config, error) from None
+    tuning.report = _report(settings.folder, tuning)
+    if as_json:
+        print_json(_as_dict(tuning))
+    else:
+        _print(tuning, config)
+    for warning in tuning.warnings:
+        click.echo(f"warning: {warning}", err=True)
+    failed = [name for name, axis in tuning.axes.items() if not axis.best.trial.has_helped]
+    for name in failed:
+        click.echo(f"{name}: compensation did not help: its model is not used", err=True)
+    return 1 if failed else 0
+
+
+def _checked(config: Path) -> Configuration:
+    configuration = load(config, needs_models=False)
+    if problems := file_problems(config, configuration):
+        raise ConfigurationError(problems)
+    return configuration
+
+
+def _report(folder: Path, tuning: Tuning) -> Path | None:
+    """Write the report; an error is printed, not raised, because the result of hours on a machine is worth more."""
+    try:
+        require_matplotlib()
+        return write_reports(folder, tuning)
+    except FrictionHilError as error:  # e.g. a full disk
+        click.echo(f"no report: {error}", err=True)
+    except Exception as error:  # noqa: BLE001  a broken installation of matplotlib raises anything
+        click.echo(f"no report: {type(error).__name__}: {error}", err=True)
+    return None
+
+
+class _Terminal:
+    """Messages and questions on stderr."""
+
+    def __init__(self, *, is_asked: bool) -> None:
+        self._is_asked = is_asked
+
+    def report(self, line: str) -> None:
+        click.echo(line, err=True)
+
+    def confirm(self, motion: str) -> None:
+        self.report(motion)
+        if self._is_asked:
+            click.confirm("Is the way clear?", default=True, abort=True, err=True)
+
+    @contextmanager
+    def working(self, text: str) -> Iterator[Callable[[str], None]]:
+        if not sys.stderr.isatty():
+            self.report(f"{text} ...")
+        with status_line(text) as show:
+            yield show
+
+
+def _as_dict(tuning: Tuning) -> dict[str, Any]:
+    return {
+        "axes": {name: _axis(axis) for name, axis in tuning.axes.items()},
+        "recordings": tuning.recordings,
+        "report": tuning.report,
+        "warnings": tuning.warnings,
+    }
+
+
+def _axis(axis: AxisTuning) -> dict[str, Any]:
+    best = axis.best
+    return {
+        "model": best.fit.label,
+        "file": axis.file,
+        "in_place": axis.is_in_place,
+        "reason": best.identification.reason,
+        "flags": best.fit.flags,
+        "parameters": best.fit.friction[0],
+        "mechanics": best.model["mechanics"],
+        "tried": [
+            {
+                "model": each.fit.label,
+                **each.trial.figures,
+                "reduction": asdict(each.trial.reduction),
+            }
+            for each in axis.candidates
+        ],
+    }
+
+
+def _print(tuning: Tuning, config: Path) -> None:
+    print_table(_table(tuning))
+    for name, axis in tuning.axes.items():
+        for flag in axis.best.fit.flags:
+            click.echo(f"{name}: {flag}")
+    for name, axis in tuning.axes.items():
+        click.echo(f"{name}: model file: {axis.file}; {_use(axis, config)}")
+    if tuning.report is not None:
+        click.echo(f"report: {tuning.report}")
+
+
+def _table(tuning: Tuning) -> Table:
+    table = new_table("axis", "model", "following error")
+    for heading in ("without", "with compensation", "times lower"):
+        table.add_column(heading, justify="right")
+    for name, axis in tuning.axes.items():
+        for each in axis.candidates:
+            kept = " (kept)" if each is axis.best and each.trial.has_helped else ""
+            for k, row in enumerate(figures(axis, each)):
+                table.add_row(*(("", "") if k else (name, Text(f"{each.fit.label}{kept}"))), *map(Text, row))
+    return table
+
+
+def _use(axis: AxisTuning, config: Path) -> str:
+    """Say what is to be done with the model file of an axis."""
+    if axis.is_in_place:
+        return "the configuration names it already"
+    if axis.best.trial.has_helped:
+        return f"to use it, write 'model: {os.path.relpath(axis.file, config.parent)}' in {config}"
+    return "not used: it did not help"

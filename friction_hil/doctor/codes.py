@@ -1,0 +1,47 @@
+"""Codes of all findings that are no pass; ``README.md`` beside this file gives cause and remedy of each."""
+
+CODES = {
+    # the machine
+    "FH-301": "no PREEMPT_RT kernel",
+    "FH-302": "preemption model unknown",
+    "FH-303": "frequency governor unknown",
+    "FH-304": "processors reduce their clock",
+    "FH-305": "compiled kernels cannot be kept",
+    "FH-306": "no compiled kernels yet",
+    "FH-307": "recording cannot be written",
+    "FH-308": "little disk space for the recording",
+    "FH-310": "memory not locked",
+    "FH-311": "little lockable memory",
+    "FH-312": "no real-time priority",
+    "FH-313": "real-time priority switched off",
+    "FH-314": "processor sleep not restricted",
+    # the configuration and its drivers
+    "FH-401": "configuration cannot be read",
+    "FH-402": "mistake in the configuration",
+    "FH-403": "model file missing",
+    "FH-404": "model with unusual values",
+    "FH-405": "driver cannot be imported",
+    "FH-406": "driver without checks",
+    "FH-407": "driver's checks failed",
+    # drives on serial lines
+    "FH-411": "serial port missing in /dev",
+    "FH-412": "no serial port",
+    "FH-413": "serial port not accessible",
+    "FH-414": "user not in the group of serial ports",
+    "FH-415": "USB adapter delays replies",
+    "FH-416": "line cannot be opened",
+    "FH-418": "drive does not monitor the daemon",
+    "FH-419": "drive description not verified against a manual",
+    # drives on CANopen
+    "FH-431": "no CAN interface",
+    "FH-432": "CAN interface down",
+    "FH-433": "CAN controller is bus-off",
+    "FH-434": "bit rates differ",
+    "FH-435": "CAN controller counts errors",
+    "FH-436": "bit rate unknown",
+    "FH-437": "bus cannot be opened",
+    "FH-438": "CAN adapter not accessible",
+    "FH-439": "CAN adapter not opened by doctor",
+    "FH-440": "bus load too high",
+    "FH-441": "axis in use by another daemon",
+}

@@ -1,0 +1,172 @@
+"""Every command that a page shows is one that there is, and a test runs it with each option that the page shows."""
+
+import shlex
+import shutil
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+
+import click
+import pytest
+import yaml
+
+from friction_hil.cli import main
+from friction_hil.errors import FrictionHilError
+from tests.processes import run, simulated_drives, write_configuration
+from tests.readme_commands import ROOT, resolve, shown_commands
+
+LUGRE = "lugre:sigma0=2000,sigma1=1,coulomb=0.08,static=0.12,stribeck_velocity=0.2,damping_velocity=0.2"
+
+# Run here, in this order, in one folder, with the exit statuses that are right.
+WITHOUT_DRIVES = (
+    ("friction-hil --help", 0),
+    ("friction-hil models", 0),
+    ("friction-hil models lugre --draw lugre.png", 0),
+    ("friction-hil config check machine.yaml", 0),
+    ("friction-hil config show machine.yaml", 0),
+    ("friction-hil config schema", 0),
+    ("friction-hil doctor", 0),
+    ("friction-hil doctor machine.yaml --json", 0),
+    ("friction-hil study --models coulomb --output study --json", 0),
+    ("friction-hil train --from-model coulomb:coulomb=0.1 --speed 1 --samples 1000 --hidden 2 --output net.yaml", 0),
+)
+WITH_DRIVES = (
+    "friction-hil run machine.yaml --pace sync --duration 3 --record run.mcap --json",
+    "friction-hil run machine.yaml --pace sync --duration 0.2 --record listen.mcap --dry-run --reset-fault --force",
+)
+ON_THE_RECORDING = (
+    ("friction-hil convert run.mcap run.csv", 0),
+    ("friction-hil convert run.mcap run.csv --axis x --where is_fresh --force", 0),
+    ("friction-hil convert --info run.csv --column torque=torque*1 --json", 0),
+    ("friction-hil replay run.mcap --verify", 0),
+    (f"friction-hil replay 'run.*' --model {LUGRE} --json", 0),
+    (
+        f"friction-hil replay run.csv --axis x --where is_fresh --model {LUGRE} --column position=position "
+        "--column torque=torque --scale torque=1.0 --lowpass 100 --decimate 2 --output compared.png",
+        0,
+    ),
+    (
+        "friction-hil identify run.csv --models coulomb --column position=position --lowpass 100 --decimate 4 "
+        "--gravity none --min-speed 0.01 --fix offset=0 --validate run.csv --loss huber --torque-is mean --no-refine "
+        "--seed 1 --controller position_gain=20 --controller velocity_gain=0.05 --output axis.yaml --report axis.html",
+        0,
+    ),
+)
+
+# Run by other tests: command with options, and the test.
+ELSEWHERE = (
+    ("friction-hil demo --pace --json --output", "test_json_has_its_shape"),
+    (
+        "friction-hil simulate --pace --exit-with-stdin",
+        "test_limits_hold_in_every_cycle_and_nothing_is_left_at_the_end",
+    ),
+    ("friction-hil tune --output --json --yes --pace", "test_an_axis_learns_its_friction_on_its_drive"),
+    ("friction-hil tune --models --axis", "test_mistakes_are_reported_before_anything_moves"),
+    ("friction-hil tune --reset-fault", "test_a_drive_in_fault_is_tuned_only_if_its_fault_may_be_reset"),
+    (
+        "friction-hil train --linear --column --structure --inputs",
+        "test_a_residual_of_the_emps_axis_beats_the_physical_model_on_held_out_blocks",
+    ),
+    ("friction-hil train --from-model --report --json", "test_a_network_learns_a_model_and_runs_where_a_model_runs"),
+    ("friction-hil identify --linear", "test_emps_published_parameters_to_the_printed_digits"),
+    ("friction-hil identify --where --group-by --unknown-gain", "test_servo_has_friction_that_grows_with_its_load"),
+    ("friction-hil replay --scheduler", "test_a_worker_that_is_killed_costs_no_bit"),
+    ("friction-hil convert", "test_convert_writes_it"),
+    ("./tools/demo", "test_demo_hands_its_arguments_on"),
+    ("./tools/test", "test_arguments_reach_pytest"),
+    ("./tools/bench", "test_unknown_benchmark_is_answered_with_what_there_is"),
+    ("./tools/bench compensation --grid --json", "test_command_prints_one_json_object"),
+    ("./tools/bench models --json", "test_every_figure_of_the_benchmark_has_its_row"),
+    ("./tools/bench recordings --json", "test_benchmark_of_recordings_has_every_format"),
+    ("./tools/bench serial", "test_cycles_without_time_for_a_rehearsal_are_measured_all_the_same"),
+    ("./tools/bench neural", "test_the_benchmark_of_networks_measures_an_iteration"),
+)
+
+
+def covered() -> Iterator[tuple[str, str]]:
+    """Each command with each option that a test runs; a command without options has the option ''."""
+    run_here = [text for text, _ in (*WITHOUT_DRIVES, *ON_THE_RECORDING)] + list(WITH_DRIVES)
+    for text in run_here:
+        name, options = resolve(tuple(shlex.split(text)))
+        yield from ((name, option) for option in ("", *options))
+    for text, _ in ELSEWHERE:
+        name, *options = text.partition(" --")[0], *[word for word in text.split() if word.startswith("--")]
+        yield from ((name, option) for option in ("", *options))
+
+
+def test_each_command_on_a_page_is_one_that_there_is():
+    wrong = []
+    for shown in shown_commands():
+        try:
+            resolve(shown.words, is_complete=shown.is_complete)
+        except (click.ClickException, FrictionHilError, AssertionError) as error:
+            wrong.append(f"{shown}: {error}")
+    assert not wrong, "\n".join(wrong)
+
+
+def test_each_command_on_a_page_is_run_by_a_test():
+    known = set(covered())
+    missing = []
+    for shown in shown_commands():
+        name, options = resolve(shown.words, is_complete=False)
+        missing += [f"{shown}: {name} {option}" for option in options or ("",) if (name, option) not in known]
+    assert not missing, "run it here, or name the test that runs it:\n" + "\n".join(missing)
+
+
+@pytest.mark.parametrize(("command", "name"), ELSEWHERE)
+def test_a_test_that_is_named_is_there_and_uses_the_command_with_its_options(command, name):
+    files = (path.read_text(encoding="utf-8") for path in (ROOT / "tests").rglob("test_*.py"))
+    (text,) = [text for text in files if f"def {name}(" in text]
+    helpers = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "tests").glob("*.py"))
+    words = command.split()[1:] or [command.removeprefix("./tools/")]
+    assert [word for word in words if word not in text + helpers] == []
+
+
+def test_a_command_that_is_not_there_is_found(monkeypatch, tmp_path):
+    page = tmp_path / "README.md"
+    page.write_text("```sh\nfriction-hil run a.yaml --drations 5\n```\n")
+    monkeypatch.setattr("tests.readme_commands.PAGES", [page])
+    monkeypatch.setattr("tests.readme_commands.ROOT", tmp_path)
+    with pytest.raises(AssertionError, match="--drations"):
+        test_each_command_on_a_page_is_one_that_there_is()
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch) -> Path:
+    """A folder with a configuration, ``machine.yaml``, of one simulated axis."""
+    write_configuration(tmp_path).rename(tmp_path / "machine.yaml")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def called(text: str) -> int:
+    return main(shlex.split(text)[1:])
+
+
+def test_commands_that_need_no_drive(folder, capfd):
+    pytest.importorskip("matplotlib", reason="the extra 'report' is not installed")
+    for text, status in WITHOUT_DRIVES:
+        assert called(text) == status, f"{text}: {capfd.readouterr().err}"
+    assert yaml.safe_load((folder / "net.yaml").read_text())["friction"]["model"] == "network"
+    for made in ("lugre.png", "study/report.html"):
+        assert (folder / made).stat().st_size > 10_000
+
+
+def test_commands_that_run_drives_and_look_at_the_recording(folder, capfd):
+    pytest.importorskip("matplotlib", reason="the extra 'report' is not installed")
+    with simulated_drives(folder / "machine.yaml"):
+        for text in WITH_DRIVES:
+            assert run(*shlex.split(text)[1:]).returncode == 0
+    for text, status in ON_THE_RECORDING:
+        assert called(text) == status, f"{text}: {capfd.readouterr().err}"
+    assert yaml.safe_load((folder / "axis.yaml").read_text())["friction"]["model"] == "coulomb"
+    for made in ("compared.png", "axis.html"):
+        assert (folder / made).stat().st_size > 10_000
+
+
+@pytest.mark.skipif(shutil.which("bash") is None, reason="there is no bash here")
+@pytest.mark.parametrize("tool", ["demo", "bench"])
+def test_the_tools_show_their_help(tool):
+    done = subprocess.run([ROOT / "tools" / tool, "--help"], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("Usage: ")
