@@ -165,6 +165,8 @@ def test_a_dry_run_writes_nothing_that_moves_or_changes_a_drive():
 
 def test_closing_twice_or_before_anything_was_opened_is_harmless(driven):
     driven.drives.close()
+    sent = len(driven.bus.sent)
     driven.drives.close()
     config = configuration(x=axis_dict(node=NODE + 1))
     CanopenDrives(config, config.axes, SteppedClock(), dry_run=False).close()
+    assert len(driven.bus.sent) == sent
