@@ -20,7 +20,7 @@ _values = arrays(
     np.float64, st.tuples(st.integers(2, 6), st.just(3)), elements=st.floats(allow_infinity=False) | st.just(np.nan)
 )
 _quick = settings(  # one function serves all subclasses, and overwrites the file of its one fixture
-    max_examples=10,
+    max_examples=15,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.differing_executors],
     deadline=None,
 )
