@@ -113,7 +113,7 @@ class ServoDrives:
         else:
             servo.command(0, 0.0)
 
-    def rehearse(self) -> None:
+    def warm_caches(self) -> None:
         pass
 
     def send(self, commands) -> None:

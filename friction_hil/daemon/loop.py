@@ -118,7 +118,7 @@ class Loop:
         self._feedback = [Feedback() for _ in axes]
         self._commands = [Command() for _ in axes]
         self._is_broken = [False for _ in axes]
-        self._is_rehearsal_broken = False
+        self._is_warming_broken = False
         self._may_reset_fault = [settings.is_fault_reset_wanted for _ in axes]
         width = columns_width(self._axes)
         self._row = np.full(len(self._axes) * width, math.nan)
@@ -148,7 +148,7 @@ class Loop:
             while self._course.state is not LoopState.DONE:
                 deadline_ns = start_ns + cycle * period_ns
                 if self._clock.doze_until(deadline_ns):
-                    self._rehearse(cycle)
+                    self._warm_caches(cycle)
                 self._clock.sleep_until(deadline_ns)
                 late_ns = self._clock.now_ns() - deadline_ns
                 skipped = late_ns // period_ns
@@ -165,18 +165,18 @@ class Loop:
             self._finish(cycle)
         return self.result
 
-    def _rehearse(self, cycle: int) -> None:
+    def _warm_caches(self, cycle: int) -> None:
         """Run a cycle's code on a copy of the first axis: caches that a sleep has emptied cost as much as the work."""
-        if self._is_rehearsal_broken:
+        if self._is_warming_broken:
             return
         try:
-            self._drives.rehearse()
+            self._drives.warm_caches()
             self._double.update(
                 cycle, LoopState.RUNNING, 0.0, self._double_feedback, self._double_command, self._double_row
             )
         except Exception as error:  # noqa: BLE001 - what fails here will fail in earnest: come to rest in good order
-            self._is_rehearsal_broken = True
-            self._fault(cycle, f"the computation failed in rehearsal: {type(error).__name__}: {error}")
+            self._is_warming_broken = True
+            self._fault(cycle, f"warming the caches failed: {type(error).__name__}: {error}")
 
     def _note_missed(self, cycle: int, skipped: int, late_ns: int) -> None:
         """Count missed periods; while the drives are idle, none is."""

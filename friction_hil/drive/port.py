@@ -177,7 +177,7 @@ class Drives(Protocol):
         """Write one command an axis."""
         ...
 
-    def rehearse(self) -> None:
+    def warm_caches(self) -> None:
         """Bring the code of a cycle into the caches, in the spin before its deadline.
 
         Nothing is sent, and no feedback changes; what came since the cycle before may be taken in.

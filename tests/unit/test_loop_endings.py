@@ -404,25 +404,25 @@ def test_a_model_that_overflows_is_a_fault():
     run.assert_left_disabled()
 
 
-def test_a_failing_rehearsal_stops_the_axes_in_good_order():
+def test_a_failure_in_warming_the_caches_stops_the_axes_in_good_order():
     class Ready(SteppedClock):
         def doze_until(self, deadline_ns):
             return True
 
     def before(drives):
         if drives.cycle == 400:
-            drives.rehearse = lambda: 1 / 0
+            drives.warm_caches = lambda: 1 / 0
 
     run = Run(before=before, clock=Ready())
-    assert run.result.faults == ["the computation failed in rehearsal: ZeroDivisionError: division by zero"]
+    assert run.result.faults == ["warming the caches failed: ZeroDivisionError: division by zero"]
     assert run.requests() == STOPPED_BY_FAULT
     run.assert_left_disabled()
 
 
-def test_rehearsals_change_no_bit_of_what_is_commanded():
+def test_warming_the_caches_changes_no_bit_of_what_is_commanded():
     class Ready(SteppedClock):
         def doze_until(self, deadline_ns):
             return True
 
-    plain, rehearsed = Run(duration_s=0.4), Run(duration_s=0.4, clock=Ready())
-    assert plain.commands == rehearsed.commands
+    plain, warmed = Run(duration_s=0.4), Run(duration_s=0.4, clock=Ready())
+    assert plain.commands == warmed.commands
