@@ -191,8 +191,8 @@ class AxisLoop:
         measured = float(cycle), position, velocity, feedback.torque
         inputs = (*measured, position_demand, velocity_demand, ahead, is_usable, is_enabled)
         compensation = self.compensator.step(*inputs)
-        if self.compensator.reduction != self._reduction:
-            self._reduction = self.compensator.reduction
+        if self.compensator.gain_factor != self._reduction:
+            self._reduction = self.compensator.gain_factor
             self.notice = (
                 f"{self.name}: the compensation swings by itself (limit cycle, over-compensation): its gain is now "
                 f"{self._reduction:.0%} of the configured one"
