@@ -7,7 +7,13 @@ Pure: one compiled step over one flat state record, the same in the daemon and i
 torque and slew. `Compensator` holds all of it as an object. README.md of this folder explains formulas and settings.
 """
 
-from friction_hil.compensator.compensator import INPUTS, Compensator, CompensatorSettings, input_checksum
+from friction_hil.compensator.compensator import (
+    INPUTS,
+    Compensator,
+    CompensatorInputs,
+    CompensatorSettings,
+    input_checksum,
+)
 from friction_hil.compensator.kernel import step
 from friction_hil.compensator.records import STATE
 from friction_hil.compensator.reference import SOURCES
@@ -17,6 +23,7 @@ __all__ = [
     "SOURCES",
     "STATE",
     "Compensator",
+    "CompensatorInputs",
     "CompensatorSettings",
     "input_checksum",
     "step",

@@ -5,6 +5,7 @@ import struct
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,17 +16,22 @@ from friction_hil.errors import UsageError
 from friction_hil.friction import FrictionModel
 from friction_hil.numerics.jit import Array, StructuredArray
 
-INPUTS = (
-    "cycle",
-    "position",
-    "velocity",
-    "torque",
-    "position_demand",
-    "velocity_demand",
-    "velocity_demand_ahead",
-    "is_fresh",
-    "is_enabled",
-)
+
+class CompensatorInputs(NamedTuple):
+    """Inputs of one cycle, in the order of `Compensator.step`."""
+
+    cycle: float
+    position: float
+    velocity: float
+    torque: float
+    position_demand: float
+    velocity_demand: float
+    velocity_demand_ahead: float
+    is_fresh: bool
+    is_enabled: bool
+
+
+INPUTS = CompensatorInputs._fields
 _PACKED_INPUTS = struct.Struct(f"<{len(INPUTS)}d")
 _UNCERTAIN_FRACTION = 0.2  # of the friction level, standard deviation of the torque unknown to the Kalman observer
 _UNCERTAIN_S = 0.01  # correlation time of that torque
@@ -185,6 +191,13 @@ class Compensator:
             1.0 if is_fresh else 0.0,
             1.0 if is_enabled else 0.0,
         )
+
+    def compile(self) -> None:
+        """Compile `step`, so that the first cycle is as fast as the later ones; the state stays as it is."""
+        state = self.state.copy()
+        for cycle in range(3):
+            self.step(float(cycle), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, True, False)
+        self.state[:] = state
 
     def replay(self, inputs: Sequence[Array]) -> tuple[Array, Array]:
         """Compute many cycles at once.

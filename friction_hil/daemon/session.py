@@ -14,8 +14,10 @@ from friction_hil.config.load import only_driver
 from friction_hil.daemon.assembly import ramp_s
 from friction_hil.daemon.axis import AxisLoop
 from friction_hil.daemon.companion import Companion, CompanionReport, Job, free_path, prepare
-from friction_hil.daemon.loop import Loop, LoopResult, LoopSettings
+from friction_hil.daemon.log import LoopResult
+from friction_hil.daemon.loop import Loop
 from friction_hil.daemon.realtime import RealClock, SteppedClock, punctuality
+from friction_hil.daemon.run import LoopSettings
 from friction_hil.daemon.stop import StopRequest
 from friction_hil.drive import AxisFacts, Clock, Drives
 from friction_hil.drive.finding import complaints
@@ -118,8 +120,6 @@ def run_session(
             )
             for fact in facts
         ]
-        for axis in axes:
-            axis.warm_up()
         companion = Companion.start(_job(configuration, settings, path, started_ns, facts, axes, shadows))
         try:
             with punctuality(0 if settings.is_paced_by_sync else realtime.priority) as findings:
@@ -137,7 +137,14 @@ def run_session(
                 result = loop.run()
         finally:
             report = companion.close()
-    errors = {axis.name: {"rms": axis.stats.rms, "peak": axis.stats.peak, "stale": axis.stale} for axis in axes}
+    errors = {
+        axis.name: {
+            "rms": axis.following_error.rms,
+            "peak": axis.following_error.peak,
+            "stale": axis.stale_cycles,
+        }
+        for axis in axes
+    }
     return SessionResult(result, errors, report)
 
 
