@@ -49,6 +49,32 @@ class AxisLoop:
         Largest number of successive cycles without usable feedback that are bridged.
     """
 
+    # slots here and in its parts: with a __dict__, the deep copy that warms the caches would be laid out differently,
+    # and the interpreter would specialise the code for neither
+    __slots__ = (
+        "_baseline_s",
+        "_command",
+        "_fault_reset",
+        "_is_broken",
+        "_is_compensation_enabled",
+        "_notices",
+        "_period_s",
+        "_standstill",
+        "_states",
+        "compensator",
+        "following_error",
+        "lead_s",
+        "motion",
+        "name",
+        "row_width",
+        "setpoint_delay_s",
+        "shadow_names",
+        "shadows",
+        "stale_cycles",
+        "state_width",
+        "supervisor",
+    )
+
     def __init__(
         self,
         name: str,
@@ -97,34 +123,28 @@ class AxisLoop:
     def update(
         self, cycle: int, state: LoopState, running_s: float, feedback: Feedback, command: Command, row: AxisRow
     ) -> AxisUpdate:
-        """Compute one cycle and report what the run has to know of it; the arguments are those of `compute`.
+        """Compute one cycle; the arguments are those of `compute`.
 
         An exception in the computation is a fault like any other: from then on the axis gets no torque, and its row
         holds NaN.
         """
-        time_s = cycle * self._period_s
-        fault = warning = None
+        fault = None
         if not self._is_broken:
             try:
-                fault = self.compute(cycle, state, running_s, feedback, command, row)
-                warning = self._notices.next(self.compensator)
+                return self.compute(cycle, state, running_s, feedback, command, row)
             except Exception as error:  # noqa: BLE001 - whatever it is, the machine must come to rest
                 self._is_broken = True
                 text = f"{self.name}: the computation failed: {type(error).__name__}: {error}"
                 fault = FaultCode.COMPUTATION_FAILED.append_to(text)
-        if self._is_broken:
-            command.torque = command.velocity = 0.0
-            row.clear(time_s, cycle)
-        if fault is not None or state is LoopState.ENABLING:
-            self._fault_reset.take(feedback)
-        is_reset_due = self._fault_reset.is_due(feedback, state, time_s)
-        fault = None if is_reset_due else fault
-        is_standing, is_faded_out = self._is_standing(feedback), self.compensator.is_faded_out
-        return AxisUpdate(fault, warning, is_reset_due, is_standing, is_faded_out)
+        time_s = cycle * self._period_s
+        command.torque = command.velocity = 0.0
+        row.clear(time_s, cycle)
+        is_standing = feedback.is_fresh and abs(feedback.velocity) <= self._standstill
+        return self._report(time_s, state, feedback, fault, None, is_standing)
 
     def compute(
         self, cycle: int, state: LoopState, running_s: float, feedback: Feedback, command: Command, row: AxisRow
-    ) -> str | None:
+    ) -> AxisUpdate:
         """Compute one cycle: check the feedback, compensate, command, record.
 
         Parameters
@@ -139,16 +159,11 @@ class AxisLoop:
             Filled with the set-point and torque of this cycle.
         row : AxisRow
             Filled with the columns of the recording and the states before this cycle.
-
-        Returns
-        -------
-        str or None
-            Fault of the axis.
         """
-        time_s, compensator = cycle * self._period_s, self.compensator
-        is_usable = self.supervisor.take(feedback)
+        time_s, compensator, supervisor = cycle * self._period_s, self.compensator, self.supervisor
+        is_usable = supervisor.take(feedback)
         self.stale_cycles += not is_usable
-        position = self.supervisor.position
+        position = supervisor.position
         velocity = feedback.velocity if is_usable else compensator.velocity_estimate
         setpoint, demand = self.motion.demand(time_s, state)
         is_active = self._is_compensation_enabled and state in (LoopState.IDLE, LoopState.RUNNING)
@@ -161,28 +176,31 @@ class AxisLoop:
         self._command.write(command, state, time_s, position, estimate, setpoint, compensation, is_operation_enabled)
         if setpoint is not None and is_usable and state is LoopState.RUNNING:
             self.following_error.add(setpoint.position - position)
-        row.write_cycle(
-            time_s,
-            inputs,
-            velocity_estimate=estimate,
-            compensation=compensation,
-            command=command.torque,
-            state=state,
-            drive_state=feedback.state,
-        )
+        row.write_cycle(time_s, inputs, estimate, compensation, command.torque, state, feedback.state)
         for name, shadow in self.shadows.items():
             row.write_shadow(name, shadow.step(*inputs))
-        fault = self.supervisor.find_fault(feedback, state, estimate, inputs.position_demand)
+        fault = supervisor.find_fault(feedback, state, estimate, inputs.position_demand)
         if fault is None and compensator.is_faulty:
             text = f"{self.name}: the friction model gave a torque that is not finite"
             fault = FaultCode.MODEL_NOT_FINITE.append_to(text)
-        return fault
+        is_standing = supervisor.is_current and abs(estimate) <= self._standstill
+        return self._report(time_s, state, feedback, fault, self._notices.next(compensator, estimate), is_standing)
 
-    def _is_standing(self, feedback: Feedback) -> bool:
-        """Return True if the axis is at rest within the resolution of its encoder; False without feedback."""
-        if self._is_broken:
-            return feedback.is_fresh and abs(feedback.velocity) <= self._standstill
-        return self.supervisor.is_current and abs(self.compensator.velocity_estimate) <= self._standstill
+    def _report(
+        self,
+        time_s: float,
+        state: LoopState,
+        feedback: Feedback,
+        fault: str | None,
+        warning: str | None,
+        is_standing: bool,
+    ) -> AxisUpdate:
+        """Return what the run has to know of this cycle; a fault that is to be reset is none."""
+        if fault is not None or state is LoopState.ENABLING:
+            self._fault_reset.take(feedback)
+        is_reset_due = self._fault_reset.is_due(feedback, state, time_s)
+        fault = None if is_reset_due else fault
+        return AxisUpdate(fault, warning, is_reset_due, is_standing, self.compensator.is_faded_out)
 
 
 def _check_torque(name: str, config: "AxisConfig", facts: AxisFacts) -> None:

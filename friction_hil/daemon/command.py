@@ -35,6 +35,18 @@ class CommandWriter:
         Position at which the axis is held outside of the moving states, SI; NaN before the first cycle.
     """
 
+    __slots__ = (
+        "_controller",
+        "_integral",
+        "_largest_step",
+        "_limits",
+        "_mode",
+        "_motion",
+        "_period_s",
+        "_torque",
+        "held_position",
+    )
+
     def __init__(self, config: "AxisConfig", limits: AxisLimits, motion: AxisMotion, period_s: float) -> None:
         self._mode = Mode[config.mode.upper()]
         self._limits = limits

@@ -37,21 +37,29 @@ class CompensationNotices:
     compensator : Compensator
     """
 
+    __slots__ = (
+        "_gain_factor",
+        "_name",
+        "_network",
+        "_trained_speed",
+        "_unit",
+    )
+
     def __init__(self, name: str, unit: str, compensator: Compensator) -> None:
         self._name, self._unit = name, unit
         self._network = compensator.model.network
         self._trained_speed = math.inf if self._network is None else self._network.speed_limit
         self._gain_factor = 1.0
 
-    def next(self, compensator: Compensator) -> str | None:
-        """Return the warning of this cycle, each once; None in most cycles."""
+    def next(self, compensator: Compensator, velocity: float) -> str | None:
+        """Return the warning of this cycle, given the estimated velocity; each once, and None in most cycles."""
         if compensator.gain_factor != self._gain_factor:
             self._gain_factor = compensator.gain_factor
             return (
                 f"{self._name}: the axis oscillates by its own compensation (limit cycle, over-compensation): the "
                 f"gain is now {self._gain_factor:.0%} of the configured one"
             )
-        if self._network is not None and abs(compensator.velocity_estimate) > self._trained_speed:
+        if self._network is not None and abs(velocity) > self._trained_speed:
             limit, self._trained_speed = self._trained_speed, math.inf
             return (
                 f"{self._name}: faster than the {limit:g} {self._unit}/s that the network was trained for; beyond, "

@@ -43,6 +43,17 @@ class AxisMotion:
         The encoder is too coarse for an experiment.
     """
 
+    __slots__ = (
+        "_extent",
+        "_has_setpoint",
+        "_lead_s",
+        "_limits",
+        "_name",
+        "_setpoint_delay_s",
+        "_trajectory",
+        "_unit",
+    )
+
     def __init__(
         self,
         name: str,

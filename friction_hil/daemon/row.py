@@ -57,7 +57,6 @@ class AxisRow:
         self,
         time_s: float,
         inputs: CompensatorInputs,
-        *,
         velocity_estimate: float,
         compensation: float,
         command: float,
