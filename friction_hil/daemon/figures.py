@@ -1,4 +1,4 @@
-"""What a run tells about an axis: its following error, and notices about its compensation."""
+"""Figures of an axis in a run: its following error, and warnings about its compensation."""
 
 import math
 

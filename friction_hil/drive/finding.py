@@ -1,4 +1,4 @@
-"""What was found when something was looked at, whether it is as it should be, and what would mend it."""
+"""Findings: result of one check, with its detail and its remedy."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
@@ -12,18 +12,18 @@ NOT_TOLD = "not told by this system"
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that was looked at.
+    """Result of one check.
 
     Attributes
     ----------
     check : str
-        What was looked at, in a few words.
+        Subject of the check, in a few words.
     result : str
-        ``fail``: the daemon will not run, or not safely; ``warn``: it runs, but worse, or nothing tells; ``pass``.
+        ``fail``: the daemon will not run, or not safely; ``warn``: it runs, but worse, or this is unknown; ``pass``.
     detail : str
-        What was found.
+        Observation.
     fix : str
-        What would mend it; empty where nothing needs to be mended.
+        Remedy; empty where none is needed.
     """
 
     check: str
@@ -36,17 +36,17 @@ class Finding:
 
 
 def failure(check: str, error: FrictionHilError) -> Finding:
-    """Make a finding of what a run would end with."""
+    """Return the finding for an error that would end a run."""
     return Finding(check, "fail", error.detail, error.fix)
 
 
 def complaints(findings: Iterable[Finding]) -> Iterator[str]:
-    """What is not as it should be, in words."""
+    """Return the texts of all findings that did not pass."""
     return (str(finding) for finding in findings if finding.result != "pass")
 
 
 def system_text(path: Path) -> str | None:
-    """Content of a file by which the system tells something, without blanks at its ends; None where it does not."""
+    """Return the stripped content of a file of the system; None if it cannot be read."""
     try:
         return path.read_text(encoding="utf-8", errors="replace").strip()
     except OSError:
