@@ -1,18 +1,18 @@
-"""Codes of the faults that end a run, appended to their messages: ``x: no usable feedback ... [FH-103]``.
+"""Codes of the faults that the daemon detects, appended to their messages: ``x: no usable feedback ... [FH-103]``.
 
-FH-1xx are faults that the daemon detects, FH-2xx those that drivers report. Causes and remedies are in the table of
-friction_hil/daemon/README.md.
+Causes and remedies are in the table of friction_hil/daemon/README.md. FH-1xx is the daemon's range; FH-2xx belongs to
+the drivers, whose messages have codes of their own.
 
->>> FaultCode.HEARTBEAT_LOST.append_to("no heartbeat for 0.3 s")
-'no heartbeat for 0.3 s [FH-201]'
->>> FaultCode.DRIVER_MESSAGE.append_to("no heartbeat for 0.3 s [FH-201]")
-'no heartbeat for 0.3 s [FH-201]'
+>>> FaultCode.LOOP_LATE.append_to("the loop was late")
+'the loop was late [FH-113]'
+>>> FaultCode.DRIVER_MESSAGE.append_to("no heartbeat from node 5 [FH-230]")
+'no heartbeat from node 5 [FH-230]'
 """
 
 import re
 from enum import Enum
 
-_AT_END = re.compile(r"\[FH-\d{3}\]$")
+_ANY_CODE = re.compile(r"\[FH-\d{3}\]")
 
 
 class FaultCode(Enum):
@@ -37,15 +37,6 @@ class FaultCode(Enum):
     EXCHANGE_FAILED = 117, "exchange with the drives failed"
     DRIVER_MESSAGE = 118, "fault reported by the driver"
 
-    HEARTBEAT_LOST = 201, "lost heartbeat"
-    EMERGENCY = 202, "emergency message"
-    REBOOTED = 203, "drive has restarted"
-    DRIVE_FAULT = 204, "fault of the drive"
-    WATCHDOG = 205, "watchdog tripped"
-    SETPOINT_REFUSED = 206, "set-point refused"
-    LINE_GONE = 207, "bus or line gone"
-    NO_ANSWER = 208, "drive does not answer"
-
     def __init__(self, number: int, title: str) -> None:
         self.number = number
         self.title = title
@@ -55,4 +46,4 @@ class FaultCode(Enum):
 
     def append_to(self, message: str) -> str:
         """Return the message with this code at its end; a message that has a code already stays as it is."""
-        return message if _AT_END.search(message) else f"{message} [{self}]"
+        return message if _ANY_CODE.search(message) else f"{message} [{self}]"

@@ -69,7 +69,7 @@ class Feedback:
     state: DriveState = DriveState.UNKNOWN
     is_fresh: bool = False  # every frame of this cycle arrived in time
     error: str = ""  # last error code of the drive, in words
-    # fault beside the state: a lost heartbeat, a reboot, an emergency; ends in a `FaultCode`, or the daemon adds FH-118
+    # fault beside the state: a lost heartbeat, a reboot, an emergency; without a code, FH-2xx, it gets FH-118
     message: str = ""
     missing: str = ""  # reason why nothing fresh came, if the driver knows it
 
