@@ -138,7 +138,7 @@ class Run:
     velocity: Array
     friction: Array
     compensation: Array
-    reduction: Array
+    gain_factor: Array
     error: Array
 
     def after(self, t: float) -> "Run":
@@ -228,7 +228,7 @@ class Axis:
                 inputs = row(self.cycle, position=position, velocity=self.velocity, torque=self.torque, **told)
                 compensation = one.step(*(inputs if change is None else change(inputs)))  # type: ignore[arg-type]
             values = (t, self.position, self.velocity, self.friction_torque, acting, 1.0, wanted - self.position)
-            rows.append(values if one is None else (*values[:5], one.reduction, values[6]))
+            rows.append(values if one is None else (*values[:5], one.gain_factor, values[6]))
             for sample in range(self.SAMPLES):
                 self._sample(t + sample * PERIOD_S / self.SAMPLES, acting, demand, hand)
             self.cycle += 1

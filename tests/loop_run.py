@@ -66,9 +66,7 @@ class Run:
                 before(drives)
 
         self.drives = Drives(self.config, hook, disturb=disturb, servo=servo)
-        self.loop, self.sink, self.axes = make_loop(self.config, self.drives, stop=stop, **loop)
-        if clock is not None:
-            self.loop._clock = clock
+        self.loop, self.sink, self.axes = make_loop(self.config, self.drives, stop=stop, clock=clock, **loop)
         if on_axes is not None:
             on_axes(self.axes)
         self.result = self.loop.run()

@@ -6,8 +6,10 @@ from collections.abc import Callable, Sequence
 
 from friction_hil.config import from_dict
 from friction_hil.daemon.axis import AxisLoop
-from friction_hil.daemon.loop import Loop, LoopResult, LoopSettings
+from friction_hil.daemon.log import LoopResult
+from friction_hil.daemon.loop import Loop
 from friction_hil.daemon.realtime import SteppedClock
+from friction_hil.daemon.run import LoopSettings
 from friction_hil.daemon.stop import StopRequest
 from friction_hil.drive import AxisFacts, Command, DriveState, Feedback, Mode, Request
 from friction_hil.friction import describe
@@ -113,7 +115,7 @@ class ServoDrives:
         else:
             servo.command(0, 0.0)
 
-    def rehearse(self) -> None:
+    def warm_caches(self) -> None:
         pass
 
     def send(self, commands) -> None:
@@ -150,8 +152,8 @@ class Rows:
         return [float(row[index]) for row in self.rows]
 
 
-def make_loop(config, drives, *, stop=None, **settings):
-    """A loop over ``drives``, its sink and its axes."""
+def make_loop(config, drives, *, stop=None, clock=None, **settings):
+    """Return a loop over ``drives``, its sink and its axes."""
     path_time = PathTime(0.25)
     axes = [
         AxisLoop(name, config.axes[name], facts, config.period_s, path_time)
@@ -159,7 +161,7 @@ def make_loop(config, drives, *, stop=None, **settings):
     ]
     sink = Rows(config)
     settings = LoopSettings(period_s=config.period_s, **settings)
-    return Loop(drives, axes, path_time, SteppedClock(), sink, settings, stop or StopRequest()), sink, axes
+    return Loop(drives, axes, path_time, clock or SteppedClock(), sink, settings, stop or StopRequest()), sink, axes
 
 
 def run(config, **settings) -> tuple[LoopResult, Rows, ServoDrives]:

@@ -1,18 +1,29 @@
-"""The compensator: measured and demanded motion -> friction model -> gain, fading, limits -> torque.
+"""Friction compensator: measured and demanded motion, friction model, gain, limits, torque.
 
-Pure: one compiled step over one flat state record, the same in the daemon and in replay. `intent` says which
-velocities feed the model and why, `limit_cycle` and `adaptation` what changes the gain, `kernel` is the step.
+Pure: one compiled step over one flat state record, the same in the daemon and in replay.
+
+`kernel` is the step, `records` its settings and state, `reference` the velocities that the model is given,
+`velocity` the velocity estimators, `limit_cycle` and `adaptation` what changes the gain, `limiter` the bounds on
+torque and slew. `Compensator` holds all of it as an object. README.md of this folder explains formulas and settings.
 """
 
-from friction_hil.compensator.compensator import INPUTS, Compensator, CompensatorSettings, input_checksum
-from friction_hil.compensator.intent import SOURCES
-from friction_hil.compensator.kernel import STATE, step
+from friction_hil.compensator.compensator import (
+    INPUTS,
+    Compensator,
+    CompensatorInputs,
+    CompensatorSettings,
+    input_checksum,
+)
+from friction_hil.compensator.kernel import step
+from friction_hil.compensator.records import STATE
+from friction_hil.compensator.reference import SOURCES
 
 __all__ = [
     "INPUTS",
     "SOURCES",
     "STATE",
     "Compensator",
+    "CompensatorInputs",
     "CompensatorSettings",
     "input_checksum",
     "step",

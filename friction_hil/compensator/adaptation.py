@@ -1,9 +1,9 @@
-"""Slow adaptation of the friction level, for what temperature and wear change; off unless asked for.
+"""Slow adaptation of the friction level to temperature and wear; off by default.
 
-For each direction the factor that fits the model's torque F to the torque that friction is seen to take,
-tau - load - J dv/dt, by recursive least squares with forgetting. Both sides go through the same low-pass, which
-makes dv/dt a difference of velocities. It learns only from steady sliding in one direction, starts at 1 with the
-weight of one full forgetting time, and stays between bounds.
+For each direction, recursive least squares with forgetting fits a factor on the model's torque F to the measured
+friction torque tau - load - J dv/dt. Both sides pass the same low-pass filter, which turns dv/dt into a difference of
+velocities. Only steady sliding in one direction counts. The factor starts at 1 with the weight of one full forgetting
+time, and stays between bounds.
 """
 
 import math
@@ -12,51 +12,52 @@ from typing import Any
 from friction_hil.numerics.jit import inlined
 
 FILTER_S = 0.02
-_SETTLED = 5.0  # filter times of motion in one direction until it learns
+_SETTLED = 5.0  # filter times of sliding in one direction before the fit begins
 _MOVING_NOISES = 4.0  # velocity, in its own noise, that counts as sliding
 
 
 @inlined
 def forget(r: Any) -> None:
-    """Let the filters begin anew; what was learned stays."""
+    """Restart the filters; the factors stay."""
     r.sliding_s = 0.0
 
 
 @inlined
 def learn(c: Any, r: Any, model: float, torque: float, load: float, dt: float) -> None:
-    """Take one cycle.
+    """Update the factor of the present direction with one cycle.
 
     Parameters
     ----------
     c, r : record
         Settings and state of the compensator.
     model, torque, load : float
-        The model's friction without any factor, the drive's actual torque and the load, N m.
+        Friction of the model without any factor, actual torque of the drive, and load torque, N m.
     """
     v = r.motion.velocity
-    way = 1.0 if v > 0.0 else -1.0
-    if abs(v) < max(_MOVING_NOISES * c.noise, c.sliding_velocity) or way * model <= 0.0 or not math.isfinite(torque):
+    direction = 1.0 if v > 0.0 else -1.0
+    is_sliding = abs(v) >= max(_MOVING_NOISES * c.noise, c.sliding_velocity)
+    if not is_sliding or direction * model <= 0.0 or not math.isfinite(torque):
         r.sliding_s = 0.0
         return
-    if r.sliding_s == 0.0 or way * r.filtered_velocity < 0.0:
+    if r.sliding_s == 0.0 or direction * r.filtered_velocity < 0.0:
         r.filtered_velocity, r.filtered_torque, r.filtered_model, r.sliding_s = v, torque - load, model, 0.0
-    share = dt / (dt + FILTER_S)
-    r.filtered_torque += share * (torque - load - r.filtered_torque)
-    r.filtered_model += share * (model - r.filtered_model)
-    r.filtered_velocity += share * (v - r.filtered_velocity)
+    coefficient = dt / (dt + FILTER_S)
+    r.filtered_torque += coefficient * (torque - load - r.filtered_torque)
+    r.filtered_model += coefficient * (model - r.filtered_model)
+    r.filtered_velocity += coefficient * (v - r.filtered_velocity)
     r.sliding_s += dt
     if r.sliding_s < _SETTLED * FILTER_S:
         return
-    seen = r.filtered_torque - c.inertia * (v - r.filtered_velocity) / FILTER_S
-    k = 0 if way > 0.0 else 1
-    share = dt / c.adaptation_s
-    r.weight[k] += share * (r.filtered_model * r.filtered_model - r.weight[k])
-    r.product[k] += share * (r.filtered_model * seen - r.product[k])
+    measured = r.filtered_torque - c.inertia * (v - r.filtered_velocity) / FILTER_S
+    k = 0 if direction > 0.0 else 1
+    forgetting = dt / c.adaptation_s
+    r.weight[k] += forgetting * (r.filtered_model * r.filtered_model - r.weight[k])
+    r.product[k] += forgetting * (r.filtered_model * measured - r.product[k])
     bound = c.adaptation_bound
     r.factor[k] = min(max(r.product[k] / r.weight[k], 1.0 - bound), 1.0 + bound)
 
 
 @inlined
 def factor(r: Any, torque: float) -> float:
-    """What the model's torque is multiplied by."""
+    """Return the learned factor on a model torque of this sign."""
     return float(r.factor[0] if torque > 0.0 else r.factor[1])

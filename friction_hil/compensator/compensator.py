@@ -1,46 +1,52 @@
-"""The compensator as an object: settings and model in, one torque a cycle out."""
+"""The compensator as an object: made from a model and settings, it gives one torque a cycle."""
 
 import math
 import struct
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from friction_hil.compensator import adaptation, intent, kernel, velocity
-from friction_hil.compensator.intent import SOURCES
+from friction_hil.compensator import adaptation, kernel, records, reference, velocity
+from friction_hil.compensator.reference import SOURCES
 from friction_hil.compensator.velocity import VelocityEstimator
 from friction_hil.errors import UsageError
 from friction_hil.friction import FrictionModel
 from friction_hil.numerics.jit import Array, StructuredArray
 
-INPUTS = (
-    "cycle",
-    "position",
-    "velocity",
-    "torque",
-    "position_demand",
-    "velocity_demand",
-    "velocity_demand_ahead",
-    "is_fresh",
-    "is_enabled",
-)
+
+class CompensatorInputs(NamedTuple):
+    """Inputs of one cycle, in the order of `Compensator.step`."""
+
+    cycle: float
+    position: float
+    velocity: float
+    torque: float
+    position_demand: float
+    velocity_demand: float
+    velocity_demand_ahead: float
+    is_fresh: bool
+    is_enabled: bool
+
+
+INPUTS = CompensatorInputs._fields
 _PACKED_INPUTS = struct.Struct(f"<{len(INPUTS)}d")
-_UNKNOWN_SHARE = 0.2  # of the friction level is not known to the model, for the Kalman observer
-_UNKNOWN_S = 0.01  # and changes within this time
-_RESTING_COUNTS, _RESTING_DEFLECTIONS = 3.0, 1.5  # counts, or deflections of the presliding spring, that are rest
-_LEAST_ADAPTATION_S = 5.0 * adaptation.FILTER_S  # slower than its own filter
+_UNCERTAIN_FRACTION = 0.2  # of the friction level, standard deviation of the torque unknown to the Kalman observer
+_UNCERTAIN_S = 0.01  # correlation time of that torque
+_RESTING_COUNTS, _RESTING_DEFLECTIONS = 3.0, 1.5  # encoder counts, or presliding deflections, that count as rest
+_LEAST_ADAPTATION_S = 5.0 * adaptation.FILTER_S  # adaptation must be slower than its own filter
 
 
 def input_checksum(*inputs: float) -> float:
-    """CRC-32 of one cycle's `INPUTS`, in their order."""
+    """Return the CRC-32 of one cycle's `INPUTS`, given in their order."""
     return float(zlib.crc32(_PACKED_INPUTS.pack(*inputs)))
 
 
 @dataclass(frozen=True, slots=True)
 class CompensatorSettings:
-    """Everything beside the model that decides what the compensator does.
+    """Settings of the compensator.
 
     Attributes
     ----------
@@ -51,35 +57,35 @@ class CompensatorSettings:
     torque_limit : float
         Bound on the absolute compensation, N m.
     lead_s : float
-        From sampling the position to the torque's acting; position-dependent friction is that of the place
-        reached by then.
+        Time from sampling the position until the torque acts; position-dependent friction is that of the
+        position reached by then.
     inertia : float
-        For the estimators that know the torque, and for adaptation, kg m^2; 0 where unknown.
+        Inertia for the Kalman observer and for adaptation, kg m^2; 0 where unknown.
     gravity : tuple of float
         Load torque over position q, constant + sine sin(q) + cosine cos(q), N m, for load-dependent friction.
     torque_slew : float
         Bound on the rate of the compensation, N m/s; infinity for none.
     gain : float
-        Share of the model's torque that is commanded; below 1 it insures against over-compensation.
+        Factor on the model's torque; below 1 it guards against over-compensation.
     gain_negative : float or None
-        The same for negative torque; None: as ``gain``.
+        Gain for negative torque; None: the same as ``gain``.
     source : str
-        ``auto``, ``measured`` or ``demand``: the velocity that feeds the model.
+        Velocity that the model is given: ``auto``, ``measured`` or ``demand``.
     fade_s : float
-        Time for fading in and out, s, above zero.
+        Fade-in and fade-out time, s, above zero.
     velocity : str
-        ``difference``, ``tracking``, ``kalman`` or ``drive``: how the measured velocity is estimated, see
+        Estimator of the measured velocity: ``difference``, ``tracking``, ``kalman`` or ``drive``, see
         `friction_hil.compensator.velocity`.
     smoothing : float
         Coefficient of the one-pole filter of ``difference`` and ``drive``, 0 < smoothing <= 1; 1 filters nothing.
     acceleration : float
-        That ``tracking`` has to follow, SI.
+        Acceleration that ``tracking`` has to follow, SI.
     max_acceleration : float
-        A position that would need more is passed over as a glitch, SI.
+        A position that would need more acceleration than this is ignored as a glitch, SI.
     dead_band : float
         Velocity below which the compensation is reduced in proportion, SI; 0 for none.
     adaptation_s : float
-        Time over which the level is adapted to what the torque shows, s, from 0.1; 0: never.
+        Time over which the level is adapted to the measured torque, s, at least 0.1; 0: no adaptation.
     adaptation_bound : float
         Largest relative change of the level by adaptation.
     """
@@ -105,12 +111,12 @@ class CompensatorSettings:
 
 
 class Compensator:
-    """A friction model at work on one axis.
+    """Compensate the friction of one axis with a model.
 
     Raises
     ------
     UsageError
-        A setting is out of range, or missing for what another one asks.
+        A setting is out of range, or one that another setting needs is missing.
     """
 
     __slots__ = ("_flat", "_settings", "_state", "estimator", "model", "settings")
@@ -131,16 +137,16 @@ class Compensator:
         self.settings = settings
         self.estimator = _estimator(model, settings)
         delay = self.estimator.delay_cycles
-        longest = intent.HISTORY - 2
+        longest = reference.HISTORY - 2
         if delay > longest:
-            way = f"smoothing = {settings.smoothing:g}"
+            cause = f"smoothing = {settings.smoothing:g}"
             advice = f"take {1.0 / longest:.2g} or more"
             if settings.velocity not in ("difference", "drive"):
-                way, advice = settings.velocity, "let it follow a greater acceleration, or take velocity: difference"
-            raise UsageError(f"{way} delays the velocity by {delay:.1f} cycles, more than {longest}; {advice}")
+                cause, advice = settings.velocity, "let it follow a greater acceleration, or take velocity: difference"
+            raise UsageError(f"{cause} delays the velocity by {delay:.1f} cycles, more than {longest}; {advice}")
         self._settings = _record(model, settings, self.estimator)
-        self._state = np.zeros(1, kernel.STATE)
-        kernel.begin(self._settings, self._state, model.initial_state())
+        self._state = np.zeros(1, records.STATE)
+        records.begin(self._settings, self._state, model.initial_state())
         self._flat: Array = self._state.view(np.float64)
 
     def step(
@@ -155,21 +161,22 @@ class Compensator:
         is_fresh: bool,
         is_enabled: bool,
     ) -> float:
-        """Take one cycle's inputs and return the compensation, N m.
+        """Compute one cycle and return the compensation, N m.
 
         Parameters
         ----------
         cycle : float
-            Number of the cycle, whole, from zero; a missed cycle leaves a gap.
+            Number of the cycle, a whole number from zero; a missed cycle leaves a gap.
         position, velocity, torque : float
-            Feedback, SI. The torque is used by the Kalman observer and by adaptation alone.
+            Feedback, SI. Only the Kalman observer and adaptation use the torque.
         position_demand, velocity_demand, velocity_demand_ahead : float
-            Demanded position and velocity when the position was sampled, and the velocity when this torque will
-            act; NaN where no set-point is known.
+            Demanded position and velocity when the position was sampled, and demanded velocity when this torque
+            will act; NaN where there is no set-point.
         is_fresh : bool
-            Whether the feedback is of this cycle; otherwise the velocity is predicted.
+            True if the feedback is of this cycle; otherwise the velocity is predicted.
         is_enabled : bool
-            Fade in, or out. The model runs all the time, so that it is right when it is needed.
+            True to fade in, False to fade out. The model runs in both cases, so that its state is right when it is
+            needed.
         """
         return kernel.step(
             self._settings,
@@ -185,8 +192,15 @@ class Compensator:
             1.0 if is_enabled else 0.0,
         )
 
+    def compile(self) -> None:
+        """Compile `step`, so that the first cycle is as fast as the later ones; the state stays as it is."""
+        state = self.state.copy()
+        for cycle in range(3):
+            self.step(float(cycle), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, True, False)
+        self.state[:] = state
+
     def replay(self, inputs: Sequence[Array]) -> tuple[Array, Array]:
-        """Take many cycles at once.
+        """Compute many cycles at once.
 
         Parameters
         ----------
@@ -203,12 +217,12 @@ class Compensator:
 
     @property
     def record(self) -> StructuredArray:
-        """Settings and model as the compiled `step` takes them."""
+        """Settings and model as a record for the compiled `step`."""
         return self._settings
 
     @property
     def state(self) -> Array:
-        """The whole state as a flat array, a live view: copy to keep it, assign to restore it."""
+        """Whole state as a flat array, a live view: copy it to keep it, assign to it to restore it."""
         return self._flat
 
     @property
@@ -218,34 +232,29 @@ class Compensator:
 
     @property
     def is_faded_out(self) -> bool:
-        """Whether no torque is left."""
+        """True if no compensation is left."""
         return self._flat.item(_FADE) == 0.0 and self._flat.item(_COMPENSATION) == 0.0
 
     @property
     def is_faulty(self) -> bool:
-        """Whether the model's torque was not finite in the last cycle, and so was not used."""
+        """True if the model's torque was not finite in the last cycle; zero was used instead."""
         return bool(self._flat.item(_IS_FAULTY))
 
     @property
-    def reduction(self) -> float:
-        """What the gain is multiplied by since limit cycles were seen; 1 as long as none was."""
-        return self._flat.item(_REDUCTION)
+    def gain_factor(self) -> float:
+        """Factor on the gain: 1, and less after each limit cycle that was detected."""
+        return self._flat.item(_GAIN_FACTOR)
 
 
-def _place(name: str) -> int:
-    """Index of a field in the flat view of the state."""
-    assert kernel.STATE.fields is not None
-    return int(kernel.STATE.fields[name][1]) // 8
+def _index(name: str, of: "np.dtype[np.void]" = records.STATE) -> int:
+    """Return the index of a field in the flat view of a state."""
+    assert of.fields is not None
+    return int(of.fields[name][1]) // 8
 
 
-def _place_of_velocity() -> int:
-    assert velocity.STATE.fields is not None
-    return _place("motion") + int(velocity.STATE.fields["velocity"][1]) // 8
-
-
-_VELOCITY = _place_of_velocity()
-_FADE, _COMPENSATION, _IS_FAULTY = _place("fade"), _place("compensation"), _place("is_faulty")
-_REDUCTION = _place("reduction")
+_VELOCITY = _index("motion") + _index("velocity", velocity.STATE)
+_FADE, _COMPENSATION, _IS_FAULTY = _index("fade"), _index("compensation"), _index("is_faulty")
+_GAIN_FACTOR = _index("gain_factor")
 
 
 def _estimator(model: FrictionModel, settings: CompensatorSettings) -> VelocityEstimator:
@@ -256,18 +265,18 @@ def _estimator(model: FrictionModel, settings: CompensatorSettings) -> VelocityE
         smoothing=settings.smoothing,
         acceleration=settings.acceleration,
         inertia=settings.inertia if settings.inertia > 0.0 else math.nan,
-        torque_uncertainty=_UNKNOWN_SHARE * model.level,
-        uncertainty_time_s=_UNKNOWN_S,
+        torque_uncertainty=_UNCERTAIN_FRACTION * model.level,
+        uncertainty_time_s=_UNCERTAIN_S,
         max_acceleration=settings.max_acceleration,
     )
 
 
 def _record(model: FrictionModel, settings: CompensatorSettings, estimator: VelocityEstimator) -> StructuredArray:
-    record = np.zeros(1, kernel.settings_type(model.values.size))
+    record = np.zeros(1, records.settings_type(model.values.size))
     c = record[0]
     step_velocity = 2.0 * settings.position_resolution / settings.period_s
     stribeck_velocity = model.parameters.get("stribeck_velocity")
-    gate = step_velocity if stribeck_velocity is None else intent.GATE_STRIBECK_SHARE * stribeck_velocity
+    gate = step_velocity if stribeck_velocity is None else reference.GATE_STRIBECK_RATIO * stribeck_velocity
     c["kind"] = model.kind
     c["is_static"] = model.family.is_static
     c["friction"] = model.values
@@ -277,9 +286,9 @@ def _record(model: FrictionModel, settings: CompensatorSettings, estimator: Velo
     c["lead_s"] = settings.lead_s
     ahead_cycles = settings.lead_s / settings.period_s + estimator.delay_cycles
     c["ahead_s"] = ahead_cycles * settings.period_s
-    c["judged_cycles"] = min(max(round(ahead_cycles), 1), intent.HORIZON)
-    predicted_noise = max(1.0, intent.SLOPE_SHARE * ahead_cycles) * estimator.noise
-    c["ahead_noise_square"] = intent.NOISE_SHARE * predicted_noise**2
+    c["judged_cycles"] = min(max(round(ahead_cycles), 1), reference.HORIZON)
+    predicted_noise = max(1.0, reference.SLOPE_COEFFICIENT * ahead_cycles) * estimator.noise
+    c["ahead_noise_square"] = reference.NOISE_RATIO * predicted_noise**2
     c["period_s"] = settings.period_s
     c["resolution"] = settings.position_resolution
     c["motion"] = estimator.record[0]
@@ -291,9 +300,9 @@ def _record(model: FrictionModel, settings: CompensatorSettings, estimator: Velo
     c["rest"] = max(_RESTING_COUNTS * settings.position_resolution, _RESTING_DEFLECTIONS * deflection)
     c["source"] = SOURCES[settings.source]
     c["epsilon"] = step_velocity
-    c["epsilon_of_demand"] = intent.RECOVERY * settings.position_resolution
+    c["epsilon_of_demand"] = reference.RECOVERY * settings.position_resolution
     c["gate_square"] = gate * gate
-    c["guided_share"] = min(1.0, 2.0 * (gate / estimator.noise) ** 2)  # what is left of the noise is the gate
+    c["guided_coefficient"] = min(1.0, 2.0 * (gate / estimator.noise) ** 2)  # filters the noise down to the gate
     c["gain_positive"] = settings.gain
     c["gain_negative"] = settings.gain if settings.gain_negative is None else settings.gain_negative
     c["dead_band"] = settings.dead_band

@@ -1,9 +1,9 @@
-"""Limit cycles by over-compensation: seen within a second, answered with less gain, which is not given back.
+"""Limit cycles by over-compensation: detected within a second, answered with a lower gain for the rest of the run.
 
-An axis that gets more torque than its friction takes swings by itself: the compensation changes its sign though
-the demand does not. Every such change counts, and is forgotten over half a second. A hand that moves the axis to
-and fro stays below the count that is too much. While the demand moves a change counts less: an axis that sticks and
-slips, as it would without compensation and worse, has some of them too.
+An axis that gets more torque than its friction takes oscillates by itself: the compensation changes its sign though
+the demand does not. Every such change is counted, and forgotten over half a second. A hand that moves the axis to
+and fro stays below the threshold. While the demand moves, a change counts less: stick-slip, which the axis would have
+without compensation too, and worse, causes some of them.
 """
 
 import math
@@ -12,26 +12,26 @@ from typing import Any
 from friction_hil.numerics.jit import inlined
 
 FORGETTING_S = 0.5
-TOO_MANY = 6.0
-_MOVING_SHARE = 0.3
-STEP = 0.8  # the gain is multiplied by this
+TOO_MANY = 6.0  # changes of sign
+STEP = 0.8  # factor on the gain each time
+_MOVING_WEIGHT = 0.3  # of a change of sign while the demand moves
 _SIGNIFICANT = 0.05  # of the model's level: smaller compensations have no sign
 
 
 @inlined
 def watch(c: Any, r: Any, torque: float, demand: float, dt: float) -> None:
-    """Take the compensation of one cycle, N m, and the demanded velocity (NaN: none); changes ``r.reduction``."""
+    """Take one cycle's compensation, N m, and demanded velocity (NaN: none); lowers ``r.gain_factor``."""
     r.alternations *= math.exp(-dt / FORGETTING_S)
     if math.isfinite(demand) and demand * r.demanded_sign < 0.0:
-        r.compensation_sign = 0.0  # the demand turns: the compensation may
+        r.compensation_sign = 0.0  # the demand reverses, and so may the compensation
     if math.isfinite(demand) and demand != 0.0:
         r.demanded_sign = math.copysign(1.0, demand)
     if abs(torque) <= _SIGNIFICANT * c.level:
         return
     sign = math.copysign(1.0, torque)
     if sign * r.compensation_sign < 0.0:
-        r.alternations += _MOVING_SHARE if math.isfinite(demand) and demand != 0.0 else 1.0
+        r.alternations += _MOVING_WEIGHT if math.isfinite(demand) and demand != 0.0 else 1.0
         if r.alternations > TOO_MANY:
             r.alternations = 0.0
-            r.reduction *= STEP
+            r.gain_factor *= STEP
     r.compensation_sign = sign

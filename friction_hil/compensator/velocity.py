@@ -1,19 +1,19 @@
-"""Velocity of an axis from its position feedback, with its delay and its noise known.
+"""Velocity of an axis estimated from its position feedback, with known delay and noise.
 
-Pure: one compiled step (`update`, or `predict` where nothing fresh came) over flat records that other records
-embed. All estimators but the drive's own velocity are one observer: the state is carried on over the cycle,
+Pure: one compiled step (`update`, or `predict` without fresh feedback) over flat records that other records embed.
+All estimators except the drive's own velocity are one observer: the state is predicted over the cycle,
 
     x += T v + T^2/2 (u + d)/J,    v += T (u + d)/J,    d *= leak,
 
-and corrected by gains times the innovation, measured minus predicted position. They differ in the gains:
+and corrected by gains times the innovation, measured minus predicted position. They differ in their gains:
 
 * *difference*: encoder difference through a one-pole filter, poles 0 and 1 - smoothing; no torque.
 * *tracking*: critically damped tracking loop of type 2, both poles exp(-w T); no torque.
-* *kalman*: u is the known torque, d what is unknown of it, of given size and correlation time. The covariance
-  runs along: after a gap the gains of the steady state would not be stable.
+* *kalman*: u is the known torque, d the unknown torque, of given size and correlation time. The covariance is updated
+  too: after a gap the gains of the steady state would not be stable.
 
-Positions are kept as differences from the last sample, so that a great distance costs no precision. A sample
-that no motion explains is passed over once, as if it were missing.
+Positions are kept as differences from the last sample, so that a great distance costs no precision. A single sample
+that no possible motion explains is ignored, as if it were missing.
 """
 
 import math
@@ -29,7 +29,7 @@ from friction_hil.numerics.jit import Array, StructuredArray, inlined
 KINDS = ("difference", "tracking", "kalman", "drive")
 MAX_GAP_CYCLES = 10  # after a longer gap the estimate starts anew
 
-# What a sound sample may be wrong by
+# Error of a valid sample
 _SAMPLE_ERROR_COUNTS = 1.5  # half a count of rounding and one of flicker
 _SAMPLE_ERROR_CYCLES = 0.1  # taken early or late, on a jittery bus
 
@@ -37,7 +37,7 @@ SETTINGS = np.dtype(
     [
         ("uses_drive_velocity", "f8"),
         ("period_s", "f8"),
-        ("inverse_inertia", "f8"),  # 0: knows no torque
+        ("inverse_inertia", "f8"),  # 0: torque not used
         ("leak", "f8"),  # of the unknown torque, a cycle
         ("position_gain", "f8", (MAX_GAP_CYCLES,)),  # [n - 1] after n cycles; not of kalman
         ("velocity_gain", "f8", (MAX_GAP_CYCLES,)),  # 1/s; of the drive's velocity: 1
@@ -51,19 +51,19 @@ SETTINGS = np.dtype(
 STATE = np.dtype(
     [
         ("is_running", "f8"),  # 0 before the first position
-        ("cycle", "f8"),  # up to which the state is carried on
-        ("position_cycle", "f8"),  # of the last position taken
+        ("cycle", "f8"),  # to which the state is predicted
+        ("position_cycle", "f8"),  # of the last position used
         ("position", "f8"),
         ("offset", "f8"),  # estimated position, less that
         ("velocity", "f8"),
         ("torque", "f8"),  # estimate of the unknown torque
         ("covariance", "f8", (6,)),  # xx, xv, xa, vv, va, aa; in cycles and rounding errors of the position
-        ("slope", "f8"),  # between the last two positions taken, a cycle
-        ("slope_cycles", "f8"),  # that they are apart; 0 where there is one only
-        ("has_suspect", "f8"),  # the last sample was passed over
+        ("slope", "f8"),  # between the last two positions used, per cycle
+        ("slope_cycles", "f8"),  # between these two; 0 if there is only one
+        ("has_suspect", "f8"),  # the last sample was ignored
         ("suspect", "f8"),
         ("suspect_cycle", "f8"),
-        ("glitches", "f8"),  # samples passed over
+        ("glitches", "f8"),  # samples ignored
     ]
 )
 
@@ -77,7 +77,7 @@ def _take(r: Any, cycle: float, position: float, offset: float, v: float, d: flo
 
 @inlined
 def begin(c: Any, r: Any, cycle: float, position: float, drive_velocity: float) -> None:
-    """Start anew at a finite position, with the drive's velocity, or at rest where that is not finite."""
+    """Start anew at a finite position, with the drive's velocity, or at rest if that is not finite."""
     r.is_running = 1.0
     r.cycle = cycle
     _take(r, cycle, position, 0.0, drive_velocity if math.isfinite(drive_velocity) else 0.0, 0.0, 0.0, 0.0)
@@ -87,7 +87,7 @@ def begin(c: Any, r: Any, cycle: float, position: float, drive_velocity: float) 
 
 @inlined
 def _forget(p: Any, leak: float, wander: float) -> None:
-    """Covariance over a cycle without a sample: F P F' + Q, Q that of a torque that wanders within the cycle."""
+    """Predict the covariance over a cycle: F P F' + Q, Q being that of a torque that wanders within the cycle."""
     xx, xv, xa, vv, va, aa = p[0], p[1], p[2], p[3], p[4], p[5]
     p[0] = xx + 2.0 * xv + xa + vv + va + 0.25 * aa + wander / 20.0
     p[1] = xv + xa + vv + 1.5 * va + 0.5 * aa + wander / 8.0
@@ -99,7 +99,7 @@ def _forget(p: Any, leak: float, wander: float) -> None:
 
 @inlined
 def _learn(p: Any) -> None:
-    """Covariance after a sample, whose variance is 1; the first row is then the gain."""
+    """Update the covariance with a sample of variance 1; its first row is then the gain."""
     x, v, a = p[0], p[1], p[2]
     p[0], p[1], p[2] = x / (x + 1.0), v / (x + 1.0), a / (x + 1.0)
     p[3] -= v * p[1]
@@ -109,9 +109,9 @@ def _learn(p: Any) -> None:
 
 @inlined
 def predict(c: Any, r: Any, cycle: float, net_torque: float) -> None:
-    """Carry the state on to ``cycle`` without a position: by the torque where it is known, at even speed else.
+    """Predict the state at ``cycle`` without a position: from the torque if it is known, else at constant velocity.
 
-    It ends `MAX_GAP_CYCLES` after the last position; from there on the velocity is held.
+    The prediction ends `MAX_GAP_CYCLES` after the last position; from there on the velocity is held.
     """
     cycles = min(cycle, r.position_cycle + MAX_GAP_CYCLES) - r.cycle
     if r.is_running == 0.0 or not cycles > 0.0:
@@ -132,7 +132,7 @@ def predict(c: Any, r: Any, cycle: float, net_torque: float) -> None:
 
 @inlined
 def _is_explained(c: Any, r: Any, position: float, cycles: float) -> bool:
-    """Whether a motion within the largest acceleration leads through the last two positions to this one.
+    """Return True if a motion within the largest acceleration leads through the last two positions to this one.
 
     The displacement over n cycles differs from the straight line through two positions m cycles apart by at
     most a T^2 n (n + m) / 2; errors of the samples add.
@@ -147,7 +147,7 @@ def _is_explained(c: Any, r: Any, position: float, cycles: float) -> bool:
 
 @inlined
 def _correct(c: Any, r: Any, cycle: float, position: float, cycles: float) -> None:
-    """Take a position that the motion explains."""
+    """Correct the state with a position that a possible motion explains."""
     innovation = position - r.position - r.offset
     n = int(cycles) - 1
     position_gain, velocity_gain, torque = c.position_gain[n], c.velocity_gain[n], 0.0
@@ -161,8 +161,8 @@ def _correct(c: Any, r: Any, cycle: float, position: float, cycles: float) -> No
 
 
 @inlined
-def _move(c: Any, r: Any, cycle: float, position: float) -> None:
-    """Go on from a new place; the velocity goes to that seen there as far as an acceleration could have."""
+def _jump(c: Any, r: Any, cycle: float, position: float) -> None:
+    """Continue from a new position; the velocity changes towards the one seen there within the largest acceleration."""
     apart = cycle - r.suspect_cycle
     slope = (position - r.suspect) / apart
     change = slope - r.velocity * c.period_s
@@ -173,19 +173,19 @@ def _move(c: Any, r: Any, cycle: float, position: float) -> None:
 
 @inlined
 def update(c: Any, r: Any, cycle: float, position: float, drive_velocity: float, net_torque: float) -> None:
-    """Take one cycle's fresh feedback; the estimate is ``r.velocity``.
+    """Update the estimate, ``r.velocity``, with one cycle's fresh feedback.
 
     Parameters
     ----------
     c, r : record
-        Elements of `SETTINGS` and `STATE`; a state of zeros has not begun.
+        Elements of `SETTINGS` and `STATE`; a state of zeros has not started.
     cycle : float
         Number of the cycle, whole; one that does not follow the last starts anew.
     position, drive_velocity : float
-        Feedback, SI. A drive velocity that is not finite is not known.
+        Feedback, SI. A drive velocity that is not finite counts as unknown.
     net_torque : float
-        ``kalman``: known torque on the inertia over the cycle that ends here, N m: the drive's less friction and
-        gravity. Anything used that is not finite makes the cycle one without fresh feedback.
+        ``kalman``: known torque on the inertia over the cycle that ends here, N m: torque of the drive less friction
+        and gravity. If a value that is used is not finite, the cycle counts as one without fresh feedback.
     """
     uses_drive = c.uses_drive_velocity > 0.0
     cycles = cycle - r.position_cycle
@@ -204,7 +204,7 @@ def update(c: Any, r: Any, cycle: float, position: float, drive_velocity: float,
         if _is_explained(c, r, position, cycles):
             _correct(c, r, cycle, position, cycles)
         elif r.has_suspect > 0.0:
-            _move(c, r, cycle, position)  # never two in a row: a new place, or an impact
+            _jump(c, r, cycle, position)  # two in a row are no glitch: a new position, or an impact
         else:
             r.has_suspect, r.suspect, r.suspect_cycle = 1.0, position, cycle
             r.glitches += 1.0
@@ -212,9 +212,9 @@ def update(c: Any, r: Any, cycle: float, position: float, drive_velocity: float,
 
 @dataclass(frozen=True)
 class VelocityEstimator:
-    """An estimator's settings, delay and noise; a `UsageError` where a value is missing or out of range.
+    """Settings, delay and noise of an estimator; a value that is missing or out of range raises a `UsageError`.
 
-    SI; NaN stands for what is not given.
+    SI; NaN stands for a value that is not given.
 
     Attributes
     ----------
@@ -225,15 +225,15 @@ class VelocityEstimator:
     smoothing : float
         ``difference``, ``drive``: coefficient of the one-pole filter, 0 < smoothing <= 1; 1 filters nothing.
     acceleration, bandwidth_hz : float
-        ``tracking``: acceleration to be followed, which gives the bandwidth with the least sum of squares of lag
-        and noise; or its natural frequency.
+        ``tracking``: acceleration to follow, from which the bandwidth with the least sum of squares of lag and noise is
+        computed; or the natural frequency itself.
     inertia, torque_uncertainty, uncertainty_time_s : float
-        ``kalman``: inertia, kg m^2, or mass; standard deviation of the torque that is not known, N m, and the time
-        over which it changes (its correlation time). Too small, and an error of torque passes for velocity.
+        ``kalman``: inertia, kg m^2, or mass; standard deviation of the unknown torque, N m, and its correlation
+        time. If they are too small, an error of the torque appears as velocity.
     drive_delay_cycles, drive_noise : float
         ``drive``: age and rms noise of the drive's own velocity; by default noisy as an encoder difference.
     max_acceleration : float
-        What exceeds it is a glitch: largest torque / inertia; infinity checks nothing.
+        Largest possible acceleration, torque / inertia: a position beyond it is a glitch; infinity disables the check.
     """
 
     kind: str
@@ -268,7 +268,7 @@ class VelocityEstimator:
 
     @cached_property
     def record(self) -> StructuredArray:
-        """`SETTINGS`, (1,)."""
+        """Settings as a record of type `SETTINGS`, (1,)."""
         record = np.zeros(1, SETTINGS)
         c = record[0]
         c["uses_drive_velocity"] = self.kind == "drive"
@@ -287,11 +287,11 @@ class VelocityEstimator:
 
     @cached_property
     def delay_cycles(self) -> float:
-        """Age of the estimate: cycles of lag under even acceleration, for ``kalman`` that of unknown torque."""
+        """Delay of the estimate: cycles of lag under constant acceleration, for ``kalman`` by an unknown torque."""
         position, velocity, torque = self._gains[0]
         if self.kind == "drive":
             return float(1.0 / velocity - 1.0 + self.drive_delay_cycles)
-        # What corrects the velocity, and the unknown torque held against its leak, make up the acceleration.
+        # the acceleration consists of the correction of the velocity and of the unknown torque, held against its leak
         return float((position - 0.5 * velocity) / (velocity + torque / self._loss))
 
     @cached_property
@@ -308,12 +308,12 @@ class VelocityEstimator:
 
     @property
     def _loss(self) -> float:
-        """Share of the unknown torque that is forgotten in a cycle."""
+        """Fraction of the unknown torque that decays in a cycle."""
         return max(-math.expm1(-self.period_s / self.uncertainty_time_s), 1e-12)
 
     @cached_property
     def _gains(self) -> Array:
-        """Gains for position, velocity and acceleration, a cycle, after 1, 2, ... cycles (kalman: 1); (n, 3)."""
+        """Gains for position, velocity and acceleration, per cycle, after 1, 2, ... cycles (kalman: 1); (n, 3)."""
         if self.kind == "kalman":
             return self._kalman[0]
         n = np.arange(1.0, MAX_GAP_CYCLES + 1.0)
@@ -338,6 +338,7 @@ class VelocityEstimator:
     @cached_property
     def _kalman(self) -> tuple[Array, Array, float]:
         """Steady state: gains, (1, 3); covariance after a sample, (6,); and noise in roundings a cycle."""
+        # imported here: scipy is slow to load, and only this estimator needs it
         from scipy import linalg
 
         loss, wander = self._loss, self._wander

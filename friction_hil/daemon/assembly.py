@@ -1,4 +1,4 @@
-"""From a configuration to the pure objects of an axis, the same for the loop and for replay."""
+"""Objects of an axis made from its configuration, in the same way for the loop and for replay."""
 
 import math
 from collections.abc import Iterable
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from friction_hil.compensator import Compensator, CompensatorSettings
-from friction_hil.daemon.safety import Limits
+from friction_hil.daemon.safety import AxisLimits
 from friction_hil.drive import AxisFacts
 from friction_hil.motion import experiment
 from friction_hil.motion.controller import CONTROLLER
@@ -22,7 +22,7 @@ _LEAST_RAMP_S = 0.1
 
 
 def make_compensator(config: "AxisConfig", model: "ModelFile", facts: AxisFacts, period_s: float) -> Compensator:
-    """Compensator of an axis for one of its models, as the loop and replay both build it."""
+    """Return the compensator of an axis for one of its models."""
     gravity, given = model.mechanics.gravity, config.compensation
     settings = CompensatorSettings(
         period_s=period_s,
@@ -48,26 +48,26 @@ def make_compensator(config: "AxisConfig", model: "ModelFile", facts: AxisFacts,
 
 
 def make_shadows(config: "AxisConfig", facts: AxisFacts, period_s: float) -> dict[str, Compensator]:
-    """Compensators of the shadow models, by name."""
+    """Return the compensators of the shadow models, by name."""
     return {shadow.name: make_compensator(config, shadow.model, facts, period_s) for shadow in config.shadows}
 
 
 def lead_s(model: "ModelFile", facts: AxisFacts, period_s: float) -> float:
-    """Time from sampling the position to the middle of the period in which the torque acts.
+    """Return the time from sampling the position to the middle of the period in which the torque acts, s.
 
-    That is the driver's to know; the model file's ``delay_s``, to the torque's start, goes before it.
+    The driver reports it; ``delay_s`` of the model file, to the beginning of the torque, takes precedence.
     """
     delay = model.mechanics.delay_s
     return (delay + 0.5 * period_s if delay > 0.0 else facts.actuation_delay_s) + model.mechanics.torque_lag_s
 
 
 def ramp_s(axes: "Iterable[AxisConfig]") -> float:
-    """Time in which all axes together start and stop: the longest that one of them asks for."""
+    """Return the time in which all axes together start and stop, s: the longest of theirs."""
     return max([_LEAST_RAMP_S, *(getattr(axis.trajectory, "ramp_s", _LEAST_RAMP_S) for axis in axes)])
 
 
 def make_path(config: "AxisConfig", position_resolution: float, period_s: float) -> Path:
-    """Path of the configured trajectory; an experiment begins with a few counts of the encoder.
+    """Return the path of the configured trajectory; an experiment begins with a few counts of the encoder.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def make_path(config: "AxisConfig", position_resolution: float, period_s: float)
 
 
 def experiment_sweeps(motion: "ExperimentBounds", position_resolution: float, period_s: float) -> tuple[Sweep, ...]:
-    """Sweeps of an experiment within these bounds; the arguments are those of `make_path`.
+    """Return the sweeps of an experiment within these bounds.
 
     Raises
     ------
@@ -104,11 +104,11 @@ def experiment_sweeps(motion: "ExperimentBounds", position_resolution: float, pe
     )
 
 
-def make_limits(config: "AxisConfig") -> Limits:
-    """Limits of an axis; infinity where the configuration gives none."""
+def make_limits(config: "AxisConfig") -> AxisLimits:
+    """Return the limits of an axis; infinity where the configuration has none."""
     limits = config.limits
     low, high = limits.position or (-math.inf, math.inf)
-    return Limits(
+    return AxisLimits(
         torque=limits.torque,
         velocity=limits.velocity,
         torque_slew=math.inf if limits.torque_slew is None else limits.torque_slew,
@@ -119,7 +119,7 @@ def make_limits(config: "AxisConfig") -> Limits:
 
 
 def make_controller(config: "AxisConfig") -> StructuredArray:
-    """The loop's own controller, all zero where the configuration has none."""
+    """Return the gains of the loop's own controller, all zero where the configuration has none."""
     record = np.zeros(1, CONTROLLER)
     given = config.controller
     if given is not None:

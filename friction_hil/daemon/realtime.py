@@ -1,4 +1,4 @@
-"""Time for the loop: clocks, and what the operating system has to be asked for punctuality."""
+"""Clocks of the loop, and real-time scheduling of its process."""
 
 import contextlib
 import ctypes
@@ -27,7 +27,7 @@ class RealClock:
         self._spin_ns = spin_us * 1000
 
     def doze_until(self, deadline_ns: int) -> bool:
-        """Sleep until the spin before ``deadline_ns``; whether it has not begun yet."""
+        """Sleep until the spin before ``deadline_ns``; return True if the spin has not begun yet."""
         left = deadline_ns - self._spin_ns - time.monotonic_ns()
         if left > 0:
             time.sleep(left * 1e-9)
@@ -41,7 +41,7 @@ class RealClock:
 
 
 class SteppedClock:
-    """Simulated time, which passes only while the loop sleeps: everything happens in no time at all."""
+    """Simulated time, which passes only while the loop sleeps; all else takes no time."""
 
     is_real = False
 
@@ -53,35 +53,35 @@ class SteppedClock:
         return self._now_ns
 
     def doze_until(self, deadline_ns: int) -> bool:
-        """Do nothing: there is no time in which to get ready."""
+        """Do nothing and return False: simulated time leaves none before a deadline."""
         return False
 
     def sleep_until(self, deadline_ns: int) -> None:
-        """Go on to ``deadline_ns``."""
+        """Advance the time to ``deadline_ns``."""
         self._now_ns = max(self._now_ns, deadline_ns)
 
 
 @contextlib.contextmanager
 def punctuality(priority: int) -> Iterator[list[Finding]]:
-    """Ask for everything that makes a process wake up on time, and give it back afterwards.
+    """Make the process wake up on time, and undo that afterwards.
 
-    SCHED_FIFO, locked memory, no garbage collection, no deep sleep of the processor.
+    Asks for SCHED_FIFO, locked memory, no garbage collection and no deep sleep of the processor.
 
     Parameters
     ----------
     priority : int
-        SCHED_FIFO priority 1 to 99; 0 asks for nothing at all.
+        SCHED_FIFO priority 1 to 99; 0 changes nothing.
 
     Yields
     ------
     list of Finding
-        What was granted, and what was not, with what would help.
+        One for each request, granted or not, with its remedy.
     """
     if priority == 0:
         yield []
         return
     with contextlib.ExitStack() as stack:
-        findings = [_lock_memory(stack), _take_priority(priority, stack), _stay_awake(stack)]
+        findings = [_lock_memory(stack), _take_priority(priority, stack), _prevent_deep_sleep(stack)]
         gc.collect()
         gc.freeze()
         if gc.isenabled():
@@ -105,7 +105,7 @@ def _lock_memory(stack: contextlib.ExitStack) -> Finding:
 
 
 def _may_lock_anything() -> bool:
-    """Whether the limit is not for this process: it has the capability CAP_IPC_LOCK."""
+    """Return True if the process has the capability CAP_IPC_LOCK, which lifts the limit."""
     status = system_text(Path("/proc/self/status")) or ""
     found = re.search(r"^CapEff:\s*([0-9a-f]+)$", status, re.MULTILINE)
     return found is not None and bool(int(found[1], 16) >> _CAP_IPC_LOCK & 1)
@@ -128,10 +128,10 @@ def _take_priority(priority: int, stack: contextlib.ExitStack) -> Finding:
     return Finding(check, "pass", f"SCHED_FIFO priority {priority} is granted")
 
 
-def _stay_awake(stack: contextlib.ExitStack) -> Finding:
+def _prevent_deep_sleep(stack: contextlib.ExitStack) -> Finding:
     check = "processor sleep"
     try:
-        # held open, it keeps the processor out of states that take long to wake from
+        # while this file is open, the processor stays out of states that take long to leave
         latency = os.open("/dev/cpu_dma_latency", os.O_WRONLY)
         stack.callback(os.close, latency)
         os.write(latency, struct.pack("i", 0))

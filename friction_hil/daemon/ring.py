@@ -1,13 +1,12 @@
-"""A ring in shared memory that carries rows and events from the loop to the companion process.
+"""Ring in shared memory that carries rows and events from the loop to the companion process.
 
-One process writes, one reads. The writer never waits and never fails: a reader that is too slow loses rows,
-and counts them. The memory has no name, so nothing is left behind by a process that dies; its file descriptor
-is handed to the child.
+One process writes, one reads. The writer never waits and never fails: a reader that is too slow loses rows, and
+counts them. The memory has no name, so a process that dies leaves nothing behind; the child gets its file descriptor.
 
-Every slot carries the number of its row in front and behind. The writer sets the one in front, copies the
-row, sets the one behind and then the count; the reader takes a row when both numbers, and the one in front
-once more after the copy, are what they should be. (This relies on stores becoming visible in their order, as
-they do on x86-64; elsewhere a row being overwritten at that very moment could pass unseen.)
+Every slot has the number of its row before and after the values. The writer sets the number before, copies the row,
+sets the number after and then the count. The reader takes a row if both numbers are right, and the one before is still
+right after the copy. This relies on stores becoming visible in order, as on x86-64; on other processors a row that is
+being overwritten at that moment could pass unnoticed.
 """
 
 import mmap
@@ -33,11 +32,11 @@ _NAME_BYTES = 40
 
 
 class _Ring:
-    """The memory and its views."""
+    """Shared memory with views of its header and rows."""
 
     def __init__(self, descriptor: int) -> None:
         self.descriptor = descriptor
-        # Populated at once: a page fault in the loop would cost it its period.
+        # Populated at once: a page fault in the loop could cost a period.
         flags = mmap.MAP_SHARED | mmap.MAP_POPULATE
         self._memory = mmap.mmap(descriptor, os.fstat(descriptor).st_size, flags=flags)
         self._header = memoryview(self._memory)[:_HEADER_BYTES].cast("q")
@@ -51,21 +50,21 @@ class _Ring:
 
     @property
     def rows_kept(self) -> int:
-        """Rows that a reader took and released as safe."""
+        """Number of rows that a reader has taken and released as safe."""
         return self._header[_ROWS_DONE] - self._header[_LOST]
 
     @property
     def is_closed(self) -> bool:
-        """Whether the writer has said that nothing more comes."""
+        """True once the writer has closed the ring."""
         return bool(self._header[_CLOSED])
 
     def close_writing(self) -> None:
-        """Say that nothing more comes; for the writer, or for whoever saw it die."""
+        """Mark the end of writing; called by the writer, or by whoever notices its death."""
         self._header[_CLOSED] = 1
 
 
 class RingWriter(_Ring):
-    """The loop's end; makes the memory.
+    """Writing end, used by the loop; creates the memory.
 
     Parameters
     ----------
@@ -82,7 +81,7 @@ class RingWriter(_Ring):
         os.ftruncate(descriptor, _HEADER_BYTES + EVENT_SLOTS * _EVENT_BYTES + capacity * (width + 2) * 8)
         os.pwrite(descriptor, struct.pack("<3q", _MAGIC_NUMBER, width, capacity), 0)
         super().__init__(descriptor)
-        # Views made once: slicing in the loop would cost more than the copy.
+        # Views are made once: slicing in the loop would cost more than the copy.
         self._slots = [row[1:-1] for row in self._rows]
         self._flat_numbers = memoryview(self._memory)[_HEADER_BYTES + EVENT_SLOTS * _EVENT_BYTES :].cast("q")
         self._stride = width + 2
@@ -101,7 +100,7 @@ class RingWriter(_Ring):
         self._header[_ROWS] = self._count = count
 
     def push_event(self, cycle: float, name: str, text: str) -> None:
-        """Append an event; what does not fit 40 and 188 bytes of UTF-8 is cut off."""
+        """Append an event; texts beyond 40 bytes (name) and 188 bytes of UTF-8 in all are cut off."""
         name_bytes = _cut(name, _NAME_BYTES)
         text_bytes = _cut(text, _EVENT_TEXT_BYTES - 8 - len(name_bytes))
         at = _HEADER_BYTES + self._event_count % EVENT_SLOTS * _EVENT_BYTES
@@ -115,19 +114,19 @@ class RingWriter(_Ring):
 
     @property
     def rows_pushed(self) -> int:
-        """Rows written so far."""
+        """Number of rows written so far."""
         return self._count
 
     def free_slots(self) -> int:
-        """Rows that can be pushed before the oldest one that the reader still needs is overwritten."""
+        """Return the number of rows that can be pushed without overwriting one that the reader still needs."""
         return max(0, self.capacity - (self._count - self._header[_ROWS_DONE]))
 
 
 class _Cursor:
-    """How far the reader has come with rows or with events: taken, released, lost.
+    """Progress of the reader in rows or events: taken, released, lost.
 
-    What was released and lost stands in the shared header, so that a reader that takes over from one that
-    died neither skips nor repeats nor counts anything twice.
+    The numbers of released and lost entries are in the shared header, so that a reader that takes over from a dead
+    one neither skips, repeats nor counts anything twice.
     """
 
     def __init__(self, header: memoryview, written: int, done: int, lost: int) -> None:
@@ -136,7 +135,7 @@ class _Cursor:
         self._held = np.empty(0, np.int64)  # numbers of what was taken and not released
 
     def available(self, slots: int) -> tuple[int, int]:
-        """First and last plus one of what can be taken."""
+        """Return the index of the first entry that can be taken, and of the last one plus 1."""
         count: int = self._header[self._written]
         return max(self.next, count - slots), count
 
@@ -162,7 +161,7 @@ class _Cursor:
 
 
 class RingReader(_Ring):
-    """The companion's end. A reader that takes over from one that died begins at what that one released."""
+    """Reading end, used by the companion. The successor of a dead reader begins after what that one released."""
 
     def __init__(self, descriptor: int) -> None:
         super().__init__(descriptor)
@@ -170,7 +169,7 @@ class RingReader(_Ring):
         self._event_cursor = _Cursor(self._header, _EVENTS, _EVENTS_DONE, _EVENTS_LOST)
 
     def drain(self) -> Array:
-        """Take all rows that are there; a copy, shape (n, width). Those overwritten meanwhile are lost."""
+        """Take all rows present as a copy, shape (n, width). Rows overwritten meanwhile are lost."""
         start, end = self._row_cursor.available(self.capacity)
         slots = np.arange(start, end) % self.capacity
         rows = self._numbers[slots]
@@ -180,7 +179,7 @@ class RingReader(_Ring):
         return rows[whole, 1:-1].view(np.float64)
 
     def drain_events(self) -> list[tuple[float, str, str]]:
-        """Take all events that are there: cycle, name, text."""
+        """Take all events present: cycle, name, text."""
         start, end = self._event_cursor.available(EVENT_SLOTS)
         events, numbers = [], []
         for number in range(start, end):
@@ -197,7 +196,7 @@ class RingReader(_Ring):
         return events
 
     def release(self, rows: int, events: int) -> None:
-        """Say that so many of the rows and events drained, oldest first, are safe.
+        """Release the oldest ``rows`` and ``events`` that were drained: they are safe.
 
         The writer may reuse their slots, and a reader that takes over does not see them again.
         """
@@ -205,26 +204,26 @@ class RingReader(_Ring):
         self._event_cursor.release(events)
 
     def discard(self) -> None:
-        """Give up what was drained and not released: it counts as lost."""
+        """Count what was drained and not released as lost."""
         self._row_cursor.discard()
         self._event_cursor.discard()
 
     @property
     def is_drained(self) -> bool:
-        """Whether there is nothing left to take."""
+        """True if nothing is left to take."""
         return self._row_cursor.next == self._header[_ROWS] and self._event_cursor.next == self._header[_EVENTS]
 
     @property
     def lost(self) -> int:
-        """Rows that were overwritten before a reader took them."""
+        """Number of rows overwritten before a reader took them."""
         return self._row_cursor.lost
 
     @property
     def events_lost(self) -> int:
-        """Events that were overwritten before a reader took them."""
+        """Number of events overwritten before a reader took them."""
         return self._event_cursor.lost
 
 
 def _cut(text: str, size: int) -> bytes:
-    """UTF-8 bytes of ``text``, at most ``size`` of them, without half a character."""
+    """Return at most ``size`` bytes of ``text`` in UTF-8, without cutting a character."""
     return text.encode("utf-8", "replace")[:size].decode("utf-8", "ignore").encode()

@@ -1,8 +1,8 @@
-"""Limits, plausibility, and the states of a run. Pure: what is wrong with an axis, and what follows from it.
+"""Limits, plausibility of the feedback, and the states of a run. Pure.
 
-What is not finite, not fresh or not plausible never becomes a command. A fault fades the compensation, brings
-the axes to rest by the drives' quick stop and then disables them; holding torque stays until standstill, for
-a vertical axis must not fall. Nothing here leaves a fault by itself.
+Feedback that is not finite, not fresh or not plausible never becomes a command. A fault fades the compensation out,
+stops the axes with the drives' quick stop and then disables them; holding torque stays until standstill, because a
+vertical axis must not fall. Nothing here leaves a fault by itself.
 """
 
 import math
@@ -10,22 +10,27 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 from friction_hil.drive import DriveState, Feedback, Request
+from friction_hil.drive.codes import FaultCode
 
 MAX_STALE_CYCLES = 10
 _JUMP_MARGIN = 2.0
+_FAULT_RESET_S = 1.0
 
 
 class LoopState(IntEnum):
-    """Where a run stands."""
+    """State of a run."""
 
     IDLE = 0  # listening only
     ENABLING = 1
     RUNNING = 2
-    STOPPING = 3  # the set-point comes to rest, the compensation fades
-    FAULT_STOPPING = 4  # the drives' quick stop
+    STOPPING = 3  # the set-point comes to rest, the compensation fades out
+    FAULT_STOPPING = 4  # quick stop of the drives
     DISABLING = 5
     DONE = 6
 
+
+MOVING = (LoopState.RUNNING, LoopState.STOPPING)
+_NOT_YET_ENABLED = (LoopState.IDLE, LoopState.ENABLING)
 
 REQUESTS = {
     LoopState.IDLE: Request.LISTEN,
@@ -36,19 +41,17 @@ REQUESTS = {
     LoopState.DISABLING: Request.DISABLE,
     LoopState.DONE: Request.DISABLE,
 }
-# in the very cycle in which something is found wrong, before the state follows
+# in the very cycle in which a fault is found, before the state follows
 REQUESTS_AFTER_FAULT = REQUESTS | {
     LoopState.ENABLING: Request.DISABLE,
     LoopState.RUNNING: Request.QUICK_STOP,
     LoopState.STOPPING: Request.QUICK_STOP,
 }
 
-_NOT_YET_ENABLED = (LoopState.IDLE, LoopState.ENABLING)
-
 
 @dataclass(frozen=True, slots=True)
-class Limits:
-    """Bounds of one axis, SI; infinity where there is none."""
+class AxisLimits:
+    """Limits of one axis as the loop enforces them, SI; infinity where there is none."""
 
     torque: float
     velocity: float
@@ -59,13 +62,13 @@ class Limits:
 
 
 class Supervisor:
-    """Watches the feedback of one axis.
+    """Check the feedback of one axis.
 
     Parameters
     ----------
     name : str
         Name of the axis, for messages.
-    limits : Limits
+    limits : AxisLimits
     period_s : float
         Period of the loop, s.
     position_resolution : float
@@ -73,7 +76,7 @@ class Supervisor:
     unit : str
         Unit of position, for messages: ``rad`` or ``m``.
     max_stale_cycles : int
-        Cycles in a row without usable feedback that are still bridged.
+        Largest number of successive cycles without usable feedback that are bridged.
     """
 
     __slots__ = (
@@ -91,7 +94,7 @@ class Supervisor:
     def __init__(
         self,
         name: str,
-        limits: Limits,
+        limits: AxisLimits,
         period_s: float,
         position_resolution: float,
         unit: str = "rad",
@@ -105,20 +108,25 @@ class Supervisor:
         self._last_position = math.nan
         self._stale_cycles = 0
         self._max_stale_cycles = max_stale_cycles
-        self._missing = ""  # what was said of the feedback that is missing now
+        self._missing = ""  # message about the feedback that is missing now
 
     @property
     def position(self) -> float:
-        """Last usable position; NaN before there was one."""
+        """Last usable position; NaN before the first one."""
         return self._last_position
 
     @property
+    def has_position(self) -> bool:
+        """True once there was a usable position."""
+        return math.isfinite(self._last_position)
+
+    @property
     def is_current(self) -> bool:
-        """Whether that position is of the last cycle."""
+        """True if the position is that of the last cycle."""
         return self._stale_cycles == 0
 
-    def is_usable(self, feedback: Feedback) -> bool:
-        """Whether this cycle's feedback is fresh, finite and plausible; to be asked once a cycle.
+    def take(self, feedback: Feedback) -> bool:
+        """Take one cycle's feedback; return True if it is fresh, finite and plausible.
 
         A position that jumps further than twice the velocity limit allows is a glitch, for as many cycles as
         feedback may be missing.
@@ -139,71 +147,99 @@ class Supervisor:
             self._stale_cycles += 1
         return usable
 
-    def fault(self, feedback: Feedback, state: LoopState, velocity: float, position_demand: float) -> str | None:
-        """What is wrong with the axis, in words, or None.
+    def find_fault(self, feedback: Feedback, state: LoopState, velocity: float, position_demand: float) -> str | None:
+        """Return the fault of the axis as a message, or None.
 
         Parameters
         ----------
         feedback : Feedback
-            After `is_usable`.
+            After `take`.
         state : LoopState
-            Decides what is expected: following and an enabled drive only while it moves.
+            Following and an enabled drive are required only while the axis moves.
         velocity : float
             Estimated velocity, SI.
         position_demand : float
             Demanded position at the time of the feedback; NaN where there is none.
         """
-        name, limits, unit = self._name, self._limits, self._unit
         if feedback.message:
-            return f"{name}: {feedback.message}"
+            return FaultCode.DRIVER_MESSAGE.append_to(f"{self._name}: {feedback.message}")
         if self._stale_cycles > self._max_stale_cycles:
-            if not self._missing:  # the reason changes with each byte that comes, what is wrong does not
-                text = f"{name}: no usable feedback for more than {self._max_stale_cycles} cycles"
-                why = feedback.missing
-                if feedback.is_fresh:
-                    why = (
-                        f"its position jumps further than limits.velocity allows, now to {feedback.position:.4g} {unit}"
-                    )
-                self._missing = f"{text}: {why}" if why else text
+            # one message for the whole gap, though the reason may change with each byte received
+            self._missing = self._missing or self._missing_feedback(feedback)
             return self._missing
         self._missing = ""
         if feedback.state in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE):
-            text = f"{name}: the drive is in fault: {feedback.error or 'it does not say why'}"
-            return f"{text}; --reset-fault leaves it" if state in _NOT_YET_ENABLED else text
-        if state not in (LoopState.RUNNING, LoopState.STOPPING):
-            return None
+            text = f"{self._name}: the drive is in fault: {feedback.error or 'it reports no error code'}"
+            advice = "; --reset-fault leaves it" if state in _NOT_YET_ENABLED else ""
+            return FaultCode.DRIVE_IN_FAULT.append_to(text + advice)
+        return self._find_motion_fault(feedback, velocity, position_demand) if state in MOVING else None
+
+    def _missing_feedback(self, feedback: Feedback) -> str:
+        text = f"{self._name}: no usable feedback for more than {self._max_stale_cycles} cycles"
+        if feedback.is_fresh:
+            return FaultCode.POSITION_JUMPS.append_to(
+                f"{text}: its position jumps further than limits.velocity allows, now to "
+                f"{feedback.position:.4g} {self._unit}"
+            )
+        return FaultCode.FEEDBACK_MISSING.append_to(f"{text}: {feedback.missing}" if feedback.missing else text)
+
+    def _find_motion_fault(self, feedback: Feedback, velocity: float, position_demand: float) -> str | None:
+        """Return the fault of an axis that should be enabled and follow its demand within its limits."""
+        name, limits, unit, position = self._name, self._limits, self._unit, self._last_position
         if feedback.state is not DriveState.OPERATION_ENABLED:
-            return f"{name}: the drive left Operation enabled: {feedback.state.words}"
+            return FaultCode.DRIVE_LEFT_OPERATION.append_to(
+                f"{name}: the drive left Operation enabled: {feedback.state.words}"
+            )
         if not abs(velocity) <= limits.velocity:
-            return f"{name}: velocity {velocity:.4g} is beyond its limit of {limits.velocity:g} {unit}/s"
-        position = self._last_position
+            return FaultCode.VELOCITY_LIMIT.append_to(
+                f"{name}: velocity {velocity:.4g} is beyond its limit of {limits.velocity:g} {unit}/s"
+            )
         if not limits.position_low <= position <= limits.position_high:
-            return (
+            return FaultCode.POSITION_LIMIT.append_to(
                 f"{name}: position {position:.4g} {unit} is outside "
                 f"[{limits.position_low:g}, {limits.position_high:g}] {unit}"
             )
         if math.isfinite(position_demand) and not abs(position_demand - position) <= limits.following_error:
-            return (
+            return FaultCode.FOLLOWING_ERROR.append_to(
                 f"{name}: following error {position_demand - position:.4g} {unit} is beyond its limit of "
                 f"{limits.following_error:g} {unit}"
             )
         return None
 
 
-class SlewLimiter:
-    """Bounds a torque and its rate; holds what it gave last."""
+class FaultReset:
+    """Reset of the fault in which a drive is found at the start, on the user's request; no later fault is reset.
 
-    __slots__ = ("_limit", "_step", "torque")
+    Parameters
+    ----------
+    is_wanted : bool
+        True if the user asked for it (``--reset-fault``).
+    """
 
-    def __init__(self, limit: float, slew: float, period_s: float) -> None:
-        self._limit = limit
-        self._step = slew * period_s
-        self.torque = 0.0
+    __slots__ = ("_is_open",)
 
-    def limit(self, wanted: float) -> float:
-        """Return the torque allowed in this cycle, N m; a value that is not finite counts as zero."""
-        if not math.isfinite(wanted):
-            wanted = 0.0
-        wanted = min(max(wanted, -self._limit), self._limit)
-        self.torque = min(max(wanted, self.torque - self._step), self.torque + self._step)
-        return self.torque
+    def __init__(self, is_wanted: bool) -> None:
+        self._is_open = is_wanted
+
+    def take(self, feedback: Feedback) -> None:
+        """Take one cycle's feedback: a drive without fault ends the permission."""
+        if feedback.is_fresh and feedback.state in _WITHOUT_FAULT:
+            self._is_open = False
+
+    def is_due(self, feedback: Feedback, state: LoopState, time_s: float) -> bool:
+        """Return True if the drive's fault is to be reset in this cycle."""
+        return (
+            self._is_open
+            and state in _NOT_YET_ENABLED
+            and feedback.state is DriveState.FAULT
+            and time_s < _FAULT_RESET_S
+        )
+
+
+_WITHOUT_FAULT = (
+    DriveState.SWITCH_ON_DISABLED,
+    DriveState.READY_TO_SWITCH_ON,
+    DriveState.SWITCHED_ON,
+    DriveState.OPERATION_ENABLED,
+    DriveState.QUICK_STOP_ACTIVE,
+)

@@ -1,10 +1,13 @@
-"""The course of a run: enabling, running, coming to rest, disabling. Pure: facts of a cycle -> next state."""
+"""State machine of a run: enabling, running, coming to rest, disabling. Pure: inputs of a cycle, next state."""
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from friction_hil.daemon.safety import LoopState
+from friction_hil.drive import DriveState, Feedback
+from friction_hil.drive.codes import FaultCode
 
-SETTLE_S = 0.05  # of idle cycles first, in which everything is used once
+SETTLE_S = 0.05  # idle cycles at the start, in which everything runs once
 ENABLE_TIMEOUT_S = 5.0
 STANDSTILL_TIMEOUT_S = 2.0
 QUICK_STOP_TIMEOUT_S = 5.0
@@ -13,20 +16,28 @@ STANDSTILL_S = 0.05  # without motion; in a single cycle an axis seems to stand 
 
 
 @dataclass(slots=True)
-class Facts:
-    """What is known of all axes together in a cycle."""
+class RunInputs:
+    """Inputs of the state machine in one cycle, of all axes together."""
 
     is_stop_requested: bool = False
     has_fault: bool = False
-    is_enabled: bool = False  # every drive is in Operation Enabled
+    is_enabled: bool = False  # every drive is in Operation enabled
     is_powered: bool = False  # some drive may give torque
     is_setpoint_standing: bool = False  # the set-point has come to rest for good
     is_standing: bool = False  # no axis moves in this cycle
     is_faded_out: bool = False  # no compensation is left
 
 
-class Course:
-    """Where a run stands, and since when.
+@dataclass(frozen=True, slots=True)
+class Timeout:
+    """A condition that did not come in time."""
+
+    code: FaultCode
+    text: str
+
+
+class RunStateMachine:
+    """State of a run, and when it began.
 
     Parameters
     ----------
@@ -37,72 +48,114 @@ class Course:
     ----------
     state : LoopState
     since_s : float
-        When this state began.
-    fault : str
-        What the course itself has waited for in vain, last, or empty; for which axes, the loop tells.
+        Time at which this state began.
     """
 
-    __slots__ = ("_is_listening", "_moved_s", "fault", "since_s", "state")
+    __slots__ = ("_is_listening", "_moved_s", "_timeout", "since_s", "state")
 
     def __init__(self, *, is_listening: bool) -> None:
         self._is_listening = is_listening
         self.state = LoopState.IDLE
         self.since_s = 0.0
-        self.fault = ""
+        self._timeout: Timeout | None = None
         self._moved_s = 0.0
 
-    def advance(self, time_s: float, facts: Facts) -> bool:
-        """Take one cycle's facts; whether the state changed."""
-        if not facts.is_standing:
+    def advance(self, time_s: float, inputs: RunInputs) -> bool:
+        """Take one cycle's inputs; return True if the state changed."""
+        if not inputs.is_standing:
             self._moved_s = time_s
         has_stood = time_s - self._moved_s >= STANDSTILL_S
-        after = self._next(time_s - self.since_s, facts, has_stood)
+        after = self._next(time_s - self.since_s, inputs, has_stood)
         if after is self.state:
             return False
         self.state, self.since_s = after, time_s
         return True
 
-    def _next(self, elapsed_s: float, facts: Facts, has_stood: bool) -> LoopState:
+    def take_timeout(self) -> Timeout | None:
+        """Return the condition that the run has waited for in vain, once."""
+        timeout, self._timeout = self._timeout, None
+        return timeout
+
+    def _next(self, elapsed_s: float, inputs: RunInputs, has_stood: bool) -> LoopState:
         state = self.state
+        is_ending = inputs.is_stop_requested or inputs.has_fault
         if state is LoopState.IDLE:
-            if facts.is_stop_requested or facts.has_fault:
+            if is_ending:
                 return LoopState.DONE
             return state if self._is_listening or elapsed_s < SETTLE_S else LoopState.ENABLING
         if state is LoopState.ENABLING:
-            if facts.is_stop_requested or facts.has_fault:
-                return LoopState.DISABLING
-            if elapsed_s > ENABLE_TIMEOUT_S:
-                self.fault = f"not enabled within {ENABLE_TIMEOUT_S:g} s"
-                return LoopState.DISABLING
-            return LoopState.RUNNING if facts.is_enabled else state
-        if state in (LoopState.RUNNING, LoopState.STOPPING) and facts.has_fault:
+            return LoopState.DISABLING if is_ending else self._enabling(elapsed_s, inputs)
+        if state in (LoopState.RUNNING, LoopState.STOPPING) and inputs.has_fault:
             return LoopState.FAULT_STOPPING
         if state is LoopState.RUNNING:
-            return LoopState.STOPPING if facts.is_stop_requested else state
+            return LoopState.STOPPING if inputs.is_stop_requested else state
         if state is LoopState.STOPPING:
-            return self._stopping(elapsed_s, facts, has_stood)
+            return self._stopping(elapsed_s, inputs, has_stood)
         if state is LoopState.FAULT_STOPPING:
-            if has_stood or not facts.is_powered:
-                return LoopState.DISABLING
-            if elapsed_s > QUICK_STOP_TIMEOUT_S:
-                self.fault = f"no standstill within {QUICK_STOP_TIMEOUT_S:g} s of the quick stop; disabled all the same"
-                return LoopState.DISABLING
-            return state
+            return self._fault_stopping(elapsed_s, inputs, has_stood)
         if state is LoopState.DISABLING:
-            if not facts.is_powered:
-                return LoopState.DONE
-            if elapsed_s > DISABLE_TIMEOUT_S:
-                self.fault = f"still powered {DISABLE_TIMEOUT_S:g} s after it was told to disable"
-                return LoopState.DONE
+            return self._disabling(elapsed_s, inputs)
         return state
 
-    def _stopping(self, elapsed_s: float, facts: Facts, has_stood: bool) -> LoopState:
-        if not (facts.is_setpoint_standing and facts.is_faded_out):
-            # neither can take longer than its ramp, which starts with this state
-            return self.state
-        if has_stood:
+    def _enabling(self, elapsed_s: float, inputs: RunInputs) -> LoopState:
+        if elapsed_s > ENABLE_TIMEOUT_S:
+            self._timeout = Timeout(FaultCode.NOT_ENABLED, f"not enabled within {ENABLE_TIMEOUT_S:g} s")
             return LoopState.DISABLING
-        if elapsed_s > STANDSTILL_TIMEOUT_S:
-            # a set-point at rest and an axis in motion: somebody turns it, or it hunts
+        return LoopState.RUNNING if inputs.is_enabled else self.state
+
+    def _stopping(self, elapsed_s: float, inputs: RunInputs, has_stood: bool) -> LoopState:
+        if not (inputs.is_setpoint_standing and inputs.is_faded_out):
+            return self.state  # both end with their ramps, which began with this state
+        # past the timeout the set-point rests and the axis moves: somebody turns it, or it hunts
+        return LoopState.DISABLING if has_stood or elapsed_s > STANDSTILL_TIMEOUT_S else self.state
+
+    def _fault_stopping(self, elapsed_s: float, inputs: RunInputs, has_stood: bool) -> LoopState:
+        if has_stood or not inputs.is_powered:
+            return LoopState.DISABLING
+        if elapsed_s > QUICK_STOP_TIMEOUT_S:
+            text = f"no standstill within {QUICK_STOP_TIMEOUT_S:g} s of the quick stop; disabled all the same"
+            self._timeout = Timeout(FaultCode.NO_STANDSTILL, text)
             return LoopState.DISABLING
         return self.state
+
+    def _disabling(self, elapsed_s: float, inputs: RunInputs) -> LoopState:
+        if not inputs.is_powered:
+            return LoopState.DONE
+        if elapsed_s > DISABLE_TIMEOUT_S:
+            text = f"still powered {DISABLE_TIMEOUT_S:g} s after the request to disable"
+            self._timeout = Timeout(FaultCode.STILL_POWERED, text)
+            return LoopState.DONE
+        return self.state
+
+
+def timeout_faults(
+    timeout: Timeout, state: LoopState, names: Sequence[str], feedback: Sequence[Feedback], is_standing: Sequence[bool]
+) -> Iterator[str]:
+    """Yield the message of a timeout for each axis that kept the run in ``state``.
+
+    Parameters
+    ----------
+    timeout : Timeout
+    state : LoopState
+        State that the run has just left.
+    names, feedback, is_standing : sequence
+        Of each axis.
+    """
+    is_any = False
+    for name, heard, stands in zip(names, feedback, is_standing, strict=True):
+        if _is_awaited(state, heard.state, stands):
+            is_any = True
+            error = f" ({heard.error})" if heard.error else ""
+            text = f"{name}: {timeout.text}: the drive is in {heard.state.words}{error}"
+            yield timeout.code.append_to(text)
+    if not is_any:  # an axis that comes to rest now and then may stand in this very cycle
+        yield timeout.code.append_to(timeout.text)
+
+
+def _is_awaited(state: LoopState, drive_state: DriveState, is_standing: bool) -> bool:
+    """Return True if the run stays in ``state`` because of this axis."""
+    if state is LoopState.ENABLING:
+        return drive_state is not DriveState.OPERATION_ENABLED
+    if state is LoopState.DISABLING:
+        return drive_state.is_powered
+    return not is_standing

@@ -1,4 +1,4 @@
-"""A run of the daemon from its configuration: driver, axes, companion and loop put together and taken apart."""
+"""A run of the daemon from its configuration: creates driver, axes, companion and loop, and closes them."""
 
 import contextlib
 import math
@@ -14,8 +14,10 @@ from friction_hil.config.load import only_driver
 from friction_hil.daemon.assembly import ramp_s
 from friction_hil.daemon.axis import AxisLoop
 from friction_hil.daemon.companion import Companion, CompanionReport, Job, free_path, prepare
-from friction_hil.daemon.loop import Loop, LoopResult, LoopSettings
+from friction_hil.daemon.log import LoopResult
+from friction_hil.daemon.loop import Loop
 from friction_hil.daemon.realtime import RealClock, SteppedClock, punctuality
+from friction_hil.daemon.run import LoopSettings
 from friction_hil.daemon.stop import StopRequest
 from friction_hil.drive import AxisFacts, Clock, Drives
 from friction_hil.drive.finding import complaints
@@ -30,7 +32,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class SessionSettings:
-    """What the command line adds to a configuration."""
+    """Settings that the command line adds to a configuration."""
 
     duration_s: float = math.inf
     record: Path | None = None
@@ -43,7 +45,7 @@ class SessionSettings:
 
 @dataclass(slots=True)
 class SessionResult:
-    """What a run amounts to, for people and for scripts."""
+    """Result of a run."""
 
     loop: LoopResult
     axes: dict[str, dict[str, float]] = field(default_factory=dict)
@@ -51,7 +53,7 @@ class SessionResult:
 
 
 class _CompanionSink:
-    """Hands rows to the companion; in simulated time it waits for room, so that no row is lost."""
+    """Sink that hands rows to the companion; in simulated time it waits for room, so that no row is lost."""
 
     def __init__(self, companion: Companion, is_real: bool) -> None:
         self._companion = companion
@@ -70,7 +72,7 @@ def run_session(
     configuration: "Configuration",
     settings: SessionSettings,
     stop: StopRequest,
-    tell: Callable[[str], None],
+    report: Callable[[str], None],
 ) -> SessionResult:
     """Run the daemon until its duration is over, ``stop`` is requested, or a fault has been dealt with.
 
@@ -80,14 +82,14 @@ def run_session(
     settings : SessionSettings
     stop : StopRequest
         May be set at any time, from a signal handler.
-    tell : callable
-        Takes a line about what is going on; not called during the cyclic phase.
+    report : callable
+        Called with lines for the user; not during the cyclic phase.
 
     Raises
     ------
     FrictionHilError
-        Before anything moved: the bus, a drive or the recording is not as it should be. Later faults are in
-        the result.
+        Before anything has moved: the bus, a drive or the recording is not usable. Later faults are in the
+        result.
     """
     realtime = configuration.realtime
     clock: Clock = SteppedClock() if settings.is_paced_by_sync else RealClock(realtime.spin_us)
@@ -95,15 +97,15 @@ def run_session(
     started_ns = 0 if settings.is_paced_by_sync else time.time_ns()
     path = _recording_path(configuration, settings, started_ns)
     if path is not None:
-        prepare(path, overwrite=settings.is_overwrite_allowed)  # a wrong path is found before any drive is touched
+        prepare(path, overwrite=settings.is_overwrite_allowed)  # report a wrong path before any drive is touched
     with contextlib.ExitStack() as stack:
         drives: Drives = load_driver(driver)(configuration, configuration.axes, clock, dry_run=settings.dry_run)
         stack.callback(drives.close)
         facts = drives.connect()
         for fact in facts:
-            tell(f"{fact.name}: {fact.identity}")
+            report(f"{fact.name}: {fact.identity}")
             for note in (*fact.notes, *configuration.axes[fact.name].model.friction_model.notes):
-                tell(f"{fact.name}: {note}")
+                report(f"{fact.name}: {note}")
         path_time = PathTime(ramp_s(configuration.axes.values()))
         shadows = sorted({shadow.name for axis in configuration.axes.values() for shadow in axis.shadows})
         axes = [
@@ -118,13 +120,11 @@ def run_session(
             )
             for fact in facts
         ]
-        for axis in axes:
-            axis.warm_up()
         companion = Companion.start(_job(configuration, settings, path, started_ns, facts, axes, shadows))
         try:
             with punctuality(0 if settings.is_paced_by_sync else realtime.priority) as findings:
                 for line in complaints(findings):
-                    tell(line)
+                    report(line)
                 loop_settings = LoopSettings(
                     period_s=configuration.period_s,
                     duration_s=settings.duration_s,
@@ -136,9 +136,16 @@ def run_session(
                 loop = Loop(drives, axes, path_time, clock, sink, loop_settings, stop)
                 result = loop.run()
         finally:
-            report = companion.close()
-    errors = {axis.name: {"rms": axis.stats.rms, "peak": axis.stats.peak, "stale": axis.stale} for axis in axes}
-    return SessionResult(result, errors, report)
+            recorded = companion.close()
+    errors = {
+        axis.name: {
+            "rms": axis.following_error.rms,
+            "peak": axis.following_error.peak,
+            "stale": axis.stale_cycles,
+        }
+        for axis in axes
+    }
+    return SessionResult(result, errors, recorded)
 
 
 def _recording_path(configuration: "Configuration", settings: SessionSettings, started_ns: int) -> Path | None:
@@ -156,7 +163,7 @@ def _job(
     axes: Sequence[AxisLoop],
     shadows: Sequence[str],
 ) -> Job:
-    """What the companion has to know to record and to show a run."""
+    """Return the job of the companion: what to record and to show."""
     return Job(
         axes=[axis.name for axis in axes],
         columns=[*columns.NAMES, *(columns.shadow(name) for name in shadows)],

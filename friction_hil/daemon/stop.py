@@ -1,4 +1,4 @@
-"""How a run is told to come to rest."""
+"""Request to a run to come to rest."""
 
 import signal
 from collections.abc import Iterator
@@ -9,7 +9,7 @@ SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 class StopRequest:
-    """Set from a signal handler, read by the loop.
+    """Request to stop, set from a signal handler and read by the loop.
 
     Attributes
     ----------
@@ -27,7 +27,7 @@ class StopRequest:
 
 @contextmanager
 def stop_on_signals() -> Iterator[StopRequest]:
-    """Turn Ctrl-C and the signals that end a process into a request to stop; for the main thread."""
+    """Turn Ctrl-C and the signals that end a process into a request to stop; main thread only."""
     stop = StopRequest()
 
     def on_signal(number: int, frame: FrameType | None) -> None:

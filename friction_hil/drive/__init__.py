@@ -1,9 +1,10 @@
-"""The drive port: all that a driver needs to know of the daemon, and the daemon of a driver.
+"""Drive port: the interface between the daemon and the drivers.
 
-`port` defines what they exchange each cycle and the protocol of a driver, `finding` what a driver reports to
-``friction-hil doctor``, `encoder` how a counter that wraps becomes a continuous position.
+`port` defines the data of each cycle and the protocol of a driver, `codes` the codes of faults, `finding` the reports
+to ``friction-hil doctor``, `encoder` the unwrapping of encoder counters.
 """
 
+from friction_hil.drive.codes import FaultCode
 from friction_hil.drive.finding import Finding
 from friction_hil.drive.port import (
     AxisFacts,
@@ -25,6 +26,7 @@ __all__ = [
     "DriveState",
     "Driver",
     "Drives",
+    "FaultCode",
     "Feedback",
     "Finding",
     "Mode",

@@ -2,15 +2,15 @@
 
 
 def unwrap(count: int, raw: int, bits: int) -> int:
-    """Continuous count of an encoder whose counter wraps.
+    """Return the continuous count of an encoder whose counter wraps.
 
     Parameters
     ----------
     count : int
-        Continuous count before; at the start the raw one. The nearest that agrees with the counter follows; at
-        exactly half the range the lower.
+        Continuous count before; at the start the raw one. The result is the nearest count that agrees with the
+        counter; at exactly half the range the lower one.
     raw, bits : int
-        The counter, signed or unsigned, and its width.
+        Counter, signed or unsigned, and its width in bits.
 
     Examples
     --------

@@ -1,9 +1,9 @@
-"""The drive port: the interface between the daemon and the drivers.
+"""Drive port: the interface between the daemon and the drivers.
 
 A driver is a class registered under the entry-point group ``friction_hil.drivers``. One instance serves all
-axes of its kind on one bus, because a cycle on a bus is shared: one SYNC, every drive's feedback, every
-drive's command. The counterpart that imitates the drives is registered under
-``friction_hil.simulated_drives`` by the same name.
+axes of its kind on one bus, because they share each cycle on the bus: one SYNC, the feedback of every drive, the
+command to every drive. The class that simulates the drives is registered under ``friction_hil.simulated_drives``
+by the same name.
 """
 
 from collections.abc import Mapping, Sequence
@@ -26,7 +26,7 @@ class Mode(IntEnum):
 
 
 class DriveState(IntEnum):
-    """What a drive does with its power stage, in the terms of CiA 402."""
+    """State of a drive, in the terms of CiA 402."""
 
     UNKNOWN = 0
     NOT_READY = 1
@@ -40,76 +40,77 @@ class DriveState(IntEnum):
 
     @property
     def is_powered(self) -> bool:
-        """Whether the power stage may produce torque."""
+        """True if the power stage may produce torque."""
         return self in (self.OPERATION_ENABLED, self.QUICK_STOP_ACTIVE, self.FAULT_REACTION_ACTIVE)
 
     @property
     def words(self) -> str:
-        """Its name as it stands in a sentence: ``switch on disabled``."""
+        """Name of the state for messages: ``switch on disabled``."""
         return self.name.lower().replace("_", " ")
 
 
 class Request(IntEnum):
-    """What the loop wants a drive to be; the driver finds the way there, one step a cycle."""
+    """State that the loop requests; the driver takes the drive there, one step per cycle."""
 
     LISTEN = 0  # never write anything
     DISABLE = 1
     ENABLE = 2
     QUICK_STOP = 3
-    RESET_FAULT = 4  # only on the user's explicit word; ends where DISABLE does
+    RESET_FAULT = 4  # only on the user's explicit request; ends in the state of DISABLE
 
 
 @dataclass(slots=True)
 class Feedback:
-    """What a drive said in this cycle, SI. One object an axis, overwritten each cycle."""
+    """Feedback of a drive in this cycle, SI. One object per axis, overwritten each cycle."""
 
     position: float = 0.0
     velocity: float = 0.0
     torque: float = 0.0
     state: DriveState = DriveState.UNKNOWN
     is_fresh: bool = False  # every frame of this cycle arrived in time
-    error: str = ""  # the drive's own error code in words, as last heard
-    message: str = ""  # what is wrong beside the state: a lost heartbeat, a reboot, an emergency
-    missing: str = ""  # why nothing fresh came, where the driver knows
+    error: str = ""  # last error code of the drive, in words
+    # fault beside the state: a lost heartbeat, a reboot, an emergency; without a code, FH-2xx, it gets FH-118
+    message: str = ""
+    missing: str = ""  # reason why nothing fresh came, if the driver knows it
 
 
 @dataclass(slots=True)
 class Command:
-    """What to write to a drive, SI. One object an axis, overwritten each cycle."""
+    """Command to a drive, SI. One object per axis, overwritten each cycle."""
 
     request: Request = Request.LISTEN
     position: float = 0.0  # CSP
     velocity: float = 0.0  # CSV
-    torque: float = 0.0  # CST: the whole torque; CSP and CSV: torque offset, added by the drive
+    torque: float = 0.0  # CST: total torque; CSP and CSV: torque offset, added by the drive
 
 
 @dataclass(frozen=True, slots=True)
 class AxisFacts:
-    """What the driver learned about a drive while connecting; recorded, so that replay computes with the same.
+    """Properties of a drive that the driver found while connecting; recorded, so that replay uses the same.
 
-    The delays are the driver's to state, from its protocol and from what it measured while connecting. On a bus paced
-    by SYNC nothing is left to measure: the drive samples at SYNC k, takes the command of that cycle at SYNC k + 1
-    and holds it for a period, whenever in between the frames went, for the loop sends SYNC k + 1 after that command.
-    An exchange that outlasts the period makes SYNC late, by whole cycles, and the loop says so. Where a command acts
-    when it arrives, as on a serial line, the driver measures how long an exchange takes.
+    The driver states the delays, from its protocol and from measurements while connecting. On a bus paced by SYNC there
+    is nothing to measure: the drive samples at SYNC k, takes the command of that cycle at SYNC k + 1 and holds it for a
+    period. When the frames went in between does not matter, because the loop sends SYNC k + 1 after that command. An
+    exchange longer than the period makes SYNC late by whole cycles, and the loop reports it. Where a command acts when
+    it arrives, as on a serial line, the driver measures the duration of an exchange.
 
     Attributes
     ----------
     name : str
-        Of the axis.
+        Name of the axis.
     identity : str
-        For people: vendor, product, serial number.
+        Vendor, product, serial number, for the user.
     position_resolution, torque_resolution : float
         Smallest step of the position feedback and of the torque command, SI.
     setpoint_delay_s : float
-        From sending a set-point to the drive's demand being equal to it.
+        Time from sending a set-point until the drive's demand equals it.
     actuation_delay_s : float
-        From the drive's sampling its position to the middle of the time for which it holds the torque that the loop
-        computed from that.
+        Time from the sampling of the position to the middle of the time for which the drive holds the torque that
+        the loop computed from it.
     notes : tuple of str
-        What the user should know, e.g. which watchdog is armed.
+        Notes for the user, e.g. which watchdog is armed.
     torque_delay_s : float, optional
-        How much older the torque of a cycle's feedback is than the position, on average; None: the drive tells none.
+        Mean age of the torque of a cycle's feedback relative to the position; None: the drive reports no torque.
     """
 
     name: str
@@ -123,7 +124,7 @@ class AxisFacts:
 
 
 class Clock(Protocol):
-    """Time for the loop. ``RealClock`` waits; ``SteppedClock`` advances when asked (``--pace sync``)."""
+    """Clock of the loop. ``RealClock`` waits; ``SteppedClock`` advances on request (``--pace sync``)."""
 
     is_real: bool
 
@@ -132,7 +133,7 @@ class Clock(Protocol):
         ...
 
     def doze_until(self, deadline_ns: int) -> bool:
-        """Sleep until shortly before ``deadline_ns``; whether there is time left to get ready."""
+        """Sleep until shortly before ``deadline_ns``; return True if there is time left before it."""
         ...
 
     def sleep_until(self, deadline_ns: int) -> None:
@@ -141,11 +142,11 @@ class Clock(Protocol):
 
 
 class Drives(Protocol):
-    """All drives of one driver on one bus, driven from one thread.
+    """All drives of one driver on one bus, called from one thread.
 
-    Life: ``connect`` (blocking: identity, parameters, mapping, watchdogs), ``start`` (cyclic phase), then for
-    each cycle ``receive`` and ``send``, and ``close`` whatever happened. Between ``start`` and ``close``
-    nothing but the calling thread may touch the bus.
+    Order of calls: ``connect`` (blocking: identity, parameters, mapping, watchdogs), ``start`` (cyclic phase), then
+    ``receive`` and ``send`` in each cycle, and ``close`` in any case. Between ``start`` and ``close`` no other
+    thread may use the bus.
     """
 
     def connect(self) -> Sequence[AxisFacts]:
@@ -154,7 +155,7 @@ class Drives(Protocol):
         Raises
         ------
         BusError, DriveError
-            The bus does not open, nobody answers, or a drive is not what the configuration says.
+            The bus does not open, no drive answers, or a drive does not match the configuration.
         """
         ...
 
@@ -163,62 +164,61 @@ class Drives(Protocol):
         ...
 
     def receive(self, feedback: Sequence[Feedback], end_ns: int) -> None:
-        """Start a cycle on the bus and fill ``feedback``; return when all arrived, or when it is too late for it.
+        """Start a cycle on the bus and fill ``feedback``; return when all has arrived, or when it is too late.
 
         Parameters
         ----------
         feedback : sequence of Feedback
         end_ns : int
-            When the next cycle begins; how long before that is too late the driver knows.
+            Time at which the next cycle begins; the driver decides how long before it is too late.
         """
         ...
 
     def send(self, commands: Sequence[Command]) -> None:
-        """Write one command an axis."""
+        """Write one command to each axis."""
         ...
 
-    def rehearse(self) -> None:
-        """Bring the code of a cycle into the caches, in the spin before its deadline.
+    def warm_caches(self) -> None:
+        """Run the code of a cycle in the spin before its deadline, to fill the processor's caches.
 
-        Nothing is sent, and no feedback changes; what came since the cycle before may be taken in.
+        Nothing is sent, and no feedback changes; what arrived since the last cycle may be processed.
         """
         ...
 
     def close(self) -> None:
-        """Leave the bus. Safe to call at any time, also twice."""
+        """Leave the bus. May be called at any time, also twice."""
         ...
 
 
 class Driver(Protocol):
-    """The class that an entry point of ``friction_hil.drivers`` names.
+    """Class named by an entry point of ``friction_hil.drivers``.
 
     It may have these classmethods:
 
     ``check_files(configuration, axes)``
-        Yields what is wrong with the files that its keys name, and with what can be known from them, as (axis, key,
-        error); nothing is opened for that.
+        Yields the errors in the files named by its keys as (axis, key, error); no port or bus is opened.
     ``check_machine(root)``
-        Yields a `friction_hil.drive.Finding` for all that its kind of drive needs of a machine, as the files below
-        ``root`` (a Path, of a real machine ``/``) tell it. Drivers that need the same yield equal ones.
+        Yields a `friction_hil.drive.Finding` for everything that its kind of drive needs of the machine, from the files
+        below ``root`` (a Path; ``/`` of a real machine). Drivers that need the same yield equal findings.
     ``check_connection(configuration, axes)``
-        Yields a Finding for each thing between the daemon and its drives: what can be told without a byte to them.
-        What ``check_files`` tells is not told again. Ports and buses that are opened for it are given back at once.
+        Yields a Finding for each part of the connection to the drives that can be checked without sending a byte. Not
+        repeated is what ``check_files`` reports. Ports and buses opened for it are closed at once.
     """
 
-    Options: "type[BaseModel]"  # the keys of an axis that are the driver's own
+    Options: "type[BaseModel]"  # keys of an axis that belong to the driver
 
     def __call__(
         self, configuration: "Configuration", axes: "Mapping[str, AxisConfig]", clock: Clock, *, dry_run: bool
     ) -> Drives:
-        """Make the drives of ``axes``, none of them connected yet."""
+        """Return the drives of ``axes``, not connected yet."""
         ...
 
 
 class SimulatedDriver(Protocol):
-    """The class that an entry point of ``friction_hil.simulated_drives`` names."""
+    """Class named by an entry point of ``friction_hil.simulated_drives``."""
 
-    Options: "type[BaseModel]"  # the keys of an axis's ``simulation``
+    Options: "type[BaseModel]"  # keys of ``simulation`` of an axis
 
     def __call__(self, configuration: "Configuration", axes: "Mapping[str, AxisConfig]", *, pace: str) -> Any:
-        """Make simulated drives; ``run(is_stopping)`` serves the bus until ``is_stopping()`` is true."""
+        """Return simulated drives; ``run(is_stopping)`` serves the bus until ``is_stopping()`` is true."""
         ...

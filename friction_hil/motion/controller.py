@@ -11,8 +11,8 @@ CONTROLLER = np.dtype(
         ("position_gain", "f8"),  # 1/s
         ("velocity_gain", "f8"),  # N m s/rad
         ("integral_hz", "f8"),  # corner of the velocity loop's integral action
-        ("velocity_feedforward", "f8"),  # share of the demanded velocity
-        ("inertia", "f8"),  # kg m^2 times the share of inertia feed-forward
+        ("velocity_feedforward", "f8"),  # fraction of the demanded velocity
+        ("inertia", "f8"),  # kg m^2 times the fraction of inertia feed-forward
     ]
 )
 
@@ -28,7 +28,7 @@ def cascade(
     dt: float,
     limit: float,
 ) -> tuple[float, float]:
-    """Torque of one controller sample.
+    """Return the torque of one controller sample.
 
     P position control over PI velocity control, with feed-forward of velocity and inertia:
     e = kp (q_d - q) + v_d - v;  tau = kv (e + I) + J a_d;  dI/dt = 2 pi f_i e.

@@ -1,4 +1,4 @@
-"""Set-points of the axes: closed paths, run through with a time of their own that starts and stops gently."""
+"""Set-points of the axes: paths over a path time that starts and stops smoothly."""
 
 import math
 from bisect import bisect_right
@@ -14,7 +14,7 @@ _LEAST_FADE_S = 0.5
 
 
 def sine_path(amplitude: float, frequency: float, phase: float) -> Path:
-    """Position, velocity and acceleration of amplitude sin(2 pi frequency s + phase) at path time s."""
+    """Return the path amplitude sin(2 pi frequency s + phase) over path time s."""
     omega = TWO_PI * frequency
 
     def path(s: float) -> tuple[float, float, float]:
@@ -26,14 +26,15 @@ def sine_path(amplitude: float, frequency: float, phase: float) -> Path:
 
 
 def circle_path(radius: float, frequency: float, phase: float) -> Path:
-    """One axis of a circle: radius cos(2 pi frequency s + phase)."""
+    """Return one axis of a circle: radius cos(2 pi frequency s + phase)."""
     return sine_path(radius, frequency, phase + 0.5 * math.pi)
 
 
 def triangle_path(amplitude: float, frequency: float, rounding: float) -> Path:
-    """Constant speed between corners rounded over a share ``rounding`` of a quarter period each side.
+    """Return a path of constant speed, whose corners are rounded over a fraction ``rounding`` of a quarter period.
 
-    The straight lines aim at +-``amplitude``; a rounded corner stays a little inside.
+    The fraction counts on each side of a corner. The straight lines aim at +-``amplitude``; a rounded corner stays a
+    little inside.
     """
     quarter = 0.25 / frequency
     speed = amplitude / quarter
@@ -56,7 +57,7 @@ def triangle_path(amplitude: float, frequency: float, rounding: float) -> Path:
 
 
 class Sweep(NamedTuple):
-    """A sine whose amplitude goes from ``smallest`` to ``largest``, geometrically, and back."""
+    """Sine whose amplitude grows geometrically from ``smallest`` to ``largest`` and shrinks again."""
 
     frequency: float  # Hz
     smallest: float  # rad or m
@@ -65,7 +66,7 @@ class Sweep(NamedTuple):
 
 
 def sweeps_path(sweeps: Sequence[Sweep]) -> Path:
-    """One sweep after another, then standstill; position and velocity, zero at both ends of each, are continuous."""
+    """Return a path of one sweep after another, then standstill; position and velocity are zero between sweeps."""
     ends = list(accumulate(sweep.duration_s for sweep in sweeps))
 
     def path(s: float) -> tuple[float, float, float]:
@@ -79,7 +80,7 @@ def sweeps_path(sweeps: Sequence[Sweep]) -> Path:
 
 
 def _swelling(sweep: Sweep, s: float) -> tuple[float, float, float]:
-    """Amplitude a(s) fades in and out and swells in between; a sin(2 pi f s) and its derivatives."""
+    """Return a(s) sin(2 pi f s) and two derivatives; the amplitude a fades in and out and swells in between."""
     frequency, smallest, largest, duration = sweep
     rate = math.pi / duration
     swell, swell1, swell2 = (
@@ -91,7 +92,7 @@ def _swelling(sweep: Sweep, s: float) -> tuple[float, float, float]:
     inner = smallest * math.exp(decades * swell)
     inner1 = inner * decades * swell1
     inner2 = inner * ((decades * swell1) ** 2 + decades * swell2)
-    fade_s = min(max(_LEAST_FADE_S, 0.25 / frequency), 0.5 * duration)  # never quicker than the sine itself
+    fade_s = min(max(_LEAST_FADE_S, 0.25 / frequency), 0.5 * duration)  # not quicker than the sine itself
     side, since = (1.0, s) if s <= 0.5 * duration else (-1.0, duration - s)
     x = min(max(since / fade_s, 0.0), 1.0)
     edge = x * x * (3.0 - 2.0 * x)
@@ -111,7 +112,7 @@ def still_path(s: float) -> tuple[float, float, float]:
 
 
 class Setpoint(NamedTuple):
-    """Where an axis should be at one instant, SI."""
+    """Demanded position, velocity and acceleration at one instant, SI."""
 
     position: float
     velocity: float
@@ -119,11 +120,11 @@ class Setpoint(NamedTuple):
 
 
 class PathTime:
-    """Path time s(t): stands, runs up to 1 s per s in ``ramp_s``, and comes to rest again on request.
+    """Path time s(t): stands still, accelerates to 1 s per s within ``ramp_s``, and stops on request.
 
-    The rate follows 3 x^2 - 2 x^3, so that velocity and acceleration of the axis are continuous (in a stop amid
-    the start, velocity alone). All axes of
-    a machine share one, and so stay on their common path while they start and stop.
+    The rate follows 3 x^2 - 2 x^3, so that velocity and acceleration of the axis are continuous (in a stop during the
+    start, only the velocity). All axes of a machine share one, so that they stay on their common path while they
+    start and stop.
     """
 
     __slots__ = ("_ramp_s", "_start_s", "_stop_duration", "_stop_path", "_stop_rate", "_stop_s")
@@ -135,22 +136,22 @@ class PathTime:
         self._stop_path = self._stop_rate = self._stop_duration = 0.0
 
     def start(self, time_s: float) -> None:
-        """Begin to move at ``time_s``."""
+        """Start at ``time_s``."""
         self._start_s = time_s
 
     def stop(self, time_s: float) -> None:
-        """Begin to come to rest at ``time_s``; a second call changes nothing."""
+        """Begin to stop at ``time_s``; a second call has no effect."""
         if math.isinf(self._stop_s):
             self._stop_path, self._stop_rate, _ = self._running(time_s)
             self._stop_duration = self._ramp_s * max(self._stop_rate, 0.1)
             self._stop_s = time_s
 
     def is_standing(self, time_s: float) -> bool:
-        """Whether the path has come to rest for good by ``time_s``."""
+        """Return True if the path time has stopped for good by ``time_s``."""
         return time_s >= self._stop_s + self._stop_duration
 
     def at(self, time_s: float) -> tuple[float, float, float]:
-        """Path time, its rate and the rate's change at ``time_s``."""
+        """Return path time, its rate and the derivative of the rate at ``time_s``."""
         if time_s < self._stop_s:
             return self._running(time_s)
         x = (time_s - self._stop_s) / self._stop_duration
@@ -170,7 +171,7 @@ class PathTime:
 
 
 class Trajectory:
-    """The set-point of one axis over time: its path, entered at the position where the axis stands.
+    """Set-points of one axis over time: its path, shifted to begin where the axis stands.
 
     Parameters
     ----------
@@ -192,14 +193,14 @@ class Trajectory:
         self._offset = position - self._path(0.0)[0]
 
     def at(self, time_s: float) -> Setpoint:
-        """Set-point at ``time_s``, by the chain rule over path time."""
+        """Return the set-point at ``time_s``, by the chain rule over path time."""
         s, rate, change = self._time.at(time_s)
         position, velocity, acceleration = self._path(s)
         return Setpoint(self._offset + position, velocity * rate, acceleration * rate * rate + velocity * change)
 
 
 def extent(path: Path, duration_s: float, count: int = 2048) -> tuple[float, float, float]:
-    """Lowest and highest position, seen from the start of the path, and highest speed, over ``duration_s``."""
+    """Return lowest and highest position relative to the start, and highest speed, within ``duration_s``."""
     samples = [path(duration_s * k / count) for k in range(count + 1)]
     start = samples[0][0]
     positions = [sample[0] - start for sample in samples]

@@ -70,7 +70,7 @@ class MyDrives:
             if command.request is not Request.LISTEN and not self._dry_run:
                 motor.write(command.request, command.torque)
 
-    def rehearse(self) -> None:
+    def warm_caches(self) -> None:
         pass
 
     def close(self) -> None:

@@ -6,9 +6,9 @@ from tools.benchmarks import serial
 
 
 class SlowDrives:
-    """Never answer in time, and notice whether they are asked to rehearse."""
+    """Never answer in time, and note calls of warm_caches."""
 
-    is_rehearsed = False
+    is_warmed = False
 
     def receive(self, feedback, end_ns):
         feedback[0].is_fresh = False
@@ -16,14 +16,14 @@ class SlowDrives:
     def send(self, commands):
         pass
 
-    def rehearse(self):
-        self.is_rehearsed = True
+    def warm_caches(self):
+        self.is_warmed = True
 
 
 def test_cycles_without_time_for_a_rehearsal_are_measured_all_the_same(capsys):
     drives = SlowDrives()
-    fresh, used_s, rehearsed_s = serial._paced(drives, 1e-9)  # each deadline has passed when it is looked at
-    assert not drives.is_rehearsed
-    assert (fresh, math.isnan(rehearsed_s)) == (0.0, True)
+    fresh, used_s, warming_s = serial._paced(drives, 1e-9)  # each deadline has passed when it is looked at
+    assert not drives.is_warmed
+    assert (fresh, math.isnan(warming_s)) == (0.0, True)
     assert 0.0 <= used_s < 1.0
-    assert "no cycle left time for a rehearsal" in capsys.readouterr().err
+    assert "no cycle left time to warm the caches" in capsys.readouterr().err

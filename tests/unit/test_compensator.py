@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import friction_hil as fh
-from friction_hil.compensator import INPUTS, Compensator, input_checksum, intent
+from friction_hil.compensator import INPUTS, Compensator, input_checksum, reference
 from friction_hil.errors import UsageError
 from tests import friction_models
 from tests.compensators import (
@@ -82,7 +82,7 @@ def test_no_input_breaks_the_limits_of_torque_and_slew(rows, model, source, velo
         assert abs(torque - before) <= 20.0 * PERIOD_S * max(passed, 1) * (1.0 + 1e-9)
         assert math.isfinite(one.velocity_estimate)
         assert not one.is_faulty
-        assert 0.0 < one.reduction <= 1.0
+        assert 0.0 < one.gain_factor <= 1.0
         before = torque
 
 
@@ -215,7 +215,7 @@ def test_the_estimate_of_an_even_motion_is_its_velocity(smoothing, speed, veloci
 def test_the_observer_knows_the_friction_and_the_load(speed):
     """At even speed the drive's torque is friction and load: nothing is left that would accelerate."""
     one = compensator(velocity="kalman", gravity=(0.3, 0.0, 0.0))
-    friction = 0.05 * math.tanh(speed / (intent.RECOVERY * 1e-6)) + 0.01 * speed
+    friction = 0.05 * math.tanh(speed / (reference.RECOVERY * 1e-6)) + 0.01 * speed
     _, estimate = feed(one, *even(speed), 50, demand=even(speed)[1], torque=friction + 0.3)
     np.testing.assert_allclose(estimate[2:], speed, rtol=1e-5, atol=1e-6)
     assert abs(field(one, "motion")["torque"]) < 1e-4

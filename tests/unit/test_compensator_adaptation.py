@@ -111,7 +111,7 @@ def test_on_a_moving_axis_it_finds_the_friction_of_each_direction(velocity, bits
     axis = Axis(uneven(LUGRE, 1.2, 0.9), velocity_gain=0.2, resolution=step, load=0.03)
     axis.run(one, 3.0, demand=swing(0.5, 1.0))
     np.testing.assert_allclose(factors(one), [1.2, 0.9], rtol=0.03)
-    assert one.reduction == 1.0
+    assert one.gain_factor == 1.0
 
 
 def test_inertia_counts():

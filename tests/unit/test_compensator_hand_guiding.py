@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import friction_hil as fh
-from friction_hil.compensator import STATE, intent
+from friction_hil.compensator import STATE, reference
 from friction_hil.compensator.kernel import RESTING_S, WAKING_S
 from tests.compensators import (
     INERTIA,
@@ -64,7 +64,9 @@ def test_a_hand_never_feels_more_than_without(name):
         assert felt_share(name, 14, speed, is_even=True) < 1.0
 
 
-@pytest.mark.parametrize(("source", "share"), [("auto", intent.STIFFNESS_SHARE), ("demand", 0.25), ("measured", 1.0)])
+@pytest.mark.parametrize(
+    ("source", "share"), [("auto", reference.STIFFNESS_FRACTION), ("demand", 0.25), ("measured", 1.0)]
+)
 def test_most_of_the_presliding_spring_is_left_to_the_axis(source, share):
     """Told to be awake: this spring never comes to slide, and would not wake it."""
     one = compensator(SPRING, source=source, torque_limit=1e5)
@@ -103,7 +105,7 @@ def test_at_fast_reversals_the_lead_takes_away_most_of_what_the_delay_leaves(nam
 
 
 def effort(name, bits, frequency_hz, amplitude, *, is_led=True, **given):
-    """RMS torque of a hand that leads the axis to and fro, N m, and the reduction of the gain in the end."""
+    """RMS torque of a hand that leads the axis to and fro, N m, and the gain factor in the end."""
     stiffness, rate = 20.0, 2.0 * math.pi * frequency_hz
     damping = 1.4 * math.sqrt(stiffness * INERTIA)
     torques = []
@@ -118,29 +120,29 @@ def effort(name, bits, frequency_hz, amplitude, *, is_led=True, **given):
     if not is_led:
         one.record[0]["ahead_noise_square"] = math.inf
     Axis(MODELS[name], resolution=resolution(bits)).run(one, 1.5, hand=hand)
-    return float(np.sqrt(np.mean(np.square(torques[len(torques) // 3 :])))), one.reduction
+    return float(np.sqrt(np.mean(np.square(torques[len(torques) // 3 :])))), one.gain_factor
 
 
 @pytest.mark.parametrize("name", ["lugre", "stribeck", "gms", "dahl"])
 def test_a_hand_has_less_to_do_by_the_lead_and_the_axis_does_not_swing(name):
-    led, reduction = effort(name, 20, 5.0, 0.1)
-    assert reduction == 1.0
+    led, gain_factor = effort(name, 20, 5.0, 0.1)
+    assert gain_factor == 1.0
     assert led < 0.8 * effort(name, 20, 5.0, 0.1, is_led=False)[0]
 
 
 @pytest.mark.parametrize(("bits", "frequency_hz", "amplitude"), [(14, 2.0, 0.05), (14, 5.0, 0.1), (20, 2.0, 0.05)])
 @pytest.mark.parametrize("name", ["lugre", "stribeck", "gms", "dahl"])
 def test_the_lead_is_never_worse(name, bits, frequency_hz, amplitude):
-    led, reduction = effort(name, bits, frequency_hz, amplitude)
-    without, reduction_without = effort(name, bits, frequency_hz, amplitude, is_led=False)
-    assert reduction >= reduction_without
+    led, gain_factor = effort(name, bits, frequency_hz, amplitude)
+    without, gain_factor_without = effort(name, bits, frequency_hz, amplitude, is_led=False)
+    assert gain_factor >= gain_factor_without
     assert led < 1.02 * without
 
 
 @pytest.mark.parametrize("name", ["lugre", "stribeck", "gms", "dahl"])
 def test_the_observer_does_not_take_its_own_compensation_for_the_hand(name):
-    torque, reduction = effort(name, 20, 5.0, 0.1, velocity="kalman")
-    assert reduction == 1.0
+    torque, gain_factor = effort(name, 20, 5.0, 0.1, velocity="kalman")
+    assert gain_factor == 1.0
     assert torque < 0.6 * effort(name, 20, 5.0, 0.1, gain=0.0)[0]
 
 
@@ -222,7 +224,7 @@ def test_after_the_hand_lets_go_the_axis_rests_without_any_compensation(name, bi
     assert np.ptp(rest.position) < 3e-6
     assert (rest.compensation == 0.0).all()
     assert np.abs(run.after(2.1).position - run.after(2.1).position[0]).max() < 5e-3
-    assert one.reduction == 1.0
+    assert one.gain_factor == 1.0
 
 
 def test_what_a_hand_did_before_a_demand_is_forgotten_after_it():

@@ -34,9 +34,9 @@ def scaled(model, factor):
 
 
 def steps(run):
-    """Times of the reductions of the gain, and check of each."""
-    assert run.reduction[0] == 1.0
-    ratios = run.reduction[1:] / run.reduction[:-1]
+    """Return the times at which the gain was reduced, after checking each step."""
+    assert run.gain_factor[0] == 1.0
+    ratios = run.gain_factor[1:] / run.gain_factor[:-1]
     np.testing.assert_allclose(ratios[ratios != 1.0], limit_cycle.STEP)
     return run.t[1:][ratios != 1.0]
 
@@ -94,7 +94,7 @@ def test_a_swing_without_a_demand_is_seen_within_a_second(frequency_hz, source, 
     rate = 2.0 * math.pi * frequency_hz
     position = quantised(1.0 / rate * np.sin(rate * t), resolution(20))
     one.replay(columns(1000, position=position, velocity=np.cos(rate * t)))
-    assert one.reduction < 1.0
+    assert one.gain_factor < 1.0
 
 
 # --- what it does about it
@@ -104,26 +104,26 @@ def tripped():
     """Compensator that has seen a swing, and the number of its next cycle."""
     one = compensator(VISCOUS)
     feed(one, lambda t: 0.1 * math.sin(100.0 * t), lambda t: 10.0 * math.cos(100.0 * t), 700)
-    assert 0.0 < one.reduction < 1.0
+    assert 0.0 < one.gain_factor < 1.0
     return one, 700
 
 
 def test_the_gain_is_lower_and_stays_so():
     one, cycle = tripped()
-    kept = one.reduction
+    kept = one.gain_factor
     for given in ({"is_enabled": 0.0}, {}, {"start": 10_000}):  # switched off and on, and after a gap
         start = given.pop("start", cycle)
         torque, _ = feed(one, *even(1.0), 5000, demand=even(1.0)[1], start=start, **given)
         cycle = start + 5000
-        assert one.reduction == kept
+        assert one.gain_factor == kept
     assert torque[-1] == pytest.approx(kept * (0.05 + 0.01))
 
 
-def test_the_reduction_is_part_of_the_state():
+def test_the_gain_factor_is_part_of_the_state():
     one, cycle = tripped()
     other = compensator(VISCOUS)
     other.state[:] = one.state
-    assert other.reduction == one.reduction
+    assert other.gain_factor == one.gain_factor
     first, _ = feed(one, *even(1.0), 100, start=cycle)
     second, _ = feed(other, *even(1.0), 100, start=cycle)
     np.testing.assert_array_equal(first, second)
@@ -139,7 +139,7 @@ def test_a_hand_that_shakes_the_axis_is_none(name, bits):
     t, rate = np.arange(6000) * PERIOD_S, 2.0 * math.pi * 4.0
     position = quantised(0.05 * np.sin(rate * t), resolution(bits))
     torque, _ = one.replay(columns(6000, position=position, velocity=0.05 * rate * np.cos(rate * t)))
-    assert one.reduction == 1.0
+    assert one.gain_factor == 1.0
     assert bits == 14 or np.ptp(torque) > MODELS[name].level  # it changed its sign all the time
 
 
@@ -152,7 +152,7 @@ def test_a_demand_that_turns_is_none(source, frequency_hz):
     torque, _ = feed(
         one, *motion, 3000, demand=motion[1], position_demand=[motion[0](k * PERIOD_S) for k in range(3000)]
     )
-    assert one.reduction == 1.0
+    assert one.gain_factor == 1.0
     assert np.ptp(torque) > LUGRE.level
 
 
@@ -163,7 +163,7 @@ def test_an_axis_that_sticks_and_slips_in_motion_is_none(name, velocity_gain, sp
     given = {"velocity_gain": velocity_gain, "resolution": resolution(bits)}
     one = compensator(MODELS[name], gain=0.9, position_resolution=resolution(bits), lead_s=1.5e-3)
     run = Axis(MODELS[name], **given).run(one, 1.5, demand=lambda t: speed * t)
-    assert (run.reduction == 1.0).all()
+    assert (run.gain_factor == 1.0).all()
     assert np.abs(run.error).max() < 8e-3
 
 
@@ -172,7 +172,7 @@ def test_an_axis_that_sticks_and_slips_in_motion_is_none(name, velocity_gain, sp
 def test_an_ordinary_motion_with_the_right_model_is_none(velocity_gain, amplitude):
     one = compensator(LUGRE, gain=1.0, position_resolution=resolution(20), lead_s=1.5e-3)
     run = Axis(LUGRE, velocity_gain=velocity_gain).run(one, 2.0, demand=swing(amplitude, 1.0))
-    assert (run.reduction == 1.0).all()
+    assert (run.gain_factor == 1.0).all()
 
 
 def test_a_swing_of_small_torque_is_none():
@@ -182,5 +182,5 @@ def test_a_swing_of_small_torque_is_none():
     amplitude = 0.02 * 0.1 / 2000.0  # of a spring that is deflected by a fiftieth of the level
     t = np.arange(3000) * PERIOD_S
     one.replay(columns(3000, position=amplitude * np.sin(100.0 * t), is_fresh=1.0))
-    assert one.reduction == 1.0
+    assert one.gain_factor == 1.0
     assert field(one, "alternations") == 0.0

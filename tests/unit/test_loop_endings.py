@@ -133,7 +133,7 @@ def test_a_drive_fault_in_motion_stops_all_axes_and_is_not_reset():
             drives.states[1] = DriveState.FAULT
 
     run = Run(axis(), axis(node=2), before=fails, is_fault_reset_wanted=True)
-    assert run.result.faults == ["y: the drive is in fault: it does not say why"]
+    assert run.result.faults == ["y: the drive is in fault: it reports no error code [FH-105]"]
     for k in (0, 1):
         assert run.requests(k) == STOPPED_BY_FAULT
     speed = np.abs(run.column("velocity_estimate"))
@@ -148,7 +148,7 @@ def test_a_drive_that_leaves_operation_enabled_by_itself_is_a_fault():
             feedback[0].state = DriveState.SWITCHED_ON
 
     run = Run(disturb=leaves)
-    assert run.result.faults == ["x: the drive left Operation enabled: switched on"]
+    assert run.result.faults == ["x: the drive left Operation enabled: switched on [FH-106]"]
     run.assert_left_disabled()
 
 
@@ -159,8 +159,8 @@ def test_a_drive_that_is_never_enabled_is_given_up_by_its_name_and_state():
 
     run = Run(axis(), axis(node=2), axis(node=3), disturb=refuse)
     assert run.result.faults == [
-        "y: not enabled within 5 s: the drive is in switch on disabled",
-        "z: not enabled within 5 s: the drive is in switched on (DC link undervoltage)",
+        "y: not enabled within 5 s: the drive is in switch on disabled [FH-114]",
+        "z: not enabled within 5 s: the drive is in switched on (DC link undervoltage) [FH-114]",
     ]
     for k in range(3):
         assert run.requests(k) == ORDINARY
@@ -173,7 +173,8 @@ def test_a_drive_that_stays_powered_is_told_of():
         feedback[0].state = DriveState.OPERATION_ENABLED
 
     run = Run(disturb=stays, duration_s=0.2)
-    assert run.result.faults == ["x: still powered 2 s after it was told to disable: the drive is in operation enabled"]
+    text = "x: still powered 2 s after the request to disable: the drive is in operation enabled [FH-116]"
+    assert run.result.faults == [text]
 
 
 def test_what_was_given_up_before_is_not_told_of_another_axis_later():
@@ -184,8 +185,8 @@ def test_what_was_given_up_before_is_not_told_of_another_axis_later():
         feedback[1].state = DriveState.OPERATION_ENABLED
 
     assert Run(axis(), axis(node=2), disturb=differ).result.faults == [
-        "x: not enabled within 5 s: the drive is in switch on disabled",
-        "y: still powered 2 s after it was told to disable: the drive is in operation enabled",
+        "x: not enabled within 5 s: the drive is in switch on disabled [FH-114]",
+        "y: still powered 2 s after the request to disable: the drive is in operation enabled [FH-116]",
     ]
 
 
@@ -204,8 +205,8 @@ def test_an_axis_that_its_quick_stop_does_not_stop_is_told_of(until, axis_at_fau
 
     run = Run(axis(), axis(node=2), disturb=creep)
     assert run.result.faults == [
-        "x: the node has been reset",
-        f"{axis_at_fault}no standstill within 5 s of the quick stop; disabled all the same{drive}",
+        "x: the node has been reset [FH-118]",
+        f"{axis_at_fault}no standstill within 5 s of the quick stop; disabled all the same{drive} [FH-115]",
     ]
 
 
@@ -232,7 +233,7 @@ def in_fault(clears=True, again_when_enabled=0):
 
 def test_a_fault_at_the_start_is_told_and_not_reset_without_the_users_word():
     run = Run(before=in_fault())
-    assert run.result.faults == ["x: the drive is in fault: it does not say why; --reset-fault leaves it"]
+    assert run.result.faults == ["x: the drive is in fault: it reports no error code; --reset-fault leaves it [FH-105]"]
     assert Request.RESET_FAULT not in run.requests()
     assert Request.ENABLE not in run.requests()
 
@@ -277,7 +278,7 @@ def test_without_any_feedback_nothing_is_enabled():
         feedback[0].is_fresh = False
 
     run = Run(disturb=silent)
-    assert run.result.faults == ["x: no usable feedback within 1 s of the start"]
+    assert run.result.faults == ["x: no usable feedback within 1 s of the start [FH-101]"]
     assert run.requests() == [Request.DISABLE]
 
 
@@ -307,7 +308,7 @@ def test_an_axis_that_nobody_sees_is_not_taken_to_stand(trajectory):
     run = Run(
         axis(trajectory=trajectory), disturb=lambda cycle, feedback: setattr(feedback[0], "is_fresh", cycle < 300)
     )
-    assert run.result.faults[0] == "x: no usable feedback for more than 10 cycles"
+    assert run.result.faults[0] == "x: no usable feedback for more than 10 cycles [FH-103]"
     assert run.requests() == STOPPED_BY_FAULT
     # nobody knows that it stands: the drive holds it until the time is up
     stops = run.column("state") == LoopState.FAULT_STOPPING
@@ -336,7 +337,7 @@ def test_whatever_breaks_the_drives_are_disabled_and_the_bus_is_left(where, erro
     setattr(drives, where, broken)
     loop, *_ = make_loop(config, drives)
     if isinstance(error, BusError):
-        assert loop.run().faults == ["the bus is gone"]
+        assert loop.run().faults == ["the bus is gone [FH-117]"]
     else:
         with pytest.raises(RuntimeError):
             loop.run()
@@ -356,7 +357,7 @@ def test_the_bus_is_left_even_if_the_last_word_fails(error):
     drives.send = broken
     loop, *_ = make_loop(config, drives)
     if isinstance(error, BusError):
-        assert loop.run().faults == ["gone"]
+        assert loop.run().faults == ["gone [FH-117]"]
     else:
         with pytest.raises(RuntimeError):
             loop.run()
@@ -381,7 +382,7 @@ def test_a_mistake_in_the_computation_stops_the_axes_in_good_order(mode):
         axes[0].compensator = Broken()
 
     run = Run(axis(mode), axis(mode, node=2), on_axes=sabotage)
-    assert run.result.faults == ["x: the computation failed: ZeroDivisionError: by hand"]
+    assert run.result.faults == ["x: the computation failed: ZeroDivisionError: by hand [FH-111]"]
     for k in (0, 1):
         assert run.requests(k) == STOPPED_BY_FAULT
     broken = run.column("cycle") >= 400
@@ -404,25 +405,25 @@ def test_a_model_that_overflows_is_a_fault():
     run.assert_left_disabled()
 
 
-def test_a_failing_rehearsal_stops_the_axes_in_good_order():
+def test_a_failure_in_warming_the_caches_stops_the_axes_in_good_order():
     class Ready(SteppedClock):
         def doze_until(self, deadline_ns):
             return True
 
     def before(drives):
         if drives.cycle == 400:
-            drives.rehearse = lambda: 1 / 0
+            drives.warm_caches = lambda: 1 / 0
 
     run = Run(before=before, clock=Ready())
-    assert run.result.faults == ["the computation failed in rehearsal: ZeroDivisionError: division by zero"]
+    assert run.result.faults == ["warming the caches failed: ZeroDivisionError: division by zero [FH-112]"]
     assert run.requests() == STOPPED_BY_FAULT
     run.assert_left_disabled()
 
 
-def test_rehearsals_change_no_bit_of_what_is_commanded():
+def test_warming_the_caches_changes_no_bit_of_what_is_commanded():
     class Ready(SteppedClock):
         def doze_until(self, deadline_ns):
             return True
 
-    plain, rehearsed = Run(duration_s=0.4), Run(duration_s=0.4, clock=Ready())
-    assert plain.commands == rehearsed.commands
+    plain, warmed = Run(duration_s=0.4), Run(duration_s=0.4, clock=Ready())
+    assert plain.commands == warmed.commands

@@ -1,4 +1,4 @@
-"""Limits and plausibility: what counts as a fault, and what can never become a torque."""
+"""Limits and plausibility: what counts as a fault, and which fault may be reset."""
 
 import math
 
@@ -6,12 +6,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from friction_hil.daemon.safety import MAX_STALE_CYCLES, REQUESTS, Limits, LoopState, SlewLimiter, Supervisor
+from friction_hil.daemon.safety import MAX_STALE_CYCLES, REQUESTS, AxisLimits, FaultReset, LoopState, Supervisor
 from friction_hil.drive import DriveState, Feedback, Request
 
 PERIOD_S = 1e-3
 ENABLED = DriveState.OPERATION_ENABLED
-LIMITS = Limits(torque=0.3, velocity=10.0, following_error=0.1, position_low=-1.0, position_high=1.0)
+LIMITS = AxisLimits(torque=0.3, velocity=10.0, following_error=0.1, position_low=-1.0, position_high=1.0)
 REACH = 2.0 * 10.0 * PERIOD_S + 10.0 * 1e-5
 MOVING = (LoopState.RUNNING, LoopState.STOPPING)
 
@@ -22,7 +22,7 @@ states = st.sampled_from(DriveState)
 def supervisor(limits=LIMITS, position=0.0, **changes):
     one = Supervisor("x", limits, PERIOD_S, 1e-5, **changes)
     if position is not None:
-        assert one.is_usable(heard(position))
+        assert one.take(heard(position))
     return one
 
 
@@ -38,7 +38,7 @@ def test_only_fresh_finite_feedback_is_used_and_remembered(position, velocity, t
     one = supervisor(position=None)
     assert math.isnan(one.position)
     is_good = is_fresh and all(map(math.isfinite, (position, velocity, torque)))
-    assert one.is_usable(heard(position, velocity, torque, is_fresh=is_fresh)) is is_good
+    assert one.take(heard(position, velocity, torque, is_fresh=is_fresh)) is is_good
     assert one.is_current is is_good
     assert one.position == position if is_good else math.isnan(one.position)
 
@@ -47,18 +47,18 @@ def test_only_fresh_finite_feedback_is_used_and_remembered(position, velocity, t
 def test_a_position_may_jump_as_far_as_twice_the_velocity_limit_reaches_since_the_last_one(jump, missed):
     one = supervisor()
     for _ in range(missed):
-        assert not one.is_usable(heard(is_fresh=False))
+        assert not one.take(heard(is_fresh=False))
     reach = 2.0 * 10.0 * PERIOD_S * (missed + 1) + 10.0 * 1e-5
-    assert one.is_usable(heard(jump)) is (abs(jump) <= reach)
+    assert one.take(heard(jump)) is (abs(jump) <= reach)
     assert one.position == (jump if abs(jump) <= reach else 0.0)
 
 
 def test_a_single_glitch_is_passed_over():
     one = supervisor()
-    assert not one.is_usable(heard(5.0))
+    assert not one.take(heard(5.0))
     assert not one.is_current
-    assert one.fault(heard(5.0), LoopState.RUNNING, 0.0, 0.0) is None
-    assert one.is_usable(heard(0.001))
+    assert one.find_fault(heard(5.0), LoopState.RUNNING, 0.0, 0.0) is None
+    assert one.take(heard(0.001))
     assert one.is_current
 
 
@@ -67,7 +67,7 @@ def test_the_position_in_use_never_moves_faster_than_twice_the_limit(positions):
     one, before, passed = supervisor(), 0.0, 0
     for position in positions:
         passed += 1
-        if one.is_usable(heard(position)):
+        if one.take(heard(position)):
             assert abs(one.position - before) <= 2.0 * 10.0 * PERIOD_S * passed + 1e-4
             before, passed = one.position, 0
         assert one.position == before
@@ -82,10 +82,10 @@ def test_feedback_may_be_missing_for_some_cycles_and_no_longer_in_any_state(stat
     one = supervisor(max_stale_cycles=limit)
     missing = heard(is_fresh=False)
     for _ in range(limit):
-        one.is_usable(missing)
-        assert one.fault(missing, state, 0.0, 0.0) is None
-    one.is_usable(missing)
-    assert one.fault(missing, state, 0.0, 0.0) == f"x: no usable feedback for more than {limit} cycles"
+        one.take(missing)
+        assert one.find_fault(missing, state, 0.0, 0.0) is None
+    one.take(missing)
+    assert one.find_fault(missing, state, 0.0, 0.0) == f"x: no usable feedback for more than {limit} cycles [FH-103]"
 
 
 def test_feedback_that_stays_away_is_one_fault_however_its_reasons_change():
@@ -93,24 +93,24 @@ def test_feedback_that_stays_away_is_one_fault_however_its_reasons_change():
     one, said = supervisor(), []
     for reasons in ("abc", "de"):
         for _ in range(MAX_STALE_CYCLES):
-            one.is_usable(heard(is_fresh=False))
+            one.take(heard(is_fresh=False))
         for reason in reasons:
-            one.is_usable(heard(is_fresh=False))
-            said.append(one.fault(heard(is_fresh=False, missing=reason), LoopState.RUNNING, 0.0, 0.0))
-        one.is_usable(heard())
-        assert one.fault(heard(), LoopState.RUNNING, 0.0, 0.0) is None
+            one.take(heard(is_fresh=False))
+            said.append(one.find_fault(heard(is_fresh=False, missing=reason), LoopState.RUNNING, 0.0, 0.0))
+        one.take(heard())
+        assert one.find_fault(heard(), LoopState.RUNNING, 0.0, 0.0) is None
     text = f"x: no usable feedback for more than {MAX_STALE_CYCLES} cycles"
-    assert said == [f"{text}: a"] * 3 + [f"{text}: d"] * 2
+    assert said == [f"{text}: a [FH-103]"] * 3 + [f"{text}: d [FH-103]"] * 2
 
 
 def test_a_position_that_goes_on_jumping_is_told_as_such():
     """As with the words of a counter in the wrong order."""
     one = supervisor()
-    assert one.is_usable(heard(0.0))
+    assert one.take(heard(0.0))
     for k in range(MAX_STALE_CYCLES + 1):
         jumping = heard(65536.0 * (-1) ** k)
-        assert not one.is_usable(jumping)
-    text = one.fault(jumping, LoopState.RUNNING, 0.0, 0.0)
+        assert not one.take(jumping)
+    text = one.find_fault(jumping, LoopState.RUNNING, 0.0, 0.0)
     assert text is not None
     assert "its position jumps further than limits.velocity allows, now to 6.554e+04 rad" in text
 
@@ -119,28 +119,28 @@ def test_cycles_with_feedback_between_start_the_count_anew():
     one = supervisor()
     for _ in range(10):
         for _ in range(MAX_STALE_CYCLES):
-            one.is_usable(heard(math.nan))
-        assert one.fault(heard(), LoopState.RUNNING, 0.0, 0.0) is None
-        one.is_usable(heard())
+            one.take(heard(math.nan))
+        assert one.find_fault(heard(), LoopState.RUNNING, 0.0, 0.0) is None
+        one.take(heard())
 
 
 @pytest.mark.parametrize("state", LoopState)
 def test_what_the_driver_says_and_a_drives_fault_count_in_every_state(state):
     one = supervisor()
-    assert one.fault(heard(message="no heartbeat"), state, 0.0, 0.0) == "x: no heartbeat"
+    assert one.find_fault(heard(message="no heartbeat"), state, 0.0, 0.0) == "x: no heartbeat [FH-118]"
     for reaction in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE):
-        text = one.fault(heard(state=reaction, error="8611h following error"), state, 0.0, 0.0)
+        text = one.find_fault(heard(state=reaction, error="8611h following error"), state, 0.0, 0.0)
         assert text is not None
         assert "in fault: 8611h following error" in text
         assert ("--reset-fault" in text) is (state in (LoopState.IDLE, LoopState.ENABLING))
-    assert "does not say why" in str(one.fault(heard(state=DriveState.FAULT), state, 0.0, 0.0))
+    assert "it reports no error code" in str(one.find_fault(heard(state=DriveState.FAULT), state, 0.0, 0.0))
 
 
 @pytest.mark.parametrize("state", MOVING)
 @pytest.mark.parametrize("drive", [state for state in DriveState if state is not ENABLED])
 def test_a_drive_that_leaves_operation_enabled_in_motion_is_a_fault(state, drive):
-    assert supervisor().fault(heard(state=drive), state, 0.0, 0.0) is not None
-    assert supervisor().fault(heard(), state, 0.0, 0.0) is None
+    assert supervisor().find_fault(heard(state=drive), state, 0.0, 0.0) is not None
+    assert supervisor().find_fault(heard(), state, 0.0, 0.0) is None
 
 
 @pytest.mark.parametrize("state", MOVING)
@@ -162,25 +162,25 @@ def test_a_drive_that_leaves_operation_enabled_in_motion_is_a_fault(state, drive
     ],
 )
 def test_each_limit_trips_just_beyond_it(state, position, velocity, demand, words):
-    text = supervisor(position=position).fault(heard(position), state, velocity, demand)
+    text = supervisor(position=position).find_fault(heard(position), state, velocity, demand)
     assert (text is None) if words is None else str(text).startswith(words)
 
 
 @given(st.floats(-10.0, 10.0), st.floats(-1.0, 1.0), st.floats(-0.1, 0.1), st.sampled_from(MOVING))
 def test_inside_all_limits_there_is_no_fault(velocity, position, error, state):
     demand = position + 0.999 * error
-    assert supervisor(position=position).fault(heard(position), state, velocity, demand) is None
+    assert supervisor(position=position).find_fault(heard(position), state, velocity, demand) is None
 
 
 @pytest.mark.parametrize("state", [state for state in LoopState if state not in MOVING])
 def test_limits_of_motion_do_not_count_while_nothing_is_commanded_to_move(state):
-    assert supervisor(position=5.0).fault(heard(5.0, state=DriveState.SWITCHED_ON), state, 99.0, 77.0) is None
+    assert supervisor(position=5.0).find_fault(heard(5.0, state=DriveState.SWITCHED_ON), state, 99.0, 77.0) is None
 
 
 def test_an_axis_without_the_optional_limits_has_none_and_a_linear_one_its_unit():
-    one = supervisor(Limits(torque=1.0, velocity=2.0), unit="m")
-    assert one.fault(heard(), LoopState.RUNNING, 1.0, 1e6) is None
-    assert "2.5 is beyond its limit of 2 m/s" in str(one.fault(heard(), LoopState.RUNNING, 2.5, 0.0))
+    one = supervisor(AxisLimits(torque=1.0, velocity=2.0), unit="m")
+    assert one.find_fault(heard(), LoopState.RUNNING, 1.0, 1e6) is None
+    assert "2.5 is beyond its limit of 2 m/s" in str(one.find_fault(heard(), LoopState.RUNNING, 2.5, 0.0))
 
 
 # --- what the states ask of the drives
@@ -193,33 +193,29 @@ def test_only_states_of_motion_ask_for_power():
     assert Request.RESET_FAULT not in REQUESTS.values()
 
 
-# --- the torque limiter
+# --- reset of a fault at the start
 
 
-@given(st.floats(1e-6, 1e3), st.floats(1e-3, 1e6), st.lists(any_float, max_size=50))
-def test_no_wish_breaks_torque_or_slew(limit, slew, wishes):
-    one = SlewLimiter(limit, slew, PERIOD_S)
-    before = one.torque
-    assert before == 0.0
-    for wish in wishes:
-        torque = one.limit(wish)
-        assert abs(torque) <= limit
-        assert abs(torque - before) <= slew * PERIOD_S * (1.0 + 1e-9) + 1e-15 * limit
-        assert torque == one.torque
-        before = torque
+def reset(*states, is_wanted=True, at_s=0.1, run=LoopState.ENABLING):
+    """Return whether the reset is due after these states of the drive."""
+    one = FaultReset(is_wanted)
+    for state in states:
+        one.take(heard(state=state))
+    return one.is_due(heard(state=states[-1]), run, at_s)
 
 
-@given(st.floats(-1.0, 1.0))
-def test_what_can_be_reached_is_reached(wish):
-    one = SlewLimiter(1.0, 100.0, PERIOD_S)
-    for _ in range(10):
-        one.limit(wish)
-    assert one.torque == pytest.approx(wish)
-    assert SlewLimiter(1.0, math.inf, PERIOD_S).limit(wish) == wish
+def test_only_the_fault_found_at_the_start_is_reset_and_only_on_request():
+    fault, ready = DriveState.FAULT, DriveState.READY_TO_SWITCH_ON
+    assert reset(fault)
+    assert reset(DriveState.UNKNOWN, fault)
+    assert not reset(fault, is_wanted=False)
+    assert not reset(ready)
+    assert not reset(fault, ready, fault)
+    assert not reset(fault, at_s=1.0)
+    assert not reset(fault, run=LoopState.RUNNING)
 
 
-@pytest.mark.parametrize("wish", [math.nan, math.inf, -math.inf])
-def test_what_is_not_finite_counts_as_zero(wish):
-    one = SlewLimiter(1.0, 100.0, PERIOD_S)
-    one.limit(0.05)
-    assert one.limit(wish) == 0.0
+def test_asking_for_the_reset_changes_nothing():
+    one = FaultReset(True)
+    assert not one.is_due(heard(state=DriveState.SWITCHED_ON), LoopState.IDLE, 0.0)
+    assert one.is_due(heard(state=DriveState.FAULT), LoopState.IDLE, 0.0)

@@ -1,4 +1,4 @@
-"""The course of a run: which way it can take, and that it always ends without power."""
+"""State machine of a run: its transitions, and that it always ends without power."""
 
 import pytest
 from hypothesis import given, settings
@@ -12,41 +12,42 @@ from friction_hil.daemon.sequence import (
     SETTLE_S,
     STANDSTILL_S,
     STANDSTILL_TIMEOUT_S,
-    Course,
-    Facts,
+    RunInputs,
+    RunStateMachine,
 )
 from friction_hil.drive import Request
+from friction_hil.drive.codes import FaultCode
 
 DT = 0.01
 STANDING = {"is_standing": True, "is_setpoint_standing": True, "is_faded_out": True}
-facts = st.builds(Facts, *[st.booleans()] * 7)
+inputs = st.builds(RunInputs, *[st.booleans()] * 7)
 
 
 class Run:
-    """A course fed with facts every 10 ms."""
+    """A state machine with inputs every 10 ms."""
 
     def __init__(self, is_listening=False):
-        self.course = Course(is_listening=is_listening)
+        self.machine = RunStateMachine(is_listening=is_listening)
         self.time_s = 0.0
 
     def pass_time(self, seconds=DT, **what):
         for _ in range(round(seconds / DT)):
             self.time_s += DT
-            self.course.advance(self.time_s, Facts(**what))
-        return self.course.state
+            self.machine.advance(self.time_s, RunInputs(**what))
+        return self.machine.state
 
     def reach(self, state):
-        """By the ordinary way."""
+        """Go there without any fault."""
         self.pass_time(SETTLE_S)
         if state >= LoopState.RUNNING:
             self.pass_time(is_enabled=True)
         if state >= LoopState.STOPPING:
             self.pass_time(is_enabled=True, is_stop_requested=True)
-        assert self.course.state is state
+        assert self.machine.state is state
         return self
 
 
-def test_the_ordinary_way():
+def test_an_ordinary_run():
     run = Run()
     assert run.pass_time(SETTLE_S - DT) is LoopState.IDLE
     assert run.pass_time() is LoopState.ENABLING
@@ -60,7 +61,7 @@ def test_the_ordinary_way():
     assert run.pass_time(1.0, is_powered=True) is LoopState.DISABLING
     assert run.pass_time() is LoopState.DONE
     assert run.pass_time(10.0, is_stop_requested=True, has_fault=True) is LoopState.DONE
-    assert run.course.fault == ""
+    assert run.machine.take_timeout() is None
 
 
 def test_a_reversal_is_no_standstill():
@@ -81,7 +82,7 @@ def test_a_fault_in_motion_stops_the_axis_before_it_is_disabled(state):
     assert run.pass_time(has_fault=True, is_powered=True) is LoopState.FAULT_STOPPING
     assert run.pass_time(1.0, has_fault=True, is_powered=True) is LoopState.FAULT_STOPPING
     assert run.pass_time(0.1, has_fault=True, is_powered=True, is_standing=True) is LoopState.DISABLING
-    assert run.course.fault == ""
+    assert run.machine.take_timeout() is None
 
 
 def test_a_fault_that_took_the_power_away_needs_no_stop():
@@ -99,27 +100,34 @@ def test_before_power_a_fault_or_a_stop_ends_the_run(what):
 
 
 @pytest.mark.parametrize(
-    ("state", "held", "timeout_s", "after", "words"),
+    ("state", "held", "timeout_s", "after", "code"),
     [
-        (LoopState.ENABLING, {}, ENABLE_TIMEOUT_S, LoopState.DISABLING, "not enabled within 5 s"),
-        (LoopState.STOPPING, STANDING | {"is_standing": False}, STANDSTILL_TIMEOUT_S, LoopState.DISABLING, ""),
-        (LoopState.FAULT_STOPPING, {"has_fault": True}, QUICK_STOP_TIMEOUT_S, LoopState.DISABLING, "no standstill"),
-        (LoopState.DISABLING, {}, DISABLE_TIMEOUT_S, LoopState.DONE, "still powered 2 s after"),
+        (LoopState.ENABLING, {}, ENABLE_TIMEOUT_S, LoopState.DISABLING, FaultCode.NOT_ENABLED),
+        (LoopState.STOPPING, STANDING | {"is_standing": False}, STANDSTILL_TIMEOUT_S, LoopState.DISABLING, None),
+        (
+            LoopState.FAULT_STOPPING,
+            {"has_fault": True},
+            QUICK_STOP_TIMEOUT_S,
+            LoopState.DISABLING,
+            FaultCode.NO_STANDSTILL,
+        ),
+        (LoopState.DISABLING, {}, DISABLE_TIMEOUT_S, LoopState.DONE, FaultCode.STILL_POWERED),
     ],
 )
-def test_what_does_not_come_is_not_waited_for_forever(state, held, timeout_s, after, words):
+def test_every_wait_has_a_timeout(state, held, timeout_s, after, code):
     run = Run()
     if state <= LoopState.STOPPING:
         run.reach(state)
     else:
         run.reach(LoopState.RUNNING).pass_time(has_fault=True, is_powered=True)
-        while run.course.state is not state:
+        while run.machine.state is not state:
             run.pass_time(has_fault=True, is_powered=True, is_standing=True)
-        assert run.course.state is state
+        assert run.machine.state is state
     assert run.pass_time(timeout_s - 2 * DT, is_powered=True, **held) is state
     assert run.pass_time(3 * DT, is_powered=True, **held) is after
-    assert words in run.course.fault
-    assert bool(words) is bool(run.course.fault)
+    timeout = run.machine.take_timeout()
+    assert (timeout is None) if code is None else timeout.code is code
+    assert run.machine.take_timeout() is None
 
 
 def test_a_listener_stays_idle_until_it_is_told_to_go():
@@ -129,19 +137,19 @@ def test_a_listener_stays_idle_until_it_is_told_to_go():
 
 
 @settings(max_examples=40, deadline=None)
-@given(st.lists(st.tuples(facts, st.integers(1, 300)), max_size=20), st.booleans())
-def test_no_course_of_things_goes_back_or_gives_power_after_a_fault(events, is_listening):
-    course, time_s, faulty = Course(is_listening=is_listening), 0.0, False
-    before = course.state
+@given(st.lists(st.tuples(inputs, st.integers(1, 300)), max_size=20), st.booleans())
+def test_no_inputs_lead_back_or_to_power_after_a_fault(events, is_listening):
+    machine, time_s, faulty = RunStateMachine(is_listening=is_listening), 0.0, False
+    before = machine.state
     for what, repeats in events:
         for _ in range(repeats):
             time_s += DT
-            changed = course.advance(time_s, what)
-            after = course.state
+            changed = machine.advance(time_s, what)
+            after = machine.state
             assert changed is (after is not before)
             assert after >= before
             if after is not before:
-                assert course.since_s == time_s
+                assert machine.since_s == time_s
             if is_listening:
                 assert after in (LoopState.IDLE, LoopState.DONE)
             if (before, after) == (LoopState.ENABLING, LoopState.RUNNING):
@@ -155,19 +163,19 @@ def test_no_course_of_things_goes_back_or_gives_power_after_a_fault(events, is_l
 
 
 @settings(max_examples=40, deadline=None)
-@given(st.lists(st.tuples(facts, st.integers(1, 100)), max_size=8), facts, st.sampled_from(["stop", "fault"]))
-def test_every_course_ends_in_bounded_time(events, last, why):
+@given(st.lists(st.tuples(inputs, st.integers(1, 100)), max_size=8), inputs, st.sampled_from(["stop", "fault"]))
+def test_every_run_ends_in_bounded_time(events, last, why):
     """Whatever the drives do: set-point and fading end by themselves, all else has a time-out."""
-    course, time_s = Course(is_listening=False), 0.0
+    machine, time_s = RunStateMachine(is_listening=False), 0.0
     for what, repeats in events:
         for _ in range(repeats):
             time_s += DT
-            course.advance(time_s, what)
+            machine.advance(time_s, what)
     last.is_stop_requested = last.is_stop_requested or why == "stop"
     last.has_fault = last.has_fault or why == "fault"
     last.is_setpoint_standing = last.is_faded_out = True
     bound = time_s + STANDSTILL_TIMEOUT_S + QUICK_STOP_TIMEOUT_S + DISABLE_TIMEOUT_S + 0.1
-    while course.state is not LoopState.DONE:
+    while machine.state is not LoopState.DONE:
         time_s += DT
-        course.advance(time_s, last)
+        machine.advance(time_s, last)
         assert time_s < bound

@@ -48,7 +48,7 @@ def test_a_rehearsal_takes_what_has_come_and_changes_nothing_else(kind, tmp_path
             for k in range(80):
                 until = time.monotonic() + 10.0
                 while is_rehearsed and bus.scheduler.outstanding and time.monotonic() < until:
-                    bench.drives.rehearse()
+                    bench.drives.warm_caches()
                 assert not (is_rehearsed and bus.scheduler.outstanding)
                 bench.cycle(Request.ENABLE if k < 60 else Request.DISABLE, 0.3)
                 heard = bench.feedback

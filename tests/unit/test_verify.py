@@ -13,8 +13,9 @@ from friction_hil import recordings
 from friction_hil.compensator import INPUTS, input_checksum
 from friction_hil.config import from_dict, self_contained
 from friction_hil.daemon.axis import AxisLoop
-from friction_hil.daemon.loop import Loop, LoopSettings
+from friction_hil.daemon.loop import Loop
 from friction_hil.daemon.realtime import SteppedClock
+from friction_hil.daemon.run import LoopSettings
 from friction_hil.daemon.stop import StopRequest
 from friction_hil.errors import RecordingError
 from friction_hil.motion.trajectory import PathTime

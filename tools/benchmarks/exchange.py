@@ -20,8 +20,9 @@ from friction_hil_drivers.canopen.simulated import SimulatedCanopenDrives
 from friction_hil import config
 from friction_hil.compensator import Compensator
 from friction_hil.daemon.axis import AxisLoop
-from friction_hil.daemon.loop import Loop, LoopSettings
+from friction_hil.daemon.loop import Loop
 from friction_hil.daemon.realtime import RealClock, punctuality
+from friction_hil.daemon.run import LoopSettings
 from friction_hil.daemon.safety import LoopState
 from friction_hil.daemon.stop import StopRequest
 from friction_hil.drive import Command, Feedback

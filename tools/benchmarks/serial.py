@@ -120,7 +120,7 @@ def _rates(label: str, path: Path, target_us: float) -> list[Row]:
         try:
             limit = 1.0 / _wire_s(drives)
             took_s, busy_s = _back_to_back(drives)
-            fresh, used_s, rehearsed_s = _paced(drives, configuration.period_s)
+            fresh, used_s, warming_s = _paced(drives, configuration.period_s)
         finally:
             drives.close()
     rate, period_hz = CYCLES / took_s, 1.0 / configuration.period_s
@@ -135,7 +135,7 @@ def _rates(label: str, path: Path, target_us: float) -> list[Row]:
         against(target_us, f"{label}: processor time of a cycle, back to back (target)", "us", busy_s * 1e6),
         Row(f"{label}: cycles in time at {period_hz:.0f} Hz", 100.0 * fresh, "%"),
         against(target_us, f"{label}: processor time of a cycle at {period_hz:.0f} Hz (target)", "us", used_s * 1e6),
-        Row(f"{label}: processor time of a rehearsal, in the spin before the cycle", rehearsed_s * 1e6, "us"),
+        Row(f"{label}: processor time of warming the caches, in the spin before the cycle", warming_s * 1e6, "us"),
     ]
 
 
@@ -190,28 +190,28 @@ def _paced(drives: SerialDrives, period_s: float) -> tuple[float, float, float]:
         Median processor time of a cycle, s, in user and system mode: receiving and sending, with the wake-ups for
         replies, without the loop's sleep and spin before the deadline. The median, because pauses of a virtual machine
         distort the mean.
-    rehearsed_s : float
-        Median processor time of the rehearsal during that spin, s; NaN if no cycle left time for one.
+    warming_s : float
+        Median processor time of `warm_caches` during that spin, s; NaN if no cycle left time for one.
     """
     feedback, fresh, period_ns = Feedback(), 0, round(period_s * 1e9)
     used_s: list[float] = []
-    rehearsed_s: list[float] = []
+    warming_s: list[float] = []
     clock = RealClock()
     deadline_ns = clock.now_ns() + period_ns
     for _ in range(CYCLES):
         if clock.doze_until(deadline_ns):
             began = time.process_time()
-            drives.rehearse()
-            rehearsed_s.append(time.process_time() - began)
+            drives.warm_caches()
+            warming_s.append(time.process_time() - began)
         clock.sleep_until(deadline_ns)
         began = time.process_time()
         _cycle(drives, feedback, _MOVE, deadline_ns + period_ns - clock.now_ns())
         used_s.append(time.process_time() - began)
         fresh += feedback.is_fresh
         deadline_ns += period_ns
-    if not rehearsed_s:
-        note(f"at a period of {period_s * 1e3:g} ms no cycle left time for a rehearsal: its time is unknown")
-    return fresh / CYCLES, statistics.median(used_s), statistics.median(rehearsed_s or [math.nan])
+    if not warming_s:
+        note(f"at a period of {period_s * 1e3:g} ms no cycle left time to warm the caches: its time is unknown")
+    return fresh / CYCLES, statistics.median(used_s), statistics.median(warming_s or [math.nan])
 
 
 def _circle(folder: Path) -> Row:

@@ -151,8 +151,8 @@ class CanopenDrives:
         """Send one command to each axis; see `exchange.CyclicExchange.send`."""
         self._cycle.send(commands)
 
-    def rehearse(self) -> None:
-        """Decode and encode as in a cycle, on a copy of the first axis; see `friction_hil.drive.Drives.rehearse`."""
+    def warm_caches(self) -> None:
+        """Decode and encode as in a cycle, on a copy of the first axis; see `friction_hil.drive.Drives.warm_caches`."""
         self._cycle.warm_caches()
 
     # Leaving

@@ -113,7 +113,7 @@ class SerialDrives:
         self._scheduler_of: list[BusScheduler] = []  # of each of these axes
         self._is_commanding = False  # something has been written since the start
         self._is_started = False
-        self._is_read = False  # all that came before this cycle, by `rehearse`
+        self._is_read = False  # all that came before this cycle, by `warm_caches`
         self._end_ns = 0  # of the cycle
         self._time_s = 0.0  # of its feedback
         self._timeouts = 0
@@ -204,8 +204,8 @@ class SerialDrives:
             until_ns = time.monotonic_ns() + _SIMULATED_TIMEOUT_NS if end_ns is None else end_ns
             run_schedulers(self._schedulers, until_ns, LineSelector(), until_answered=False)
 
-    def rehearse(self) -> None:
-        """Read what has come since the last cycle, so that the next cycle need not; see `Drives.rehearse`."""
+    def warm_caches(self) -> None:
+        """Read what has come since the last cycle, so that the next cycle need not; see `Drives.warm_caches`."""
         for scheduler in self._schedulers:
             if scheduler.line.is_open:  # to reopen it may take time
                 scheduler.poll()

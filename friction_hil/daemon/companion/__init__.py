@@ -1,13 +1,13 @@
-"""The companion process: records the loop's cycles and shows them live, and can never disturb the loop.
+"""Companion process: records the cycles of the loop and shows them live, without disturbing the loop.
 
-Three processes take part. The *control* process runs the loop and holds a
+There are three processes. The *control* process runs the loop and has a
 `friction_hil.daemon.companion.client.Companion`. It starts the *supervisor*
-(``python -m friction_hil.daemon.companion``), which forks a *worker*, and another one when that dies. The worker
+(``python -m friction_hil.daemon.companion``), which forks a *worker*, and another one when it dies. The worker
 drains the shared-memory ring, writes the recording and prints the status line.
 
-The supervisor's standard input is a pipe that carries the job and is then held open: its end says that the
-control process is gone. Its standard output carries lines of JSON back (`friction_hil.daemon.companion.job`).
-Both ignore the signals of a terminal: the control process decides when a run is over.
+The supervisor gets the job through its standard input, a pipe that stays open: its end means that the control process
+is gone. Its standard output carries lines of JSON back (`friction_hil.daemon.companion.job`). Supervisor and worker
+ignore the signals of a terminal: the control process decides when a run is over.
 """
 
 import importlib
@@ -21,7 +21,7 @@ __all__ = ["Companion", "CompanionReport", "Job", "free_path", "prepare"]
 
 
 def __getattr__(name: str) -> Any:
-    # Imported on use: the supervisor, which lies in this package too, needs no numpy.
+    # imported on use: the supervisor, which is in this package too, needs no numpy
     if name in __all__:
         module = "job" if name == "Job" else "client"
         return getattr(importlib.import_module(f"friction_hil.daemon.companion.{module}"), name)

@@ -1,6 +1,6 @@
-"""The supervisor: forks the worker, and another when it dies; ends when a worker has finished.
+"""Supervisor: forks the worker, and another one when it dies; ends when a worker has finished.
 
-It imports nothing heavy: a fork of it is a clean start.
+It imports nothing heavy, so each fork starts clean.
 """
 
 import os
@@ -16,11 +16,11 @@ _SHORT_LIVES = 3
 
 
 def main() -> int:
-    """Serve one job from standard input; returns the exit status."""
+    """Serve one job from standard input; return the exit status."""
     for ignored in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(ignored, signal.SIG_IGN)
     if hasattr(os, "sched_setscheduler"):
-        # Whatever real-time priority the loop has, it is not for writing files.
+        # the loop's real-time priority is not meant for writing files
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
     try:
         job, ring_descriptor = receive()
@@ -49,6 +49,7 @@ def _fork_worker(job: Job, ring_descriptor: int, number: int) -> int:
         return pid
     status = 1
     try:
+        # imported here: only the worker needs numpy
         from friction_hil.daemon.companion.worker import work
 
         status = work(job, ring_descriptor, number)

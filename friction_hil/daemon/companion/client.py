@@ -1,4 +1,4 @@
-"""The control process's side of the companion."""
+"""Control process's side of the companion."""
 
 import contextlib
 import json
@@ -24,16 +24,16 @@ _RING_ROWS_MIN = 1024
 
 @dataclass(frozen=True, slots=True)
 class CompanionReport:
-    """What became of a recording.
+    """Report on a finished recording.
 
     Attributes
     ----------
     recording : tuple of str
         Its files, in order; more than one when the worker had to be restarted, none without a path.
     rows, lost : int
-        Rows that are safe, and rows that are not.
+        Number of rows that are safe, and of those that are not.
     problems : tuple of str
-        What went wrong on the way, one sentence each.
+        Problems during the run, one sentence each.
     """
 
     recording: tuple[str, ...]
@@ -43,7 +43,7 @@ class CompanionReport:
 
 
 class Companion:
-    """A running companion process. Make it with `start`; `close` it whatever happens.
+    """A running companion process. Create it with `start` and `close` it in any case.
 
     Attributes
     ----------
@@ -83,7 +83,7 @@ class Companion:
             prepare(Path(job.path), overwrite=job.overwrite)
         capacity = max(_RING_ROWS_MIN, math.ceil(_RING_S / job.period_s))
         ring = RingWriter(job.row_width, capacity)
-        # -P: modules are not looked for in the current directory, which may be the user's.
+        # -P: do not import modules from the current directory, which may be the user's
         command = [sys.executable, "-P", "-m", "friction_hil.daemon.companion"]
         try:
             line = encode(job, ring.descriptor)
@@ -102,14 +102,14 @@ class Companion:
 
     @property
     def is_alive(self) -> bool:
-        """Whether the process still runs."""
+        """True while the process runs."""
         return self._process.poll() is None
 
     def close(self, timeout_s: float = 60.0) -> CompanionReport:
-        """Say that no more rows come, and wait until the recording is finished.
+        """Mark the end of the rows, and wait until the recording is finished.
 
         After ``timeout_s`` the report says that it is not, and the companion goes on in the background. A second
-        call gives the same report.
+        call returns the same report.
         """
         if self._report is not None:
             return self._report
@@ -135,7 +135,7 @@ class Companion:
 
     def _begin(self, line: bytes) -> None:
         assert self._process.stdin is not None
-        with contextlib.suppress(BrokenPipeError):  # the missing answer says it all
+        with contextlib.suppress(BrokenPipeError):  # the answer will then be missing
             self._process.stdin.write(line)
             self._process.stdin.flush()
         answer = self.next_message()
@@ -182,15 +182,15 @@ class Companion:
 
 
 def free_path(path: str | Path, started_unix_ns: int) -> Path:
-    """``path``, or where that exists the same with the local time in its name: ``run-20260131-142530.mcap``.
+    """Return ``path``, or if it exists the same with the local time in its name: ``run-20260131-142530.mcap``.
 
-    For a path that stands in a configuration and is the same at every run; what a user names for one run is
-    refused where it exists.
+    This is for the path of a configuration, which is the same at every run; a path that the user gives for one run
+    is refused if it exists.
 
     Parameters
     ----------
     path : path
-        The file wanted.
+        File wanted.
     started_unix_ns : int
         Wall-clock time of the start, ns since 1970; 0 for now.
     """
@@ -202,14 +202,14 @@ def free_path(path: str | Path, started_unix_ns: int) -> Path:
 
 
 def prepare(path: Path, *, overwrite: bool) -> None:
-    """Make the folder of a recording that is to be written, and see whether it can be.
+    """Create the folder of a recording, and check that the recording can be written.
 
     Raises
     ------
     UsageError
         The path does not end in ``.mcap``.
     RecordingError
-        It is a folder, it exists already and shall not be overwritten, or its folder cannot be made.
+        It is a folder, it exists already and must not be overwritten, or its folder cannot be created.
     """
     if path.is_dir():
         raise UsageError(f"{path} is a folder: name the file in it, e.g. {path / 'run.mcap'}")

@@ -1,4 +1,4 @@
-"""What the control process and the companion say to each other."""
+"""Messages between the control process and the companion."""
 
 import contextlib
 import json
@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from friction_hil.recordings.columns import AxisKind
 
-CANNOT_OPEN = 2  # exit status of a first worker that could not open its file, and has said why
+CANNOT_OPEN = 2  # exit status of a first worker that could not open its file and has reported why
 _INPUT, _OUTPUT = 0, 1
 
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """What the companion shall do.
+    """Job of the companion.
 
     A row of the ring holds, for each axis in turn, its ``columns`` and then ``state_width`` values of state.
 
@@ -36,13 +36,13 @@ class Job:
     path : str, optional
         File of the recording, ``.mcap``; none when absent.
     overwrite : bool
-        Whether an existing file is replaced; otherwise it is an error.
+        True to replace an existing file; otherwise it is an error.
     metadata : dict
-        What JSON can hold, by name; goes into the file before the first row.
+        Values that JSON can hold, by name; written to the file before the first row.
     status_line : bool
-        Whether to print a live line to standard error.
+        True to print a live line to standard error.
     kinds : list of {"rotary", "linear"}
-        Of each axis, for the units of the status line; all rotary when empty.
+        Kind of each axis, for the units of the status line; all rotary when empty.
     """
 
     axes: list[str]
@@ -63,7 +63,7 @@ class Job:
 
 
 def encode(job: Job, ring_descriptor: int) -> bytes:
-    """One line for the companion's standard input."""
+    """Return the job as one line for the companion's standard input."""
     return json.dumps([ring_descriptor, asdict(job)]).encode() + b"\n"
 
 
@@ -73,7 +73,7 @@ def receive() -> tuple[Job, int]:
     Raises
     ------
     EOFError
-        The control process went away before it said what to do.
+        The control process ended before it sent a job.
     """
     line = bytearray()
     while not line.endswith(b"\n"):
@@ -86,22 +86,22 @@ def receive() -> tuple[Job, int]:
 
 
 def say(**message: Any) -> None:
-    """Tell the control process: ``opened`` (path or None) and ``pid``, ``failed`` or ``problem``."""
-    # It may be gone; then nobody needs to know, and the recording still has to be finished.
+    """Send the control process a message: ``opened`` (path or None) and ``pid``, ``failed`` or ``problem``."""
+    # the control process may be gone: the recording still has to be finished
     with contextlib.suppress(BrokenPipeError):
         os.write(_OUTPUT, json.dumps(message).encode() + b"\n")
 
 
 def warn(problem: str) -> None:
-    """Tell the user now, and the control process when it asks."""
-    with contextlib.suppress(OSError):  # the terminal may be gone; the control process still hears it
+    """Report a problem to the user now, and to the control process when it reads."""
+    with contextlib.suppress(OSError):  # the terminal may be gone; the control process still gets the message
         sys.stderr.write(f"\nfriction-hil: {problem}\n")
         sys.stderr.flush()
     say(problem=problem)
 
 
 def segment_path(path: Path, number: int) -> Path:
-    """Where the ``number``-th worker writes: the first to ``path``, the second beside it as ``run-2.mcap``."""
+    """Return the file of the ``number``-th worker: ``path`` for the first, ``run-2.mcap`` beside it for the second."""
     while number > 1:
         candidate = path.with_stem(f"{path.stem}-{number}")
         if not candidate.exists():

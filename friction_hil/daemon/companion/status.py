@@ -1,4 +1,4 @@
-"""The live line: how the loop and each axis are doing, a few times a second."""
+"""Status line: state of the loop and of each axis, a few times a second."""
 
 import os
 import sys
@@ -14,11 +14,11 @@ from friction_hil.recordings.recording import Array
 
 _INTERVAL_S = 0.2
 _UNKNOWN_WIDTH = 1000
-_WINDOW_S = 1.0  # of recorded time, over which errors and lateness are judged
+_WINDOW_S = 1.0  # of recorded time, over which errors and lateness are computed
 
 
 class StatusLine:
-    """Shows the newest rows on one line of standard error, overwritten each time."""
+    """Print the newest rows on one line of standard error, overwritten each time."""
 
     def __init__(self, job: Job) -> None:
         self._job = job
@@ -31,7 +31,7 @@ class StatusLine:
         self._is_visible = True
 
     def show(self, rows: Array, lost: int) -> None:
-        """Take rows (n, width) of the ring, and print when it is time to."""
+        """Take rows (n, width) of the ring, and print when the interval is over."""
         if len(rows):
             self._take(rows)
         if time.monotonic() - self._shown_at >= _INTERVAL_S:
@@ -39,11 +39,11 @@ class StatusLine:
             self._print(lost)
 
     def close(self, lost: int) -> None:
-        """Show the last rows, and leave the line on the screen."""
+        """Print the last rows, and leave the line on the screen."""
         self._print(lost, end="\n")
 
     def text(self, lost: int) -> str:
-        """The line itself, of the rows shown so far."""
+        """Return the line for the rows taken so far."""
         rows = np.concatenate(self._window)
         parts = [f"{self._of(rows, 0, TIME)[-1]:.1f} s"]
         parts += [self._axis_text(rows, axis) for axis in range(len(self._job.axes))]
@@ -83,7 +83,7 @@ class StatusLine:
         return max(0, int(cycles) - self._rows - lost) if np.isfinite(cycles) else 0
 
     def _of(self, rows: Array, axis: int, column: str) -> Array:
-        """A column of an axis; NaN where the job has no such column."""
+        """Return a column of an axis; NaN if the job has no such column."""
         if column not in self._columns:
             return np.full(len(rows), np.nan)
         return rows[:, axis * self._axis_width + self._columns[column]]
@@ -95,12 +95,12 @@ class StatusLine:
             sys.stderr.write(f"\r{self.text(lost)[: _terminal_width()]}\x1b[K{end}")
             sys.stderr.flush()
         except OSError:
-            self._is_visible = False  # the terminal has gone; the recording goes on
+            self._is_visible = False  # the terminal is gone; the recording goes on
 
 
 def _terminal_width() -> int:
     try:
-        # a pseudo-terminal that nobody gave a size says 0
+        # a pseudo-terminal without a size reports 0
         return os.get_terminal_size(sys.stderr.fileno()).columns or _UNKNOWN_WIDTH
     except OSError:
         return _UNKNOWN_WIDTH

@@ -1,4 +1,4 @@
-"""The worker: drains the ring, writes the recording, prints the status line."""
+"""Worker: drains the ring, writes the recording, prints the status line."""
 
 import os
 import select
@@ -22,7 +22,6 @@ def work(job: Job, ring_descriptor: int, number: int) -> int:
     Parameters
     ----------
     job : Job
-        What to do.
     ring_descriptor : int
         File descriptor of the ring's memory.
     number : int
@@ -31,7 +30,7 @@ def work(job: Job, ring_descriptor: int, number: int) -> int:
     Returns
     -------
     int
-        Exit status: 0, or ``CANNOT_OPEN``, and then the control process has been told why.
+        Exit status: 0, or ``CANNOT_OPEN`` after the reason was reported to the control process.
     """
     ring = RingReader(ring_descriptor)
     recorder = _Recorder(job, ring)
@@ -50,7 +49,7 @@ def work(job: Job, ring_descriptor: int, number: int) -> int:
     say(opened=path and str(path), pid=os.getpid())
     status = StatusLine(job) if job.status_line else None
     control = select.poll()
-    control.register(_INPUT, 0)  # no event but the hang-up that is always told
+    control.register(_INPUT, 0)  # no event but the hang-up, which is always reported
     while True:
         is_gone = bool(control.poll(0))
         is_last = is_gone or ring.is_closed
@@ -69,10 +68,9 @@ def work(job: Job, ring_descriptor: int, number: int) -> int:
 
 
 class _Recorder:
-    """Writes what comes from the ring, and tells the ring what is safe on disk.
+    """Write rows and events of the ring to the recording, and release in the ring what is safe on disk.
 
-    A worker that is killed just between the two leaves a chunk that its successor writes once more: rather
-    twice than not at all.
+    If a worker is killed between the two, its successor writes that chunk once more: better twice than not at all.
     """
 
     def __init__(self, job: Job, ring: RingReader) -> None:
@@ -80,7 +78,7 @@ class _Recorder:
         self._ring = ring
         self._writer: McapWriter | None = None
         self._cycle_column = job.columns.index(CYCLE) if CYCLE in job.columns else None
-        self._rows = self._events = 0  # told to the ring as safe
+        self._rows = self._events = 0  # released in the ring
         self._cycle = 0.0
 
     def open(self, path: Path, *, overwrite: bool) -> None:
@@ -116,20 +114,20 @@ class _Recorder:
             return
         try:
             if was_abandoned:
-                self._writer.write_event(self._cycle, "abandoned", "the control process ended without a word")
+                self._writer.write_event(self._cycle, "abandoned", "the control process ended without closing the run")
                 self._events += 1  # this one is not from the ring
             self._writer.close()
         except OSError as error:
             self._give_up(error)
 
     def _release(self) -> None:
-        if self._writer is None:  # it is being made
+        if self._writer is None:  # it is being created
             return
         self._ring.release(self._writer.rows_kept - self._rows, self._writer.events_kept - self._events)
         self._rows, self._events = self._writer.rows_kept, self._writer.events_kept
 
     def _give_up(self, error: OSError) -> None:
-        """The disk is full or gone: the run goes on without a recording, and the user is told."""
+        """Report that the disk is full or gone; the run goes on without a recording."""
         warn(f"the recording ended early: {error.strerror}")
         self._ring.discard()
         self._writer = None

@@ -1,4 +1,4 @@
-"""Which velocity feeds the model: sources, intent, gate, rest, lead, and the changes between them."""
+"""Which velocity feeds the model: sources, reference velocity, gate, rest, lead, and changes between them."""
 
 import math
 
@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import friction_hil as fh
-from friction_hil.compensator import intent
+from friction_hil.compensator import reference
 from tests.compensators import (
     EVERY_SOURCE,
     LUGRE,
@@ -78,30 +78,30 @@ def test_each_source_takes_the_deviation_from_the_demand_its_own_way(source, lev
 def test_the_gate_lets_noise_pass_as_little_as_it_is_real():
     """A deviation of a tenth of the gate comes through by a hundredth."""
     stribeck = fh.models.create("stribeck", coulomb=0.05, static=0.05, stribeck_velocity=2.0, viscous=1.0)
-    deviation = 0.1 * intent.GATE_STRIBECK_SHARE * 2.0
+    deviation = 0.1 * reference.GATE_STRIBECK_RATIO * 2.0
     torque, _ = feed(compensator(stribeck), *even(1.0 + deviation), 2000, demand=even(1.0)[1])
     assert torque[-1] - 0.05 - 1.0 == pytest.approx(0.01 * deviation, rel=0.05)
 
 
-# --- intent
+# --- reference velocity
 
 
 @pytest.mark.parametrize("demand", [0.5, -0.5])
 @pytest.mark.parametrize("error", [0.01, -0.01])
-def test_the_intent_makes_up_for_the_following_error(demand, error):
+def test_the_reference_velocity_makes_up_for_the_following_error(demand, error):
     position_demand = demand * np.arange(1000) * PERIOD_S + error
     seen = state_velocity(demand, demand, position_demand=position_demand)
-    assert seen == pytest.approx(demand + intent.RECOVERY * error, rel=1e-6)
+    assert seen == pytest.approx(demand + reference.RECOVERY * error, rel=1e-6)
 
 
 def test_of_an_error_of_one_count_half_is_real_at_most():
     position_demand = 0.5 * np.arange(1000) * PERIOD_S + 1e-3
     seen = state_velocity(0.5, 0.5, position_demand=position_demand, position_resolution=1e-3)
-    assert abs(seen - 0.5) <= 0.5001 * intent.RECOVERY * 1e-3
+    assert abs(seen - 0.5) <= 0.5001 * reference.RECOVERY * 1e-3
 
 
 @pytest.mark.parametrize("source", ["measured", "demand"])
-def test_other_sources_have_no_intent(source):
+def test_other_sources_do_not_make_up_for_the_error(source):
     position_demand = 0.5 * np.arange(1000) * PERIOD_S + 0.01
     seen = state_velocity(0.5, 0.5, position_demand=position_demand, source=source)
     assert seen == pytest.approx(0.5, rel=1e-6)
@@ -126,7 +126,7 @@ def test_at_rest_a_following_error_that_stays_winds_nothing_up(name):
 
 
 @pytest.mark.parametrize("velocity", ["difference", "tracking"])
-def test_the_level_stays_on_the_side_of_the_intent(velocity):
+def test_the_level_stays_on_the_side_of_the_reference_velocity(velocity):
     """An axis that is pushed back gets no compensation that pushes along; naively fed, it does."""
     pushed = {"auto": 0.05, "demand": 0.05 + 0.01, "measured": -0.05 - 0.03}
     for source, expected in pushed.items():
@@ -310,4 +310,4 @@ def test_at_rest_the_compensation_stays_and_does_not_hunt(strength, bits, veloci
     plain = Axis(LUGRE, **given).run(None, 3.0, demand=demand).after(1.5)
     assert np.ptp(run.compensation) < 0.02 * LUGRE.level
     assert np.ptp(run.position) <= np.ptp(plain.position) + 0.05 * resolution(bits) + 2e-6
-    assert one.reduction == 1.0
+    assert one.gain_factor == 1.0

@@ -1,0 +1,101 @@
+"""Settings and state of the compensator as flat records of float64, as the compiled step takes them."""
+
+from functools import cache
+
+import numpy as np
+
+from friction_hil.compensator import reference, velocity
+from friction_hil.friction import kernel
+from friction_hil.numerics.jit import Array, StructuredArray
+
+STATE = np.dtype(
+    [
+        ("cycle", "f8"),  # of the last step; negative before the first
+        ("motion", velocity.STATE),
+        ("measured_torque", "f8"),  # of the last cycle
+        ("deviation_square", "f8"),
+        ("has_demand", "f8"),
+        ("error", "f8"),  # demanded less measured position; 0 where unknown
+        ("error_square", "f8"),
+        ("guided_direction", "f8"),  # of a static map on an axis moved by hand, -1 to 1
+        ("guided_velocity", "f8"),
+        ("last_velocity", "f8"),
+        ("slope", "f8"),  # of the velocity estimate, smoothed
+        ("slopes", "f8", (reference.HORIZON,)),  # newest first
+        ("velocities", "f8", (reference.HORIZON,)),  # of the same cycles
+        ("change_square", "f8"),  # of the predicted change of velocity, smoothed
+        ("change_product", "f8"),  # of the predicted and the true change, smoothed
+        ("demands", "f8", (reference.HISTORY,)),  # demanded velocity, newest first
+        ("friction", "f8", (kernel.STATE_ROOM,)),
+        ("friction_torque", "f8"),  # of the model, last cycle
+        ("fade", "f8"),
+        ("standstill_fade", "f8"),
+        ("resting_position", "f8"),
+        ("resting_s", "f8"),
+        ("alternations", "f8"),
+        ("compensation_sign", "f8"),
+        ("demanded_sign", "f8"),
+        ("gain_factor", "f8"),  # below 1 after `limit_cycle` has seen limit cycles
+        ("factor", "f8", (2,)),  # learned by `adaptation`, for positive and negative torque
+        ("weight", "f8", (2,)),
+        ("product", "f8", (2,)),
+        ("filtered_velocity", "f8"),
+        ("filtered_torque", "f8"),
+        ("filtered_model", "f8"),
+        ("sliding_s", "f8"),
+        ("compensation", "f8"),
+        ("is_faulty", "f8"),  # the model gave a torque that is not finite
+    ]
+)
+
+
+@cache
+def settings_type(parameter_room: int) -> "np.dtype[np.void]":
+    """Return the type of the settings for a friction model with ``parameter_room`` parameter values."""
+    return np.dtype(
+        [
+            ("kind", "f8"),
+            ("is_static", "f8"),
+            ("friction", "f8", (parameter_room,)),
+            ("level", "f8"),
+            ("inertia", "f8"),
+            ("gravity_constant", "f8"),
+            ("gravity_sine", "f8"),
+            ("gravity_cosine", "f8"),
+            ("lead_s", "f8"),
+            ("ahead_s", "f8"),  # age of the velocity estimate plus lead_s
+            ("judged_cycles", "f8"),  # the same in whole cycles, from 1 to `reference.HORIZON`
+            ("ahead_noise_square", "f8"),  # square of the predicted change that encoder noise alone could cause
+            ("period_s", "f8"),
+            ("resolution", "f8"),
+            ("motion", velocity.SETTINGS),
+            ("uses_torque", "f8"),  # by the velocity estimator
+            ("delay_cycles", "f8"),  # of the velocity estimate
+            ("noise", "f8"),  # of the velocity estimate
+            ("rest", "f8"),  # distance within which an axis counts as resting
+            ("source", "f8"),
+            ("epsilon", "f8"),
+            ("epsilon_of_demand", "f8"),
+            ("gate_square", "f8"),
+            ("guided_coefficient", "f8"),  # one-pole coefficient for the velocity of an axis that is moved by hand
+            ("gain_positive", "f8"),
+            ("gain_negative", "f8"),
+            ("dead_band", "f8"),
+            ("fade_s", "f8"),
+            ("torque_limit", "f8"),
+            ("torque_slew", "f8"),
+            ("adaptation_s", "f8"),  # 0: off
+            ("adaptation_bound", "f8"),
+            ("sliding_velocity", "f8"),
+        ]
+    )
+
+
+def begin(settings: StructuredArray, state: StructuredArray, initial_friction: Array) -> None:
+    """Set ``state`` to its values before the first cycle."""
+    r = state[0]
+    r["cycle"] = -1.0
+    r["friction"][: initial_friction.size] = initial_friction
+    r["gain_factor"] = 1.0
+    r["factor"] = 1.0
+    r["weight"] = r["product"] = settings[0]["level"] ** 2

@@ -1,0 +1,166 @@
+"""The two velocities that the friction model is given: one for its state, one for its level.
+
+A feed-forward that cancels friction can also cancel what keeps the axis stable. To the motion's deviation from
+the demand, the compensation must answer only with torque that takes energy out of that deviation:
+
+* The *state*, and with it the direction, follows the reference velocity u = v_demand + a e: the demand, plus what
+  makes up for a following error e. Driven by the measured velocity instead, the model would cancel the presliding
+  spring through a late and quantised measurement, and push an axis that slips back along with its slip.
+* The *level* follows the measured velocity, because a feed-forward cannot damp the falling part of a Stribeck
+  curve: an axis that runs ahead gets less torque, one that falls behind more. Its sign stays that of u.
+* The measured deviation d counts as far as it exceeds noise, by the gain S / (S + S_gate) of a Wiener filter, S
+  being its smoothed square.
+
+Without a demand, the velocity when the torque acts is the estimate plus the change that its slope predicts, times
+the fraction of such predictions that came true lately (`expected_change`): a reversal, too, is then answered in
+time, not later by the whole delay.
+"""
+
+import math
+from typing import Any
+
+from friction_hil.numerics.jit import inlined
+
+AUTO, MEASURED, DEMAND = 0, 1, 2
+SOURCES = {"auto": AUTO, "measured": MEASURED, "demand": DEMAND}
+
+HORIZON = 8  # most cycles over which predictions are judged
+HISTORY = 18  # cycles of demanded velocity kept, which bounds the delay of the velocity estimate
+RECOVERY = 30.0  # a, 1/s: rate at which an axis is expected to make up for its following error
+REVERSAL_COUNTS = 15.0  # distance in which a static map on an axis moved by hand reverses its direction
+STIFFNESS_FRACTION = 0.25  # of the presliding spring, compensated where there is no demand
+GATE_STRIBECK_RATIO = 0.06  # gate for deviations from the demand, in Stribeck velocities
+SLOPE_COEFFICIENT = 0.2  # of the one-pole filter for the slope of the velocity
+NOISE_RATIO = 6.0  # square of a count's velocity over that of the noise, both of a plain encoder difference
+_SMOOTHING_CYCLES = 15.0
+_JUDGING_CYCLES = 30.0  # over which predicted changes are compared with true ones
+
+
+@inlined
+def forget(r: Any, demand: float) -> None:
+    """Start anew, as if the demand had always been ``demand``."""
+    r.deviation_square = 0.0
+    r.error = 0.0
+    r.error_square = 0.0
+    for k in range(HISTORY):
+        r.demands[k] = demand
+
+
+@inlined
+def forget_changes(r: Any) -> None:
+    """Start the prediction of changes anew from the present velocity."""
+    r.last_velocity = r.motion.velocity
+    r.slope = 0.0
+    r.change_square = r.change_product = 0.0
+    for k in range(HORIZON):
+        r.slopes[k] = 0.0
+
+
+@inlined
+def remember(r: Any, demand: float, cycles: float) -> None:
+    """Shift the demanded velocity into the history, once for each cycle that passed."""
+    for _ in range(min(int(cycles), HISTORY)):
+        for k in range(HISTORY - 1, 0, -1):
+            r.demands[k] = r.demands[k - 1]
+        r.demands[0] = demand
+
+
+@inlined
+def deviation(c: Any, r: Any) -> float:
+    """Return measured less demanded velocity at the moment to which the estimate belongs."""
+    whole = int(c.delay_cycles)
+    part = c.delay_cycles - whole
+    return float(r.motion.velocity - (1.0 - part) * r.demands[whole] - part * r.demands[whole + 1])
+
+
+@inlined
+def reference_velocity(c: Any, r: Any, ahead: float) -> float:
+    """Return the demanded velocity plus what makes up for the following error.
+
+    Errors within one count are ignored. An axis that sticks beside a resting demand is helped to it, instead of
+    hunting round it; but not by a static map, which would answer with a relay in place of a spring.
+    """
+    r.error_square += (r.error * r.error - r.error_square) / _SMOOTHING_CYCLES
+    count_square = c.resolution * c.resolution
+    real = 1.0 - count_square / r.error_square if r.error_square > count_square else 0.0
+    if c.is_static > 0.0:
+        real *= min(abs(ahead) / c.epsilon_of_demand, 1.0)
+    return float(ahead + real * RECOVERY * r.error)
+
+
+@inlined
+def expected_change(c: Any, r: Any, dt: float) -> tuple[float, float]:
+    """Return the expected change of velocity until the torque acts, and its ratio to the predicted change.
+
+    The prediction extends the slope of the estimate: right in a motion led by hand, wrong in noise, in steps of the
+    encoder and where the axis sticks. The ratio is the regression of true on predicted changes, the mean of their
+    product over the mean square of the prediction, less the part of that square that the encoder could have caused.
+    """
+    v = r.motion.velocity
+    cycles = int(c.judged_cycles)
+    predicted = r.slopes[cycles - 1] * cycles * c.period_s
+    came = v - r.velocities[cycles - 1]
+    r.change_square += (predicted * predicted - r.change_square) / _JUDGING_CYCLES
+    r.change_product += (predicted * came - r.change_product) / _JUDGING_CYCLES
+    r.slope += SLOPE_COEFFICIENT * ((v - r.last_velocity) / dt - r.slope)
+    r.last_velocity = v
+    for k in range(cycles - 1, 0, -1):
+        r.slopes[k], r.velocities[k] = r.slopes[k - 1], r.velocities[k - 1]
+    r.slopes[0], r.velocities[0] = r.slope, v
+    if not (r.change_product > 0.0 and r.change_square > c.ahead_noise_square):
+        return 0.0, 0.0
+    ratio = min(r.change_product / r.change_square, 1.0) * (1.0 - c.ahead_noise_square / r.change_square)
+    return ratio * c.ahead_s * r.slope, ratio
+
+
+@inlined
+def guided_velocities(c: Any, r: Any, change: float, ratio: float, dt: float) -> tuple[float, float]:
+    """Return the velocities for state and level of an axis that is moved by hand, without a demand.
+
+    A hand cannot be told from the spring's own swing. A model spring that is too soft leaves the axis most of its
+    own, whatever the delay. A static map has no spring; its direction follows with a hysteresis of
+    `REVERSAL_COUNTS`. The level's velocity is smoothed the more, the less the predictions come true.
+    """
+    v = r.motion.velocity + change
+    level = r.guided_velocity + ratio * (r.motion.velocity - r.guided_velocity) + change
+    if c.is_static == 0.0:
+        return STIFFNESS_FRACTION * v, level
+    r.guided_direction = min(max(r.guided_direction + v * dt / (REVERSAL_COUNTS * c.resolution), -1.0), 1.0)
+    return 3.0 * r.guided_direction * c.epsilon, level  # tanh 3 is almost 1
+
+
+@inlined
+def model_velocities(c: Any, r: Any, ahead: float, dt: float) -> tuple[float, float]:
+    """Return the velocities for the model's state and for its level.
+
+    Parameters
+    ----------
+    c, r : record
+        Settings and state of the compensator.
+    ahead : float
+        Demanded velocity when the torque will act; NaN where there is no demand.
+    dt : float
+        Time since the last cycle, s.
+    """
+    measured = r.motion.velocity
+    r.guided_velocity += c.guided_coefficient * (measured - r.guided_velocity)
+    if not math.isfinite(ahead):
+        change, ratio = expected_change(c, r, dt)
+        if c.source == MEASURED:
+            # the state stays with the measured velocity: with a predicted one, the whole model spring would oscillate
+            predicted = measured + change
+            return measured, predicted if predicted * measured > 0.0 else 0.0
+        return guided_velocities(c, r, change, ratio, dt)
+    d = deviation(c, r)
+    r.deviation_square += (d * d - r.deviation_square) / _SMOOTHING_CYCLES
+    if c.source == MEASURED:
+        return ahead + d, ahead + d
+    if c.source == DEMAND:
+        return ahead, ahead
+    u = reference_velocity(c, r, ahead)
+    level = ahead + d * r.deviation_square / (r.deviation_square + c.gate_square)
+    if u > 0.0:
+        level = max(level, 0.0)
+    elif u < 0.0:
+        level = min(level, 0.0)
+    return u, level

@@ -1,0 +1,137 @@
+"""The command of one axis in a cycle: set-point and torque, by mode and state. The last limit before the drive."""
+
+import math
+from typing import TYPE_CHECKING
+
+from friction_hil.compensator.limiter import limit_torque
+from friction_hil.daemon.assembly import make_controller
+from friction_hil.daemon.motion import AxisMotion
+from friction_hil.daemon.safety import MOVING, AxisLimits, LoopState
+from friction_hil.drive import Command, Mode
+from friction_hil.motion.controller import cascade
+from friction_hil.motion.trajectory import Setpoint
+
+if TYPE_CHECKING:
+    from friction_hil.config import AxisConfig
+
+
+class CommandWriter:
+    """Fills the command of one axis.
+
+    The compensator limits its own torque, which replay repeats from a recording; here the sum is limited that the
+    drive receives, with the torque of the loop's own controller (CST), from zero at each enabling, and in steps of
+    one period even after missed ones. Both call `friction_hil.compensator.limiter.limit_torque`.
+
+    Parameters
+    ----------
+    config : AxisConfig
+    limits : AxisLimits
+    motion : AxisMotion
+    period_s : float
+
+    Attributes
+    ----------
+    held_position : float
+        Position at which the axis is held outside of the moving states, SI; NaN before the first cycle.
+    """
+
+    __slots__ = (
+        "_controller",
+        "_integral",
+        "_largest_step",
+        "_limits",
+        "_mode",
+        "_motion",
+        "_period_s",
+        "_torque",
+        "held_position",
+    )
+
+    def __init__(self, config: "AxisConfig", limits: AxisLimits, motion: AxisMotion, period_s: float) -> None:
+        self._mode = Mode[config.mode.upper()]
+        self._limits = limits
+        self._motion = motion
+        self._period_s = period_s
+        self._largest_step = limits.torque_slew * period_s
+        self._controller, self._integral = make_controller(config), 0.0
+        self._torque = 0.0
+        self.held_position = math.nan
+
+    def compile(self) -> None:
+        """Compile the kernels that `write` runs."""
+        self._control(Setpoint(0.0, 0.0, 0.0), 0.0, 0.0)
+        self._integral = 0.0
+        self._limited(0.0)
+
+    def write(
+        self,
+        command: Command,
+        state: LoopState,
+        time_s: float,
+        position: float,
+        velocity: float,
+        now: Setpoint | None,
+        compensation: float,
+        is_operation_enabled: bool,
+    ) -> None:
+        """Write set-point and torque; outside of the moving states the axis is held where it is, without torque.
+
+        Parameters
+        ----------
+        command : Command
+            Filled.
+        state : LoopState
+        time_s : float
+        position, velocity : float
+            Last usable position and estimated velocity, SI.
+        now : Setpoint or None
+            Set-point at the time of the feedback.
+        compensation : float
+            Torque of the compensator, N m.
+        is_operation_enabled : bool
+            True if the drive is in Operation enabled.
+        """
+        command.velocity = 0.0
+        if state not in MOVING:
+            # While it waits for the others, an enabled axis is held at one position: following itself, it would sink.
+            if not (is_operation_enabled and state is LoopState.ENABLING and self._mode is Mode.CSP):
+                self.held_position = position
+            command.position = self.held_position
+            self._integral = 0.0
+            self._torque = command.torque = self._limited(compensation) if state is LoopState.FAULT_STOPPING else 0.0
+        elif self._mode is Mode.CST:
+            command.torque = self._limited(self._control(now, position, velocity) + compensation)
+        else:
+            command.torque = self._limited(compensation)
+            if now is not None:
+                self._write_setpoint(command, time_s, position, now)
+
+    def _limited(self, wanted: float) -> float:
+        """Return the torque within limit and slew, and keep it as the last one."""
+        self._torque = limit_torque(wanted, self._torque, self._limits.torque, self._largest_step)
+        return self._torque
+
+    def _write_setpoint(self, command: Command, time_s: float, position: float, now: Setpoint) -> None:
+        """Write position and velocity; in CSV the velocity includes the loop's own position control."""
+        sent = self._motion.to_send(time_s)
+        command.position = sent.position
+        command.velocity = sent.velocity
+        if self._mode is Mode.CSV:
+            wanted = sent.velocity + self._controller[0]["position_gain"] * (now.position - position)
+            command.velocity = min(max(wanted, -self._limits.velocity), self._limits.velocity)
+
+    def _control(self, now: Setpoint | None, position: float, velocity: float) -> float:
+        """Return the torque of the loop's own position and velocity control (CST), N m."""
+        if now is None:
+            return 0.0
+        torque, self._integral = cascade(
+            self._controller,
+            self._integral,
+            now.position - position,
+            now.velocity,
+            now.acceleration,
+            velocity,
+            self._period_s,
+            self._limits.torque,
+        )
+        return torque

@@ -1,0 +1,153 @@
+"""The run around the cycles: when it begins, which state it is in, and what a change of state brings about."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from friction_hil.daemon.axis import AxisLoop, AxisUpdate
+from friction_hil.daemon.log import RunLog
+from friction_hil.daemon.pacing import ExchangeTimes
+from friction_hil.daemon.safety import LoopState
+from friction_hil.daemon.sequence import RunInputs, RunStateMachine, timeout_faults
+from friction_hil.daemon.stop import StopRequest
+from friction_hil.drive import DriveState, Feedback
+from friction_hil.drive.codes import FaultCode
+from friction_hil.errors import DriveError
+from friction_hil.motion.trajectory import PathTime
+
+_FIRST_FEEDBACK_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class LoopSettings:
+    """Settings of the loop.
+
+    Attributes
+    ----------
+    period_s : float
+    duration_s : float
+        Time after which the motion comes to rest; infinity for none.
+    max_missed : int
+        Missed periods in a row that are a fault.
+    dry_run : bool
+        Listen, compute, record; never command.
+    is_fault_reset_wanted : bool
+        True to reset, before enabling, the fault that a drive is found in.
+    """
+
+    period_s: float
+    duration_s: float = math.inf
+    max_missed: int = 10
+    dry_run: bool = False
+    is_fault_reset_wanted: bool = False
+
+
+class RunControl:
+    """Begin a run, take it from state to state, and end it.
+
+    Parameters
+    ----------
+    axes : sequence of AxisLoop
+    path_time : PathTime
+        Shared by the axes.
+    settings : LoopSettings
+    stop : StopRequest
+    log : RunLog
+    """
+
+    def __init__(
+        self,
+        axes: Sequence[AxisLoop],
+        path_time: PathTime,
+        settings: LoopSettings,
+        stop: StopRequest,
+        log: RunLog,
+    ) -> None:
+        self._axes, self._path_time, self._settings, self._stop, self._log = axes, path_time, settings, stop, log
+        self._machine = RunStateMachine(is_listening=settings.dry_run)
+        self._idle_exchanges = ExchangeTimes(settings.period_s)
+        self._has_begun = False
+        self._running_since_s = 0.0 if settings.dry_run else math.nan
+        if settings.is_fault_reset_wanted:
+            for axis in axes:
+                axis.allow_fault_reset()
+
+    @property
+    def state(self) -> LoopState:
+        """State of the run."""
+        return self._machine.state
+
+    @property
+    def is_idle(self) -> bool:
+        """True while the drives are still idle; a dry run, which never leaves that state, does not count."""
+        return self._machine.state is LoopState.IDLE and not self._settings.dry_run
+
+    def running_s(self, time_s: float) -> float:
+        """Return the time since the motion began, or in a dry run since its start, s; NaN before."""
+        return time_s - self._running_since_s
+
+    def begin(self, feedback: Sequence[Feedback], time_s: float) -> bool:
+        """Return True once every axis has reported its position and its path has been checked from there.
+
+        Raises
+        ------
+        DriveError
+            An axis has not reported a position in time.
+        UsageError
+            The path of an axis leaves its limits.
+        """
+        if self._has_begun:
+            return True
+        for axis, heard in zip(self._axes, feedback, strict=True):
+            if not axis.supervisor.has_position and not axis.supervisor.take(heard):
+                if time_s > _FIRST_FEEDBACK_S:
+                    text = f"{axis.name}: no usable feedback within {_FIRST_FEEDBACK_S:g} s of the start"
+                    raise DriveError(FaultCode.FIRST_FEEDBACK_MISSING.append_to(text))
+                return False
+        if not self._settings.dry_run:
+            for axis in self._axes:
+                axis.motion.check(axis.supervisor.position)
+        self._has_begun = True
+        return True
+
+    def advance(
+        self, cycle: int, feedback: Sequence[Feedback], updates: Sequence[AxisUpdate], exchange_us: float
+    ) -> None:
+        """End a cycle: take the run to its next state, if that is due."""
+        time_s, left = cycle * self._settings.period_s, self._machine.state
+        if self.is_idle:
+            self._idle_exchanges.add(exchange_us)
+        if self.running_s(time_s) >= self._settings.duration_s:
+            self._stop.is_requested = True
+        states = [heard.state for heard in feedback]
+        is_standing = [update.is_standing for update in updates]
+        inputs = RunInputs(
+            is_stop_requested=self._stop.is_requested,
+            has_fault=bool(self._log.result.faults),
+            is_enabled=all(state is DriveState.OPERATION_ENABLED for state in states),
+            is_powered=any(state.is_powered for state in states),
+            is_setpoint_standing=self._path_time.is_standing(time_s - self._settings.period_s),
+            is_standing=all(is_standing),
+            is_faded_out=all(update.is_faded_out for update in updates),
+        )
+        if not self._machine.advance(time_s, inputs):
+            return
+        if (timeout := self._machine.take_timeout()) is not None:
+            for text in timeout_faults(timeout, left, [axis.name for axis in self._axes], feedback, is_standing):
+                self._log.fault(cycle, text)
+        self._enter(self._machine.state, cycle, time_s)
+
+    def _enter(self, state: LoopState, cycle: int, time_s: float) -> None:
+        """Do what the new state asks for."""
+        # set-points are sent ahead of time: those already sent stay valid
+        later_s = time_s + self._settings.period_s + max(axis.setpoint_delay_s for axis in self._axes)
+        if state is LoopState.ENABLING and (warning := self._idle_exchanges.warning()):
+            self._log.warn(cycle, warning)
+        elif state is LoopState.RUNNING:
+            self._running_since_s = time_s
+            for axis in self._axes:
+                axis.enter_path()
+            self._path_time.start(later_s)
+        elif state is LoopState.STOPPING:
+            self._path_time.stop(later_s)
+        self._log.state(cycle, state)
