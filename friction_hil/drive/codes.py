@@ -13,6 +13,7 @@ import re
 from enum import Enum
 
 _ANY_CODE = re.compile(r"\[FH-\d{3}\]")
+_CODE_AT_END = re.compile(r" \[FH-\d{3}\]$")
 
 
 class FaultCode(Enum):
@@ -47,3 +48,13 @@ class FaultCode(Enum):
     def append_to(self, message: str) -> str:
         """Return the message with this code at its end; a message that has a code already stays as it is."""
         return message if _ANY_CODE.search(message) else f"{message} [{self}]"
+
+
+def coded(text: str, code: str) -> str:
+    """Append a driver's code to its message: ``no heartbeat from node 5 [FH-230]``."""
+    return f"{text} [{code}]"
+
+
+def without_code(text: str) -> str:
+    """Return a message without the code at its end."""
+    return _CODE_AT_END.sub("", text)

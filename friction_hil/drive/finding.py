@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from friction_hil.drive.codes import without_code
 from friction_hil.errors import FrictionHilError
 
 NOT_REPORTED = "not reported by this system"
@@ -42,8 +43,8 @@ class Finding:
 
 
 def failure(check: str, error: FrictionHilError, code: str = "") -> Finding:
-    """Return the finding for an error that would end a run."""
-    return Finding(check, "fail", error.detail, error.fix, code)
+    """Return the finding for an error that would end a run; its own code gives way to ``code``."""
+    return Finding(check, "fail", without_code(error.detail) if code else error.detail, error.fix, code)
 
 
 def complaints(findings: Iterable[Finding]) -> Iterator[str]:

@@ -345,7 +345,7 @@ def test_set_points_that_are_refused_without_a_reply_are_told(tmp_path, monkeypa
 def test_a_preparation_that_is_refused_without_a_reply_ends_the_connecting(tmp_path, monkeypatch):
     with Bench("odrive", tmp_path) as bench:
         refusing(monkeypatch, "input_mode")
-        with pytest.raises(DriveError, match="refuses to be prepared: write input_mode of x: 'unknown command"):
+        with pytest.raises(DriveError, match="refuses its set-up: write input_mode of x: 'unknown command"):
             bench.drives.connect()
 
 

@@ -9,12 +9,9 @@ import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
+from friction_hil_drivers.ascii.signals import AsciiSignal
 from friction_hil_drivers.serial_line.units import saturated
-
-if TYPE_CHECKING:
-    from friction_hil_drivers.ascii.description import AsciiSignal
 
 AXIS = "axis"
 FLOAT, INTEGER, HEXADECIMAL = "float", "int", "hex"
@@ -110,7 +107,7 @@ class LineFormat:
         more than the signal's ``whole_digits`` before the point and its ``digits`` after it.
     """
 
-    def __init__(self, template: str, signals: "Mapping[str, AsciiSignal]", axis: str | None) -> None:
+    def __init__(self, template: str, signals: Mapping[str, AsciiSignal], axis: str | None) -> None:
         parts = parse(template)
         self.template = template
         self.names = tuple(field.name for field in fields(parts))
@@ -205,7 +202,7 @@ def _text_pattern(text: str, axis: str | None) -> bytes:
     return expression
 
 
-def _writer(field: NumberField, signal: "AsciiSignal") -> tuple[bytes, float, float, Callable[[float], float], int]:
+def _writer(field: NumberField, signal: AsciiSignal) -> tuple[bytes, float, float, Callable[[float], float], int]:
     """Return how to write a number: %-format, bounds that need no conversion, conversion, largest size."""
     if field.type == FLOAT:
         digits = signal.digits
@@ -236,7 +233,7 @@ def _rounded(value: float) -> int:
     return round(value)
 
 
-def _reader(field: NumberField, signal: "AsciiSignal") -> tuple[bytes, Callable[[bytes], float]]:
+def _reader(field: NumberField, signal: AsciiSignal) -> tuple[bytes, Callable[[bytes], float]]:
     """Return how to read a number: regular expression, conversion of the match."""
     name = field.name
     if field.type == FLOAT:
@@ -262,6 +259,6 @@ def _reader(field: NumberField, signal: "AsciiSignal") -> tuple[bytes, Callable[
     return _INTEGER, read_integer
 
 
-def _bounds(signal: "AsciiSignal") -> tuple[int, int]:
+def _bounds(signal: AsciiSignal) -> tuple[int, int]:
     assert signal.bounds is not None  # the description sees to it
     return signal.bounds

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 
 from friction_hil.drive import Command, DriveState, Feedback
+from friction_hil.drive.codes import coded
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes, objects
 from friction_hil_drivers.canopen.codec import (
@@ -18,7 +19,6 @@ from friction_hil_drivers.canopen.codec import (
     encode_command,
     next_controlword,
 )
-from friction_hil_drivers.canopen.codes import coded
 from friction_hil_drivers.canopen.configure import ConfiguredDrive
 from friction_hil_drivers.canopen.mapping import MappedPdo
 from friction_hil_drivers.canopen.monitor import NodeMonitor

@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, Any
 import can
 from can.interfaces import VALID_INTERFACES
 
+from friction_hil.drive.codes import coded
 from friction_hil.errors import BusError, UsageError, choices
 from friction_hil_drivers.canopen import codes, interfaces
-from friction_hil_drivers.canopen.codes import coded
 from friction_hil_drivers.canopen.frames import FrameBus, frame_bus
 from friction_hil_drivers.canopen.interfaces import bus_name
 

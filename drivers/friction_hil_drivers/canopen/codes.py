@@ -51,8 +51,3 @@ TITLES = {
     WRONG_MODE: "An enabled drive is in another mode of operation",
     SYNC_NOT_ANSWERED: "Drives do not answer SYNC in simulated time",
 }
-
-
-def coded(text: str, code: str) -> str:
-    """Append a code to a message: ``no heartbeat from node 5 [FH-230]``."""
-    return f"{text} [{code}]"

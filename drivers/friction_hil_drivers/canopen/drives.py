@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from friction_hil.drive import AxisFacts, Clock, Command, Feedback
+from friction_hil.drive.codes import coded
 from friction_hil.errors import BusError, DriveError, FrictionHilError, UsageError
 from friction_hil_drivers.canopen import codes, interfaces, objects
 from friction_hil_drivers.canopen.axis import CanopenAxis
 from friction_hil_drivers.canopen.checks import check_connection
-from friction_hil_drivers.canopen.codes import coded
 from friction_hil_drivers.canopen.configure import configure
 from friction_hil_drivers.canopen.eds import load_eds
 from friction_hil_drivers.canopen.exchange import CyclicExchange

@@ -4,11 +4,11 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from friction_hil.drive import Clock, Command, Feedback, Request
+from friction_hil.drive.codes import coded
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes, objects
 from friction_hil_drivers.canopen.axis import CanopenAxis
 from friction_hil_drivers.canopen.codec import Frame
-from friction_hil_drivers.canopen.codes import coded
 
 if TYPE_CHECKING:
     from friction_hil_drivers.canopen.frames import FrameBus

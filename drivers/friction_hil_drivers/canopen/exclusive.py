@@ -7,9 +7,9 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from friction_hil.drive.codes import coded
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes
-from friction_hil_drivers.canopen.codes import coded
 from friction_hil_drivers.canopen.interfaces import bus_name
 
 if TYPE_CHECKING:

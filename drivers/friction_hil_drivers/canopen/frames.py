@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any
 import can
 import msgpack
 
+from friction_hil.drive.codes import coded
 from friction_hil.errors import BusError
 from friction_hil_drivers.canopen import codes
 from friction_hil_drivers.canopen.codec import Frame
-from friction_hil_drivers.canopen.codes import coded
 
 if TYPE_CHECKING:
     from friction_hil.config import BusConfig

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from friction_hil.drive import Mode
+from friction_hil.drive.codes import coded
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes, objects
-from friction_hil_drivers.canopen.codes import coded
 from friction_hil_drivers.canopen.objects import DataType, Object
 
 if TYPE_CHECKING:

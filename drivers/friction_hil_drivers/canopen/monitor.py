@@ -1,7 +1,7 @@
 """Supervision of one node by its heartbeats. No bus, no clock."""
 
+from friction_hil.drive.codes import coded
 from friction_hil_drivers.canopen import codes
-from friction_hil_drivers.canopen.codes import coded
 from friction_hil_drivers.canopen.objects import NmtState
 
 HEARTBEATS_TO_LOSS = 3  # missing in a row

@@ -2,9 +2,9 @@
 
 from abc import ABC, abstractmethod
 
+from friction_hil.drive.codes import coded
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes
-from friction_hil_drivers.canopen.codes import coded
 from friction_hil_drivers.canopen.objects import Object
 
 

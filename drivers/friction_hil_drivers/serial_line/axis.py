@@ -6,9 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from friction_hil.drive import Command, DriveState, Feedback, Request
+from friction_hil.drive.codes import coded
 from friction_hil.drive.encoder import unwrap
 from friction_hil.errors import OptionError
 from friction_hil_drivers.cia402 import profile
+from friction_hil_drivers.serial_line import codes
 from friction_hil_drivers.serial_line.description import Description, Signal, Step
 from friction_hil_drivers.serial_line.protocol import COMMANDS, Image
 from friction_hil_drivers.serial_line.sequences import Sequencer, disable_writes, state_of, state_signals
@@ -154,9 +156,10 @@ class SerialAxis:
         number = values.get("error", 0.0)
         feedback.error = self._error(number) if number else ""
         feedback.missing = "" if is_fresh else last_error
-        feedback.message = self.sequencer.problem
+        feedback.message = coded(self.sequencer.problem, codes.SEQUENCE_STUCK) if self.sequencer.problem else ""
         if self._position_s - self._state_s > _STATUS_LOSS_S:
-            feedback.message = f"the drive has not reported its state for more than {_STATUS_LOSS_S:g} s: {last_error}"
+            text = f"the drive has not reported its state for more than {_STATUS_LOSS_S:g} s: {last_error}"
+            feedback.message = coded(text, codes.STATE_NOT_REPORTED)
 
     def read_state(self) -> DriveState:
         """Return the state that the image shows."""

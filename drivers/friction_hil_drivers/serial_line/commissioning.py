@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from friction_hil.drive import AxisFacts, DriveState
+from friction_hil.drive.codes import coded
 from friction_hil.drive.finding import Finding
 from friction_hil.errors import DriveError, OptionError
-from friction_hil_drivers.serial_line import ports
+from friction_hil_drivers.serial_line import codes, ports
 from friction_hil_drivers.serial_line.axis import SerialAxis, SignalScales, make_scales
 from friction_hil_drivers.serial_line.bus import SerialBus
 from friction_hil_drivers.serial_line.description import Description, Step, load_description
@@ -202,12 +203,14 @@ class Commissioning:
         state = axis.read_state()
         if state is DriveState.UNKNOWN and not self._dry_run:
             shown = ", ".join(f"{name} = {axis.image.values[name]:g}" for name in axis.state_signals)
-            raise DriveError(f"{axis.name}: the drive reports a state that its description does not know: {shown}")
+            text = f"{axis.name}: the drive reports a state that its description does not list: {shown}"
+            raise DriveError(coded(text, codes.STATE_UNKNOWN))
         if state.is_powered and not self._dry_run:
-            raise DriveError(
+            text = (
                 f"{axis.name}: the drive is in state {state.words} already: another master "
                 "is driving it, or a former one left it enabled; disable it first"
             )
+            raise DriveError(coded(text, codes.ALREADY_POWERED))
         if not self._dry_run:
             for step in (*description.prepare, *description.modes[self._configs[axis.name].mode].prepare):
                 _write(bus, axis, step)
@@ -339,7 +342,8 @@ def _write(bus: SerialBus, axis: SerialAxis, step: Step) -> None:
     if exchange.reports_refusal:  # before anything else is asked
         _read_state(bus, axis)
     if bus.scheduler.refusals.count > refusals:
-        raise DriveError(f"{axis.name}: the drive refuses to be prepared: {bus.scheduler.last_error}")
+        text = f"{axis.name}: the drive refuses its set-up: {bus.scheduler.last_error}"
+        raise DriveError(coded(text, codes.SETUP_REFUSED))
     end = time.monotonic() + step.timeout_s
     while step.until is not None:
         _read_state(bus, axis)
@@ -347,10 +351,11 @@ def _write(bus: SerialBus, axis: SerialAxis, step: Step) -> None:
         if state.name.lower() == step.until:
             return
         if time.monotonic() > end:
-            raise DriveError(
+            text = (
                 f"{axis.name}: {dict(step.write)} should lead to {step.until} within {step.timeout_s:g} s; "
                 f"the drive is in {state.name.lower()}"
             )
+            raise DriveError(coded(text, codes.SETUP_WITHOUT_EFFECT))
 
 
 def _read_state(bus: SerialBus, axis: SerialAxis) -> None:

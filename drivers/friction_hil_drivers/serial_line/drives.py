@@ -17,9 +17,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from friction_hil.drive import AxisFacts, Clock, Command, Feedback, Request
+from friction_hil.drive.codes import coded
 from friction_hil.drive.finding import Finding, failure
 from friction_hil.errors import BusError, DriveError, FrictionHilError, OptionError, UsageError
-from friction_hil_drivers.serial_line import ports
+from friction_hil_drivers.serial_line import codes, ports
 from friction_hil_drivers.serial_line.axis import SerialAxis, unit_mistakes
 from friction_hil_drivers.serial_line.bus import SerialBus
 from friction_hil_drivers.serial_line.commissioning import Commissioning, by_port, descriptions_of, options_of
@@ -177,13 +178,15 @@ class SerialDrives:
         for each, axis, scheduler in zip(feedback, self._axes, self._scheduler_of, strict=True):
             axis.fill(each, time_s, scheduler.last_error)
             if scheduler.refusals.count >= _MAX_REFUSALS:
-                each.message = f"the drive refuses its commands: {scheduler.last_error}"
+                text = f"the drive refuses its commands: {scheduler.last_error}"
+                each.message = coded(text, codes.COMMANDS_REFUSED)
 
     def _note_timeout(self) -> None:
         self._timeouts += 1
         if self._timeouts >= _SIMULATED_TIMEOUTS:
             waited_s = _SIMULATED_TIMEOUTS * _SIMULATED_TIMEOUT_NS * 1e-9
-            raise DriveError(f"not every drive has answered for {waited_s:g} s: do they still run?")
+            text = f"not every drive has answered for {waited_s:g} s: do they still run?"
+            raise DriveError(coded(text, codes.PACE_NOT_ANSWERED))
 
     def send(self, commands: Sequence[Command]) -> None:
         """Write the commands, or put them where the next poll takes them; a dry run only reads."""

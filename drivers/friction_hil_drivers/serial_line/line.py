@@ -13,8 +13,9 @@ from typing import Any, NamedTuple
 import serial
 from serial.rs485 import RS485Settings
 
+from friction_hil.drive.codes import coded
 from friction_hil.errors import BusError
-from friction_hil_drivers.serial_line import ports
+from friction_hil_drivers.serial_line import codes, ports
 from friction_hil_drivers.serial_line.options import LineOptions, tcp_address
 
 _CONNECT_S = 2.0
@@ -76,7 +77,7 @@ class Line:
                 self._take_socket(connection)
             except OSError as error:
                 raise BusError(
-                    f"{self.options.port}: no connection: {_reason(error)}",
+                    coded(f"{self.options.port}: no connection: {_reason(error)}", codes.LINE_NOT_OPENED),
                     "see whether the drive is on, and listens there",
                 ) from error
         else:
@@ -103,7 +104,10 @@ class Line:
             except (OSError, ValueError, termios.error) as error:
                 port.close()
                 raise BusError(
-                    f"{options.port} cannot switch the direction of an RS-485 line ({error})",
+                    coded(
+                        f"{options.port} cannot switch the direction of an RS-485 line ({error})",
+                        codes.RS485_NOT_SUPPORTED,
+                    ),
                     "adapters that do it by themselves need is_rs485: false",
                 ) from error
         self._port, self.descriptor, self._link = port, port.fileno(), link
@@ -243,23 +247,21 @@ def _reason(error: OSError) -> str:
 def _refusal(port: str, error: Exception) -> BusError:
     """Return the error for a serial port that does not open."""
     number = getattr(error, "errno", None)
-    if number == errno.EACCES:
-        return BusError(f"{port} cannot be opened: permission denied", ports.permission_remedy(Path(port)))
-    if number == errno.ENOENT:
-        there = ", ".join(ports.serial_ports()) or "none"
-        return BusError(
-            f"{port} cannot be opened: there is no such port; serial ports of this machine: {there}",
-            "plug the adapter in, or correct line.port",
-        )
     if "exclusively lock" in str(error):
         return taken(port, ports.holders(port))
-    return BusError(
-        f"{port} cannot be opened: {error}", "is it a serial port? dmesg tells what is known of its adapter"
-    )
+    if number == errno.EACCES:
+        reason, remedy = "permission denied", ports.permission_remedy(Path(port))
+    elif number == errno.ENOENT:
+        present = ", ".join(ports.serial_ports()) or "none"
+        reason = f"there is no such port; serial ports of this machine: {present}"
+        remedy = "plug the adapter in, or correct line.port"
+    else:
+        reason, remedy = str(error), "is it a serial port? dmesg tells what is known of its adapter"
+    return BusError(coded(f"{port} cannot be opened: {reason}", codes.LINE_NOT_OPENED), remedy)
 
 
 def taken(port: str, holders: Sequence[str]) -> BusError:
     """Return the error for a port that other processes use; ``holders`` are those that are known."""
     who = f" ({', '.join(holders)})" if holders else ""
     detail = f"{port} cannot be opened: another process has it{who}: two masters must not talk on one line"
-    return BusError(detail, "end that one first")
+    return BusError(coded(detail, codes.LINE_NOT_OPENED), "end that one first")

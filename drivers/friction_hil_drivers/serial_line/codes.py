@@ -1,0 +1,29 @@
+"""Codes of the fault messages of all drives on serial lines; drivers/README.md has cause and remedy of each."""
+
+LINE_NOT_OPENED = "FH-250"
+RS485_NOT_SUPPORTED = "FH-251"
+LINE_LOST = "FH-252"
+NO_REPLY = "FH-253"
+STATE_UNKNOWN = "FH-254"
+ALREADY_POWERED = "FH-255"
+SETUP_REFUSED = "FH-256"
+SETUP_WITHOUT_EFFECT = "FH-257"
+PACE_NOT_ANSWERED = "FH-258"
+STATE_NOT_REPORTED = "FH-260"
+COMMANDS_REFUSED = "FH-261"
+SEQUENCE_STUCK = "FH-262"
+
+TITLES = {
+    LINE_NOT_OPENED: "The line does not open",
+    RS485_NOT_SUPPORTED: "The port cannot switch the direction of an RS-485 line",
+    LINE_LOST: "The line is gone",
+    NO_REPLY: "A drive does not reply while it is being set up",
+    STATE_UNKNOWN: "The drive reports a state that its description does not list",
+    ALREADY_POWERED: "The drive is powered before the daemon enabled it",
+    SETUP_REFUSED: "The drive refuses its set-up",
+    SETUP_WITHOUT_EFFECT: "A step of the set-up has no effect",
+    PACE_NOT_ANSWERED: "Drives do not answer in simulated time",
+    STATE_NOT_REPORTED: "The drive does not report its state any more",
+    COMMANDS_REFUSED: "The drive refuses the daemon's commands",
+    SEQUENCE_STUCK: "The drive does not follow a sequence of its description",
+}
