@@ -437,7 +437,7 @@ def test_command_tells_mistakes_and_lists_what_there_is(tmp_path):
     path.write_text(TINY.replace("2e-4", "2 kg"))
     wrong = bench("compensation", "--grid", str(path))
     assert (wrong.returncode, wrong.stdout) == (2, "")
-    assert wrong.stderr.startswith(f"Error: {path}:3: plants.servo.inertia: must be a number")
+    assert wrong.stderr.startswith(f"{path}:3: plants.servo.inertia: must be a number")
     nothing = bench()
     assert nothing.returncode == 2
     for name in ("compensation", "exchange", "help", "latency", "models"):

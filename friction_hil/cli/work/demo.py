@@ -12,7 +12,8 @@ import click
 from friction_hil.cli.output import print_json
 from friction_hil.cli.work.progress import progress_bar
 from friction_hil.cli.work.tables import new_table, print_files, print_table
-from friction_hil.demo.demonstration import Demo, run_demo
+from friction_hil.demo import demonstration
+from friction_hil.demo.demonstration import Demo
 
 
 def demonstrate(*, output: Path, pace: str, as_json: bool) -> int:
@@ -21,7 +22,7 @@ def demonstrate(*, output: Path, pace: str, as_json: bool) -> int:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, signal.default_int_handler)
     with _progress() as show:
-        demo = run_demo(output, pace, show)
+        demo = demonstration.run_demo(output, pace, show)
     if as_json:
         print_json(_as_dict(demo))
     else:
