@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from friction_hil.compensator import Compensator, CompensatorSettings
-from friction_hil.daemon.safety import AxisLimits
+from friction_hil.daemon.safety import SafetyLimits
 from friction_hil.drive import AxisFacts
 from friction_hil.motion import experiment
 from friction_hil.motion.controller import CONTROLLER
@@ -104,11 +104,11 @@ def experiment_sweeps(motion: "ExperimentBounds", position_resolution: float, pe
     )
 
 
-def make_limits(config: "AxisConfig") -> AxisLimits:
+def make_limits(config: "AxisConfig") -> SafetyLimits:
     """Return the limits of an axis; infinity where the configuration has none."""
     limits = config.limits
     low, high = limits.position or (-math.inf, math.inf)
-    return AxisLimits(
+    return SafetyLimits(
         torque=limits.torque,
         velocity=limits.velocity,
         torque_slew=math.inf if limits.torque_slew is None else limits.torque_slew,

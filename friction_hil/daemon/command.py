@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 from friction_hil.compensator.limiter import limit_torque
 from friction_hil.daemon.assembly import make_controller
 from friction_hil.daemon.motion import AxisMotion
-from friction_hil.daemon.safety import MOVING, AxisLimits, LoopState
+from friction_hil.daemon.safety import MOVING, LoopState, SafetyLimits
 from friction_hil.drive import Command, Mode
 from friction_hil.motion.controller import cascade
 from friction_hil.motion.trajectory import Setpoint
@@ -25,7 +25,7 @@ class CommandWriter:
     Parameters
     ----------
     config : AxisConfig
-    limits : AxisLimits
+    limits : SafetyLimits
     motion : AxisMotion
     period_s : float
 
@@ -47,7 +47,7 @@ class CommandWriter:
         "held_position",
     )
 
-    def __init__(self, config: "AxisConfig", limits: AxisLimits, motion: AxisMotion, period_s: float) -> None:
+    def __init__(self, config: "AxisConfig", limits: SafetyLimits, motion: AxisMotion, period_s: float) -> None:
         self._mode = Mode[config.mode.upper()]
         self._limits = limits
         self._motion = motion

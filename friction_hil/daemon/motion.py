@@ -4,7 +4,7 @@ import math
 from typing import TYPE_CHECKING, TypeAlias
 
 from friction_hil.daemon.assembly import make_path
-from friction_hil.daemon.safety import MOVING, AxisLimits, LoopState
+from friction_hil.daemon.safety import MOVING, LoopState, SafetyLimits
 from friction_hil.drive import AxisFacts
 from friction_hil.drive.codes import FaultCode
 from friction_hil.errors import UsageError
@@ -29,7 +29,7 @@ class AxisMotion:
     name, unit : str
         For messages.
     config : AxisConfig
-    limits : AxisLimits
+    limits : SafetyLimits
     facts : AxisFacts
     period_s : float
     lead_s : float
@@ -59,7 +59,7 @@ class AxisMotion:
         name: str,
         unit: str,
         config: "AxisConfig",
-        limits: AxisLimits,
+        limits: SafetyLimits,
         facts: AxisFacts,
         period_s: float,
         lead_s: float,

@@ -50,7 +50,7 @@ REQUESTS_AFTER_FAULT = REQUESTS | {
 
 
 @dataclass(frozen=True, slots=True)
-class AxisLimits:
+class SafetyLimits:
     """Limits of one axis as the loop enforces them, SI; infinity where there is none."""
 
     torque: float
@@ -68,7 +68,7 @@ class Supervisor:
     ----------
     name : str
         Name of the axis, for messages.
-    limits : AxisLimits
+    limits : SafetyLimits
     period_s : float
         Period of the loop, s.
     position_resolution : float
@@ -94,7 +94,7 @@ class Supervisor:
     def __init__(
         self,
         name: str,
-        limits: AxisLimits,
+        limits: SafetyLimits,
         period_s: float,
         position_resolution: float,
         unit: str = "rad",

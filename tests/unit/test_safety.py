@@ -6,12 +6,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from friction_hil.daemon.safety import MAX_STALE_CYCLES, REQUESTS, AxisLimits, FaultReset, LoopState, Supervisor
+from friction_hil.daemon.safety import MAX_STALE_CYCLES, REQUESTS, FaultReset, LoopState, SafetyLimits, Supervisor
 from friction_hil.drive import DriveState, Feedback, Request
 
 PERIOD_S = 1e-3
 ENABLED = DriveState.OPERATION_ENABLED
-LIMITS = AxisLimits(torque=0.3, velocity=10.0, following_error=0.1, position_low=-1.0, position_high=1.0)
+LIMITS = SafetyLimits(torque=0.3, velocity=10.0, following_error=0.1, position_low=-1.0, position_high=1.0)
 REACH = 2.0 * 10.0 * PERIOD_S + 10.0 * 1e-5
 MOVING = (LoopState.RUNNING, LoopState.STOPPING)
 
@@ -178,7 +178,7 @@ def test_limits_of_motion_do_not_count_while_nothing_is_commanded_to_move(state)
 
 
 def test_an_axis_without_the_optional_limits_has_none_and_a_linear_one_its_unit():
-    one = supervisor(AxisLimits(torque=1.0, velocity=2.0), unit="m")
+    one = supervisor(SafetyLimits(torque=1.0, velocity=2.0), unit="m")
     assert one.find_fault(heard(), LoopState.RUNNING, 1.0, 1e6) is None
     assert "2.5 is beyond its limit of 2 m/s" in str(one.find_fault(heard(), LoopState.RUNNING, 2.5, 0.0))
 

@@ -1,0 +1,44 @@
+"""The project's pages: links lead somewhere, files that are named exist, the map of the rooms is complete."""
+
+import re
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+PAGES = sorted(
+    path
+    for top in ("README.md", "friction_hil", "drivers", "tests", "config")
+    for path in ([ROOT / top] if top.endswith(".md") else (ROOT / top).rglob("*.md"))
+)
+OVERVIEW = ROOT / "friction_hil/README.md"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_link_leads_to_a_file(page: Path) -> None:
+    links = re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text())
+    assert [link for link in links if not (page.parent / link).exists()] == []
+
+
+def test_the_top_page_can_be_read_in_one_sitting() -> None:
+    assert len((ROOT / "README.md").read_text().splitlines()) <= 200
+
+
+def test_every_file_that_the_code_overview_names_exists() -> None:
+    folders = ("friction_hil", "drivers", "tests")
+    files = [f"/{path.relative_to(ROOT)}" for folder in folders for path in (ROOT / folder).rglob("*.py")]
+    named = re.findall(r"`((?:[a-z0-9_.]+/)*[a-z0-9_]+\.py)`", OVERVIEW.read_text())
+    assert named
+    ends = [name.removeprefix("drivers/.../") for name in named]
+    assert [name for name in ends if not any(file.endswith(f"/{name}") for file in files)] == []
+
+
+def test_the_map_has_every_room_in_the_order_of_the_layers() -> None:
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]
+    (layers,) = (contract["layers"] for contract in contracts if contract["type"] == "layers")
+    rows = re.findall(
+        r"^\| ((?:`[a-z_.]+`(?: · )?)+) \|", OVERVIEW.read_text().partition("## The rooms")[2], re.MULTILINE
+    )
+    shown = [" | ".join(sorted(re.findall(r"`([a-z_]+)(?:\.py)?`", row))) for row in rows][: len(layers)]
+    assert shown == [" | ".join(sorted(layer.split(" | "))) for layer in layers]
