@@ -79,6 +79,8 @@ ELSEWHERE = (
     ("./tools/bench models --json", "test_every_figure_of_the_benchmark_has_its_row"),
     ("./tools/bench recordings --json", "test_benchmark_of_recordings_has_every_format"),
     ("./tools/bench serial", "test_cycles_without_time_for_a_rehearsal_are_measured_all_the_same"),
+    ("./tools/bench latency", "test_the_benchmark_of_latency_compares_sleeping_and_spinning"),
+    ("./tools/bench exchange", "test_the_benchmark_of_the_exchange_times_each_part"),
     ("./tools/bench neural", "test_the_benchmark_of_networks_measures_an_iteration"),
 )
 

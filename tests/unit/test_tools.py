@@ -12,7 +12,7 @@ import pytest
 
 from friction_hil.errors import FrictionHilError
 from friction_hil.recordings import formats, read, write
-from tools.benchmarks import models, neural, recordings
+from tools.benchmarks import exchange, latency, models, neural, recordings
 from tools.benchmarks.report import Row, compare, percentile, show
 
 PROJECT = Path(__file__).parents[2]
@@ -386,6 +386,23 @@ def test_the_benchmark_of_networks_measures_an_iteration(monkeypatch: pytest.Mon
         assert row.unit == "ms"
         assert 0.0 < row.value < math.inf
         assert row.ratio is not None
+
+
+def test_the_benchmark_of_latency_compares_sleeping_and_spinning(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(latency, "ROUNDS", 1)
+    monkeypatch.setattr(latency, "CYCLES", 20)
+    monkeypatch.setattr(latency.shutil, "which", lambda name: name)
+    monkeypatch.setattr(latency, "cyclictest", lambda priority: [50.0] * 20)
+    monkeypatch.setattr(latency, "is_fifo_allowed", lambda priority: False)
+    rows = latency.run()
+    assert [row.reference for row in rows] == [50.0] * 4
+    assert all(row.unit == "us" and row.value > 0.0 for row in rows)
+
+
+def test_the_benchmark_of_the_exchange_times_each_part(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(exchange, "DURATION_S", 0.5)
+    names = [row.name for row in exchange.run()]
+    assert [name.split(" p")[0] for name in names[2:]] == ["receive", "step", "send", "whole cycle"]
 
 
 def test_benchmark_of_recordings_compares_equal_work(tmp_path: Path) -> None:
