@@ -24,8 +24,8 @@ from typing import IO, Any
 
 COMMAND = [sys.executable, "-m", "friction_hil"]
 _PRELOADED = (
-    "friction_hil.cli.run",
-    "friction_hil.cli.simulate",
+    "friction_hil.cli.work.run",
+    "friction_hil.cli.work.simulate",
     "friction_hil.config",
     "friction_hil.daemon.session",
     "friction_hil.models",
