@@ -18,14 +18,18 @@ class FrictionHilError(Exception):
         Description of the mistake or failure, with its location.
     fix : str
         Remedy, if it is given separately; the message contains both.
+    code : str
+        Code under which a page explains the message, e.g. ``FH-250``; the message ends with it.
     """
 
     exit_status = 1
 
-    def __init__(self, detail: str = "", fix: str = "") -> None:
-        super().__init__(f"{detail}; {fix}" if fix else detail)
+    def __init__(self, detail: str = "", fix: str = "", code: str = "") -> None:
+        message = f"{detail}; {fix}" if fix else detail
+        super().__init__(f"{message} [{code}]" if code else message)
         self.detail = detail
         self.fix = fix
+        self.code = code
 
 
 class UsageError(FrictionHilError):

@@ -13,7 +13,6 @@ import re
 from enum import Enum
 
 _ANY_CODE = re.compile(r"\[FH-\d{3}\]")
-_CODE_AT_END = re.compile(r" \[FH-\d{3}\]$")
 
 
 class FaultCode(Enum):
@@ -53,8 +52,3 @@ class FaultCode(Enum):
 def coded(text: str, code: str) -> str:
     """Append a driver's code to its message: ``no heartbeat from node 5 [FH-230]``."""
     return f"{text} [{code}]"
-
-
-def without_code(text: str) -> str:
-    """Return a message without the code at its end."""
-    return _CODE_AT_END.sub("", text)

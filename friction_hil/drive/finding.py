@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from friction_hil.drive.codes import without_code
 from friction_hil.errors import FrictionHilError
 
 NOT_REPORTED = "not reported by this system"
@@ -43,8 +42,8 @@ class Finding:
 
 
 def failure(check: str, error: FrictionHilError, code: str = "") -> Finding:
-    """Return the finding for an error that would end a run; its own code gives way to ``code``."""
-    return Finding(check, "fail", without_code(error.detail) if code else error.detail, error.fix, code)
+    """Return the finding for an error that would end a run; ``code`` takes the place of the error's own."""
+    return Finding(check, "fail", error.detail, error.fix, code or error.code)
 
 
 def complaints(findings: Iterable[Finding]) -> Iterator[str]:

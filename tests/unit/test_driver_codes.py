@@ -9,7 +9,8 @@ from friction_hil_drivers.canopen import codes as canopen_codes
 from friction_hil_drivers.serial_line import codes as serial_codes
 
 from friction_hil.doctor.codes import CODES
-from friction_hil.drive.codes import FaultCode, coded, without_code
+from friction_hil.drive.codes import FaultCode, coded
+from friction_hil.errors import DriveError
 
 DRIVERS = Path(canopen_codes.__file__).parents[2]
 CANOPEN = canopen_codes, range(200, 250), DRIVERS / "friction_hil_drivers/canopen/README.md"
@@ -42,10 +43,9 @@ def test_the_readme_explains_every_code_in_order(codes: ModuleType, numbers: ran
     assert rows == sorted(codes.TITLES)
 
 
-def test_a_code_ends_a_message_and_can_be_taken_off() -> None:
-    message = coded("no heartbeat from node 5", canopen_codes.HEARTBEAT_LOST)
-    assert message == "no heartbeat from node 5 [FH-230]"
-    assert without_code(message) == "no heartbeat from node 5"
+def test_a_code_ends_a_message() -> None:
+    assert coded("no heartbeat from node 5", canopen_codes.HEARTBEAT_LOST) == "no heartbeat from node 5 [FH-230]"
+    assert str(DriveError("no reply", "check the wires", "FH-253")) == "no reply; check the wires [FH-253]"
 
 
 def test_no_code_has_two_meanings() -> None:

@@ -52,7 +52,7 @@ def test_a_message_gets_one_code():
     once = FaultCode.LOOP_LATE.append_to("the loop was late")
     assert once == "the loop was late [FH-113]"
     assert FaultCode.EXCHANGE_FAILED.append_to(once) == once
-    with_advice = "the bus does not open [FH-201]; ip link set can0 up"
+    with_advice = "the bus does not open; ip link set can0 up [FH-201]"
     assert FaultCode.EXCHANGE_FAILED.append_to(with_advice) == with_advice
     assert FaultCode.LOOP_LATE.append_to("limits [-1, 1]") == "limits [-1, 1] [FH-113]"
 

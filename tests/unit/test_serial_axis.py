@@ -224,7 +224,7 @@ def test_a_drive_that_does_not_follow_is_an_error_after_the_steps_time():
     message = hear(axis, image, 0.66, position=0, velocity=0, status=0).message
     assert message == (
         "the drive does not follow: power = 1 should lead to operation enabled within 0.5 s; "
-        "it is in switch on disabled"
+        "it is in switch on disabled [FH-262]"
     )
 
 

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING, Any
 import can
 from can.interfaces import VALID_INTERFACES
 
-from friction_hil.drive.codes import coded
 from friction_hil.errors import BusError, UsageError, choices
 from friction_hil_drivers.canopen import codes, interfaces
 from friction_hil_drivers.canopen.frames import FrameBus, frame_bus
@@ -51,7 +50,7 @@ def open_bus(config: "BusConfig") -> can.BusABC:
     except (can.CanError, OSError, ValueError, TypeError, ImportError) as error:
         reason = str(error) or type(error).__name__
         text = f"the bus {bus_name(config)} does not open: {reason}"
-        raise BusError(coded(text, codes.BUS_NOT_OPENED), advice(config)) from error
+        raise BusError(text, advice(config), code=codes.BUS_NOT_OPENED) from error
 
 
 def _arguments(config: "BusConfig") -> dict[str, Any]:

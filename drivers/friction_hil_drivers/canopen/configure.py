@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from friction_hil.drive import AxisFacts, DriveState, Mode
-from friction_hil.drive.codes import coded
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes, objects
 from friction_hil_drivers.canopen.eds import load_eds
@@ -94,7 +93,7 @@ def _identify(access: "SdoClient", options: CanopenOptions) -> str:
                 f"{access.axis}: {access.where} says {entry} = {found:#x}, but the configuration's identity "
                 f"demands {wanted:#x}"
             )
-            raise DriveError(coded(text, codes.WRONG_IDENTITY))
+            raise DriveError(text, code=codes.WRONG_IDENTITY)
     text = f"vendor {vendor:#x}, product {product:#x}"
     return text if serial is None else f"{text}, serial number {serial}"
 
@@ -110,7 +109,7 @@ def _check_mode(access: "SdoClient", mode: Mode) -> list[str]:
     if mode not in modes:
         supported = ", ".join(m.name.lower() for m in modes) or "none of csp, csv, cst"
         text = f"{access.axis}: {access.where} does not support mode {mode.name.lower()}; it supports {supported}"
-        raise DriveError(coded(text, codes.MODE_NOT_SUPPORTED))
+        raise DriveError(text, code=codes.MODE_NOT_SUPPORTED)
     return []
 
 
@@ -126,13 +125,13 @@ def _check_eds(options: CanopenOptions, access: "SdoClient", entries: Sequence[O
             variable = None
         if variable is None:
             text = f"{access.axis}: {options.eds} has no object {entry}, which is needed"
-            raise DriveError(coded(text, codes.WRONG_EDS))
+            raise DriveError(text, code=codes.WRONG_EDS)
         if found is not None and len(variable) != found:
             text = (
                 f"{access.axis}: {entry} has {found} bits in {access.where} but {len(variable)} in {options.eds}: "
                 "this EDS is not this drive's"
             )
-            raise DriveError(coded(text, codes.WRONG_EDS))
+            raise DriveError(text, code=codes.WRONG_EDS)
 
 
 def _require_unpowered(access: "SdoClient", state: DriveState) -> None:
@@ -141,7 +140,7 @@ def _require_unpowered(access: "SdoClient", state: DriveState) -> None:
             f"{access.axis}: {access.where} is in state {state.words} already: "
             "another master is driving it, or a former one left it enabled; disable it first"
         )
-        raise DriveError(coded(text, codes.ALREADY_POWERED))
+        raise DriveError(text, code=codes.ALREADY_POWERED)
 
 
 def _set_up_commands(
@@ -195,7 +194,7 @@ def _interpolation_period(axis: str, period_s: float) -> tuple[int, int]:
         f"{axis}: a drive cannot be given a period of {period_s:g} s ({objects.INTERPOLATION_PERIOD} is 1 to 255 "
         "times a power of ten)"
     )
-    raise DriveError(coded(text, codes.PERIOD_NOT_EXPRESSIBLE))
+    raise DriveError(text, code=codes.PERIOD_NOT_EXPRESSIBLE)
 
 
 def _set_watchdogs(access: "SdoClient", options: CanopenOptions, rpdo_timer: Object, timer_ms: int) -> list[str]:
@@ -223,5 +222,5 @@ def _set_watchdogs(access: "SdoClient", options: CanopenOptions, rpdo_timer: Obj
             f"{access.axis}: {access.where} cannot watch the daemon (no heartbeat consumer 1016h or RPDO timer with "
             "6007h): if the daemon dies, its torque stays. Set is_watchdog_required: false to accept that"
         )
-        raise DriveError(coded(text, codes.NO_WATCHDOG))
+        raise DriveError(text, code=codes.NO_WATCHDOG)
     return ["the drive does NOT watch the daemon: if the daemon dies, its last torque stays"]

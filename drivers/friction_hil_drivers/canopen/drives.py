@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from friction_hil.drive import AxisFacts, Clock, Command, Feedback
-from friction_hil.drive.codes import coded
 from friction_hil.errors import BusError, DriveError, FrictionHilError, UsageError
 from friction_hil_drivers.canopen import codes, interfaces, objects
 from friction_hil_drivers.canopen.axis import CanopenAxis
@@ -208,7 +207,7 @@ def _refuse_second_master(bus: "FrameBus", name: str) -> None:
         frame = bus.receive(left)
         if frame is not None and frame[0] == objects.SYNC_ID:
             text = f"another master sends SYNC on {name}: two daemons must not drive one bus"
-            raise DriveError(coded(text, codes.SECOND_MASTER))
+            raise DriveError(text, code=codes.SECOND_MASTER)
 
 
 def _read_eds(axis: "AxisConfig") -> None:

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from friction_hil.drive import Clock, Command, Feedback, Request
-from friction_hil.drive.codes import coded
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes, objects
 from friction_hil_drivers.canopen.axis import CanopenAxis
@@ -151,7 +150,7 @@ class CyclicExchange:
         if self._timeouts >= STEPPED_TIMEOUTS:
             waited_s = STEPPED_TIMEOUTS * STEPPED_TIMEOUT_S
             text = f"not every drive has answered SYNC for {waited_s:g} s: are they still running?"
-            raise DriveError(coded(text, codes.SYNC_NOT_ANSWERED))
+            raise DriveError(text, code=codes.SYNC_NOT_ANSWERED)
 
     def _send_heartbeat(self, now: int) -> None:
         if not self._dry_run:

@@ -7,7 +7,6 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from friction_hil.drive.codes import coded
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes
 from friction_hil_drivers.canopen.interfaces import bus_name
@@ -38,7 +37,7 @@ class AxisLock:
             owner = os.read(self._descriptor, 32).decode(errors="replace").strip() or "unknown"
             os.close(self._descriptor)
             text = f"{axis}: node {node} on {bus_name(bus)} belongs to another daemon already (process {owner})"
-            raise DriveError(coded(text, codes.NODE_LOCKED), "stop that one first") from None
+            raise DriveError(text, "stop that one first", code=codes.NODE_LOCKED) from None
         os.ftruncate(self._descriptor, 0)
         os.pwrite(self._descriptor, f"{os.getpid()}\n".encode(), 0)
 
@@ -56,7 +55,7 @@ class AxisLock:
             return os.open(self._path, flags, 0o666)
         except OSError as error:
             text = f"{axis}: the lock file {self._path} cannot be opened: {error.strerror}"
-            raise DriveError(coded(text, codes.LOCK_FILE)) from error
+            raise DriveError(text, code=codes.LOCK_FILE) from error
 
     def _lock(self) -> bool:
         """Lock the open file; return True if it is still the one under its name."""

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 import can
 import msgpack
 
-from friction_hil.drive.codes import coded
 from friction_hil.errors import BusError
 from friction_hil_drivers.canopen import codes
 from friction_hil_drivers.canopen.codec import Frame
@@ -81,7 +80,7 @@ class FrameBus:
         self.bus.shutdown()
 
     def _error(self, verb: str, error: Exception) -> BusError:
-        return BusError(coded(f"the bus {self._name} cannot {verb}: {error}", codes.BUS_FAILED))
+        return BusError(f"the bus {self._name} cannot {verb}: {error}", code=codes.BUS_FAILED)
 
 
 class _SocketBus(FrameBus):

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from friction_hil.drive import Mode
-from friction_hil.drive.codes import coded
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes, objects
 from friction_hil_drivers.canopen.objects import DataType, Object
@@ -107,7 +106,7 @@ def map_pdo(access: "SdoClient", record: PdoRecord, entries: Sequence[Object], e
     if layout.size > _LARGEST:
         listed = ", ".join(map(str, entries))
         text = f"{access.axis}: {listed} need {layout.size} bytes on this drive; {record.name} carries {_LARGEST}"
-        raise DriveError(coded(text, codes.OBJECT_SIZE))
+        raise DriveError(text, code=codes.OBJECT_SIZE)
     words = [entry.index << 16 | entry.subindex << 8 | bits for entry, bits in zip(entries, widths, strict=True)]
     _write_mapping(access, record, words, event_ms)
     _check_mapping(access, record, words)
@@ -120,7 +119,7 @@ def _widths(access: "SdoClient", record: PdoRecord, entries: Sequence[Object]) -
         bits = access.width(entry)
         if bits is None:
             text = f"{access.axis}: {access.where} lacks object {entry}, which belongs into {record.name}"
-            raise DriveError(coded(text, codes.OBJECT_MISSING))
+            raise DriveError(text, code=codes.OBJECT_MISSING)
         widths.append(bits)
     return widths
 
@@ -147,7 +146,7 @@ def _check_mapping(access: "SdoClient", record: PdoRecord, words: Sequence[int])
                 f"{access.axis}: {record.name} of {access.where} holds {kept:08X}h at position {position} "
                 f"after {word:08X}h was written"
             )
-            raise DriveError(coded(text, codes.MAPPING_NOT_KEPT))
+            raise DriveError(text, code=codes.MAPPING_NOT_KEPT)
 
 
 def switch_off(access: "SdoClient", record: PdoRecord) -> None:
@@ -188,7 +187,7 @@ def check_bus_load(bitrate: int, period_s: float, pdos: Sequence[MappedPdo]) -> 
             f"bits with worst-case stuffing), more than {100 * _LARGEST_LOAD:.0f} % of the period of "
             f"{period_s * 1e6:.0f} us"
         )
-        raise DriveError(coded(text, codes.BUS_OVERLOAD), "take a longer period_s, a higher bit rate, or fewer axes")
+        raise DriveError(text, "take a longer period_s, a higher bit rate, or fewer axes", code=codes.BUS_OVERLOAD)
     return f"a cycle needs {needed * 1e6:.0f} us of {period_s * 1e6:.0f} us on the bus at {bitrate} bit/s"
 
 

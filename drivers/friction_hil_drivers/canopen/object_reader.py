@@ -2,7 +2,6 @@
 
 from abc import ABC, abstractmethod
 
-from friction_hil.drive.codes import coded
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes
 from friction_hil_drivers.canopen.objects import Object
@@ -44,7 +43,7 @@ class ObjectReader(ABC):
             return None
         if len(data) not in (1, 2, 4):
             text = f"{self.axis}: {entry} of {self.where} has {len(data)} bytes; integers have 1, 2 or 4"
-            raise DriveError(coded(text, codes.OBJECT_SIZE))
+            raise DriveError(text, code=codes.OBJECT_SIZE)
         return int.from_bytes(data, "little", signed=entry.type.is_signed)
 
     def read(self, entry: Object) -> int:
@@ -52,5 +51,5 @@ class ObjectReader(ABC):
         value = self.find(entry)
         if value is None:
             text = f"{self.axis}: {self.where} lacks object {entry}, which is needed"
-            raise DriveError(coded(text, codes.OBJECT_MISSING))
+            raise DriveError(text, code=codes.OBJECT_MISSING)
         return value

@@ -3,7 +3,6 @@
 import math
 from typing import Literal
 
-from friction_hil.drive.codes import coded
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes, objects
 from friction_hil_drivers.canopen.object_reader import ObjectReader
@@ -51,10 +50,10 @@ def _velocity_per_unit(access: ObjectReader, counts: float, kind: str) -> float:
             f"{access.axis}: {access.where} reports velocity in a unit that is not known here "
             f"({objects.VELOCITY_UNIT} = {unit:08X}h; counts/s is 00B50300h, 1/min is 00B44700h)"
         )
-        raise DriveError(coded(text, codes.UNIT_UNKNOWN))
+        raise DriveError(text, code=codes.UNIT_UNKNOWN)
     if kind == "linear":
         text = f"{access.axis}: {access.where} reports velocity in 1/min; a linear axis needs counts/s"
-        raise DriveError(coded(text, codes.UNIT_UNKNOWN))
+        raise DriveError(text, code=codes.UNIT_UNKNOWN)
     return 60.0 / _TURN
 
 
@@ -63,5 +62,5 @@ def _required(access: ObjectReader, entry: Object, name: str, fix: str) -> int:
     value = access.find(entry)
     if not value:
         text = f"{access.axis}: {access.where} does not report its {name} ({entry}): {fix}"
-        raise DriveError(coded(text, codes.UNIT_UNKNOWN))
+        raise DriveError(text, code=codes.UNIT_UNKNOWN)
     return value

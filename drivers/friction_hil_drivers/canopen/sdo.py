@@ -7,7 +7,6 @@ from typing import Any
 import can
 import canopen
 
-from friction_hil.drive.codes import coded
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes
 from friction_hil_drivers.canopen.object_reader import ObjectReader
@@ -47,14 +46,14 @@ class SdoClient(ObjectReader):
                 if error.code in _NO_SUCH_OBJECT:
                     return None
                 text = f"{self.axis}: reading {entry} from {self.where}: {error}"
-                raise DriveError(coded(text, codes.SDO_ABORT)) from error
+                raise DriveError(text, code=codes.SDO_ABORT) from error
             except canopen.SdoCommunicationError as error:
                 if attempt == _ATTEMPTS - 1:
                     text = (
                         f"{self.axis}: nobody answers as {self.where} (reading {entry}): is the drive on, is this "
                         "its node number, and is the bit rate right?"
                     )
-                    raise DriveError(coded(text, codes.NO_ANSWER)) from error
+                    raise DriveError(text, code=codes.NO_ANSWER) from error
         return None
 
     def write(self, entry: Object, value: int, bits: int | None = None) -> None:
@@ -68,16 +67,16 @@ class SdoClient(ObjectReader):
         low, high = entry.type.bounds
         if not low <= value <= high:
             text = f"{self.axis}: {value} does not fit into {entry} ({low} to {high})"
-            raise DriveError(coded(text, codes.OBJECT_SIZE))
+            raise DriveError(text, code=codes.OBJECT_SIZE)
         data = value.to_bytes((bits or entry.type.bits) // 8, "little", signed=value < 0)
         try:
             self._sdo.download(entry.index, entry.subindex, data)
         except canopen.SdoAbortedError as error:
             text = f"{self.axis}: writing {value} to {entry} of {self.where}: {error}"
-            raise DriveError(coded(text, codes.SDO_ABORT)) from error
+            raise DriveError(text, code=codes.SDO_ABORT) from error
         except canopen.SdoCommunicationError as error:
             text = f"{self.axis}: {self.where} stopped answering (writing {entry})"
-            raise DriveError(coded(text, codes.ANSWER_LOST)) from error
+            raise DriveError(text, code=codes.ANSWER_LOST) from error
 
     def try_write(self, entry: Object, value: int) -> bool:
         """Write an object that the drive may lack or refuse; return True if it reads back as written."""

@@ -5,7 +5,6 @@ import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
-from friction_hil.drive.codes import coded
 from friction_hil.errors import BusError, DriveError
 from friction_hil_drivers.serial_line import codes
 from friction_hil_drivers.serial_line.axis import SerialAxis
@@ -182,7 +181,7 @@ class SerialBus:
                 try:
                     line.read()
                 except LineGoneError as gone:
-                    raise BusError(coded(str(gone), codes.LINE_LOST)) from gone
+                    raise BusError(str(gone), code=codes.LINE_LOST) from gone
 
     def transact(self, axis: str, *exchanges: Exchange, attempts: int = _ATTEMPTS) -> None:
         """Perform exchanges before or after the cyclic phase, with several attempts.
@@ -209,9 +208,9 @@ class SerialBus:
                 return
             scheduler.end_cycle()
             if not scheduler.line.is_open:
-                raise BusError(coded(f"{axis}: {scheduler.last_error}", codes.LINE_LOST))
+                raise BusError(f"{axis}: {scheduler.last_error}", code=codes.LINE_LOST)
         options, text = scheduler.line.options, scheduler.last_error or "no reply"
         if not any(exchange.label in text for exchange in exchanges):
             text = f"{' and '.join(exchange.label for exchange in exchanges)}: {text}"
         right = "address and port" if options.is_tcp else f"address, port and baud rate ({options.baud})"
-        raise DriveError(coded(f"{axis}: {text} ({attempts} attempts). Right {right}?", codes.NO_REPLY))
+        raise DriveError(f"{axis}: {text} ({attempts} attempts). Right {right}?", code=codes.NO_REPLY)

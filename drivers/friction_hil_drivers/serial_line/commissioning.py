@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from friction_hil.drive import AxisFacts, DriveState
-from friction_hil.drive.codes import coded
 from friction_hil.drive.finding import Finding
 from friction_hil.errors import DriveError, OptionError
 from friction_hil_drivers.serial_line import codes, ports
@@ -204,13 +203,13 @@ class Commissioning:
         if state is DriveState.UNKNOWN and not self._dry_run:
             shown = ", ".join(f"{name} = {axis.image.values[name]:g}" for name in axis.state_signals)
             text = f"{axis.name}: the drive reports a state that its description does not list: {shown}"
-            raise DriveError(coded(text, codes.STATE_UNKNOWN))
+            raise DriveError(text, code=codes.STATE_UNKNOWN)
         if state.is_powered and not self._dry_run:
             text = (
                 f"{axis.name}: the drive is in state {state.words} already: another master "
                 "is driving it, or a former one left it enabled; disable it first"
             )
-            raise DriveError(coded(text, codes.ALREADY_POWERED))
+            raise DriveError(text, code=codes.ALREADY_POWERED)
         if not self._dry_run:
             for step in (*description.prepare, *description.modes[self._configs[axis.name].mode].prepare):
                 _write(bus, axis, step)
@@ -343,7 +342,7 @@ def _write(bus: SerialBus, axis: SerialAxis, step: Step) -> None:
         _read_state(bus, axis)
     if bus.scheduler.refusals.count > refusals:
         text = f"{axis.name}: the drive refuses its set-up: {bus.scheduler.last_error}"
-        raise DriveError(coded(text, codes.SETUP_REFUSED))
+        raise DriveError(text, code=codes.SETUP_REFUSED)
     end = time.monotonic() + step.timeout_s
     while step.until is not None:
         _read_state(bus, axis)
@@ -355,7 +354,7 @@ def _write(bus: SerialBus, axis: SerialAxis, step: Step) -> None:
                 f"{axis.name}: {dict(step.write)} should lead to {step.until} within {step.timeout_s:g} s; "
                 f"the drive is in {state.name.lower()}"
             )
-            raise DriveError(coded(text, codes.SETUP_WITHOUT_EFFECT))
+            raise DriveError(text, code=codes.SETUP_WITHOUT_EFFECT)
 
 
 def _read_state(bus: SerialBus, axis: SerialAxis) -> None:

@@ -186,7 +186,7 @@ class SerialDrives:
         if self._timeouts >= _SIMULATED_TIMEOUTS:
             waited_s = _SIMULATED_TIMEOUTS * _SIMULATED_TIMEOUT_NS * 1e-9
             text = f"not every drive has answered for {waited_s:g} s: do they still run?"
-            raise DriveError(coded(text, codes.PACE_NOT_ANSWERED))
+            raise DriveError(text, code=codes.PACE_NOT_ANSWERED)
 
     def send(self, commands: Sequence[Command]) -> None:
         """Write the commands, or put them where the next poll takes them; a dry run only reads."""

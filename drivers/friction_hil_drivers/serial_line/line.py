@@ -13,7 +13,6 @@ from typing import Any, NamedTuple
 import serial
 from serial.rs485 import RS485Settings
 
-from friction_hil.drive.codes import coded
 from friction_hil.errors import BusError
 from friction_hil_drivers.serial_line import codes, ports
 from friction_hil_drivers.serial_line.options import LineOptions, tcp_address
@@ -77,8 +76,9 @@ class Line:
                 self._take_socket(connection)
             except OSError as error:
                 raise BusError(
-                    coded(f"{self.options.port}: no connection: {_reason(error)}", codes.LINE_NOT_OPENED),
+                    f"{self.options.port}: no connection: {_reason(error)}",
                     "see whether the drive is on, and listens there",
+                    code=codes.LINE_NOT_OPENED,
                 ) from error
         else:
             self._open_port()
@@ -104,11 +104,9 @@ class Line:
             except (OSError, ValueError, termios.error) as error:
                 port.close()
                 raise BusError(
-                    coded(
-                        f"{options.port} cannot switch the direction of an RS-485 line ({error})",
-                        codes.RS485_NOT_SUPPORTED,
-                    ),
+                    f"{options.port} cannot switch the direction of an RS-485 line ({error})",
                     "adapters that do it by themselves need is_rs485: false",
+                    code=codes.RS485_NOT_SUPPORTED,
                 ) from error
         self._port, self.descriptor, self._link = port, port.fileno(), link
         self._hang_up.register(self.descriptor, 0)
@@ -257,11 +255,11 @@ def _refusal(port: str, error: Exception) -> BusError:
         remedy = "plug the adapter in, or correct line.port"
     else:
         reason, remedy = str(error), "is it a serial port? dmesg tells what is known of its adapter"
-    return BusError(coded(f"{port} cannot be opened: {reason}", codes.LINE_NOT_OPENED), remedy)
+    return BusError(f"{port} cannot be opened: {reason}", remedy, code=codes.LINE_NOT_OPENED)
 
 
 def taken(port: str, holders: Sequence[str]) -> BusError:
     """Return the error for a port that other processes use; ``holders`` are those that are known."""
     who = f" ({', '.join(holders)})" if holders else ""
     detail = f"{port} cannot be opened: another process has it{who}: two masters must not talk on one line"
-    return BusError(coded(detail, codes.LINE_NOT_OPENED), "end that one first")
+    return BusError(detail, "end that one first", code=codes.LINE_NOT_OPENED)
