@@ -198,6 +198,7 @@ def run() -> list[Row]:
     drives = TimedDrives(configuration, configuration.axes, clock, dry_run=False, bus=frames.bus)
     (facts,) = drives.connect()
     drives._bus = frames  # from here on only the cycle is measured
+    drives._exchange = drives._make_exchange(frames)
     path_time = PathTime(1.0)
     axis = AxisLoop(facts.name, configuration.axes[facts.name], facts, configuration.period_s, path_time)
     axis.compensator = compensator = TimedCompensator(axis.compensator.model, axis.compensator.settings)

@@ -43,6 +43,8 @@ class CanopenAxis:
     ----------
     handlers : mapping of int to callable
         By identifier: takes the data of a frame of this drive.
+    is_complete : bool
+        Every TPDO of this cycle arrived.
     """
 
     def __init__(self, drive: ConfiguredDrive, node: int, heartbeat_s: float) -> None:
@@ -54,6 +56,7 @@ class CanopenAxis:
         self._monitor = NodeMonitor(node, heartbeat_s)
         self._now_ns = 0
         self._frames = [b""] * len(drive.tpdos)  # TPDOs of this cycle; empty: not arrived
+        self.is_complete = False
         self._short = ""  # a TPDO of this cycle had too few bytes
         self._measured = Measurement()  # of the last complete cycle
         self._error = drive.error
@@ -87,12 +90,8 @@ class CanopenAxis:
         """Forget the TPDOs that arrived before this cycle's SYNC."""
         self._now_ns = now_ns
         self._frames = [b""] * len(self.tpdos)
+        self.is_complete = False
         self._short = ""
-
-    @property
-    def is_complete(self) -> bool:
-        """True if every TPDO of this cycle arrived."""
-        return all(self._frames)
 
     def _on_tpdo(self, number: int, data: bytes) -> None:
         size = self.tpdos[number].layout.size
@@ -100,6 +99,7 @@ class CanopenAxis:
             self._short = f"TPDO {number + 1} of node {self.node} has {len(data)} bytes instead of {size}"
         elif not self._frames[number]:
             self._frames[number] = data
+            self.is_complete = all(self._frames)
 
     def _on_emergency(self, data: bytes) -> None:
         error = decode_emergency(data)
@@ -109,15 +109,16 @@ class CanopenAxis:
     def _on_heartbeat(self, data: bytes) -> None:
         state = decode_heartbeat(data)
         if state is not None:
-            self._keep(self._monitor.take(state, self._now_ns))
+            self._message = self._monitor.take(state, self._now_ns) or self._message
 
     def report(self, feedback: Feedback, now_ns: int) -> None:
         """Write the drive's feedback; without all TPDOs the values stay those of the last complete cycle."""
         is_fresh = self.is_complete
         if is_fresh:
             self._measured = decode_feedback(self.tpdos, self._frames, self._drive.units, self._measured.counts)
-            self._keep(self._wrong_mode())
-        self._keep(self._monitor.check(now_ns))
+            self._message = self._wrong_mode() or self._message
+        # the latest fault is kept: each of these ends the run, even if its cause goes away
+        self._message = self._monitor.check(now_ns) or self._message
         measured = self._measured
         feedback.position = measured.position
         feedback.velocity = measured.velocity
@@ -143,11 +144,6 @@ class CanopenAxis:
             raise DriveError(f"{self.facts.name}: a drive that is only listened to gets no command")
         self._controlword = next_controlword(self._measured.state, command.request, self._controlword)
         return encode_command(drive.rpdo, drive.mode, drive.units, self._controlword, command)
-
-    def _keep(self, fault: str) -> None:
-        """Keep the latest fault: one of these ends the run, even if its cause goes away."""
-        if fault:
-            self._message = fault
 
     def _wrong_mode(self) -> str:
         """Fault of an enabled drive that is not in the mode that was set, "" for none."""

@@ -137,22 +137,27 @@ class CanopenDrives:
 
     def start(self) -> None:
         """Switch the nodes to Operational and begin the cyclic phase."""
+        if self._exchange is None:
+            raise BusError("the bus is not open: connect first")
         self._is_started = True
         for axis in self._axes:
             self._write_nmt(objects.NmtCommand.START, axis.node)
-        self._cycle.start()
+        self._exchange.start()
 
     def receive(self, feedback: Sequence[Feedback], end_ns: int) -> None:
         """Send SYNC and collect the feedback of every drive; see `exchange.CyclicExchange.receive`."""
-        self._cycle.receive(feedback, end_ns)
+        assert self._exchange is not None, "start first"
+        self._exchange.receive(feedback, end_ns)
 
     def send(self, commands: Sequence[Command]) -> None:
         """Send one command to each axis; see `exchange.CyclicExchange.send`."""
-        self._cycle.send(commands)
+        assert self._exchange is not None, "start first"
+        self._exchange.send(commands)
 
     def warm_caches(self) -> None:
         """Decode and encode as in a cycle, on a copy of the first axis; see `friction_hil.drive.Drives.warm_caches`."""
-        self._cycle.warm_caches()
+        assert self._exchange is not None, "start first"
+        self._exchange.warm_caches()
 
     # Leaving
 
@@ -186,12 +191,6 @@ class CanopenDrives:
         if self._bus is None:
             raise BusError("the bus is not open: connect first")
         self._bus.send(objects.NMT_ID, bytes((command, node)))
-
-    @property
-    def _cycle(self) -> CyclicExchange:
-        if self._exchange is None:
-            raise BusError("the bus is not open: connect first")
-        return self._exchange
 
 
 def _refuse_second_master(bus: "FrameBus", name: str) -> None:

@@ -7,7 +7,6 @@ from friction_hil.drive import Clock, Command, Feedback, Request
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes, objects
 from friction_hil_drivers.canopen.axis import CanopenAxis
-from friction_hil_drivers.canopen.codec import Frame
 
 if TYPE_CHECKING:
     from friction_hil_drivers.canopen.frames import FrameBus
@@ -86,7 +85,8 @@ class CyclicExchange:
             axis.begin_cycle(now)
         self._bus.send(objects.SYNC_ID, b"")
         self._collect(end_ns - self._reserve_ns)
-        self._require_answers()
+        if not self._clock.is_real:
+            self._require_answers()
         for axis, target in zip(self._axes, feedback, strict=True):
             axis.report(target, now)
 
@@ -113,27 +113,25 @@ class CyclicExchange:
     def _take_waiting_frames(self) -> None:
         """Take emergencies, heartbeats and late feedback that arrived since the last cycle."""
         while (frame := self._bus.receive(0.0)) is not None:
-            self._take(frame)
+            handler = self._handlers.get(frame[0])
+            if handler is not None:
+                handler(frame[1])
 
     def _collect(self, deadline_ns: int) -> None:
         """Take frames until every axis is complete; in simulated time for as long as the bus waits."""
-        clock = self._clock
+        clock, receive, handlers = self._clock, self._bus.receive, self._handlers
         for axis in self._axes:
             while not axis.is_complete:
                 timeout = (deadline_ns - clock.now_ns()) * 1e-9 if clock.is_real else STEPPED_TIMEOUT_S
                 if timeout <= 0.0:
                     return
-                frame = self._bus.receive(timeout)
+                frame = receive(timeout)
                 if frame is not None:
-                    self._take(frame)
+                    handler = handlers.get(frame[0])
+                    if handler is not None:  # else a frame of another node
+                        handler(frame[1])
                 elif not clock.is_real:
                     return
-
-    def _take(self, frame: Frame) -> None:
-        """Give a frame to the axis that it belongs to; frames of other nodes are ignored."""
-        handler = self._handlers.get(frame[0])
-        if handler is not None:
-            handler(frame[1])
 
     def _require_answers(self) -> None:
         """End a run in simulated time whose drives have stopped answering.
@@ -143,8 +141,6 @@ class CyclicExchange:
         DriveError
             Several cycles in a row were incomplete.
         """
-        if self._clock.is_real:
-            return
         is_complete = all(axis.is_complete for axis in self._axes)
         self._timeouts = 0 if is_complete else self._timeouts + 1
         if self._timeouts >= STEPPED_TIMEOUTS:
