@@ -125,10 +125,10 @@ class AxisLoop:
     ) -> AxisUpdate:
         """Compute one cycle; the arguments are those of `compute`.
 
-        An exception in the computation is a fault like any other: from then on the axis gets no torque, and its row
-        holds NaN.
+        An exception in the computation is a fault, which `--reset-fault` does not cover: from then on the axis
+        gets no torque, and its row holds NaN.
         """
-        fault = None
+        fault = warning = None
         if not self._is_broken:
             try:
                 return self.compute(cycle, state, running_s, feedback, command, row)
@@ -136,11 +136,17 @@ class AxisLoop:
                 self._is_broken = True
                 text = f"{self.name}: the computation failed: {type(error).__name__}: {error}"
                 fault = FaultCode.COMPUTATION_FAILED.append_to(text)
-        time_s = cycle * self._period_s
+                warning = self._notices.next(self.compensator, self.compensator.velocity_estimate)
         command.torque = command.velocity = 0.0
-        row.clear(time_s, cycle)
-        is_standing = feedback.is_fresh and abs(feedback.velocity) <= self._standstill
-        return self._report(time_s, state, feedback, fault, None, is_standing)
+        row.clear(cycle * self._period_s, cycle)
+        return AxisUpdate(fault, warning, False, self._seems_to_stand(feedback), self.compensator.is_faded_out)
+
+    def _seems_to_stand(self, feedback: Feedback) -> bool:
+        """True if the drive itself reports standstill; a velocity that is not a number proves none."""
+        try:
+            return feedback.is_fresh and abs(feedback.velocity) <= self._standstill
+        except TypeError:
+            return False
 
     def compute(
         self, cycle: int, state: LoopState, running_s: float, feedback: Feedback, command: Command, row: AxisRow
@@ -172,6 +178,10 @@ class AxisLoop:
         row.write_states(self._states)
         compensation = compensator.step(*inputs)
         estimate = compensator.velocity_estimate
+        fault = supervisor.find_fault(feedback, state, estimate, inputs.position_demand)
+        if fault is None and compensator.is_faulty:
+            text = f"{self.name}: the friction model gave a torque that is not finite"
+            fault = FaultCode.MODEL_NOT_FINITE.append_to(text)
         is_operation_enabled = feedback.state is DriveState.OPERATION_ENABLED
         self._command.write(command, state, time_s, position, estimate, setpoint, compensation, is_operation_enabled)
         if setpoint is not None and is_usable and state is LoopState.RUNNING:
@@ -179,10 +189,6 @@ class AxisLoop:
         row.write_cycle(time_s, inputs, estimate, compensation, command.torque, state, feedback.state)
         for name, shadow in self.shadows.items():
             row.write_shadow(name, shadow.step(*inputs))
-        fault = supervisor.find_fault(feedback, state, estimate, inputs.position_demand)
-        if fault is None and compensator.is_faulty:
-            text = f"{self.name}: the friction model gave a torque that is not finite"
-            fault = FaultCode.MODEL_NOT_FINITE.append_to(text)
         is_standing = supervisor.is_current and abs(estimate) <= self._standstill
         return self._report(time_s, state, feedback, fault, self._notices.next(compensator, estimate), is_standing)
 

@@ -427,3 +427,55 @@ def test_warming_the_caches_changes_no_bit_of_what_is_commanded():
 
     plain, warmed = Run(duration_s=0.4), Run(duration_s=0.4, clock=Ready())
     assert plain.commands == warmed.commands
+
+
+def test_an_axis_whose_velocity_is_no_number_stops_the_other_in_good_order():
+    def disturb(cycle, feedback):
+        if cycle == 400:
+            feedback[1].velocity = None
+
+    run = Run(axis(), axis(node=2), disturb=disturb)
+    (fault,) = run.result.faults
+    assert fault.startswith("y: the computation failed: TypeError")
+    assert run.requests(0) == run.requests(1) == STOPPED_BY_FAULT
+    run.assert_left_disabled()
+
+
+def test_a_warning_of_the_cycle_in_which_the_computation_fails_is_not_lost():
+    def sabotage(axes):
+        class Fails:
+            def step(self, *inputs):
+                raise ZeroDivisionError("by hand")
+
+        axes[0].shadows["bad"] = Fails()
+        notices = axes[0]._notices
+
+        class Notices:
+            def next(self, *arguments):
+                return notices.next(*arguments) or "look out"
+
+        axes[0]._notices = Notices()
+
+    run = Run(on_axes=sabotage)
+    assert run.result.faults == ["x: the computation failed: ZeroDivisionError: by hand [FH-111]"]
+    assert run.result.warnings == ["look out"]
+
+
+def test_a_reset_of_the_drives_fault_does_not_hide_a_failed_computation():
+    def sabotage(axes):
+        compensator = axes[0].compensator
+
+        class FailsOnce:
+            def step(self, *inputs):
+                axes[0].compensator = compensator
+                raise ZeroDivisionError("by hand")
+
+            def __getattr__(self, name):
+                return getattr(compensator, name)
+
+        axes[0].compensator = FailsOnce()
+
+    run = Run(before=in_fault(), is_fault_reset_wanted=True, on_axes=sabotage)
+    assert "x: the computation failed: ZeroDivisionError: by hand [FH-111]" in run.result.faults
+    assert Request.ENABLE not in run.requests()
+    run.assert_left_disabled()
