@@ -240,7 +240,7 @@ def borrowed(_: Any, array: Any, begin: Any) -> Any:
 
 @intrinsic
 def borrowed_at(_: Any, address: Any, length: Any) -> Any:
-    """Return a view of ``length`` numbers at an address; a number is a cheaper argument than an array."""
+    """Return a view of ``length`` numbers at an address: as an argument, a number is cheaper than an array."""
 
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         view = context.make_array(_VECTOR)(context, builder)
