@@ -28,7 +28,7 @@ COMMANDS = {
     "replay": "Compare recordings with friction models, or verify them.",
     "identify": "Identify friction model and mechanics from recordings.",
     "tune": "Identify friction on the machine, and test the compensation.",
-    "train": "Train a network on the friction in recordings, or of a model.",
+    "train": "Train a network on the friction of recordings or of a model.",
     "convert": "Convert a recording, or describe its content.",
     "study": "Show the effect of each friction model on a servo.",
     "models": "List the friction models, or describe one.",

@@ -24,7 +24,7 @@ def command(**options: Any) -> None:
     .json (a list of rows), and logs of raw CAN frames (candump .log, .asc, .blf; --config describes them). Writes all
     of these except CAN logs, .mdf and MATLAB 7.3. Parquet, MDF and HDF5 need: pip install "friction-hil[formats]".
 
-    Values are kept bit for bit, units if the format can hold them. Of a recording with several axes, each is written to
+    Values are kept bit for bit, units if the format can hold them. Each axis of a recording with several is written to
     a file of its own, OUT_x.csv; --axis selects one. Metadata, events and restart points are not converted.
 
     Instead of --column, a file IN.columns.yaml beside IN, or columns.yaml for all files of its folder, may contain

@@ -13,9 +13,9 @@ def command(**options: Any) -> int:
     """Check this machine, and with CONFIG also the connection to its drives.
 
     Run it as the user who runs the daemon. Ports and buses are opened and closed at once; nothing is written to a
-    drive. Each check ends with pass, warn (the daemon runs, but worse, or the system does not report what was checked)
-    or fail (it will not run, or not safely); warn and fail come with a code and the remedy. Exit status 1 if a check
-    fails, 2 if CONFIG has mistakes.
+    drive. Each check ends with pass, warn (the daemon runs, but less well, or the system does not report what was
+    checked) or fail (it will not run, or not safely); warn and fail come with a code and the remedy. Exit status 1 if a
+    check fails, 2 if CONFIG has mistakes.
     """
     from friction_hil.cli.work.doctor import run_doctor  # imported here: --help must not wait for numba
 

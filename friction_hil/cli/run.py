@@ -25,7 +25,7 @@ def command(**options: Any) -> int:
     """Run the daemon with the drives of CONFIG.
 
     It moves the axes along their trajectories and compensates their friction. Ctrl-C brings them to rest, fades the
-    compensation and disables the drives; so does every fault. Exit status 1 after a fault.
+    compensation out and disables the drives; so does every fault. Exit status 1 after a fault.
     """
     from friction_hil.cli.work.run import run  # imported here: --help must not wait for numba
 

@@ -34,7 +34,7 @@ class RealClock:
         return left > 0 and self._spin_ns > 0
 
     def sleep_until(self, deadline_ns: int) -> None:
-        """Return at ``deadline_ns``, at once when it has passed."""
+        """Return at ``deadline_ns``, or at once if it has passed."""
         self.doze_until(deadline_ns)
         while time.monotonic_ns() < deadline_ns:
             pass

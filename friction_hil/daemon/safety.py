@@ -222,7 +222,7 @@ class FaultReset:
         self._is_open = is_wanted
 
     def take(self, feedback: Feedback) -> None:
-        """Take one cycle's feedback: a drive without fault ends the permission."""
+        """Take one cycle's feedback: once the drive has no fault, the permission ends."""
         if feedback.is_fresh and feedback.state in _WITHOUT_FAULT:
             self._is_open = False
 

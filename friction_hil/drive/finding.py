@@ -19,8 +19,8 @@ class Finding:
     check : str
         Name of the check: what was examined, in a few words.
     result : str
-        ``pass``; ``warn``: the daemon runs, but worse, or the system does not report what was checked; ``fail``: the
-        daemon will not run, or not safely.
+        ``pass``; ``warn``: the daemon runs, but less well, or the system does not report what was checked; ``fail``:
+        the daemon will not run, or not safely.
     detail : str
         What was found.
     fix : str

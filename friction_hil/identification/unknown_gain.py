@@ -26,7 +26,7 @@ _VISCOUS_COLUMNS = ("viscous", "viscous.positive", "viscous.negative")  # their 
 
 
 def known_torque(held: Mapping[str, float]) -> dict[str, float]:
-    """Return the held mechanical parameters and back-EMF, N m per unit of their columns; they set the scale.
+    """Return those of the held parameters that are mechanical or the back-EMF; they set the scale of the torque.
 
     Raises
     ------

@@ -117,7 +117,7 @@ def _read(source: Source, h5py: Any, file: Any) -> Recording:
 def _vectors(h5py: Any, file: Any) -> dict[str, tuple[Any, str | None]]:
     """Return the dataset of each vector by its path, with its field if it is compound.
 
-    The datasets are h5py's low-level objects: creating its others takes longer than reading their values.
+    The datasets are h5py's low-level objects: creating its high-level ones takes longer than reading their values.
     """
     found: dict[str, tuple[Any, str | None]] = {}
 

@@ -112,7 +112,7 @@ def _means(values: Array, residual: Array) -> tuple[Array, Array]:
 
 
 def _loops(curves: Curves) -> list[slice]:
-    """Return parts of the recording that move forth and back, from small to large travel."""
+    """Return parts of the recording that move back and forth, from small to large travel."""
     moving = np.abs(curves.velocity) > 1e-3 * np.max(np.abs(curves.velocity))
     rows = np.flatnonzero(moving)
     turns = rows[np.flatnonzero(np.diff(np.sign(curves.velocity[rows])) != 0) + 1]

@@ -76,7 +76,7 @@ def experiment_run(configuration: Configuration, name: str) -> tuple[Configurati
 def sliding_part(recording: Recording, configuration: Configuration) -> Recording:
     """Return the slow sweeps of the experiment of an axis, for models without presliding.
 
-    In the fast sweeps torque depends on the position, as that of a spring: no map of the velocity describes it.
+    In the fast sweeps the torque depends on the position, like that of a spring: no map of the velocity describes it.
 
     Parameters
     ----------

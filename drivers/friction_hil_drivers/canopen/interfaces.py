@@ -36,7 +36,7 @@ class Link:
 
 
 def bus_name(config: "BusConfig") -> str:
-    """Return the name of a bus for people: ``udp_multicast 239.74.163.2:43113``."""
+    """Return the name of a bus for messages: ``udp_multicast 239.74.163.2:43113``."""
     port = "" if config.port is None else f":{config.port}"
     return f"{config.interface} {config.channel}{port}"
 

@@ -34,7 +34,7 @@ class Page:
         )
 
     def write_table(self, table: Table) -> None:
-        """Print a table without the blanks that fill its lines."""
+        """Print a table without the blanks at the ends of its lines."""
         with self._console.capture() as text:
             self._console.print(table)
         for line in text.get().splitlines():
@@ -65,7 +65,7 @@ def new_table(*headings: str, widths: tuple[int, ...] | None = None) -> Table:
 
 
 def value_text(value: Any) -> str:
-    """Write a parameter's value or default; of a list of pairs only their number."""
+    """Write a parameter's value or default; for a list of pairs only their number."""
     if value is None:
         return ""
     if isinstance(value, float):

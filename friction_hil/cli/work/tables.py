@@ -1,4 +1,4 @@
-"""Tables and lines for people."""
+"""Tables and lines for the terminal."""
 
 from collections.abc import Mapping
 from pathlib import PurePath

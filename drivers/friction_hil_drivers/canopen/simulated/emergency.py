@@ -60,7 +60,7 @@ class Emergencies:
         self._send(_FRAME.pack(code, self.register))
 
     def clear(self, *codes: int) -> None:
-        """Take back errors, those of them that were present."""
+        """Take back those of the errors that were present."""
         remaining = [code for code in self._present if code not in codes]
         if len(remaining) < len(self._present):
             self._present = remaining

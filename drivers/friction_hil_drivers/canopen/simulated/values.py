@@ -11,7 +11,7 @@ from friction_hil_drivers.canopen.units import wrap
 
 
 def connect_live_values(dictionary: Dictionary, servo: Servo, units: SimulatedUnits) -> None:
-    """Let the entries of demands and actual values read the servo."""
+    """Make the entries for demands and actual values read from the servo."""
     counts, torque = units.counts, units.torque
     dictionary.of(objects.POSITION_ACTUAL).on_read = lambda: wrap(round(servo.position * counts))
     dictionary.of(objects.POSITION_DEMAND).on_read = lambda: wrap(round(servo.position_demand * counts))
