@@ -294,9 +294,9 @@ class TestReplies:
     @pytest.mark.parametrize(
         ("frame", "text"),
         [
-            ("03 03 06 02 2B 00 00 00 64", "unit 3 answered in place of unit 1: 03 03 06"),
-            ("01 04 06 02 2B 00 00 00 64", "function 4 was answered in place of 3"),
-            ("01 03 04 02 2B 00 00", "another number or address"),
+            ("03 03 06 02 2B 00 00 00 64", "unit 3 answered instead of unit 1: 03 03 06"),
+            ("01 04 06 02 2B 00 00 00 64", "function 4 was answered instead of 3"),
+            ("01 03 04 02 2B 00 00", "number or the address of the registers"),
             ("01 03 00 6B 00 03", "echoes"),
         ],
     )
@@ -422,7 +422,7 @@ class TestTcp:
     @pytest.mark.parametrize(
         ("body", "unit", "text"),
         [
-            ("03 02 00 05", 3, "unit 3 answered in place of unit 1"),
+            ("03 02 00 05", 3, "unit 3 answered instead of unit 1"),
             ("04 02 00 05", 1, "no reply to function 3"),
             ("03 04 00 05 00 05", 1, "no reply to function 3"),
             ("83 06", 1, "busy"),

@@ -83,7 +83,7 @@ class TestMistakes:
             (
                 {"brake": {"address": 1, "type": "bool", "function": "coil"}},
                 {"prepare": [{"write": {"brake": 1}}]},
-                "brake is written, which takes function 5 or 15; write_functions has not",
+                "brake is written, which takes function 5 or 15; write_functions does not have it",
             ),
             ({}, {"prepare": [{"write": {"control": 0, "torque_command": 0}}]}, r"prepare\.0\s+writes .* side by side"),
             (

@@ -227,7 +227,7 @@ def test_what_cannot_be_written_is_refused_in_words() -> None:
     for name, number, text in (
         ("position", 0.0, "position cannot be written"),
         ("nonsense", 0.0, "nonsense cannot be written"),
-        ("mode", 3.0, "mode cannot be 3; it takes"),
+        ("mode", 3.0, "mode cannot be 3; it accepts"),
         ("torque_command", math.nan, "torque_command cannot be nan"),
         ("lifetime", -1.0, "lifetime cannot be -1"),
     ):
