@@ -57,7 +57,7 @@ class AsciiLine:
     Parameters
     ----------
     descriptions : mapping of str to AsciiDescription
-        By axis, all on this line.
+        Descriptions of the axes on this line, by name.
     options : mapping of str to AsciiOptions
     images : mapping of str to Image
     """

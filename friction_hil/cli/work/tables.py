@@ -1,4 +1,4 @@
-"""Tables and lines for people."""
+"""Tables and lines of text for the user."""
 
 from collections.abc import Mapping
 from pathlib import PurePath

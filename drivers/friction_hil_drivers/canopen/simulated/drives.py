@@ -58,7 +58,7 @@ class SimulatedCanopenDrives:
         Returns
         -------
         str
-            Nodes and bus, for people.
+            Nodes and bus, as text.
 
         Raises
         ------
