@@ -309,7 +309,7 @@ def test_the_error_of_a_set_point_is_never_taken_for_the_reply_that_follows(text
     with pytest.raises(ReplyError, match="or to an earlier request") as caught:
         exchange.take(bytearray(xored(text) + xored(b"1.0 2.0")))
     assert text.decode() in str(caught.value)
-    assert not caught.value.is_complete  # the reply proper is still to come, and belongs to nobody then
+    assert not caught.value.is_complete  # the reply to this request is still to come
     assert not image.fresh
 
 
@@ -388,11 +388,11 @@ def test_a_reply_of_another_width_than_described_is_refused() -> None:
 
 
 def understood(data: bytes) -> Mapping[str, float] | None:
-    """What the first line that is not empty says to one who knows nothing but the manual of the ODrive."""
+    """Return the numbers of the first line that is not empty, read by the manual of the ODrive alone."""
     lines = [line.strip(b"\r\n\0") for line in data.split(b"\r\n")[:-1]]
     first = next((line for line in lines if line), b"")
-    body, star, told = first.rpartition(b"*")
-    if not star or not told.strip(b" ").isdigit() or int(told) != int(xored(body).rpartition(b"*")[2]):
+    body, star, checksum = first.rpartition(b"*")
+    if not star or not checksum.strip(b" ").isdigit() or int(checksum) != int(xored(body).rpartition(b"*")[2]):
         return None
     try:
         position, velocity = (float(word) for word in body.decode().split())
@@ -414,10 +414,10 @@ def test_random_bytes_never_crash_and_never_tell_what_was_not_said(data: bytes) 
         is_complete = exchange.take(received)
     except ReplyError:
         is_complete = False
-    told = {name: image.values[name] for name in image.fresh}
-    assert bool(told) == is_complete
+    values = {name: image.values[name] for name in image.fresh}
+    assert bool(values) == is_complete
     if is_complete:
-        assert told == understood(data)
+        assert values == understood(data)
 
 
 @given(st.sampled_from(["cst", "csv", "csp"]), st.lists(st.binary(max_size=80), max_size=8))
