@@ -170,7 +170,7 @@ def _phases(
 
 
 def _circle(recordings: Mapping[str, Recording]) -> tuple[Configuration, Circle]:
-    """Return the configuration of a run and its circle, which both axes must share a quarter of a turn apart."""
+    """Return the configuration of a run and its circle, which both axes follow a quarter of a turn apart."""
     path = next((each.path for each in recordings.values()), "")
     if len(recordings) != 2:
         raise RecordingError(f"{path}: a circle takes two axes, here are {len(recordings)}")

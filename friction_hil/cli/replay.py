@@ -43,8 +43,8 @@ from friction_hil.cli.recording_options import recording_options
 def command(**options: Any) -> int:
     """Predict the torque of each RECORDING with each model, and compare it with the measured torque.
 
-    RECORDING may be a pattern, also a quoted one: 'logs/**/*.mcap'. All cores share the files; a file that cannot be
-    read is reported and does not stop the others. Formats and columns are those of `convert`.
+    RECORDING may be a pattern, also a quoted one: 'logs/**/*.mcap'. The files are distributed over all cores; a file
+    that cannot be read is reported and does not stop the others. Formats and columns are those of `convert`.
 
     Without --model, a recording of the daemon is compared with the model that it ran with. Velocity and acceleration
     are derived from the position if there is no velocity, or with --lowpass. relative error = norm(measured -

@@ -33,7 +33,7 @@ class CompensationNotices:
     Parameters
     ----------
     name, unit : str
-        Of the axis; unit of position, ``rad`` or ``m``.
+        Name of the axis; unit of its position, ``rad`` or ``m``.
     compensator : Compensator
     """
 

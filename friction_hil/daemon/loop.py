@@ -24,11 +24,11 @@ class Loop:
     Parameters
     ----------
     drives : Drives
-        Connected, not yet started.
+        Drives that are connected but not started.
     axes : sequence of AxisLoop
-        In the order of the drives' axes.
+        Axes in the order of the drives' axes.
     path_time : PathTime
-        Shared by the axes.
+        Path time of all axes.
     clock : Clock
     sink : Sink
     settings : LoopSettings

@@ -106,7 +106,7 @@ class RunStateMachine:
     def _stopping(self, elapsed_s: float, inputs: RunInputs, has_stood: bool) -> LoopState:
         if not (inputs.is_setpoint_standing and inputs.is_faded_out):
             return self.state  # both end with their ramps, which began with this state
-        # past the timeout the set-point rests and the axis moves: somebody turns it, or it hunts
+        # after the timeout the axis may still move although the set-point rests: it hunts or is moved by hand
         return LoopState.DISABLING if has_stood or elapsed_s > STANDSTILL_TIMEOUT_S else self.state
 
     def _fault_stopping(self, elapsed_s: float, inputs: RunInputs, has_stood: bool) -> LoopState:

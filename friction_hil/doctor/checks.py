@@ -28,7 +28,7 @@ def examine(path: Path | None, root: Path = _ROOT) -> Iterator[Finding]:
     Yields
     ------
     Finding
-        In the order of the checks, each as soon as it is known.
+        Findings in the order of the checks, each as soon as it is known.
     """
     yield machine.preemption(root)
     yield machine.processor_clock(root)

@@ -43,7 +43,7 @@ class RegressionSegment(Segment):
     begin, end : int
         Rows between which the filters have settled.
     problems : tuple of str
-        What was found in the recording and what was done about it.
+        Messages about defects of the recording and their treatment.
     resolution : float or None
         Step in which the measured position comes; None if it is not quantised.
     group : str

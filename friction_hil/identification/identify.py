@@ -63,7 +63,7 @@ def identify(
     Parameters
     ----------
     recordings : sequence of Recording
-        Of the same axis, each with ``position`` and ``torque``.
+        Recordings of one axis, each with ``position`` and ``torque``.
     settings : IdentificationSettings, optional
     validation : sequence of Recording
         Recordings that are not fitted to; every candidate is judged on them.

@@ -48,7 +48,7 @@ class EvenGrid:
     rate_hz : float
         Sampling rate in all of them.
     problems : list of str
-        What was found in the columns and what was done about it.
+        Messages about defects of the columns and their treatment.
     """
 
     time_s: Array

@@ -68,7 +68,7 @@ def read(
     only : sequence of str, optional
         friction_hil's names of the columns to load, if they exist; all by default.
     configuration : Configuration, optional
-        Of the machine; required for a CAN log.
+        Configuration of the machine; required for a CAN log.
 
     Raises
     ------

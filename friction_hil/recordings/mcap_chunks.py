@@ -112,7 +112,7 @@ class McapContent:
     odd : dict of list of bytes
         By channel: messages whose body does not consist of 8-byte words, in file order.
     problems : list of str
-        What is damaged, and which rows are lost.
+        Messages about damaged parts and lost rows.
     """
 
     def __init__(self, path: Path, choose: Choose) -> None:

@@ -91,7 +91,7 @@ class EvenSignals:
     lowpass_hz : float or None
         Cut-off of the zero-phase low-pass; None if the recorded velocity is used as it is.
     problems : tuple of str
-        What was found in the columns and what was done about it; without those of the recording itself.
+        Messages about defects of the columns and their treatment, without the messages of the recording itself.
     """
 
     recording: Recording
@@ -161,7 +161,7 @@ def even_signals(
         Cut-off of a 4th-order Butterworth low-pass, forward and backward, Hz. Without it, `DEFAULT_LOWPASS_RATIO`
         of the sampling rate where the velocity has to be derived.
     is_torque_delay_removed : bool
-        Whether the torque is moved back by the delay that the driver stated in the recording.
+        True to move the torque back by the delay that the driver stated in the recording.
 
     Raises
     ------

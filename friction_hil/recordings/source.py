@@ -31,7 +31,7 @@ class Source:
     select : function
         From the names of all axes in the file to those to read.
     configuration : Configuration or None
-        Of the machine, for formats that require it.
+        Configuration of the machine, for formats that require it.
     """
 
     path: Path

@@ -42,7 +42,7 @@ def replay_segments(
     settling : int
         Rows at either end of each segment in which the low-pass has not settled.
     problems : list of str
-        What was found in the recording and what was done about it.
+        Messages about defects of the recording and their treatment.
 
     Raises
     ------

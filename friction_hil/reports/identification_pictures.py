@@ -115,8 +115,8 @@ def _loops(curves: Curves) -> list[slice]:
     """Return parts of the recording that move back and forth, from small to large travel."""
     moving = np.abs(curves.velocity) > 1e-3 * np.max(np.abs(curves.velocity))
     rows = np.flatnonzero(moving)
-    turns = rows[np.flatnonzero(np.diff(np.sign(curves.velocity[rows])) != 0) + 1]
-    parts = [slice(int(a), int(b) + 1) for a, b in zip(turns, turns[2:], strict=False)]
+    reversals = rows[np.flatnonzero(np.diff(np.sign(curves.velocity[rows])) != 0) + 1]
+    parts = [slice(int(a), int(b) + 1) for a, b in zip(reversals, reversals[2:], strict=False)]
     parts = [part for part in parts if curves.recording[part.start] == curves.recording[part.stop - 1]]
     parts.sort(key=lambda part: float(np.ptp(curves.position[part])))
     chosen = sorted({round(k) for k in np.linspace(0, len(parts) - 1, _LOOPS)}) if parts else []

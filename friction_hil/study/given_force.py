@@ -24,10 +24,10 @@ def presliding(name: str) -> ExperimentResult:
     model = matched(name, REFERENCE)
     peak = FORCE_FRACTION * break_away(name, REFERENCE)
     dt = 2e-4
-    turns = peak * np.array([0.0, 1.0, -1.0, 1.0])
-    lengths = np.round(np.abs(np.diff(turns)) / (RATE * dt)).astype(int)
+    corners = peak * np.array([0.0, 1.0, -1.0, 1.0])
+    lengths = np.round(np.abs(np.diff(corners)) / (RATE * dt)).astype(int)
     force = np.concatenate(
-        [np.linspace(a, b, n, endpoint=False) for a, b, n in zip(turns[:-1], turns[1:], lengths, strict=True)]
+        [np.linspace(a, b, n, endpoint=False) for a, b, n in zip(corners[:-1], corners[1:], lengths, strict=True)]
     )
     position = push(model, MASS, force, dt, DAMPER)[0]
     cycle = slice(int(lengths[0]), None)  # from one peak to the next

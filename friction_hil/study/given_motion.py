@@ -42,9 +42,9 @@ def stress_strain(name: str) -> ExperimentResult:
     """Compute the friction over a displacement to and fro, with a small loop inside the large one."""
     dt = 5e-5
     step = _STRAIN_SPEED * dt
-    turns = 1e-6 * np.array([0.0, 30.0, -30.0, 0.0, -6.0, 0.0, 30.0])
-    lengths = np.round(np.abs(np.diff(turns)) / step).astype(int)
-    velocity = np.repeat(np.sign(np.diff(turns)) * _STRAIN_SPEED, lengths)
+    corners = 1e-6 * np.array([0.0, 30.0, -30.0, 0.0, -6.0, 0.0, 30.0])
+    lengths = np.round(np.abs(np.diff(corners)) / step).astype(int)
+    velocity = np.repeat(np.sign(np.diff(corners)) * _STRAIN_SPEED, lengths)
     model = matched(name, REFERENCE)
     force = _force(model, velocity, dt)
     position = np.cumsum(velocity) * dt

@@ -34,7 +34,7 @@ def identified(
     Parameters
     ----------
     recording : Recording
-        Of the run of `friction_hil.tuning.motions.experiment_run`, with a torque.
+        Recording of a run of `friction_hil.tuning.motions.experiment_run`, with a torque.
     configuration : Configuration
         From which that run was made.
     families : sequence of str

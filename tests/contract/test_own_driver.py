@@ -58,12 +58,12 @@ class MyDrives:
         pass
 
     def receive(self, feedback: Sequence[Feedback], end_ns: int) -> None:
-        for told, motor in zip(feedback, self._motors.values(), strict=True):
-            told.is_fresh, told.missing = not motor.is_silent, "no reply" if motor.is_silent else ""
+        for filled, motor in zip(feedback, self._motors.values(), strict=True):
+            filled.is_fresh, filled.missing = not motor.is_silent, "no reply" if motor.is_silent else ""
             if not motor.is_silent:
                 motor.advance()
-                told.position, told.velocity, told.torque = motor.position, motor.velocity, motor.torque
-                told.state = motor.state
+                filled.position, filled.velocity, filled.torque = motor.position, motor.velocity, motor.torque
+                filled.state = motor.state
 
     def send(self, commands: Sequence[Command]) -> None:
         for command, motor in zip(commands, self._motors.values(), strict=True):

@@ -207,7 +207,7 @@ def test_nobody_answers(tmp_path):
     configuration = write_configuration(tmp_path)
     _, done = run_daemon(configuration, "--duration", 0.5, check=False)
     assert done.returncode == 1
-    assert done.stderr.startswith("Error: x: nobody answers as node 1")
+    assert done.stderr.startswith("Error: x: no drive answers as node 1")
     assert done.stderr.count("\n") == 1
     assert "Traceback" not in done.stderr
 

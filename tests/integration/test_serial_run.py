@@ -282,7 +282,7 @@ def test_more_silence_than_is_bridged_is_a_fault_that_says_why(tmp_path, kind):
     ("kind", "faults", "reason"),
     [
         ("modbus rtu", {"drop": 1.0}, "of unit 3: no reply in time"),
-        ("modbus rtu", {"corrupt": 1.0}, "CRC is wrong|no reply of unit 3 to function 3|unit [0-9]+ answered in place"),
+        ("modbus rtu", {"corrupt": 1.0}, "CRC is wrong|no reply of unit 3 to function 3|unit [0-9]+ answered instead"),
         ("odrive", {"drop": 1.0}, "read position and velocity of x: no reply in time"),
     ],
 )
@@ -330,7 +330,9 @@ def test_a_tcp_port_at_which_nobody_listens(tmp_path):
     configuration = write_serial_configuration(tmp_path, "modbus tcp")
     status, text = refused(configuration)
     assert status == 1
-    assert text.startswith(f"Error: {port_in(configuration)}: no connection: Connection refused; see whether")
+    assert text.startswith(
+        f"Error: {port_in(configuration)}: no connection: Connection refused; check that the drive is on"
+    )
 
 
 def test_a_period_that_the_wire_does_not_allow_is_refused_with_the_arithmetic(tmp_path):

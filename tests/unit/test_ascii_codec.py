@@ -181,7 +181,9 @@ def test_a_fixed_number_chooses_its_message() -> None:
     image.values["control"] = 0.0
     assert exchange.encode() == b"#0OFF\r"
     image.values["control"] = 7.0
-    with pytest.raises(ValueError, match=r"control = 7.0 cannot be written; what can be is control = 1; control = 0"):
+    with pytest.raises(
+        ValueError, match=r"control = 7.0 cannot be written; the messages write control = 1; control = 0"
+    ):
         exchange.encode()
 
 
@@ -275,13 +277,13 @@ def test_what_follows_a_reply_is_left_alone() -> None:
 @pytest.mark.parametrize(
     ("line", "words"),
     [
-        (xored(b"1.0"), "right would be {position:float} {velocity:float}"),
-        (xored(b"1.0 2.0 3.0"), "right would be"),
-        (xored(b"8"), "right would be"),
-        (xored(b"nan 0.0"), "right would be"),
-        (xored(b"inf 0.0"), "right would be"),
+        (xored(b"1.0"), "expected: {position:float} {velocity:float}"),
+        (xored(b"1.0 2.0 3.0"), "expected:"),
+        (xored(b"8"), "expected:"),
+        (xored(b"nan 0.0"), "expected:"),
+        (xored(b"inf 0.0"), "expected:"),
         (xored(b"0.0 1e999"), "too large for velocity"),
-        (xored(b"1.0 2.0").replace(b"1.0", b"1.1"), "right would be *34"),
+        (xored(b"1.0 2.0").replace(b"1.0", b"1.1"), "expected: *34"),
         (b"1.0 2.0\r\n", "no checksum"),
         (b"1.0 2.0*\r\n", "no checksum"),
         (b"\xff\xfe1.0 2.0*17\r\n", "checksum"),
@@ -304,10 +306,10 @@ def test_what_is_no_reply_is_refused_whole(line: bytes, words: str) -> None:
 )
 def test_the_error_of_a_set_point_is_never_taken_for_the_reply_that_follows(text: bytes) -> None:
     exchange, image = feedback_of(ODRIVE)
-    with pytest.raises(ReplyError, match="or to what was sent before") as caught:
+    with pytest.raises(ReplyError, match="or to an earlier request") as caught:
         exchange.take(bytearray(xored(text) + xored(b"1.0 2.0")))
     assert text.decode() in str(caught.value)
-    assert not caught.value.is_complete  # the reply proper is still to come, and belongs to nobody then
+    assert not caught.value.is_complete  # the reply to this request is still to come
     assert not image.fresh
 
 
@@ -325,7 +327,7 @@ def test_an_acknowledgement_is_not_a_value_nor_a_value_an_acknowledgement() -> N
     plan, _ = plan_of(COPLEY, "cst", "")
     for exchange, line in ((plan.poll[0], b"ok\r"), (plan.push[0], b"v 1\r")):
         exchange.encode()
-        with pytest.raises(ReplyError, match="right would be"):
+        with pytest.raises(ReplyError, match="expected:"):
             exchange.take(bytearray(line))
 
 
@@ -361,7 +363,7 @@ def test_an_echo_in_pieces_is_dropped_once() -> None:
 @pytest.mark.parametrize("line", [b"#0A0001,1.0,2\r\n", b"#0M\r#0A0001,1.0,2\r\n", b"x#0A\r#0A0001,1.0,2\r\n"])
 def test_without_its_echo_a_reply_is_none(line: bytes) -> None:
     exchange, image = feedback_of(BUS)
-    with pytest.raises(ReplyError, match="in place of the echo"):
+    with pytest.raises(ReplyError, match="instead of the echo"):
         exchange.take(bytearray(line))
     assert not image.fresh
 
@@ -386,11 +388,11 @@ def test_a_reply_of_another_width_than_described_is_refused() -> None:
 
 
 def understood(data: bytes) -> Mapping[str, float] | None:
-    """What the first line that is not empty says to one who knows nothing but the manual of the ODrive."""
+    """Return the numbers of the first line that is not empty, read by the manual of the ODrive alone."""
     lines = [line.strip(b"\r\n\0") for line in data.split(b"\r\n")[:-1]]
     first = next((line for line in lines if line), b"")
-    body, star, told = first.rpartition(b"*")
-    if not star or not told.strip(b" ").isdigit() or int(told) != int(xored(body).rpartition(b"*")[2]):
+    body, star, checksum = first.rpartition(b"*")
+    if not star or not checksum.strip(b" ").isdigit() or int(checksum) != int(xored(body).rpartition(b"*")[2]):
         return None
     try:
         position, velocity = (float(word) for word in body.decode().split())
@@ -412,10 +414,10 @@ def test_random_bytes_never_crash_and_never_tell_what_was_not_said(data: bytes) 
         is_complete = exchange.take(received)
     except ReplyError:
         is_complete = False
-    told = {name: image.values[name] for name in image.fresh}
-    assert bool(told) == is_complete
+    values = {name: image.values[name] for name in image.fresh}
+    assert bool(values) == is_complete
     if is_complete:
-        assert told == understood(data)
+        assert values == understood(data)
 
 
 @given(st.sampled_from(["cst", "csv", "csp"]), st.lists(st.binary(max_size=80), max_size=8))
@@ -445,7 +447,7 @@ def test_requests_may_go_out_together_whose_replies_differ_in_their_words() -> N
     assert feedback.may_follow(first)
     assert not second.may_follow(first)
     assert not feedback.may_follow(feedback)
-    assert not plan.push[0].may_follow(feedback), "nobody could tell what an error belongs to"
+    assert not plan.push[0].may_follow(feedback), "it would be unknown what an error belongs to"
 
 
 @given(st.floats(-9e4, 9e4), st.floats(-9e3, 9e3), st.floats(-900.0, 900.0))

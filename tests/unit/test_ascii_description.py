@@ -84,7 +84,11 @@ def test_the_small_description_is_right() -> None:
         ("messages/torque/request", "c {axis} {torque_command}", "TYPE one of float, int, hex"),
         ("messages/torque/request", "c {axis} {torque_command:double}", "TYPE one of float, int, hex"),
         ("messages/torque/request", "c {axis} {torque_command:float", "brace"),
-        ("messages/torque/request", "c {torque_command:float}{position:float}", "nobody could tell where one ends"),
+        (
+            "messages/torque/request",
+            "c {torque_command:float}{position:float}",
+            "follows a number without text between them",
+        ),
         ("messages/torque/request", "c {torque_command:float} {torque_command:float}", "twice"),
         ("messages/torque/request", "c {torque_command:float}\n", "line ends are given by"),
         ("messages/torque/request", " ", "empty"),
@@ -95,10 +99,10 @@ def test_the_small_description_is_right() -> None:
         ("messages/feedback/request", "f {status:int}", "no message reads position"),
         ("messages/on/sets", {"contol": 1}, "did you mean 'control'"),
         ("messages/on/sets", {"control": 2}, "messages can only set other numbers"),
-        ("messages/on/reply", "ok", "its reply is another"),
-        ("enable", [{"write": {"control": 1, "torque_command": 0}}], "no message writes just that"),
+        ("messages/on/reply", "ok", "has another reply"),
+        ("enable", [{"write": {"control": 1, "torque_command": 0}}], "no message writes exactly that"),
         ("modes", {"cst": {"commands": ["torque_command", "position"]}}, "no messages write just"),
-        ("watchdog", {"signal": "status"}, "no message writes just that"),
+        ("watchdog", {"signal": "status"}, "no message writes exactly that"),
         ("acknowledge", "{status:int}", "must not have fields"),
         ("error_replies", {"(": "open"}, "no regular expression"),
         ("error_replies", {"(a+)+b": "slow"}, "repeats a group"),
@@ -123,7 +127,7 @@ def test_an_error_without_a_number_is_told_with_its_line_and_what_would_be_right
         read_section(path, AsciiDescription)
     (problem,) = caught.value.problems
     assert (problem.line, problem.field) == (text.count("\n") + 1, f"errors.{key.strip(chr(39))}")
-    assert problem.message.startswith("is no whole number; write the number of the signal error")
+    assert problem.message.startswith("is no whole number; give the number of the signal error")
 
 
 def test_errors_are_numbered_as_manuals_do(tmp_path: Path) -> None:

@@ -210,7 +210,7 @@ def test_a_line_that_another_process_has_is_reported_with_that_process_and_left_
         assert tty.tcgetattr(line) == before
     assert status == 1
     assert f"another process has it (process {other.pid}, sleep)" in found["line of x"]["detail"]
-    assert found["line of x"]["fix"] == "end that one first"
+    assert found["line of x"]["fix"] == "end that process first"
 
 
 def test_a_line_that_is_locked_is_reported_although_its_holder_is_not_known(look, terminal, monkeypatch):
@@ -220,7 +220,7 @@ def test_a_line_that_is_locked_is_reported_although_its_holder_is_not_known(look
     found, status = look(serial(terminal[1]))
     os.close(descriptor)
     assert status == 1
-    assert "another process has it: two masters" in found["line of x"]["detail"]
+    assert "another process has it: a line must have only one master" in found["line of x"]["detail"]
 
 
 @pytest.mark.parametrize("is_simulated", [False, True])
@@ -255,7 +255,7 @@ def test_a_tcp_connection_sends_nothing(look):
             connection.settimeout(10.0)
             assert connection.recv(100) == b""  # it has gone again, and said nothing
     assert status == 0
-    assert found["line of x"]["detail"] == f"somebody listens at {port}"
+    assert found["line of x"]["detail"] == f"{port} accepts connections"
     found, status = look(serial(port))
     assert status == 1
     assert "no connection: Connection refused" in found["line of x"]["detail"]

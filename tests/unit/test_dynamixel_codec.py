@@ -337,7 +337,7 @@ def test_a_broken_packet_costs_one_servo() -> None:
     broken = bytearray(status(2, feedback(7, 8, 9)))
     broken[-4] ^= 1
     reply = status(1, feedback(1, 2, 3)) + broken + status(3, feedback(4, 5, 6))
-    with pytest.raises(ReplyError, match=r"^what id 2 answered has a wrong CRC$") as caught:
+    with pytest.raises(ReplyError, match=r"^the answer of id 2 has a wrong CRC$") as caught:
         exchange.take(bytearray(reply))
     assert not caught.value.is_complete
     assert [axis for axis in images if images[axis].fresh] == ["1", "3"]
@@ -425,8 +425,8 @@ def test_an_alert_is_no_refusal() -> None:
     ("reply", "message"),
     [
         (status(3, feedback(1, 2, 3)), r"answered by id 3, which was not asked"),
-        (status(1), r"id 1 answered with 0 bytes of data in place of 10"),  # to a write of the cycle before
-        (status(1, b"\x01"), r"id 1 answered with 1 bytes of data in place of 10"),
+        (status(1), r"id 1 answered with 0 bytes of data instead of 10"),  # to a write of the cycle before
+        (status(1, b"\x01"), r"id 1 answered with 1 bytes of data instead of 10"),
         (status(1, feedback(1, 2, 3)) + status(1, feedback(4, 5, 6)), r"answered by id 1 twice"),
     ],
 )

@@ -70,8 +70,8 @@ def with_crc(text: str | bytes) -> bytes:
 def reader(count: int = 3, *, unit: int = 1) -> tuple[ModbusExchange, Image]:
     """Exchange of function 3 that reads 16-bit signals s0, s1, ... from 006Bh on, its request sent."""
     image = Image({"torque_command": 7.0})
-    places = tuple(RegisterField(f"s{k}", "holding", 0x6B + k, "int16") for k in range(count))
-    request = ModbusExchange(RtuFraming(), unit, image, read=RegisterBlock("holding", 0x6B, count, places))
+    fields = tuple(RegisterField(f"s{k}", "holding", 0x6B + k, "int16") for k in range(count))
+    request = ModbusExchange(RtuFraming(), unit, image, read=RegisterBlock("holding", 0x6B, count, fields))
     assert request.encode() == with_crc(bytes((unit, 3, 0, 0x6B, 0, count)))
     return request, image
 
@@ -294,18 +294,18 @@ class TestReplies:
     @pytest.mark.parametrize(
         ("frame", "text"),
         [
-            ("03 03 06 02 2B 00 00 00 64", "unit 3 answered in place of unit 1: 03 03 06"),
-            ("01 04 06 02 2B 00 00 00 64", "function 4 was answered in place of 3"),
-            ("01 03 04 02 2B 00 00", "another number or address"),
+            ("03 03 06 02 2B 00 00 00 64", "unit 3 answered instead of unit 1: 03 03 06"),
+            ("01 04 06 02 2B 00 00 00 64", "function 4 was answered instead of 3"),
+            ("01 03 04 02 2B 00 00", "number or the address of the registers"),
             ("01 03 00 6B 00 03", "echoes"),
         ],
     )
     def test_of_somebody_else_are_told(self, frame: str, text: str) -> None:
         request, image = reader()
         received = bytearray(with_crc(frame))
-        with pytest.raises(ReplyError, match=text) as told:
+        with pytest.raises(ReplyError, match=text) as caught:
             request.take(received)
-        assert not told.value.is_complete
+        assert not caught.value.is_complete
         assert not received
         assert not image.fresh
 
@@ -332,9 +332,9 @@ class TestReplies:
     def test_exceptions_are_told(self, code: int, text: str) -> None:
         request, image = reader()
         received = bytearray(with_crc(bytes((1, 0x83, code))))
-        with pytest.raises(ReplyError, match=f"unit 1 refuses: .*{text}.* .exception {code}.") as told:
+        with pytest.raises(ReplyError, match=f"unit 1 refuses: .*{text}.* .exception {code}.") as caught:
             request.take(received)
-        assert told.value.is_complete
+        assert caught.value.is_complete
         assert not received
         assert not image.fresh
 
@@ -422,7 +422,7 @@ class TestTcp:
     @pytest.mark.parametrize(
         ("body", "unit", "text"),
         [
-            ("03 02 00 05", 3, "unit 3 answered in place of unit 1"),
+            ("03 02 00 05", 3, "unit 3 answered instead of unit 1"),
             ("04 02 00 05", 1, "no reply to function 3"),
             ("03 04 00 05 00 05", 1, "no reply to function 3"),
             ("83 06", 1, "busy"),
@@ -431,9 +431,9 @@ class TestTcp:
     def test_no_reply_to_this_request(self, body: str, unit: int, text: str) -> None:
         request, image = self.reader()
         received = bytearray(self.reply(request.encode(), body, unit=unit))
-        with pytest.raises(ReplyError, match=text) as told:
+        with pytest.raises(ReplyError, match=text) as caught:
             request.take(received)
-        assert told.value.is_complete
+        assert caught.value.is_complete
         assert not image.fresh
 
     @settings(max_examples=200, deadline=None)

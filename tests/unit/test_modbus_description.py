@@ -60,8 +60,8 @@ def planned(description: ModbusDescription, commands: tuple[str, ...] = ("torque
     return line.plan({"a": CycleSignals(fast, slow, commands)})
 
 
-def told(plan: Plan) -> list[list[str]]:
-    """What a plan says, without the words that are always there."""
+def labels(plan: Plan) -> list[list[str]]:
+    """Return the labels of the exchanges of a plan, without the unit."""
     return [[e.label.removesuffix(" of unit 1") for e in part] for part in (plan.poll, plan.background, plan.push)]
 
 
@@ -83,7 +83,7 @@ class TestMistakes:
             (
                 {"brake": {"address": 1, "type": "bool", "function": "coil"}},
                 {"prepare": [{"write": {"brake": 1}}]},
-                "brake is written, which takes function 5 or 15; write_functions has not",
+                "brake is written, which takes function 5 or 15; write_functions does not have it",
             ),
             ({}, {"prepare": [{"write": {"control": 0, "torque_command": 0}}]}, r"prepare\.0\s+writes .* side by side"),
             (
@@ -128,9 +128,9 @@ class TestMistakes:
         with pytest.raises(ConfigurationError) as error:
             load_description(str(path), None, DESCRIPTIONS, ModbusDescription)
         lines = path.read_text().splitlines()
-        told = [(lines[each.line - 1].strip(), each.message) for each in error.value.problems if each.line]
-        assert any("mode: 40000" in line and "-32768 to 32767, not 40000" in message for line, message in told)
-        assert any(line.startswith("velocity:") and "give word_order" in message for line, message in told)
+        reported = [(lines[each.line - 1].strip(), each.message) for each in error.value.problems if each.line]
+        assert any("mode: 40000" in line and "-32768 to 32767, not 40000" in message for line, message in reported)
+        assert any(line.startswith("velocity:") and "give word_order" in message for line, message in reported)
 
     def test_32_bits_may_bring_their_own_order(self) -> None:
         wide = {
@@ -181,47 +181,47 @@ class TestReady:
 
 class TestPlan:
     def test_contiguous_signals_are_read_together_and_commands_written_together(self) -> None:
-        poll, turns, push = told(planned(described(), CSP))
+        poll, background, push = labels(planned(described(), CSP))
         assert poll == ["read 6 registers at 0010h"]
-        assert turns == ["read 1 register at 0018h"]
+        assert background == ["read 1 register at 0018h"]
         assert push == ["write 3 registers at 0030h"]
 
     def test_unused_registers_are_read_over_where_the_drive_does_not_mind(self) -> None:
-        poll, turns, _ = told(planned(described(max_gap_registers=2)))
+        poll, background, _ = labels(planned(described(max_gap_registers=2)))
         assert poll == ["read 9 registers at 0010h"]
-        assert turns == []
-        assert told(planned(described(max_gap_registers=1)))[1] == ["read 1 register at 0018h"]
+        assert background == []
+        assert labels(planned(described(max_gap_registers=1)))[1] == ["read 1 register at 0018h"]
 
     def test_what_is_slow_may_join_what_is_fast(self) -> None:
         changed = {"velocity": {"address": 0x15, "type": "int32", "unit": "count/s"}, "error": {"address": 0x14}}
-        poll, turns, _ = told(planned(described(changed)))
-        assert (poll, turns) == (["read 7 registers at 0010h"], [])
+        poll, background, _ = labels(planned(described(changed)))
+        assert (poll, background) == (["read 7 registers at 0010h"], [])
 
     def test_what_is_slow_does_not_cost_a_poll(self) -> None:
-        poll, turns, _ = told(planned(described(max_read_registers=4)))
+        poll, background, _ = labels(planned(described(max_read_registers=4)))
         assert poll == ["read 4 registers at 0012h"]
-        assert turns == ["read 2 registers at 0010h", "read 1 register at 0018h"]
+        assert background == ["read 2 registers at 0010h", "read 1 register at 0018h"]
 
     def test_function_23_writes_while_it_reads(self) -> None:
         plan = planned(described(read_write_multiple=True), CSP)
-        assert told(plan)[0] == ["write 3 registers at 0030h and read 6 registers at 0010h"]
+        assert labels(plan)[0] == ["write 3 registers at 0030h and read 6 registers at 0010h"]
         assert not plan.push
         assert plan.poll[0].writes == CSP
 
     def test_function_23_is_for_holding_registers(self) -> None:
         inputs = {name: SIGNALS[name] | {"function": "input"} for name in (*FAST, *SLOW)}
-        poll, _, push = told(planned(described(inputs, read_write_multiple=True)))
+        poll, _, push = labels(planned(described(inputs, read_write_multiple=True)))
         assert poll == ["read 6 input registers at 0010h"]
         assert push == ["write 1 register at 0030h"]
         inputs.pop("position")
-        poll, _, push = told(planned(described(inputs, read_write_multiple=True)))
+        poll, _, push = labels(planned(described(inputs, read_write_multiple=True)))
         assert poll[0] == "write 1 register at 0030h and read 2 registers at 0012h"
         assert all(part.startswith("read") for part in poll[1:])
         assert not push
 
     def test_listening_writes_nothing(self) -> None:
         plan = planned(described(read_write_multiple=True), ())
-        assert told(plan) == [["read 6 registers at 0010h"], ["read 1 register at 0018h"], []]
+        assert labels(plan) == [["read 6 registers at 0010h"], ["read 1 register at 0018h"], []]
 
     def test_aligned_access(self) -> None:
         changed = {

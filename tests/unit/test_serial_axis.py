@@ -295,7 +295,7 @@ def test_fault_reset_is_an_edge():
         ({"enable": [{"write": {"powr": 1}}]}, "names the signal 'powr'; did you mean 'power'"),
         ({"states": []}, "states, enable and disable are needed"),
         ({"inferred": ["torc"]}, r"inferred\.0\s+names the signal 'torc'"),
-        ({"modes": {"cst": {"commands": ["power"]}}}, r"modes\.cst\s+commands power; what can be commanded is"),
+        ({"modes": {"cst": {"commands": ["power"]}}}, r"modes\.cst\s+commands power; possible commands are"),
         ({"state_machine": "cia402"}, "cia402 needs the signal control"),
         ({"watchdog": {"signal": "dog"}}, r"watchdog\s+names the signal 'dog'"),
         ({"watchdog": {"signal": "reset"}}, "the watchdog's signal reset must be in s"),

@@ -47,7 +47,7 @@ def test_a_period_that_is_too_short_is_refused_with_the_arithmetic():
     with pytest.raises(UsageError, match="a cycle takes 34 ms, so 29 Hz at best") as error:
         check_rate(plan, None, LINE, 0.0, 64, 0.0339)
     assert "reading abc: 4 + 8 characters, 14 ms" in str(error.value)
-    assert "less what requests and replies overlap" in str(error.value)
+    assert "less the time for which requests and replies overlap" in str(error.value)
     with pytest.raises(UsageError, match="a cycle takes 38 ms") as error:
         check_rate(plan, None, LINE, 0.0, 0, 0.0339)
     assert "overlap" not in str(error.value)

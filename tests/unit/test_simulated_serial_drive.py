@@ -21,8 +21,8 @@ READY, ON = DriveState.READY_TO_SWITCH_ON, DriveState.SWITCHED_ON
 STOPPING, FAULT = DriveState.QUICK_STOP_ACTIVE, DriveState.FAULT
 
 
-def told(drive: SimulatedDrive) -> DriveState:
-    """State as the driver understands the drive's numbers."""
+def shown_state(drive: SimulatedDrive) -> DriveState:
+    """Return the state that the drive's numbers show to the driver."""
     return state_of(drive.description, {name: drive.read(name) for name in drive.description.units()})
 
 
@@ -38,7 +38,7 @@ def enable(drive: SimulatedDrive) -> None:
     else:
         for name, number in (("request", 2), ("key", 1), ("request", 3)):
             drive.write(name, number)
-    assert told(drive) is ENABLED
+    assert shown_state(drive) is ENABLED
 
 
 # Device control of CiA 402
@@ -49,7 +49,7 @@ def test_the_way_up_and_down() -> None:
     states = []
     for word in (0x07, 0x0F, 0x06, 0x07, 0x0F, 0x07, 0x06, 0x00):
         drive.write("control", word)
-        states.append(told(drive))
+        states.append(shown_state(drive))
     assert states == [DISABLED, DISABLED, READY, ON, ENABLED, ON, READY, DISABLED]
 
 
@@ -57,12 +57,12 @@ def test_a_fault_is_reset_by_a_rising_edge_alone() -> None:
     drive = make_drive()
     drive.write("control", 0x80)
     drive.fail()
-    assert (told(drive), drive.read("error")) == (FAULT, 42)  # what its description calls a lost communication
+    assert (shown_state(drive), drive.read("error")) == (FAULT, 42)  # what its description calls a lost communication
     for word in (0x80, 0x0F, 0x06, 0x00):
         drive.write("control", word)
-        assert told(drive) is FAULT
+        assert shown_state(drive) is FAULT
     drive.write("control", 0x8F)
-    assert (told(drive), drive.read("error")) == (DISABLED, 0)
+    assert (shown_state(drive), drive.read("error")) == (DISABLED, 0)
 
 
 def test_quick_stop_comes_to_rest_and_then_ends_in_switch_on_disabled() -> None:
@@ -74,13 +74,13 @@ def test_quick_stop_comes_to_rest_and_then_ends_in_switch_on_disabled() -> None:
         sample(drive)
     assert drive.servo.true_velocity == pytest.approx(5.0, rel=0.05)
     drive.write("control", 0x02)
-    assert told(drive) is STOPPING
+    assert shown_state(drive) is STOPPING
     sample(drive)
-    assert told(drive) is STOPPING  # half the rated torque takes 3 ms
+    assert shown_state(drive) is STOPPING  # half the rated torque takes 3 ms
     drive.write("control", 0x0F)
-    assert told(drive) is STOPPING
+    assert shown_state(drive) is STOPPING
     sample(drive, 700)
-    assert told(drive) is DISABLED
+    assert shown_state(drive) is DISABLED
     assert abs(drive.servo.true_velocity) < 0.05
 
 
@@ -89,16 +89,16 @@ def test_quick_stop_comes_to_rest_and_then_ends_in_switch_on_disabled() -> None:
 
 def test_steps_act_once_all_their_values_are_there_and_in_their_turn() -> None:
     drive = make_drive(OWN)
-    assert told(drive) is DISABLED
+    assert shown_state(drive) is DISABLED
     drive.write("key", 1)
     drive.write("request", 3)  # the second step before the first
-    assert told(drive) is DISABLED
+    assert shown_state(drive) is DISABLED
     drive.write("request", 2)
-    assert told(drive) is ON
+    assert shown_state(drive) is ON
     drive.write("request", 3)
-    assert told(drive) is ENABLED
+    assert shown_state(drive) is ENABLED
     drive.write("request", 1)
-    assert told(drive) is DISABLED
+    assert shown_state(drive) is DISABLED
 
 
 def test_a_fault_is_left_by_its_own_steps_alone() -> None:
@@ -107,14 +107,14 @@ def test_a_fault_is_left_by_its_own_steps_alone() -> None:
     drive.fail()
     for number in (2, 3, 1, 5, 0):  # the last is the second step of the reset without the first
         drive.write("request", number)
-        assert (told(drive), drive.read("error")) == (FAULT, 4)
+        assert (shown_state(drive), drive.read("error")) == (FAULT, 4)
     drive.write("request", 9)
-    assert told(drive) is FAULT
+    assert shown_state(drive) is FAULT
     drive.write("request", 0)
-    assert (told(drive), drive.read("error")) == (DISABLED, 0)
+    assert (shown_state(drive), drive.read("error")) == (DISABLED, 0)
     drive.fail()
     drive.write("request", 0)  # what was done about the last fault does not help against this one
-    assert told(drive) is FAULT
+    assert shown_state(drive) is FAULT
 
 
 def test_own_quick_stop_repeated_each_cycle_still_ramps() -> None:
@@ -128,10 +128,10 @@ def test_own_quick_stop_repeated_each_cycle_still_ramps() -> None:
     for _ in range(3):
         drive.write("request", 5)
         sample(drive)
-        assert told(drive) is STOPPING
+        assert shown_state(drive) is STOPPING
     assert 0.0 < drive.servo.true_velocity < speed - 0.5  # without power 0.15 would be lost
     sample(drive, 700)
-    assert told(drive) is DISABLED
+    assert shown_state(drive) is DISABLED
 
 
 def test_a_state_that_no_number_tells_is_a_mistake_of_the_description() -> None:
@@ -161,7 +161,7 @@ def test_whatever_is_written_the_numbers_tell_the_state_and_torque_needs_power(k
             drive.fail()
         else:
             sample(drive, 3)
-        assert told(drive) is drive.state
+        assert shown_state(drive) is drive.state
         if not drive.state.is_powered:
             assert drive.servo.torque_demand == 0.0 or event < len(numbers) or event == 11
         assert not (before is FAULT and drive.state is ENABLED)
@@ -173,12 +173,12 @@ def test_whatever_is_written_the_numbers_tell_the_state_and_torque_needs_power(k
     for request in (Request.RESET_FAULT, Request.DISABLE, Request.ENABLE):
         for _ in range(700):
             cycles += 1
-            for name, number in sequencer.next_write(request, told(drive), cycles * 1e-3).items():
+            for name, number in sequencer.next_write(request, shown_state(drive), cycles * 1e-3).items():
                 drive.write(name, number)
             sequencer.acknowledge()
             drive.fed()
             sample(drive)
-    assert told(drive) is ENABLED
+    assert shown_state(drive) is ENABLED
 
 
 # Commands
@@ -227,7 +227,7 @@ def test_what_cannot_be_written_is_refused_in_words() -> None:
     for name, number, text in (
         ("position", 0.0, "position cannot be written"),
         ("nonsense", 0.0, "nonsense cannot be written"),
-        ("mode", 3.0, "mode cannot be 3; it takes"),
+        ("mode", 3.0, "mode cannot be 3; it accepts"),
         ("torque_command", math.nan, "torque_command cannot be nan"),
         ("lifetime", -1.0, "lifetime cannot be -1"),
     ):
@@ -258,9 +258,9 @@ def test_silence_ends_the_torque_and_is_a_fault() -> None:
     for _ in range(5):
         drive.write("torque_command", 100)
         sample(drive, 19)
-        assert told(drive) is ENABLED
+        assert shown_state(drive) is ENABLED
     sample(drive)
-    assert (told(drive), drive.read("error")) == (FAULT, 42)
+    assert (shown_state(drive), drive.read("error")) == (FAULT, 42)
     sample(drive, 10)
     assert drive.servo.torque_demand == 0.0
     assert abs(drive.servo.torque) < 1e-6
@@ -276,9 +276,9 @@ def test_silence_is_measured_within_a_period() -> None:
     enable(drive)
     drive.write("torque_command", 100)
     drive.advance_to(19_900_000)
-    assert told(drive) is ENABLED
+    assert shown_state(drive) is ENABLED
     drive.advance_to(500_000_000)
-    assert told(drive) is FAULT
+    assert shown_state(drive) is FAULT
     # all that time but 20 ms it coasted: the Coulomb friction needs 20 (0.064 - 0.01) / 0.01 = 108 ms to stop it
     assert drive.servo.true_velocity == 0.0
 
@@ -288,7 +288,7 @@ def test_a_drive_that_counts_requests_is_fed_by_them() -> None:
     for _ in range(5):
         sample(drive, 19)
         drive.fed()
-    assert told(drive) is ENABLED
+    assert shown_state(drive) is ENABLED
 
 
 @pytest.mark.parametrize("off", [("lifetime", 0.0), ("lifetime_on", None)])
@@ -301,17 +301,17 @@ def test_the_watchdog_needs_its_time_and_its_switch(off: tuple[str, float | None
             drive.write(name, off[1])
     enable(drive)
     sample(drive, 100)
-    assert told(drive) is ENABLED
+    assert shown_state(drive) is ENABLED
 
 
 def test_disabled_drives_do_not_mind_silence() -> None:
     drive = make_drive(OWN)
     drive.write("lifetime", 0.02)
     sample(drive, 100)
-    assert told(drive) is DISABLED
+    assert shown_state(drive) is DISABLED
     enable(drive)  # which feeds it
     sample(drive, 19)
-    assert told(drive) is ENABLED
+    assert shown_state(drive) is ENABLED
 
 
 def test_without_supply_nothing_is_taken_and_then_all_is_as_at_first() -> None:
@@ -326,10 +326,10 @@ def test_without_supply_nothing_is_taken_and_then_all_is_as_at_first() -> None:
     assert drive.servo.true_position > position  # mechanics goes on
     assert drive.servo.true_velocity < speed + 1.0
     drive.switch_on()
-    assert (told(drive), drive.read("control"), drive.read("lifetime")) == (DISABLED, 0, 0)
+    assert (shown_state(drive), drive.read("control"), drive.read("lifetime")) == (DISABLED, 0, 0)
     enable(drive)
     sample(drive, 100)
-    assert told(drive) is ENABLED  # the watchdog is off
+    assert shown_state(drive) is ENABLED  # the watchdog is off
 
 
 def test_a_drive_without_supply_cannot_be_enabled() -> None:

@@ -1,4 +1,4 @@
-"""Drives that speak in lines of text over a serial line, each described in a YAML file."""
+"""Drives that exchange lines of text over a serial line, each described in a YAML file."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""Checksums of lines of text: exclusive or, sum, CRC-8 and CRC-16, written behind the line."""
+"""Checksums of lines of text: exclusive or, sum, CRC-8 and CRC-16, appended to the line."""
 
 import functools
 import operator
@@ -14,25 +14,27 @@ _WIDTHS = {"xor": 8, "sum": 8, "crc8": 8, "crc16": 16}
 
 
 class Checksum(Part):
-    """Kind and form of the checksum, in both directions.
+    """Kind and format of the checksum, for requests and replies alike.
 
-    The parameters of a CRC are those of the usual catalogues: CRC-16/MODBUS is polynomial 8005h, initial FFFFh,
-    reflected; CRC-16/XMODEM polynomial 1021h alone.
+    The parameters of a CRC are named as in the usual catalogues: CRC-16/MODBUS has the polynomial 8005h, the initial
+    value FFFFh and is reflected; CRC-16/XMODEM has only the polynomial 1021h.
     """
 
-    kind: Literal["xor", "sum", "crc8", "crc16"] = Field(description="xor and sum: of all characters, in 8 bits")
-    form: Literal["decimal", "hex"] = Field("hex", description="hex: two or four digits")
-    prefix: str = Field("", pattern=r"^[!-~]{0,2}$", description="stands before it, e.g. *; is not counted")
-    skip: int = Field(0, ge=0, le=8, description="characters at the beginning that are not counted, e.g. 1 for a $")
-    polynomial: int = Field(0, ge=0, le=0xFFFF, description="of a CRC, most significant bit first")
-    initial: int = Field(0, ge=0, le=0xFFFF, description="of a CRC")
-    final_xor: int = Field(0, ge=0, le=0xFFFF, description="of a CRC")
+    kind: Literal["xor", "sum", "crc8", "crc16"] = Field(
+        description="xor and sum are taken over all characters, in 8 bits"
+    )
+    form: Literal["decimal", "hex"] = Field("hex", description="hex has two or four digits")
+    prefix: str = Field("", pattern=r"^[!-~]{0,2}$", description="text before the checksum, e.g. *; it is not included")
+    skip: int = Field(0, ge=0, le=8, description="characters at the beginning that are not included, e.g. 1 for a $")
+    polynomial: int = Field(0, ge=0, le=0xFFFF, description="polynomial of a CRC, most significant bit first")
+    initial: int = Field(0, ge=0, le=0xFFFF, description="initial value of a CRC")
+    final_xor: int = Field(0, ge=0, le=0xFFFF, description="value that a CRC is combined with at the end, by xor")
     is_reflected: bool = Field(False, description="a CRC that takes the least significant bit first")
 
     @model_validator(mode="after")
     def _is_whole(self) -> Self:
         if self.form == "decimal" and not self.prefix:
-            raise ValueError("a decimal checksum needs a prefix: nobody could tell where it begins")
+            raise ValueError("a decimal checksum needs a prefix that marks where it begins")
         is_crc = self.kind.startswith("crc")
         if is_crc != bool(self.polynomial):
             raise ValueError(f"{self.kind} {'needs a' if is_crc else 'has no'} polynomial")
@@ -43,7 +45,7 @@ class Checksum(Part):
 
 
 def checksum_function(settings: Checksum) -> Callable[[bytes], int]:
-    """Compute the checksum of a line without the characters that do not count."""
+    """Return the function that computes the checksum of a line; it skips the characters that are not included."""
     if settings.skip:
         skip, counted = settings.skip, checksum_function(settings.model_copy(update={"skip": 0}))
         return lambda line: counted(line[skip:])
@@ -79,7 +81,7 @@ def _reversed(value: int, width: int) -> int:
 
 
 def _crc_table(polynomial: int, width: int, *, is_reflected: bool) -> tuple[int, ...]:
-    """Compute the CRC table of all 256 bytes."""
+    """Compute the CRC of each of the 256 bytes."""
     table = []
     for byte in range(256):
         value = (_reversed(byte, 8) if is_reflected else byte) << (width - 8)
@@ -100,15 +102,15 @@ class Checker:
     Attributes
     ----------
     size : int
-        Characters that a line becomes longer at most.
+        Largest number of characters that the checksum adds to a line.
     pattern : bytes
-        Regular expression of what stands behind a line; a group for the checksum itself.
+        Regular expression of prefix and checksum; the checksum itself is a group.
     compute : callable
-        Checksum of a line.
+        Function that computes the checksum of a line.
     form : bytes
-        How it is written, for ``%``.
+        Format of prefix and checksum, for ``%``.
     base : int
-        To read it.
+        Base of the written number, 10 or 16.
     """
 
     def __init__(self, settings: Checksum) -> None:
@@ -130,13 +132,13 @@ class Checker:
         Raises
         ------
         ValueError
-            It has none, or a wrong one.
+            The line has no checksum, or a wrong one.
         """
         found = self._split(line)
         if found is None:
             raise ValueError("has no checksum")
-        text, told = found.groups()
+        text, received = found.groups()
         right = self.compute(text)
-        if int(told, self.base) != right:
-            raise ValueError(f"has a wrong checksum; right would be {(self.form % right).decode()}")
+        if int(received, self.base) != right:
+            raise ValueError(f"has a wrong checksum; expected: {(self.form % right).decode()}")
         return text

@@ -1,4 +1,4 @@
-"""Lines of text as exchanges: requests made from a process image, replies put into it."""
+"""Exchanges of lines of text: requests made from a process image, and replies stored in it."""
 
 from collections.abc import Mapping, Sequence
 
@@ -12,13 +12,14 @@ class AsciiExchange:
     Parameters
     ----------
     axis : str
-        For people.
+        Name of the axis, for messages.
     language : Language
     messages : sequence of CompiledMessage
-        With the same signals and the same replies; the first whose fixed numbers are those of the image is sent.
+        Messages with the same signals and the same replies. The first one whose fixed numbers equal those in the image
+        is sent.
     image : Image
     addressee : str
-        Who answers; the same for all axes whose replies do not tell them apart.
+        Name of the drive that answers; the same for all axes if a reply does not show which of them it is from.
     """
 
     def __init__(
@@ -32,7 +33,9 @@ class AsciiExchange:
         self._image = image
         self._sent = b""
         self.constant = b""
-        self._known: bytes | None = None  # the last reply, and what it tells: it often comes again
+        self._known: bytes | None = (
+            None  # the last reply; its numbers are kept because the same reply often comes again
+        )
         self._names: tuple[str, ...] = ()
         self._numbers: list[float] = []
         self._is_echo_due = False
@@ -61,12 +64,12 @@ class AsciiExchange:
         return None
 
     def encode(self) -> bytes:
-        """Return the request; the values that it writes are those of the image.
+        """Return the request with the values of the image.
 
         Raises
         ------
         ValueError
-            A value is missing, not finite, or not one of those that can be written.
+            A value is missing, not finite, or not one that a message can write.
         """
         language = self._language
         self._is_echo_due = language.has_echo
@@ -85,7 +88,7 @@ class AsciiExchange:
                 return message
         given = ", ".join(f"{name} = {values.get(name)}" for name in self.writes)
         known = "; ".join(", ".join(f"{n} = {v:g}" for n, v in message.sets.items()) for message in self._messages)
-        raise ValueError(f"{self._axis}: {given} cannot be written; what can be is {known}")
+        raise ValueError(f"{self._axis}: {given} cannot be written; the messages write {known}")
 
     def take(self, received: bytearray) -> bool:
         """Remove the reply from ``received`` and store it in the image; return True if it was complete.
@@ -93,7 +96,7 @@ class AsciiExchange:
         Raises
         ------
         ReplyError
-            It is an error reply, or no reply to this request; nothing was put into the image.
+            The line is an error reply, or no reply to this request; nothing was stored in the image.
         """
         if self._is_echo_due and not self._take_echo(received):
             return False
@@ -107,7 +110,7 @@ class AsciiExchange:
             for names, read in self._readers:
                 try:
                     found = read(received)
-                except ValueError:  # told below
+                except ValueError:  # `_read_line` reports it
                     break
                 if found is not None:
                     self._numbers, size = found
@@ -125,7 +128,7 @@ class AsciiExchange:
         Raises
         ------
         ReplyError
-            As `take`.
+            See `take`.
         """
         language = self._language
         try:
@@ -142,16 +145,16 @@ class AsciiExchange:
                     return True
             raise self._error(line)
         except ValueError as error:
-            raise ReplyError(f"{self._story(line)}: {error}") from error
+            raise ReplyError(f"{self._described(line)}: {error}") from error
 
     def _take_echo(self, received: bytearray) -> bool:
-        # the other half of a line end like \r\n, of which the drive's reply before has left one
+        # a drive may end lines by more characters than described; the rest of the last reply's end comes first
         while received and received[0] in b"\r\n\0":
             del received[0]
         if not received.startswith(self._sent):
             if self._sent.startswith(received):
                 return False
-            raise ReplyError(f"{shown(received)} came in place of the echo of {shown(self._sent)}")
+            raise ReplyError(f"{shown(received)} came instead of the echo of {shown(self._sent)}")
         del received[: len(self._sent)]
         self._is_echo_due = False
         return True
@@ -162,18 +165,18 @@ class AsciiExchange:
         Raises
         ------
         ValueError
-            Its checksum.
+            The line has no checksum, or a wrong one.
         """
         language = self._language
         meaning = language.meaning(line if language.checker is None else language.checker.remove(line))
         if meaning is None:
             right = " or ".join(form.template for form in self._first.replies) or "none"
-            return ReplyError(f"{self._story(line)}; right would be {right}")
+            return ReplyError(f"{self._described(line)}; expected: {right}")
         if language.is_answering_all:
-            return ReplyError(f"{self._story(line)}: {meaning}", is_complete=True)
-        # an error of a set-point to which nothing is replied comes unasked: the reply proper then follows
-        before = ", or to what was sent before" if self._first.replies else ""
-        return ReplyError(f"{self._story(line)}{before}: {meaning}", is_unsolicited=True)
+            return ReplyError(f"{self._described(line)}: {meaning}", is_complete=True)
+        # the error may belong to an earlier set-point without a reply: the reply to this request then still follows
+        before = ", or to an earlier request" if self._first.replies else ""
+        return ReplyError(f"{self._described(line)}{before}: {meaning}", is_unsolicited=True)
 
-    def _story(self, line: bytes) -> str:
+    def _described(self, line: bytes) -> str:
         return f"{shown(line)} came in reply to {shown(self._sent)}"

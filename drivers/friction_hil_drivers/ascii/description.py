@@ -1,4 +1,4 @@
-"""Description of a drive that speaks in lines of text: its signals, and its messages."""
+"""Description of a drive that exchanges lines of text: its signals and its messages."""
 
 import re
 from collections.abc import Iterable, Iterator, Mapping
@@ -20,17 +20,17 @@ _REPEATED_GROUP = re.compile(r"\)[*+{]")
 
 
 class Message(Part):
-    """A request and its reply. The fields of the request are written, those of the reply are read."""
+    """Request and its reply. The fields of the request are written, the fields of the reply are read."""
 
     request: str = Field(description="template, e.g. v {axis} {velocity_command:float}")
     reply: str | tuple[str, ...] | None = Field(
         None,
-        description="template, or several that may come; empty: none comes; the acknowledgement when not given",
+        description="template, or a list of possible ones; empty: no reply comes; `acknowledge` when not given",
     )
     sets: dict[str, Finite] = Field(
-        {}, description="signals that the request sets to a fixed number: writing that number sends it"
+        {}, description="signals that the request sets to a fixed number: writing that number sends the request"
     )
-    feeds_watchdog: bool = Field(False, description="the drive's watchdog counts it as a sign of life")
+    feeds_watchdog: bool = Field(False, description="the request resets the drive's watchdog")
 
     @field_validator("request")
     @classmethod
@@ -46,54 +46,54 @@ class Message(Part):
         forms = (reply,) if isinstance(reply, str) else reply or ()
         found = [sorted(field.name for field in fields(parse(form))) for form in forms]
         if any(names != found[0] for names in found):
-            raise ValueError("all its forms must have the same fields")
+            raise ValueError("all templates of the reply must have the same fields")
         return reply
 
     @property
     def forms(self) -> tuple[str, ...] | None:
-        """Templates of its reply; None if the acknowledgement of the description applies."""
+        """Templates of the reply; None if the acknowledgement of the description applies."""
         return (self.reply,) if isinstance(self.reply, str) else self.reply
 
     @property
     def writes(self) -> tuple[str, ...]:
-        """Signals that it writes."""
+        """Signals that the request writes."""
         return *(field.name for field in fields(parse(self.request))), *self.sets
 
     @property
     def reads(self) -> tuple[str, ...]:
-        """Signals that it reads."""
+        """Signals that the reply contains."""
         return tuple(field.name for field in fields(parse(self.forms[0]))) if self.forms else ()
 
     @property
     def number_fields(self) -> Iterator[NumberField]:
-        """All fields in it."""
+        """All fields of request and replies."""
         for template in (self.request, *(self.forms or ())):
             yield from fields(parse(template))
 
 
 class AsciiDescription(Description):
-    """A drive that speaks in lines of text."""
+    """Drive that exchanges lines of text."""
 
     protocol: Literal["ascii"]
     signals: dict[str, AsciiSignal]
     messages: dict[str, Message] = Field(min_length=1)
-    axis: str = Field("", description="stands for {axis} where the configuration gives nothing")
-    request_end: LineEnd = Field("\n", description="ends a request")
-    reply_end: LineEnd = Field("\r\n", description="ends a reply")
+    axis: str = Field("", description="text for {axis} if the configuration gives none")
+    request_end: LineEnd = Field("\n", description="end of a request")
+    reply_end: LineEnd = Field("\r\n", description="end of a reply")
     echo: bool = Field(False, description="the drive repeats each request before it replies")
-    checksum: Checksum | None = Field(None, description="behind each line; none when not given")
-    acknowledge: str = Field("", description="reply to a message without a reply of its own; empty: none comes")
+    checksum: Checksum | None = Field(None, description="checksum at the end of each line; none when not given")
+    acknowledge: str = Field("", description="reply to messages that have no key reply; empty: no reply comes")
     error_replies: dict[str, str] = Field(
-        {}, description="replies that tell an error: regular expression of the whole line, and what it means"
+        {}, description="replies that report an error: regular expression of the whole line, and its meaning"
     )
     ahead_chars: int = Field(
         0,
         ge=0,
         le=4096,
-        description="characters of requests that the drive takes in before it has answered the first, on a line with "
-        "two directions: requests whose replies differ in their number of words are then sent together; 0: one by one",
+        description="characters of requests that the drive buffers before it has answered the first one, on a "
+        "full-duplex line: requests whose replies differ in their number of words are then sent together; 0: singly",
     )
-    refusal: str = Field("", description="reply of the simulated drive to what it does not understand; empty: none")
+    refusal: str = Field("", description="reply of the simulated drive to a request that it does not know; empty: none")
 
     @field_validator("acknowledge", "refusal")
     @classmethod
@@ -148,7 +148,7 @@ class AsciiDescription(Description):
             yield ("ahead_chars",), "with an echo, requests cannot be sent ahead (ahead_chars)"
 
     def _mistakes_in_fields(self) -> Iterator[Mistake]:
-        told: set[str] = set()
+        reported: set[str] = set()
         for key, message in self.messages.items():
             for name in message.sets:
                 if name not in self.signals:
@@ -157,16 +157,16 @@ class AsciiDescription(Description):
                 signal = self.signals.get(field.name)
                 if signal is None:
                     yield ("messages", key), f"has the signal {field.name!r}; {choices(field.name, self.signals)}"
-                elif (field.type == FLOAT) == (signal.bits is not None) and field.name not in told:
-                    told.add(field.name)
+                elif (field.type == FLOAT) == (signal.bits is not None) and field.name not in reported:
+                    reported.add(field.name)
                     is_float = field.type == FLOAT
                     advice = "is a float: it has no bits" if is_float else f"is of type {field.type}: give its bits"
                     yield ("signals", field.name), f"{field.name} in messages.{key} {advice}"
-        ways: dict[frozenset[str], Message] = {}
+        writers: dict[frozenset[str], Message] = {}
         for key, message in self.messages.items():
-            other = ways.setdefault(frozenset(message.writes), message)
+            other = writers.setdefault(frozenset(message.writes), message)
             if message.writes and self.replies(other) != self.replies(message):
-                yield ("messages", key), "writes what another one writes, but its reply is another"
+                yield ("messages", key), "writes the same signals as another message, but has another reply"
 
     def _mistakes_in_reach(self) -> Iterator[Mistake]:
         used = {name for message in self.messages.values() for name in (*message.writes, *message.reads)}
@@ -180,7 +180,7 @@ class AsciiDescription(Description):
             yield ("signals", name), f"no message reads {name} without writing something"
         for key, step in self._steps():
             if not any(set(message.writes) == set(step) for message in self.messages.values()):
-                yield key, f"writes {' and '.join(step)}, but no message writes just that"
+                yield key, f"writes {' and '.join(step)}, but no message writes exactly that"
             elif not self._can_take(step):
                 yield key, f"writes {step}, but messages can only set other numbers"
         for mode, part in self.modes.items():
@@ -188,8 +188,8 @@ class AsciiDescription(Description):
                 yield ("modes", mode), f"no messages write just {', '.join(part.commands)}"
 
     def _steps(self) -> Iterator[tuple[FieldPath, Mapping[str, float | None]]]:
-        """Return the values that one message writes, by their key in the file; None: any number."""
-        yield from ((place, step.write) for place, step in self.steps())
+        """Yield the field path and the values of each write that needs a message; a value of None is any number."""
+        yield from ((path, step.write) for path, step in self.steps())
         if self.watchdog is not None:
             yield ("watchdog",), {self.watchdog.signal: None}
         if self.state_machine == "cia402":
@@ -202,11 +202,11 @@ class AsciiDescription(Description):
         )
 
 
-def covering(wanted: Iterable[str], ways: Iterable[tuple[str, ...]]) -> list[tuple[str, ...]] | None:
-    """Choose disjoint groups that cover ``wanted`` exactly, the largest first; None if there are none."""
+def covering(wanted: Iterable[str], groups: Iterable[tuple[str, ...]]) -> list[tuple[str, ...]] | None:
+    """Choose disjoint groups that cover ``wanted`` exactly, the largest first; return None if no choice does."""
     rest, chosen = set(wanted), []
-    for way in sorted(ways, key=len, reverse=True):
-        if way and rest.issuperset(way):
-            chosen.append(way)
-            rest.difference_update(way)
+    for group in sorted(groups, key=len, reverse=True):
+        if group and rest.issuperset(group):
+            chosen.append(group)
+            rest.difference_update(group)
     return None if rest else chosen

@@ -1,4 +1,4 @@
-"""Driver for drives that speak in lines of text: exchanges of a cycle on one line, and the drive port."""
+"""Driver for drives that exchange lines of text: exchanges of a cycle on one line, and the drive port."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -29,15 +29,17 @@ class _Axis:
         wanted = set(names)
         return [message for message in self.language.messages if set(message.writes) == wanted]
 
-    def reading(self, names: Iterable[str], along: Iterable[str] = ()) -> list[CompiledMessage]:
-        """Return the fewest messages that read these signals without writing, preferably with some others along.
+    def reading(self, names: Iterable[str], optional: Iterable[str] = ()) -> list[CompiledMessage]:
+        """Return the fewest messages that read the signals ``names`` without writing.
+
+        Of messages that read equally many of them, the one that also reads most of ``optional`` is taken.
 
         Raises
         ------
         UsageError
-            None of them reads one of these.
+            No message reads one of ``names`` without writing.
         """
-        rest, others, chosen = set(names), set(along), []
+        rest, others, chosen = set(names), set(optional), []
         plain = [message for message in self.language.messages if message.reads and not message.writes]
         while rest:
             best = max(plain, key=lambda m: (len(rest & set(m.reads)), len(others & set(m.reads))), default=None)
@@ -55,13 +57,13 @@ class AsciiLine:
     Parameters
     ----------
     descriptions : mapping of str to AsciiDescription
-        By axis, all on this line.
+        Descriptions of the axes on this line, by name.
     options : mapping of str to AsciiOptions
     images : mapping of str to Image
     """
 
     numbers_replies = False
-    silence_chars = 0.0  # line ends part the lines
+    silence_chars = 0.0  # lines are separated by line ends
 
     def __init__(
         self,
@@ -69,8 +71,8 @@ class AsciiLine:
         options: Mapping[str, AsciiOptions],
         images: Mapping[str, Image],
     ) -> None:
-        is_divided = next(iter(options.values())).line.is_rs485  # both sides on one pair: they would talk at once
-        self.ahead_chars = 0 if is_divided else min(each.ahead_chars for each in descriptions.values())
+        is_half_duplex = next(iter(options.values())).line.is_rs485  # a request sent ahead would collide with a reply
+        self.ahead_chars = 0 if is_half_duplex else min(each.ahead_chars for each in descriptions.values())
         are_named = all(f"{{{AXIS}}}" in form for each in descriptions.values() for form in each.all_replies)
         self.names_drives = are_named or len(descriptions) == 1
         self._axes = {
@@ -89,30 +91,30 @@ class AsciiLine:
         Raises
         ------
         UsageError
-            No message reads or writes what is wanted.
+            No message reads or writes one of the wanted signals.
         """
         poll: list[Exchange] = []
-        turns: list[Exchange] = []
+        background: list[Exchange] = []
         push: list[Exchange] = []
         for name, want in wanted.items():
             axis, fast, slow = self._axes[name], set(want.fast), set(want.slow)
             for messages in self._commanding(axis, want.commands):
-                # what reads feedback in the same breath has to be asked before the computation
+                # a command whose reply contains feedback belongs to the poll, which precedes the computation
                 (push if fast.isdisjoint(messages[0].reads) else poll).append(axis.exchange(messages))
                 fast.difference_update(messages[0].reads)
                 slow.difference_update(messages[0].reads)
-            often = axis.reading(fast, slow)
-            slow.difference_update(*(message.reads for message in often))
-            poll += [axis.exchange((message,)) for message in often]
-            turns += [axis.exchange((message,)) for message in axis.reading(slow)]
-        return Plan(tuple(poll), tuple(turns), tuple(push))
+            reads = axis.reading(fast, slow)
+            slow.difference_update(*(message.reads for message in reads))
+            poll += [axis.exchange((message,)) for message in reads]
+            background += [axis.exchange((message,)) for message in axis.reading(slow)]
+        return Plan(tuple(poll), tuple(background), tuple(push))
 
     def _commanding(self, axis: _Axis, commands: tuple[str, ...]) -> list[list[CompiledMessage]]:
         """Return the messages that write the commands together, each with its alternatives."""
-        ways = covering(commands, (message.writes for message in axis.language.messages))
-        if ways is None:
+        groups = covering(commands, (message.writes for message in axis.language.messages))
+        if groups is None:
             raise UsageError(f"{axis.name}: no messages of its description write just {', '.join(commands)}")
-        return [axis.writing(way) for way in ways]
+        return [axis.writing(group) for group in groups]
 
     def read(self, axis: str, names: Sequence[str]) -> AsciiExchange:
         """Return the exchange that reads some signals of an axis, all by one message.
@@ -120,11 +122,11 @@ class AsciiLine:
         Raises
         ------
         UsageError
-            None has them.
+            No message reads all of them.
         """
         chosen = self._axes[axis].reading(names)
         if len(chosen) != 1:
-            raise UsageError(f"{axis}: no message of its description reads {' and '.join(names)} at once")
+            raise UsageError(f"{axis}: no message of its description reads {' and '.join(names)} together")
         return self._axes[axis].exchange(chosen)
 
     def write(self, axis: str, names: Sequence[str]) -> AsciiExchange:
@@ -133,7 +135,7 @@ class AsciiLine:
         Raises
         ------
         UsageError
-            None writes just these.
+            No message writes exactly these signals.
         """
         messages = self._axes[axis].writing(names)
         if not messages:
@@ -142,7 +144,7 @@ class AsciiLine:
 
 
 class AsciiDrives(SerialDrives):
-    """Drives that speak in lines of text."""
+    """Drives that exchange lines of text."""
 
     Options = AsciiOptions
     description_type = AsciiDescription

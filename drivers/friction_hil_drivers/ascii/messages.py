@@ -1,4 +1,4 @@
-"""Messages of a description, compiled for one axis and either end of the line."""
+"""Messages of a description, compiled for one axis; driver and simulated drives both use them."""
 
 import re
 from collections.abc import Callable, Mapping
@@ -9,13 +9,13 @@ from friction_hil_drivers.ascii.checksum import Checker
 from friction_hil_drivers.ascii.description import AsciiDescription
 from friction_hil_drivers.ascii.template import LineFormat
 
-LONGEST_LINE = 256  # characters; what is longer is noise
-_BLANKS = b"\r\n\0"  # of other line ends, and of adapters that are switched on
+LONGEST_LINE = 256  # characters; anything longer is noise
+_BLANKS = b"\r\n\0"  # rest of longer line ends, and zero bytes of adapters that are switched on
 
 
 @dataclass(frozen=True, slots=True)
 class CompiledMessage:
-    """A message, compiled for one axis."""
+    """Message compiled for one axis."""
 
     request: LineFormat
     replies: tuple[LineFormat, ...]  # any of them may come; none: no reply
@@ -32,7 +32,7 @@ class Language:
     ----------
     description : AsciiDescription
     axis : str, optional
-        Stands for ``{axis}``; any name fits when not given.
+        Text for ``{axis}``; any name matches when not given.
     """
 
     def __init__(self, description: AsciiDescription, axis: str | None) -> None:
@@ -61,7 +61,7 @@ class Language:
         self.is_error = re.compile(errors).fullmatch if errors else None
 
     def meaning(self, line: bytes) -> str | None:
-        """Return the meaning of an error reply; None if it is none."""
+        """Return the meaning of an error reply; None if the line is no error reply."""
         return next((text for form, text in self._meanings if form.fullmatch(line)), None)
 
     def sealed_size(self, size: int, end: bytes) -> int:
@@ -78,27 +78,27 @@ def sealer(checker: Checker | None, end: bytes) -> Callable[[bytes], bytes]:
 
 
 def reader(form: LineFormat, language: Language) -> Callable[[bytes | bytearray], tuple[list[float], int] | None]:
-    """Return the function that reads one form of a reply: line, checksum and line end; no error reply.
+    """Return the function that reads replies of one format: line, checksum and line end.
 
     Returns
     -------
     callable
-        Takes what came; returns the numbers, in the order of the form's names, and the size of the line with all that
-        belongs to it; None where there is anything unusual about it, or it is not complete. Raises ValueError where a
-        number is beyond what its signal can hold.
+        Takes the received bytes. Returns the numbers, in the order of the names of ``form``, and the size of line,
+        checksum and line end; None if the reply is incomplete, of another format, an error reply or has a wrong
+        checksum. Raises ValueError if a number exceeds the range of its signal.
     """
     checker = language.checker
     end = (b"" if checker is None else checker.pattern) + re.escape(language.reply_end)
     match = re.compile(b"(" + form.pattern + b")" + end).match
     is_error = language.is_error
-    places = slice(1, 1 + len(form.names))  # of the numbers in what is found, behind the line
+    number_groups = slice(1, 1 + len(form.names))  # group 0 is the whole line
     numbers, are_floats = form.numbers, form.are_floats
     if checker is None:
         compute, base = None, 0
     else:
         compute, base = checker.compute, checker.base
 
-    # a function, for it runs between a reply and its use, when hardly anything is in the caches: nothing is looked up
+    # a closure, because it runs when the caches are cold: its variables need no look-up of attributes
     def read(received: bytes | bytearray) -> tuple[list[float], int] | None:
         found = match(received)
         if found is None:
@@ -110,10 +110,10 @@ def reader(form: LineFormat, language: Language) -> Callable[[bytes | bytearray]
         if is_error is not None and is_error(line):
             return None
         if are_floats:
-            told = list(map(float, texts[places]))
-            if isfinite(sum(told)):
-                return told, found.end()
-        return numbers(texts[places]), found.end()
+            floats = list(map(float, texts[number_groups]))
+            if isfinite(sum(floats)):
+                return floats, found.end()
+        return numbers(texts[number_groups]), found.end()
 
     return read
 
@@ -124,17 +124,17 @@ def take_line(received: bytearray, end: bytes) -> bytes | None:
     Raises
     ------
     ValueError
-        No line is that long; all of it was removed.
+        The line is longer than `LONGEST_LINE`; all received bytes were removed.
     """
     while True:
-        place = received.find(end)
-        size = len(received) if place < 0 else place
+        index = received.find(end)
+        size = len(received) if index < 0 else index
         if size >= LONGEST_LINE + len(end):
             received.clear()
             raise ValueError(f"no line ends within {LONGEST_LINE} characters")
-        if place < 0:
+        if index < 0:
             return None
-        line = received[:place].strip(_BLANKS)
-        del received[: place + len(end)]
+        line = received[:index].strip(_BLANKS)
+        del received[: index + len(end)]
         if line:
             return bytes(line)

@@ -1,4 +1,4 @@
-"""Options of the driver for lines of text: its own keys of an axis."""
+"""Options of the driver for lines of text: the keys that it adds to an axis."""
 
 from typing import Annotated
 
@@ -17,7 +17,7 @@ class AsciiOptions(SerialOptions):
     axis: Annotated[str, BeforeValidator(_as_text)] | None = Field(
         None,
         pattern=r"^[!-\[\]^-z|~]{0,16}$",
-        description="stands for {axis} in the description, which says what it is when not given",
+        description="text for {axis} in the messages of the description; the description's own `axis` when not given",
     )
 
     @property

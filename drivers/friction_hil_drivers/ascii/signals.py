@@ -1,4 +1,4 @@
-"""Signals of a drive whose numbers are text."""
+"""Signals of a drive that transmits numbers as text."""
 
 from typing import Literal
 
@@ -8,25 +8,25 @@ from friction_hil_drivers.serial_line.description import Signal
 
 
 class AsciiSignal(Signal):
-    """A value of the drive, and the format of its number."""
+    """Value of the drive, and the format of its number."""
 
     bits: Literal[8, 16, 32, 64] | None = Field(
-        None, description="width of an integer (int, hex): bounds it; a position wraps there"
+        None, description="width of an integer (int, hex); numbers are limited to its range, a position wraps"
     )
-    is_signed: bool = Field(True, description="of an integer")
-    digits: int = Field(6, ge=0, le=12, description="of a float: digits after the point that are written")
+    is_signed: bool = Field(True, description="true if an integer has a sign")
+    digits: int = Field(6, ge=0, le=12, description="digits of a float that are written after the point")
     whole_digits: int = Field(
-        6, ge=1, le=12, description="of a float: digits before the point at most; larger numbers are not written"
+        6, ge=1, le=12, description="most digits of a float before the point; larger numbers are limited to that"
     )
 
     @property
     def counter_bits(self) -> int | None:
-        """Width of the drive's number where that is an integer that wraps."""
+        """Width of the drive's number if that is an integer, which wraps; else None."""
         return self.bits
 
     @property
     def bounds(self) -> tuple[int, int] | None:
-        """Least and greatest of the drive's numbers, where these are integers."""
+        """Least and greatest number of the drive if its numbers are integers; else None."""
         if self.bits is None:
             return None
         half = 1 << self.bits - 1

@@ -18,22 +18,22 @@ if TYPE_CHECKING:
 _NO_REPLY = b""
 
 
-class _Speaker:
+class _Station:
     """One simulated drive on the line."""
 
     def __init__(self, drive: "SimulatedDrive", description: AsciiDescription, axis: str) -> None:
         self.language = Language(description, axis)
-        self._anybody = Language(description, None)
+        self._any_axis = Language(description, None)
         self._drive = drive
         self._position_bits = description.signals["position"].bits
         self._refusal = description.refusal.encode()
 
-    def is_meant_for_another(self, line: bytes) -> bool:
-        """Return True if the request would be understood under another name."""
-        return any(_numbers(message, line) is not None for message in self._anybody.messages)
+    def is_for_another_axis(self, line: bytes) -> bool:
+        """Return True if the request is one of the description's messages, with any name of an axis."""
+        return any(_numbers(message, line) is not None for message in self._any_axis.messages)
 
     def answer(self, line: bytes) -> bytes | None:
-        """Carry a request out and return the reply; None if it is not understood here."""
+        """Carry out a request and return the reply; None if it is no request to this drive."""
         for message in self.language.messages:
             numbers = _numbers(message, line)
             if numbers is not None:
@@ -41,11 +41,11 @@ class _Speaker:
         return None
 
     def refusal(self) -> bytes:
-        """Return the reply to a request that the drive does not understand."""
+        """Return the reply to a request that the drive does not know."""
         return self.reply(self._refusal) if self._refusal else _NO_REPLY
 
     def reply(self, text: bytes) -> bytes:
-        """Return a line with checksum and line end."""
+        """Return a reply with checksum and line end."""
         return self.language.seal_reply(text)
 
     def _carry_out(self, message: CompiledMessage, numbers: Mapping[str, float]) -> bytes:
@@ -78,14 +78,14 @@ def _numbers(message: CompiledMessage, line: bytes) -> Mapping[str, float] | Non
 
 
 class AsciiResponder:
-    """Answers for the simulated drives on one line; see the simulation's `Responder`.
+    """Answers requests for the simulated drives on one line; see `Responder` of `serial_line.simulated.server`.
 
     Parameters
     ----------
     drives : mapping of str to SimulatedDrive
-        By axis.
+        Drives by axis.
     descriptions, options : mapping
-        Of the same axes; how lines end, how they are checked and whether they are echoed, the first one says.
+        Descriptions and options by axis. Line ends, checksum and echo are taken from the first description.
     """
 
     def __init__(
@@ -94,13 +94,13 @@ class AsciiResponder:
         descriptions: Mapping[str, AsciiDescription],
         options: Mapping[str, AsciiOptions],
     ) -> None:
-        self._speakers = [
-            _Speaker(drives[axis], descriptions[axis], descriptions[axis].axis_name(options[axis].axis))
+        self._stations = [
+            _Station(drives[axis], descriptions[axis], descriptions[axis].axis_name(options[axis].axis))
             for axis in drives
         ]
-        self._language = self._speakers[0].language
+        self._language = self._stations[0].language
         self.request_end = self._language.request_end
-        self._is_too_long = False  # the rest of an overlong line is still to come
+        self._is_too_long = False  # the rest of a line that is too long is still to come
 
     def take(self, received: bytearray) -> bytes | None:
         """Remove one whole request and answer it.
@@ -108,8 +108,8 @@ class AsciiResponder:
         Returns
         -------
         bytes or None
-            The reply; empty where none is due: a set-point, a request for nobody here, or a broken one. None: more
-            has to come.
+            The reply. Empty if none is due: the request was a set-point, damaged, or for none of these drives. None if
+            the request is not complete.
         """
         language = self._language
         try:
@@ -131,13 +131,13 @@ class AsciiResponder:
         return echo + self._answer(line)
 
     def _answer(self, line: bytes) -> bytes:
-        # what names no axis is meant for all
-        replies = [reply for speaker in self._speakers if (reply := speaker.answer(line)) is not None]
+        # a request that names no axis is for all drives
+        replies = [reply for station in self._stations if (reply := station.answer(line)) is not None]
         if replies:
             return replies[0]
-        if any(speaker.is_meant_for_another(line) for speaker in self._speakers):
+        if any(station.is_for_another_axis(line) for station in self._stations):
             return _NO_REPLY
-        return self._speakers[0].refusal()
+        return self._stations[0].refusal()
 
     def forget(self) -> None:
         """Treat the next bytes as the beginning of a line."""
@@ -145,7 +145,7 @@ class AsciiResponder:
 
 
 class SimulatedAsciiDrives(SimulatedSerialDrives):
-    """Simulated drives that answer lines of text."""
+    """Simulated drives that exchange lines of text."""
 
     description_type = AsciiDescription
     descriptions = DESCRIPTIONS

@@ -1,7 +1,7 @@
-"""Templates of lines of text with numbers in them, compiled to write and to read the numbers.
+"""Templates of lines of text with numbers in them, compiled for writing and reading the numbers.
 
-A field in braces stands for a number, ``v {axis} {velocity_command:float}``; ``{axis}`` alone for the name of the
-axis. Numbers are written without exponents: the readers of many drives know none.
+A field in braces is a number, as in ``v {axis} {velocity_command:float}``; ``{axis}`` is the name of the axis. Numbers
+are written without exponents, because many drives cannot read them.
 """
 
 import functools
@@ -17,9 +17,9 @@ AXIS = "axis"
 FLOAT, INTEGER, HEXADECIMAL = "float", "int", "hex"
 _TYPES = (FLOAT, INTEGER, HEXADECIMAL)
 _BRACES = re.compile(r"\{([^{}]*)\}")
-_NEVER = math.inf, -math.inf  # bounds that no number keeps
+_NEVER = math.inf, -math.inf  # bounds that no number lies in, so that every number is converted
 _WRAPPING = ("position", "position_command")
-# Bounded, and no two parts that can share a character: the time to match is linear.
+# The repetitions are bounded, and no character matches two adjacent parts: the time to match is linear.
 _FLOAT = rb"[-+]?(?:[0-9]{1,40}(?:\.[0-9]{0,40})?|\.[0-9]{1,40})(?:[eE][-+]?[0-9]{1,3})?"
 _INTEGER = rb"[-+]?[0-9]{1,20}"
 _HEXADECIMAL = rb"[0-9A-Fa-f]{1,16}"
@@ -27,13 +27,13 @@ _HEXADECIMAL = rb"[0-9A-Fa-f]{1,16}"
 
 @dataclass(frozen=True, slots=True)
 class NumberField:
-    """A number in a line: its signal, and its format."""
+    """Number in a line: the name of its signal, and its format."""
 
     name: str
     type: str
 
 
-Part = str | NumberField  # text as it is, with {axis} still in it, or a number
+Part = str | NumberField  # text, with {axis} not replaced yet, or a number
 
 
 def parse(template: str) -> tuple[Part, ...]:
@@ -42,7 +42,7 @@ def parse(template: str) -> tuple[Part, ...]:
     Raises
     ------
     ValueError
-        It is none; the message says what would be right.
+        The text is no template; the message says what a template looks like.
     """
     if not template.isascii() or not template.isprintable():
         raise ValueError("must be printable ASCII; line ends are given by request_end and reply_end")
@@ -59,14 +59,14 @@ def parse(template: str) -> tuple[Part, ...]:
         if kind not in _TYPES:
             raise ValueError(f"{{{piece}}} is no field: {{{AXIS}}} or {{SIGNAL:TYPE}}, TYPE one of {', '.join(_TYPES)}")
         if parts and isinstance(parts[-1], NumberField):
-            raise ValueError(f"{{{piece}}} follows a number at once; nobody could tell where one ends")
+            raise ValueError(f"{{{piece}}} follows a number without text between them: the end of the first is unknown")
         parts.append(NumberField(name, kind))
     names = [part.name for part in parts if isinstance(part, NumberField)]
     for name in names:
         if names.count(name) > 1:
-            raise ValueError(f"{name} stands in it twice")
+            raise ValueError(f"contains {name} twice")
     if any("{" in part.replace(f"{{{AXIS}}}", "") or "}" in part.replace(f"{{{AXIS}}}", "") for part in _texts(parts)):
-        raise ValueError("has a brace without its other half")
+        raise ValueError("has an unpaired brace")
     return tuple(parts)
 
 
@@ -80,31 +80,31 @@ def _texts(parts: list[Part]) -> list[str]:
 
 
 class LineFormat:
-    """A template compiled for one axis.
+    """Template compiled for one axis.
 
     Parameters
     ----------
     template : str
     signals : mapping of str to AsciiSignal
-        How the numbers of each signal are written.
+        Formats of the numbers, by signal.
     axis : str, optional
-        Stands for ``{axis}``; any name fits when not given, and nothing can be written.
+        Text for ``{axis}``. When not given, any name matches, and no line can be written.
 
     Attributes
     ----------
     template : str
-        As given.
+        The template itself.
     names : tuple of str
-        Signals in it, in their order.
+        Signals in the line, in their order.
     words : int
-        Parts of the line between blanks.
+        Number of parts between blanks.
     are_floats : bool
-        All numbers in it are.
+        All numbers in the line are floats.
     pattern : bytes
-        Regular expression of a line that is read; a group for each number.
+        Regular expression of a line that is read; each number is a group.
     size : int
-        Characters of the longest line that can be written; of a line that is read, the longest with floats of no
-        more than the signal's ``whole_digits`` before the point and its ``digits`` after it.
+        Characters of the longest line that can be written. For a line that is read: of the longest line whose floats
+        have at most ``whole_digits`` before the point and ``digits`` after it.
     """
 
     def __init__(self, template: str, signals: Mapping[str, AsciiSignal], axis: str | None) -> None:
@@ -120,7 +120,7 @@ class LineFormat:
             if isinstance(part, str):
                 text = part.replace(f"{{{AXIS}}}", axis or "")
                 if index == 0 and axis == "":
-                    text = text.lstrip()  # "{axis} g" of a drive that is alone and has no name
+                    text = text.lstrip()  # "{axis} g" of a single drive without a name
                 self.size += len(text)
                 written += text.encode().replace(b"%", b"%%")
                 pattern += _text_pattern(part, axis)
@@ -139,14 +139,14 @@ class LineFormat:
         self._match = re.compile(self.pattern).fullmatch
 
     def write(self, values: Mapping[str, float]) -> bytes:
-        """Return the line with the numbers of ``values``, rounded, saturated and (integer positions) wrapped.
+        """Return the line with the numbers of ``values``: rounded, limited, and integer positions wrapped.
 
         Raises
         ------
         ValueError
             A value is missing or not finite.
         """
-        numbers = []  # each cycle: a comprehension is one function more to be called
+        numbers = []  # runs in every cycle: a comprehension would cost one more call
         try:
             for name, low, high, convert in self._writers:
                 value = values[name]
@@ -156,23 +156,23 @@ class LineFormat:
         return self._written % tuple(numbers)
 
     def read(self, line: bytes) -> list[float] | None:
-        """Return the numbers in ``line``, in the order of `names`; None if it is another line.
+        """Return the numbers in ``line``, in the order of `names`; None if the line does not match the template.
 
         Raises
         ------
         ValueError
-            A number is beyond what its signal can hold.
+            A number exceeds the range of its signal.
         """
         found = self._match(line)
         return None if found is None else self.numbers(found.groups())
 
     def numbers(self, texts: Sequence[bytes]) -> list[float]:
-        """Convert the texts that `pattern` has found.
+        """Convert the groups that `pattern` matched to numbers.
 
         Raises
         ------
         ValueError
-            One is beyond what its signal can hold.
+            A number exceeds the range of its signal.
         """
         if self.are_floats:
             numbers = list(map(float, texts))
@@ -189,7 +189,7 @@ class LineFormat:
 
 
 def _text_pattern(text: str, axis: str | None) -> bytes:
-    """Return the expression for the text between numbers; a space stands for one or more."""
+    """Return the expression for the text between numbers; a space matches one space or more."""
     pieces = []
     for index, piece in enumerate(text.split(f"{{{AXIS}}}")):
         if index:
@@ -203,7 +203,7 @@ def _text_pattern(text: str, axis: str | None) -> bytes:
 
 
 def _writer(field: NumberField, signal: AsciiSignal) -> tuple[bytes, float, float, Callable[[float], float], int]:
-    """Return how to write a number: %-format, bounds that need no conversion, conversion, largest size."""
+    """Return %-format, bounds within which no conversion is needed, conversion and largest size of a written number."""
     if field.type == FLOAT:
         digits = signal.digits
         end = 10.0**signal.whole_digits
@@ -234,7 +234,7 @@ def _rounded(value: float) -> int:
 
 
 def _reader(field: NumberField, signal: AsciiSignal) -> tuple[bytes, Callable[[bytes], float]]:
-    """Return how to read a number: regular expression, conversion of the match."""
+    """Return the regular expression of a number that is read, and the function that converts a match."""
     name = field.name
     if field.type == FLOAT:
         return _FLOAT, float
@@ -253,12 +253,12 @@ def _reader(field: NumberField, signal: AsciiSignal) -> tuple[bytes, Callable[[b
     def read_integer(text: bytes) -> float:
         value = int(text)
         if not low <= value <= high:
-            raise ValueError(f"{text.decode()} is none of the numbers {low} to {high} of {name}")
+            raise ValueError(f"{text.decode()} is outside the range {low} to {high} of {name}")
         return float(value)
 
     return _INTEGER, read_integer
 
 
 def _bounds(signal: AsciiSignal) -> tuple[int, int]:
-    assert signal.bounds is not None  # the description sees to it
+    assert signal.bounds is not None  # the description refuses integers without bits
     return signal.bounds

@@ -73,7 +73,7 @@ def next_controlword(state: DriveState, request: Request, before: int) -> int:
     Parameters
     ----------
     state : DriveState
-        As last reported.
+        State that the drive reported last.
     request : Request
     before : int
         Controlword of the cycle before: a fault is reset by a rising edge.

@@ -24,7 +24,7 @@ class FrameLog:
     rows : dict
         Indices of the frames by identifier, in the order of the log.
     problems : list of str
-        What could not be read.
+        Messages about the parts of the log that could not be read.
     """
 
     def __init__(self, path: Path) -> None:

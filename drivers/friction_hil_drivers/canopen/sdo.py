@@ -50,7 +50,7 @@ class SdoClient(ObjectReader):
             except canopen.SdoCommunicationError as error:
                 if attempt == _ATTEMPTS - 1:
                     text = (
-                        f"{self.axis}: nobody answers as {self.where} (reading {entry}): is the drive on, is this "
+                        f"{self.axis}: no drive answers as {self.where} (reading {entry}): is the drive on, is this "
                         "its node number, and is the bit rate right?"
                     )
                     raise DriveError(text, code=codes.NO_ANSWER) from error

@@ -21,13 +21,13 @@ from friction_hil_drivers.dynamixel.packets import (
 from friction_hil_drivers.dynamixel.table import Item, ItemBlock
 from friction_hil_drivers.serial_line.protocol import Exchange, Image, ReplyError, Single
 
-ALERT = 0x80  # beside the number of an error: something is in Hardware Error Status, which is a signal of its own
+ALERT = 0x80  # bit of the error field: the servo has a hardware error, which the signal `error` reports
 # ROBOTIS e-Manual, DYNAMIXEL Protocol 2.0, Status Packet
 ERRORS = {
-    1: "result fail: it could not do it",
+    1: "result fail: it could not carry out the request",
     2: "instruction error: it does not know this instruction",
-    3: "CRC error: the request reached it broken",
-    4: "data range error: it does not take this value (no goal at all after its bus watchdog tripped)",
+    3: "CRC error: the request was damaged on the line",
+    4: "data range error: it does not accept this value (no goal at all after its bus watchdog tripped)",
     5: "data length error: the value has more bytes than were written",
     6: "data limit error: the value is beyond a limit in its control table",
     7: "access error: this address cannot be read or written (nothing below 64 can while the torque is on)",
@@ -36,7 +36,7 @@ ERRORS = {
 
 @dataclass(frozen=True, slots=True)
 class Member:
-    """A servo that takes part in a request, and the items that are read or written."""
+    """Servo that takes part in a request, and the items that are read or written."""
 
     id: int
     image: Image
@@ -60,11 +60,11 @@ class _Request(Single):
     ----------
     packets : Packets
     label : str
-        For people.
+        Description of the request, for messages.
     members : sequence of Member
-        In the order in which they answer.
+        Servos in the order in which they answer.
     reply_bytes : int
-        Data in the status packet of each.
+        Size of the data in the status packet of each servo.
     """
 
     reads: tuple[str, ...] = ()
@@ -78,10 +78,10 @@ class _Request(Single):
         self._packets = packets
         self._members = {member.id: member for member in members}
         self._reply_bytes = reply_bytes
-        self._packet_size = STATUS_SIZE + reply_bytes  # not stuffed
+        self._packet_size = STATUS_SIZE + reply_bytes  # without stuffing
         self._longest = self._packet_size - PREFIX + _stuffing(reply_bytes)
         self._answered: set[int] = set()
-        self._failed: dict[int, str] = {}  # by servo: why its answer was none
+        self._failed: dict[int, str] = {}  # by servo: reason why its answer is not used
         self._is_broken = False
         self._noise = 0  # bytes that belonged to no packet
 
@@ -92,7 +92,7 @@ class _Request(Single):
 
     @property
     def breaker(self) -> int | None:
-        """First of several servos that did not answer; None if all did."""
+        """First servo that did not answer, in a request to several; None if all answered."""
         return next(iter(self._missing), None) if len(self._members) > 1 else None
 
     def _begin(self) -> None:
@@ -101,14 +101,14 @@ class _Request(Single):
         self._failed.clear()
 
     def take(self, received: bytearray) -> bool:
-        """Store the status packets that came in the images; return True if all servos have answered.
+        """Store the received status packets in the images; return True if all servos have answered.
 
-        What a servo says counts at once, whatever becomes of the others.
+        Each packet is stored when it is complete, even if later ones are lost or damaged.
 
         Raises
         ------
         ReplyError
-            Somebody answered who was not asked, or nobody is left who might answer and an answer was none.
+            A servo answered that was not asked; or no answer is missing any more, and one was damaged or a refusal.
         """
         while not self._is_complete:
             before = len(received)
@@ -120,7 +120,7 @@ class _Request(Single):
                 return False
             self._noise += packet.skipped
             if not packet.is_whole:
-                # of the packet nothing but the header was removed; where it is known whose it was, it is no noise
+                # only the header was removed; if the sender is known, the bytes of its packet do not count as noise
                 is_known = self._blame(packet.id)
                 self._noise += len(HEADER) - (self._packet_size if is_known else 0)
             elif packet.instruction == STATUS:  # not so the request itself, on a line that echoes
@@ -136,34 +136,34 @@ class _Request(Single):
         return [servo for servo in self._members if servo not in self._answered and servo not in self._failed]
 
     def _check_noise(self, received: bytearray, expected: int) -> None:
-        """Stop waiting for packets whose bytes have all come, with a broken header."""
-        kept = len(HEADER) - 1  # of noise; they may begin a header
+        """Stop waiting for packets whose bytes have all arrived, but with a damaged header."""
+        kept = len(HEADER) - 1  # last bytes of the noise, which may begin a header
         if self._noise >= expected - kept and HEADER not in received:
             missing = ", ".join(map(str, self._missing))
-            raise ReplyError(f"{self._noise} bytes came in which there is no packet of id {missing}")
+            raise ReplyError(f"{self._noise} bytes came, but no packet of id {missing}")
 
     def _blame(self, servo: int) -> bool:
-        """Assign a broken packet to the servo it names, or to the only missing one; return True if it is known."""
+        """Assign a damaged packet to the servo that it names, or to the only missing one; return True if assigned."""
         self._is_broken = True
         missing = self._missing
         if servo not in missing and len(missing) == 1:
             servo = missing[0]
         if servo in missing:
-            self._failed[servo] = f"what id {servo} answered has a wrong CRC"
+            self._failed[servo] = f"the answer of id {servo} has a wrong CRC"
         return servo in missing
 
     def _hear(self, servo: int, parameters: bytes) -> None:
         if servo not in self._members or servo in self._answered:
             twice = " twice" if servo in self._answered else ", which was not asked"
             raise ReplyError(f"answered by id {servo}{twice}")
-        self._failed.pop(servo, None)  # whoever was taken for it
+        self._failed.pop(servo, None)  # a damaged packet had been assigned to it
         error, data = parameters[:1], parameters[1:]
         if error and (number := error[0] & ~ALERT):
             self._failed[servo] = (
                 f"id {servo} refuses: {ERRORS.get(number, 'not one of the known ones')} (error {number})"
             )
         elif not error or len(data) != self._reply_bytes:
-            raise ReplyError(f"id {servo} answered with {len(data)} bytes of data in place of {self._reply_bytes}")
+            raise ReplyError(f"id {servo} answered with {len(data)} bytes of data instead of {self._reply_bytes}")
         else:
             self._accept(self._members[servo], data)
 
@@ -173,7 +173,7 @@ class _Request(Single):
             member.put(data)
 
     def _name_missing(self) -> None:
-        """Name the missing servos in ``label`` where others answered: a time-out is reported by that name."""
+        """Name the missing servos in ``label`` if others answered: a time-out is reported with the label."""
         if self._answered or self._failed:
             self.label = f"{self._label} ({', '.join(map(str, self._missing))} missing)"
 
@@ -185,21 +185,21 @@ class _Request(Single):
 
 
 class Order:
-    """Order in which the servos of a line are read: those that broke the chain come last, the latest at the end.
+    """Order in which the servos of a line are read: those that broke the chain come last, the most recent at the end.
 
     Attributes
     ----------
     breaks : int
-        How often a chain has been broken.
+        Number of times that a chain was broken.
     """
 
     def __init__(self) -> None:
         self.breaks = 0
-        self._last: dict[int, int] = {}  # number of the break that was a servo's latest
+        self._last: dict[int, int] = {}  # by servo: number of the last break that it caused
         self._asked: _Request | None = None
 
     def ask(self, request: _Request) -> None:
-        """Note a request that is made now, and the servo that broke the chain of the one before it."""
+        """Note a new request, and the servo that broke the chain of the previous one."""
         if self._asked is not None and (breaker := self._asked.breaker) is not None:
             self.breaks += 1
             self._last[breaker] = self.breaks
@@ -213,8 +213,8 @@ class Order:
 class Read(_Request):
     """Read the same bytes of one servo or of several (Sync Read); each answers with a packet of its own.
 
-    A servo answers when the one before it in the request has. If that one does not, no other one after it does
-    (ROBOTIS-GIT/DynamixelSDK issue 364): so whoever broke the chain comes last in the next request.
+    A servo answers after the one before it in the request. If one does not answer, none of those after it does
+    (ROBOTIS-GIT/DynamixelSDK issue 364). The servo that broke the chain therefore comes last in the next request.
     """
 
     def __init__(self, packets: Packets, members: Sequence[Member], order: Order) -> None:
@@ -246,7 +246,7 @@ class Read(_Request):
         return self._request
 
     def without(self, addressees: frozenset[str]) -> Exchange | None:
-        """Return the exchange that reads the same of all other servos; made once for each choice of them."""
+        """Return the exchange that reads the same bytes of all other servos; each is made once."""
         if addressees not in self._others:
             rest = [member for servo, member in self._members.items() if str(servo) not in addressees]
             self._others[addressees] = read_exchange(self._packets, rest, self._order) if rest else None
@@ -256,8 +256,8 @@ class Read(_Request):
 class FastRead(Read):
     """Read the same bytes of several servos (Fast Sync Read), which write one packet together, in their order.
 
-    The packet is not stuffed. Each servo ends its part with the CRC of all that came before, so that a part is
-    certain before the next one comes, and counts even if that never does.
+    The packet is not stuffed. Each servo ends its part with the CRC of all bytes up to there, so that a part can be
+    checked and used before the next one arrives, and also if that is lost.
     """
 
     def __init__(self, packets: Packets, members: Sequence[Member], order: Order) -> None:
@@ -275,11 +275,14 @@ class FastRead(Read):
 
     def encode(self) -> bytes:
         """Return the request."""
-        self._heard, self._crc = 0, self._packets.crc(self._head)  # parts, and the CRC of all up to them
+        self._heard, self._crc = (
+            0,
+            self._packets.crc(self._head),
+        )  # number of parts, and the CRC of all bytes up to there
         return super().encode()
 
     def take(self, received: bytearray) -> bool:
-        """Store the parts that came in the images; see `_Request.take`."""
+        """Store the received parts in the images; see `_Request.take`."""
         before = len(received)
         if not self._find_head(received):
             self._noise += before - len(received)
@@ -304,7 +307,7 @@ class FastRead(Read):
         return self._finish()
 
     def _find_head(self, received: bytearray) -> bool:
-        """Remove what comes before the packet."""
+        """Remove the bytes before the packet; return True if its first bytes have arrived."""
         while (start := received.find(HEADER)) >= 0:
             del received[:start]
             if len(received) < len(self._head):
@@ -317,7 +320,7 @@ class FastRead(Read):
 
 
 class Write(_Request):
-    """Write bytes of one servo, which acknowledges them."""
+    """Write bytes of one servo, which acknowledges the request."""
 
     def __init__(self, packets: Packets, member: Member) -> None:
         super().__init__(packets, f"write {member.block}", (member,), 0)
@@ -342,14 +345,14 @@ class Write(_Request):
 
 
 class SyncWrite(_Request):
-    """Write the same items of all servos at once; none of them answers, so that none can break the chain."""
+    """Write the same items of several servos with one request; none of them answers."""
 
     def __init__(self, packets: Packets, members: Sequence[Member]) -> None:
         block = members[0].block
         super().__init__(packets, f"write {block}", members, 0)
         self.writes = _names(members)
         self._span = _words(block.address, block.size)
-        # no ID is FDh or FFh, so that what has to be stuffed lies within the data of one servo
+        # no ID is FDh or FFh, so that only the data of a servo may have to be stuffed
         self.request_size = REQUEST_SIZE + 4 + len(members) * (1 + block.size + _stuffing(block.size))
 
     def encode(self) -> bytes:
@@ -367,7 +370,7 @@ class SyncWrite(_Request):
 
 
 def read_exchange(packets: Packets, members: Sequence[Member], order: Order) -> Exchange:
-    """Return the exchange that reads the same bytes of some servos, as a fast one where all of them have that."""
+    """Return the exchange that reads the same bytes of some servos: a fast one if all of them support it."""
     is_fast = len(members) > 1 and all(member.has_fast_read for member in members)
     return FastRead(packets, members, order) if is_fast else Read(packets, members, order)
 
@@ -397,5 +400,5 @@ def _words(*numbers: int) -> bytes:
 
 
 def _stuffing(size: int) -> int:
-    """Return the most bytes that stuffing can add to data: one to each FF FF FD."""
+    """Return the largest number of bytes that stuffing can add to ``size`` bytes: one for each FF FF FD."""
     return size // 3

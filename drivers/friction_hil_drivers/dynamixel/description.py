@@ -16,23 +16,25 @@ _LAST_ADDRESS = 0xFFFF
 
 
 class DynamixelSignal(Signal):
-    """A value of the servo and the item of its control table that holds it."""
+    """Value of the servo and the item of its control table that holds it."""
 
-    address: Annotated[int, Field(ge=0, le=_LAST_ADDRESS)] = Field(description="of its first, lowest byte")
-    size: Literal[1, 2, 4] = Field(description="in bytes")
-    is_signed: bool = Field(True, description="negative numbers are two's complements")
+    address: Annotated[int, Field(ge=0, le=_LAST_ADDRESS)] = Field(
+        description="address of the first, least significant byte"
+    )
+    size: Literal[1, 2, 4] = Field(description="size in bytes")
+    is_signed: bool = Field(True, description="true if the number has a sign (two's complement)")
     limit: Annotated[int, Field(gt=0)] | None = Field(
-        None, description="greatest magnitude that the servo takes; one beyond is refused, and the last one stays"
+        None, description="greatest magnitude that the servo accepts; it would refuse a greater one and keep the last"
     )
 
     @property
     def counter_bits(self) -> int | None:
-        """Width of the servo's number, which wraps."""
+        """Width of the servo's number, an integer that wraps."""
         return 8 * self.size
 
     @property
     def bounds(self) -> tuple[int, int] | None:
-        """Least and greatest of the servo's numbers."""
+        """Least and greatest number that the servo accepts."""
         count = 1 << 8 * self.size
         low = -count // 2 if self.is_signed else 0
         high = low + count - 1
@@ -45,7 +47,7 @@ class DynamixelSignal(Signal):
 
 
 class DynamixelDescription(Description):
-    """A servo that speaks Dynamixel Protocol 2.0."""
+    """Servo that speaks Dynamixel Protocol 2.0."""
 
     protocol: Literal["dynamixel"]
     signals: dict[str, DynamixelSignal]

@@ -5,9 +5,7 @@ from collections.abc import Mapping, Sequence
 from friction_hil_drivers.dynamixel.codec import Member, Order, Read, SyncWrite, Write, alike, read_exchange
 from friction_hil_drivers.dynamixel.description import DESCRIPTIONS, DynamixelDescription
 from friction_hil_drivers.dynamixel.options import DynamixelOptions
-from friction_hil_drivers.dynamixel.packets import (
-    Packets,
-)
+from friction_hil_drivers.dynamixel.packets import Packets
 from friction_hil_drivers.serial_line.drives import SerialDrives
 from friction_hil_drivers.serial_line.protocol import CycleSignals, Image, Plan, only
 
@@ -18,7 +16,7 @@ class DynamixelLine:
     Parameters
     ----------
     descriptions, options, images : mapping
-        Of the axes on this line, by name.
+        Descriptions, options and process images of the axes on this line, by name.
 
     Raises
     ------
@@ -29,7 +27,7 @@ class DynamixelLine:
     numbers_replies = False
     names_drives = True
     ahead_chars = 0
-    silence_chars = 0.0  # a header begins a packet, whatever was before
+    silence_chars = 0.0  # packets begin with a header and need no silence between them
 
     def __init__(
         self,
@@ -44,9 +42,9 @@ class DynamixelLine:
         self._images = images
 
     def plan(self, wanted: Mapping[str, CycleSignals]) -> Plan:
-        """Plan a cycle: items at the same addresses of several servos are one request.
+        """Plan a cycle: one request reads or writes the items that several servos have at the same addresses.
 
-        Signals that change slowly are read with the others where they lie beside them, else by background reads.
+        Slow signals are read with the fast ones if they lie beside them, else by background reads.
         """
         fast: list[Member] = []
         slow: list[Member] = []
@@ -57,8 +55,8 @@ class DynamixelLine:
                 (fast if is_fast else slow).append(member)
             commands += self._members(axis, needs.commands)
         poll = tuple(read_exchange(self._packets, group, self._order) for group in alike(fast))
-        turns = tuple(read_exchange(self._packets, group, self._order) for group in alike(slow))
-        return Plan(poll, turns, tuple(SyncWrite(self._packets, group) for group in alike(commands)))
+        background = tuple(read_exchange(self._packets, group, self._order) for group in alike(slow))
+        return Plan(poll, background, tuple(SyncWrite(self._packets, group) for group in alike(commands)))
 
     def read(self, axis: str, names: Sequence[str]) -> Read:
         """Return the exchange that reads some signals of an axis.

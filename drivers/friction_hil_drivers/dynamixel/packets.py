@@ -1,9 +1,9 @@
 """Packets of Dynamixel Protocol 2.0: header, stuffing, CRC.
 
-Stuffing and the CRC are the vendor's SDK's. The rest of it is not used: dynamixel-sdk 4.1.0 for Python sends packets
-that had to be stuffed as they were before; its receiver waits for bytes in a loop, believes a corrupted length and
-swallows the packets behind it; and from a packet with one stuffed byte it drops bytes that were never stuffed (FD FD
-behind a single FF).
+Stuffing and CRC are computed by the vendor's SDK. Its other functions are not used, because dynamixel-sdk 4.1.0 for
+Python sends packets without the stuffing that they need; its receiver waits for bytes in a loop, trusts a damaged
+length and then drops the packets after it; and from a packet with one stuffed byte it also removes bytes that were
+not stuffed (FD FD after a single FF).
 """
 
 import importlib
@@ -30,14 +30,14 @@ class Packet:
     Attributes
     ----------
     id : int
-        Whom an instruction is for, or who answers.
+        ID of the servo to which an instruction is sent, or that answers.
     instruction : int
     parameters : bytes
-        Without stuffing; a status packet begins with its error field.
+        Parameters without stuffing; those of a status packet begin with the error field.
     is_whole : bool
-        The CRC is right. Otherwise nothing of the packet is certain.
+        True if the CRC is correct. Otherwise all fields may be wrong.
     skipped : int
-        Bytes before the header.
+        Number of bytes before the header.
     """
 
     id: int
@@ -48,7 +48,7 @@ class Packet:
 
 
 class Packets:
-    """Makes packets, and finds them among received bytes.
+    """Makes packets, and finds packets in received bytes.
 
     Raises
     ------
@@ -71,22 +71,21 @@ class Packets:
         return stuffed + self.crc(stuffed).to_bytes(CRC, "little")
 
     def crc(self, data: bytes | bytearray, before: int = 0) -> int:
-        """Compute the CRC of data; ``before`` is the CRC of the data ahead of them."""
+        """Compute the CRC of data; ``before`` is the CRC of the data that precede them."""
         crc: int = self._handler.updateCRC(before, data, len(data))
         return crc
 
     def cut(self, received: bytearray, longest: int) -> Packet | None:
-        """Remove the first packet and the bytes before it; None while there is none.
+        """Remove the first packet and the bytes before it, and return the packet; None if none is complete.
 
-        Behind a header whose packet is broken the search goes on with the next byte, so that no length that came
-        wrong hides a packet that came right.
+        Of a damaged packet only the header is removed, so that a wrong length cannot hide an intact packet.
 
         Parameters
         ----------
         received : bytearray
-            What came so far.
+            Bytes received so far.
         longest : int
-            The greatest value that the length field can have.
+            Greatest valid value of the length field.
         """
         skipped = 0
         while (start := received.find(HEADER)) >= 0:

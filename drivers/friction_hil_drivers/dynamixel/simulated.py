@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from friction_hil_drivers.serial_line.simulated.drive import SimulatedDrive
 
 INSTRUCTION_ERROR, RANGE_ERROR, LENGTH_ERROR, ACCESS_ERROR = 2, 4, 5, 7
-_LONGEST = 1017  # the vendor's SDK makes packets of 1024 bytes at most
-_IDENTITY = bytes(3)  # model number and firmware that ping tells: those of no real servo
+_LONGEST = 1017  # the vendor's SDK makes packets of at most 1024 bytes
+_IDENTITY = bytes(3)  # model number and firmware in the reply to a ping; no real servo has these
 
 
 class _Servo:
@@ -47,7 +47,7 @@ class _Servo:
         return ALERT if has_error and self._drive.read("error") else 0
 
     def fed(self) -> None:
-        """Feed the bus watchdog; any instruction does that."""
+        """Reset the bus watchdog, as any instruction does."""
         self._drive.fed()
 
     def read(self, address: int, size: int) -> bytes:
@@ -56,16 +56,16 @@ class _Servo:
         Raises
         ------
         RequestError
-            Not all of them are anything.
+            One of the bytes belongs to no item.
         """
         end = address + size
-        there = [item for item in self._items if item.address < end and address < item.end]
-        if sum(min(item.end, end) - max(item.address, address) for item in there) != size or not size:
+        items = [item for item in self._items if item.address < end and address < item.end]
+        if sum(min(item.end, end) - max(item.address, address) for item in items) != size or not size:
             raise RequestError(ACCESS_ERROR)
-        if any(item.name == "position" for item in there):
+        if any(item.name == "position" for item in items):
             self._drive.sample()
-        data = b"".join(item.pack(self._drive.read(item.name)) for item in there)
-        skipped = address - there[0].address
+        data = b"".join(item.pack(self._drive.read(item.name)) for item in items)
+        skipped = address - items[0].address
         return data[skipped : skipped + size]
 
     def write(self, address: int, data: bytes) -> None:
@@ -74,16 +74,16 @@ class _Servo:
         Raises
         ------
         RequestError
-            They belong to nothing, do not fill what they belong to, or the drive refuses them.
+            A byte belongs to no item, an item is written only in part, or the drive refuses the number.
         """
         end = address + len(data)
-        there = [item for item in self._items if item.address < end and address < item.end]
-        if any(item.address < address or item.end > end for item in there):
+        items = [item for item in self._items if item.address < end and address < item.end]
+        if any(item.address < address or item.end > end for item in items):
             raise RequestError(LENGTH_ERROR)
-        if sum(item.size for item in there) != len(data) or not data:
+        if sum(item.size for item in items) != len(data) or not data:
             raise RequestError(ACCESS_ERROR)
         try:
-            for item in there:
+            for item in items:
                 number = item.number(data[item.address - address : item.end - address])
                 self._drive.write(item.name, number)
         except RefusedError:
@@ -91,14 +91,14 @@ class _Servo:
 
 
 class DynamixelResponder:
-    """Answers for the simulated drives on one line; see the simulation's `Responder`.
+    """Answers requests for the simulated drives on one line; see `Responder` of `serial_line.simulated.server`.
 
     Parameters
     ----------
     drives : mapping of str to SimulatedDrive
-        By axis.
+        Drives by axis.
     descriptions, options : mapping
-        Of the same axes.
+        Descriptions and options by axis.
 
     Raises
     ------
@@ -119,19 +119,19 @@ class DynamixelResponder:
         self._has_fast_read = {options[axis].id: descriptions[axis].fast_sync_read for axis in drives}
 
     def take(self, received: bytearray) -> bytes | None:
-        """Remove one whole request and return its reply; ``b""``: none is due; None: more has to come first."""
+        """Remove one whole request and return its reply, ``b""`` if none is due; None if the request is incomplete."""
         while (packet := self._packets.cut(received, _LONGEST)) is not None:
             if packet.is_whole and packet.instruction != STATUS:
                 return self._answer(packet)
         return None
 
     def forget(self) -> None:
-        """Do nothing: the header of the next request tells it from what is left of the last one."""
+        """Do nothing: the next request is recognised by its header."""
 
     def _answer(self, packet: Packet) -> bytes:
         if packet.id == BROADCAST:
-            for everyone in self._servos.values():
-                everyone.fed()
+            for each in self._servos.values():
+                each.fed()
             return self._answer_all(packet)
         servo = self._servos.get(packet.id)
         if servo is None:
@@ -165,9 +165,9 @@ class DynamixelResponder:
             return b""
         address, size, rest = _word(p, 0), _word(p, 2), p[4:]
         if packet.instruction == SYNC_READ:
-            # each waits for the one before it to answer: behind one that does not, nobody answers
-            there = itertools.takewhile(self._servos.__contains__, rest)
-            return b"".join(self._read(servo, address, size) for servo in there)
+            # each servo waits for the answer of the one before it: after one that is missing, none answers
+            answering = itertools.takewhile(self._servos.__contains__, rest)
+            return b"".join(self._read(servo, address, size) for servo in answering)
         if packet.instruction == FAST_SYNC_READ:
             return self._read_fast(address, size, rest)
         if packet.instruction == SYNC_WRITE:
@@ -182,7 +182,7 @@ class DynamixelResponder:
             return self._status(servo, error=error.number)
 
     def _read_fast(self, address: int, size: int, servos: bytes) -> bytes:
-        """Return the packet that the servos write together; it ends at the first servo that is missing."""
+        """Return the packet that the servos write together; it ends before the first missing servo."""
         length = 1 + len(servos) * (2 + size + CRC)
         if length > _LONGEST:
             return b""
@@ -200,7 +200,7 @@ class DynamixelResponder:
         return bytes(packet)
 
     def _write(self, servo: int, address: int, data: bytes) -> None:
-        """Write without an answer, so that a refusal is not reported."""
+        """Write bytes of a servo that does not answer, so that a refusal is not reported."""
         if servo in self._servos:
             try:
                 self._servos[servo].write(address, data)
@@ -211,8 +211,8 @@ class DynamixelResponder:
         return self._packets.pack(servo, STATUS, bytes((error | self._servos[servo].alert,)) + data)
 
 
-def _word(data: bytes, at: int) -> int:
-    return int.from_bytes(data[at : at + 2], "little")
+def _word(data: bytes, offset: int) -> int:
+    return int.from_bytes(data[offset : offset + 2], "little")
 
 
 class SimulatedDynamixelDrives(SimulatedSerialDrives):

@@ -1,4 +1,4 @@
-"""Items of a servo's control table, and items side by side. Pure."""
+"""Items of a servo's control table, and blocks of consecutive items. Pure."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -15,11 +15,11 @@ class Item:
     name : str
         Name of the signal.
     address : int
-        Address of its first byte, the least significant one.
+        Address of the first byte, the least significant one.
     size : int
-        Bytes.
+        Size in bytes.
     is_signed : bool
-        Negative numbers are two's complements.
+        True if the number has a sign (two's complement).
     limit : int or None
         Greatest magnitude that the servo accepts.
     """
@@ -32,14 +32,14 @@ class Item:
 
     @property
     def end(self) -> int:
-        """Address after its last byte."""
+        """Address after the last byte."""
         return self.address + self.size
 
     def representable(self, number: float) -> int:
         """Return the number nearest to ``number`` that the servo accepts.
 
-        It is rounded and kept within the limit and the range of the item's size; a position wraps in the latter
-        instead, as the servo's counter does.
+        The number is rounded, and limited to ``limit`` and to the range of the item's size. A position wraps in that
+        range instead, as the servo's counter does.
 
         Raises
         ------
@@ -69,14 +69,14 @@ class Item:
 
 @dataclass(frozen=True, slots=True)
 class ItemBlock:
-    """Bytes side by side that one request reads or writes, and the items in them."""
+    """Consecutive bytes that one request reads or writes, and the items in them."""
 
     address: int
     size: int
     items: tuple[Item, ...]
 
     def pack(self, values: dict[str, float]) -> bytes:
-        """Return the bytes for the numbers of its signals.
+        """Return the bytes for the numbers of the block's signals.
 
         Raises
         ------

@@ -50,13 +50,13 @@ class ModbusExchange(Single):
     Parameters
     ----------
     framing : Framing
-        Of the line.
+        Framing of the line.
     unit : int
         Address of the drive.
     image : Image
-        Filled by the reply; the numbers to write are in it.
+        Process image: it has the numbers to write, and the reply fills it.
     read, write : RegisterBlock or None
-        What is read, what is written; both in one exchange are function 23.
+        Registers that are read and written; an exchange with both uses function 23.
     write_functions : sequence of int
         Functions for writing that the drive has.
     """
@@ -101,7 +101,7 @@ class ModbusExchange(Single):
         self.reply_size = self._reply_length + framing.overhead
 
     def encode(self) -> bytes:
-        """Return the request; the numbers that it writes are those of the image.
+        """Return the request with the numbers of the image.
 
         Raises
         ------
@@ -117,7 +117,7 @@ class ModbusExchange(Single):
         return self._framing.frame(self._unit, pdu)
 
     def _reply_head(self, pdu: bytes) -> bytes:
-        """Return the first bytes of a reply that is no exception; of a write alone, what it repeats of the request."""
+        """Return the first bytes of a reply other than an exception; the reply to a write repeats the request."""
         if self._read is None:
             return pdu[:5]
         size = (self._read.count + 7) // 8 if self._is_bits else 2 * self._read.count
@@ -129,7 +129,7 @@ class ModbusExchange(Single):
         Raises
         ------
         ReplyError
-            It is no reply to this request, or the drive refuses.
+            The bytes are no reply to this request, or the drive refuses it.
         """
         pdu = self._framing.cut(received, self._unit, self._head, self._reply_length)
         if pdu is None:
@@ -154,7 +154,7 @@ def _pdu(request: ModbusPDU) -> bytes:
     return bytes((request.function_code,)) + request.encode()
 
 
-_Writer = tuple[bytes, Callable[[Mapping[str, float]], bytes]]  # request for zeros, and what makes one for numbers
+_Writer = tuple[bytes, Callable[[Mapping[str, float]], bytes]]  # request that writes zeros, and a function for numbers
 
 
 def _writer(block: RegisterBlock, functions: Sequence[int]) -> _Writer:
@@ -175,7 +175,7 @@ def _both(read: RegisterBlock, write: RegisterBlock) -> _Writer:
 
 
 def _register_writer(pdu: bytes, block: RegisterBlock) -> _Writer:
-    """Return the request and the function that fills it in; the registers are its end, and the rest is constant."""
+    """Return the request, and the function that replaces the registers at its end; the bytes before are constant."""
     layout = Layout(block)
     head = pdu[: -layout.size]
     return pdu, lambda values: head + layout.pack(values)

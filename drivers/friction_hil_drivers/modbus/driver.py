@@ -21,7 +21,7 @@ class ModbusLine:
     Parameters
     ----------
     descriptions, options, images : mapping
-        Of the axes on this line, by name.
+        Descriptions, options and process images of the axes on this line, by name.
     """
 
     def __init__(
@@ -44,18 +44,18 @@ class ModbusLine:
     def plan(self, wanted: Mapping[str, CycleSignals]) -> Plan:
         """Plan a cycle with as few requests as possible, for the axes by name.
 
-        Slow signals are read with the fast ones where that costs no request. Where the drive has function 23, all
-        commands are written in the poll: those that find no read to ride with, in requests of their own after it,
-        so that commands of one computation stay together.
+        Slow signals are read with the fast ones if that costs no request. If the drive has function 23, the poll writes
+        all commands: each block with a block that is read, and blocks that are left over in requests of their own,
+        so that all commands of one computation are written in the same cycle.
         """
         poll: list[ModbusExchange] = []
-        turns: list[ModbusExchange] = []
+        background: list[ModbusExchange] = []
         push: list[ModbusExchange] = []
         for axis, needs in wanted.items():
             description = self._descriptions[axis]
             fast, slow = _reads(description, needs)
             writes = description.write_blocks(needs.commands)
-            turns += [self._request(axis, read=block) for block in slow]
+            background += [self._request(axis, read=block) for block in slow]
             joining = [block for block in fast if block.table == "holding"] if description.read_write_multiple else []
             if writes and joining and all(block.table == "holding" for block in writes[: len(joining)]):
                 poll += [self._request(axis, read=r, write=w) for r, w in zip_longest(joining, writes)]
@@ -63,7 +63,7 @@ class ModbusLine:
             else:
                 poll += [self._request(axis, read=block) for block in fast]
                 push += [self._request(axis, write=block) for block in writes]
-        return Plan(tuple(poll), tuple(turns), tuple(push))
+        return Plan(tuple(poll), tuple(background), tuple(push))
 
     def read(self, axis: str, names: Sequence[str]) -> ModbusExchange:
         """Return the exchange that reads some signals of an axis.
@@ -99,11 +99,11 @@ class ModbusLine:
 
 
 def _reads(description: ModbusDescription, needs: CycleSignals) -> tuple[list[RegisterBlock], list[RegisterBlock]]:
-    """Return the blocks to read in every cycle, and those of the background reads."""
+    """Return the blocks that every cycle reads, and the blocks of the background reads."""
     slow_names = tuple(name for name in needs.slow if name not in needs.fast)
     together = description.read_blocks((*needs.fast, *slow_names))
     fast = [block for block in together if not set(block.names).isdisjoint(needs.fast)]
-    if len(fast) > len(description.read_blocks(needs.fast)):  # what is slow took the room in a block
+    if len(fast) > len(description.read_blocks(needs.fast)):  # slow signals filled a block
         return description.read_blocks(needs.fast), description.read_blocks(slow_names)
     return fast, [block for block in together if block not in fast]
 

@@ -1,7 +1,7 @@
 """Frames around Modbus requests and replies: RTU and TCP.
 
-pymodbus's framers make the frames and check the CRC. They are not used to find a reply among what came: for that
-they would have to know which one is due, and theirs drop bytes of a good reply behind noise.
+The framers of pymodbus make the frames and check the CRC. They are not used to find a reply among received bytes: they
+do not know which reply is expected, and after noise they drop bytes of a good reply.
 """
 
 from typing import Protocol
@@ -34,18 +34,18 @@ class Framing(Protocol):
         Parameters
         ----------
         received : bytearray
-            What came so far.
+            Bytes received so far.
         unit : int
-            Whom the request went to.
+            Address to which the request was sent.
         head : bytes
-            How the PDU that is due begins.
+            First bytes of the expected PDU.
         size : int
-            Its length.
+            Length of the expected PDU.
 
         Raises
         ------
         ReplyError
-            What came is no reply to this request.
+            The received bytes are no reply to this request.
         """
         ...
 
@@ -65,7 +65,7 @@ class RtuFraming:
         return self._sent
 
     def cut(self, received: bytearray, unit: int, head: bytes, size: int) -> bytes | None:
-        """Remove the reply, and noise before it; see `Framing.cut`."""
+        """Remove noise and the reply, and return its PDU; see `Framing.cut`."""
         start = bytes((unit,)) + head
         refused = head[0] | REFUSED
         is_begun = False
@@ -75,7 +75,7 @@ class RtuFraming:
             rest = received[k : k + size + self.overhead]
             if start.startswith(rest[: len(start)]):
                 is_ours, whole = True, size + self.overhead
-            elif rest[1] & REFUSED:  # not always with the function asked for: Kinco refuses 3 with 81h
+            elif rest[1] & REFUSED:  # not always with the requested function: Kinco refuses 3 with 81h
                 is_ours, whole = rest[1] == refused, _REFUSAL_SIZE
             else:
                 continue
@@ -85,7 +85,7 @@ class RtuFraming:
             if is_ours:
                 if len(rest) >= whole:
                     raise _wrong(received, "its CRC is wrong")
-                if k == 0:  # the beginning of the reply; nothing else that came could be whole
+                if k == 0:  # the beginning of the reply: no other frame can be complete
                     return None
                 is_begun = True
                 break
@@ -99,10 +99,10 @@ class RtuFraming:
         if frame == self._sent:
             return "that is the request itself: the line echoes what is sent; switch the echo of the adapter off"
         if frame[0] != unit:
-            return f"unit {frame[0]} answered in place of unit {unit}"
+            return f"unit {frame[0]} answered instead of unit {unit}"
         if frame[1] != function:
-            return f"function {frame[1]} was answered in place of {function}"
-        return "another number or address of registers was answered than asked for"
+            return f"function {frame[1]} was answered instead of {function}"
+        return "the number or the address of the registers is not as requested"
 
 
 class TcpFraming:
@@ -120,7 +120,7 @@ class TcpFraming:
         return self._framer.encode(pdu, unit, self._transaction)
 
     def cut(self, received: bytearray, unit: int, head: bytes, size: int) -> bytes | None:
-        """Remove the reply, and those to earlier requests before it; see `Framing.cut`."""
+        """Remove the reply and earlier replies before it, and return its PDU; see `Framing.cut`."""
         while len(received) >= _HEADER:
             transaction, protocol, length = (int.from_bytes(received[k : k + 2], "big") for k in (0, 2, 4))
             if protocol or not 2 < length <= _LONGEST_BODY:
@@ -130,10 +130,10 @@ class TcpFraming:
                 return None
             frame = bytes(received[:end])
             del received[:end]
-            if transaction != self._transaction:  # the reply to a request that was given up
+            if transaction != self._transaction:  # the late reply to an earlier request
                 continue
             if frame[6] != unit:
-                raise ReplyError(f"unit {frame[6]} answered in place of unit {unit}", is_complete=True)
+                raise ReplyError(f"unit {frame[6]} answered instead of unit {unit}", is_complete=True)
             pdu = frame[_HEADER:]
             if not pdu[0] & REFUSED and (len(pdu) != size or not pdu.startswith(head)):
                 raise ReplyError(f"that is no reply to function {head[0]}: {_in_hex(frame)}", is_complete=True)

@@ -1,4 +1,4 @@
-"""Options of the Modbus driver: its own keys of an axis."""
+"""Options of the Modbus driver: the keys that it adds to an axis."""
 
 from typing import Self
 
@@ -6,7 +6,7 @@ from pydantic import Field, model_validator
 
 from friction_hil_drivers.serial_line.options import SerialOptions
 
-_LAST_ON_A_LINE = 247
+_LAST_UNIT_ON_SERIAL_LINE = 247
 
 
 class ModbusOptions(SerialOptions):
@@ -16,8 +16,10 @@ class ModbusOptions(SerialOptions):
 
     @model_validator(mode="after")
     def _is_an_address(self) -> Self:
-        if self.unit > _LAST_ON_A_LINE and not self.line.is_tcp:
-            raise ValueError(f"unit {self.unit} does not exist on a serial line: 1 to {_LAST_ON_A_LINE} do")
+        if self.unit > _LAST_UNIT_ON_SERIAL_LINE and not self.line.is_tcp:
+            raise ValueError(
+                f"unit {self.unit} does not exist on a serial line; addresses are 1 to {_LAST_UNIT_ON_SERIAL_LINE}"
+            )
         return self
 
     @property

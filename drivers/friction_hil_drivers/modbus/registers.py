@@ -1,4 +1,4 @@
-"""Numbers in Modbus registers and coils, and registers side by side. Pure."""
+"""Numbers in Modbus registers and coils, and blocks of consecutive registers. Pure."""
 
 import functools
 import operator
@@ -30,22 +30,22 @@ _FLOAT32_MAX = 3.4028234663852886e38
 
 @dataclass(frozen=True, slots=True)
 class RegisterField:
-    """Registers (or the coil) that hold a signal, and how its number is stored.
+    """Registers (or the coil) that hold a signal, and the format of its number.
 
     Attributes
     ----------
     name : str
         Name of the signal.
     table : str
-        Holding or input registers, coils or discrete inputs.
+        Table of the registers: holding or input registers, coils or discrete inputs.
     address : int
-        Address of its first register, as on the wire: from 0.
+        Address of the first register, as on the wire: from 0.
     kind : str
         Type of the number.
     word_order : str
-        Word of 32 bits that has the lower address: the high one (big) or the low one.
+        Word of a number of 32 bits that has the lower address: the high one (big) or the low one.
     byte_order : str
-        Byte of a register that goes first on the wire: the high one (big), as Modbus says, or the low one.
+        Byte of a register that is sent first: the high one (big), as Modbus requires, or the low one.
     """
 
     name: str
@@ -57,13 +57,13 @@ class RegisterField:
 
     @property
     def end(self) -> int:
-        """Address after its last register."""
+        """Address after the last register."""
         return self.address + WIDTHS[self.kind]
 
     def representable(self, number: float) -> float:
-        """Return the number nearest to ``number`` that can be written: rounded, and kept within the range of its type.
+        """Return the number nearest to ``number`` that can be written: rounded, and limited to the range of its type.
 
-        A position wraps in it instead, as the drive's counter does.
+        A position wraps in that range instead, as the drive's counter does.
 
         Raises
         ------
@@ -97,7 +97,7 @@ class RegisterField:
 
 @dataclass(frozen=True, slots=True)
 class RegisterBlock:
-    """Registers side by side that one request reads or writes, and the signals in them."""
+    """Consecutive registers that one request reads or writes, and the signals in them."""
 
     table: Table
     address: int
@@ -106,7 +106,7 @@ class RegisterBlock:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the signals in it."""
+        """Names of the signals in the block."""
         return tuple(field.name for field in self.fields)
 
     def __str__(self) -> str:
@@ -118,12 +118,12 @@ class RegisterBlock:
 
 
 class Layout:
-    """Conversion between the numbers of a block of registers and its bytes, as they are on the wire.
+    """Conversion between the numbers in a block of registers and its bytes on the wire.
 
     Parameters
     ----------
     block : RegisterBlock
-        Of holding or input registers.
+        Block of holding or input registers.
 
     Attributes
     ----------
@@ -138,12 +138,12 @@ class Layout:
         order = [at for field in block.fields for at in _byte_offsets(field, block.address)]
         self._is_plain = order == list(range(self.size))
         self._out_of = operator.itemgetter(*order)
-        # bytes that belong to no signal are zero: one more byte stands for them
+        # bytes that belong to no signal are taken from one more byte at the end, which is zero
         into = [order.index(at) if at in order else len(order) for at in range(self.size)]
         self._into = operator.itemgetter(*into)
 
     def unpack(self, data: bytes) -> tuple[float, ...]:
-        """Return the numbers of the block, in the order of its fields, from as many bytes as it has."""
+        """Return the numbers of the block, in the order of its fields, from its ``size`` bytes."""
         return self._numbers.unpack(data if self._is_plain else bytes(self._out_of(data)))
 
     def pack(self, values: Mapping[str, float]) -> bytes:
@@ -179,17 +179,17 @@ def merged(fields: Iterable[RegisterField], *, max_gap: int, max_count: int, ali
     ----------
     fields : iterable of RegisterField
     max_gap : int
-        Number of registers without a signal that may lie in a block, in a row.
+        Largest number of consecutive registers without a signal in a block.
     max_count : int
         Largest number of registers in a block.
     alignment : int
-        Blocks begin and end at multiples of it.
+        Blocks begin and end at multiples of this number.
     """
     tables: dict[Table, list[RegisterField]] = {}
     for field in fields:
         tables.setdefault(field.table, []).append(field)
     return [
         RegisterBlock(table, *block)
-        for table, there in sorted(tables.items())
-        for block in merge(there, max_gap=max_gap, max_size=max_count, alignment=alignment)
+        for table, of_table in sorted(tables.items())
+        for block in merge(of_table, max_gap=max_gap, max_size=max_count, alignment=alignment)
     ]

@@ -50,7 +50,9 @@ class _RegisterSpace:
     def __init__(self, drive: "SimulatedDrive", description: ModbusDescription) -> None:
         self._drive = drive
         self._description = description
-        self._at: dict[tuple[Table, int], tuple[RegisterField, int]] = {}  # signal there, and which of its registers
+        self._at: dict[
+            tuple[Table, int], tuple[RegisterField, int]
+        ] = {}  # signal at an address, and index of the register in it
         for name in description.signals:
             field = description.field(name)
             for k in range(field.end - field.address):
@@ -63,7 +65,7 @@ class _RegisterSpace:
         self._half_written: dict[str, list[int]] = {}
 
     def answer(self, pdu: bytes) -> bytes:
-        """Carry a request out and return the PDU of the reply."""
+        """Carry out a request and return the PDU of the reply."""
         try:
             if pdu[0] not in self._functions:
                 raise RequestError(ILLEGAL_FUNCTION)
@@ -106,19 +108,19 @@ class _RegisterSpace:
             raise RequestError(ILLEGAL_VALUE)
 
     def _found(self, table: Table, address: int, count: int) -> list[tuple[RegisterField, int] | None]:
-        """Return the registers at these addresses; None for gaps that a real drive would read over.
+        """Return the registers at these addresses; None for unused ones that the drive allows to be read.
 
         Raises
         ------
         RequestError
-            The drive refuses to read there.
+            The drive refuses to read one of the addresses.
         """
         description = self._description
         if table in ("holding", "input") and not 0 < count <= description.max_read_registers:
             raise RequestError(ILLEGAL_VALUE)
         found = list(self._fields(table, address, count))
-        minds = description.max_gap_registers == 0 and description.alignment == 1
-        if not any(found) or (minds and not all(found)):
+        refuses_gaps = description.max_gap_registers == 0 and description.alignment == 1
+        if not any(found) or (refuses_gaps and not all(found)):
             raise RequestError(ILLEGAL_ADDRESS)
         return found
 
@@ -147,7 +149,7 @@ class _RegisterSpace:
                 self._write_word(*entry, word)
 
     def _write_word(self, field: RegisterField, k: int, word: int) -> None:
-        """Write one register; a number of two registers takes effect with the second."""
+        """Write one register; a number in two registers takes effect when the second is written."""
         if field.name not in self._half_written:
             self._half_written[field.name] = field.words(self._drive.read(field.name))
         words = self._half_written[field.name]
@@ -164,23 +166,23 @@ class _RegisterSpace:
             raise RequestError(ILLEGAL_VALUE) from None
 
     def _unwrapped(self, command: float) -> float:
-        """Return the commanded position nearest to the present one, of all that have the same number on the line."""
-        at, target = (self._description.signals[name] for name in ("position", "position_command"))
-        if target.counter_bits is None or at.unit != target.unit:
+        """Return the commanded position nearest to the present one, of all that wrap to the same number."""
+        actual, target = (self._description.signals[name] for name in ("position", "position_command"))
+        if target.counter_bits is None or actual.unit != target.unit:
             return command
-        present = round(self._drive.read("position") * at.scale / target.scale)
+        present = round(self._drive.read("position") * actual.scale / target.scale)
         return float(unwrap(present, int(command), target.counter_bits))
 
 
 class ModbusResponder:
-    """Answers for the simulated drives on one line; see the simulation's `Responder`.
+    """Answers requests for the simulated drives on one line; see `Responder` of `serial_line.simulated.server`.
 
     Parameters
     ----------
     drives : mapping of str to SimulatedDrive
-        By axis.
+        Drives by axis.
     descriptions, options : mapping
-        Of the same axes.
+        Descriptions and options by axis.
     """
 
     request_end = b""
@@ -202,19 +204,20 @@ class ModbusResponder:
         Returns
         -------
         bytes or None
-            The reply; empty where none is due: the request was for nobody here, or broken. None: more has to come.
+            The reply. Empty if none is due: the request was for none of these drives, or damaged. None if the request
+            is not complete.
         """
         return self._take_tcp(received) if self._is_tcp else self._take_rtu(received)
 
     def forget(self) -> None:
-        """Nothing is kept between requests."""
+        """Do nothing: no state is kept between requests."""
 
     def _take_rtu(self, received: bytearray) -> bytes | None:
         if len(received) < 2 + _CRC:
             return None
         is_frame = _has_crc(received)
         kind = _REQUESTS.get(received[1])
-        # a function nobody knows has no length that could be known: what has a right CRC is whole
+        # the length of an unknown function is unknown too: bytes with a correct CRC are a complete request
         size = (len(received) if is_frame else 0) if kind is None else kind.calculateRtuFrameSize(bytes(received))
         if not 0 < size <= len(received):
             return None

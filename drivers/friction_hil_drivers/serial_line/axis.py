@@ -1,4 +1,4 @@
-"""One drive in the cyclic phase: its process image becomes feedback, commands go into the image. No line, no clock."""
+"""One drive in the cyclic phase: conversion between its process image and feedback and commands. No line, no clock."""
 
 import math
 import operator
@@ -21,19 +21,19 @@ _WANTED = {
     "velocity_command": operator.attrgetter("velocity"),
     "torque_command": operator.attrgetter("torque"),
 }
-_STATUS_LOSS_S = 0.5  # after this time without a report the state counts as unknown
+_STATUS_LOSS_S = 0.5  # longest time without a report of the state
 
 
 @dataclass(frozen=True, slots=True)
 class SignalScales:
-    """SI value of one unit of the drive's number, by signal; negative where the axis is inverted."""
+    """SI value of one step of the drive's number, by signal; negative if the axis is inverted."""
 
     of: Mapping[str, float]
     position_bits: int | None  # width of the position counter, which wraps
 
 
 def unit_mistakes(axis: str, description: Description, units: AxisUnits, kind: str) -> list[OptionError]:
-    """Return the mistakes in the configuration's units: missing keys, and units that do not fit the kind of axis."""
+    """Return the mistakes in the units of a drive: missing keys, and units that do not fit the kind of axis."""
     found: dict[str, OptionError] = {}
     for name, signal in _scaled(description).items():
         text = f"{description.name} has {name} in {signal.unit}"
@@ -57,7 +57,7 @@ def make_scales(axis: str, description: Description, units: AxisUnits, *, kind: 
     Raises
     ------
     OptionError
-        A unit needs something that the configuration does not give, or does not fit this kind of axis.
+        A unit needs a key that the configuration does not give, or does not fit this kind of axis.
     """
     for mistake in unit_mistakes(axis, description, units, kind):
         raise mistake
@@ -65,7 +65,9 @@ def make_scales(axis: str, description: Description, units: AxisUnits, *, kind: 
     for name, signal in _scaled(description).items():
         scale = signal.scale * UNITS[signal.unit](units)
         if not (math.isfinite(scale) and scale):
-            raise OptionError(axis, "description", f"one of {name} would be {scale:g}: no scale of a drive is that")
+            raise OptionError(
+                axis, "description", f"one step of {name} would be {scale:g}; it must be finite and not zero"
+            )
         scales[name] = -scale if is_inverted else scale
     return SignalScales(scales, description.units()["position"].counter_bits)
 
@@ -79,9 +81,9 @@ class SerialAxis:
     description : Description
     scales : SignalScales
     image : Image
-        Filled and read by the exchanges on the line.
+        Process image that the exchanges on the line fill and read.
     commands : sequence of str
-        Signals that are commanded in each cycle.
+        Signals that are written in each cycle.
     before : sequence of Step
         Steps written before the drive is enabled.
     """
@@ -123,9 +125,9 @@ class SerialAxis:
         ----------
         feedback : Feedback
         time_s : float
-            Of this cycle.
+            Time of this cycle, s.
         last_error : str
-            The last thing that went wrong on the line.
+            Last error on the line.
         """
         values, fresh = self.image.values, self.image.fresh
         is_fresh = fresh.issuperset(self._fast)
@@ -144,7 +146,7 @@ class SerialAxis:
             self._state_s = time_s
         elif math.isnan(self._state_s):
             self._state_s = time_s
-        elif not is_fresh:  # the loop limits the time without any feedback: it does not count here
+        elif not is_fresh:  # time without any feedback does not count here: the loop has its own limit for it
             self._state_s += time_s - self._filled_s
         self._filled_s = time_s
         fresh.clear()
@@ -165,12 +167,12 @@ class SerialAxis:
         """Return the state that the image shows."""
         values = self.image.values
         numbers = list(map(values.get, self.state_signals))
-        if numbers != self._state_numbers:  # seldom
+        if numbers != self._state_numbers:
             self._state_numbers, self.state = numbers, state_of(self._description, values)
         return self.state
 
     def disable_writes(self) -> list[Mapping[str, float]]:
-        """Return the values to write, in order, that disable the drive."""
+        """Return the values that disable the drive, in the order in which they are written."""
         return disable_writes(self._description)
 
     def _unwrapped(self, number: float) -> float:
@@ -187,7 +189,7 @@ class SerialAxis:
         return profile.error_text(code) if self._description.state_machine == "cia402" else f"error {code} ({code:X}h)"
 
     def hold(self) -> None:
-        """Prepare commands that move nothing: zero, and the position that was read last."""
+        """Set commands that do not move the axis: zero, and the position that was read last."""
         for name in self._commands:
             self.image.values[name] = 0.0
         if "position_command" in self._commands:
@@ -195,7 +197,7 @@ class SerialAxis:
             self.image.values["position_command"] = position / self._scales["position_command"]
 
     def take(self, command: Command, time_s: float) -> Mapping[str, float]:
-        """Put a command into the image; return the values to write beside it, for the requested state."""
+        """Put a command into the image; return the values to write in addition, for the requested state."""
         values = self.image.values
         for name, wanted, scale in self._wanted:
             values[name] = wanted(command) / scale

@@ -1,4 +1,4 @@
-"""Signals that lie side by side in the memory of a drive, and blocks of them that one request reads or writes. Pure."""
+"""Blocks of consecutive signals in the memory of a drive, each read or written by one request. Pure."""
 
 from collections.abc import Iterable, Mapping
 from typing import Protocol, TypeVar
@@ -9,7 +9,7 @@ _WRAPPING = ("position", "position_command")
 
 
 class MemoryField(Protocol):
-    """A signal in the memory of a drive."""
+    """Signal in the memory of a drive."""
 
     @property
     def name(self) -> str:
@@ -41,7 +41,7 @@ AnyField = TypeVar("AnyField", bound=MemoryField)
 
 
 def nearest_integer(name: str, number: float, bounds: tuple[int, int], type_bounds: tuple[int, int]) -> int:
-    """Round a number and keep it within bounds; a position wraps within the bounds of its type, as a counter does.
+    """Round a number and limit it to bounds; a position wraps within the bounds of its type, as a counter does.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def nearest_integer(name: str, number: float, bounds: tuple[int, int], type_boun
 
 
 def representable_numbers(fields: Iterable[MemoryField], values: Mapping[str, float]) -> list[float]:
-    """Return what the drive can hold of the values of some signals, in their order.
+    """Return the numbers nearest to the values of some signals that the drive can hold, in the order of the signals.
 
     Raises
     ------
@@ -87,17 +87,17 @@ def merge(
 ) -> list[tuple[int, int, tuple[AnyField, ...]]]:
     """Cover signals with as few blocks as possible.
 
-    Taking the signals in the order of their addresses, and each block as far as it goes, needs the fewest.
+    Extending each block as far as possible, in the order of the addresses, gives the smallest number of blocks.
 
     Parameters
     ----------
     fields : iterable of MemoryField
     max_gap : int
-        Number of addresses without a signal that may lie in a block, in a row.
+        Largest number of consecutive addresses without a signal in a block.
     max_size : int, optional
         Largest size of a block.
     alignment : int
-        Blocks begin and end at multiples of it.
+        Blocks begin and end at multiples of this number.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""One serial bus: its line, its drives, and the requests of a cycle on it."""
+"""Serial bus: a line, its drives, and the requests of a cycle."""
 
 import select
 import time
@@ -16,7 +16,7 @@ from friction_hil_drivers.serial_line.wire import Batch, wire_s
 
 _ATTEMPTS = 5
 _ATTEMPT_S = 0.3
-_BACKGROUND_FRACTION = 0.25  # of the time until the feedback has to be there, for a background read to end
+_BACKGROUND_FRACTION = 0.25  # of the time until the feedback is due: longest wait for a background read
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,12 +24,12 @@ class _CycleBatches:
     """Requests of an undisturbed cycle."""
 
     poll: Batch
-    endings: tuple[Batch, ...]  # one a cycle, in rotation: the push, and one of the background reads
+    endings: tuple[Batch, ...]  # push and one background read; each cycle uses the next one
 
 
 @dataclass(slots=True)
 class SerialBus:
-    """One line with the drives on it.
+    """Line with the drives on it.
 
     Attributes
     ----------
@@ -37,9 +37,9 @@ class SerialBus:
     protocol : LineProtocol
     axes : list of SerialAxis
     listening, plan : Plan
-        Requests of a cycle in which nothing is written, and of one in which everything is; the same in a dry run.
+        Requests of a cycle that only reads, and of one that also writes the commands; the same in a dry run.
     rate : str
-        Time that a cycle takes on the wire, for people.
+        Time that a cycle takes on the wire, as text.
     """
 
     scheduler: BusScheduler
@@ -49,7 +49,7 @@ class SerialBus:
     plan: Plan
     rate: str = ""
     _background_index: int = 0
-    _is_step_sent: bool = False  # in the cycle before, in place of a background read
+    _is_step_sent: bool = False  # the last cycle sent a step instead of a background read
     _first_axis: int = 0  # index of the axis that may send a step first
     _steps: dict[tuple[str, tuple[str, ...]], Exchange] = field(default_factory=dict)
     _listening: _CycleBatches = field(init=False)
@@ -72,11 +72,11 @@ class SerialBus:
         Parameters
         ----------
         deadline_ns : int or None
-            Moment by which the replies have to be complete: what would come later is not requested.
+            Time by which the replies have to be complete; a reply that would come later is not requested.
         is_commanding : bool
-            Use the plan of a cycle in which everything is written; else of one in which nothing is.
+            True: use the plan of a cycle that writes the commands; False: of one that only reads.
         is_read : bool
-            What had arrived until a moment ago was read.
+            True if the bytes that have arrived were read shortly before.
         """
         scheduler = self.scheduler
         batch = (self._commanding if is_commanding else self._listening).poll
@@ -95,17 +95,17 @@ class SerialBus:
     ) -> None:
         """Send the push, and in every second cycle a step of one axis (its effect has to be read in between).
 
-        Where no step is due, one background read follows, so late that no command has to wait for it. Its reply is
-        there when the next cycle begins.
+        If no step is due, one background read follows the commands, so that none of them waits for it. Its reply has
+        arrived when the next cycle begins.
 
         Parameters
         ----------
         steps : mapping
-            Values to write for the requested state, by axis; of the axes that need any.
+            Values to write for the requested state, by axis; axes that need none are left out.
         end_ns : int or None
-            Beginning of the next cycle; a background read that would not be over by then is left out.
+            Beginning of the next cycle; a background read that would not end by then is left out.
         is_commanding : bool
-            As in `request_feedback`; otherwise there are no steps.
+            See `request_feedback`; if false, there are no steps.
         """
         scheduler = self.scheduler
         endings = (self._commanding if is_commanding else self._listening).endings
@@ -114,7 +114,7 @@ class SerialBus:
             if scheduler.send_batch(endings[index], end_ns):
                 self._background_index, self._is_step_sent = index, False
                 return
-        scheduler.deadline_ns = None  # of a poll that did not end
+        scheduler.deadline_ns = None  # it may still have the deadline of a poll that did not end
         plan = self.plan if is_commanding else self.listening
         self._is_step_sent = bool(steps) and not self._is_step_sent and self._enqueue_step(steps)
         scheduler.enqueue(plan.push)
@@ -123,7 +123,7 @@ class SerialBus:
         scheduler.flush()
 
     def _enqueue_step(self, steps: Mapping[str, Mapping[str, float]]) -> bool:
-        """Queue a step of the next axis that has one; return True if there is any."""
+        """Queue a step of the next axis that has one; return True if any axis has."""
         for axis in (*self.axes[self._first_axis :], *self.axes[: self._first_axis]):
             if step := steps.get(axis.name):
                 axis.image.values.update(step)
@@ -133,7 +133,7 @@ class SerialBus:
         return False
 
     def _enqueue_background(self, plan: Plan, endings: tuple[Batch, ...], end_ns: int | None) -> None:
-        """Queue the next background read, if it is answered before the next cycle."""
+        """Queue the next background read if its reply can arrive before the next cycle."""
         if not plan.background:
             return
         index = (self._background_index + 1) % len(plan.background)
@@ -146,7 +146,7 @@ class SerialBus:
         self.scheduler.enqueue((exchange,))
 
     def finish_background_read(self, deadline_ns: int) -> None:
-        """Wait for the reply to the background read of the last cycle, for a fraction of the time until a moment."""
+        """Wait for the reply to the last background read, at most for a fraction of the time until ``deadline_ns``."""
         scheduler = self.scheduler
         scheduler.deadline_ns = None  # as in `send_commands`
         now = time.monotonic_ns()
@@ -163,12 +163,12 @@ class SerialBus:
         return self._steps[key]
 
     def wire_s(self, *exchanges: Exchange) -> float:
-        """Compute the least time that exchanges in a row take, s."""
+        """Compute the least time that successive exchanges take, s."""
         protocol = self.protocol
         return wire_s(exchanges, self.scheduler.line.options, protocol.silence_chars, protocol.ahead_chars)
 
     def discard_input(self, time_s: float) -> None:
-        """Drop what arrives within some time: replies to another master that was here before.
+        """Drop the bytes that arrive within ``time_s``: replies to requests of an earlier master.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""From a configuration to lines whose drives are ready to be enabled. All this runs before the loop, and may wait."""
+"""Commissioning: opens lines and prepares their drives to be enabled. It runs before the loop, and may wait."""
 
 import itertools
 import statistics
@@ -29,7 +29,7 @@ _REPLY_LIMIT_S, _REPLY_LIMIT_FRACTION = 0.05, 0.4
 _MEASURED_CYCLES = 25
 _WATCHDOG_PERIODS, _LEAST_WATCHDOG_PERIODS, _LEAST_WATCHDOG_S = 20, 3, 0.1
 _LATENESS_S = 2e-3  # margin for a reply, beside the adapter's latency
-_INTERPOLATION_CYCLES = {"csp": 1.0, "csv": 0.5, "cst": 0.0}  # of set-points, beside half a period as for torques
+_INTERPOLATION_CYCLES = {"csp": 1.0, "csv": 0.5, "cst": 0.0}  # delay of set-points in addition to that of torques
 
 
 class Commissioning:
@@ -41,9 +41,9 @@ class Commissioning:
     axes : mapping of str to AxisConfig
     protocol : ProtocolFactory
     dry_run : bool
-        Nothing is written.
+        True if nothing may be written.
     is_real : bool
-        Real time: the time of a poll can be measured.
+        True in real time, in which the time of a poll can be measured.
     """
 
     def __init__(
@@ -69,7 +69,7 @@ class Commissioning:
         Raises
         ------
         UsageError
-            The configuration asks for something that a drive or the line cannot do.
+            A drive or the line cannot do what the configuration asks for.
         """
         options = {name: self._options[name] for name in descriptions}
         images = {name: Image() for name in descriptions}
@@ -121,12 +121,12 @@ class Commissioning:
     def _reply_limit_s(self, axis: str, least_s: float) -> float:
         """Return the time for which a drive that did not answer is not asked again, s; a reply may take ``least_s``.
 
-        A lost reply alone must be no fault; but a reply must not be late by more than this.
+        The time has to be so short that a single lost reply is no fault, and longer than any delay of a reply.
 
         Raises
         ------
         OptionError
-            The configuration's is shorter than replies may take.
+            The configuration gives a time that is shorter than a reply may take.
         """
         options = self._options[axis].line
         if options.reply_limit_s is None:
@@ -166,7 +166,7 @@ class Commissioning:
             )
 
     def _longest_step(self, bus: SerialBus, descriptions: Mapping[str, Description]) -> Exchange | None:
-        """Return the exchange of a sequence that takes longest on the wire."""
+        """Return the exchange, of all steps of sequences, that takes longest on the wire."""
         if self._dry_run:
             return None
         steps = []
@@ -184,7 +184,7 @@ class Commissioning:
         Raises
         ------
         DriveError
-            A drive does not answer, refuses, has power already, or does not match its description.
+            A drive does not answer, refuses, is powered already, or does not match its description.
         """
         if not bus.protocol.numbers_replies:
             bus.discard_input(_REPLY_LIMIT_S)
@@ -218,7 +218,7 @@ class Commissioning:
         return notes
 
     def line_findings(self, bus: SerialBus) -> Iterator[Finding]:
-        """Report what is known in advance of the cycle time; nothing is sent."""
+        """Report the expected cycle time of a line; nothing is sent."""
         line = bus.scheduler.line
         if (found := ports.latency(ports.name_of(line.options.port))) is not None:
             needed_s = bus.wire_s(*bus.plan.push, *bus.plan.poll) + line.latency_s
@@ -230,7 +230,7 @@ class Commissioning:
             yield Finding(f"rate of {', '.join(axis.name for axis in bus.axes)}", "pass", bus.rate)
 
     def drive_findings(self, axis: str, description: Description) -> Iterator[Finding]:
-        """Report what is known in advance of a drive.
+        """Report the sources of a drive's description and its watchdog; nothing is sent.
 
         Raises
         ------
@@ -277,7 +277,7 @@ class Commissioning:
                 "keep the emergency stop in reach",
                 "FH-418",
             )
-        signal = description.watchdog.signal  # in units of its own
+        signal = description.watchdog.signal
         time_s = self._watchdog_steps(axis, description)[0].write[signal] * description.units()[signal].scale
         detail = f"the drive watches the daemon: {time_s * 1e3:g} ms without a command end its torque"
         return Finding(check, "pass", detail)
@@ -304,7 +304,7 @@ def _longest_reply_s(line: Line, plan: Plan, silence_chars: float) -> float:
 
 
 def by_port(axes: "Mapping[str, AxisConfig]") -> Sequence[list[str]]:
-    """Return the names of the axes that share a line, for each line."""
+    """Return the names of the axes on each line."""
     ports: dict[str, list[str]] = {}
     for name, axis in axes.items():
         ports.setdefault(options_of(axis).line.port, []).append(name)
@@ -332,13 +332,13 @@ def _write(bus: SerialBus, axis: SerialAxis, step: Step) -> None:
     Raises
     ------
     DriveError
-        The drive refuses it, or does not follow.
+        The drive refuses the step, or does not reach the state.
     """
     axis.image.values.update(step.write)
     exchange = bus.write_exchange(axis.name, step.write)
     bus.transact(axis.name, exchange)
     refusals = bus.scheduler.refusals.count
-    if exchange.reports_refusal:  # before anything else is asked
+    if exchange.reports_refusal:  # a refusal comes before the reply to the next request
         _read_state(bus, axis)
     if bus.scheduler.refusals.count > refusals:
         text = f"{axis.name}: the drive refuses its set-up: {bus.scheduler.last_error}"
@@ -383,8 +383,8 @@ def _poll_s(bus: SerialBus) -> float:
 def _actuation_delay_s(bus: SerialBus, poll_s: float, period_s: float) -> float:
     """Return the time from sampling a position to the middle of the period in which the resulting torque acts, s.
 
-    A torque in the push acts as soon as its request is complete; one in the poll, a period after the
-    sample. Either holds for a period. ``poll_s`` is the measured time of the poll.
+    A torque in the push acts as soon as its request is complete, a torque in the poll one period after the sample.
+    Both are held for a period. ``poll_s`` is the measured time of the poll.
     """
     if not bus.plan.push:
         return 1.5 * period_s
@@ -397,14 +397,14 @@ def _actuation_delay_s(bus: SerialBus, poll_s: float, period_s: float) -> float:
 
 
 def _setpoint_delay_s(actuation_s: float, mode: str, cycles: float | None, period_s: float) -> float:
-    """Return the time from sending a set-point until the drive follows it, s; ``cycles`` is the user's own figure."""
+    """Return the time from sending a set-point until the drive follows it, s; ``cycles`` is the configured value."""
     if cycles is not None:
         return cycles * period_s
     return actuation_s + _INTERPOLATION_CYCLES[mode] * period_s
 
 
 def _sources(axis: str, description: Description) -> Finding:
-    """Report which signals of the description were not taken from a manual."""
+    """Report the signals of the description that were not taken from a manual."""
     check = f"{axis}: description"
     if not description.inferred:
         return Finding(check, "pass", f"{description.name}: none of its signals is marked as inferred")

@@ -38,14 +38,14 @@ StateName = Literal[
 
 
 def _error_number(key: object) -> object:
-    """Read a key of ``errors``, which is text as all keys are, as YAML reads a value."""
+    """Convert a key of ``errors``, which is text like all keys, as YAML converts a value."""
     try:
         number = resolve(key) if isinstance(key, str) else key
     except OverflowError:
         number = None
     if type(number) is not int:
         raise ValueError(
-            "is no whole number; write the number of the signal error that the text explains, e.g. 16: or 0x10:"
+            "is no whole number; give the number of the signal error that the text explains, e.g. 16: or 0x10:"
         )
     return number
 
@@ -54,19 +54,19 @@ ErrorNumber = Annotated[int, BeforeValidator(_error_number)]
 
 
 class Part(BaseModel):
-    """A group of keys of a description."""
+    """Group of keys of a description."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class Signal(Part):
-    """A value of the drive; each protocol adds its address or format."""
+    """Value of the drive; each protocol adds its address or format."""
 
-    unit: str = Field("", description="unit of the number times its scale")
-    scale: Finite = Field(1.0, description="unit's value of one in the drive's number, e.g. 0.1 for tenths")
+    unit: str = Field("", description="unit of the drive's number times `scale`")
+    scale: Finite = Field(1.0, description="factor from the drive's number to the unit, e.g. 0.1 for tenths")
 
     resolution: Positive | None = Field(
-        None, description="smallest step of the drive's number; 1 of an integer when not given"
+        None, description="smallest step of the drive's number; when not given, 1 for an integer"
     )
 
     @property
@@ -81,12 +81,12 @@ class Signal(Part):
 
     @property
     def counter_bits(self) -> int | None:
-        """Width of the drive's number where that is an integer that wraps."""
+        """Width of the drive's number if that is an integer, which wraps; else None."""
         return None
 
     @property
     def bounds(self) -> tuple[int, int] | None:
-        """Least and greatest of the drive's numbers, where these are integers."""
+        """Least and greatest number of the drive if its numbers are integers; else None."""
         return None
 
     @field_validator("unit")
@@ -105,13 +105,13 @@ class Signal(Part):
 
 
 class Rule(Part):
-    """Condition for a state: the signal, under the mask, has the value."""
+    """Condition for a state: the masked bits of the signal have the value."""
 
     state: StateName
     signal: str = "status"
-    mask: int | None = Field(None, ge=1, description="bits that count; all when not given")
-    value: int | None = Field(None, description="what they must be")
-    value_not: int | None = Field(None, description="what they must not be")
+    mask: int | None = Field(None, ge=1, description="bits that are compared; all when not given")
+    value: int | None = Field(None, description="number that they must equal")
+    value_not: int | None = Field(None, description="number that they must not equal")
 
     @model_validator(mode="after")
     def _has_one(self) -> Self:
@@ -119,7 +119,7 @@ class Rule(Part):
             raise ValueError("needs either value or value_not")
         number = self.value_not if self.value is None else self.value
         if self.mask is not None and number is not None and number & ~self.mask:
-            raise ValueError(f"{number} has bits that are not in the mask {self.mask}: no number is that under it")
+            raise ValueError(f"{number} has bits that are not in the mask {self.mask}: no masked number equals it")
         return self
 
     def fits(self, number: float) -> bool:
@@ -131,23 +131,25 @@ class Rule(Part):
 class Step(Part):
     """Values to write, and the state to wait for before the next step."""
 
-    write: dict[str, Finite] = Field(min_length=1, description="the drive's own numbers by signal")
-    until: StateName | None = Field(None, description="written again each cycle until the drive is in this state")
-    timeout_s: Positive = Field(1.0, description="after which the drive is reported not to follow")
+    write: dict[str, Finite] = Field(min_length=1, description="numbers to write, by signal, in the drive's own units")
+    until: StateName | None = Field(
+        None, description="state that ends the step; it is written again in each cycle until then"
+    )
+    timeout_s: Positive = Field(1.0, description="time after which the drive is reported not to follow, s")
 
 
 class ModeDescription(Part):
     """Commands of one mode, and its preparation."""
 
-    commands: tuple[str, ...] = Field(min_length=1, description="signals written in each cycle")
-    prepare: tuple[Step, ...] = Field((), description="written once, while the drive is still disabled")
+    commands: tuple[str, ...] = Field(min_length=1, description="signals that are written in each cycle")
+    prepare: tuple[Step, ...] = Field((), description="steps that are written before the drive is enabled")
 
 
 class WatchdogDescription(Part):
     """Communication watchdog of the drive: after a time without a command it drops its torque."""
 
-    signal: str = Field(description="takes the time")
-    enable: tuple[Step, ...] = Field((), description="written after it")
+    signal: str = Field(description="signal that sets the time")
+    enable: tuple[Step, ...] = Field((), description="steps that are written after the time")
 
 
 class Description(Part):
@@ -155,22 +157,22 @@ class Description(Part):
 
     version: Literal[1]
     name: str
-    sources: tuple[str, ...] = Field(min_length=1, description="where all this was read")
+    sources: tuple[str, ...] = Field(min_length=1, description="manuals and files from which the description was taken")
     inferred: tuple[str, ...] = Field(
-        (), description="signals whose address or format no manual gives; reported at the start"
+        (), description="signals that were not taken from a manual; reported at each start"
     )
     state_machine: Literal["cia402", "own"] = Field(
         "own", description="cia402: signals control and status are its control- and statusword"
     )
-    states: tuple[Rule, ...] = Field((), description="own: the first rule that fits gives the state")
+    states: tuple[Rule, ...] = Field((), description="rules for `own`; the first one that fits gives the state")
     modes: dict[Literal["csp", "csv", "cst"], ModeDescription] = Field(min_length=1)
-    prepare: tuple[Step, ...] = Field((), description="written once at the start, whatever the mode")
+    prepare: tuple[Step, ...] = Field((), description="steps that are written once at the start, in every mode")
     enable: tuple[Step, ...] = ()
     disable: tuple[Step, ...] = ()
-    quick_stop: tuple[Step, ...] = Field((), description="as disable when not given")
+    quick_stop: tuple[Step, ...] = Field((), description="steps of `disable` when not given")
     reset_fault: tuple[Step, ...] = ()
     watchdog: WatchdogDescription | None = None
-    errors: dict[ErrorNumber, str] = Field({}, description="what the numbers of the signal error mean")
+    errors: dict[ErrorNumber, str] = Field({}, description="texts for the numbers of the signal error")
 
     def units(self) -> dict[str, Signal]:
         """Return the signals by name; each protocol has its own."""
@@ -178,7 +180,7 @@ class Description(Part):
 
     @property
     def sequences(self) -> dict[tuple[str, ...], tuple[Step, ...]]:
-        """All steps of the description, by the keys under which they stand."""
+        """All steps of the description, by the path of their list in the file."""
         found: dict[tuple[str, ...], tuple[Step, ...]] = {
             (key,): getattr(self, key) for key in ("prepare", "enable", "disable", "quick_stop", "reset_fault")
         }
@@ -194,7 +196,7 @@ class Description(Part):
                 yield (*key, k), step
 
     def _scattered_steps(self, blocks: Callable[[tuple[str, ...]], Sequence[object]]) -> Iterator[Mistake]:
-        """Yield steps whose signals lie in more than one of the ``blocks`` that a request can write."""
+        """Yield steps whose signals lie in several blocks, so that no single request can write them."""
         for path, step in self.steps():
             if step.write.keys() <= self.units().keys() and len(blocks(tuple(step.write))) > 1:
                 names = ", ".join(step.write)
@@ -215,7 +217,7 @@ class Description(Part):
         return self
 
     def _named(self) -> Iterator[tuple[FieldPath, str]]:
-        """Yield each mention of a signal: path in the file, and name."""
+        """Yield the path in the file and the signal of each mention of a signal."""
         yield from ((("states", k), rule.signal) for k, rule in enumerate(self.states))
         yield from ((path, name) for path, step in self.steps() for name in step.write)
         yield from ((("modes", mode), name) for mode, part in self.modes.items() for name in part.commands)
@@ -245,10 +247,10 @@ class Description(Part):
         for mode, part in self.modes.items():
             for name in part.commands:
                 if name in signals and name not in protocol.COMMANDS:
-                    text = f"commands {name}; what can be commanded is {', '.join(protocol.COMMANDS)}"
+                    text = f"commands {name}; possible commands are {', '.join(protocol.COMMANDS)}"
                     yield ("modes", mode), text
             if "torque_command" not in part.commands:
-                yield ("modes", mode), "has no torque_command: then nothing could be compensated"
+                yield ("modes", mode), "has no torque_command: friction could not be compensated"
         if self.state_machine == "cia402":
             yield from (
                 (("signals",), f"cia402 needs the signal {n}") for n in ("control", "status") if n not in signals
@@ -263,7 +265,7 @@ Kind = TypeVar("Kind", bound=Description)
 
 
 def ready(directory: Path) -> dict[str, Path]:
-    """Return the descriptions that come with a driver, by name."""
+    """Return the paths of the descriptions in ``directory``, by name."""
     return {path.stem: path for path in sorted(directory.glob("*.yaml"))}
 
 
@@ -275,16 +277,16 @@ def load_description(given: str, beside: Path | None, directory: Path, kind: typ
     given : str
         Path of a file, ending in .yaml, or a name.
     beside : Path, optional
-        Configuration that names the description: a relative path starts from its directory.
+        Path of the configuration; a relative path of the description starts from its directory.
     directory : Path
-        Where the ready ones are.
+        Directory of the descriptions that come with the driver.
     kind : type
-        The protocol's own.
+        Class of the protocol's descriptions.
 
     Raises
     ------
     ConfigurationError
-        The file has mistakes; each with its line.
+        The file has mistakes; the error lists each with its line.
     UsageError
         There is no description of that name; the message lists the known ones.
     """
@@ -293,6 +295,6 @@ def load_description(given: str, beside: Path | None, directory: Path, kind: typ
     known = ready(directory)
     if given not in known:
         raise UsageError(
-            f"no drive is described as {given!r}; {choices(given, known)}. The name of a file of your own ends in .yaml"
+            f"no drive is described as {given!r}; {choices(given, known)}. The path of your own file must end in .yaml"
         )
     return read_section(known[given], kind)

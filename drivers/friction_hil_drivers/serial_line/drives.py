@@ -2,7 +2,7 @@
 
 A cycle on a line begins with the poll, which reads the feedback. After the computation follow the push, which writes
 the commands, and a step of a sequence if one is due, or else one of the background reads (signals that change slowly),
-whose reply is there when the next cycle begins. Where one exchange both writes and reads, the commands are part of the
+whose reply has arrived when the next cycle begins. If one exchange both writes and reads, the commands are part of the
 poll of the next cycle.
 
 One thread serves all lines.
@@ -35,17 +35,17 @@ if TYPE_CHECKING:
 
 _COMPUTATION_S = 3e-4  # kept free in each period after the feedback, at most a tenth of the period
 _SIMULATED_TIMEOUT_NS = 10_000_000_000
-_SIMULATED_TIMEOUTS = 3  # in a row; in simulated time nothing else would end a run without drives
+_SIMULATED_TIMEOUTS = 3  # in succession; in simulated time nothing else would end a run without drives
 _RELEASE_NS = 300_000_000
 _REOPEN_S, _REOPEN_POLL_S = 0.3, 5e-3
-_MAX_REFUSALS = 10  # of commands, in a row: the drive does not accept them
+_MAX_REFUSALS = 10  # successive refused commands that are a fault
 
 
 class SerialDrives:
     """Drives of some axes on serial lines; see `friction_hil.drive.Drives`. A protocol sets the class attributes."""
 
     description_type: ClassVar[type[Description]]
-    descriptions: ClassVar[Path]  # directory of the ready ones
+    descriptions: ClassVar[Path]  # directory of the descriptions that come with the driver
     protocol: ClassVar[ProtocolFactory]
 
     @classmethod
@@ -81,14 +81,14 @@ class SerialDrives:
 
     @classmethod
     def check_connection(cls, configuration: "Configuration", axes: "Mapping[str, AxisConfig]") -> Iterator[Finding]:
-        """Open each line, close it again, and report what is known of it; see `friction_hil.drive.Driver`."""
+        """Open and close each line, and report on it and its drives; see `friction_hil.drive.Driver`."""
         commissioning = Commissioning(configuration, axes, cls.protocol, dry_run=False, is_real=False)
         for names in by_port(axes):
             of_line = {name: axes[name] for name in names}
             yield _opened(Line(options_of(of_line[names[0]]).line), of_line)
             read: dict[str, Description] = {}
             for name in names:
-                with contextlib.suppress(UsageError):  # here and below: check_files tells it
+                with contextlib.suppress(UsageError):  # here and below: check_files reports it
                     read |= descriptions_of(
                         {name: axes[name]}, configuration.source_path, cls.descriptions, cls.description_type
                     )
@@ -114,9 +114,9 @@ class SerialDrives:
         self._scheduler_of: list[BusScheduler] = []  # of each of these axes
         self._is_commanding = False  # something has been written since the start
         self._is_started = False
-        self._is_read = False  # all that came before this cycle, by `warm_caches`
-        self._end_ns = 0  # of the cycle
-        self._time_s = 0.0  # of its feedback
+        self._is_read = False  # `warm_caches` has read the bytes that came before this cycle
+        self._end_ns = 0  # end of the cycle
+        self._time_s = 0.0  # time of its feedback
         self._timeouts = 0
 
     def connect(self) -> Sequence[AxisFacts]:
@@ -161,7 +161,7 @@ class SerialDrives:
         for bus in self._buses:
             if not (bus.protocol.ahead_chars or bus.scheduler.is_finished):
                 bus.finish_background_read(deadline_ns)
-            # in simulated time nothing takes time on the wire: when a reply would come is not known
+            # in simulated time the wire takes no time: it is unknown when a reply will come
             bus.request_feedback(
                 deadline_ns if is_real else None, is_commanding=self._is_commanding, is_read=self._is_read
             )
@@ -191,7 +191,7 @@ class SerialDrives:
     def send(self, commands: Sequence[Command]) -> None:
         """Write the commands, or put them where the next poll takes them; a dry run only reads."""
         end_ns = self._end_ns if self._clock.is_real else None
-        steps: dict[str, Mapping[str, float]] = {}  # to be written beside the commands, by axis
+        steps: dict[str, Mapping[str, float]] = {}  # values to write in addition to the commands, by axis
         if not self._dry_run:
             for axis, command in zip(self._axes, commands, strict=True):
                 if command.request is not Request.LISTEN:
@@ -210,7 +210,7 @@ class SerialDrives:
     def warm_caches(self) -> None:
         """Read what has come since the last cycle, so that the next cycle need not; see `Drives.warm_caches`."""
         for scheduler in self._schedulers:
-            if scheduler.line.is_open:  # to reopen it may take time
+            if scheduler.line.is_open:  # reopening may take time
                 scheduler.poll()
         self._selector.forget()
         self._is_read = True
@@ -230,9 +230,9 @@ class SerialDrives:
     def _release(self, bus: SerialBus) -> None:
         """Disable every drive of a bus and write zero commands, even if some drives do not answer."""
         line, end_s = bus.scheduler.line, time.monotonic() + _REOPEN_S
-        while not line.reopen() and time.monotonic() < end_s:  # it may be back since the last cycle
+        while not line.reopen() and time.monotonic() < end_s:  # the line may be back since the last cycle
             time.sleep(_REOPEN_POLL_S)
-        bus.finish_background_read(time.monotonic_ns() + _RELEASE_NS)  # else its reply would follow the first write
+        bus.finish_background_read(time.monotonic_ns() + _RELEASE_NS)  # or its reply would come after the first write
         for axis in bus.axes:
             axis.hold()
         for axis in bus.axes:
@@ -254,7 +254,7 @@ def _opened(line: Line, axes: "Mapping[str, AxisConfig]") -> Finding:
     port = line.options.port
     check = f"line of {', '.join(axes)}"
     try:
-        # not each program locks a port; to open it would already change its settings
+        # not every program locks its port, and opening a port would change its settings
         if not line.options.is_tcp and (others := ports.holders(port)):
             raise taken(port, others)
         line.open()
@@ -266,4 +266,4 @@ def _opened(line: Line, axes: "Mapping[str, AxisConfig]") -> Finding:
         return found
     finally:
         line.close()
-    return Finding(check, "pass", f"somebody listens at {port}" if line.options.is_tcp else f"{port} can be opened")
+    return Finding(check, "pass", f"{port} accepts connections" if line.options.is_tcp else f"{port} can be opened")

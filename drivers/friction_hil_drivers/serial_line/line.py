@@ -24,7 +24,7 @@ _PARITY = {"none": serial.PARITY_NONE, "even": serial.PARITY_EVEN, "odd": serial
 
 
 class _Link(NamedTuple):
-    """Identity of a link to a pseudo-terminal and of the terminal; a later one of the same name differs."""
+    """Identity of a link to a pseudo-terminal and of the terminal; a later link of the same name has another one."""
 
     made: tuple[int, int]
     terminal: tuple[int, int]
@@ -35,12 +35,12 @@ class LineGoneError(Exception):
 
 
 class Line:
-    """A serial port, or a TCP connection in its place.
+    """Serial port or TCP connection.
 
     Parameters
     ----------
     options : LineOptions
-        Where it is and how it is set.
+        Port and its settings.
     """
 
     def __init__(self, options: LineOptions) -> None:
@@ -49,11 +49,10 @@ class Line:
         self._link: _Link | None = None  # to the pseudo-terminal that was opened
         self._socket: socket.socket | None = None
         self._connecting: socket.socket | None = None
-        self._peer: tuple[socket.AddressFamily, Any] | None = (
-            None  # resolved when the line was opened, because resolving takes time
-        )
+        # resolved when the line is opened, because resolving takes time
+        self._peer: tuple[socket.AddressFamily, Any] | None = None
         self._hang_up = select.poll()  # reports that the adapter of a serial port is gone
-        self.descriptor = -1  # of the open line, for select; -1 if it is gone
+        self.descriptor = -1  # file descriptor of the open line, for select; -1 if the line is gone
 
     @property
     def is_open(self) -> bool:
@@ -66,7 +65,7 @@ class Line:
         Raises
         ------
         BusError
-            There is no such port, it is in use, or nobody listens.
+            The port does not exist or is in use, or no server accepts the connection.
         """
         if self.options.is_tcp:
             address = tcp_address(self.options.port)
@@ -77,7 +76,7 @@ class Line:
             except OSError as error:
                 raise BusError(
                     f"{self.options.port}: no connection: {_reason(error)}",
-                    "see whether the drive is on, and listens there",
+                    "check that the drive is on and accepts connections at this address",
                     code=codes.LINE_NOT_OPENED,
                 ) from error
         else:
@@ -85,7 +84,7 @@ class Line:
 
     def _open_port(self) -> None:
         options, link = self.options, _link(self.options.port)
-        # characters on a pseudo-terminal have no parity, and asking it for one a second time fails
+        # a pseudo-terminal has no parity, and setting one for the second time fails
         has_parity = not _is_pseudo(options.port)
         try:
             port = serial.Serial(
@@ -105,7 +104,7 @@ class Line:
                 port.close()
                 raise BusError(
                     f"{options.port} cannot switch the direction of an RS-485 line ({error})",
-                    "adapters that do it by themselves need is_rs485: false",
+                    "set is_rs485: false if the adapter switches the direction by itself",
                     code=codes.RS485_NOT_SUPPORTED,
                 ) from error
         self._port, self.descriptor, self._link = port, port.fileno(), link
@@ -118,21 +117,21 @@ class Line:
 
     @property
     def latency_s(self) -> float:
-        """Latency timer of the USB adapter, which holds short replies back, s; 0 if there is none."""
+        """Latency timer of the USB adapter, which delays short replies, s; 0 if it has none."""
         return ports.latency_s(ports.name_of(self.options.port)) or 0.0
 
     def notes(self) -> list[str]:
-        """Return what slows the line down, for people."""
+        """Return notes for the user on settings that slow the line down."""
         found = ports.latency(ports.name_of(self.options.port))
         return [] if found is None or found.result == "pass" else [str(found)]
 
     def read(self, *, is_ready: bool = True) -> bytes:
-        """Return what has arrived; empty if nothing has.
+        """Return the bytes that have arrived; empty if none have.
 
         Parameters
         ----------
         is_ready : bool
-            The system reports bytes: if there are none, the adapter is gone.
+            True if the system reports bytes: if there are none then, the adapter is gone.
 
         Raises
         ------
@@ -147,9 +146,8 @@ class Line:
             raise self._lose(_reason(error)) from error
         if not data and self._socket is not None:
             raise self._lose("the peer closed the connection")
-        if (
-            is_ready and not data and self._hang_up.poll(0)
-        ):  # a port without its adapter reads as one to which nothing comes
+        # reading a port whose adapter is gone returns no bytes, without an error
+        if is_ready and not data and self._hang_up.poll(0):
             raise self._lose("the adapter was unplugged")
         return data
 
@@ -164,17 +162,17 @@ class Line:
         try:
             if os.write(self.descriptor, data) == len(data):
                 return
-            reason = "it takes no more bytes"
+            reason = "it accepts no more bytes"
         except OSError as error:
             reason = _reason(error)
         raise self._lose(reason)
 
     def acknowledge(self) -> None:
-        """Acknowledge at once what a TCP peer has sent.
+        """Make the kernel acknowledge immediately what a TCP peer has sent.
 
-        Many a peer sends no reply while the one before is not acknowledged (Nagle's algorithm), and the kernel
-        acknowledges with the next request: a peer that was late once would answer each request after the next one,
-        for ever.
+        Many peers send no reply while the previous one is not acknowledged (Nagle's algorithm), and the kernel
+        acknowledges it with the next request. After one late reply, such a peer would send every reply only after the
+        following request.
         """
         if self._socket is not None:
             with contextlib.suppress(OSError):
@@ -211,7 +209,7 @@ class Line:
         return self.is_open
 
     def _is_left_behind(self) -> bool:
-        """Return True if the maker of the link has died, so that its pseudo-terminal belongs to another process now."""
+        """Return True if the process that made the link has ended: its pseudo-terminal may be another one's now."""
         before, now = self._link, _link(self.options.port)
         return before is not None and now is not None and now.made == before.made and now.terminal != before.terminal
 
@@ -254,12 +252,12 @@ def _refusal(port: str, error: Exception) -> BusError:
         reason = f"there is no such port; serial ports of this machine: {present}"
         remedy = "plug the adapter in, or correct line.port"
     else:
-        reason, remedy = str(error), "is it a serial port? dmesg tells what is known of its adapter"
+        reason, remedy = str(error), "check that it is a serial port; dmesg shows messages about its adapter"
     return BusError(f"{port} cannot be opened: {reason}", remedy, code=codes.LINE_NOT_OPENED)
 
 
 def taken(port: str, holders: Sequence[str]) -> BusError:
-    """Return the error for a port that other processes use; ``holders`` are those that are known."""
+    """Return the error for a port that other processes use; ``holders`` names the known ones."""
     who = f" ({', '.join(holders)})" if holders else ""
-    detail = f"{port} cannot be opened: another process has it{who}: two masters must not talk on one line"
-    return BusError(detail, "end that one first", code=codes.LINE_NOT_OPENED)
+    detail = f"{port} cannot be opened: another process has it{who}: a line must have only one master"
+    return BusError(detail, "end that process first", code=codes.LINE_NOT_OPENED)

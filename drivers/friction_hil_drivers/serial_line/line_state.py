@@ -1,8 +1,8 @@
 """State machine of a serial line: how far received bytes can be trusted, and whether drives answer in time.
 
-Two states are kept side by side. `Reception` says what is done with the bytes that arrive, `Timeliness` whether every
-drive has answered. `TRANSITIONS` holds all transitions; an event without a row for the present state changes nothing.
-`PERMISSIONS` says what may be sent in each state of the reception. Both tables are documented in ``drivers/README.md``.
+The machine has two states at a time: `Reception` determines the use of received bytes, and `Timeliness` shows whether
+every drive has answered. `TRANSITIONS` has all transitions; an event without a row for the present state changes
+nothing. `PERMISSIONS` lists what may be sent in each state of the reception. ``drivers/README.md`` has both tables.
 """
 
 from enum import IntEnum
@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 
 
 class Reception(IntEnum):
-    """Use that is made of received bytes."""
+    """Use of received bytes."""
 
     IN_SYNC = 0  # replies belong to the requests that wait for them
     OUT_OF_SYNC = 1  # the next reply may belong to an earlier request: it is dropped
@@ -21,7 +21,7 @@ class Reception(IntEnum):
 
 
 class Timeliness(IntEnum):
-    """Punctuality of the drives. Its numbers differ from those of `Reception`: both are keys of one table."""
+    """Timeliness of the replies. The numbers differ from those of `Reception`, because both are keys of one table."""
 
     ON_TIME = 10  # every drive answered the last request to it
     SILENT = 11  # a drive did not answer; its reply is not expected any more, and it is asked after the others
@@ -32,12 +32,12 @@ State = Reception | Timeliness
 
 
 class LineEvent(IntEnum):
-    """Something that may change the state."""
+    """Event that may change the state."""
 
-    REPLY = 0  # a valid reply; replies to other requests are still outstanding
-    LAST_REPLY = 1  # a valid reply; none is outstanding any more
-    BROKEN_REPLY = 2  # a damaged reply or one of another drive, and others are still outstanding
-    LAST_REPLY_BROKEN = 3  # the same, and none is outstanding any more
+    REPLY = 0  # a valid reply came; others are outstanding
+    LAST_REPLY = 1  # a valid reply came; no other is outstanding
+    BROKEN_REPLY = 2  # a damaged reply or one of another drive came; others are outstanding
+    LAST_REPLY_BROKEN = 3  # a damaged reply or one of another drive came; no other is outstanding
     LATE_REPLY_BROKEN = 4  # bytes came that are not the late reply that was expected
     LATE_REPLY_EXPIRED = 5  # a late reply cannot come any more
     LINE_QUIET = 6  # nothing arrived for long enough
@@ -46,7 +46,7 @@ class LineEvent(IntEnum):
     REPLY_OVERDUE = 9  # a cycle ended without a reply, which may still come
     REPLY_MISSED = 10  # a cycle ended without a reply, and a late one would be recognised by its number
     NO_REPLY_LATE = 11  # the last of the late replies came or expired
-    ALL_ANSWERED = 12  # no drive is left that did not answer the last request to it
+    ALL_ANSWERED = 12  # every drive answered the last request to it
 
 
 TRANSITIONS: Final[dict[tuple[State, LineEvent], State]] = {
@@ -75,8 +75,8 @@ TRANSITIONS: Final[dict[tuple[State, LineEvent], State]] = {
     (Timeliness.LATE, LineEvent.NO_REPLY_LATE): Timeliness.SILENT,
 }
 
-# Where replies do not tell which of several drives they are from, these rows apply in place of those above: a reply
-# that was lost or broken may still come, and would then be taken for that of another drive.
+# If replies do not show which of several drives they are from, these rows replace those above: a lost or damaged reply
+# may still come, and would then be taken for a reply of another drive.
 ANONYMOUS_TRANSITIONS: Final[dict[tuple[State, LineEvent], State]] = {
     (Reception.IN_SYNC, LineEvent.BROKEN_REPLY): Reception.OUT_OF_SYNC,
     (Reception.IN_SYNC, LineEvent.LAST_REPLY_BROKEN): Reception.DISCARDING_OUT_OF_SYNC,
@@ -89,13 +89,13 @@ ANONYMOUS_TRANSITIONS: Final[dict[tuple[State, LineEvent], State]] = {
 
 
 class Permission(NamedTuple):
-    """What may be sent in a state of the reception, and whether replies are used."""
+    """Requests that may be sent in a state of the reception, and use of the replies."""
 
-    requests: bool  # that are answered
-    commands: bool  # to which nothing is replied
-    together: bool  # several at once, and requests while a reply is outstanding
+    requests: bool  # requests with a reply
+    commands: bool  # commands without a reply
+    together: bool  # several requests in one write, and requests while a reply is outstanding
     joined: bool  # requests in one write with commands before them
-    replies_used: bool
+    replies_used: bool  # the contents of replies are used
 
 
 _YES, _NO = True, False
@@ -120,20 +120,20 @@ class LineState:
     Parameters
     ----------
     names_drives : bool
-        Each reply tells which drive it is from.
+        True if each reply shows which drive it is from.
 
     Attributes
     ----------
     reception : Reception
     timeliness : Timeliness
     permission : Permission
-        That of the reception.
+        Permission in the state of the reception.
     is_normal : bool
-        Replies are in step with the requests, and every drive answers in time.
+        True if replies are in step with the requests, and every drive answers in time.
     is_discarding : bool
-        Received bytes are dropped until the line is quiet.
+        True if received bytes are dropped until the line is quiet.
     is_noisy : bool
-        The line did not become quiet: commands without a reply do not wait for that.
+        True if the line did not become quiet: commands without a reply do not wait for that.
     """
 
     def __init__(self, *, names_drives: bool) -> None:
@@ -144,7 +144,7 @@ class LineState:
         self._update()
 
     def apply(self, event: LineEvent) -> None:
-        """Change the state as the table says; an event without a row for the present state changes nothing."""
+        """Change the state by the table; an event without a row for the present state changes nothing."""
         for state in (self.reception, self.timeliness):
             following = self._transitions.get((state, event))
             if isinstance(following, Reception):

@@ -1,4 +1,4 @@
-"""Options that all serial drivers share: keys of an axis, and of its line."""
+"""Options that all serial drivers have in common: the keys of an axis and of its line."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -22,7 +22,7 @@ def tcp_address(port: str) -> tuple[str, int]:
     Raises
     ------
     ValueError
-        It is not of that form.
+        The text does not have this form.
     """
     host, _, number = port.removeprefix(TCP).rpartition(":")
     if not (port.startswith(TCP) and host and number.isascii() and number.isdigit() and 0 < int(number) < 0x10000):
@@ -31,7 +31,7 @@ def tcp_address(port: str) -> tuple[str, int]:
 
 
 class LineOptions(BaseModel):
-    """A serial line, or a TCP connection in its place; equal for all axes on one line."""
+    """Serial line or TCP connection; the keys must be equal for all axes on one line."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -41,13 +41,13 @@ class LineOptions(BaseModel):
     stop_bits: Literal[1, 2] = Field(1, description="stop bits")
     is_rs485: bool = Field(False, description="let the kernel switch the direction of an RS-485 line by RTS")
     turnaround_s: NotNegative = Field(
-        0.0, le=0.1, description="time that the drive needs to answer, beside the time on the wire, s"
+        0.0, le=0.1, description="time that the drive needs to answer, without the time on the wire, s"
     )
     reply_limit_s: Positive | None = Field(
         None,
         le=5.0,
-        description="after this time a reply that did not come will not come any more, s; by default 0.05, or four "
-        "tenths of the time that realtime.max_missed periods take, if that is shorter",
+        description="time after which an outstanding reply cannot come any more, s; by default 0.05, or 0.4 times the "
+        "duration of realtime.max_missed periods if that is shorter",
     )
 
     @field_validator("port")
@@ -61,12 +61,12 @@ class LineOptions(BaseModel):
 
     @property
     def is_tcp(self) -> bool:
-        """True for a TCP connection."""
+        """True if the line is a TCP connection."""
         return self.port.startswith(TCP)
 
     @property
     def bits_per_character(self) -> int:
-        """Bits that a byte takes on the wire."""
+        """Number of bits of a byte on the wire."""
         return 9 + (self.parity != "none") + self.stop_bits
 
 
@@ -76,26 +76,30 @@ class SerialOptions(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     line: LineOptions
-    description: str = Field(min_length=1, description="the drive: a ready description by its name, or a YAML file")
+    description: str = Field(
+        min_length=1, description="name of a description that comes with the driver, or path of a YAML file"
+    )
     counts_per_unit: Positive | None = Field(None, description="position counts per rad of the motor (per m)")
     rated_torque: Positive | None = Field(None, description="torque at 100 %, N m (N on a linear axis)")
-    torque_constant: Positive | None = Field(None, description="N m (N) per ampere, where the drive speaks of current")
-    is_inverted: bool = Field(False, description="turn the sign of position, velocity and torque")
+    torque_constant: Positive | None = Field(
+        None, description="N m (N) per ampere, if the drive uses current instead of torque"
+    )
+    is_inverted: bool = Field(False, description="true to reverse the sign of position, velocity and torque")
     setpoint_delay_cycles: NotNegative | None = Field(
         None,
         le=10.0,
-        description="periods from sending a set-point to the drive's demand reaching it; when not given, those of the "
-        "exchange and of a drive that interpolates (csp 1.5, csv 1); one that takes set-points as steps has 1 less "
-        "(csp) or 0.5 less (csv)",
+        description="periods from sending a set-point until the drive's demand reaches it; by default the delay of the "
+        "exchange and of a drive that interpolates (csp 1.5, csv 1); give 1 less (csp) or 0.5 less (csv) for a drive "
+        "that does not interpolate",
     )
     watchdog_s: Positive | None = Field(
         None, le=10.0, description="time after which the drive drops its torque; 20 periods, at least 0.1 s, by default"
     )
-    is_watchdog_required: bool = Field(True, description="refuse a drive that cannot watch the daemon")
+    is_watchdog_required: bool = Field(True, description="true to refuse a drive without a communication watchdog")
 
     @property
     def units(self) -> AxisUnits:
-        """Units of the axis, as far as they are given."""
+        """Units of the axis; NaN for those that are not given."""
         given = (self.counts_per_unit, self.rated_torque, self.torque_constant)
         return AxisUnits(*(math.nan if value is None else value for value in given))
 
@@ -114,7 +118,7 @@ class SerialOptions(BaseModel):
             assert isinstance(options, SerialOptions)
             first, line = lines.setdefault(options.line.port, (name, options.line))
             if line != options.line:
-                yield name, "line", f"{line.port} is described otherwise for axis {first!r}"
+                yield name, "line", f"{line.port} has other options for axis {first!r}"
             address = options.line.port, options.address
             if address in owners:
                 yield name, "line", f"{options.address} on {line.port} is axis {owners[address]!r} already"

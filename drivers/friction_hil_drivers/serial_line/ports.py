@@ -1,6 +1,6 @@
 """Serial ports of a machine, as its kernel lists them; none is opened.
 
-Functions take the root of the file system, so that a test can lay out a machine of its own.
+Functions take the root of the file system, so that a test can give them another machine's files.
 """
 
 import contextlib
@@ -23,18 +23,18 @@ def serial_ports(root: Path = _ROOT) -> list[str]:
     return [
         f"/dev/{entry.name}"
         for entry in sorted(root.glob("sys/class/tty/*"))
-        # consoles have no device; a port that the kernel keeps room for, without any hardware, has type 0
+        # consoles have no device; a port that the kernel reserves without hardware has type 0
         if (entry / "device").exists() and system_text(entry / "type") != "0"
     ]
 
 
 def name_of(port: str) -> str:
-    """Return the kernel's name of a port, which may be given by a link: ``ttyUSB0``."""
+    """Return the kernel's name of a port or of a link to it: ``ttyUSB0``."""
     return Path(port).resolve().name
 
 
 def latency_s(name: str, root: Path = _ROOT) -> float | None:
-    """Return the time for which the USB adapter ``name`` holds short replies back, s; None if it has no timer."""
+    """Return the time by which the USB adapter ``name`` delays short replies, s; None if it has no timer."""
     text = system_text(_timer(name, root))
     return 1e-3 * int(text) if text and text.isdecimal() else None
 
@@ -56,7 +56,7 @@ def _timer(name: str, root: Path) -> Path:
 
 
 def permission_remedy(device: Path | None = None) -> str:
-    """Return the remedy for a user who may not open a port; it names the group of ``device``."""
+    """Return the remedy for a missing permission to open a port; it names the group of ``device``."""
     group = _USUAL_GROUPS[0]
     with contextlib.suppress(OSError, KeyError):
         if device is not None:
@@ -67,7 +67,7 @@ def permission_remedy(device: Path | None = None) -> str:
 
 
 def check_machine(root: Path) -> Iterator[Finding]:
-    """Report the serial ports, the right to open them, and what slows them down."""
+    """Report the serial ports, the permission to open them, and settings that slow them down."""
     devices = serial_ports(root)
     missing = [device for device in devices if not (root / device.removeprefix("/")).exists()]
     if missing:  # a container sees the host's kernel, not its devices
@@ -107,7 +107,7 @@ def _permission(devices: list[Path]) -> Finding:
 
 
 def holders(port: str) -> list[str]:
-    """Return the processes that have a port open, as far as this user may see: ``process 4711, minicom``.
+    """Return the processes that have a port open, as far as this user may see them: ``process 4711, minicom``.
 
     A process with the other end of a pseudo-terminal is a drive, not another master.
     """

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol, TypeVar
 
-# Signals that the driver itself understands; a description may have others, for its sequences.
+# Signals that the driver itself uses; a description may have others for its sequences.
 FAST = ("position", "velocity")  # read in every cycle
 SLOW = ("torque", "status", "error")  # read in every cycle if that costs no request, else by background reads
 COMMANDS = ("position_command", "velocity_command", "torque_command")
@@ -13,17 +13,17 @@ _SHOWN = 60  # characters
 
 
 class ReplyError(Exception):
-    """The received bytes are no valid reply: a wrong checksum, an exception, a reply of another drive.
+    """Received bytes are no valid reply: a wrong checksum, an exception, a reply of another drive.
 
     Parameters
     ----------
     message : str
-        Description of the received bytes, for people.
+        Description of the received bytes, for the user.
     is_complete : bool
-        The drive has sent all it will send (an exception code, an error text). Otherwise more may come, and the
-        line has to fall silent before the next request.
+        True if the drive sends nothing more (an exception code, an error text). Otherwise more bytes may come, and the
+        line has to become quiet before the next request.
     is_unsolicited : bool
-        The error may belong to an earlier request to which nothing is replied otherwise.
+        True if the error may belong to an earlier request that has no reply.
     """
 
     def __init__(self, message: str, *, is_complete: bool = False, is_unsolicited: bool = False) -> None:
@@ -39,7 +39,7 @@ class Image:
     Attributes
     ----------
     values : dict of str to float
-        As last read, or to be written.
+        Values that were read last, or that are to be written.
     fresh : set of str
         Signals read since the set was last emptied.
     """
@@ -53,7 +53,7 @@ class Image:
         Raises
         ------
         ReplyError
-            One of them is not finite; none was stored.
+            A number is not finite; none was stored.
         """
         if not all(map(math.isfinite, numbers)):
             listed = ", ".join(f"{n} is {x}" for n, x in zip(names, numbers, strict=True) if not math.isfinite(x))
@@ -63,16 +63,16 @@ class Image:
 
 
 class Exchange(Protocol):
-    """One request and its reply. It is made once for certain process images, and used in many cycles."""
+    """Request and its reply. An exchange is made once for its process images, and used in many cycles."""
 
     label: str  # for messages: "read 3 registers at 6064h of unit 1"
     addressees: frozenset[str]  # drives that answer, each by its name on the line
     reads: tuple[str, ...]
     writes: tuple[str, ...]
-    request_size: int  # characters on the line, at most
-    reply_size: int  # likewise; 0: no reply comes
-    reports_refusal: bool  # no reply comes, but an error does if the drive refuses
-    constant: bytes  # the request, if it is always the same; empty: `encode` has to be called
+    request_size: int  # largest number of characters on the line
+    reply_size: int  # largest number of characters on the line; 0: no reply comes
+    reports_refusal: bool  # no reply comes unless the drive refuses the request
+    constant: bytes  # the request if it is always the same; empty: `encode` has to be called
 
     @property
     def unanswered(self) -> frozenset[str]:
@@ -80,7 +80,7 @@ class Exchange(Protocol):
         ...
 
     def encode(self) -> bytes:
-        """Return the request; the values that it writes are those of the images.
+        """Return the request with the values of the images.
 
         Raises
         ------
@@ -95,21 +95,21 @@ class Exchange(Protocol):
         Raises
         ------
         ReplyError
-            It is no reply to this request.
+            The bytes are no reply to this request.
         """
         ...
 
     def may_follow(self, before: "Exchange") -> bool:
-        """Return True if it may be sent while ``before`` is outstanding: their replies cannot be confused."""
+        """Return True if the request may be sent while ``before`` is outstanding: their replies cannot be confused."""
         ...
 
     def without(self, addressees: frozenset[str]) -> "Exchange | None":
-        """Return the same exchange with all other addressees; None if it cannot be divided so."""
+        """Return the same exchange with all other addressees; None if there is no such exchange."""
         ...
 
 
 class Single:
-    """Defaults of an `Exchange` that is sent alone, as a whole, to drives that send no unsolicited errors."""
+    """Defaults of an `Exchange` that is sent singly and undivided, to drives that send no unsolicited errors."""
 
     reports_refusal = False
     constant = b""
@@ -127,12 +127,12 @@ Part = TypeVar("Part")
 
 
 def only(parts: Sequence[Part], verb: str, names: Sequence[str]) -> Part:
-    """Return the only part of a drive in which some signals lie.
+    """Return the only block that holds some signals.
 
     Raises
     ------
     ValueError
-        They lie in several parts, or in none: no single request can ``verb`` them.
+        The signals lie in several blocks, or in none: no single request can ``verb`` them.
     """
     if len(parts) != 1:
         listed = "; ".join(map(str, parts))
@@ -148,28 +148,28 @@ def shown(data: bytes | bytearray) -> str:
 
 @dataclass(frozen=True, slots=True)
 class CycleSignals:
-    """Signals that a cycle of one axis reads and writes, by name."""
+    """Signals of one axis that the cycles read and write, by name."""
 
-    fast: tuple[str, ...]  # to be read in every cycle
-    slow: tuple[str, ...]  # to be read now and then, in the background
-    commands: tuple[str, ...]  # to be written in every cycle; none if the drive is only read
+    fast: tuple[str, ...]  # read in every cycle
+    slow: tuple[str, ...]  # read in every cycle if that costs no request, else by background reads
+    commands: tuple[str, ...]  # written in every cycle; empty if the drive is only read
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """The exchanges of a cycle on one line."""
+    """Exchanges of a cycle on one line."""
 
-    poll: tuple[Exchange, ...]  # each cycle, before the computation
-    background: tuple[Exchange, ...]  # one of them each cycle, after the push
-    push: tuple[Exchange, ...]  # each cycle, after the computation; empty if the next poll writes the commands
+    poll: tuple[Exchange, ...]  # made in each cycle before the computation
+    background: tuple[Exchange, ...]  # one of them is made in each cycle, after the push
+    push: tuple[Exchange, ...]  # made in each cycle after the computation; empty if the next poll writes the commands
 
 
 class LineProtocol(Protocol):
-    """A protocol on one line, for the axes there."""
+    """Protocol on one line, for the axes on it."""
 
-    silence_chars: float  # silence that ends a frame and has to pass before the next one
-    numbers_replies: bool  # each reply tells to which request it belongs
-    names_drives: bool  # each reply tells which drive it is from
+    silence_chars: float  # silence after each frame, in characters
+    numbers_replies: bool  # each reply shows to which request it belongs
+    names_drives: bool  # each reply shows which drive it is from
     ahead_chars: int  # characters of requests that a drive reads before it answers the first; 0: one request at a time
 
     def plan(self, wanted: Mapping[str, CycleSignals]) -> Plan:
@@ -177,19 +177,19 @@ class LineProtocol(Protocol):
         ...
 
     def read(self, axis: str, names: Sequence[str]) -> Exchange:
-        """Exchange that reads some signals of an axis that can be read together (a single one always can)."""
+        """Return the exchange that reads some signals of an axis together (possible at least for each single one)."""
         ...
 
     def write(self, axis: str, names: Sequence[str]) -> Exchange:
-        """Exchange that writes some signals of an axis that can be written together (a single one always can)."""
+        """Return the exchange that writes some signals of an axis together (possible at least for each single one)."""
         ...
 
 
 class ProtocolFactory(Protocol):
-    """Makes a line's protocol; all mappings are by axis."""
+    """Class of a line's protocol; all mappings are by axis."""
 
     def __call__(
         self, descriptions: Mapping[str, Any], options: Mapping[str, Any], images: Mapping[str, Image], /
     ) -> LineProtocol:
-        """Make it."""
+        """Return the protocol of a line with these axes."""
         ...

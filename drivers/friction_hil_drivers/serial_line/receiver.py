@@ -1,8 +1,8 @@
-"""Receiving half of a line's scheduler: takes the replies to outstanding requests, and those that come late.
+"""Receiving half of a line's scheduler: takes the replies to outstanding requests, and late replies.
 
-Where replies do not tell which drive they are from, a late one would be taken for the feedback of another axis. There,
-after a reply that was lost or broken, the next reply is dropped, and everything after it until the line has been quiet
-for as long as a reply takes: drives answer in order, so that all older replies have come by then.
+If replies do not show which drive they are from, a late one would be taken for the feedback of another axis. On such a
+line, after a lost or damaged reply, the next reply is dropped, and then all bytes until the line has been quiet for as
+long as a reply takes: drives answer in order, so that all older replies have come by then.
 """
 
 from collections import deque
@@ -12,8 +12,8 @@ from friction_hil_drivers.serial_line.line_state import LineEvent, LineState
 from friction_hil_drivers.serial_line.protocol import Exchange, Image, ReplyError, shown
 from friction_hil_drivers.serial_line.replies import LateReplies, Refusals
 
-_MIN_QUIET_NS = 2_000_000  # USB adapters pass on what they have each millisecond
-_MAX_DISCARD_NS = 20_000_000  # a line that is not quiet by then will not become so
+_MIN_QUIET_NS = 2_000_000  # USB adapters pass bytes on once a millisecond
+_MAX_DISCARD_NS = 20_000_000  # a line that is not quiet by then counts as noisy
 
 
 class ReplyReceiver:
@@ -26,9 +26,9 @@ class ReplyReceiver:
     silence_ns : int
         Silence that has to pass between frames.
     reply_limit_ns : int
-        Time after which a reply that did not come cannot come any more; 0 where replies are numbered.
+        Time after which an outstanding reply cannot come any more; 0 if replies are numbered.
     anonymous_reply_ns : int
-        Longest time that a reply takes where replies do not tell which drive they are from; 0 on other lines.
+        Longest time that a reply takes if replies do not show which drive they are from; 0 on other lines.
     now_ns : callable
         Monotonic time, ns.
 
@@ -38,9 +38,9 @@ class ReplyReceiver:
     outstanding : deque of Exchange
         Requests that were sent and not answered yet, in the order in which they will be answered.
     refusals : Refusals
-        Of commands, by the drives on the line.
+        Commands that drives on the line refused.
     last_error : str
-        The last thing that went wrong, for people.
+        Last error on the line, as text.
     """
 
     def __init__(
@@ -64,7 +64,7 @@ class ReplyReceiver:
         self._callbacks: dict[Exchange, Callable[[], None]] = {}  # of queued and outstanding exchanges
         self._late = LateReplies()
         self._received = bytearray()
-        self._unread_chars = 0  # sent since a drive answered last: it may not have read them yet
+        self._unread_chars = 0  # sent since the last reply: the drive may not have read them yet
         self._sent_ns = self._received_ns = self._quiet_until_ns = 0
         self.last_error = ""
         self.refusals = Refusals(is_of_one_drive=len(self._images) == 1)
@@ -82,7 +82,7 @@ class ReplyReceiver:
                 elif not self._take_unused(exchange):
                     return
             except ReplyError as error:
-                if self._note_refusal(error):  # the reply proper follows
+                if self._note_refusal(error):  # the reply to this request follows
                     continue
                 self._note_error(exchange, error)
             else:
@@ -96,18 +96,18 @@ class ReplyReceiver:
                 self._quiet_until_ns = self._received_ns + self._silence_ns
 
     def _note_error(self, exchange: Exchange, error: ReplyError) -> None:
-        """Handle an error in place of the reply to the first outstanding request."""
+        """Handle an error that came instead of the reply to the first outstanding request."""
         self._callbacks.pop(exchange, None)
         if error.is_complete and exchange.writes:
             self.refusals.note(exchange)
         self.last_error = f"{exchange.label}: {error}"
         if not error.is_complete:
-            # where another reply follows, it is found in what is left of this one
+            # the next reply, if there is one, is found after the rest of this one
             is_last = len(self.outstanding) == 1
             self._apply(LineEvent.LAST_REPLY_BROKEN if is_last else LineEvent.BROKEN_REPLY, self._min_discard_ns)
 
     def _note_reply(self, exchange: Exchange) -> None:
-        """Handle a valid reply while anything is out of the ordinary."""
+        """Handle a valid reply on a disturbed line, after a refusal, or to a request with a callback."""
         callback = self._callbacks.pop(exchange, None)
         if not self.state.permission.replies_used:
             callback = None
@@ -124,14 +124,14 @@ class ReplyReceiver:
             self.state.apply(LineEvent.ALL_ANSWERED)
 
     def _apply(self, event: LineEvent, discard_ns: int) -> None:
-        """Change the state; if that begins to drop bytes, do so until the line was quiet for ``discard_ns``."""
+        """Change the state; if bytes are dropped from now on, do so until the line was quiet for ``discard_ns``."""
         self.state.apply(event)
         if self.state.is_discarding:
             self._discard_ns = discard_ns
             self._discard_end_ns = self._now_ns() + max(_MAX_DISCARD_NS, 2 * discard_ns)
 
     def _discard(self, now: int) -> None:
-        """Drop what belongs to a broken reply, for as long as it comes."""
+        """Drop received bytes until the line is quiet, or was not quiet for too long."""
         self._received.clear()
         if now >= self._received_ns + self._discard_ns:
             self.state.apply(LineEvent.LINE_QUIET)
@@ -155,7 +155,7 @@ class ReplyReceiver:
         return exchange is not None
 
     def _take_late_reply(self, now: int) -> None:
-        """Take a reply of an earlier cycle, of which nothing is used, and stop expecting those that cannot come."""
+        """Take a late reply without using its contents, and stop expecting replies that cannot come any more."""
         late = self._late
         if self._received:
             exchange, _ = late.expected[0]
@@ -164,7 +164,7 @@ class ReplyReceiver:
             except ReplyError as error:
                 is_complete = False
                 if not self._note_refusal(error):
-                    # broken, or of another drive that is late: this one's reply is still expected
+                    # a damaged reply, or one of another drive: the late reply is still expected
                     self._apply(LineEvent.LATE_REPLY_BROKEN, self._min_discard_ns)
                     self.last_error = f"late, {exchange.label}: {error}"
             if is_complete:
@@ -177,7 +177,7 @@ class ReplyReceiver:
             self._note_all_answered()
 
     def _take_unsolicited(self) -> None:
-        """Handle bytes that no request asked for: refusals of commands without a reply; the rest is noise."""
+        """Handle bytes without a request: refusals of commands without a reply; all others are noise."""
         unconfirmed = self.refusals.unconfirmed
         while unconfirmed and self._received:
             try:
@@ -191,7 +191,7 @@ class ReplyReceiver:
             self._received.clear()
 
     def _expect_late(self) -> None:
-        """Go on without the outstanding replies; they may still come."""
+        """Stop waiting for the outstanding replies, and expect them as late ones."""
         if self._reply_limit_ns and self.outstanding:
             self._late.expect(self.outstanding, self._sent_ns + self._reply_limit_ns)
             self.state.apply(LineEvent.REPLY_OVERDUE)

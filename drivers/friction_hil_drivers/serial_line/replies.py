@@ -1,6 +1,6 @@
-"""Records about replies: which may still come although their cycle is over, and which commands drives refuse.
+"""Records of late replies, and of commands that drives refuse.
 
-No line and no clock: the scheduler reports what happened.
+They use neither the line nor a clock; the scheduler reports the events.
 """
 
 from collections import deque
@@ -12,12 +12,12 @@ _MAX_UNCONFIRMED = 8
 
 
 class LateReplies:
-    """Replies that did not come in time, and the drives that were asked.
+    """Record of replies that did not come in time, and of the drives that were asked.
 
     Attributes
     ----------
     expected : list of (Exchange, int)
-        Exchanges whose reply may still come, in the order of their requests, and until when (monotonic, ns).
+        Exchanges whose reply may still come, in the order of their requests, each with its last moment (monotonic, ns).
     silent : frozenset of str
         Drives that did not answer the last request to them.
     """
@@ -27,7 +27,7 @@ class LateReplies:
         self.silent: frozenset[str] = frozenset()
 
     def expect(self, exchanges: Iterable[Exchange], until_ns: int) -> None:
-        """Expect replies until a moment."""
+        """Expect the replies to exchanges until ``until_ns``."""
         self.expected += [(exchange, until_ns) for exchange in exchanges]
 
     def note_silent(self, exchanges: Iterable[Exchange]) -> None:
@@ -39,20 +39,20 @@ class LateReplies:
         self.silent -= exchange.addressees
 
     def drop_expired(self, now_ns: int) -> bool:
-        """Expect those no longer whose time is over; return True if there were any."""
+        """Stop expecting replies whose time is over; return True if there were any."""
         left = [(exchange, until) for exchange, until in self.expected if now_ns < until]
         is_any_expired = len(left) < len(self.expected)
         self.expected = left
         return is_any_expired
 
     def permit(self, exchange: Exchange) -> bool:
-        """Return True if no late reply could be taken for the reply to a request that is sent now."""
+        """Return True if no late reply could be taken for the reply to this request."""
         return not exchange.reply_size or all(
             exchange.addressees.isdisjoint(late.unanswered) for late, _ in self.expected
         )
 
     def for_others(self, exchanges: Sequence[Exchange]) -> list[Exchange]:
-        """Replace requests to several drives by requests to those of them from which no late reply is expected."""
+        """Replace requests to several drives by requests to those from which no late reply is expected."""
         owing = frozenset[str]().union(*(late.unanswered for late, _ in self.expected))
         return [
             exchange
@@ -62,7 +62,7 @@ class LateReplies:
         ]
 
     def first_to_send(self, exchanges: Sequence[Exchange]) -> int | None:
-        """Return the index of the first request that is permitted; drives that were silent come after the others."""
+        """Return the index of the first permitted request; requests to silent drives come after the others."""
         permitted = [index for index, exchange in enumerate(exchanges) if self.permit(exchange)]
         return min(permitted, key=lambda index: self._is_to_silent_drive(exchanges[index]), default=None)
 
@@ -71,21 +71,21 @@ class LateReplies:
 
 
 class Refusals:
-    """Counter of commands that drives refuse, by an error in place of the reply or by an unsolicited one.
+    """Counter of commands that drives refuse, by an error instead of the reply or by an unsolicited error.
 
     Parameters
     ----------
     is_of_one_drive : bool
-        Only one drive is on the line.
+        True if only one drive is on the line.
 
     Attributes
     ----------
     count : int
-        Refused commands in a row.
+        Number of successive refused commands.
     unconfirmed : deque of Exchange
-        Commands sent without a reply, the latest last: an unsolicited error belongs to the last of them.
+        Commands without a reply, the most recent last: an unsolicited error belongs to the last of them.
     is_refused : bool
-        The drive has refused one of these since it answered last.
+        True if the drive has refused one of these since its last reply.
     """
 
     def __init__(self, *, is_of_one_drive: bool) -> None:
@@ -96,7 +96,7 @@ class Refusals:
         self._signals: set[str] = set()  # written by the refused commands; another command's success does not count
 
     def note(self, exchange: Exchange) -> None:
-        """Count a command that was refused in place of its reply."""
+        """Count a command that the drive refused."""
         self.count += 1
         self._signals.update(exchange.writes)
 
@@ -110,13 +110,13 @@ class Refusals:
         return exchange
 
     def note_accepted(self, exchanges: Iterable[Exchange]) -> None:
-        """Restart the count if one of these commands, which the drive accepted, writes a signal it refused before."""
+        """Reset the count if one of these accepted commands writes a signal of a refused one."""
         if self.count and any(not self._signals.isdisjoint(exchange.writes) for exchange in exchanges):
             self.count = 0
             self._signals.clear()
 
     def note_reply(self, exchange: Exchange) -> None:
-        """Note that a drive answered: it did not refuse what was sent to it before without a reply."""
+        """Note that a drive answered, and has therefore accepted the earlier commands without a reply."""
         if self._is_of_one_drive and not (self.count or self.is_refused):
             self.unconfirmed.clear()
             return

@@ -2,11 +2,11 @@
 
 Serial protocols do not number their replies, so a late reply looks like the present one of the same drive. A drive
 that did not answer in time is therefore not asked again until its reply has come and was dropped, or cannot come any
-more. The other drives on the line are asked meanwhile, and commands without a reply are sent: a silent drive must not
-keep another one from being stopped.
+more. Meanwhile the other drives on the line are asked, and commands without a reply are sent: a silent drive must not
+prevent another one from being stopped.
 
-Requests go out together where the drives read ahead and no reply to one of them could be taken for the reply to
-another: a cycle then wakes up only once.
+Requests are sent together if the drives read ahead and no reply to one of them could be taken for the reply to
+another: the process then wakes up only once in a cycle.
 
 `line_state` has the states and their transitions, `BusScheduler._verdict` the rule for sending.
 """
@@ -26,7 +26,7 @@ _REOPEN_NS = 200_000_000
 
 
 class Verdict(IntEnum):
-    """Answer to the question whether a request may be sent."""
+    """Decision on sending a request."""
 
     SEND = 0
     WAIT = 1
@@ -47,22 +47,22 @@ class BusScheduler(ReplyReceiver):
     silence_chars : float
         Silence that has to pass between frames, in characters.
     reply_limit_s : float
-        Time after which a reply that did not come cannot come any more, s; 0 where replies are numbered, so that a
-        late one is recognised.
+        Time after which an outstanding reply cannot come any more, s; 0 if replies are numbered, so that a late one
+        is recognised.
     now_ns : callable
         Monotonic time, ns.
     ahead_chars : int
         Characters of requests that may be sent before the first of them is answered; 0: one request at a time.
     anonymous_reply_s : float
-        On a line on which replies do not tell which of several drives they are from, the longest time that a reply
-        takes where nothing holds it up, s; 0 on other lines.
+        Longest time that an undelayed reply takes, s, on a line on which replies do not show which of several drives
+        they are from; 0 on other lines.
 
     Attributes
     ----------
     queue : deque of Exchange
-        Requests still to be sent.
+        Requests that are still to be sent.
     deadline_ns : int or None
-        Moment by which replies to queued requests have to be complete; what would be later is not sent.
+        Time by which replies to queued requests have to be complete; a request whose reply would be later is not sent.
     """
 
     def __init__(
@@ -105,7 +105,7 @@ class BusScheduler(ReplyReceiver):
 
     @property
     def due_ns(self) -> int | None:
-        """Moment at which `poll` has something to do although nothing arrives, ns; None if there is none."""
+        """Time at which `poll` has to be called even if nothing arrives, ns; None if it need not be."""
         if self.outstanding or self.line.descriptor < 0:
             return None
         if self.state.is_discarding:
@@ -120,21 +120,21 @@ class BusScheduler(ReplyReceiver):
         return min(moments)
 
     def enqueue(self, exchanges: Iterable[Exchange], callback: Callable[[], None] | None = None) -> None:
-        """Queue requests; ``callback`` is called when the last of them was answered (sent, if no reply is due)."""
+        """Queue requests; ``callback`` is called when the last one was answered (or sent, if it has no reply)."""
         self.queue.extend(exchanges)
         if callback is not None and self.queue:
             self._callbacks[self.queue[-1]] = callback
 
     def send_batch(self, batch: Batch, deadline_ns: int | None) -> bool:
-        """Send the requests of an undisturbed cycle together; return False, having done nothing, where that cannot be.
+        """Send the requests of an undisturbed cycle together; return False, with nothing done, if that is impossible.
 
-        `enqueue` and `advance` then send the same bytes, in as many steps as it takes.
+        `enqueue` and `advance` then send the same bytes in several steps.
 
         Parameters
         ----------
         batch : Batch
         deadline_ns : int or None
-            Moment by which all replies have to be complete.
+            Time by which all replies have to be complete.
         """
         if self.queue or self._received or self.line.descriptor < 0:
             return False
@@ -155,12 +155,12 @@ class BusScheduler(ReplyReceiver):
         return True
 
     def poll(self, *, is_ready: bool = False) -> None:
-        """Read what has arrived, and do what can be done now.
+        """Read the bytes that have arrived, handle replies, and send requests that may be sent.
 
         Parameters
         ----------
         is_ready : bool
-            The operating system reports that bytes have arrived.
+            True if the operating system reports that bytes have arrived.
         """
         try:
             if self.line.descriptor >= 0 and (data := self.line.read(is_ready=is_ready)):
@@ -175,7 +175,7 @@ class BusScheduler(ReplyReceiver):
             self.advance()
 
     def flush(self) -> None:
-        """Send what may be sent now, and remove from the queue what would have to wait for a late reply."""
+        """Send the requests that may be sent now, and drop those that would have to wait for a late reply."""
         if self.state.timeliness is Timeliness.LATE:
             self.poll()
             self.queue = deque(filter(self._late.permit, self.queue))
@@ -183,7 +183,7 @@ class BusScheduler(ReplyReceiver):
             self.advance()
 
     def advance(self) -> None:
-        """Handle the bytes that were read, then send what may be sent."""
+        """Handle the bytes that were read, then send the requests that may be sent."""
         if self.line.descriptor < 0:  # not `is_open`: evaluated several times a cycle
             self._reopen()
             return
@@ -201,7 +201,7 @@ class BusScheduler(ReplyReceiver):
             self._lose_line(gone)
 
     def end_cycle(self) -> None:
-        """End a cycle: requests that were not sent are dropped, and outstanding replies count as late or lost."""
+        """End a cycle: drop requests that were not sent, and treat outstanding replies as late or lost."""
         self.queue.clear()
         self._callbacks.clear()
         self.deadline_ns = None
@@ -214,7 +214,7 @@ class BusScheduler(ReplyReceiver):
             self.line.acknowledge()
 
     def _verdict(self, batch: Batch, now: int, deadline_ns: int | None, chars: int = 0) -> Verdict:
-        """Decide whether requests may be sent: the one rule for all that goes out on the line.
+        """Decide if requests may be sent; all requests on the line obey this rule.
 
         Parameters
         ----------
@@ -223,9 +223,9 @@ class BusScheduler(ReplyReceiver):
         now : int
             Monotonic time, ns.
         deadline_ns : int or None
-            Moment by which all replies have to be complete.
+            Time by which all replies have to be complete.
         chars : int
-            Characters of other requests that go out before it in the same write.
+            Characters of other requests that precede it in the same write.
         """
         outstanding = self.outstanding
         if not (batch.are_joint if self.state.is_normal else self._is_permitted(batch, is_joined=chars > 0)):
@@ -249,7 +249,7 @@ class BusScheduler(ReplyReceiver):
         return _SEND
 
     def _is_permitted(self, batch: Batch, *, is_joined: bool) -> bool:
-        """True if the disturbed line lets a request pass: the part of the rule that depends on the state."""
+        """Return True if a request may be sent in the present state of the disturbed line."""
         if not batch.is_single:
             return False
         state, permission = self.state, self.state.permission
@@ -268,7 +268,7 @@ class BusScheduler(ReplyReceiver):
         return True
 
     def _send_next(self) -> bool:
-        """Send the next request, or several together; return True if another one may follow at once."""
+        """Send the next request, or several together; return True if another one may be sent without a wait."""
         index: int | None = 0
         is_on_time = self.state.timeliness is Timeliness.ON_TIME
         queue = self.queue if is_on_time else deque(self._late.for_others(self.queue))
@@ -279,7 +279,7 @@ class BusScheduler(ReplyReceiver):
             return False
         if not is_on_time:
             self._replace_queue(queue)
-        if self._received and not self.outstanding:  # else it is the beginning of a reply that is due
+        if self._received and not self.outstanding:  # otherwise it is the beginning of an expected reply
             self._take_unsolicited()
         data = b""
         unanswered: list[Exchange] = []
@@ -300,20 +300,20 @@ class BusScheduler(ReplyReceiver):
         return not self.outstanding
 
     def _replace_queue(self, queue: deque[Exchange]) -> None:
-        """Queue other requests in place of those in the queue, one for one."""
+        """Replace each request in the queue by the one at the same index of ``queue``."""
         for before, exchange in zip(self.queue, queue, strict=True):
             if exchange is not before and before in self._callbacks:
                 self._callbacks[exchange] = self._callbacks.pop(before)
         self.queue = queue
 
     def _drop_queue(self, exchange: Exchange) -> None:
-        """Send nothing more in this cycle: the reply would be late, and so would all replies after it."""
-        if not self._late.silent:  # else that is the reason
+        """Send nothing more in this cycle: this reply and all later ones would be late."""
+        if not self._late.silent:  # otherwise the silent drive is the reason
             self.last_error = f"{exchange.label}: no time was left for it"
         self.queue.clear()
 
     def _note_sent(self, unanswered: Iterable[Exchange]) -> None:
-        """Note commands that were sent and to which nothing is replied."""
+        """Note commands without a reply that were sent."""
         for exchange in unanswered:
             if exchange.reports_refusal:
                 self.refusals.unconfirmed.append(exchange)
@@ -321,7 +321,7 @@ class BusScheduler(ReplyReceiver):
                 self._callbacks.pop(exchange)()
 
     def _single(self, exchange: Exchange) -> Batch:
-        """Batch of one request; made once for each."""
+        """Return the batch of one request; each is made once."""
         batch = self._singles.get(exchange)
         if batch is None:
             wire_ns = (exchange.request_size + exchange.reply_size) * self._character_ns
@@ -332,7 +332,7 @@ class BusScheduler(ReplyReceiver):
         return batch
 
     def _write(self, data: bytes, now: int, answered: Collection[Exchange]) -> None:
-        """Write requests, of which some are answered."""
+        """Write requests to the line; ``answered`` are those with a reply."""
         self.line.write(data)
         size = len(data)
         self._unread_chars += size
@@ -347,13 +347,13 @@ class BusScheduler(ReplyReceiver):
         self.queue.clear()
         self._callbacks.clear()
         self._received.clear()
-        self._expect_late()  # a converter in between may keep them until the line is back
+        self._expect_late()  # a converter in between may send them when the line is back
         self.refusals.unconfirmed.clear()
         self.state.apply(LineEvent.LINE_LOST)
         self._next_reopen_ns = self._now_ns() + _REOPEN_NS
 
     def _reopen(self) -> None:
-        """Try to get the line back; requests are not kept for later."""
+        """Try to reopen the line; queued requests are dropped."""
         self.queue.clear()
         self._callbacks.clear()
         now = self._now_ns()

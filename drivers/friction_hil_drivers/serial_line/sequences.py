@@ -1,4 +1,4 @@
-"""Sequences from one drive state to another, one step a cycle. No line, no clock."""
+"""Sequences of steps from one drive state to another, one step per cycle. No line, no clock."""
 
 from collections.abc import Mapping, Sequence
 
@@ -23,7 +23,7 @@ def state_signals(description: Description) -> tuple[str, ...]:
 
 
 def state_of(description: Description, values: Mapping[str, float]) -> DriveState:
-    """Return the state that the drive's numbers show; unknown until all of them were read."""
+    """Return the state that the drive's numbers show; unknown until the needed ones were read."""
     if description.state_machine == "cia402":
         return profile.drive_state(int(values["status"])) if "status" in values else DriveState.UNKNOWN
     for rule in description.states:
@@ -41,13 +41,13 @@ class Sequencer:
     ----------
     description : Description
     before : sequence of Step
-        Written before the drive is enabled, each time: its mode and its watchdog, which a restart of the drive or the
-        reset of a fault may have changed.
+        Steps that are written each time before the drive is enabled: its mode and its watchdog, which a restart of the
+        drive or the reset of a fault may have changed.
 
     Attributes
     ----------
     problem : str
-        The step that the drive does not follow, for people; empty while it does.
+        Message about the step that the drive does not follow; empty if there is none.
     """
 
     def __init__(self, description: Description, before: Sequence[Step] = ()) -> None:
@@ -56,7 +56,7 @@ class Sequencer:
         self._request = Request.LISTEN
         self._steps: tuple[Step, ...] = ()
         self._index = 0
-        self._is_written = False  # the present step, and the drive has acknowledged it
+        self._is_written = False  # the drive has acknowledged the present step
         self._since_s = 0.0
         self._word = 0  # cia402: the controlword that the drive accepted last
         self._next_word = 0  # cia402: the one to write; it may have to wait on the line
@@ -76,7 +76,7 @@ class Sequencer:
         state : DriveState
             State that was reported last.
         time_s : float
-            For time-outs.
+            Time of the cycle, for the time-outs of steps, s.
         """
         self._next_word = self._word
         if request is not self._request:
@@ -107,23 +107,23 @@ class Sequencer:
             word = profile.reset_controlword(state, self._word)
         else:
             word = profile.next_controlword(state, request)
-        is_there = {
+        is_reached = {
             Request.ENABLE: state is DriveState.OPERATION_ENABLED,
             Request.QUICK_STOP: state is DriveState.QUICK_STOP_ACTIVE or state in _OFF,
         }.get(request, state in _OFF)
-        if word == self._word and self._is_written and is_there:
+        if word == self._word and self._is_written and is_reached:
             return {}
         self._next_word = word
         return {"control": word}
 
 
 def watchdog_steps(description: Description, time_s: float) -> tuple[Step, ...]:
-    """Return the steps that switch the drive's watchdog on; none if it has none.
+    """Return the steps that enable the drive's watchdog; none if its description has no watchdog.
 
     Raises
     ------
     ValueError
-        The drive cannot count so short or so long a time.
+        The time is too short or too long for the drive.
     """
     watchdog = description.watchdog
     if watchdog is None:
@@ -144,7 +144,7 @@ def watchdog_steps(description: Description, time_s: float) -> tuple[Step, ...]:
 
 
 def disable_writes(description: Description) -> list[Mapping[str, float]]:
-    """Return the values to write, in order, that disable a drive whatever it answers."""
+    """Return the values that disable a drive even if it does not answer, in the order in which they are written."""
     if description.state_machine == "cia402":
         return [{"control": profile.DISABLE_VOLTAGE}]
     return [step.write for step in description.disable]

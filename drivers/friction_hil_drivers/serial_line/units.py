@@ -26,7 +26,7 @@ class AxisUnits:
     torque_constant: float = math.nan
 
 
-# Unit of a signal -> SI value of one, for an axis. NaN: the configuration does not give the factor.
+# SI value of one of each unit, for an axis; NaN if the configuration does not give the factor.
 UNITS: dict[str, Callable[[AxisUnits], float]] = {
     "count": lambda a: 1.0 / a.counts_per_unit,
     "count/s": lambda a: 1.0 / a.counts_per_unit,
@@ -64,12 +64,12 @@ LINEAR = ("m", "m/s", "mm", "mm/s", "N")
 
 
 def saturated(value: float, low: float, high: float) -> float:
-    """Nearest value within the bounds.
+    """Return the value within the bounds that is nearest to ``value``.
 
     Raises
     ------
     ValueError
-        It is not finite: no number stands for that.
+        The value is not finite.
     """
     if not math.isfinite(value):
         raise ValueError(f"{value} cannot be sent to a drive")

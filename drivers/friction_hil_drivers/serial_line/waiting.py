@@ -1,8 +1,8 @@
-"""Waiting for replies on several lines, until a moment that is the same in each period.
+"""Waiting for replies on several lines, until a time that is the same in each period.
 
 A time-out shorter than the system's tick makes the kernel program its clock twice: when the wait begins and when it
-ends. In a virtual machine that takes as long as everything else in the wait. A timer that expires by itself once a
-period needs it once, while nobody waits.
+ends. In a virtual machine that takes as long as the rest of the wait. For a periodic timer the kernel programs its
+clock once a period, when no process waits.
 """
 
 import contextlib
@@ -14,8 +14,8 @@ from collections.abc import Collection, Sequence
 
 from friction_hil_drivers.serial_line.scheduler import BusScheduler
 
-_TICK_MS = 10  # of the system: a longer time-out costs nothing
-_LEAD_NS = 150_000  # of the timer before the moment; the rest is waited for with a time-out
+_TICK_MS = 10  # tick of the system: a longer time-out does not program the clock
+_LEAD_NS = 150_000  # time by which the timer expires early; a time-out covers the rest
 _MAX_LEAD_NS = 300_000
 
 
@@ -28,7 +28,7 @@ class _Setting(ctypes.Structure):
 
 
 class PeriodicTimer:
-    """Timer of the operating system (timerfd of Linux) that expires once a period, shortly before a moment.
+    """Timer of the operating system (timerfd of Linux) that expires once a period, shortly before a given time.
 
     Parameters
     ----------
@@ -56,20 +56,20 @@ class PeriodicTimer:
             raise OSError(ctypes.get_errno(), "timerfd_create")
 
     def expire_before(self, moment_ns: int, now_ns: int) -> bool:
-        """Return True if the timer expires shortly before a moment; else set it to do so from the next period on.
+        """Return True if the timer expires shortly before ``moment_ns``; else set it to do so from the next period on.
 
         Parameters
         ----------
         moment_ns : int
-            Of the monotonic clock; the same in each period.
+            Time of the monotonic clock, the same in each period, ns.
         now_ns : int
-            Of the monotonic clock.
+            Present time of the monotonic clock, ns.
         """
-        if moment_ns - now_ns > self._period_ns:  # not a moment of this period
+        if moment_ns - now_ns > self._period_ns:  # not in this period
             return False
         lead_ns = (moment_ns - self._expiry_ns) % self._period_ns
         if lead_ns <= _MAX_LEAD_NS and self._expiry_ns:
-            return max(now_ns + 1, self._expiry_ns) <= moment_ns - lead_ns  # not so in the period in which it was set
+            return max(now_ns + 1, self._expiry_ns) <= moment_ns - lead_ns  # false in the period in which it was set
         self._expiry_ns = moment_ns - _LEAD_NS + self._period_ns
         period, first = divmod(self._period_ns, 1_000_000_000), divmod(self._expiry_ns, 1_000_000_000)
         setting = _Setting(_Time(*period), _Time(*first))
@@ -79,7 +79,7 @@ class PeriodicTimer:
         return False
 
     def clear(self) -> None:
-        """Reset the descriptor: expiries until now end no wait."""
+        """Reset the descriptor: an expiry until now does not end a later wait."""
         with contextlib.suppress(BlockingIOError):
             os.read(self.descriptor, 8)
 
@@ -96,28 +96,28 @@ class LineSelector:
     Parameters
     ----------
     period_ns : int, optional
-        Period of the moments until which it usually waits.
+        Period of the times until which it usually waits, ns.
     """
 
     def __init__(self, period_ns: int | None = None) -> None:
         self._timer: PeriodicTimer | None = None
         if period_ns is not None:
-            with contextlib.suppress(OSError):  # each wait has a time-out of its own then
+            with contextlib.suppress(OSError):  # without a timer each wait has a time-out
                 self._timer = PeriodicTimer(period_ns)
         self._poll = select.poll()
         self._polled: list[int] = []
 
     def wait(self, descriptors: Sequence[int], until_ns: int, now_ns: int, *, is_periodic: bool) -> Collection[int]:
-        """Wait for bytes, a closed connection, or the moment; the wait may end earlier without a reason.
+        """Wait for bytes, a closed connection, or ``until_ns``; the wait may also end earlier.
 
         Parameters
         ----------
         descriptors : sequence of int
-            Open ones.
+            Open file descriptors.
         until_ns, now_ns : int
-            Of the monotonic clock.
+            End of the wait and present time, of the monotonic clock, ns.
         is_periodic : bool
-            The moment is the same in each period.
+            True if ``until_ns`` is the same time in each period.
 
         Returns
         -------
@@ -147,7 +147,7 @@ class LineSelector:
         self._polled = list(descriptors)
 
     def forget(self) -> None:
-        """Forget an expiry of the timer until now: it ends no later wait."""
+        """Clear an expiry of the timer until now: it does not end a later wait."""
         if self._timer is not None:
             self._timer.clear()
 
@@ -166,16 +166,16 @@ def run_schedulers(
     *,
     until_answered: bool = True,
 ) -> bool:
-    """Let schedulers work until everything has been sent and answered, or until a moment.
+    """Run schedulers until everything has been sent and answered, or until ``until_ns``.
 
     Parameters
     ----------
     schedulers : sequence of BusScheduler
     until_ns : int
-        Monotonic time, ns. If the selector has a period, the moment is to be the same in each period.
+        Monotonic time, ns. If the selector has a period, it should be the same time in each period.
     selector : LineSelector
     until_answered : bool
-        Wait for the replies too, not only until everything has been sent.
+        True to wait for the replies too; False to wait only until everything has been sent.
 
     Returns
     -------
@@ -186,7 +186,7 @@ def run_schedulers(
         lines: list[int] = []
         for scheduler in schedulers:
             if scheduler.queue or (until_answered and scheduler.outstanding):
-                # the line is open: else nothing is queued or outstanding
+                # the line is open: on a closed line nothing is queued or outstanding
                 lines.append(scheduler.line.descriptor)  # noqa: PERF401  a comprehension costs one more call
         if not lines:
             return True
@@ -195,7 +195,7 @@ def run_schedulers(
             return False
         next_ns = until_ns
         for scheduler in schedulers:
-            # with replies outstanding there is no `due_ns`: not evaluated, to save time
+            # `due_ns` is None while replies are outstanding; the check before it saves time
             if not scheduler.outstanding and (due := scheduler.due_ns) is not None and due < next_ns:
                 next_ns = due
         ready = selector.wait(lines, next_ns, now, is_periodic=next_ns == until_ns)

@@ -1,4 +1,4 @@
-"""Requests that go out together, and the time that they and a whole cycle take on a serial line. Pure arithmetic."""
+"""Requests that are sent together, and the time that they and a whole cycle take on a serial line. Pure arithmetic."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -15,15 +15,15 @@ def character_s(line: LineOptions) -> float:
 
 
 def wire_s(exchanges: Iterable[Exchange], line: LineOptions, silence_chars: float, ahead_chars: int = 0) -> float:
-    """Compute the least time from the first of some exchanges to the next one after them, s.
+    """Compute the least time from the beginning of some exchanges to that of the next one after them, s.
 
-    For one exchange that is request, silence, turn-around, reply, silence. Requests that go out together overlap with
-    the replies to those before. Commands without a reply have to come first: they are sent at the end of a cycle.
+    One exchange takes request, silence, turn-around, reply and silence. A request that is sent ahead overlaps with the
+    replies to those before it. Commands without a reply have to come first: they are sent at the end of a cycle.
 
     Parameters
     ----------
     exchanges : iterable of Exchange
-        In the order in which they are made.
+        Exchanges in the order in which they are made.
     line : LineOptions
     silence_chars : float
         Silence after each frame, in characters.
@@ -32,8 +32,8 @@ def wire_s(exchanges: Iterable[Exchange], line: LineOptions, silence_chars: floa
     """
     character = character_s(line)
     silence_s = silence_chars * character
-    sent_s = over_s = 0.0  # when the last request is out, and when all is
-    unread = 0  # characters since the last reply
+    sent_s = over_s = 0.0  # end of the last request, and of the last exchange
+    unread = 0  # characters sent since the last reply
     together: list[Exchange] = []
     for exchange in exchanges:
         is_ahead = bool(together and exchange.reply_size) and unread + exchange.request_size <= ahead_chars
@@ -59,7 +59,7 @@ def check_rate(
     Parameters
     ----------
     plan : Plan
-        A cycle consists of its push, the longest of its background reads, and its poll.
+        Exchanges of a cycle, which consists of the push, the longest background read, and the poll.
     step : Exchange, optional
         Longest step of a sequence, which replaces a background read.
     line : LineOptions
@@ -85,14 +85,14 @@ def check_rate(
         text = f"a cycle takes {needed * 1e3:.3g} ms of {period_s * 1e3:g} ms on {line.port}"
         with_step = time_s(*fixed) if step is None else time_s(step) + time_s(*fixed)
         if with_step > period_s:
-            text += f", {with_step * 1e3:.3g} ms with a step on the way to another state: each such step loses a cycle"
+            text += f", {with_step * 1e3:.3g} ms with a step to another state: each such step loses a cycle"
         return text
     listed = "; ".join(
         f"{each.label}: {each.request_size} + {each.reply_size} characters, {time_s(each) * 1e3:.3g} ms"
         for each in parts
     )
     if needed < sum(map(time_s, parts)) - character_s(line):
-        listed += ", less what requests and replies overlap"
+        listed += ", less the time for which requests and replies overlap"
     raise UsageError(
         f"a period of {period_s * 1e3:g} ms is too short for {line.port} at {line.baud} baud: a cycle takes "
         f"{needed * 1e3:.3g} ms, so {1.0 / needed:.0f} Hz at best. A character has {line.bits_per_character} bits "
@@ -103,25 +103,25 @@ def check_rate(
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """Requests that go out together, with the properties that the rule for sending needs.
+    """Requests that are sent together, with the properties that the rule for sending needs.
 
     Attributes
     ----------
     exchanges : tuple of Exchange
     answered, refusable : tuple of Exchange
-        Those that are answered, and those to which nothing is replied but a refusal.
+        Requests with a reply, and requests without one that the drive may refuse by an error.
     chars : int
-        Size of all requests.
+        Size of all requests, characters.
     ahead_chars : int
-        Characters that are sent before the first request is answered; 0 if nothing follows one that is answered.
+        Characters that are sent before the first request is answered; 0 if nothing follows a request with a reply.
     wire_ns : int
-        Time that all of them take on the wire.
+        Time that all requests and replies take on the wire, ns.
     are_joint : bool
-        They may go out in one write.
+        True if the requests may be sent in one write.
     known_before : frozenset of Exchange
-        Exchanges that may be outstanding when they go out.
+        Exchanges that may be outstanding when the requests are sent.
     is_single : bool
-        One request on its own, not the requests of an undisturbed cycle.
+        True for a single request, False for the requests of an undisturbed cycle.
     """
 
     exchanges: tuple[Exchange, ...]
@@ -150,11 +150,11 @@ class Batch:
         ----------
         exchanges : sequence of Exchange
         wire_ns : int
-            Time that they take on the wire.
+            Time that the exchanges take on the wire, ns.
         before : iterable of Exchange
-            Exchanges that are often outstanding when they go out.
+            Exchanges that are often outstanding when the requests are sent.
         keeps_silence : bool
-            Silence has to pass between frames on the line.
+            True if silence has to pass between frames on the line.
         is_single : bool
             See `Batch`.
         """
@@ -183,7 +183,7 @@ class Batch:
         )
 
     def may_follow(self, outstanding: Iterable[Exchange]) -> bool:
-        """Return True if no reply to these could be taken for one to an outstanding request, or the reverse."""
+        """Return True if replies to these and to outstanding requests cannot be confused."""
         return self.known_before.issuperset(outstanding) or all(
             exchange.may_follow(before) for before in outstanding for exchange in self.exchanges
         )

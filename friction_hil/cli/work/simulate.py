@@ -43,7 +43,7 @@ def _only_driver(config: str, configuration: Configuration, axes: dict[str, Axis
     Raises
     ------
     UsageError
-        There is no simulated axis, or more than one driver, or nobody outside could reach the bus.
+        There is no simulated axis, there are several drivers, or other processes could not reach the bus.
     """
     if not axes:
         raise UsageError(f"{config}: no axis has a 'simulation' section; an empty one (simulation: {{}}) is enough")

@@ -48,8 +48,8 @@ class Companion:
     Attributes
     ----------
     push, push_event, free_slots : callable
-        Those of `friction_hil.daemon.ring.RingWriter`. They never wait, and the death of the companion does not disturb
-        them: rows that it does not take in time are lost, and counted.
+        Methods of `friction_hil.daemon.ring.RingWriter`. They never wait, and work on if the companion dies: rows that
+        it does not take in time are lost, and counted.
     worker_pid : int
         Process that writes the recording.
     """

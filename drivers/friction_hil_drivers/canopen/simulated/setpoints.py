@@ -17,8 +17,8 @@ _CSP, _CSV, _CST = Mode.CSP, Mode.CSV, Mode.CST
 class Setpoints:
     """Targets and offsets that the master wrote since `forget`.
 
-    What was written before stays in the dictionary without effect, so that a drive neither jumps nor pushes when it is
-    enabled or changes its mode: until the next target it holds its position, or gives no torque.
+    Values written before that stay in the dictionary without effect, so that a drive neither jumps nor pushes when it
+    is enabled or changes its mode: until the next target it holds its position, or gives no torque.
     """
 
     def __init__(self, servo: Servo, units: SimulatedUnits, dictionary: Dictionary) -> None:

@@ -1,4 +1,4 @@
-"""Simulated drives on serial lines: servos behind the signals of a description, lines with their time and faults."""
+"""Simulated drives on serial lines: servos with the signals of a description, and lines with delays and faults."""
 
 from friction_hil_drivers.serial_line.simulated.drive import RefusedError, SimulatedDrive
 from friction_hil_drivers.serial_line.simulated.drives import SimulatedSerialDrives

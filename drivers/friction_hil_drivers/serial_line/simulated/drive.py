@@ -1,4 +1,4 @@
-"""One simulated servo behind the signals of a description, in the drive's own numbers."""
+"""Simulated servo with the signals of a description, in the drive's own numbers."""
 
 import dataclasses
 import math
@@ -16,16 +16,16 @@ if TYPE_CHECKING:
     from friction_hil.servo.servo import Servo
 
 _NO_MODE = 0
-_PIECE_S = 1e-3  # at least so often the drive looks after itself
+_PIECE_S = 1e-3  # longest time between two checks of watchdog and quick stop
 _ENABLED, _STOPPING, _OFF = DriveState.OPERATION_ENABLED, DriveState.QUICK_STOP_ACTIVE, DriveState.NOT_READY
 
 
 class RefusedError(Exception):
-    """A real drive would refuse this value. The message says what it takes."""
+    """The drive refuses a value. The message names the accepted ones."""
 
 
 class RequestError(Exception):
-    """A request is answered with this number of an error, of those that its protocol has."""
+    """A request is answered by an error with this number of its protocol."""
 
     def __init__(self, number: int) -> None:
         super().__init__(number)
@@ -35,28 +35,28 @@ class RequestError(Exception):
 class SimulatedDrive:
     """Signals, states and watchdog of a drive, and the servo that it drives.
 
-    The numbers of positions do not wrap: the protocol's responder wraps what it sends to the width that the drive
-    has, and unwraps what it receives to what is nearest to the present position.
+    Numbers of positions do not wrap: the protocol's responder wraps the numbers that it sends to the width of the
+    signal, and unwraps received ones to the number nearest to the present position.
 
     Parameters
     ----------
     name : str
         Name of the axis, for messages.
     description : Description
-        What the drive is.
+        Description of the drive.
     servo : Servo
-        What it drives; its set-point period is the master's.
+        Simulated servo; its set-point period is the master's.
     mode : Mode
-        How it is commanded. A torque command is the whole torque in CST and an offset otherwise.
+        Mode of operation. A torque command is the total torque in CST and an offset otherwise.
     units : AxisUnits
-        Where they are NaN, counts and rated torque are the servo's.
+        Units of the axis; NaN for counts and rated torque means those of the servo.
     sync_steps : int or None
-        Integration steps that pass at each `sample`, and at no other time; None: time comes from `advance_to`.
+        Integration steps by which each `sample` advances the servo; None: `advance_to` advances it.
 
     Raises
     ------
     UsageError
-        A signal is in a unit that the configuration does not explain, or a state cannot be told.
+        A signal has a unit for which the configuration gives no factor, or no number of the drive shows a state.
     """
 
     def __init__(
@@ -70,7 +70,7 @@ class SimulatedDrive:
     ) -> None:
         self.description = description
         self.servo = servo
-        self.is_on = True  # has its supply
+        self.is_on = True  # the drive has its supply
         self.samples = 0
         self._mode = mode
         self._sync_steps = sync_steps
@@ -100,25 +100,25 @@ class SimulatedDrive:
 
     @property
     def time_s(self) -> float:
-        """Time of the servo since the start, s."""
+        """Simulated time since the start, s."""
         return self._steps / self._per_second
 
     def sample(self) -> None:
-        """With pace sync, advance by one period: a request that reads the position has come.
+        """Note a request that reads the position; with pace sync, advance by one period.
 
-        To be called once for the request, before what it writes takes effect and before what it reads is read.
+        Must be called once for each such request, before its signals are written and read.
         """
         self.samples += 1
         if self._sync_steps is not None:
             self._advance(self._sync_steps)
 
     def advance_to(self, now_ns: int) -> None:
-        """Advance to ``now_ns`` after the start, unless time is counted in samples.
+        """Advance to the time ``now_ns`` after the start; with pace sync, do nothing.
 
         Raises
         ------
         DriveError
-            The simulated servo left all bounds.
+            The simulated servo diverged.
         """
         if self._sync_steps is None:
             self._advance(now_ns * self._per_second // 1_000_000_000 - self._steps)
@@ -141,9 +141,9 @@ class SimulatedDrive:
     # Signals
 
     def read(self, name: str) -> float:
-        """Return the present number of a signal, not rounded: live, or as last written (0 before).
+        """Return the present number of a signal, not rounded; of a signal that is written, the last number (first 0).
 
-        With pace real it is that of the moment up to which the drive was advanced: when the request was complete.
+        With pace real, the number belongs to the time to which the drive was advanced: the end of the request.
         """
         if name == "position":
             return self.servo.position / self._si[name]
@@ -155,15 +155,15 @@ class SimulatedDrive:
         return shown[name] if name in shown else self._values.get(name, 0.0)
 
     def write(self, name: str, number: float) -> None:
-        """Take a command, a value of a sequence or the time of the watchdog.
+        """Write a signal: a command, a number of a sequence or the time of the watchdog.
 
-        What is written while the drive has no supply is lost. Commands have an effect from the moment at which the
-        drive is enabled on, once all those of its mode came; until then it holds its position, or gives no torque.
+        A number written while the drive has no supply is lost. Commands take effect while the drive is enabled, once
+        all commands of its mode have come; until then it holds its position, or gives no torque.
 
         Raises
         ------
         RefusedError
-            It is nothing that can be written, or not with this number.
+            The signal cannot be written, or not with this number.
         """
         if name not in self._takes:
             raise RefusedError(f"{name} cannot be written")
@@ -171,7 +171,7 @@ class SimulatedDrive:
         if not math.isfinite(number) or (name == self._watchdog and number * self._si[name] < 0.0):
             raise RefusedError(f"{name} cannot be {number:g}")
         if accepted and not any(matches({name: known}, {name: number}) for known in accepted):
-            raise RefusedError(f"{name} cannot be {number:g}; it takes {', '.join(f'{n:g}' for n in accepted)}")
+            raise RefusedError(f"{name} cannot be {number:g}; it accepts {', '.join(f'{n:g}' for n in accepted)}")
         if not self.is_on:
             return
         self._values[name] = number
@@ -185,37 +185,37 @@ class SimulatedDrive:
             self._enter(wanted)
 
     def fed(self) -> None:
-        """Feed the watchdog: a set-point came, or a request where the drive counts those."""
-        self._silent_at = self._steps + self._patience
+        """Reset the watchdog: a command came, or another request that resets it."""
+        self._silent_at = self._steps + self._watchdog_steps
 
     def fail(self) -> None:
-        """Enter the fault state, without power, until the fault is reset."""
+        """Enter the fault state: no power until the fault is reset."""
         self._states.fail()
         self._enter(self._states.fault)
 
     # Supply
 
     def switch_off(self) -> None:
-        """Switch the supply off: no power, and no settings are kept; the mechanics goes on moving."""
+        """Switch the supply off: the drive loses power and settings; the mechanics keeps moving."""
         self.is_on = False
         self._enter(_OFF)
 
     def switch_on(self) -> None:
-        """Return to the state after power-on."""
+        """Switch the supply on, and enter the state after power-on."""
         self.is_on = True
         self._values: dict[str, float] = {}
         self._targets: dict[str, float] = {}  # commands that came since the drive was enabled, SI
-        self._pending: set[str] = set()  # those of them that the servo does not follow yet
-        self._patience = 0  # integration steps without a command that the watchdog waits; 0: it is off
-        self._silent_at = 0
+        self._pending: set[str] = set()  # commands that were not handed to the servo yet
+        self._watchdog_steps = 0  # integration steps without a command that trip the watchdog; 0: it is off
+        self._silent_at = 0  # integration step at which it trips
         self._states.forget()
         self._enter(self._states.disabled)
 
-    # What follows from all this
+    # Consequences
 
     @property
     def _is_watched(self) -> bool:
-        return self._patience > 0 and self.state is _ENABLED
+        return self._watchdog_steps > 0 and self.state is _ENABLED
 
     @property
     def _has_stopped(self) -> bool:
@@ -226,7 +226,7 @@ class SimulatedDrive:
         assert self._watchdog is not None
         time_s = self._values.get(self._watchdog, 0.0) * self._si[self._watchdog]
         is_armed = time_s > 0.0 and matches(self._watchdog_needs, self._values)
-        self._patience = max(1, round(time_s * self._per_second)) if is_armed else 0
+        self._watchdog_steps = max(1, round(time_s * self._per_second)) if is_armed else 0
         self.fed()
 
     def _enter(self, state: DriveState) -> None:
@@ -238,14 +238,14 @@ class SimulatedDrive:
             self.servo.command(self._mode, self.servo.position if self._mode is Mode.CSP else 0.0)
         elif state is _STOPPING:
             self.servo.quick_stop(self._deceleration)
-            # a blocked or driven axis must not stay powered for ever: twice the ramp's time is patience enough
+            # a blocked or externally driven axis must not stay powered: it may take twice the time of the ramp
             ramp_s = abs(self.servo.velocity_demand) / self._deceleration
             self._give_up_at = self._steps + round((0.5 + 2.0 * min(ramp_s, 30.0)) * self._per_second)
         else:
             self.servo.command(_NO_MODE, 0.0)
 
     def _command(self, name: str, number: float) -> None:
-        """Hand the commands to the servo once all have come, whether in one request or in several."""
+        """Hand the commands to the servo once all have come, in one request or in several."""
         if self.state is not _ENABLED or name not in self._commands:
             return
         self._targets[name] = number * self._si[name]
@@ -266,7 +266,7 @@ class SimulatedDrive:
 
 
 def _scales(name: str, description: Description, servo: "Servo", units: AxisUnits) -> dict[str, float]:
-    """Return the SI value of one unit of each signal that the drive itself uses."""
+    """Return the SI value of one step of each signal that the drive itself uses."""
     if math.isnan(units.counts_per_unit):
         units = dataclasses.replace(units, counts_per_unit=servo.counts_per_unit)
     if math.isnan(units.rated_torque):
@@ -284,7 +284,7 @@ def _scales(name: str, description: Description, servo: "Servo", units: AxisUnit
 
 
 def _accepted_numbers(description: Description) -> Mapping[str, frozenset[float]]:
-    """Return the signals that can be written, and the accepted numbers; an empty set: all."""
+    """Return the accepted numbers of each signal that can be written; an empty set: all numbers."""
     found: dict[str, set[float]] = {}
     for steps in description.sequences.values():
         for step in steps:

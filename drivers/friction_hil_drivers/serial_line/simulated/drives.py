@@ -19,34 +19,34 @@ if TYPE_CHECKING:
 
 
 class ResponderFactory(Protocol):
-    """Makes the responder of a line; all mappings are by axis."""
+    """Class of the responder of a line; all mappings are by axis."""
 
     def __call__(
         self, drives: Mapping[str, SimulatedDrive], descriptions: Mapping[str, Any], options: Mapping[str, Any], /
     ) -> Responder:
-        """Make it."""
+        """Return the responder for these drives."""
         ...
 
 
 class SimulatedSerialDrives(ABC):
-    """Simulated drives of one protocol, on as many lines as their axes name. A protocol sets the class attributes.
+    """Simulated drives of one protocol, on the lines of their axes. A protocol sets the class attributes.
 
     Parameters
     ----------
     configuration : Configuration
-        Its period.
+        Configuration of the run, of which the period is used.
     axes : mapping of str to AxisConfig
-        The axes to simulate, each with its ``simulation``.
+        Axes to simulate, each with its ``simulation``.
     pace : {"real", "sync"}
-        real: in step with the monotonic clock, characters take their time. sync: time passes by one period of the
-        configuration at each request that reads the position and not otherwise.
+        real: time is that of the monotonic clock, and characters take time on the line. sync: each request that reads
+        the position advances the time by one period of the configuration.
     """
 
     Options = SerialSimulation
     description_type: ClassVar[type[Description]]
-    descriptions: ClassVar[Path]  # directory of the ready ones
+    descriptions: ClassVar[Path]  # directory of the descriptions that come with the driver
     responder: ClassVar[ResponderFactory]
-    protocol: ClassVar[ProtocolFactory]  # says how long a silence ends a request
+    protocol: ClassVar[ProtocolFactory]  # its silence between frames ends a request
 
     def __init__(
         self, configuration: "Configuration", axes: "Mapping[str, AxisConfig]", *, pace: Literal["real", "sync"]
@@ -57,12 +57,12 @@ class SimulatedSerialDrives(ABC):
         self._lines: list[SimulatedLine] = []
 
     def open(self) -> str:
-        """Compile everything and open the ports.
+        """Compile the simulation and open the ports.
 
         Returns
         -------
         str
-            Which drives there are and where, for people.
+            Axes, addresses and ports, as text.
 
         Raises
         ------
@@ -115,7 +115,7 @@ class SimulatedSerialDrives(ABC):
             if self._simulation(name).line != faults:
                 raise UsageError(
                     f"{name}: simulation.line differs from that of {names[0]}; both are on "
-                    f"{self._line(name).port}: say the same of it"
+                    f"{self._line(name).port}: make them equal"
                 )
         line = self._line(names[0])
         port = open_port(line)
@@ -141,7 +141,7 @@ class SimulatedSerialDrives(ABC):
         period_s = self._configuration.period_s
         servo = Servo(simulation)
         servo.set_period(period_s)
-        Servo(simulation).advance(1)  # numba compiles now, before time counts
+        Servo(simulation).advance(1)  # numba compiles now, before the cyclic phase
         return SimulatedDrive(
             name,
             description,

@@ -1,4 +1,4 @@
-"""Faults of a bad line. Deterministic: same seed, same replies, same faults."""
+"""Faults of a simulated line. The same seed and the same replies give the same faults."""
 
 from dataclasses import dataclass
 
@@ -16,9 +16,9 @@ class Spoiled:
     Attributes
     ----------
     pieces : tuple of bytes
-        What comes, one after another; none where the reply is lost.
+        Parts of the reply, in order; none if the reply is lost.
     is_late : bool
-        It comes late.
+        True if the reply comes late.
     """
 
     pieces: tuple[bytes, ...]
@@ -31,7 +31,7 @@ class Faults:
     Parameters
     ----------
     options : LineFaults
-        How often what happens.
+        Probabilities of the faults.
     """
 
     def __init__(self, options: LineFaults) -> None:
@@ -44,15 +44,15 @@ class Faults:
         """Draw the faults of a reply of at least one byte."""
         if self._is_good:
             return Spoiled((reply,))
-        # all drawn for every reply, so that one fault more in the settings does not shift the others
+        # all are drawn for every reply, so that one more fault in the options does not change the others
         drop, delay, corrupt, split, noise = self._random.random(5)
-        place, bit, cut, stray = self._random.random(4)
+        byte, bit, cut, stray = self._random.random(4)
         o = self._options
         if drop < o.drop:
             return Spoiled(())
         data = bytearray(reply)
         if corrupt < o.corrupt:
-            data[int(place * len(data))] ^= 1 << int(bit * 8)
+            data[int(byte * len(data))] ^= 1 << int(bit * 8)
         if noise < o.noise:
             data[:0] = self._random.bytes(1 + int(stray * _MOST_NOISE))
         pieces: tuple[bytes, ...] = (bytes(data),)

@@ -1,4 +1,4 @@
-"""The drives' end of a simulated line: a pseudo-terminal or a TCP connection. Nothing here blocks."""
+"""Drives' end of a simulated line: a pseudo-terminal or a TCP connection. No call blocks."""
 
 import contextlib
 import hashlib
@@ -22,23 +22,23 @@ _PSEUDO_TERMINALS = "/dev/pts/"
 class Port(Protocol):
     """Bytes to and from the master."""
 
-    where: str  # for people
+    where: str  # path or address, for the user
 
     @property
     def descriptors(self) -> tuple[int, ...]:
-        """File descriptors that become readable when there is something to do."""
+        """File descriptors that become readable when bytes or a new master arrive."""
         ...
 
     def read(self) -> bytes | None:
-        """Return what came; None if the master has gone, and its unfinished request with it."""
+        """Return the bytes that have arrived; None if the master has gone, and its incomplete request is void."""
         ...
 
     def write(self, data: bytes) -> None:
-        """Send; bytes are lost if nobody listens, as on a real line."""
+        """Send bytes to the master; without one they are lost, as on a real line."""
         ...
 
     def idle(self) -> None:
-        """Drop replies that nobody has read for long."""
+        """Drop replies that no master has read for some time."""
         ...
 
     def close(self) -> None:
@@ -47,12 +47,12 @@ class Port(Protocol):
 
 
 def open_port(line: LineOptions) -> Port:
-    """Open the port that masters will find at ``line.port``.
+    """Open the port to which masters connect at ``line.port``.
 
     Raises
     ------
     BusError
-        Something else is there, or the system refuses.
+        The path or address is in use, or the system refuses it.
     """
     return TcpPort(line.port) if line.is_tcp else PtyPort(Path(line.port))
 
@@ -63,13 +63,12 @@ class PtyPort:
     Parameters
     ----------
     path : Path
-        Where the link shall be. Something there that is neither a link left behind by an earlier simulation nor
-        one that leads nowhere is never replaced.
+        Path of the link. Only a link that an earlier simulation left behind, or one without a target, is replaced.
 
     Raises
     ------
     BusError
-        Something else is there, or the link cannot be made.
+        The path is in use, or the link cannot be made.
     """
 
     def __init__(self, path: Path) -> None:
@@ -80,7 +79,7 @@ class PtyPort:
         except OSError as error:
             self._owner.close()
             raise BusError(f"no pseudo-terminal for {path}: {error.strerror}") from error
-        # the other end stays open here, too: so the settings last, and masters may come and go
+        # the other end stays open here, so that the settings remain while masters connect and disconnect
         tty.setraw(self._slave)
         os.set_blocking(self._master, False)
         self._heard_s = time.monotonic()
@@ -110,14 +109,14 @@ class PtyPort:
 
     def idle(self) -> None:
         """See `Port`."""
-        # what a killed master left unread, a serial port would have lost when it was closed
+        # a serial port would lose the replies that a killed master has not read
         if time.monotonic() - self._heard_s > _FORGOTTEN_S:
             self._heard_s = math.inf
             termios.tcflush(self._slave, termios.TCIFLUSH)
 
     def write(self, data: bytes) -> None:
         """See `Port`."""
-        with contextlib.suppress(BlockingIOError):  # nobody reads, and the buffer is full
+        with contextlib.suppress(BlockingIOError):  # no master reads, and the buffer is full
             os.write(self._master, data)
 
     def close(self) -> None:
@@ -134,7 +133,7 @@ class PtyPort:
 
 
 class TcpPort:
-    """A listening socket that serves one master at a time; the next may come when it has gone.
+    """A listening socket that serves one master at a time; others are refused until it has gone.
 
     Parameters
     ----------
@@ -144,7 +143,7 @@ class TcpPort:
     Raises
     ------
     BusError
-        The address is in use or not one of this machine.
+        The address is in use, or does not belong to this machine.
     """
 
     def __init__(self, address: str) -> None:
@@ -152,10 +151,10 @@ class TcpPort:
         self.where = address
         self._client: socket.socket | None = None
         try:
-            family, _, _, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
-            self._listener = socket.create_server(place, family=family, backlog=1)
+            family, _, _, _, local = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+            self._listener = socket.create_server(local, family=family, backlog=1)
         except OSError as error:
-            raise BusError(f"{address}: nobody can be served there: {error.strerror}") from error
+            raise BusError(f"{address}: cannot listen there: {error.strerror}") from error
         self._listener.setblocking(False)
 
     @property
@@ -176,11 +175,11 @@ class TcpPort:
     def write(self, data: bytes) -> None:
         """See `Port`."""
         if self._client is not None:
-            with contextlib.suppress(OSError):  # it has gone, or does not read: the next read shows it
+            with contextlib.suppress(OSError):  # the master has gone or does not read; the next `read` detects that
                 self._client.send(data)
 
     def idle(self) -> None:
-        """See `Port`: a new master starts with empty buffers."""
+        """See `Port`; nothing to do, because a new master starts with empty buffers."""
 
     def close(self) -> None:
         """See `Port`."""
@@ -201,7 +200,7 @@ class TcpPort:
             received += data
 
     def _accept(self) -> None:
-        with contextlib.suppress(OSError):  # nobody is there, or has gone again
+        with contextlib.suppress(OSError):  # no master connects, or it has gone again
             while True:
                 client, _ = self._listener.accept()
                 if self._client is not None:
@@ -218,25 +217,23 @@ class TcpPort:
 
 
 def _own(path: Path) -> socket.socket:
-    """Make sure that a link may be laid at ``path``, and that no other simulation does so before this socket closes.
+    """Check that a link may be made at ``path``; return a socket that keeps other simulations from it while open.
 
-    The kernel frees the name of the socket when its owner ends, however it ends: what it then left behind is stale.
+    The kernel frees the socket's name when its process ends in any way, so that a link that is left behind is stale.
     """
-    # without the link at its end being followed: that is what it is about
-    place = os.path.join(os.path.realpath(path.parent), path.name)
-    if os.path.lexists(place):
-        # a link to a pseudo-terminal is what a killed simulation leaves; its number may be another's by now
-        is_ours = os.path.islink(place) and (
-            os.readlink(place).startswith(_PSEUDO_TERMINALS) or not os.path.exists(place)
-        )
+    # the link itself, not its target
+    link = os.path.join(os.path.realpath(path.parent), path.name)
+    if os.path.lexists(link):
+        # a killed simulation leaves a link to a pseudo-terminal, whose number may be in use again
+        is_ours = os.path.islink(link) and (os.readlink(link).startswith(_PSEUDO_TERMINALS) or not os.path.exists(link))
         if not is_ours:
             raise BusError(
-                f"{path} exists and is not replaced; let line.port be a path where nothing is, such as "
+                f"{path} exists and is not replaced; set line.port to a path that does not exist, such as "
                 "/tmp/friction-hil-line"
             )
     owner = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     try:
-        owner.bind(b"\0friction_hil-" + hashlib.sha256(os.fsencode(place)).hexdigest().encode())
+        owner.bind(b"\0friction_hil-" + hashlib.sha256(os.fsencode(link)).hexdigest().encode())
     except OSError as error:
         owner.close()
         raise BusError(f"{path}: another process simulates drives there ({error.strerror})") from error

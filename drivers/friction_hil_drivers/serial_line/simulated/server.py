@@ -1,4 +1,4 @@
-"""Simulated serial lines: wire time, turn-around and faults between a port and the drives behind it."""
+"""Simulated serial lines: wire time, turn-around and faults between a port and its drives."""
 
 import heapq
 import itertools
@@ -15,9 +15,9 @@ from friction_hil_drivers.serial_line.simulated.options import LineFaults
 from friction_hil_drivers.serial_line.simulated.port import Port
 from friction_hil_drivers.serial_line.wire import character_s
 
-SPLIT_NS = 1_000_000  # between the pieces of a reply: what a USB adapter makes of it
+SPLIT_NS = 1_000_000  # time between the pieces of a reply, as with a USB adapter
 BOOT_S = 0.3
-_IDLE_NS = 250_000  # between requests time passes this often, so that little is left to integrate at the next one
+_IDLE_NS = 250_000  # longest sleep between requests, so that little is left to integrate at the next one
 _STEP_NS = 100_000
 _SYNC_TIMEOUT_S = 0.1
 _S = 1e9  # ns
@@ -26,40 +26,40 @@ _S = 1e9  # ns
 class Responder(Protocol):
     """Drives' end of a protocol on one line."""
 
-    request_end: bytes  # ends every request, which is answered while the next one still comes; b"" where nothing does
+    request_end: bytes  # end of each request, at which received bytes are divided; b"" if requests have none
 
     def take(self, received: bytearray) -> bytes | None:
-        """Remove one whole request and return its reply; ``b""``: none is due; None: more has to come first."""
+        """Remove one whole request and return its reply, ``b""`` if none is due; None if the request is incomplete."""
         ...
 
     def forget(self) -> None:
-        """Drop an unfinished request: the line was silent since."""
+        """Drop an incomplete request, after a silence on the line."""
         ...
 
 
 class SimulatedLine:
-    """One line, on which requests and replies take the time of their characters.
+    """Simulated line, on which the characters of requests and replies take time.
 
-    Both directions are counted by themselves, as with a master that keeps the turns of a half-duplex line. With pace
-    sync nothing takes any time.
+    Each direction has a time of its own, which is right for a master that does not send during a reply. With pace sync
+    nothing takes time.
 
     Parameters
     ----------
     port : Port
-        Where the master is.
+        Port of the master.
     responder : Responder
-        What answers, for all drives of the line.
+        Answers the requests for all drives of the line.
     drives : sequence of SimulatedDrive
-        They are advanced to the moment at which a request is complete before the responder sees it.
+        Drives of the line. They are advanced to the end of a request before the responder answers it.
     options : LineOptions
-        A TCP connection has no characters that take time, only the drives' turn-around.
+        Options of the line. On a TCP connection only the drives' turn-around takes time.
     faults : LineFaults
-        What goes wrong.
+        Simulated faults.
     silence_chars : float
-        Characters' time between a request and its reply; what is left of a request after such a silence is dropped.
-        0: a request ends by itself.
+        Silence between a request and its reply, in characters; an incomplete request is dropped after it. 0: requests
+        end without a silence.
     is_real : bool
-        Pace real.
+        True with pace real, False with pace sync.
     """
 
     def __init__(
@@ -74,7 +74,7 @@ class SimulatedLine:
         is_real: bool,
     ) -> None:
         self.port = port
-        self.expected_ns: int | None = None  # when the next cycle is likely to begin
+        self.expected_ns: int | None = None  # expected beginning of the next cycle
         self._responder = responder
         self._drives = tuple(drives)
         self._is_real = is_real
@@ -84,23 +84,23 @@ class SimulatedLine:
         self._faults = Faults(faults)
         self._delay_ns = round(faults.delay_s * _S)
         self._reboots = deque(sorted(faults.reboot_at_s))
-        self._boot_s: float | None = None  # until then the drives have no supply
-        self._arriving: deque[tuple[int, int, bytes]] = deque()  # complete at, begun at, characters
+        self._boot_s: float | None = None  # end of the time without supply
+        self._arriving: deque[tuple[int, int, bytes]] = deque()  # end, time of reading, characters
         self._received = bytearray()
-        self._heard_ns = 0  # the last character was complete
-        self._departing: list[tuple[int, int, bytes]] = []  # heap: complete at, number, characters
+        self._heard_ns = 0  # end of the last received character
+        self._departing: list[tuple[int, int, bytes]] = []  # heap: end, number, characters
         self._numbers = itertools.count()
-        self._said_ns = 0  # the last character of a reply is out
-        self._late: list[bytes] = []  # with pace sync: until the next request
+        self._said_ns = 0  # end of the last sent character
+        self._late: list[bytes] = []  # late replies with pace sync, sent after the next request
 
     @property
     def due_ns(self) -> int | None:
-        """Moment at which `work` has to be called next; None: not before bytes arrive."""
+        """Time at which `work` has to be called next; None: not before bytes arrive."""
         moments = [queue[0][0] for queue in (self._arriving, self._departing) if queue]
         return min(moments, default=None)
 
     def hear(self, now_ns: int) -> None:
-        """Read what has arrived at the port."""
+        """Read the bytes that have arrived at the port."""
         data = self.port.read()
         if data is None:
             self._arriving.clear()
@@ -114,7 +114,7 @@ class SimulatedLine:
                 self._arriving.append((self._heard_ns, now_ns, piece))
 
     def work(self, now_ns: int, period_ns: int = 0) -> None:
-        """Do what is due by now: answer requests that are complete, deliver replies."""
+        """Answer the requests that are complete by now, and send the replies that are due."""
         while self._arriving and self._arriving[0][0] <= now_ns:
             complete_ns, heard_ns, data = self._arriving.popleft()
             samples = self._samples
@@ -127,7 +127,7 @@ class SimulatedLine:
             self._forget()
 
     def idle(self) -> None:
-        """With pace sync, note that the line was silent for long."""
+        """Drop an incomplete request: with pace sync, the line was silent for some time."""
         if self._silence_ns and self._received:
             self._forget()
 
@@ -153,7 +153,7 @@ class SimulatedLine:
             if reply and self._boot_s is None:
                 self._send(reply, complete_ns)
             if not self._is_real:
-                self.advance_to(complete_ns)  # time has passed by the request
+                self.advance_to(complete_ns)  # the request may have advanced the time
 
     def _send(self, reply: bytes, complete_ns: int) -> None:
         spoiled = self._faults.spoil(reply)
@@ -215,21 +215,21 @@ def serve(
     Parameters
     ----------
     lines : sequence of SimulatedLine
-        All that one thread serves.
+        All lines of this thread.
     is_stopping : callable
-        Asked again and again.
+        Called often; returns True to end.
     period_ns : int
         Period of the master, ns.
     spin_ns : int
-        Busy waiting before each moment at which something is due, and around the one at which the next cycle is
-        likely to begin, so that the answer does not wait for this process to wake up, ns.
+        Time of busy waiting before each event, and around the expected beginning of the next cycle, so that the reply
+        does not wait for this process to wake up, ns.
     now_ns : callable
-        The clock, ns.
+        Clock, ns.
     """
     start_ns = now_ns()
     now = advanced = 0
     while not is_stopping():
-        wait_ns = min(_patience_ns(line, now, spin_ns) for line in lines)
+        wait_ns = min(_sleep_ns(line, now, spin_ns) for line in lines)
         descriptors = [descriptor for line in lines for descriptor in line.port.descriptors]
         ready = select.select(descriptors, (), (), wait_ns * 1e-9)[0]
         now = now_ns() - start_ns
@@ -244,7 +244,7 @@ def serve(
 
 
 def serve_in_steps(lines: Sequence[SimulatedLine], is_stopping: Callable[[], bool]) -> None:
-    """Serve lines with pace sync: all that happens is a function of the requests."""
+    """Serve lines with pace sync: the result depends only on the requests."""
     while not is_stopping():
         descriptors = [descriptor for line in lines for descriptor in line.port.descriptors]
         ready = set(select.select(descriptors, (), (), _SYNC_TIMEOUT_S)[0])
@@ -256,8 +256,8 @@ def serve_in_steps(lines: Sequence[SimulatedLine], is_stopping: Callable[[], boo
                 line.idle()
 
 
-def _patience_ns(line: SimulatedLine, now_ns: int, spin_ns: int) -> int:
-    """Return the time that the process may sleep before something is due on a line."""
+def _sleep_ns(line: SimulatedLine, now_ns: int, spin_ns: int) -> int:
+    """Return the time that the process may sleep before the next event on a line, ns."""
     moments = [_IDLE_NS]
     if line.due_ns is not None:
         moments.append(line.due_ns - now_ns - spin_ns)

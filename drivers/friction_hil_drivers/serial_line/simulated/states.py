@@ -1,4 +1,4 @@
-"""State machines of simulated drives: effect of written numbers, and numbers that show a state. Pure."""
+"""State machines of simulated drives: states reached by written numbers, and numbers that show a state. Pure."""
 
 import itertools
 import math
@@ -16,7 +16,7 @@ _STOPPING, _FAULT = DriveState.QUICK_STOP_ACTIVE, DriveState.FAULT
 _UNPOWERED = (_DISABLED, DriveState.READY_TO_SWITCH_ON, DriveState.SWITCHED_ON, DriveState.NOT_READY)
 _COMMUNICATION_ERROR = 0x8100
 _SIGNS_OF_SILENCE = ("watchdog", "heartbeat", "communication", "time")
-_ANY_BITS = 0xFF  # that are tried where a number merely has to differ
+_ANY_BITS = 0xFF  # bits that are tried if a number only has to differ
 
 
 class StateMachine(Protocol):
@@ -32,11 +32,11 @@ class StateMachine(Protocol):
         Parameters
         ----------
         name : str
-            What was written.
+            Signal that was written.
         values : mapping of str to float
-            Signals as last written, that one too.
+            Last written numbers of all signals, including this one.
         state : DriveState
-            Where the drive is.
+            Present state.
         """
         ...
 
@@ -45,7 +45,7 @@ class StateMachine(Protocol):
         ...
 
     def fail(self) -> None:
-        """Note that a fault begins: only values written from now on lead out of it."""
+        """Note that a fault begins: only numbers written from now on can reset it."""
         ...
 
     def forget(self) -> None:
@@ -54,12 +54,12 @@ class StateMachine(Protocol):
 
 
 def state_machine(description: Description) -> StateMachine:
-    """Make the state machine of a description.
+    """Return the state machine of a description.
 
     Raises
     ------
     UsageError
-        A sequence waits for a state that no number of the drive can tell.
+        A sequence waits for a state that no numbers of the drive show.
     """
     return Cia402States(description) if description.state_machine == "cia402" else DescribedStates(description)
 
@@ -85,7 +85,7 @@ class Cia402States:
         self._before = word
         if state is _FAULT:
             return _DISABLED if word & ~before & profile.FAULT_RESET else state
-        for _ in range(2):  # from Ready To Switch On one word leads through two transitions
+        for _ in range(2):  # from Ready To Switch On one word causes two transitions
             following = requested_state(state, word)
             if state is not _STOPPING or following is not _ENABLED:
                 state = following
@@ -104,10 +104,11 @@ class Cia402States:
 
 
 class DescribedStates:
-    """States reached by the steps of a description's sequences, and shown as its rules ask for.
+    """States reached by the steps of a description's sequences, and shown by the numbers of its rules.
 
-    A step acts once all its signals have its values, the step before having been done. Sequences act where they
-    make sense: ``reset_fault`` in a fault, ``quick_stop`` under power, the others anywhere but in a fault.
+    A step takes effect when all its signals have been written and the step before it is done. Each sequence takes
+    effect only in certain states: ``reset_fault`` in a fault, ``quick_stop`` under power, the others in any state but
+    a fault.
     """
 
     def __init__(self, description: Description) -> None:
@@ -122,16 +123,16 @@ class DescribedStates:
             )
             if steps
         }
-        self._done: dict[str, int] = {}  # the step of each sequence that was done last
-        told = {STATES[rule.state] for rule in d.states}
+        self._done: dict[str, int] = {}  # index of the last done step, by sequence
+        shown = {STATES[rule.state] for rule in d.states}
         ends = [STATES[step.until] for step in d.disable if step.until is not None]
-        self.disabled = ends[-1] if ends else next((state for state in _UNPOWERED if state in told), _DISABLED)
-        self.fault = _FAULT if _FAULT in told else self.disabled
+        self.disabled = ends[-1] if ends else next((state for state in _UNPOWERED if state in shown), _DISABLED)
+        self.fault = _FAULT if _FAULT in shown else self.disabled
         self.after_stop = self.disabled
 
         error = _error_number(d)
-        is_fault_told_by_error = any(rule.signal == "error" and STATES[rule.state] is _FAULT for rule in d.states)
-        needed = {self.disabled, self.fault, _ENABLED} | ({_STOPPING} & told)
+        is_fault_shown_by_error = any(rule.signal == "error" and STATES[rule.state] is _FAULT for rule in d.states)
+        needed = {self.disabled, self.fault, _ENABLED} | ({_STOPPING} & shown)
         needed |= {STATES[step.until] for steps in self._sequences.values() for step in steps if step.until}
         self._shown: dict[DriveState, Mapping[str, float]] = {}
         for state in sorted(needed):
@@ -140,24 +141,24 @@ class DescribedStates:
             if numbers is None:
                 raise UsageError(
                     f"the description {d.name!r} waits for the state {state.name.lower()}, but by its rules (states) "
-                    "no numbers of the drive tell it"
+                    "no numbers of the drive show it"
                 )
-            # a fault that another signal tells is none of the drive's errors
-            number = error if state is _FAULT and not is_fault_told_by_error else 0
+            # a fault that another signal shows still has the number of a lost master as its error
+            number = error if state is _FAULT and not is_fault_shown_by_error else 0
             self._shown[state] = {"error": float(number)} | numbers
 
     def wanted(self, name: str, values: Mapping[str, float], state: DriveState) -> DriveState:
         """See `StateMachine`."""
         found = state
         for key, steps in self._sequences.items():
-            if not _makes_sense(key, state):
+            if not _takes_effect(key, state):
                 continue
-            place = self._matching(key, steps, name, values, state)
-            if place is None:
+            index = self._matching(key, steps, name, values, state)
+            if index is None:
                 continue
-            is_repeated = self._done.get(key) == place
-            self._done[key] = place
-            target = self._target(key, place)
+            is_repeated = self._done.get(key) == index
+            self._done[key] = index
+            target = self._target(key, index)
             if key == "quick_stop" and target is not None:
                 if state is _ENABLED:
                     self.after_stop, target = target, _STOPPING
@@ -182,31 +183,31 @@ class DescribedStates:
     def _matching(
         self, key: str, steps: Sequence[Step], name: str, values: Mapping[str, float], state: DriveState
     ) -> int | None:
-        """Return the step whose values were written last; the one that is due comes before all others."""
+        """Return the index of the step that was written last; the next one due is preferred. None: no step was."""
         last = self._done.get(key, -1)
-        for place in sorted(range(len(steps)), key=lambda place: (place != last + 1, place)):
-            if name not in steps[place].write or not matches(steps[place].write, values):
+        for index in sorted(range(len(steps)), key=lambda index: (index != last + 1, index)):
+            if name not in steps[index].write or not matches(steps[index].write, values):
                 continue
-            if place == 0 or last in (place - 1, place) or self._is_at(steps[place - 1], state):
-                return place
+            if index == 0 or last in (index - 1, index) or self._is_at(steps[index - 1], state):
+                return index
         return None
 
     def _is_at(self, step: Step, state: DriveState) -> bool:
         return step.until is not None and STATES[step.until] is state
 
-    def _target(self, key: str, place: int) -> DriveState | None:
-        """Return the state in which a step ends; for a last step without ``until``, the goal of the sequence."""
+    def _target(self, key: str, index: int) -> DriveState | None:
+        """Return the state in which a step ends; for a last step without ``until``, that of the sequence."""
         steps = self._sequences[key]
-        until = steps[place].until
+        until = steps[index].until
         if until is not None:
             return STATES[until]
-        if place < len(steps) - 1:
+        if index < len(steps) - 1:
             return None
         return _ENABLED if key == "enable" else self.disabled
 
 
 def matches(wanted: Mapping[str, float], values: Mapping[str, float]) -> bool:
-    """Return True if all wanted numbers were written, within the precision of 32-bit floats."""
+    """Return True if all ``wanted`` numbers are among ``values``, within the precision of 32-bit floats."""
     return all(
         name in values and math.isclose(values[name], number, rel_tol=1e-6, abs_tol=1e-9)
         for name, number in wanted.items()
@@ -216,23 +217,23 @@ def matches(wanted: Mapping[str, float], values: Mapping[str, float]) -> bool:
 def telling_numbers(
     rules: Sequence[Rule], state: DriveState, preferred: Mapping[str, Iterable[int]]
 ) -> dict[str, float] | None:
-    """Return numbers of the rules' signals for which the first rule that fits gives ``state``; None if there are none.
+    """Return numbers of the rules' signals for which the first rule that fits gives ``state``; None if none do.
 
     Parameters
     ----------
     rules : sequence of Rule
-        As in a description.
+        Rules of a description.
     state : DriveState
-        What is to be told.
+        State to show.
     preferred : mapping of str to iterable of int
-        By signal: numbers to be taken before others, where they do.
+        Numbers to prefer, by signal.
     """
     signals = {rule.signal for rule in rules}
-    for place, rule in enumerate(rules):
+    for index, rule in enumerate(rules):
         if STATES[rule.state] is not state:
             continue
-        # a rule looks at one signal, so that each signal's number can be found by itself
-        demands = [*((before, False) for before in rules[:place]), (rule, True)]
+        # a rule has one signal, so that the number of each signal can be found separately
+        demands = [*((before, False) for before in rules[:index]), (rule, True)]
         numbers = {
             signal: _number([demand for demand in demands if demand[0].signal == signal], preferred.get(signal, ()))
             for signal in signals
@@ -243,20 +244,20 @@ def telling_numbers(
 
 
 def _number(demands: Sequence[tuple[Rule, bool]], preferred: Iterable[int]) -> int | None:
-    """Return a number that fulfils some rules and not others."""
+    """Return a number that fits the rules demanded with True and none of the others; None if none is found."""
     for number in (*preferred, 0):
         if _meets(number, demands):
             return number
     base, fixed, free = 0, 0, 0
     for rule, is_wanted in demands:
         mask = -1 if rule.mask is None else rule.mask
-        if (rule.value is not None) is is_wanted:  # the bits have to be these
+        if (rule.value is not None) is is_wanted:  # the bits must have this value
             value = rule.value if rule.value is not None else rule.value_not
             assert value is not None
             base, fixed = base & ~mask | value & mask, fixed | mask
-        else:  # they have to be others
+        else:  # the bits must differ
             free |= _ANY_BITS if rule.mask is None else rule.mask
-    bits = [1 << place for place in range(free.bit_length()) if free & ~fixed & 1 << place]
+    bits = [1 << k for k in range(free.bit_length()) if free & ~fixed & 1 << k]
     # one flipped bit is enough for each rule that must differ
     for count in range(len(demands) + 1):
         for flips in itertools.combinations(bits, count):
@@ -269,7 +270,7 @@ def _meets(number: int, demands: Sequence[tuple[Rule, bool]]) -> bool:
     return all(rule.fits(number) is is_wanted for rule, is_wanted in demands)
 
 
-def _makes_sense(key: str, state: DriveState) -> bool:
+def _takes_effect(key: str, state: DriveState) -> bool:
     if key == "reset_fault":
         return state is _FAULT
     if key == "quick_stop":
@@ -287,7 +288,7 @@ def _statusword(state: DriveState) -> int:
 
 
 def _error_number(description: Description) -> int:
-    """Return the error number of a lost master, if the description has one."""
+    """Return the error number of a lost master; another one if the description has none."""
     errors = description.errors
     for sign in _SIGNS_OF_SILENCE:
         for number, text in errors.items():
