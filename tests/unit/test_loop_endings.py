@@ -475,7 +475,7 @@ def test_a_reset_of_the_drives_fault_does_not_hide_a_failed_computation():
 
         axes[0].compensator = FailsOnce()
 
-    run = Run(before=in_fault(), is_fault_reset_wanted=True, on_axes=sabotage)
+    run = Run(before=in_fault(), is_fault_reset_wanted=True, on_axes=sabotage, duration_s=0.3)
     assert "x: the computation failed: ZeroDivisionError: by hand [FH-111]" in run.result.faults
     assert Request.ENABLE not in run.requests()
     run.assert_left_disabled()

@@ -6,6 +6,7 @@ consists of SYNC, TPDOs and decoding (receive), model and compensator (step), en
 also includes set-point, supervision and the row of the recording.
 """
 
+import os
 import time
 from collections import deque
 from collections.abc import Sequence
@@ -227,6 +228,8 @@ def one_axis(configuration: config.Configuration) -> config.Configuration:
     return configuration.model_copy(
         update={
             "axes": {name: axis.model_copy(update={"compensation": compensation})},
-            "bus": configuration.bus.model_copy(update={"interface": "virtual", "channel": "benchmark", "port": None}),
+            "bus": configuration.bus.model_copy(
+                update={"interface": "virtual", "channel": f"benchmark {os.getpid()}", "port": None}
+            ),
         }
     )
