@@ -302,6 +302,11 @@ def test_single_files_need_no_workers(project: Pytest, path: str) -> None:
     assert "-n" not in (project.called("rest") or ["-n"])
 
 
+def test_a_file_that_is_left_out_takes_no_workers_away(project: Pytest) -> None:
+    project.run_tests("-m", "not socketcan", "--ignore=tests/integration/test_run.py")
+    assert "-n" in project.called("rest")
+
+
 def test_files_without_socketcan_tests_are_not_imported_there(project: Pytest) -> None:
     (project.root / "tests/test_a.py").write_text("import numba\n")
     (project.root / "tests/test_b.py").write_text("@pytest.mark.socketcan\n")
