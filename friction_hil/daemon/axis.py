@@ -190,23 +190,16 @@ class AxisLoop:
         for name, shadow in self.shadows.items():
             row.write_shadow(name, shadow.step(*inputs))
         is_standing = supervisor.is_current and abs(estimate) <= self._standstill
-        return self._report(time_s, state, feedback, fault, self._notices.next(compensator, estimate), is_standing)
+        is_reset_due = self._takes_reset(time_s, state, feedback, fault)
+        fault = None if is_reset_due else fault  # what is to be reset does not end the run
+        warning = self._notices.next(compensator, estimate)
+        return AxisUpdate(fault, warning, is_reset_due, is_standing, compensator.is_faded_out)
 
-    def _report(
-        self,
-        time_s: float,
-        state: LoopState,
-        feedback: Feedback,
-        fault: str | None,
-        warning: str | None,
-        is_standing: bool,
-    ) -> AxisUpdate:
-        """Return what the run has to know of this cycle; a fault that is to be reset is none."""
+    def _takes_reset(self, time_s: float, state: LoopState, feedback: Feedback, fault: str | None) -> bool:
+        """Take the feedback; return True if the drive is in the fault that the user wants to leave."""
         if fault is not None or state is LoopState.ENABLING:
             self._fault_reset.take(feedback)
-        is_reset_due = self._fault_reset.is_due(feedback, state, time_s)
-        fault = None if is_reset_due else fault
-        return AxisUpdate(fault, warning, is_reset_due, is_standing, self.compensator.is_faded_out)
+        return self._fault_reset.is_due(feedback, state, time_s)
 
 
 def _check_torque(name: str, config: "AxisConfig", facts: AxisFacts) -> None:
