@@ -72,6 +72,9 @@ class Feedback:
     # fault beside the state: a lost heartbeat, a reboot, an emergency; without a code, FH-2xx, it gets FH-118
     message: str = ""
     missing: str = ""  # reason why nothing fresh came, if the driver knows it
+    # False: cyclic commands do not reach the drive any more (node rebooted, lost, not Operational)
+    is_reachable: bool = True
+    notices: list[str] = field(default_factory=list)  # to be recorded and shown once each; the loop empties it
 
 
 @dataclass(slots=True)
