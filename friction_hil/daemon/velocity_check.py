@@ -7,8 +7,8 @@ unlike a derivative, it is not made worse by a coarse encoder.
 Use of `VelocityCheck`: call `take` once a cycle with the feedback as it came. It returns a `Window` at the end of each
 window and None otherwise. `Window.is_contradictory` is one window's verdict; `is_lasting` is true after
 `WINDOWS_TO_FAULT` contradictory windows in a row. `Window.ratio` is the reported velocity divided by the derivative:
-9.55 if a drive reports rpm where rad/s are expected, 0 if it reports no velocity while it moves, infinity if its position
-is frozen.
+9.55 if a drive reports rpm where rad/s are expected, 0 if it reports no velocity while it moves, infinity if its
+position is frozen.
 
 >>> check = VelocityCheck(1e-3, velocity_limit=10.0, position_resolution=1e-5)
 >>> windows = [check.take(0.002 * cycle, 2.0 * 9.55) for cycle in range(61)]
