@@ -81,7 +81,7 @@ class MulticastBus(UdpMulticastBus):
                 # a datagram that is no CAN frame: msgpack and python-can raise whatever its content leads to
                 with contextlib.suppress(Exception):
                     message = unpack_message(data, replace={"timestamp": timestamp}, check=True)
-                    if not message.is_fd:
+                    if not message.is_fd and not message.is_extended_id:  # CANopen's identifiers have 11 bits
                         return message, False
             if end is not None:
                 timeout = max(0.0, end - time.monotonic())
