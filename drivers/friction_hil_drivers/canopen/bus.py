@@ -11,6 +11,7 @@ from friction_hil.errors import BusError, UsageError, choices
 from friction_hil_drivers.canopen import codes, interfaces
 from friction_hil_drivers.canopen.frames import FrameBus, frame_bus
 from friction_hil_drivers.canopen.interfaces import bus_name
+from friction_hil_drivers.canopen.multicast import MulticastBus
 
 if TYPE_CHECKING:
     from friction_hil.config import BusConfig
@@ -45,6 +46,8 @@ def open_bus(config: "BusConfig") -> can.BusABC:
             _require_route(str(config.channel), config.port or 0)
         elif config.interface == "socketcan":
             _require_interface(str(config.channel))
+        if config.interface == "udp_multicast":
+            return MulticastBus(str(config.channel), **_arguments(config))
         # ignore_config: a ~/.canrc must not change what the configuration file says
         return can.Bus(interface=config.interface, channel=config.channel, ignore_config=True, **_arguments(config))
     except (can.CanError, OSError, ValueError, TypeError, ImportError) as error:

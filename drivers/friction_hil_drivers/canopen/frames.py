@@ -6,10 +6,13 @@ form, SocketCAN (``struct can_frame``) and udp_multicast (a msgpack map), they a
 the bus's own socket.
 """
 
+import errno
 import os
 import select
 import socket
 import struct
+import time
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import can
@@ -18,19 +21,28 @@ import msgpack
 from friction_hil.errors import BusError
 from friction_hil_drivers.canopen import codes
 from friction_hil_drivers.canopen.codec import Frame
+from friction_hil_drivers.canopen.multicast import LocalSources
 
 if TYPE_CHECKING:
     from friction_hil.config import BusConfig
 
 _SOCKETCAN_FRAME = struct.Struct("=IB3x8s")
 _NO_DATA_FRAME = 0xE0000000  # extended, remote or error frame
+_REMOTE_FLAG, _IDENTIFIER = 0x40000000, 0x7FF
 _LONGEST_DATAGRAM = 2048
+_LONGEST_DRAIN_S = 0.1  # spent on frames of other kinds before `receive` returns
+_NOTHING = b""  # in place of a datagram that is not for this bus: no frame
+_QUEUE_FULL = (errno.ENOBUFS, errno.EAGAIN)
+
+
+class QueueFullError(BusError):
+    """A frame was not sent: the interface's send queue is full. The next cycle may try again."""
 
 
 class FrameBus:
     """Data frames with 11-bit identifiers on an open python-can bus.
 
-    Frames of other kinds are ignored. udp_multicast delivers a process's own frames to it as well.
+    Frames of other kinds are passed over. udp_multicast delivers a process's own frames to it as well.
 
     Parameters
     ----------
@@ -38,49 +50,85 @@ class FrameBus:
         Open; `close` shuts it down.
     name : str
         For messages.
+
+    Attributes
+    ----------
+    on_remote : callable or None
+        Called by `receive` with identifier and length of each remote frame that it meets; None: they are passed over.
     """
 
     def __init__(self, bus: can.BusABC, name: str) -> None:
         self.bus = bus
         self._name = name
+        self.on_remote: Callable[[int, int], None] | None = None
 
     def send(self, can_id: int, data: bytes | bytearray) -> None:
-        """Send one frame.
+        """Send one data frame.
 
         Raises
         ------
+        QueueFullError
+            The send queue of the interface is full.
         BusError
             The bus cannot send.
         """
+        self._send_message(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
+
+    def send_remote(self, can_id: int, length: int) -> None:
+        """Send one remote frame, which asks for a data frame of ``length`` bytes; raises as `send`."""
+        message = can.Message(arbitration_id=can_id, is_extended_id=False, is_remote_frame=True, dlc=length)
+        self._send_message(message)
+
+    def _send_message(self, message: can.Message) -> None:
         try:
-            self.bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
+            self.bus.send(message)
         except (can.CanError, OSError) as error:
-            raise self._error("send", error) from error
+            raise self._send_error(error) from error
 
     def receive(self, timeout: float) -> Frame | None:
-        """Return the next frame, None after ``timeout`` seconds (or earlier, where something else arrived).
+        """Return the next data frame; None if none came within ``timeout`` seconds, and none is waiting.
 
         Raises
         ------
         BusError
             The bus is gone.
         """
-        try:
-            message = self.bus.recv(timeout)
-        except can.CanOperationError as error:
-            if isinstance(error.__cause__, OSError):
-                raise self._error("be read any more", error) from error
-            return None  # a datagram that is no CAN frame
-        if message is None or message.is_extended_id or message.is_remote_frame or message.is_error_frame:
-            return None
-        return message.arbitration_id, bytes(message.data)
+        now = time.monotonic()
+        end, give_up = now + timeout, now + max(timeout, _LONGEST_DRAIN_S)
+        while True:
+            try:
+                message = self.bus.recv(timeout)
+            except can.CanOperationError as error:
+                if isinstance(error.__cause__, OSError):
+                    raise self._error("be read any more", error) from error
+                message = can.Message(is_error_frame=True)  # a datagram that is no CAN frame
+            if message is None:
+                return None
+            if not (message.is_extended_id or message.is_error_frame or message.is_fd):
+                if not message.is_remote_frame:
+                    return message.arbitration_id, bytes(message.data)
+                self._on_remote_frame(message.arbitration_id, message.dlc)
+            now = time.monotonic()
+            if now > give_up:
+                return None
+            timeout = max(0.0, end - now)
 
     def close(self) -> None:
         """Shut the bus down."""
         self.bus.shutdown()
 
-    def _error(self, verb: str, error: Exception) -> BusError:
-        return BusError(f"the bus {self._name} cannot {verb}: {error}", code=codes.BUS_FAILED)
+    def _on_remote_frame(self, can_id: int, length: int) -> None:
+        if self.on_remote is not None:
+            self.on_remote(can_id, length)
+
+    def _send_error(self, error: Exception) -> BusError:
+        cause = error if isinstance(error, OSError) else error.__cause__
+        number = cause.errno if isinstance(cause, OSError) else getattr(error, "error_code", None)
+        kind = QueueFullError if number in _QUEUE_FULL else BusError
+        return self._error("send", error, kind)
+
+    def _error(self, verb: str, error: Exception, kind: type[BusError] = BusError) -> BusError:
+        return kind(f"the bus {self._name} cannot {verb}: {error}", code=codes.BUS_FAILED)
 
 
 class _SocketBus(FrameBus):
@@ -94,9 +142,24 @@ class _SocketBus(FrameBus):
 
     def receive(self, timeout: float) -> Frame | None:
         data = self._read()
-        if data is None and timeout > 0.0 and select.select((self._socket,), (), (), timeout)[0]:
+        if data is None:
+            return self._wait(timeout) if timeout > 0.0 else None
+        frame = self._decode(data)
+        return self._wait(timeout) if frame is None else frame  # a frame of another kind: more may be waiting
+
+    def _wait(self, timeout: float) -> Frame | None:
+        """Return the next data frame, None after ``timeout`` with nothing more waiting."""
+        now = time.monotonic()
+        end, give_up = now + timeout, now + max(timeout, _LONGEST_DRAIN_S)
+        while select.select((self._socket,), (), (), max(0.0, end - now))[0]:
             data = self._read()
-        return None if data is None else self._decode(data)
+            frame = None if data is None else self._decode(data)
+            if frame is not None:
+                return frame
+            now = time.monotonic()
+            if now > give_up:
+                break
+        return None
 
     def close(self) -> None:
         self._socket.close()
@@ -122,13 +185,23 @@ class _SocketCan(_SocketBus):
         try:
             self._socket.send(_SOCKETCAN_FRAME.pack(can_id, len(data), data))
         except OSError as error:
-            raise self._error("send", error) from error
+            raise self._send_error(error) from error
+
+    def send_remote(self, can_id: int, length: int) -> None:
+        try:
+            self._socket.send(_SOCKETCAN_FRAME.pack(can_id | _REMOTE_FLAG, length, b""))
+        except OSError as error:
+            raise self._send_error(error) from error
 
     def _decode(self, data: bytes) -> Frame | None:
         if len(data) != _SOCKETCAN_FRAME.size:
             return None
         can_id, length, payload = _SOCKETCAN_FRAME.unpack(data)
-        return None if can_id & _NO_DATA_FRAME else (can_id, payload[:length])
+        if not can_id & _NO_DATA_FRAME:
+            return can_id, payload[:length]
+        if can_id & _NO_DATA_FRAME == _REMOTE_FLAG:
+            self._on_remote_frame(can_id & _IDENTIFIER, length)
+        return None
 
 
 class _UdpMulticast(_SocketBus):
@@ -136,9 +209,11 @@ class _UdpMulticast(_SocketBus):
 
     _UNREADABLE: Any = (ValueError, TypeError, KeyError, msgpack.exceptions.UnpackException)
 
-    def __init__(self, bus: can.BusABC, name: str, destination: tuple[str, int]) -> None:
+    def __init__(self, bus: can.BusABC, name: str, destination: tuple[str, int], sources: LocalSources | None) -> None:
         super().__init__(bus, name)
         self._destination = destination
+        self._sources = sources
+        self._source: object = None  # of the last datagram that was accepted
         self._pack = msgpack.Packer(use_bin_type=True, autoreset=True).pack
         self._unpack = msgpack.unpackb
         self._fields: dict[str, Any] = {
@@ -158,21 +233,47 @@ class _UdpMulticast(_SocketBus):
     def send(self, can_id: int, data: bytes | bytearray) -> None:
         fields = self._fields
         fields["arbitration_id"], fields["dlc"], fields["data"] = can_id, len(data), data
+        self._send(fields)
+
+    def send_remote(self, can_id: int, length: int) -> None:
+        self._send({**self._fields, "arbitration_id": can_id, "dlc": length, "data": b"", "is_remote_frame": True})
+
+    def _send(self, fields: dict[str, Any]) -> None:
         try:
             self._socket.sendto(self._pack(fields), self._destination)
         except OSError as error:
-            raise self._error("send", error) from error
+            raise self._send_error(error) from error
+
+    def _read(self) -> bytes | None:
+        try:
+            data, source = self._socket.recvfrom(_LONGEST_DATAGRAM)
+        except BlockingIOError:
+            return None
+        except OSError as error:
+            raise self._error("be read any more", error) from error
+        if source != self._source and self._sources is not None:
+            if not self._sources.accepts(str(source[0])):
+                return _NOTHING
+            self._source = source
+        return data
 
     def _decode(self, data: bytes) -> Frame | None:
         try:
             fields = self._unpack(data)
-            if fields["is_extended_id"] or fields["is_remote_frame"] or fields["is_error_frame"] or fields["is_fd"]:
+            if fields["is_extended_id"] or fields["is_error_frame"] or fields["is_fd"]:
                 return None
             can_id, payload = fields["arbitration_id"], fields["data"]
+            is_remote = fields["is_remote_frame"]
         except self._UNREADABLE:
             return None  # a datagram that is no CAN frame
-        is_frame = type(can_id) is int and 0 <= can_id <= 0x7FF and type(payload) is bytes and len(payload) <= 8
-        return (can_id, payload) if is_frame else None
+        if not (type(can_id) is int and 0 <= can_id <= _IDENTIFIER):
+            return None
+        if is_remote:
+            length = fields.get("dlc", 0)
+            if type(length) is int and 0 <= length <= 8:
+                self._on_remote_frame(can_id, length)
+            return None
+        return (can_id, payload) if type(payload) is bytes and len(payload) <= 8 else None
 
 
 def frame_bus(bus: can.BusABC, config: "BusConfig", name: str) -> FrameBus:
@@ -180,5 +281,6 @@ def frame_bus(bus: can.BusABC, config: "BusConfig", name: str) -> FrameBus:
     if config.interface == "socketcan":
         return _SocketCan(bus, name)
     if config.interface == "udp_multicast" and config.port:  # python-can's own default port is not known here
-        return _UdpMulticast(bus, name, (str(config.channel), config.port))
+        destination = str(config.channel), config.port
+        return _UdpMulticast(bus, name, destination, LocalSources(*destination) if config.hop_limit == 0 else None)
     return FrameBus(bus, name)
