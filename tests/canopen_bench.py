@@ -10,6 +10,7 @@ import can
 from friction_hil_drivers.canopen.eds import SIMULATED_SERVO
 from friction_hil_drivers.canopen.simulated.dictionary import Dictionary
 from friction_hil_drivers.canopen.simulated.drive import SimulatedCia402Drive
+from friction_hil_drivers.canopen.simulated.manners import Manners
 from friction_hil_drivers.canopen.simulated.node import SimulatedNode
 
 from friction_hil.drive import Mode
@@ -38,6 +39,7 @@ class Bench:
         modes: Sequence[Mode] = tuple(Mode),
         missing: Sequence[int] = (),
         eds: Path = SIMULATED_SERVO,
+        manners: dict[str, Any] | None = None,
     ) -> None:
         self.sent: list[Frame] = []
         self.servo = Servo(ServoConfig.model_validate(servo or {}), position)
@@ -48,6 +50,7 @@ class Bench:
             lambda can_id, data: self.sent.append((can_id, bytes(data))),
             sync_steps=STEPS_PER_MS if is_paced_by_sync else None,
             lock_steps=STEPS_PER_MS if is_locked else None,
+            manners=Manners.model_validate(manners or {}),
         )
         self.node.boot()
 

@@ -9,6 +9,7 @@ from friction_hil_drivers.canopen.simulated.dictionary import Abort, Dictionary,
 from friction_hil_drivers.canopen.simulated.drive import SimulatedCia402Drive
 from friction_hil_drivers.canopen.simulated.emergency import Emergencies
 from friction_hil_drivers.canopen.simulated.heartbeat import Consumer, Producer
+from friction_hil_drivers.canopen.simulated.manners import Manners
 from friction_hil_drivers.canopen.simulated.pdo import Rpdo, Tpdo
 from friction_hil_drivers.canopen.simulated.sdo import SdoServer
 
@@ -46,6 +47,8 @@ class SimulatedNode:
         With time from `advance_to`: integration steps between two SYNCs, to which the drive locks its clock as real
         drives do, so that a SYNC that comes late by some microseconds does not shift the instants at which it samples
         and interpolates. None: SYNCs are taken as they come.
+    manners : Manners, optional
+        What it does differently from a node that does everything well.
     """
 
     def __init__(
@@ -56,8 +59,10 @@ class SimulatedNode:
         send: Callable[[int, bytes], None],
         sync_steps: int | None = None,
         lock_steps: int | None = None,
+        manners: Manners | None = None,
     ) -> None:
         self.number = number
+        self._manners = Manners() if manners is None else manners
         self.state = NmtState.BOOT_UP
         self.now_ns = 0
         self._polled_ns = 0
@@ -130,13 +135,13 @@ class SimulatedNode:
 
     def poll(self) -> None:
         """Apply the PDOs received before a SYNC; serve timers, ramps and event-driven PDOs."""
-        if self._has_sync:
-            self._has_sync = False
+        is_sync, self._has_sync = self._has_sync, False
+        if is_sync:
             for rpdo in self._rpdos:
                 if rpdo.pending is not None:
                     rpdo.write(rpdo.pending)
                     rpdo.pending = None
-        self._check_timers()
+        self._check_timers(is_sync=is_sync)
         self._update()
 
     def _update(self) -> None:
@@ -266,7 +271,7 @@ class SimulatedNode:
         self._connect()
         self.boot()
 
-    def _check_timers(self) -> None:
+    def _check_timers(self, *, is_sync: bool) -> None:
         now_ns = self._polled_ns = self.now_ns
         if self._producer.is_due(now_ns):
             self._producer.sent(now_ns)
@@ -275,7 +280,10 @@ class SimulatedNode:
             self._lose_connection(HEARTBEAT_LOST)
         if self.state is not _OPERATIONAL:
             return
+        is_watching_all = is_sync or not self._manners.timer_at_sync_only
         for rpdo in self._rpdos:
+            if rpdo.is_synchronous and not is_watching_all:
+                continue
             if rpdo.deadline_ns is not None and now_ns >= rpdo.deadline_ns:
                 rpdo.deadline_ns = None
                 rpdo.is_late = True
