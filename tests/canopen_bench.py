@@ -42,6 +42,7 @@ class Bench:
         manners: dict[str, Any] | None = None,
     ) -> None:
         self.sent: list[Frame] = []
+        self.real_ms = 0.0  # the clock on the wall, which runs with `at` and `wait`
         self.servo = Servo(ServoConfig.model_validate(servo or {}), position)
         self.node = SimulatedNode(
             NODE,
@@ -51,6 +52,7 @@ class Bench:
             sync_steps=STEPS_PER_MS if is_paced_by_sync else None,
             lock_steps=STEPS_PER_MS if is_locked else None,
             manners=Manners.model_validate(manners or {}),
+            clock=lambda: round(self.real_ms * 1e6),
         )
         self.node.boot()
 
@@ -65,8 +67,17 @@ class Bench:
     def at(self, time_ms: float) -> list[Frame]:
         """Let real time come to ``time_ms``; return what the node sends meanwhile."""
         before = len(self.sent)
+        self.real_ms = max(self.real_ms, time_ms)
         self.node.advance_to(round(time_ms * 1e6))
         self.node.poll()
+        self.node.answer()
+        return self.sent[before:]
+
+    def wait(self, time_ms: float) -> list[Frame]:
+        """Let real time pass without a SYNC; return the late SDO answers that come."""
+        before = len(self.sent)
+        self.real_ms += time_ms
+        self.node.answer()
         return self.sent[before:]
 
     def sync(self, count: int = 1) -> list[Frame]:

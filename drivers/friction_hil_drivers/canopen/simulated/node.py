@@ -1,5 +1,6 @@
 """A simulated CANopen node: NMT, heartbeats, SYNC and PDOs around a CiA 402 device (CiA 301)."""
 
+import time
 from collections.abc import Callable
 from functools import partial
 
@@ -11,7 +12,7 @@ from friction_hil_drivers.canopen.simulated.emergency import Emergencies
 from friction_hil_drivers.canopen.simulated.heartbeat import Consumer, Producer
 from friction_hil_drivers.canopen.simulated.manners import Manners
 from friction_hil_drivers.canopen.simulated.pdo import Rpdo, Tpdo
-from friction_hil_drivers.canopen.simulated.sdo import SdoServer
+from friction_hil_drivers.canopen.simulated.slow_sdo import SlowSdoServer
 
 COMMUNICATION, HEARTBEAT_LOST, RPDO_TOO_SHORT, RPDO_TIMEOUT, SYNC_LOST = 0x8100, 0x8130, 0x8210, 0x8250, 0x8700
 _CONNECTION_ERRORS = (COMMUNICATION, HEARTBEAT_LOST, RPDO_TIMEOUT, SYNC_LOST)
@@ -49,6 +50,8 @@ class SimulatedNode:
         and interpolates. None: SYNCs are taken as they come.
     manners : Manners, optional
         What it does differently from a node that does everything well.
+    clock : callable
+        Returns real time, ns, in which SDO answers are late.
     """
 
     def __init__(
@@ -60,6 +63,7 @@ class SimulatedNode:
         sync_steps: int | None = None,
         lock_steps: int | None = None,
         manners: Manners | None = None,
+        clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self.number = number
         self._manners = Manners() if manners is None else manners
@@ -76,7 +80,13 @@ class SimulatedNode:
         self._dictionary = dictionary
         self._emergencies = Emergencies(dictionary, self._send_emergency)
         self.drive = make_drive(dictionary, self._emergencies)
-        self._sdo = SdoServer(dictionary, partial(send, objects.SDO_RESPONSE_BASE + number))
+        self._sdo = SlowSdoServer(
+            dictionary,
+            partial(send, objects.SDO_RESPONSE_BASE + number),
+            self._manners.sdo_delay_s,
+            self._manners.sdo,
+            clock,
+        )
         self._producer = Producer(dictionary)
         self._consumer = Consumer(dictionary)
         self._rpdos = [Rpdo(number, dictionary) for number in range(objects.PDO_COUNT)]
@@ -143,6 +153,16 @@ class SimulatedNode:
                     rpdo.pending = None
         self._check_timers(is_sync=is_sync)
         self._update()
+
+    @property
+    def answers_in_s(self) -> float | None:
+        """Real time until `answer` is to be called, s; None if no SDO answer is late."""
+        return self._sdo.due_in_s
+
+    def answer(self) -> None:
+        """Send the SDO answers that were late and are due."""
+        if self.state is not NmtState.STOPPED:
+            self._sdo.poll()
 
     def _update(self) -> None:
         self.drive.update(self.now_ns)

@@ -1,15 +1,12 @@
 """Keys of an axis's ``simulation``: its simulated servo and drive."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
 from pydantic import Field
 
 from friction_hil.servo.config import ServoConfig
-from friction_hil_drivers.canopen.simulated.manners import Manners
-
-Unsigned32 = Annotated[int, Field(ge=0, le=0xFFFFFFFF)]
-Index = Annotated[int, Field(ge=0x1000, le=0xFFFF)]
+from friction_hil_drivers.canopen.simulated.manners import Index, Manners, Unsigned32
 
 
 class CanopenSimulation(Manners):
