@@ -10,6 +10,7 @@ import can
 from friction_hil_drivers.canopen.eds import SIMULATED_SERVO
 from friction_hil_drivers.canopen.simulated.dictionary import Dictionary
 from friction_hil_drivers.canopen.simulated.drive import SimulatedCia402Drive
+from friction_hil_drivers.canopen.simulated.manners import Manners
 from friction_hil_drivers.canopen.simulated.node import SimulatedNode
 
 from friction_hil.drive import Mode
@@ -38,8 +39,10 @@ class Bench:
         modes: Sequence[Mode] = tuple(Mode),
         missing: Sequence[int] = (),
         eds: Path = SIMULATED_SERVO,
+        manners: dict[str, Any] | None = None,
     ) -> None:
         self.sent: list[Frame] = []
+        self.real_ms = 0.0  # the clock on the wall, which runs with `at` and `wait`
         self.servo = Servo(ServoConfig.model_validate(servo or {}), position)
         self.node = SimulatedNode(
             NODE,
@@ -48,6 +51,8 @@ class Bench:
             lambda can_id, data: self.sent.append((can_id, bytes(data))),
             sync_steps=STEPS_PER_MS if is_paced_by_sync else None,
             lock_steps=STEPS_PER_MS if is_locked else None,
+            manners=Manners.model_validate(manners or {}),
+            clock=lambda: round(self.real_ms * 1e6),
         )
         self.node.boot()
 
@@ -62,8 +67,17 @@ class Bench:
     def at(self, time_ms: float) -> list[Frame]:
         """Let real time come to ``time_ms``; return what the node sends meanwhile."""
         before = len(self.sent)
+        self.real_ms = max(self.real_ms, time_ms)
         self.node.advance_to(round(time_ms * 1e6))
         self.node.poll()
+        self.node.answer()
+        return self.sent[before:]
+
+    def wait(self, time_ms: float) -> list[Frame]:
+        """Let real time pass without a SYNC; return the late SDO answers that come."""
+        before = len(self.sent)
+        self.real_ms += time_ms
+        self.node.answer()
         return self.sent[before:]
 
     def sync(self, count: int = 1) -> list[Frame]:

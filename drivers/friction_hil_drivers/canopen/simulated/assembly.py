@@ -52,6 +52,7 @@ def make_node(
         send,
         sync_steps=None if is_real else steps,
         lock_steps=steps if is_real else None,
+        manners=simulation.canopen,
     )
 
 

@@ -102,8 +102,9 @@ class SimulatedCanopenDrives:
     def _run_by_sync(self, is_stopping: Callable[[], bool]) -> None:
         bus = self._open_bus
         while not is_stopping():
-            if (frame := bus.receive(_SYNC_TIMEOUT_S)) is not None:
+            if (frame := bus.receive(self._wait_s())) is not None:
                 self._take(*frame, 0)
+            self._answer()
 
     def _run_in_real_time(self, is_stopping: Callable[[], bool]) -> None:
         bus = self._open_bus
@@ -121,6 +122,17 @@ class SimulatedCanopenDrives:
                     next_sync_ns = now_ns + period_ns
                 self._take(*frame, now_ns)
             self._poll(now_ns)
+            self._answer()
+
+    def _wait_s(self) -> float:
+        """Return how long to wait for a frame where time passes at SYNC only, s."""
+        late = [due_s for node in self._nodes if (due_s := node.answers_in_s) is not None]
+        return min(_SYNC_TIMEOUT_S, *late) if late else _SYNC_TIMEOUT_S
+
+    def _answer(self) -> None:
+        """Send the late SDO answers that are due."""
+        for node in self._nodes:
+            node.answer()
 
     def _advance(self, now_ns: int, *, is_sync_near: bool) -> None:
         """Let time pass, shortly before a SYNC up to the state that it will sample."""

@@ -1,5 +1,6 @@
 """A simulated CANopen node: NMT, heartbeats, SYNC and PDOs around a CiA 402 device (CiA 301)."""
 
+import time
 from collections.abc import Callable
 from functools import partial
 
@@ -9,8 +10,9 @@ from friction_hil_drivers.canopen.simulated.dictionary import Abort, Dictionary,
 from friction_hil_drivers.canopen.simulated.drive import SimulatedCia402Drive
 from friction_hil_drivers.canopen.simulated.emergency import Emergencies
 from friction_hil_drivers.canopen.simulated.heartbeat import Consumer, Producer
+from friction_hil_drivers.canopen.simulated.manners import Manners
 from friction_hil_drivers.canopen.simulated.pdo import Rpdo, Tpdo
-from friction_hil_drivers.canopen.simulated.sdo import SdoServer
+from friction_hil_drivers.canopen.simulated.slow_sdo import SlowSdoServer
 
 COMMUNICATION, HEARTBEAT_LOST, RPDO_TOO_SHORT, RPDO_TIMEOUT, SYNC_LOST = 0x8100, 0x8130, 0x8210, 0x8250, 0x8700
 _CONNECTION_ERRORS = (COMMUNICATION, HEARTBEAT_LOST, RPDO_TIMEOUT, SYNC_LOST)
@@ -46,6 +48,10 @@ class SimulatedNode:
         With time from `advance_to`: integration steps between two SYNCs, to which the drive locks its clock as real
         drives do, so that a SYNC that comes late by some microseconds does not shift the instants at which it samples
         and interpolates. None: SYNCs are taken as they come.
+    manners : Manners, optional
+        What it does differently from a node that does everything well.
+    clock : callable
+        Returns real time, ns, in which SDO answers are late.
     """
 
     def __init__(
@@ -56,8 +62,11 @@ class SimulatedNode:
         send: Callable[[int, bytes], None],
         sync_steps: int | None = None,
         lock_steps: int | None = None,
+        manners: Manners | None = None,
+        clock: Callable[[], int] = time.monotonic_ns,
     ) -> None:
         self.number = number
+        self._manners = Manners() if manners is None else manners
         self.state = NmtState.BOOT_UP
         self.now_ns = 0
         self._polled_ns = 0
@@ -71,7 +80,13 @@ class SimulatedNode:
         self._dictionary = dictionary
         self._emergencies = Emergencies(dictionary, self._send_emergency)
         self.drive = make_drive(dictionary, self._emergencies)
-        self._sdo = SdoServer(dictionary, partial(send, objects.SDO_RESPONSE_BASE + number))
+        self._sdo = SlowSdoServer(
+            dictionary,
+            partial(send, objects.SDO_RESPONSE_BASE + number),
+            self._manners.sdo_delay_s,
+            self._manners.sdo,
+            clock,
+        )
         self._producer = Producer(dictionary)
         self._consumer = Consumer(dictionary)
         self._rpdos = [Rpdo(number, dictionary) for number in range(objects.PDO_COUNT)]
@@ -130,14 +145,24 @@ class SimulatedNode:
 
     def poll(self) -> None:
         """Apply the PDOs received before a SYNC; serve timers, ramps and event-driven PDOs."""
-        if self._has_sync:
-            self._has_sync = False
+        is_sync, self._has_sync = self._has_sync, False
+        if is_sync:
             for rpdo in self._rpdos:
                 if rpdo.pending is not None:
                     rpdo.write(rpdo.pending)
                     rpdo.pending = None
-        self._check_timers()
+        self._check_timers(is_sync=is_sync)
         self._update()
+
+    @property
+    def answers_in_s(self) -> float | None:
+        """Real time until `answer` is to be called, s; None if no SDO answer is late."""
+        return self._sdo.due_in_s
+
+    def answer(self) -> None:
+        """Send the SDO answers that were late and are due."""
+        if self.state is not NmtState.STOPPED:
+            self._sdo.poll()
 
     def _update(self) -> None:
         self.drive.update(self.now_ns)
@@ -266,7 +291,7 @@ class SimulatedNode:
         self._connect()
         self.boot()
 
-    def _check_timers(self) -> None:
+    def _check_timers(self, *, is_sync: bool) -> None:
         now_ns = self._polled_ns = self.now_ns
         if self._producer.is_due(now_ns):
             self._producer.sent(now_ns)
@@ -275,7 +300,10 @@ class SimulatedNode:
             self._lose_connection(HEARTBEAT_LOST)
         if self.state is not _OPERATIONAL:
             return
+        is_watching_all = is_sync or not self._manners.timer_at_sync_only
         for rpdo in self._rpdos:
+            if rpdo.is_synchronous and not is_watching_all:
+                continue
             if rpdo.deadline_ns is not None and now_ns >= rpdo.deadline_ns:
                 rpdo.deadline_ns = None
                 rpdo.is_late = True

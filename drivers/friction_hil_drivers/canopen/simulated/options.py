@@ -1,20 +1,16 @@
 """Keys of an axis's ``simulation``: its simulated servo and drive."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from friction_hil.servo.config import ServoConfig
-
-Unsigned32 = Annotated[int, Field(ge=0, le=0xFFFFFFFF)]
-Index = Annotated[int, Field(ge=0x1000, le=0xFFFF)]
+from friction_hil_drivers.canopen.simulated.manners import Index, Manners, Unsigned32
 
 
-class CanopenSimulation(BaseModel):
-    """Identity and abilities of the simulated drive on the bus."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
+class CanopenSimulation(Manners):
+    """Identity, abilities and manners of the simulated drive on the bus."""
 
     eds: Path | None = Field(
         None, description="EDS that it follows, relative to the configuration file; its own when not given"

@@ -1,0 +1,44 @@
+"""Manners of a simulated drive: how it deviates from the drive that does everything well."""
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+Unsigned8 = Annotated[int, Field(ge=0, le=0xFF)]
+Unsigned32 = Annotated[int, Field(ge=0, le=0xFFFFFFFF)]
+Index = Annotated[int, Field(ge=0x1000, le=0xFFFF)]
+Seconds = Annotated[float, Field(ge=0.0, le=3600.0, allow_inf_nan=False)]
+
+
+class SdoManner(BaseModel):
+    """How one object is answered. Delays pass in real time, also with ``--pace sync``."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    index: Index = Field(description="the object, e.g. 0x60A9")
+    subindex: Unsigned8 | None = Field(None, description="one of its sub-indices; all when not given")
+    access: Literal["read", "write", "any"] = Field("any", description="the requests that it concerns")
+    times: int | None = Field(None, ge=1, description="so many requests, then as usual; all when not given")
+    delay_s: Seconds = Field(0.0, description="the answer comes so much later, s; the request takes effect at once")
+    abort: Unsigned32 | None = Field(
+        None, description="the answer is this abort code, e.g. 0x08000020, and the request has no effect"
+    )
+    is_silent: bool = Field(False, description="no answer and no effect")
+
+    def fits(self, index: int, subindex: int, access: str) -> bool:
+        """Return True for a request that it concerns."""
+        return index == self.index and self.subindex in (None, subindex) and self.access in ("any", access)
+
+
+class Manners(BaseModel):
+    """What real drives do differently from each other. Not given: as the own simulated drive does it."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    timer_at_sync_only: bool = Field(
+        False,
+        description="look at the event timer (140xh:05) of a synchronous RPDO only when a SYNC comes, as CANopenNode "
+        "does; event-driven RPDOs (254, 255) are always watched",
+    )
+    sdo_delay_s: Seconds = Field(0.0, description="delay of every SDO answer, s, in real time")
+    sdo: tuple[SdoManner, ...] = Field((), description="how some objects are answered; the first that fits counts")
