@@ -8,6 +8,7 @@ writes the bus.
 import contextlib
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,7 +17,7 @@ from friction_hil.errors import BusError, DriveError, FrictionHilError, UsageErr
 from friction_hil_drivers.canopen import codes, interfaces, objects
 from friction_hil_drivers.canopen.axis import CanopenAxis
 from friction_hil_drivers.canopen.checks import check_connection
-from friction_hil_drivers.canopen.configure import configure
+from friction_hil_drivers.canopen.configure import ConfiguredDrive, configure
 from friction_hil_drivers.canopen.eds import load_eds
 from friction_hil_drivers.canopen.exchange import CyclicExchange
 from friction_hil_drivers.canopen.exclusive import AxisLock
@@ -100,7 +101,7 @@ class CanopenDrives:
             self._locks.append(AxisLock(config, canopen_options(axis).node, name))
         self._bus = open_frame_bus(config, self._given_bus)
         _refuse_second_master(self._bus, bus_name(config))
-        self._network = SdoNetwork(self._bus.bus)
+        self._network = SdoNetwork(self._bus)
         with self._network.reading():
             for name, axis in self._configs.items():
                 self._axes.append(self._connect_axis(self._network, name, axis))
@@ -119,6 +120,7 @@ class CanopenDrives:
             # a drive in Operational may refuse new mappings; a dry run must not stop a drive that another master runs
             self._write_nmt(objects.NmtCommand.ENTER_PRE_OPERATIONAL, options.node)
         drive = configure(client, name, config, self._configuration.period_s, dry_run=self._dry_run)
+        drive = _with_notes(drive, client.notes)
         return CanopenAxis(drive, options.node, options.heartbeat_s)
 
     def _make_exchange(self, bus: "FrameBus") -> CyclicExchange:
@@ -191,6 +193,12 @@ class CanopenDrives:
         if self._bus is None:
             raise BusError("the bus is not open: connect first")
         self._bus.send(objects.NMT_ID, bytes((command, node)))
+
+
+def _with_notes(drive: ConfiguredDrive, notes: Sequence[str]) -> ConfiguredDrive:
+    """Return the drive with further notes for the user."""
+    further = tuple(note for note in notes if note not in drive.facts.notes)
+    return replace(drive, facts=replace(drive.facts, notes=drive.facts.notes + further))
 
 
 def _refuse_second_master(bus: "FrameBus", name: str) -> None:

@@ -31,6 +31,10 @@ class ObjectReader(ABC):
             The drive does not answer, or refuses.
         """
 
+    def why_absent(self, entry: Object) -> str:
+        """Return why an object counts as absent, as the verb of a sentence: ``lacks``."""
+        return "lacks"
+
     def width(self, entry: Object) -> int | None:
         """Return the width in bits that the drive gives an object, None where it has no such object."""
         data = self.bytes_of(entry)
@@ -50,6 +54,6 @@ class ObjectReader(ABC):
         """Return the value of an integer object that the drive must have."""
         value = self.find(entry)
         if value is None:
-            text = f"{self.axis}: {self.where} lacks object {entry}, which is needed"
+            text = f"{self.axis}: {self.where} {self.why_absent(entry)} object {entry}, which is needed"
             raise DriveError(text, code=codes.OBJECT_MISSING)
         return value

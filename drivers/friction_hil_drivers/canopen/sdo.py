@@ -1,21 +1,145 @@
-"""SDO client: a drive's object dictionary, read and written while the drive is being configured."""
+"""SDO client: a drive's object dictionary, read and written while the drive is being configured.
+
+The canopen library (2.4.1) takes whatever arrives next for the answer to its request. A drive that answers late once is
+then believed to have answered the following request, and so on: `MatchingSdo` accepts only the answer that belongs to a
+request. No thread reads the bus: a request reads it until its answer came.
+"""
 
 import contextlib
-from collections.abc import Iterator
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import can
 import canopen
+import canopen.sdo.client
 
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes
+from friction_hil_drivers.canopen.codec import Frame
+from friction_hil_drivers.canopen.frames import FrameBus
 from friction_hil_drivers.canopen.object_reader import ObjectReader
 from friction_hil_drivers.canopen.objects import Object
+from friction_hil_drivers.canopen.sdo_answers import ABSENT, SEGMENT, Address, Request, abort_code, address_of, describe
 
-_RESPONSE_TIMEOUT_S = 0.5
-_NOTIFIER_TIMEOUT_S = 0.02
-_ATTEMPTS = 3
-_NO_SUCH_OBJECT = (0x06020000, 0x06090011)
+PATIENCE_S = 3.0  # storing parameters and a change of mapping take some drives more than a second
+SHORT_PATIENCE_S = 0.5
+_READ_ATTEMPTS = 3  # within the patience: reading again is harmless, and a frame may have been lost
+_MOST_NOTES = 5
+
+
+class MatchingSdo(canopen.sdo.client.SdoClient):
+    """SDO client of the canopen library that compares index, sub-index and toggle bit of each answer.
+
+    Answers that belong to no request, or to one that was given up, are dropped and kept in ``strays``. A server answers
+    in order; so a request for an object that still owes an answer waits for that one first, because it could not tell
+    the two apart.
+
+    Parameters
+    ----------
+    node : int
+        Node number of the server.
+    pump : callable, optional
+        Reads the bus for at most so many seconds and hands what arrived to `on_response`; without it, another thread
+        must do that.
+    now : callable, optional
+        Clock, s.
+    """
+
+    def __init__(
+        self, node: int, pump: Callable[[float], None] | None = None, now: Callable[[], float] = time.monotonic
+    ) -> None:
+        super().__init__(0x600 + node, 0x580 + node, canopen.ObjectDictionary())  # type: ignore[no-untyped-call]
+        self._pump = pump
+        self._now = now
+        self.patience_s = PATIENCE_S
+        self.attempts = 1
+        self.strays: list[bytes] = []
+        self._owed: Counter[Address] = Counter()
+        self._transfer: Address = (0, 0)
+
+    def request_response(self, sdo_request: bytes | bytearray) -> bytes:
+        """Send a request and return its answer.
+
+        Raises
+        ------
+        canopen.SdoAbortedError
+            The server aborts the transfer.
+        canopen.SdoCommunicationError
+            It does not answer.
+        """
+        request = Request.of(sdo_request, self._transfer)
+        self._transfer = request.address
+        # a segment must not be sent twice: a server that had it already would abort
+        attempts = 1 if request.is_segment else self.attempts
+        wait_s = self.patience_s / attempts
+        self._drop_strays()
+        self._await_owed(request.key, wait_s)
+        for _ in range(attempts):
+            self._send(bytes(sdo_request))
+            self._owed[request.key] += 1
+            answer = self._await_answer(request, wait_s)
+            if answer is not None:
+                self._owed[request.key] -= 1
+                code = abort_code(answer)
+                if code is not None:
+                    raise canopen.SdoAbortedError(code)
+                return answer
+        self._send(_abort_after_timeout(request.address))
+        raise canopen.SdoCommunicationError("no SDO response received")
+
+    def abort(self, abort_code: int = 0x08000000) -> None:
+        """Abort the transfer under way, naming its object as CiA 301 demands."""
+        self._send(_abort(self._transfer, abort_code))
+
+    def _send(self, request: bytes) -> None:
+        self.send_request(request)  # type: ignore[no-untyped-call]
+
+    def _await_answer(self, request: Request, wait_s: float) -> bytes | None:
+        end = self._now() + wait_s
+        while (answer := self._next(end)) is not None:
+            if request.is_answered_by(answer):
+                return answer
+            self._drop(answer)
+        return None
+
+    def _await_owed(self, address: Address, wait_s: float) -> None:
+        """Wait for the answers to earlier requests for the same object."""
+        end = self._now() + wait_s
+        while self._owed[address] > 0 and (answer := self._next(end)) is not None:
+            self._drop(answer)
+        del self._owed[address]
+
+    def _drop_strays(self) -> None:
+        if self._pump is not None:
+            self._pump(0.0)
+        while not self.responses.empty():
+            self._drop(self.responses.get())
+
+    def _drop(self, answer: bytes) -> None:
+        self.strays.append(answer)
+        address = address_of(answer)
+        if address is None or self._owed[address] <= 0:
+            address = SEGMENT  # or the abort of one
+        self._owed[address] = max(0, self._owed[address] - 1)
+
+    def _next(self, end: float) -> bytes | None:
+        """Return the next answer, None where none came until ``end``."""
+        while self.responses.empty() and (left := end - self._now()) > 0.0:
+            if self._pump is not None:
+                self._pump(left)
+            else:
+                time.sleep(min(left, 0.001))
+        return None if self.responses.empty() else bytes(self.responses.get())
+
+
+def _abort(address: Address, code: int) -> bytes:
+    return bytes([0x80]) + address[0].to_bytes(2, "little") + bytes([address[1]]) + code.to_bytes(4, "little")
+
+
+def _abort_after_timeout(address: Address) -> bytes:
+    return _abort(address, 0x05040000)
 
 
 class SdoClient(ObjectReader):
@@ -29,32 +153,76 @@ class SdoClient(ObjectReader):
         Name of the axis, for messages.
     where : str
         Node and bus, for messages.
+    pump, now : callable, optional
+        See `MatchingSdo`.
+
+    Attributes
+    ----------
+    notes : list of str
+        For the user: objects that the drive refuses to show, and answers that came late.
+    refusals : dict
+        By index and sub-index: why the drive refused to show an object, where it did not say that it has none.
     """
 
-    def __init__(self, node: Any, axis: str, where: str) -> None:
-        self._sdo = node.sdo
-        self._sdo.RESPONSE_TIMEOUT = _RESPONSE_TIMEOUT_S
+    def __init__(
+        self,
+        node: Any,
+        axis: str,
+        where: str,
+        pump: Callable[[float], None] | None = None,
+        now: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._sdo = MatchingSdo(node.id, pump, now)
+        self._sdo.network = node.network
+        node.network.subscribe(self._sdo.tx_cobid, self._sdo.on_response)
         self.axis = axis
         self.where = where
+        self.notes: list[str] = []
+        self.refusals: dict[Address, str] = {}
+        self._has_answered = False
+        self._late = 0
+
+    @property
+    def patience_s(self) -> float:
+        """Time within which the drive must answer a request, s."""
+        return self._sdo.patience_s
+
+    @contextlib.contextmanager
+    def patience(self, seconds: float) -> Iterator[None]:
+        """Wait no longer than so many seconds for an answer meanwhile."""
+        before, self._sdo.patience_s = self._sdo.patience_s, seconds
+        try:
+            yield
+        finally:
+            self._sdo.patience_s = before
 
     def bytes_of(self, entry: Object) -> bytes | None:
-        """See `ObjectReader.bytes_of`."""
-        for attempt in range(_ATTEMPTS):
-            try:
+        """See `ObjectReader.bytes_of`; an object that the drive refuses to show counts as absent, with a note."""
+        try:
+            return self._upload(entry)
+        except canopen.SdoAbortedError as error:
+            if error.code not in ABSENT:
+                self.refusals[entry.address] = str(error)
+                self._note(f"the drive does not show {entry} ({error}): taken as absent")
+            return None
+
+    def why_absent(self, entry: Object) -> str:
+        """See `ObjectReader.why_absent`."""
+        reason = self.refusals.get(entry.address)
+        return f"does not show ({reason})" if reason else super().why_absent(entry)
+
+    def _upload(self, entry: Object) -> bytes:
+        try:
+            with self._attempts(_READ_ATTEMPTS):
                 return bytes(self._sdo.upload(entry.index, entry.subindex))
-            except canopen.SdoAbortedError as error:
-                if error.code in _NO_SUCH_OBJECT:
-                    return None
-                text = f"{self.axis}: reading {entry} from {self.where}: {error}"
-                raise DriveError(text, code=codes.SDO_ABORT) from error
-            except canopen.SdoCommunicationError as error:
-                if attempt == _ATTEMPTS - 1:
-                    text = (
-                        f"{self.axis}: no drive answers as {self.where} (reading {entry}): is the drive on, is this "
-                        "its node number, and is the bit rate right?"
-                    )
-                    raise DriveError(text, code=codes.NO_ANSWER) from error
-        return None
+        except canopen.SdoCommunicationError as error:
+            if self._has_answered:
+                raise self._answer_lost("reading", entry) from error
+            text = (
+                f"{self.axis}: no drive answers as {self.where} (reading {entry}): is the drive on, is this "
+                "its node number, and is the bit rate right?"
+            )
+            raise DriveError(text, code=codes.NO_ANSWER) from error
 
     def write(self, entry: Object, value: int, bits: int | None = None) -> None:
         """Write an integer object, with the width that its type has or ``bits``.
@@ -68,41 +236,116 @@ class SdoClient(ObjectReader):
         if not low <= value <= high:
             text = f"{self.axis}: {value} does not fit into {entry} ({low} to {high})"
             raise DriveError(text, code=codes.OBJECT_SIZE)
-        data = value.to_bytes((bits or entry.type.bits) // 8, "little", signed=value < 0)
+        self.write_bytes(entry, value.to_bytes((bits or entry.type.bits) // 8, "little", signed=value < 0), str(value))
+
+    def write_bytes(self, entry: Object, data: bytes, shown: str = "") -> None:
+        """Write the content of an object; ``shown`` is its value in messages.
+
+        Raises
+        ------
+        DriveError
+            The drive does not answer, or refuses.
+        """
         try:
-            self._sdo.download(entry.index, entry.subindex, data)
+            with self._attempts(1):
+                self._sdo.download(entry.index, entry.subindex, data)
         except canopen.SdoAbortedError as error:
-            text = f"{self.axis}: writing {value} to {entry} of {self.where}: {error}"
+            text = f"{self.axis}: writing {shown or data.hex()} to {entry} of {self.where}: {error}"
             raise DriveError(text, code=codes.SDO_ABORT) from error
         except canopen.SdoCommunicationError as error:
-            text = f"{self.axis}: {self.where} stopped answering (writing {entry})"
-            raise DriveError(text, code=codes.ANSWER_LOST) from error
+            raise self._answer_lost("writing", entry) from error
 
     def try_write(self, entry: Object, value: int) -> bool:
         """Write an object that the drive may lack or refuse; return True if it reads back as written."""
         try:
             self.write(entry, value)
-        except DriveError:
+        except DriveError as error:
+            if error.code != codes.SDO_ABORT:
+                raise  # a drive that does not answer has not refused
             return False
         return self.find(entry) == value
 
+    @contextlib.contextmanager
+    def _attempts(self, attempts: int) -> Iterator[None]:
+        """Send a request so many times at most; tell afterwards what arrived beside its answer."""
+        self._sdo.attempts = attempts
+        try:
+            yield
+            self._has_answered = True
+        except canopen.SdoAbortedError:
+            self._has_answered = True
+            raise
+        finally:
+            for answer in self._sdo.strays:
+                self._note_stray(answer)
+            self._sdo.strays.clear()
+
+    def _note_stray(self, answer: bytes) -> None:
+        self._late += 1
+        if self._late <= _MOST_NOTES:
+            text = f"{self.where} sent {describe(answer)} when nothing waited for it (a late answer, or one to another "
+            self._note(f"{text}SDO client); it was dropped")
+
+    def _note(self, text: str) -> None:
+        if text not in self.notes:
+            self.notes.append(text)
+
+    def _answer_lost(self, verb: str, entry: Object) -> DriveError:
+        text = f"{self.axis}: {self.where} stopped answering ({verb} {entry}; waited {self.patience_s:g} s)"
+        return DriveError(text, code=codes.ANSWER_LOST)
+
+
+class _Network(canopen.Network):
+    """Network of the canopen library that sends on a frame bus."""
+
+    def __init__(self, bus: FrameBus) -> None:
+        super().__init__(bus.bus)
+        self._frames = bus
+
+    def send_message(self, can_id: int, data: bytes, remote: bool = False) -> None:
+        """Send a data frame; ``remote`` frames are not sent here."""
+        if remote:
+            raise ValueError("SDO has no remote frames")
+        self._frames.send(can_id, bytes(data))
+
 
 class SdoNetwork:
-    """SDO clients of the nodes on one bus, through the canopen library."""
+    """SDO clients of the nodes on one bus.
 
-    def __init__(self, bus: can.BusABC) -> None:
-        self._bus = bus
-        self._network: Any = canopen.Network(bus)
+    Parameters
+    ----------
+    bus : FrameBus or can.BusABC
+        Read while a request waits for its answer.
+    heard : callable, optional
+        Called with each frame that was read.
+    now : callable, optional
+        Clock, s.
+    """
+
+    def __init__(
+        self,
+        bus: "FrameBus | can.BusABC",
+        heard: Callable[[Frame], None] | None = None,
+        now: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._bus = bus if isinstance(bus, FrameBus) else FrameBus(bus, "of the SDO client")
+        self._heard = heard
+        self._now = now
+        self._network: Any = _Network(self._bus)
 
     def client(self, node: int, axis: str, where: str) -> SdoClient:
         """Return the SDO client of a node; `axis` and `where` are for its messages."""
-        return SdoClient(self._network.add_node(node, object_dictionary=None), axis, where)
+        return SdoClient(self._network.add_node(node, object_dictionary=None), axis, where, self._pump, self._now)
 
     @contextlib.contextmanager
     def reading(self) -> Iterator[None]:
-        """Let a thread of the library read the bus, for its clients; it has ended afterwards."""
-        self._network.notifier = can.Notifier(self._bus, self._network.listeners, _NOTIFIER_TIMEOUT_S)
-        try:
-            yield
-        finally:
-            self._network.notifier.stop()
+        """Allow the clients to read the bus; nothing else may read it meanwhile."""
+        yield
+
+    def _pump(self, timeout: float) -> None:
+        """Take a frame that comes within ``timeout`` seconds, and those that wait already."""
+        while (frame := self._bus.receive(timeout)) is not None:
+            timeout = 0.0
+            if self._heard is not None:
+                self._heard(frame)
+            self._network.notify(frame[0], bytearray(frame[1]), 0.0)

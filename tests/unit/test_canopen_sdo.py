@@ -1,0 +1,244 @@
+"""SDO client against a server that answers late, twice or wrongly, in simulated time."""
+
+import struct
+import threading
+import time
+
+import can
+import pytest
+from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen.frames import FrameBus
+from friction_hil_drivers.canopen.sdo import PATIENCE_S, SdoNetwork
+from friction_hil_drivers.canopen.sdo_answers import Request
+
+from friction_hil.errors import DriveError
+from tests.canopen_bench import NODE, Bench, BenchBus
+
+REQUEST, ANSWER = 0x600 + NODE, 0x580 + NODE
+GENERAL_ERROR = 0x08000000
+NO_OBJECT = 0x06020000
+
+
+class SlowBus(FrameBus):
+    """Hands frames to a drive on the bench; ``delay`` says how long an answer takes, None: it never comes."""
+
+    def __init__(self, bench):
+        self.bus_of_bench = BenchBus(bench)
+        super().__init__(self.bus_of_bench, "slow")
+        self.bench = bench
+        self.time_s = 0.0
+        self.delay = lambda request: 0.0
+        self.change = lambda request, answer: answer
+        self.waiting = []  # (time, identifier, data)
+        self.requests, self.aborts = [], []
+
+    def send(self, can_id, data):
+        data = bytes(data)
+        (self.aborts if data[0] == 0x80 else self.requests).append(data)
+        for answer_id, answer in self.bench.send(can_id, data):
+            delay = self.delay(data)
+            if delay is not None:
+                answer = self.change(data, answer)
+                after = max([self.time_s + delay, *(due_s for due_s, *_ in self.waiting)])  # a server answers in order
+                self.waiting.append((after, answer_id, answer))
+
+    def receive(self, timeout):
+        if self.waiting and self.waiting[0][0] <= self.time_s + timeout:
+            due_s, can_id, data = self.waiting.pop(0)
+            self.time_s = max(self.time_s, due_s)
+            return can_id, data
+        self.time_s += timeout
+        return None
+
+    def insert(self, data, can_id=ANSWER):
+        self.waiting.append((self.time_s, can_id, data))
+
+    def close(self):
+        self.bus_of_bench.shutdown()
+
+
+@pytest.fixture
+def make():
+    buses = []
+
+    def one(**settings):
+        bus = SlowBus(Bench(**settings))
+        buses.append(bus)
+        return bus, SdoNetwork(bus, now=lambda: bus.time_s).client(NODE, "x", "node 5 on a slow bus")
+
+    yield one
+    for bus in buses:
+        bus.close()
+
+
+def asks(request, index, subindex=0):
+    return struct.unpack_from("<HB", request, 1) == (index, subindex)
+
+
+def abort(index, subindex, code):
+    return struct.pack("<BHBI", 0x80, index, subindex, code)
+
+
+@pytest.mark.parametrize("delay_s", [0.7, 0.9, 1.7, 2.9])
+def test_a_late_abort_is_not_taken_for_the_next_answer(make, delay_s):
+    """A drive that was slow once was believed to have no 60A9h, and turned at three times its limit."""
+    bus, client = make(missing=[0x60C2])
+    bus.delay = lambda request: delay_s if asks(request, 0x60C2, 1) else 0.0
+    assert client.find(objects.INTERPOLATION_PERIOD) is None
+    assert client.find(objects.VELOCITY_UNIT) == bus.bench.read(0x60A9)
+    assert client.find(objects.RATED_TORQUE) == bus.bench.read(0x6076)
+
+
+def test_an_answer_that_comes_after_the_request_was_given_up_is_dropped_and_told(make):
+    bus, client = make()
+    bus.delay = lambda request: PATIENCE_S + 0.2 if asks(request, 0x608F, 1) else 0.0
+    with pytest.raises(DriveError, match=r"no drive answers as node 5 .*608Fh:01.*FH-206"):
+        client.find(objects.ENCODER_INCREMENTS)
+    bus.delay = lambda request: 0.0
+    assert client.find(objects.VELOCITY_UNIT) == bus.bench.read(0x60A9)
+    assert any("sent the value of 608Fh:01 when nothing waited for it" in note for note in client.notes)
+
+
+def test_a_late_answer_is_not_taken_for_that_to_the_same_object(make):
+    """Read slowly, written, read back: the read-back must be what the drive holds now."""
+    bus, client = make()
+    bus.delay = lambda request: 1.4 if request[0] == 0x40 else 0.0
+    before = client.read(objects.PRODUCER_HEARTBEAT)  # asked again after a second: two answers come
+    assert len(bus.requests) == 2
+    bus.delay = lambda request: 0.0
+    client.write(objects.PRODUCER_HEARTBEAT, before + 7)
+    assert client.read(objects.PRODUCER_HEARTBEAT) == before + 7
+
+
+def test_a_lost_request_for_an_object_only_costs_time(make):
+    bus, client = make()
+    bus.delay = lambda request: None if len(bus.requests) == 1 else 0.0
+    assert client.read(objects.STATUSWORD) == bus.bench.statusword
+    assert client.read(objects.STATUSWORD) == bus.bench.statusword
+    assert bus.time_s < 1.5 * PATIENCE_S
+
+
+@pytest.mark.parametrize("code", [NO_OBJECT, GENERAL_ERROR, 0x06090011, 0x06010001, 0x08000022])
+def test_an_optional_object_that_is_refused_is_absent(make, code):
+    bus, client = make(missing=[0x60A9])
+    bus.change = lambda request, answer: abort(0x60A9, 0, code) if asks(request, 0x60A9) else answer
+    assert client.find(objects.VELOCITY_UNIT) is None
+    is_plain = code in (NO_OBJECT, 0x06090011)
+    assert any("60A9h" in note and f"{code:08X}" in note.upper() for note in client.notes) is not is_plain
+    with pytest.raises(DriveError, match="lacks" if is_plain else f"does not show .*0x{code:08X}"):
+        client.read(objects.VELOCITY_UNIT)
+
+
+def test_a_drive_that_stops_answering_has_no_absent_object(make):
+    bus, client = make()
+    client.read(objects.STATUSWORD)
+    bus.delay = lambda request: None
+    for ask in (client.find, client.width, lambda entry: client.try_write(entry, 0)):
+        with pytest.raises(DriveError, match=r"node 5 on a slow bus stopped answering .*FH-207"):
+            ask(objects.VELOCITY_UNIT)
+
+
+def test_writing_may_take_seconds(make):
+    bus, client = make()
+    bus.delay = lambda request: 2.5
+    client.write(objects.PRODUCER_HEARTBEAT, 50)
+    assert len(bus.requests) == 1  # and is asked for once
+    bus.delay = lambda request: 0.0
+    assert client.read(objects.PRODUCER_HEARTBEAT) == 50
+
+
+def test_a_segmented_transfer_takes_the_segment_with_its_toggle_bit(make):
+    bus, client = make()
+    name = client.bytes_of(objects.DEVICE_NAME)
+    assert len(name) > 14
+    segments = []
+
+    def repeat_first_segment(request, answer):
+        if request[0] >> 5 == 3 and not segments:
+            segments.append(answer)
+            bus.insert(answer)
+        return answer
+
+    bus.change = repeat_first_segment
+    assert client.bytes_of(objects.DEVICE_NAME) == name
+    assert segments
+
+
+def test_an_answer_to_another_client_is_not_taken(make):
+    bus, client = make()
+
+    def answer_another_one_first(request, answer):
+        bus.insert(struct.pack("<BHBI", 0x43, 0x6076, 0, 1))  # of another object
+        bus.insert(b"\x43\xa9\x60")  # too short
+        return answer
+
+    bus.change = answer_another_one_first
+    assert client.find(objects.VELOCITY_UNIT) == bus.bench.read(0x60A9)
+    assert len(client.notes) == 2
+
+
+def test_the_abort_after_a_time_out_names_the_object(make):
+    bus, client = make()
+    bus.delay = lambda request: None
+    with client.patience(0.2), pytest.raises(DriveError, match="no drive answers"):
+        client.read(objects.VELOCITY_UNIT)
+    assert bus.time_s == pytest.approx(0.2)
+    assert bus.aborts == [abort(0x60A9, 0, 0x05040000)]
+
+
+@pytest.mark.parametrize(
+    ("request_hex", "answer_hex", "belongs"),
+    [
+        ("40a96000 00000000", "43a96000 00034700", True),
+        ("40a96000 00000000", "43a96001 00034700", False),
+        ("40a96000 00000000", "60a96000 00000000", False),  # of a write
+        ("40a96000 00000000", "80a96000 00000206", True),
+        ("40a96000 00000000", "80000000 00000206", False),
+        ("2ba96000 00000000", "60a96000 00000000", True),
+        ("2ba96000 00000000", "4ba96000 00000000", False),
+        ("60000000 00000000", "00616263 64656667", True),
+        ("70000000 00000000", "00616263 64656667", False),  # toggle
+        ("70000000 00000000", "10616263 64656667", True),
+        ("70000000 00000000", "80081000 00000305", True),
+        ("70000000 00000000", "80000000 00000305", True),
+        ("70000000 00000000", "80a96000 00000305", False),
+        ("00616263 64656667", "20000000 00000000", True),
+        ("00616263 64656667", "30000000 00000000", False),
+    ],
+)
+def test_answers_and_their_requests(request_hex, answer_hex, belongs):
+    request = Request.of(bytes.fromhex(request_hex), (0x1008, 0))
+    assert request.is_answered_by(bytes.fromhex(answer_hex)) is belongs
+
+
+def serve_late(bus, is_stopping):
+    """A server without 60C2h that takes 0.7 s to say so, and has velocity in 1/min."""
+    while not is_stopping.is_set():
+        request = bus.recv(0.02)
+        if request is None or request.arbitration_id != REQUEST or request.data[0] != 0x40:
+            continue
+        if asks(request.data, 0x60A9):
+            answer = struct.pack("<BHBI", 0x43, 0x60A9, 0, objects.REVOLUTIONS_PER_MINUTE)
+        else:
+            time.sleep(0.7)
+            answer = abort(*struct.unpack_from("<HB", request.data, 1), NO_OBJECT)
+        bus.send(can.Message(arbitration_id=ANSWER, data=answer, is_extended_id=False))
+
+
+def test_a_slow_server_on_a_bus():
+    """With the canopen library's own client 60A9h was absent here."""
+    bus, peer = (can.Bus(interface="virtual", channel="test-sdo-late") for _ in range(2))
+    is_stopping = threading.Event()
+    server = threading.Thread(target=serve_late, args=(peer, is_stopping))
+    server.start()
+    try:
+        network = SdoNetwork(bus)
+        client = network.client(NODE, "x", "node 5")
+        with network.reading():
+            assert client.find(objects.INTERPOLATION_PERIOD) is None
+            assert client.find(objects.VELOCITY_UNIT) == objects.REVOLUTIONS_PER_MINUTE
+    finally:
+        is_stopping.set()
+        server.join()
+        bus.shutdown()
+        peer.shutdown()
