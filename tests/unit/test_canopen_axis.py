@@ -6,7 +6,7 @@ import struct
 import pytest
 from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.axis import CanopenAxis
-from friction_hil_drivers.canopen.codec import decode_feedback
+from friction_hil_drivers.canopen.codec import CommandEncoder, FeedbackDecoder, Measurement
 from friction_hil_drivers.canopen.configure import ConfiguredDrive
 from friction_hil_drivers.canopen.mapping import COMMANDS, FEEDBACK, MappedPdo
 from friction_hil_drivers.canopen.units import CanopenUnits, wrap
@@ -32,9 +32,9 @@ class Bench:
             MappedPdo(TPDO1, FEEDBACK[0], struct.Struct("<Hih")),
             MappedPdo(TPDO2, FEEDBACK[1], struct.Struct("<ib")),
         )
-        rpdo = None if is_listened_to else MappedPdo(RPDO1, COMMANDS[mode], struct.Struct(LAYOUTS[mode]))
+        rpdos = () if is_listened_to else (MappedPdo(RPDO1, COMMANDS[mode], struct.Struct(LAYOUTS[mode])),)
         facts = AxisFacts("x", "a drive", 1e-3, 6.4e-4, 2.5e-3, 1.5e-3)
-        self.axis = CanopenAxis(ConfiguredDrive(facts, units, mode, tpdos, rpdo, error), NODE, heartbeat_s)
+        self.axis = CanopenAxis(ConfiguredDrive(facts, units, mode, tpdos, rpdos, error, 1e-3), NODE, heartbeat_s)
         self.axis.start(0)
         self.now_ns = 0
 
@@ -54,7 +54,7 @@ class Bench:
         return self.cycle((TPDO1, first), (TPDO2, second), **what)
 
     def command(self, request, position=0.0, velocity=0.0, torque=0.0):
-        can_id, data = self.axis.encode(Command(request, position, velocity, torque))
+        [(can_id, data)] = self.axis.encode(Command(request, position, velocity, torque))
         assert can_id == RPDO1
         return data.hex()
 
@@ -310,19 +310,96 @@ def test_a_copy_decodes_by_itself():
     assert objects.TPDO_BASES[0] + NODE == TPDO1
 
 
+def decoder(mode=Mode.CSP):
+    return FeedbackDecoder(Bench().axis.tpdos, UNITS, mode, 1e-3)
+
+
 def test_a_position_is_unwrapped_from_the_cycle_before():
-    tpdos = Bench().axis.tpdos
     frames = [struct.pack("<Hih", 0x0637, -(1 << 31) + 4, 0), bytes(5)]
-    assert decode_feedback(tpdos, frames, UNITS, None).counts == -(1 << 31) + 4
-    assert decode_feedback(tpdos, frames, UNITS, (1 << 31) - 1).counts == (1 << 31) + 4
-    assert decode_feedback(tpdos, frames, UNITS, -(1 << 32)).counts == -(3 << 31) + 4
+    for before, after in ((None, -(1 << 31) + 4), ((1 << 31) - 1, (1 << 31) + 4), (-(1 << 32), -(3 << 31) + 4)):
+        assert decoder().decode(frames, Measurement(counts=before)).counts == after
 
 
 @given(st.integers(-(1 << 31), (1 << 31) - 1), st.lists(st.integers(-(1 << 31) + 1, (1 << 31) - 1), max_size=50))
 def test_a_position_is_followed_through_all_wraps(start, steps):
-    tpdos, true, counts = Bench().axis.tpdos, start, None
+    true, measured = start, Measurement()
+    one = decoder()
     for step in [0, *steps]:
         true += step
         frames = [struct.pack("<Hih", 0x0637, wrap(true), 0), bytes(5)]
-        counts = decode_feedback(tpdos, frames, UNITS, counts).counts
-        assert counts == true
+        measured = one.decode(frames, measured)
+        assert measured.counts == true
+
+
+# --- PDOs of any layout
+
+
+def pdos(*contents, first=0x181):
+    """PDOs from lists of (object, struct code); a code alone is a field that is skipped."""
+    return [
+        MappedPdo(
+            first + 0x100 * number,
+            tuple(one[0] for one in content if not isinstance(one, str)),
+            struct.Struct("<" + "".join(one if isinstance(one, str) else one[1] for one in content)),
+        )
+        for number, content in enumerate(contents)
+    ]
+
+
+def test_feedback_is_found_wherever_it_stands():
+    """In any order, in several PDOs, beside fields of other objects, twice, and wider than in the standard."""
+    tpdos = pdos(
+        ["3x", (objects.MODE_DISPLAY, "b"), (objects.STATUSWORD, "H")],
+        [(objects.TORQUE_ACTUAL, "i"), (objects.STATUSWORD, "H")],
+        [(objects.VELOCITY_ACTUAL, "i"), (objects.POSITION_ACTUAL, "i")],
+    )
+    frames = [struct.pack("<3sbH", b"???", 9, 0x0637), struct.pack("<iH", -12, 0), struct.pack("<ii", -1000, 1000)]
+    measured = FeedbackDecoder(tpdos, UNITS, Mode.CSV, 1e-3).decode(frames, Measurement())
+    assert measured == (DriveState.OPERATION_ENABLED, 1000, 1.0, -2.0, pytest.approx(-12 * 0.64e-3), 9)
+
+
+def test_a_drive_that_reports_little_more_than_its_position_can_be_followed():
+    """No 606Ch: the velocity follows from the position, over lost cycles too; no 6077h; no 6061h."""
+    tpdos = tuple(pdos([(objects.STATUSWORD, "H"), (objects.POSITION_ACTUAL, "i")]))
+    rpdos = (MappedPdo(RPDO1, COMMANDS[Mode.CSP], struct.Struct(LAYOUTS[Mode.CSP])),)
+    facts = AxisFacts("x", "a drive", 1e-3, 6.4e-4, 2.5e-3, 1.5e-3)
+    axis = CanopenAxis(ConfiguredDrive(facts, UNITS, Mode.CSP, tpdos, rpdos, "", 2e-3), NODE, 0.1)
+    axis.start(0)
+
+    def cycle(counts):
+        axis.begin_cycle(0)
+        if counts is not None:
+            axis.handlers[0x181](struct.pack("<Hi", 0x0637, counts))
+        feedback = Feedback()
+        axis.report(feedback, 0)
+        assert feedback.message == ""
+        return feedback
+
+    assert cycle(5000).velocity == 0.0
+    assert cycle(5020).velocity == pytest.approx(20 / 1000.0 / 2e-3)
+    assert not cycle(None).is_fresh
+    feedback = cycle(5000)
+    assert feedback.velocity == pytest.approx(-20 / 1000.0 / 4e-3)
+    assert feedback.torque == 0.0
+
+
+def test_commands_go_wherever_they_are_mapped():
+    """In any order, in several PDOs, beside constant values, the controlword in each, 60B2h of 32 bits."""
+    other = objects.Object(0x6081, "profile velocity", objects.DataType.UNSIGNED32)
+    rpdos = [
+        MappedPdo(0x305, (other, objects.CONTROLWORD), struct.Struct("<4sH"), carried={other: b"abcd"}),
+        MappedPdo(0x405, (objects.TORQUE_OFFSET, objects.CONTROLWORD), struct.Struct("<iH")),
+        MappedPdo(0x505, (objects.TARGET_POSITION,), struct.Struct("<i")),
+    ]
+    frames = CommandEncoder(rpdos, Mode.CSP, UNITS).encode(0x0F, Command(Request.ENABLE, 1.0, 0.0, -0.064))
+    assert frames == [
+        (0x305, b"abcd\x0f\x00"),
+        (0x405, struct.pack("<iH", -100, 0x0F)),
+        (0x505, struct.pack("<i", 1000)),
+    ]
+
+
+def test_a_drive_without_a_torque_offset_gets_its_target_alone():
+    rpdos = [MappedPdo(RPDO1, (objects.CONTROLWORD, objects.TARGET_VELOCITY), struct.Struct("<Hi"))]
+    [frame] = CommandEncoder(rpdos, Mode.CSV, UNITS).encode(0x0F, Command(Request.ENABLE, 0.0, 2.0, 0.1))
+    assert frame == (RPDO1, struct.pack("<Hi", 0x0F, 1000))

@@ -63,7 +63,7 @@ def drive(mode: Mode) -> CanopenAxis:
 
     tpdos = tuple(pdo(objects.TPDO_BASES[i] + 1, entries) for i, entries in enumerate(FEEDBACK))
     rpdo = pdo(objects.RPDO_BASES[0] + 1, COMMANDS[mode])
-    return CanopenAxis(ConfiguredDrive(FACTS, UNITS, mode, tpdos, rpdo, ""), 1, 0.1)
+    return CanopenAxis(ConfiguredDrive(FACTS, UNITS, mode, tpdos, (rpdo,), "", 1e-3), 1, 0.1)
 
 
 def message(identifier: int, data: bytes, time: float) -> can.Message:
@@ -92,7 +92,7 @@ def session(mode: Mode, *, start: int = 2**31 - 700) -> tuple[list[can.Message],
         for pdo, content in zip(axis.tpdos, data, strict=True):
             axis.handlers[pdo.cob_id](content)
         axis.report(feedback, 0)
-        identifier, content = axis.encode(command)
+        [(identifier, content)] = axis.encode(command)
         frames.append(message(0x080, b"", at))
         frames += [message(pdo.cob_id, d, at + 1e-4) for pdo, d in zip(axis.tpdos, data, strict=True)]
         frames.append(message(identifier, content, at + 3e-4))

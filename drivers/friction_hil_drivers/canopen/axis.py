@@ -11,12 +11,12 @@ from friction_hil.drive.codes import coded
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes, objects
 from friction_hil_drivers.canopen.codec import (
+    CommandEncoder,
+    FeedbackDecoder,
     Frame,
     Measurement,
     decode_emergency,
-    decode_feedback,
     decode_heartbeat,
-    encode_command,
     next_controlword,
 )
 from friction_hil_drivers.canopen.configure import ConfiguredDrive
@@ -55,10 +55,13 @@ class CanopenAxis:
         self.tpdos = drive.tpdos
         self._monitor = NodeMonitor(node, heartbeat_s)
         self._now_ns = 0
+        self._decoder = FeedbackDecoder(drive.tpdos, drive.units, drive.mode, drive.period_s)
+        self._encoder = CommandEncoder(drive.rpdos, drive.mode, drive.units)
         self._frames = [b""] * len(drive.tpdos)  # TPDOs of this cycle; empty: not arrived
         self.is_complete = False
         self._short = ""  # a TPDO of this cycle had too few bytes
         self._measured = Measurement()  # of the last complete cycle
+        self._age_cycles = 0  # cycles since then
         self._error = drive.error
         self._message = ""
         self._controlword = profile.DISABLE_VOLTAGE
@@ -75,8 +78,7 @@ class CanopenAxis:
     @property
     def pdos(self) -> tuple[MappedPdo, ...]:
         """All PDOs of a cycle."""
-        rpdo = self._drive.rpdo
-        return self.tpdos if rpdo is None else (*self.tpdos, rpdo)
+        return (*self.tpdos, *self._drive.rpdos)
 
     def copy(self) -> "CanopenAxis":
         """Return another axis for the same drive, as it was before its first cycle."""
@@ -92,6 +94,7 @@ class CanopenAxis:
         self._frames = [b""] * len(self.tpdos)
         self.is_complete = False
         self._short = ""
+        self._age_cycles += 1
 
     def _on_tpdo(self, number: int, data: bytes) -> None:
         size = self.tpdos[number].layout.size
@@ -115,7 +118,8 @@ class CanopenAxis:
         """Write the drive's feedback; without all TPDOs the values stay those of the last complete cycle."""
         is_fresh = self.is_complete
         if is_fresh:
-            self._measured = decode_feedback(self.tpdos, self._frames, self._drive.units, self._measured.counts)
+            self._measured = self._decoder.decode(self._frames, self._measured, self._age_cycles)
+            self._age_cycles = 0
             self._message = self._wrong_mode() or self._message
         # the latest fault is kept: each of these ends the run, even if its cause goes away
         self._message = self._monitor.check(now_ns) or self._message
@@ -129,8 +133,8 @@ class CanopenAxis:
         feedback.error = self._error
         feedback.message = self._message
 
-    def encode(self, command: Command) -> Frame:
-        """Encode a command for the drive's RPDO.
+    def encode(self, command: Command) -> list[Frame]:
+        """Encode a command for the drive's RPDOs.
 
         Raises
         ------
@@ -139,16 +143,15 @@ class CanopenAxis:
         DriveError
             The axis is only listened to.
         """
-        drive = self._drive
-        if drive.rpdo is None:
+        if not self._drive.rpdos:
             raise DriveError(f"{self.facts.name}: a drive that is only listened to gets no command")
         self._controlword = next_controlword(self._measured.state, command.request, self._controlword)
-        return encode_command(drive.rpdo, drive.mode, drive.units, self._controlword, command)
+        return self._encoder.encode(self._controlword, command)
 
     def _wrong_mode(self) -> str:
         """Fault of an enabled drive that is not in the mode that was set, "" for none."""
         mode, found = self._drive.mode, self._measured.mode
-        if self._measured.state is not DriveState.OPERATION_ENABLED or self._drive.rpdo is None or found == mode:
+        if self._measured.state is not DriveState.OPERATION_ENABLED or not self._drive.rpdos or found == mode:
             return ""
         return coded(f"the drive is in mode {found} and not in {mode.name} ({mode.value})", codes.WRONG_MODE)
 

@@ -1,4 +1,4 @@
-"""PDOs, emergencies and heartbeats as bytes and as values. Pure functions: no bus, no clock, no state."""
+"""PDOs, emergencies and heartbeats as bytes and as values. Pure: no bus, no clock, no state from cycle to cycle."""
 
 import struct
 from collections.abc import Sequence
@@ -6,7 +6,9 @@ from typing import NamedTuple
 
 from friction_hil.drive import Command, DriveState, Mode, Request
 from friction_hil.drive.encoder import unwrap
-from friction_hil_drivers.canopen.mapping import MappedPdo
+from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen.mapping import TARGETS, MappedPdo
+from friction_hil_drivers.canopen.objects import Object
 from friction_hil_drivers.canopen.units import COUNTER_BITS, CanopenUnits
 from friction_hil_drivers.cia402 import profile
 
@@ -27,7 +29,7 @@ class Measurement(NamedTuple):
     position, velocity, torque : float
         rad, rad/s, N m (m, m/s, N on a linear axis).
     mode : int
-        Mode of operation that the drive reports (6061h).
+        Mode of operation that the drive reports (6061h); the one that was set where it reports none.
     """
 
     state: DriveState = DriveState.UNKNOWN
@@ -38,33 +40,69 @@ class Measurement(NamedTuple):
     mode: int = 0
 
 
-def decode_feedback(
-    tpdos: Sequence[MappedPdo], frames: Sequence[bytes], units: CanopenUnits, counts_before: int | None
-) -> Measurement:
-    """Decode the TPDOs of one cycle.
+class FeedbackDecoder:
+    """Decoder of the TPDOs of one drive, whatever they carry and in whatever order.
 
     Parameters
     ----------
     tpdos : sequence of MappedPdo
-        As `mapping.FEEDBACK` maps them.
-    frames : sequence of bytes
-        Data of each TPDO; what is longer than its mapping is ignored.
+        Statusword and position are among their entries. A velocity that is not is derived from the position; a torque
+        that is not is reported as 0; a mode that is not is taken to be the one that was set.
     units : CanopenUnits
-    counts_before : int or None
-        `Measurement.counts` of the cycle before; the position follows the counter from there, given that it moved by
-        less than 2^31.
+    mode : Mode
+        Mode of operation that was set.
+    period_s : float
+        Period of the cycle, s.
     """
-    statusword, raw, torque = tpdos[0].layout.unpack_from(frames[0])
-    velocity, mode = tpdos[1].layout.unpack_from(frames[1])
-    counts = raw if counts_before is None else unwrap(counts_before, raw, COUNTER_BITS)
-    return Measurement(
-        profile.drive_state(statusword),
-        counts,
-        counts / units.counts_per_unit,
-        velocity / units.velocity_per_unit,
-        units.torque(torque),
-        mode,
-    )
+
+    __slots__ = ("_mode", "_period_s", "_position", "_status", "_torque", "_units", "_unpack", "_velocity", "_without")
+
+    def __init__(self, tpdos: Sequence[MappedPdo], units: CanopenUnits, mode: Mode, period_s: float) -> None:
+        self._unpack = [pdo.layout.unpack_from for pdo in tpdos]
+        self._units = units
+        self._period_s = period_s
+        slots: dict[Object, int] = {}
+        for slot, entry in enumerate(entry for pdo in tpdos for entry in pdo.entries):
+            slots.setdefault(entry, slot)
+        self._status = slots[objects.STATUSWORD]
+        self._position = slots[objects.POSITION_ACTUAL]
+        self._velocity = slots.get(objects.VELOCITY_ACTUAL)
+        # objects that no TPDO carries are read from behind the values of the frames
+        self._without = (0, int(mode))
+        self._torque = slots.get(objects.TORQUE_ACTUAL, -2)
+        self._mode = slots.get(objects.MODE_DISPLAY, -1)
+
+    def decode(self, frames: Sequence[bytes], before: Measurement, cycles: int = 1) -> Measurement:
+        """Decode the TPDOs of one cycle.
+
+        Parameters
+        ----------
+        frames : sequence of bytes
+            Data of each TPDO; what is longer than its mapping is ignored.
+        before : Measurement
+            The one before; the position follows its counter, given that it moved by less than 2^31 since.
+        cycles : int
+            Cycles since then.
+        """
+        values: list[int] = []
+        for unpack, data in zip(self._unpack, frames, strict=True):
+            values += unpack(data)
+        values += self._without
+        units, raw, counts = self._units, values[self._position], before.counts
+        counts = raw if counts is None else unwrap(counts, raw, COUNTER_BITS)
+        position = counts / units.counts_per_unit
+        if self._velocity is not None:
+            velocity = values[self._velocity] / units.velocity_per_unit
+        else:
+            velocity = 0.0 if before.counts is None else (position - before.position) / (cycles * self._period_s)
+        return Measurement(
+            profile.drive_state(values[self._status]),
+            counts,
+            position,
+            velocity,
+            units.torque(values[self._torque]),
+            values[self._mode],
+        )
 
 
 def next_controlword(state: DriveState, request: Request, before: int) -> int:
@@ -83,20 +121,56 @@ def next_controlword(state: DriveState, request: Request, before: int) -> int:
     return profile.next_controlword(state, request)
 
 
-def encode_command(rpdo: MappedPdo, mode: Mode, units: CanopenUnits, controlword: int, command: Command) -> Frame:
-    """Encode a command as `mapping.COMMANDS` maps it.
+class CommandEncoder:
+    """Encoder of the RPDOs of one drive, whatever they carry and in whatever order.
 
-    Raises
-    ------
-    ValueError
-        A value is not finite.
+    Parameters
+    ----------
+    rpdos : sequence of MappedPdo
+        Controlword and the target of the mode are among their entries. A torque offset that is not is not sent.
+    mode : Mode
+    units : CanopenUnits
     """
-    torque = units.torque_per_mille(command.torque)
-    if mode is Mode.CSP:
-        return rpdo.cob_id, rpdo.layout.pack(controlword, units.position_counts(command.position), torque)
-    if mode is Mode.CSV:
-        return rpdo.cob_id, rpdo.layout.pack(controlword, units.velocity_increments(command.velocity), torque)
-    return rpdo.cob_id, rpdo.layout.pack(controlword, torque)
+
+    __slots__ = ("_mode", "_pdos", "_units")
+
+    def __init__(self, rpdos: Sequence[MappedPdo], mode: Mode, units: CanopenUnits) -> None:
+        self._mode = mode
+        self._units = units
+        slots = {objects.CONTROLWORD: 0, TARGETS[mode]: 1}
+        if mode is not Mode.CST:
+            slots[objects.TORQUE_OFFSET] = 2
+        # of each PDO: identifier, packing function, and for each entry the slot of its value, or its constant value
+        self._pdos = [
+            (
+                pdo.cob_id,
+                pdo.layout.pack,
+                [(slots.get(entry, 0), None if entry in slots else pdo.carried[entry]) for entry in pdo.entries],
+            )
+            for pdo in rpdos
+        ]
+
+    def encode(self, controlword: int, command: Command) -> list[Frame]:
+        """Return the frames of a command, in the order of the RPDOs.
+
+        Raises
+        ------
+        ValueError
+            A value is not finite.
+        """
+        units, mode = self._units, self._mode
+        torque = units.torque_per_mille(command.torque)
+        if mode is Mode.CSP:
+            target = units.position_counts(command.position)
+        elif mode is Mode.CSV:
+            target = units.velocity_increments(command.velocity)
+        else:
+            target = torque
+        values = (controlword, target, torque)
+        return [
+            (cob_id, pack(*[values[slot] if constant is None else constant for slot, constant in fields]))
+            for cob_id, pack, fields in self._pdos
+        ]
 
 
 def decode_emergency(data: bytes) -> str | None:

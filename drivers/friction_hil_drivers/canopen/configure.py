@@ -37,8 +37,9 @@ class ConfiguredDrive:
     units: CanopenUnits
     mode: Mode
     tpdos: tuple[MappedPdo, ...]
-    rpdo: MappedPdo | None  # None: the drive is only listened to
+    rpdos: tuple[MappedPdo, ...]  # empty: the drive is only listened to
     error: str  # why the drive is in fault; empty where it is not
+    period_s: float
 
 
 def configure(access: "SdoClient", name: str, axis: "AxisConfig", period_s: float, *, dry_run: bool) -> ConfiguredDrive:
@@ -59,10 +60,10 @@ def configure(access: "SdoClient", name: str, axis: "AxisConfig", period_s: floa
         _check_eds(options, access, (*FEEDBACK[0], *FEEDBACK[1], *COMMANDS[mode]))
     units = read_units(access, options, axis.model.axis)
     state = profile.drive_state(access.read(objects.STATUSWORD))
-    rpdo = None
+    rpdos: tuple[MappedPdo, ...] = ()
     if not dry_run:
         _require_unpowered(access, state)
-        rpdo, watchdogs = _set_up_commands(access, options, mode, period_s)
+        rpdos, watchdogs = _set_up_commands(access, options, mode, period_s)
         notes += watchdogs
     tpdos = _set_up_feedback(access, options.node, dry_run=dry_run)
     delay_cycles = options.setpoint_delay_cycles
@@ -76,7 +77,7 @@ def configure(access: "SdoClient", name: str, axis: "AxisConfig", period_s: floa
         notes=tuple(notes),
     )
     code = access.find(objects.ERROR_CODE) if state is DriveState.FAULT else None
-    return ConfiguredDrive(facts, units, mode, tpdos, rpdo, profile.error_text(code) if code else "")
+    return ConfiguredDrive(facts, units, mode, tpdos, rpdos, profile.error_text(code) if code else "", period_s)
 
 
 def _identify(access: "SdoClient", options: CanopenOptions) -> str:
@@ -145,7 +146,7 @@ def _require_unpowered(access: "SdoClient", state: DriveState) -> None:
 
 def _set_up_commands(
     access: "SdoClient", options: CanopenOptions, mode: Mode, period_s: float
-) -> tuple[MappedPdo, list[str]]:
+) -> tuple[tuple[MappedPdo, ...], list[str]]:
     """Prepare the mode, map RPDO 1, switch the others off, set the watchdogs; return the PDO and notes."""
     _prepare_mode(access, mode, period_s)
     records = [PdoRecord(True, number, options.node) for number in range(objects.PDO_COUNT)]
@@ -153,7 +154,7 @@ def _set_up_commands(
     rpdo = map_pdo(access, records[0], COMMANDS[mode], timer_ms)
     for record in records[1:]:
         switch_off(access, record)
-    return rpdo, _set_watchdogs(access, options, records[0].event_timer, timer_ms)
+    return (rpdo,), _set_watchdogs(access, options, records[0].event_timer, timer_ms)
 
 
 def _set_up_feedback(access: "SdoClient", node: int, *, dry_run: bool) -> tuple[MappedPdo, ...]:

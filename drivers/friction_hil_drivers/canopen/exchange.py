@@ -95,7 +95,8 @@ class CyclicExchange:
         if not self._dry_run:
             for axis, command in zip(self._axes, commands, strict=True):
                 if command.request is not Request.LISTEN:
-                    self._bus.send(*axis.encode(command))
+                    for frame in axis.encode(command):
+                        self._bus.send(*frame)
         now = self._clock.now_ns()
         if now >= self._next_heartbeat_ns:
             self._send_heartbeat(now)

@@ -1,8 +1,8 @@
 """PDOs: which objects they carry, how they are set up in a drive, and how long a cycle of them occupies the bus."""
 
 import struct
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from friction_hil.drive import Mode
@@ -27,16 +27,39 @@ COMMANDS = {
     Mode.CSV: (objects.CONTROLWORD, objects.TARGET_VELOCITY, objects.TORQUE_OFFSET),
     Mode.CST: (objects.CONTROLWORD, objects.TARGET_TORQUE),
 }
+TARGETS = {
+    Mode.CSP: objects.TARGET_POSITION,
+    Mode.CSV: objects.TARGET_VELOCITY,
+    Mode.CST: objects.TARGET_TORQUE,
+}
 _FORMATS = {8: "b", 16: "h", 32: "i"}  # of `struct`, for signed integers by their width
 
 
 @dataclass(frozen=True, slots=True)
 class MappedPdo:
-    """One PDO in force: its identifier on the bus and the layout of its bytes."""
+    """One PDO in force: its identifier on the bus and the layout of its bytes.
+
+    Attributes
+    ----------
+    cob_id : int
+        Identifier of its frames.
+    entries : tuple of Object
+        Objects in the order of their bytes. Of a TPDO those that are used; its layout skips the others.
+    layout : struct.Struct
+    number : int
+        Number of the PDO in the drive, from 0.
+    is_synchronous : bool
+        An RPDO takes effect at the next SYNC; False: at once.
+    carried : mapping of Object to bytes
+        Constant content of those entries of an RPDO that are not commanded.
+    """
 
     cob_id: int
     entries: tuple[Object, ...]
     layout: struct.Struct
+    number: int = 0
+    is_synchronous: bool = True
+    carried: Mapping[Object, bytes] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
