@@ -19,14 +19,16 @@ PATIENCE_S = 30.0  # only ends a test that hangs
 FRICTION = {"model": "coulomb", "parameters": {"coulomb": 0.02}}
 MODEL = {"axis": "rotary", "friction": FRICTION, "mechanics": {"inertia": 2e-4}}
 LIMITS = {"torque": 0.2, "torque_slew": 300.0, "velocity": 30.0, "following_error": 0.5, "position": [-4.0, 4.0]}
+CONTROLLER = {"position_gain": 25.0, "velocity_gain": 0.03, "integral_hz": 4.0}
 SINE = {"kind": "sine", "amplitude": 0.3, "frequency": 1.0, "ramp_s": 0.25}
 
 
 def durand_configuration(folder: Path, *, period_s: float = 1e-3, nodes: tuple[int, ...] = (1,), **keys: Any) -> Path:
     """Write a configuration for drives on durand; ``keys`` are those of each axis."""
-    axes = {
-        f"x{node}": {"node": node, "limits": LIMITS, "model": MODEL, "trajectory": SINE, **keys} for node in nodes
-    }
+    axes = {f"x{node}": {"node": node, "limits": LIMITS, "model": MODEL, "trajectory": SINE, **keys} for node in nodes}
+    if keys.get("mode") == "cst":
+        for axis in axes.values():
+            axis["controller"] = CONTROLLER
     path = write_configuration(folder, period_s=period_s, **axes)
     data = yaml.safe_load(path.read_text())
     for axis in data["axes"].values():
@@ -55,6 +57,12 @@ class DurandDrives:
     def events(self) -> list[Event]:
         lines = self.log.read_text().splitlines(keepends=True)
         return [Event(**json.loads(line)) for line in lines if line.endswith("\n")]
+
+    @property
+    def is_free(self) -> bool:
+        """No drive has torque."""
+        states = {event.node: event.what for event in self.events if event.what.endswith("torque")}
+        return all(what.endswith("no torque") for what in states.values())
 
     def told(self, node: int = 1) -> list[str]:
         """All that happened to a node, in order."""

@@ -336,7 +336,12 @@ class DurandServo:
             return
         for number, tpdo in enumerate(self.node.tpdo):
             timer_ns = self.od.read(0x1800 + number, 5) * MILLION
-            if timer_ns and tpdo.enable and tpdo.transmission_type >= 254 and self.now_ns >= self._next_event_ns[number]:
+            if (
+                timer_ns
+                and tpdo.enable
+                and tpdo.transmission_type >= 254
+                and self.now_ns >= self._next_event_ns[number]
+            ):
                 self._next_event_ns[number] = self.now_ns + timer_ns
                 for index, _ in tpdo.mapping:
                     if index in self._live:
