@@ -64,6 +64,12 @@ class Bench:
             self.node.poll()
         return self.sent[before:]
 
+    def guard(self) -> list[Frame]:
+        """Send the remote frame of node guarding; return what the node sends in answer."""
+        before = len(self.sent)
+        self.node.receive_remote(0x700 + NODE)
+        return self.sent[before:]
+
     def at(self, time_ms: float) -> list[Frame]:
         """Let real time come to ``time_ms``; return what the node sends meanwhile."""
         before = len(self.sent)

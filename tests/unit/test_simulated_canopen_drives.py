@@ -143,3 +143,29 @@ def test_drive_is_what_the_configuration_says() -> None:
     finally:
         drives.close()
         listener.shutdown()
+
+
+@pytest.mark.parametrize("pace", ["real", "sync"])
+def test_a_remote_frame_reaches_its_node(pace: str) -> None:
+    drives, listener = drives_on_a_bus(pace)
+    try:
+        drives.open()
+        listener.send(can.Message(arbitration_id=0x704, is_remote_frame=True, dlc=1, is_extended_id=False))
+        send(listener, 0x603, "4000100000000000")
+        drives.run(after(3))
+        assert frames(listener)[2:] == [(0x704, "7f"), (0x583, "4300100092010200")]
+    finally:
+        drives.close()
+        listener.shutdown()
+
+
+def test_a_late_sdo_answer_needs_no_sync() -> None:
+    drives, listener = drives_on_a_bus("sync", {"canopen": {"sdo_delay_s": 0.05}})
+    try:
+        drives.open()
+        send(listener, 0x603, "4000100000000000")
+        drives.run(after(2))
+        assert frames(listener)[2:] == [(0x583, "4300100092010200")]
+    finally:
+        drives.close()
+        listener.shutdown()

@@ -171,6 +171,65 @@ def test_lost_heartbeat_does_what_6007h_says(option: int, states: set[DriveState
     assert (bench.emergencies == ["8130"]) == (option == 1), "a fault stays until it is reset"
 
 
+# Node guarding
+
+
+def test_node_guarding_toggles_from_the_first_answer_on() -> None:
+    bench = Bench()
+    assert [bench.guard() for _ in range(3)] == [[(0x705, b"\x7f")], [(0x705, b"\xff")], [(0x705, b"\x7f")]]
+    bench.nmt(0x01)
+    assert bench.guard() == [(0x705, b"\x85")]
+    bench.nmt(0x82)
+    assert bench.guard() == [(0x705, b"\x7f")], "a reset of the communication resets the toggle bit"
+
+
+def test_heartbeat_wins_over_node_guarding() -> None:
+    bench = Bench(is_paced_by_sync=False)
+    bench.write(0x100C, 0, "H", 10)
+    bench.write(0x100D, 0, "B", 2)
+    bench.guard()
+    bench.write(0x1017, 0, "H", 500)
+    assert bench.guard() == []
+    bench.at(400)
+    assert bench.emergencies == []
+
+
+def test_a_node_without_100ch_does_not_guard() -> None:
+    assert Bench(missing=[0x100C]).guard() == []
+
+
+def test_life_guarding_begins_with_the_first_remote_frame() -> None:
+    bench = Bench(PLAIN, is_paced_by_sync=False)
+    bench.write(0x1029, 1, "B", 1)
+    bench.write(0x100C, 0, "H", 20)
+    bench.write(0x100D, 0, "B", 3)
+    bench.stream(10)
+    bench.at(1000)
+    assert bench.emergencies == []
+    bench.guard()
+    bench.at(1040)
+    bench.guard()
+    bench.at(1099)
+    assert bench.emergencies == []
+    bench.at(1100)
+    assert bench.emergencies == ["8130"]
+    bench.at(1105)
+    assert bench.node.drive.state is DriveState.FAULT
+
+
+def test_life_guarding_restores() -> None:
+    bench = Bench(is_paced_by_sync=False)
+    bench.write(0x100C, 0, "H", 20)
+    bench.write(0x100D, 0, "B", 3)
+    bench.nmt(0x01)
+    bench.guard()
+    bench.at(60)
+    assert bench.emergencies == ["8130"]
+    assert bench.guard() == [(0x705, b"\xff"), (0x085, bytes(8))], "Pre-operational by 1029h"
+    bench.at(119)
+    assert bench.emergencies == ["8130", "0000"]
+
+
 @pytest.mark.parametrize(("behaviour", "state"), [(0, 0x7F), (1, 0x05), (2, 0x04)])
 def test_lost_heartbeat_does_what_1029h_says(behaviour: int, state: int) -> None:
     bench = Bench(PLAIN)

@@ -178,6 +178,10 @@ class Dictionary:
             raise SdoAbortError(Abort.NO_SUBINDEX if index in self._indices else Abort.NO_OBJECT)
         return entry
 
+    def shows(self, known: Object) -> bool:
+        """Return True if SDO and PDO find an object."""
+        return known.address in self._visible
+
     def of(self, known: Object) -> Entry:
         """Return an entry that the device itself uses, visible or not."""
         return self._entries[known.address]

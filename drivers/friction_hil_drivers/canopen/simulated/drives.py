@@ -51,6 +51,7 @@ class SimulatedCanopenDrives:
         self._given_bus = bus
         self._bus: FrameBus | None = None
         self._nodes: list[SimulatedNode] = []
+        self._start_ns = 0
 
     def open(self) -> str:
         """Compile the servos, open the bus and let every node send its boot-up message.
@@ -79,6 +80,7 @@ class SimulatedCanopenDrives:
         }
         self._nodes = list(nodes.values())
         self._bus = open_frame_bus(config, self._given_bus)
+        self._bus.on_remote = self._take_remote
         for node in self._nodes:
             node.boot()
         listed = ", ".join(f"{name}=node {node.number}" for name, node in nodes.items())
@@ -110,11 +112,11 @@ class SimulatedCanopenDrives:
         bus = self._open_bus
         period_ns = round(self._configuration.period_s * 1e9)
         spin_ns = self._configuration.realtime.spin_us * 1000
-        start_ns, now_ns, next_sync_ns = time.monotonic_ns(), 0, 0
+        self._start_ns, now_ns, next_sync_ns = time.monotonic_ns(), 0, 0
         while not is_stopping():
             left_ns = next_sync_ns - now_ns
             frame = bus.receive(_patience_s(left_ns, spin_ns))
-            now_ns = time.monotonic_ns() - start_ns
+            now_ns = time.monotonic_ns() - self._start_ns
             if frame is None:
                 self._advance(now_ns, is_sync_near=left_ns < _AHEAD_NS)
             else:
@@ -157,6 +159,13 @@ class SimulatedCanopenDrives:
         for node in receivers:
             if node.needs_poll(now_ns):
                 node.poll()
+
+    def _take_remote(self, can_id: int, _: int) -> None:
+        """Give a remote frame to the nodes."""
+        for node in self._nodes:
+            if self._is_real:
+                node.advance_to(time.monotonic_ns() - self._start_ns)
+            node.receive_remote(can_id)
 
     def close(self) -> None:
         """Leave the bus. Safe to call twice."""

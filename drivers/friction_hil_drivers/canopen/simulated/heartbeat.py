@@ -1,4 +1,4 @@
-"""Heartbeats of a simulated node: the one it produces (1017h), and those it watches (1016h)."""
+"""Error control of a simulated node: its heartbeat (1017h), those it watches (1016h), node guarding (100Ch, 100Dh)."""
 
 from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.simulated.dictionary import Abort, Dictionary, Entry, SdoAbortError
@@ -16,6 +16,11 @@ class Producer:
     @property
     def _interval_ns(self) -> int:
         return int(self._time.value) * _MS
+
+    @property
+    def is_on(self) -> bool:
+        """True if the node sends heartbeats."""
+        return self._interval_ns > 0
 
     def is_due(self, now_ns: int) -> bool:
         """True if a heartbeat is to be sent now."""
@@ -81,6 +86,52 @@ class Consumer:
         for changed in (entry.value >> 16, node):
             self._deadlines_ns.pop(changed, None)
             self._missing.discard(changed)
+
+
+class LifeGuard:
+    """Answers the master's remote frames, and misses them (CiA 301, node guarding and life guarding).
+
+    The guarding begins with the first remote frame; the toggle bit of its answer is 0. Life time is the product of
+    100Ch and 100Dh; 0 means that the node answers but misses nothing.
+    """
+
+    _TOGGLE = 0x80
+
+    def __init__(self, dictionary: Dictionary) -> None:
+        guard_time, factor = dictionary.entries(objects.GUARD_TIME, objects.LIFE_TIME_FACTOR)
+        self._guard_time, self._factor = guard_time, factor
+        self.is_supported = dictionary.shows(objects.GUARD_TIME) and dictionary.shows(objects.LIFE_TIME_FACTOR)
+        for entry in (guard_time, factor):
+            entry.on_write = self._change
+        self.reset()
+
+    def reset(self) -> None:
+        """Wait for the first remote frame again."""
+        self._toggle = 0
+        self._heard_ns: int | None = None
+        self.is_missing = False
+
+    def answer(self, state: int, now_ns: int) -> bytes:
+        """Return the answer to a remote frame, and begin the next life time."""
+        self._heard_ns = now_ns
+        self.is_missing = False
+        toggle = self._toggle
+        self._toggle ^= self._TOGGLE
+        return bytes([state | toggle])
+
+    def is_overdue(self, now_ns: int) -> bool:
+        """Return True once when the life time has passed without a remote frame."""
+        life_ns = int(self._guard_time.value) * int(self._factor.value) * _MS
+        if self._heard_ns is None or life_ns == 0 or now_ns - self._heard_ns < life_ns:
+            return False
+        self._heard_ns = None
+        self.is_missing = True
+        return True
+
+    def _change(self, _: int) -> None:
+        """Begin again at the next remote frame; the toggle bit goes on."""
+        self._heard_ns = None
+        self.is_missing = False
 
 
 def _interval_ns(entry: int) -> int:

@@ -9,7 +9,7 @@ from friction_hil_drivers.canopen.objects import NmtCommand, NmtState
 from friction_hil_drivers.canopen.simulated.dictionary import Abort, Dictionary, SdoAbortError
 from friction_hil_drivers.canopen.simulated.drive import SimulatedCia402Drive
 from friction_hil_drivers.canopen.simulated.emergency import Emergencies
-from friction_hil_drivers.canopen.simulated.heartbeat import Consumer, Producer
+from friction_hil_drivers.canopen.simulated.heartbeat import Consumer, LifeGuard, Producer
 from friction_hil_drivers.canopen.simulated.manners import Manners
 from friction_hil_drivers.canopen.simulated.pdo import Rpdo, Tpdo
 from friction_hil_drivers.canopen.simulated.slow_sdo import SlowSdoServer
@@ -89,6 +89,7 @@ class SimulatedNode:
         )
         self._producer = Producer(dictionary)
         self._consumer = Consumer(dictionary)
+        self._guard = LifeGuard(dictionary)
         self._rpdos = [Rpdo(number, dictionary) for number in range(objects.PDO_COUNT)]
         self._tpdos = [Tpdo(number, dictionary) for number in range(objects.PDO_COUNT)]
         self._sync_id = dictionary.of(objects.SYNC_COB_ID)
@@ -117,6 +118,13 @@ class SimulatedNode:
         handler = self._handlers.get(can_id)
         if handler is not None:
             handler(data)
+
+    def receive_remote(self, can_id: int) -> None:
+        """Take a remote frame: the request of node guarding. A node that sends heartbeats does not answer it."""
+        if can_id != objects.HEARTBEAT_BASE + self.number or not self._guard.is_supported or self._producer.is_on:
+            return
+        self._send(can_id, self._guard.answer(self.state, self.now_ns))
+        self._restore_connection()
 
     def advance_to(self, now_ns: int) -> None:
         """Let time pass until ``now_ns`` after the start, unless time is counted in SYNCs."""
@@ -198,7 +206,10 @@ class SimulatedNode:
 
     def _on_heartbeat(self, node: int, _: bytes) -> None:
         self._consumer.heard(node, self.now_ns)
-        if self._consumer.are_all_present:
+        self._restore_connection()
+
+    def _restore_connection(self) -> None:
+        if self._consumer.are_all_present and not self._guard.is_missing:
             self.drive.connection_restored(HEARTBEAT_LOST)
 
     def _on_rpdo(self, rpdo: Rpdo, data: bytes) -> None:
@@ -285,6 +296,7 @@ class SimulatedNode:
             self.drive.reset()
         self._sdo.reset()
         self._consumer.reset()
+        self._guard.reset()
         for pdo in (*self._rpdos, *self._tpdos):
             pdo.load()
         self._set_state(NmtState.PRE_OPERATIONAL)
@@ -297,6 +309,8 @@ class SimulatedNode:
             self._producer.sent(now_ns)
             self._send(objects.HEARTBEAT_BASE + self.number, bytes([self.state]))
         for _ in self._consumer.take_lost(now_ns):
+            self._lose_connection(HEARTBEAT_LOST)
+        if not self._producer.is_on and self._guard.is_overdue(now_ns):
             self._lose_connection(HEARTBEAT_LOST)
         if self.state is not _OPERATIONAL:
             return
