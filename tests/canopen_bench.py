@@ -44,14 +44,15 @@ class Bench:
         self.sent: list[Frame] = []
         self.real_ms = 0.0  # the clock on the wall, which runs with `at` and `wait`
         self.servo = Servo(ServoConfig.model_validate(servo or {}), position)
+        wanted = Manners.model_validate(manners or {})
         self.node = SimulatedNode(
             NODE,
             Dictionary.from_eds(eds, NODE, missing),
-            lambda dictionary, emergencies: SimulatedCia402Drive(self.servo, dictionary, emergencies, modes),
+            lambda dictionary, emergencies: SimulatedCia402Drive(self.servo, dictionary, emergencies, modes, wanted),
             lambda can_id, data: self.sent.append((can_id, bytes(data))),
             sync_steps=STEPS_PER_MS if is_paced_by_sync else None,
             lock_steps=STEPS_PER_MS if is_locked else None,
-            manners=Manners.model_validate(manners or {}),
+            manners=wanted,
             clock=lambda: round(self.real_ms * 1e6),
         )
         self.node.boot()

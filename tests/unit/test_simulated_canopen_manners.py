@@ -4,8 +4,10 @@ import struct
 from typing import Any
 
 import pytest
+from pydantic import ValidationError
 
 from friction_hil.drive import DriveState
+from friction_hil.errors import UsageError
 from tests.canopen_bench import Bench
 
 PLAIN: dict[str, Any] = {"friction": {"model": "coulomb", "parameters": {"coulomb": 0.01}}}
@@ -103,3 +105,91 @@ def test_reset_forgets_late_answers() -> None:
     bench.sdo(upload(0x1000))
     bench.nmt(0x82)
     assert bench.wait(100) == []
+
+
+# Units and direction
+
+
+def speed_in(unit: str | None, increments: int, **bench: Any) -> tuple[Bench, float]:
+    """Run in csv at a velocity in the drive's unit; return the velocity reached, rad/s."""
+    made = Bench(PLAIN, manners={"velocity_unit": unit, **bench})
+    made.stream(9)
+    for _ in range(200):
+        made.send(0x205, struct.pack("<Hih", 0x0F, increments, 0))
+        made.sync()
+    assert made.read(0x606C, 0, "i") == pytest.approx(increments, rel=0.02, abs=1.5)
+    assert made.read(0x606B, 0, "i") == pytest.approx(increments, rel=0.02, abs=1.5)
+    return made, made.servo.true_velocity
+
+
+@pytest.mark.parametrize(
+    ("unit", "increments", "code"),
+    [
+        ("rpm", 60, 0x00B44700),
+        ("0.1 rpm", 600, 0xFFB44700),
+        ("0.001 rpm", 60_000, 0xFDB44700),
+        ("rad/s", 6, 0x00100300),
+        ("0.01 deg/s", 36_000, 0xFE410300),
+        ("rev/s", 1, 0x00B40300),
+        ("counts/s", 1_048_576, 0x00B50300),
+        (None, 1_048_576, 0x00B50300),
+    ],
+)
+def test_velocity_unit(unit: str | None, increments: int, code: int) -> None:
+    bench, speed = speed_in(unit, increments)
+    assert speed == pytest.approx(6.28, rel=0.05)
+    assert bench.read(0x60A9) == code
+
+
+def test_velocity_unit_may_be_told_wrongly() -> None:
+    bench, speed = speed_in("rpm", 60, values=[{"index": 0x60A9, "value": 0x00B50300}])
+    assert speed == pytest.approx(6.28, rel=0.05)
+    assert bench.read(0x60A9) == 0x00B50300
+
+
+def test_quick_stop_ramp_is_the_same_in_every_unit() -> None:
+    ways = []
+    for unit, increments in (("counts/s", 1_048_576), ("rpm", 60)):
+        bench, _ = speed_in(unit, increments)
+        bench.write(0x6040, 0, "H", 0x02)
+        start = bench.servo.true_position
+        bench.sync(200)
+        ways.append(bench.servo.true_position - start)
+    assert ways[1] == pytest.approx(ways[0], rel=0.02)
+
+
+@pytest.mark.parametrize("mode", [8, 9, 10])
+def test_inverted_drive(mode: int) -> None:
+    """Everything on the bus is as on the drive beside it, and the axis turns the other way."""
+    turned, answers, errors = [], [], []
+    for is_inverted in (False, True):
+        bench = Bench(PLAIN, manners={"is_inverted": is_inverted})
+        bench.stream(mode)
+        for cycle in range(1, 101):
+            target = {8: 500 * cycle, 9: 500_000, 10: 20}[mode]
+            bench.send(0x205, struct.pack("<Hhh" if mode == 10 else "<Hih", 0x0F, target, 10))
+            bench.sync()
+        turned.append(bench.servo.true_position)
+        answers.append(struct.unpack("<Hih", bench.sync()[0][1]))
+        assert answers[-1][1] > 1000
+        assert bench.read(0x606C, 0, "i") > 100_000
+        errors.append(bench.read(0x60F4, 0, "i"))
+    assert turned[0] == pytest.approx(-turned[1], rel=1e-3)
+    assert errors[0] == pytest.approx(errors[1], abs=2)
+    assert answers[0][1] == pytest.approx(answers[1][1], abs=2)
+    assert answers[0][2] == pytest.approx(answers[1][2], abs=3)
+
+
+@pytest.mark.parametrize(
+    "manners",
+    [{"velocity_unit": "knots"}, {"velocity_unit": "3 rpm"}, {"sdo": [{"index": 5}]}, {"sdo_delay_s": -1}],
+)
+def test_manners_are_checked(manners: dict[str, Any]) -> None:
+    with pytest.raises(ValidationError):
+        Bench(manners=manners)
+
+
+@pytest.mark.parametrize("preset", [{"index": 0x6099, "value": 1}, {"index": 0x6007, "value": 40_000}])
+def test_values_are_checked(preset: dict[str, int]) -> None:
+    with pytest.raises(UsageError, match=r"simulation\.canopen\.values"):
+        Bench(manners={"values": [preset]})

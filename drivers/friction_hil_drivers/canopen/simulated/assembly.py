@@ -48,7 +48,7 @@ def make_node(
     return SimulatedNode(
         number,
         _dictionary(configuration, number, simulation),
-        lambda dictionary, emergencies: SimulatedCia402Drive(servo, dictionary, emergencies, modes),
+        lambda dictionary, emergencies: SimulatedCia402Drive(servo, dictionary, emergencies, modes, simulation.canopen),
         send,
         sync_steps=None if is_real else steps,
         lock_steps=steps if is_real else None,

@@ -200,6 +200,23 @@ class Dictionary:
         low, high = entry.type.bounds
         entry.default = entry.value = min(max(value, low), high)
 
+    def preset(self, index: int, subindex: int, value: int) -> None:
+        """Set the default of any entry.
+
+        Raises
+        ------
+        UsageError
+            There is no such entry of integers, or the value does not fit its type.
+        """
+        entry = self._entries.get((index, subindex))
+        where = f"simulation.canopen.values: {index:04X}h:{subindex:02X}"
+        if entry is None or not entry.type.bits:
+            raise UsageError(f"{where} is no integer object of the simulated drive")
+        low, high = entry.type.bounds
+        if not low <= value <= high:
+            raise UsageError(f"{where} holds {low} to {high}, not {value}")
+        entry.default = entry.value = value
+
     def reset(self, first: int, last: int) -> None:
         """Return the entries of the indices ``first`` to ``last`` to their defaults, without calling ``on_write``."""
         for entry in self._entries.values():

@@ -10,8 +10,9 @@ from friction_hil.servo.servo import Servo
 from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.simulated.dictionary import Abort, Dictionary, SdoAbortError
 from friction_hil_drivers.canopen.simulated.emergency import Emergencies
+from friction_hil_drivers.canopen.simulated.manners import Manners
 from friction_hil_drivers.canopen.simulated.setpoints import NO_MODE, Setpoints
-from friction_hil_drivers.canopen.simulated.units import SimulatedUnits
+from friction_hil_drivers.canopen.simulated.units import SimulatedUnits, VelocityUnit
 from friction_hil_drivers.canopen.simulated.values import connect_live_values, set_defaults
 from friction_hil_drivers.cia402 import profile
 from friction_hil_drivers.cia402.power import requested_state
@@ -38,6 +39,12 @@ class _Stop:
     give_up_ns: int
 
 
+def _units(servo: Servo, manners: Manners) -> SimulatedUnits:
+    unit = manners.velocity_unit
+    velocity = None if unit is None else VelocityUnit.parse(unit)
+    return SimulatedUnits(servo, velocity=velocity, is_inverted=manners.is_inverted)
+
+
 class SimulatedCia402Drive:
     """Power stage, loops and motor behind their objects.
 
@@ -45,7 +52,14 @@ class SimulatedCia402Drive:
     ramps, activates new set-points and supervises the following error.
     """
 
-    def __init__(self, servo: Servo, dictionary: Dictionary, emergencies: Emergencies, modes: Iterable[Mode]) -> None:
+    def __init__(
+        self,
+        servo: Servo,
+        dictionary: Dictionary,
+        emergencies: Emergencies,
+        modes: Iterable[Mode],
+        manners: Manners | None = None,
+    ) -> None:
         self.servo = servo
         self.state = _DISABLED
         self._mode = NO_MODE
@@ -55,9 +69,12 @@ class SimulatedCia402Drive:
         self._exceeded_since_ns: int | None = None
         self._has_following_error = False
         self._emergencies = emergencies
-        self._units = SimulatedUnits(servo)
+        manners = Manners() if manners is None else manners
+        self._units = _units(servo, manners)
         self._modes = frozenset(modes)
         set_defaults(dictionary, servo, self._units, self._modes)
+        for preset in manners.values:
+            dictionary.preset(preset.index, preset.subindex, preset.value)
         connect_live_values(dictionary, servo, self._units)
 
         self._controlword_wanted, self._mode_wanted = dictionary.entries(objects.CONTROLWORD, objects.MODE)
@@ -232,7 +249,7 @@ class SimulatedCia402Drive:
 
     def _ramp_down(self, then: DriveState | None, now_ns: int, *, is_quick: bool) -> None:
         deceleration = self._quick_stop_deceleration if is_quick else self._profile_deceleration
-        rate = deceleration.value / self._units.counts
+        rate = max(1, deceleration.value) / self._units.increments
         self.servo.quick_stop(rate)
         # a blocked axis, or one driven from outside, must not stay powered: the ramp is given up after twice its time
         patience_s = min(0.5 + 2.0 * abs(self.servo.velocity_demand) / rate, 60.0)

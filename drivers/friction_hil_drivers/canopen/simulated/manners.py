@@ -2,7 +2,9 @@
 
 from typing import Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+from friction_hil_drivers.canopen.simulated.units import VelocityUnit
 
 Unsigned8 = Annotated[int, Field(ge=0, le=0xFF)]
 Unsigned32 = Annotated[int, Field(ge=0, le=0xFFFFFFFF)]
@@ -30,6 +32,16 @@ class SdoManner(BaseModel):
         return index == self.index and self.subindex in (None, subindex) and self.access in ("any", access)
 
 
+class Preset(BaseModel):
+    """Value of an object at power-on."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    index: Index
+    subindex: Unsigned8 = 0
+    value: int
+
+
 class Manners(BaseModel):
     """What real drives do differently from each other. Not given: as the own simulated drive does it."""
 
@@ -42,3 +54,21 @@ class Manners(BaseModel):
     )
     sdo_delay_s: Seconds = Field(0.0, description="delay of every SDO answer, s, in real time")
     sdo: tuple[SdoManner, ...] = Field((), description="how some objects are answered; the first that fits counts")
+    velocity_unit: str | None = Field(
+        None,
+        description="unit of 60FFh, 606Ch, 606Bh, 60B1h, e.g. rpm, 0.1 rpm or rad/s, told by 60A9h unless that is "
+        "missing; counts/s when not given",
+    )
+    is_inverted: bool = Field(False, description="the positive direction on the bus is the servo's negative one")
+    values: tuple[Preset, ...] = Field(
+        (),
+        description="values of objects at power-on; 608Fh, 6076h, 60A9h and 6502h are only shown, so that a drive can "
+        "report what is not so",
+    )
+
+    @field_validator("velocity_unit")
+    @classmethod
+    def _check_velocity_unit(cls, text: str | None) -> str | None:
+        if text is not None:
+            VelocityUnit.parse(text)
+        return text

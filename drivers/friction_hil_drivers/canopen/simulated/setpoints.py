@@ -24,6 +24,7 @@ class Setpoints:
     def __init__(self, servo: Servo, units: SimulatedUnits, dictionary: Dictionary) -> None:
         self._servo = servo
         self._units = units
+        self._sign = units.sign
         self._min_position, self._max_position, self._max_speed, self._max_torque = dictionary.entries(
             objects.MIN_POSITION_LIMIT, objects.MAX_POSITION_LIMIT, objects.MAX_MOTOR_SPEED, objects.MAX_TORQUE
         )
@@ -52,7 +53,7 @@ class Setpoints:
     def forget(self) -> None:
         """Hold the present position, without velocity and torque, until the next target."""
         self._position: int | None = None  # as on the wire; None: no target came yet
-        self._in_force = round(self._servo.position * self._units.counts)  # counts without wraps
+        self._in_force = round(self._sign * self._servo.position * self._units.counts)  # counts without wraps
         self._velocity = self._torque = 0
         self._position_offset = self._velocity_offset = self._torque_offset = 0
         self._is_first = True
@@ -68,18 +69,20 @@ class Setpoints:
     def activate(self, mode: int) -> None:
         """Give the set-points to the servo, which reaches them over the next interpolation periods."""
         self.are_new = self.are_limited = False
-        velocity_offset = self._velocity_offset / self._units.counts
-        torque_offset = self._torque_offset * self._units.torque
+        units, sign = self._units, self._sign
+        velocity_offset = sign * self._velocity_offset / units.increments
+        torque_offset = sign * self._torque_offset * units.torque
         if mode == _CSP:
-            target = self._next_position() / self._units.counts
+            target = sign * self._next_position() / units.counts
             self._servo.command(_CSP, target, velocity_offset, torque_offset)
         elif mode == _CSV:
-            limit = self._units.speed(self._max_speed.value)
-            velocity = min(max(self._velocity, -limit), limit)
-            self.are_limited = velocity != self._velocity
-            self._servo.command(_CSV, velocity / self._units.counts, velocity_offset, torque_offset)
+            wanted = sign * self._velocity / units.increments
+            limit = units.speed(self._max_speed.value) / units.counts
+            velocity = min(max(wanted, -limit), limit)
+            self.are_limited = velocity != wanted
+            self._servo.command(_CSV, velocity, velocity_offset, torque_offset)
         elif mode == _CST:
-            self._servo.command(_CST, self._torque * self._units.torque, 0.0, torque_offset)
+            self._servo.command(_CST, sign * self._torque * units.torque, 0.0, torque_offset)
         else:
             self._servo.command(NO_MODE, 0.0, 0.0, 0.0)
 

@@ -12,12 +12,12 @@ from friction_hil_drivers.canopen.units import wrap
 
 def connect_live_values(dictionary: Dictionary, servo: Servo, units: SimulatedUnits) -> None:
     """Make the entries for demands and actual values read from the servo."""
-    counts, torque = units.counts, units.torque
+    counts, torque, speed = units.sign * units.counts, units.sign * units.torque, units.sign * units.increments
     dictionary.of(objects.POSITION_ACTUAL).on_read = lambda: wrap(round(servo.position * counts))
     dictionary.of(objects.POSITION_DEMAND).on_read = lambda: wrap(round(servo.position_demand * counts))
     dictionary.of(objects.FOLLOWING_ERROR).on_read = lambda: saturated(servo.following_error * counts, INT32)
-    dictionary.of(objects.VELOCITY_ACTUAL).on_read = lambda: saturated(servo.velocity * counts, INT32)
-    dictionary.of(objects.VELOCITY_DEMAND).on_read = lambda: saturated(servo.velocity_demand * counts, INT32)
+    dictionary.of(objects.VELOCITY_ACTUAL).on_read = lambda: saturated(servo.velocity * speed, INT32)
+    dictionary.of(objects.VELOCITY_DEMAND).on_read = lambda: saturated(servo.velocity_demand * speed, INT32)
     dictionary.of(objects.TORQUE_ACTUAL).on_read = lambda: saturated(servo.torque / torque, INT16)
     dictionary.of(objects.TORQUE_DEMAND).on_read = lambda: saturated(servo.torque_demand / torque, INT16)
 
@@ -29,7 +29,7 @@ def set_defaults(dictionary: Dictionary, servo: Servo, units: SimulatedUnits, mo
     error window is a twentieth of a revolution.
     """
     motor, inertia = servo.config.motor, servo.config.mechanics.inertia
-    strongest = motor.rated_torque / inertia * units.counts  # counts/s^2
+    strongest = motor.rated_torque / inertia * units.increments  # velocity units per second
     defaults = {
         objects.SUPPORTED_MODES: sum(1 << (mode - 1) for mode in modes),
         objects.RATED_TORQUE: units.rated_torque,
@@ -39,6 +39,7 @@ def set_defaults(dictionary: Dictionary, servo: Servo, units: SimulatedUnits, mo
         objects.FOLLOWING_ERROR_WINDOW: round(units.resolution / 20),
         objects.PROFILE_DECELERATION: max(1, round(0.25 * strongest)),
         objects.QUICK_STOP_DECELERATION: max(1, round(0.5 * strongest)),
+        objects.VELOCITY_UNIT: units.velocity.code,
     }
     for known, value in defaults.items():
         dictionary.set_default(known, value)
