@@ -19,7 +19,7 @@ from friction_hil.daemon.loop import Loop
 from friction_hil.daemon.realtime import RealClock, SteppedClock, punctuality
 from friction_hil.daemon.run import LoopSettings
 from friction_hil.daemon.stop import StopRequest
-from friction_hil.drive import AxisFacts, Clock, Drives
+from friction_hil.drive import AxisFacts, Clock, Drives, unit_table
 from friction_hil.drive.finding import complaints
 from friction_hil.motion.trajectory import PathTime
 from friction_hil.numerics.jit import Array
@@ -104,6 +104,8 @@ def run_session(
         facts = drives.connect()
         for fact in facts:
             report(f"{fact.name}: {fact.identity}")
+            for line in unit_table(fact.name, fact.units):
+                report(line)
             for note in (*fact.notes, *configuration.axes[fact.name].model.friction_model.notes):
                 report(f"{fact.name}: {note}")
         path_time = PathTime(ramp_s(configuration.axes.values()))

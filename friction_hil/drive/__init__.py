@@ -18,6 +18,7 @@ from friction_hil.drive.port import (
     Request,
     SimulatedDriver,
 )
+from friction_hil.drive.unit_row import UnitRow, unit_table
 
 __all__ = [
     "AxisFacts",
@@ -32,4 +33,6 @@ __all__ = [
     "Mode",
     "Request",
     "SimulatedDriver",
+    "UnitRow",
+    "unit_table",
 ]

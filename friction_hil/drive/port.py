@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import TYPE_CHECKING, Any, Protocol
 
+from friction_hil.drive.unit_row import UnitRow
+
 if TYPE_CHECKING:
     from pydantic import BaseModel
 
@@ -114,6 +116,11 @@ class AxisFacts:
         Notes for the user, e.g. which watchdog is armed.
     torque_delay_s : float, optional
         Mean age of the torque of a cycle's feedback relative to the position; None: the drive reports no torque.
+    velocity_resolution : float
+        Smallest step of a velocity target, SI: in mode CSV the daemon begins with steps of it, to see that its unit is
+        right. 0: not known, and not examined.
+    units : tuple of UnitRow
+        Units of the drive, for the table before anything is enabled.
     """
 
     name: str
@@ -124,6 +131,8 @@ class AxisFacts:
     actuation_delay_s: float
     notes: tuple[str, ...] = field(default=())
     torque_delay_s: float | None = 0.0
+    velocity_resolution: float = 0.0
+    units: tuple[UnitRow, ...] = ()
 
 
 class Clock(Protocol):

@@ -37,11 +37,26 @@ def test_a_position_beyond_32_bits_wraps_as_the_drives_own_does():
 
 @both
 @given(torque=st.floats(-20.0, 20.0))
-def test_a_torque_is_rounded_to_the_nearest_per_mille_of_its_sign(units, torque):
+def test_a_torque_is_rounded_towards_zero(units, torque):
     per_mille = units.torque_per_mille(torque)
-    assert units.torque(per_mille) == pytest.approx(torque, abs=0.5001 * 0.64e-3)
+    sent = units.torque(per_mille)
+    assert abs(sent) <= abs(torque) * (1.0 + 1e-9)
+    assert abs(torque - sent) < 0.64e-3 * (1.0 + 1e-9)
+    assert sent * torque >= 0.0
     assert units.torque_per_mille(-torque) == -per_mille
-    assert per_mille * torque * units.rated_torque >= 0.0
+
+
+@pytest.mark.parametrize(("torque", "rated", "per_mille"), [(0.3, 0.64, 468), (0.03, 50.0, 0), (0.0999, 50.0, 1)])
+def test_no_torque_becomes_larger_than_it_was_commanded(torque, rated, per_mille):
+    units = CanopenUnits(COUNTS, COUNTS, rated)
+    assert units.torque_per_mille(torque) == per_mille
+    assert units.torque_per_mille(-torque) == -per_mille
+
+
+@given(st.integers(-32767, 32767), st.floats(1e-3, 1e4))
+def test_a_torque_of_whole_steps_comes_back(per_mille, rated):
+    units = CanopenUnits(COUNTS, COUNTS, rated)
+    assert units.torque_per_mille(units.torque(per_mille)) == per_mille
 
 
 @both

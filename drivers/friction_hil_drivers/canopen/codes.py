@@ -24,6 +24,8 @@ NODE_RESTARTED = "FH-231"
 NOT_OPERATIONAL = "FH-232"
 WRONG_MODE = "FH-233"
 SYNC_NOT_ANSWERED = "FH-234"
+UNITS_CONTRADICT = "FH-240"
+UNIT_AMBIGUOUS = "FH-241"
 
 TITLES = {
     BUS_NOT_OPENED: "The CAN bus does not open",
@@ -50,4 +52,6 @@ TITLES = {
     NOT_OPERATIONAL: "A node left the state Operational",
     WRONG_MODE: "An enabled drive is in another mode of operation",
     SYNC_NOT_ANSWERED: "Drives do not answer SYNC in simulated time",
+    UNITS_CONTRADICT: "The configuration contradicts a unit that the drive reports",
+    UNIT_AMBIGUOUS: "The drive's objects leave open which unit its position has",
 }

@@ -13,7 +13,8 @@ from friction_hil_drivers.canopen.mapping import COMMANDS, FEEDBACK, MappedPdo, 
 from friction_hil_drivers.canopen.monitor import HEARTBEATS_TO_LOSS
 from friction_hil_drivers.canopen.objects import Object
 from friction_hil_drivers.canopen.options import CanopenOptions, canopen_options
-from friction_hil_drivers.canopen.scales import read_units
+from friction_hil_drivers.canopen.scales import read_scales, require_agreement
+from friction_hil_drivers.canopen.unit_table import resolution_notes, unit_rows
 from friction_hil_drivers.canopen.units import PER_MILLE, CanopenUnits
 from friction_hil_drivers.cia402 import profile
 
@@ -58,7 +59,10 @@ def configure(access: "SdoClient", name: str, axis: "AxisConfig", period_s: floa
     notes = _check_mode(access, mode)
     if options.eds is not None:
         _check_eds(options, access, (*FEEDBACK[0], *FEEDBACK[1], *COMMANDS[mode]))
-    units = read_units(access, options, axis.model.axis)
+    scales = read_scales(access, options, axis.model.axis)
+    require_agreement(access, options, scales)
+    units = scales.units(is_inverted=options.is_inverted)
+    notes += resolution_notes(scales, axis)
     state = profile.drive_state(access.read(objects.STATUSWORD))
     rpdos: tuple[MappedPdo, ...] = ()
     if not dry_run:
@@ -75,6 +79,8 @@ def configure(access: "SdoClient", name: str, axis: "AxisConfig", period_s: floa
         setpoint_delay_s=(_SETPOINT_DELAY_CYCLES[mode] if delay_cycles is None else delay_cycles) * period_s,
         actuation_delay_s=_ACTUATION_DELAY_CYCLES * period_s,
         notes=tuple(notes),
+        velocity_resolution=1.0 / abs(units.velocity_per_unit),
+        units=unit_rows(scales, axis.limits, mode, axis.model.axis),
     )
     code = access.find(objects.ERROR_CODE) if state is DriveState.FAULT else None
     return ConfiguredDrive(facts, units, mode, tpdos, rpdos, profile.error_text(code) if code else "", period_s)

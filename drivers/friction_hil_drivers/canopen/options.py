@@ -2,9 +2,11 @@
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+from friction_hil_drivers.canopen.si_units import parse_velocity_unit
 
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig, BusConfig
@@ -36,6 +38,14 @@ class CanopenOptions(BaseModel):
     rated_torque: Positive | None = Field(
         None, description="torque at 1000 per mille, N m (N on a linear axis); from 6076h when not given"
     )
+    velocity_unit: str | None = Field(
+        None,
+        description="unit of the drive's velocities (60FFh, 606Ch), e.g. counts/s, rpm, 0.1 rpm, deg/s, rad/s, mm/s; "
+        "from 60A9h when not given, else counts/s",
+    )
+    trust: tuple[Literal["counts_per_unit", "rated_torque", "velocity_unit"], ...] = Field(
+        (), description="keys that stand although the drive contradicts them (608Fh, 6076h, 60A9h)"
+    )
     is_inverted: bool = Field(False, description="invert the sign of position, velocity and torque")
     setpoint_delay_cycles: float | None = Field(
         None,
@@ -51,6 +61,13 @@ class CanopenOptions(BaseModel):
     is_watchdog_required: bool = Field(
         True, description="refuse a drive that cannot watch the daemon (neither 1016h nor an RPDO timer)"
     )
+
+    @field_validator("velocity_unit")
+    @classmethod
+    def _check_velocity_unit(cls, text: str | None) -> str | None:
+        if text is not None:
+            parse_velocity_unit(text)
+        return text
 
     @classmethod
     def check(cls, axes: "Mapping[str, AxisConfig]", bus: "BusConfig | None") -> Iterator[tuple[str, str, str]]:

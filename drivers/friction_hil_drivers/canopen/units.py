@@ -6,6 +6,7 @@ from dataclasses import dataclass
 PER_MILLE = 1000.0
 COUNTER_BITS = 32
 _RANGE = 1 << COUNTER_BITS
+_ROUNDING = 1e-12  # relative error of the conversions
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,8 +36,14 @@ class CanopenUnits:
         return _saturate(velocity * self.velocity_per_unit, 32)
 
     def torque_per_mille(self, torque: float) -> int:
-        """Return a torque in per mille of rated torque, saturated at 16 bits."""
-        return _saturate(torque / self.rated_torque * PER_MILLE, 16)
+        """Return a torque in per mille of rated torque, rounded towards zero and saturated at 16 bits.
+
+        Rounded to the nearest, a torque at its limit would exceed it.
+        """
+        value = _finite(torque / self.rated_torque * PER_MILLE)
+        nearest = round(value)
+        # 500 per mille and back may come out as 499.9999999999999
+        return _saturate(nearest if abs(value - nearest) <= _ROUNDING * abs(value) else math.trunc(value), 16)
 
     def torque(self, per_mille: int) -> float:
         """Return the torque of a per-mille value."""

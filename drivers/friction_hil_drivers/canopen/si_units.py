@@ -1,0 +1,123 @@
+"""Units of position and velocity: objects 60A8h and 60A9h, and the key ``velocity_unit``. Pure.
+
+An SI unit object has four bytes, from the highest: prefix (a power of ten, signed), numerator, denominator, reserved
+(CiA 402-2, codes of CiA 303-2). Codes as they are used by maxon, Nanotec and Synapticon (B4h, B5h, 47h), by igus and in
+HEIG-VD's canopen-stack (01h, 03h): FDB44700h is 0.001 rpm, FD010300h is mm/s.
+"""
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+
+
+class Measure(Enum):
+    """Kind of quantity that a unit measures."""
+
+    COUNTS = "counts"
+    ANGLE = "rad"
+    LENGTH = "m"
+
+
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """A unit of position, or of velocity (then per second).
+
+    Attributes
+    ----------
+    scale : float
+        Counts, rad or m (per s) of one increment.
+    measure : Measure
+    text : str
+        The unit in words, e.g. ``0.1 rpm``.
+    """
+
+    scale: float
+    measure: Measure
+    text: str
+
+
+_NUMERATORS = {
+    0x01: ("m", Measure.LENGTH, 1.0),
+    0x10: ("rad", Measure.ANGLE, 1.0),
+    0x41: ("deg", Measure.ANGLE, math.pi / 180.0),
+    0xB4: ("rev", Measure.ANGLE, 2.0 * math.pi),
+    0xB5: ("counts", Measure.COUNTS, 1.0),
+}
+_DENOMINATORS = {0x03: ("s", 1.0), 0x47: ("min", 60.0), 0x48: ("h", 3600.0)}
+_NAMES = {
+    "rpm": (Measure.ANGLE, 2.0 * math.pi / 60.0),
+    **{
+        f"{numerator}/{time}": (measure, scale / seconds)
+        for numerator, measure, scale in (*_NUMERATORS.values(), ("mm", Measure.LENGTH, 1e-3))
+        for time, seconds in _DENOMINATORS.values()
+    },
+}
+VELOCITY_UNITS = tuple(_NAMES)
+
+
+def decode_position_unit(code: int) -> Unit | None:
+    """Decode object 60A8h; None for 0, which says nothing.
+
+    Raises
+    ------
+    ValueError
+        The code is not known.
+    """
+    return _decode(code, is_velocity=False)
+
+
+def decode_velocity_unit(code: int) -> Unit | None:
+    """Decode object 60A9h; None for 0, which says nothing.
+
+    Raises
+    ------
+    ValueError
+        The code is not known.
+
+    Examples
+    --------
+    >>> decode_velocity_unit(0xFFB44700).text
+    '0.1 rpm'
+    """
+    return _decode(code, is_velocity=True)
+
+
+def _decode(code: int, *, is_velocity: bool) -> Unit | None:
+    if not code & 0xFFFFFF00:
+        return None
+    exponent = int.from_bytes([code >> 24 & 0xFF], "little", signed=True)
+    numerator, denominator = _NUMERATORS.get(code >> 16 & 0xFF), _DENOMINATORS.get(code >> 8 & 0xFF)
+    if numerator is None or (denominator is None) == is_velocity or (not is_velocity and code >> 8 & 0xFF):
+        raise ValueError(f"{code & 0xFFFFFFFF:08X}h is not a unit that is known here")
+    name, measure, scale = numerator
+    if denominator is not None:
+        name, scale = f"{name}/{denominator[0]}", scale / denominator[1]
+        name = "rpm" if name == "rev/min" else name
+    return Unit(10.0**exponent * scale, measure, name if exponent == 0 else f"{10.0**exponent:g} {name}")
+
+
+def encode_unit(exponent: int, numerator: int, denominator: int = 0) -> int:
+    """Return the value of 60A8h or 60A9h for a power of ten and the codes of numerator and denominator."""
+    return (exponent & 0xFF) << 24 | numerator << 16 | denominator << 8
+
+
+def parse_velocity_unit(text: str) -> Unit:
+    """Return the unit of a text like ``rpm``, ``0.1 rpm``, ``counts/s`` or ``0.001 deg/s``.
+
+    Raises
+    ------
+    ValueError
+        The text is not a unit of velocity; the message lists them.
+    """
+    number, _, name = text.strip().rpartition(" ")
+    try:
+        factor = float(number) if number else 1.0
+    except ValueError:
+        factor = math.nan
+    if name not in _NAMES or not 0.0 < factor < math.inf:
+        raise ValueError(
+            f"{text!r} is not a unit of velocity: a number and a blank, or nothing, before one of "
+            f"{', '.join(VELOCITY_UNITS)}; e.g. '0.1 rpm'"
+        )
+    measure, scale = _NAMES[name]
+    return Unit(factor * scale, measure, f"{factor:.6g} {name}" if number else name)

@@ -1,0 +1,40 @@
+"""Rows of the table of units that a driver shows before anything is enabled."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class UnitRow:
+    """Unit of one quantity of a drive, in words for the user.
+
+    Attributes
+    ----------
+    quantity : str
+        ``position``, ``velocity`` or ``torque``.
+    value : str
+        Scale, e.g. ``651.9 counts per rad``.
+    source : str
+        Where the scale comes from, e.g. ``608Fh 4096/1``.
+    confirmation : str
+        What agrees with it, or ``nothing confirms it``.
+    limit : str
+        Limit of the configuration in increments of the drive.
+    """
+
+    quantity: str
+    value: str
+    source: str
+    confirmation: str
+    limit: str
+
+
+def unit_table(name: str, rows: Iterable[UnitRow]) -> Iterator[str]:
+    """Yield the lines of the table of one axis.
+
+    >>> row = UnitRow("torque", "0.64 N m at 1000 per mille", "6076h", "nothing confirms it", "0.3 N m = 468 per mille")
+    >>> print(*unit_table("x", [row]), sep="\\n")
+    x: torque: 0.64 N m at 1000 per mille from 6076h; nothing confirms it; limit 0.3 N m = 468 per mille
+    """
+    for row in rows:
+        yield f"{name}: {row.quantity}: {row.value} from {row.source}; {row.confirmation}; limit {row.limit}"

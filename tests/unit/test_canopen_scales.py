@@ -1,0 +1,272 @@
+"""Scales of a drive: SI units decoded, the configuration compared with the drive, and the table of both."""
+
+import math
+
+import numpy as np
+import pytest
+from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen.object_reader import ObjectReader
+from friction_hil_drivers.canopen.options import CanopenOptions
+from friction_hil_drivers.canopen.scales import read_scales, require_agreement
+from friction_hil_drivers.canopen.si_units import (
+    VELOCITY_UNITS,
+    Measure,
+    decode_position_unit,
+    decode_velocity_unit,
+    encode_unit,
+    parse_velocity_unit,
+)
+from friction_hil_drivers.canopen.unit_table import resolution_notes, unit_rows
+from hypothesis import given
+from hypothesis import strategies as st
+from pydantic import ValidationError
+
+from friction_hil.drive import Mode, unit_table
+from friction_hil.errors import DriveError
+from tests.servo_drives import axis_dict, configuration
+
+RPM = 2.0 * math.pi / 60.0  # rad/s
+ENCODER = {(0x608F, 1): 4096, (0x608F, 2): 1, (0x6076, 0): 640}
+COUNTS = 4096 / (2.0 * math.pi)
+
+
+class Objects(ObjectReader):
+    """Objects of a drive: values by index and subindex."""
+
+    axis, where = "x", "node 5"
+
+    def __init__(self, values):
+        self.values = values
+
+    def bytes_of(self, entry):
+        value = self.values.get(entry.address)
+        return None if value is None else (value % (1 << 32)).to_bytes(4, "little")
+
+
+def scales(values, kind="rotary", **options):
+    reader, given_ = Objects(values), CanopenOptions(node=5, **options)
+    found = read_scales(reader, given_, kind)
+    require_agreement(reader, given_, found)
+    return found
+
+
+# Units of 60A8h and 60A9h
+
+
+@pytest.mark.parametrize(
+    ("code", "scale", "measure", "text"),
+    [
+        (0x00B44700, RPM, Measure.ANGLE, "rpm"),
+        (0xFFB44700, 0.1 * RPM, Measure.ANGLE, "0.1 rpm"),
+        (0xFDB44700, 1e-3 * RPM, Measure.ANGLE, "0.001 rpm"),
+        (0x00B50300, 1.0, Measure.COUNTS, "counts/s"),
+        (0xFD010300, 1e-3, Measure.LENGTH, "0.001 m/s"),
+        (0x00100300, 1.0, Measure.ANGLE, "rad/s"),
+        (0xFF410300, 0.1 * math.pi / 180.0, Measure.ANGLE, "0.1 deg/s"),
+        (0x00B40300, 2.0 * math.pi, Measure.ANGLE, "rev/s"),
+        (0x03B44800, 1e3 * 2.0 * math.pi / 3600.0, Measure.ANGLE, "1000 rev/h"),
+    ],
+)
+def test_a_unit_of_velocity_is_decoded_with_its_prefix(code, scale, measure, text):
+    unit = decode_velocity_unit(code)
+    assert (unit.scale, unit.measure, unit.text) == (pytest.approx(scale), measure, text)
+    signed = decode_velocity_unit(code - (1 << 32))  # some drives declare 60A9h as signed
+    assert signed == unit
+
+
+def test_zero_says_nothing_and_an_unknown_code_is_no_unit():
+    assert decode_velocity_unit(0) is None
+    assert decode_position_unit(0) is None
+    for decode, code in (
+        (decode_velocity_unit, 0x00B50000),  # a position
+        (decode_position_unit, 0x00B50300),  # a velocity
+        (decode_velocity_unit, 0x00770300),
+        (decode_velocity_unit, 0x00B57700),
+    ):
+        with pytest.raises(ValueError, match=f"{code:08X}h"):
+            decode(code)
+
+
+@given(st.integers(-12, 12), st.sampled_from([0x01, 0x10, 0x41, 0xB4, 0xB5]), st.sampled_from([0x03, 0x47, 0x48]))
+def test_a_prefix_is_a_power_of_ten_and_the_text_means_the_same(exponent, numerator, denominator):
+    base = decode_velocity_unit(encode_unit(0, numerator, denominator))
+    unit = decode_velocity_unit(encode_unit(exponent, numerator, denominator))
+    assert unit.scale == pytest.approx(base.scale * 10.0**exponent, rel=1e-12)
+    again = parse_velocity_unit(unit.text)
+    assert (again.measure, again.scale) == (unit.measure, pytest.approx(unit.scale, rel=1e-6))
+
+
+@given(st.floats(1e-9, 1e9), st.sampled_from(VELOCITY_UNITS))
+def test_a_number_before_a_unit_multiplies_it(factor, name):
+    assert parse_velocity_unit(f"{factor!r} {name}").scale == pytest.approx(factor * parse_velocity_unit(name).scale)
+
+
+@pytest.mark.parametrize("text", ["", "rpm 0.1", "0 rpm", "-1 rpm", "nan rpm", "0.1rpm", "counts", "furlong/s"])
+def test_what_is_no_unit_of_velocity_is_refused_with_those_that_are(text):
+    with pytest.raises(ValidationError, match="counts/s"):
+        CanopenOptions(node=1, velocity_unit=text)
+
+
+# Position
+
+
+@pytest.mark.parametrize(
+    ("values", "counts"),
+    [
+        ({}, COUNTS),
+        ({(0x6091, 1): 1, (0x6091, 2): 1, (0x6092, 1): 1, (0x6092, 2): 1}, COUNTS),  # defaults say nothing
+        ({(0x60A8, 0): 0x00B50000}, COUNTS),
+        ({(0x60A8, 0): 0xFD410000}, 1000.0 * 180.0 / math.pi),
+        ({(0x60A8, 0): 0xFA100000}, 1e6),
+        ({(0x6092, 1): 4096, (0x6092, 2): 1}, COUNTS),
+    ],
+)
+def test_counts_per_rad_follow_from_the_drives_objects(values, counts):
+    assert scales(ENCODER | values).position.value == pytest.approx(counts)
+
+
+def test_a_feed_constant_and_a_gear_give_the_counts_per_rad_of_the_motor():
+    # 10 turns of the motor are one of the shaft, which is 36000 position units
+    values = {(0x6076, 0): 640, (0x6091, 1): 10, (0x6091, 2): 1, (0x6092, 1): 36000, (0x6092, 2): 1}
+    assert scales(values).position.value == pytest.approx(3600.0 / (2.0 * math.pi))
+
+
+@pytest.mark.parametrize("values", [{(0x6091, 1): 10, (0x6091, 2): 1}, {(0x6092, 1): 10000, (0x6092, 2): 1}])
+def test_objects_that_leave_the_count_open_are_refused_with_both_numbers(values):
+    with pytest.raises(DriveError, match=r"651\.8986.*give counts_per_unit") as caught:
+        scales(ENCODER | values)
+    assert caught.value.code == "FH-241"
+    found = scales(ENCODER | values, counts_per_unit=COUNTS)
+    assert found.position.confirmation == "608Fh 4096 per revolution agrees"
+
+
+@pytest.mark.parametrize("values", [{}, {(0x608F, 1): 1, (0x608F, 2): 1}, {(0x608F, 1): 0, (0x608F, 2): 1}])
+def test_a_resolution_that_is_missing_or_a_default_is_asked_for(values):
+    with pytest.raises(DriveError, match=r"does not report its encoder resolution.*give counts_per_unit"):
+        scales({(0x6076, 0): 640} | values)
+    found = scales({(0x6076, 0): 640} | values, counts_per_unit=652.0)
+    assert found.position.confirmation == "nothing confirms it"
+
+
+# Contradictions
+
+
+@pytest.mark.parametrize(
+    ("options", "values", "numbers"),
+    [
+        ({"counts_per_unit": 6519.0}, {}, ("6519", "651.8986", "a factor of 10")),
+        ({"rated_torque": 6.4}, {}, ("6.4", "0.64", "a factor of 10")),
+        ({"velocity_unit": "0.1 rpm"}, {(0x60A9, 0): 0x00B44700}, ("0.1 rpm", "60A9h rpm", "a factor of 10")),
+    ],
+)
+def test_a_configuration_that_contradicts_the_drive_is_refused_unless_it_is_trusted(options, values, numbers):
+    with pytest.raises(DriveError) as caught:
+        scales(ENCODER | values, **options)
+    assert caught.value.code == "FH-240"
+    assert all(number in str(caught.value) for number in numbers), str(caught.value)
+    (key,) = options
+    assert f"trust: [{key}]" in str(caught.value)
+    trusted = scales(ENCODER | values, **options, trust=[key])
+    one = {"counts_per_unit": trusted.position, "rated_torque": trusted.torque, "velocity_unit": trusted.velocity}[key]
+    assert "trusted although" in one.confirmation
+    with pytest.raises(DriveError):  # another key that is trusted does not help
+        scales(ENCODER | values, **options, trust=[{"rated_torque", "counts_per_unit"}.difference([key]).pop()])
+
+
+@given(st.floats(0.9, 1.1))
+def test_a_rounded_number_is_no_contradiction(ratio):
+    def is_accepted(**options):
+        try:
+            scales(ENCODER, **options)
+        except DriveError:
+            return False
+        return True
+
+    assert is_accepted(counts_per_unit=COUNTS * ratio) == (abs(ratio - 1.0) <= 2e-3 * max(ratio, 1.0))
+    assert is_accepted(rated_torque=0.64 * ratio) == (abs(ratio - 1.0) * 0.64 <= 1e-2 * 0.64 * ratio + 5e-4)
+
+
+def test_a_small_rated_torque_may_differ_by_half_a_step_of_6076h():
+    assert scales(ENCODER | {(0x6076, 0): 3}, rated_torque=0.00345).torque.confirmation == "6076h agrees"
+    with pytest.raises(DriveError):
+        scales(ENCODER | {(0x6076, 0): 3}, rated_torque=0.0037)
+
+
+def test_a_linear_axis_is_compared_where_the_drive_counts_metres():
+    options = {"kind": "linear", "counts_per_unit": 1e6, "rated_torque": 20.0}
+    assert scales(ENCODER, **options).position.confirmation == "nothing confirms it"  # counts of a revolution
+    assert scales(ENCODER | {(0x60A8, 0): 0xFA010000}, **options).position.confirmation == "60A8h 1e-06 m agrees"
+    with pytest.raises(DriveError, match="a factor of 1000"):
+        scales(ENCODER | {(0x60A8, 0): 0xFD010000}, **options)
+    assert "6076h 0.64, of the motor?" in scales(ENCODER, **options).torque.confirmation
+
+
+# Velocity
+
+
+@pytest.mark.parametrize(
+    ("values", "options", "increments"),
+    [
+        ({}, {}, COUNTS),
+        ({(0x60A9, 0): 0x00B50300}, {}, COUNTS),
+        ({(0x60A9, 0): 0}, {}, COUNTS),
+        ({(0x60A9, 0): 0x00B44700}, {}, 1.0 / RPM),
+        ({(0x60A9, 0): 0xFFB44700}, {}, 10.0 / RPM),
+        ({}, {"velocity_unit": "rpm"}, 1.0 / RPM),
+        ({}, {"velocity_unit": "0.1 deg/s"}, 1800.0 / math.pi),
+        ({(0x60A9, 0): 0x00770300}, {"velocity_unit": "counts/s"}, COUNTS),  # a code that is not known
+        ({(0x6096, 1): 60, (0x6096, 2): 4096}, {}, 60 / 4096 * COUNTS),  # counts/s to rpm
+        ({(0x60A9, 0): 0x00B50300, (0x6090, 1): 1000, (0x6090, 2): 1}, {}, 1000 / (2.0 * math.pi)),
+    ],
+)
+def test_increments_of_velocity_follow_from_60a9h_or_the_key(values, options, increments):
+    assert scales(ENCODER | values, **options).velocity.value == pytest.approx(increments)
+
+
+def test_a_unit_that_does_not_fit_the_axis_is_refused():
+    with pytest.raises(DriveError, match="60A9h of node 5 is rpm; a linear axis needs counts/s or m/s"):
+        scales(ENCODER | {(0x60A9, 0): 0x00B44700}, kind="linear", counts_per_unit=1e6, rated_torque=1.0)
+    with pytest.raises(DriveError, match="velocity_unit of node 5 is mm/s; a rotary axis needs"):
+        scales(ENCODER, velocity_unit="mm/s")
+    with pytest.raises(DriveError, match=r"60A9h SI unit velocity = 00770300h.*give velocity_unit"):
+        scales(ENCODER | {(0x60A9, 0): 0x00770300})
+
+
+def test_an_inverted_axis_inverts_all_three():
+    units = scales(ENCODER).units(is_inverted=True)
+    assert (units.counts_per_unit, units.velocity_per_unit, units.rated_torque) == pytest.approx(
+        (-COUNTS, -COUNTS, -0.64)
+    )
+
+
+# The table
+
+
+def axis(**limits):
+    return configuration(x=axis_dict(limits={"torque": 0.3, "velocity": 10.0, **limits})).axes["x"]
+
+
+def test_the_table_says_for_each_unit_where_it_comes_from_and_what_confirms_it():
+    found = scales(ENCODER, counts_per_unit=652.0)
+    rows = unit_rows(found, axis(position=[-4.0, 4.0]).limits, Mode.CSV, "rotary")
+    assert list(unit_table("x", rows)) == [
+        "x: position: 652 counts per rad from counts_per_unit; 608Fh 4096 per revolution agrees; "
+        "limit [-4, 4] rad = [-2608, 2608] counts",
+        "x: velocity: 652 increments per rad/s from the assumption counts/s, as there is no 60A9h; "
+        "nothing confirms it; examined by the first motion; limit 10 rad/s = 6520 increments",
+        "x: torque: 0.64 N m at 1000 per mille from 6076h; nothing confirms it; limit 0.3 N m = 468 per mille",
+    ]
+
+
+def test_a_torque_that_is_coarse_beside_the_friction_is_told():
+    level = float(axis().model.friction_model.steady_state(np.array([1.0]))[0])
+    assert resolution_notes(scales(ENCODER), axis()) == []
+    (note,) = resolution_notes(scales(ENCODER, rated_torque=50.0, trust=["rated_torque"]), axis())
+    assert "0.05 N m" in note
+    assert f"{level:.3g} N m" in note
+    (note,) = resolution_notes(scales(ENCODER, rated_torque=50.0, trust=["rated_torque"]), axis(torque=0.03))
+    assert "no torque can be sent" in note
+
+
+def test_every_object_of_the_factor_group_is_named():
+    assert str(objects.FEED) == "6092h:01 feed"
