@@ -24,6 +24,7 @@ NODE_RESTARTED = "FH-231"
 NOT_OPERATIONAL = "FH-232"
 WRONG_MODE = "FH-233"
 SYNC_NOT_ANSWERED = "FH-234"
+NODE_SILENT = "FH-244"
 
 TITLES = {
     BUS_NOT_OPENED: "The CAN bus does not open",
@@ -50,4 +51,5 @@ TITLES = {
     NOT_OPERATIONAL: "A node left the state Operational",
     WRONG_MODE: "An enabled drive is in another mode of operation",
     SYNC_NOT_ANSWERED: "Drives do not answer SYNC in simulated time",
+    NODE_SILENT: "A node to be shown or stopped does not answer",
 }
