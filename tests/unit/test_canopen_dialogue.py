@@ -26,7 +26,7 @@ def test_an_expedited_upload_has_sign_and_width() -> None:
 def test_a_text_comes_in_segments_with_alternating_toggle() -> None:
     upload = Upload(objects.DEVICE_NAME)
     requests = give(upload, "410810000c000000", "00" + b"durand ".hex(), "10" + b"servoXX".hex()[:14])
-    assert requests == ["4008100000000000", "6000000000000000", "7000000000000000"]
+    assert requests == ["4008100000000000", "6000000000000000", "7000000000000000", "6000000000000000"]
     assert not upload.is_done, "the last segment says that more follow"
     upload = Upload(objects.DEVICE_NAME)
     give(upload, "410810000c000000", "00" + b"durand ".hex(), "15" + b"servo".hex() + "0000")
