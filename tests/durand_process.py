@@ -1,4 +1,4 @@
-"""Servo drives on durand as processes, beside the daemon: on the bus of a configuration, with a log of what happened."""
+"""Servo drives on durand as processes beside the daemon, with a log of what happened to them."""
 
 import contextlib
 import json

@@ -10,7 +10,7 @@ import pytest
 
 from friction_hil.recordings import read_all
 from tests.durand_process import DurandDrives, Event, durand_configuration, durand_drives
-from tests.processes import listening, run, run_daemon, start, wait_for_frames
+from tests.processes import listening, run, run_daemon, start
 
 MODES = ("csp", "csv", "cst")
 AT_SYNC = ["--timer-at-sync-only"]

@@ -1,6 +1,6 @@
 """A servo by CiA 402 and by mechanics, written from the standard alone: the second opinion about our driver.
 
-Nothing here or in `durand_servo` imports the product (`tests/unit/test_peers.py` asserts that), so that a mistake of the
+Nothing here or in `durand_servo` imports the product (`test_durand_servo.py` asserts that), so that a mistake of the
 product about the standard is not repeated here. Sources: IEC 61800-7-201 (CiA 402-2), state machine and bits of
 controlword and statusword; mechanics of a rigid inertia with Coulomb friction.
 """

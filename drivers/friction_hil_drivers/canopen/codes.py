@@ -26,6 +26,7 @@ WRONG_MODE = "FH-233"
 SYNC_NOT_ANSWERED = "FH-234"
 UNITS_CONTRADICT = "FH-240"
 UNIT_AMBIGUOUS = "FH-241"
+NODE_SILENT = "FH-244"
 
 TITLES = {
     BUS_NOT_OPENED: "The CAN bus does not open",
@@ -54,4 +55,5 @@ TITLES = {
     SYNC_NOT_ANSWERED: "Drives do not answer SYNC in simulated time",
     UNITS_CONTRADICT: "The configuration contradicts a unit that the drive reports",
     UNIT_AMBIGUOUS: "The drive's objects leave open which unit its position has",
+    NODE_SILENT: "A node to be shown or stopped does not answer",
 }

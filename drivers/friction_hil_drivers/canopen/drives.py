@@ -29,9 +29,10 @@ from friction_hil_drivers.cia402 import profile
 if TYPE_CHECKING:
     import can
 
-    from friction_hil.config import AxisConfig, Configuration
+    from friction_hil.config import AxisConfig, BusConfig, Configuration
     from friction_hil.recordings import Recording
     from friction_hil_drivers.canopen.frames import FrameBus
+    from friction_hil_drivers.canopen.inventory import CanopenInventory
     from friction_hil_drivers.canopen.sdo import SdoClient, SdoNetwork
 
 _LISTEN_S = 0.1
@@ -54,6 +55,20 @@ class CanopenDrives:
                 _read_eds(axis)
             except UsageError as error:
                 yield name, "eds", error
+
+    @staticmethod
+    def open_inventory(config: "BusConfig") -> "CanopenInventory":
+        """Open a bus to find, show or stop its drives; see `friction_hil.drive.Driver`."""
+        # imported here: python-can takes 0.5 s, and reading a configuration does not need it
+        from friction_hil_drivers.canopen.bus import open_frame_bus
+        from friction_hil_drivers.canopen.inventory import CanopenInventory
+
+        return CanopenInventory(config, open_frame_bus(config))
+
+    @staticmethod
+    def inventory_node(axis: "AxisConfig") -> int:
+        """Return the number of an axis's node."""
+        return canopen_options(axis).node
 
     @staticmethod
     def read_bus_log(path: Path, axes: "Mapping[str, AxisConfig]") -> "list[Recording]":

@@ -1,0 +1,164 @@
+"""Drives on a CAN bus, found and stopped without a configuration of axes.
+
+Nothing here sends NMT, SYNC or a PDO, and nothing enables. `scan` and `show` only read; `stop` writes controlwords.
+"""
+
+import time
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from friction_hil.drive import DriveState
+from friction_hil.drive.inventory import DriveEntry, Scan, Stop
+from friction_hil.errors import DriveError
+from friction_hil_drivers.canopen import codes, objects
+from friction_hil_drivers.canopen.conversation import Conversation, Script
+from friction_hil_drivers.canopen.description import describe, mode_name, mode_names
+from friction_hil_drivers.canopen.dialogue import Upload
+from friction_hil_drivers.canopen.exclusive import AxisLock
+from friction_hil_drivers.canopen.interfaces import bus_name
+from friction_hil_drivers.canopen.stopping import stop_drive
+from friction_hil_drivers.canopen.traffic import Traffic
+from friction_hil_drivers.cia402 import profile
+
+if TYPE_CHECKING:
+    from friction_hil.config import BusConfig
+    from friction_hil_drivers.canopen.frames import FrameBus
+
+_LISTEN_S = 0.3
+_FIRST_ANSWER_S = 0.8  # of a node that may not exist: asked once
+_ANSWER_S = 0.5
+_ATTEMPTS = 2
+_NODES = range(1, 128)
+
+
+class CanopenInventory:
+    """Nodes of one bus; see `friction_hil.drive.inventory.Inventory`.
+
+    Parameters
+    ----------
+    config : BusConfig
+    bus : FrameBus
+        Open; `close` closes it.
+    """
+
+    def __init__(self, config: "BusConfig", bus: "FrameBus") -> None:
+        self._config = config
+        self._bus = bus
+        self._traffic = self._listen()
+        self.notes = tuple(self._traffic.notes())
+
+    def close(self) -> None:
+        """See `friction_hil.drive.inventory.Inventory`."""
+        self._bus.close()
+
+    def scan(self) -> Scan:
+        """Read identity, state and modes of every node; see `friction_hil.drive.inventory.Inventory`."""
+        found = self._find(_NODES)
+        asked = Conversation(self._bus, answer_s=_ANSWER_S, attempts=_ATTEMPTS).hold(
+            {node: _identify(node, device, self._traffic.nmt_of(node)) for node, device in found.items()}
+        )
+        silent = [
+            DriveEntry(node, answers=False, nmt=self._traffic.nmt_of(node))
+            for node in sorted(self._traffic.heard)
+            if node not in found
+        ]
+        return Scan(tuple(sorted([*asked.values(), *silent], key=lambda entry: entry.node)), self.notes)
+
+    def show(self, node: int) -> dict[str, Any]:
+        """Read all that a drive says of itself; see `friction_hil.drive.inventory.Inventory`.
+
+        Raises
+        ------
+        DriveError
+            The node does not answer.
+        """
+        found = self._find([node])
+        if node not in found:
+            raise DriveError(self._silence(node), "friction-hil drives scan lists those that do", codes.NODE_SILENT)
+        talk = Conversation(self._bus, answer_s=_ANSWER_S, attempts=_ATTEMPTS)
+        return talk.hold({node: describe(node, self._traffic.nmt_of(node))})[node]
+
+    def stop(self, nodes: Sequence[int]) -> list[Stop]:
+        """Stop drives at once and side by side; see `friction_hil.drive.inventory.Inventory`.
+
+        Raises
+        ------
+        DriveError
+            No nodes are given, and no drive answers.
+        """
+        asked = list(dict.fromkeys(nodes)) or sorted(self._find(_NODES))
+        if not asked:
+            text = f"no node answers on {bus_name(self._config)}: it is not known whether a drive has power"
+            raise DriveError(text, "check supply, wires and bit rate", codes.NODE_SILENT)
+        owners = [text for node in asked if (text := self._owner(node))]
+        self.notes = (*self.notes, *owners)
+        talk = Conversation(self._bus, answer_s=_ANSWER_S, attempts=_ATTEMPTS)
+        return [stop for stops in talk.hold({node: stop_drive(node) for node in asked}).values() for stop in stops]
+
+    def _listen(self) -> Traffic:
+        traffic = Traffic()
+        end = time.monotonic() + _LISTEN_S
+        while (left := end - time.monotonic()) > 0.0:
+            frame = self._bus.receive(left)
+            if frame is not None:
+                traffic.take(*frame)
+        return traffic
+
+    def _find(self, nodes: Sequence[int]) -> dict[int, int | None]:
+        """Return the device type (None: it has none) of each node that answers."""
+        talk = Conversation(self._bus, answer_s=_FIRST_ANSWER_S, attempts=1)
+        found = talk.hold({node: _device_type() for node in nodes})
+        return {node: answer[0] for node, answer in found.items() if answer is not None}
+
+    def _owner(self, node: int) -> str:
+        """Return a text about the daemon of this machine that drives a node, "" for none."""
+        try:
+            AxisLock(self._config, node, f"node {node}").release()
+        except DriveError as error:
+            if error.code == codes.NODE_LOCKED:
+                return f"{error.detail}: that daemon may enable it again; stop it too"
+            return error.detail
+        return ""
+
+    def _silence(self, node: int) -> str:
+        heard = f", though its heartbeat says {self._traffic.nmt_of(node)}" if node in self._traffic.heard else ""
+        return f"node {node} on {bus_name(self._config)} answers no SDO request{heard}"
+
+
+def _device_type() -> "Script[tuple[int | None] | None]":
+    """Return the device type, None for a node that does not answer."""
+    upload = Upload(objects.DEVICE_TYPE)
+    yield upload
+    return None if upload.is_silent else (upload.value,)
+
+
+def _identify(node: int, device: int | None, nmt: str) -> "Script[DriveEntry]":
+    """Read what a scan shows of a node."""
+    entries = (
+        objects.DEVICE_NAME,
+        objects.VENDOR_ID,
+        objects.PRODUCT_CODE,
+        objects.REVISION_NUMBER,
+        objects.SERIAL_NUMBER,
+        objects.STATUSWORD,
+        objects.MODE_DISPLAY,
+        objects.SUPPORTED_MODES,
+    )
+    name, vendor, product, revision, serial, status, mode, modes = uploads = [Upload(entry) for entry in entries]
+    yield from uploads
+    word = status.value
+    state = DriveState.UNKNOWN if status.is_silent else None if word is None else profile.drive_state(word)
+    return DriveEntry(
+        node,
+        answers=True,
+        name=(name.data or b"").decode("latin-1").rstrip("\0 "),
+        profile=None if device is None else device & 0xFFFF,
+        vendor_id=vendor.value,
+        product_code=product.value,
+        revision=revision.value,
+        serial=serial.value,
+        nmt=nmt,
+        state=state,
+        mode="" if mode.value is None else mode_name(mode.value),
+        modes=tuple(mode_names(modes.value or 0)),
+    )

@@ -1,0 +1,211 @@
+"""The work of ``friction-hil drives``."""
+
+import contextlib
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from typing import Any
+
+import click
+from pydantic import ValidationError
+
+from friction_hil.cli.output import print_json
+from friction_hil.cli.work.tables import new_table, print_table
+from friction_hil.config import BusConfig, Configuration, load
+from friction_hil.config.drivers import driver_names, load_driver
+from friction_hil.drive.inventory import DriveEntry, Inventory, Stop
+from friction_hil.errors import UsageError
+
+_WHERE = "give a configuration with a bus, or --bus interface:channel[:port], e.g. --bus socketcan:can0"
+
+
+def scan_bus(*, config: str | None, bus: str | None, bitrate: int | None, as_json: bool) -> int:
+    """Print the nodes on a bus; return 1 if there is none."""
+    with _inventory(config, bus, bitrate) as (inventory, _):
+        found = inventory.scan()
+    if as_json:
+        print_json({"drives": [_entry_json(each) for each in found.drives], "notes": found.notes})
+    else:
+        _print_scan(found.drives)
+        _print_notes(found.notes)
+    return 0 if found.drives else 1
+
+
+def show_drive(*, words: Sequence[str], bus: str | None, bitrate: int | None, as_json: bool) -> int:
+    """Print what one drive says of itself."""
+    config, nodes = _sort(words)
+    if len(nodes) != 1:
+        raise UsageError(
+            "drives show needs the number of one node, e.g. friction-hil drives show --bus socketcan:can0 1"
+        )
+    with _inventory(config, bus, bitrate) as (inventory, _):
+        shown = inventory.show(nodes[0])
+        notes = inventory.notes
+    if as_json:
+        print_json({**shown, "notes": notes})
+    else:
+        _print_tree(shown, "")
+        _print_notes(notes)
+    return 0
+
+
+def stop_drives(*, words: Sequence[str], bus: str | None, bitrate: int | None, as_json: bool) -> int:
+    """Stop drives; return 1 unless each has been read back without power."""
+    config, nodes = _sort(words)
+    with _inventory(config, bus, bitrate) as (inventory, of_axes):
+        stops = inventory.stop(nodes or of_axes)
+        notes = inventory.notes
+    if as_json:
+        print_json({"drives": [_stop_json(each) for each in stops], "notes": notes})
+    else:
+        for each in stops:
+            click.echo(_stop_line(each))
+        _print_notes(notes)
+    return 0 if all(each.is_proved for each in stops) else 1
+
+
+def _sort(words: Sequence[str]) -> tuple[str | None, list[int]]:
+    """Tell a configuration from node numbers."""
+    nodes = [int(word) for word in words if word.isdecimal()]
+    files = [word for word in words if not word.isdecimal()]
+    if len(files) > 1:
+        raise UsageError(f"one configuration at a time, not {' and '.join(files)}; nodes are given by their numbers")
+    for node in nodes:
+        if not 1 <= node <= 127:
+            raise UsageError(f"there is no node {node}: node numbers are 1 to 127")
+    return (files[0] if files else None), nodes
+
+
+@contextlib.contextmanager
+def _inventory(config: str | None, bus: str | None, bitrate: int | None) -> Iterator[tuple[Inventory, list[int]]]:
+    """Open a bus; also return the nodes of the axes in the configuration."""
+    nodes: list[int] = []
+    if config is not None and bus is None:
+        configuration = load(config, needs_models=False)
+        driver, nodes = _driver_of(config, configuration)
+        section = configuration.bus
+        if section is None:
+            raise UsageError(f"{config} has no bus: {_WHERE}")
+    elif bus is not None and config is None:
+        driver, section = _driver_for_buses(), _parse(bus, bitrate)
+    else:
+        raise UsageError(_WHERE if bus is None else f"either a configuration or --bus, not both: {_WHERE}")
+    inventory: Inventory = driver.open_inventory(section)
+    try:
+        yield inventory, nodes
+    finally:
+        inventory.close()
+
+
+def _driver_of(path: str, configuration: Configuration) -> tuple[Any, list[int]]:
+    """Return the driver of a configuration that can list drives, and the nodes of its axes."""
+    others = []
+    for name in sorted({axis.driver for axis in configuration.axes.values()}):
+        driver = load_driver(name)
+        if hasattr(driver, "open_inventory"):
+            axes = [axis for axis in configuration.axes.values() if axis.driver == name]
+            return driver, [driver.inventory_node(axis) for axis in axes]
+        others.append(name)
+    raise UsageError(f"{path}: drives of {', '.join(others)} are not found, shown or stopped here; this is for CANopen")
+
+
+def _driver_for_buses() -> Any:
+    for name in driver_names():
+        driver = load_driver(name)
+        if hasattr(driver, "open_inventory"):
+            return driver
+    raise UsageError("no installed driver can list the drives of a bus")
+
+
+def _parse(text: str, bitrate: int | None) -> BusConfig:
+    """Return the bus that ``interface:channel[:port]`` names."""
+    interface, _, channel = text.partition(":")
+    section: dict[str, Any] = {"interface": interface, "channel": channel}
+    if interface == "udp_multicast":
+        section["channel"], _, port = channel.rpartition(":")
+        section["port"] = int(port) if port.isdecimal() else port
+    if bitrate is not None:
+        section["bitrate"] = bitrate
+    if not interface or not section["channel"]:
+        raise UsageError(f"--bus {text}: {_WHERE}")
+    try:
+        return BusConfig.model_validate(section)
+    except ValidationError as error:
+        reasons = "; ".join(f"{'.'.join(map(str, each['loc'])) or 'bus'}: {each['msg']}" for each in error.errors())
+        raise UsageError(f"--bus {text}: {reasons}") from error
+
+
+# Printing
+
+
+def _entry_json(entry: DriveEntry) -> dict[str, Any]:
+    found = asdict(entry)
+    found["state"] = None if entry.state is None else entry.state.words
+    found["is_powered"] = None if entry.state is None or not entry.state else entry.state.is_powered
+    return found
+
+
+def _stop_json(stop: Stop) -> dict[str, Any]:
+    return {**asdict(stop), "before": stop.before.words, "after": stop.after.words}
+
+
+def _print_scan(entries: Sequence[DriveEntry]) -> None:
+    if not entries:
+        click.echo("no node answers: is the bus the right one, with the right bit rate, and are the drives on?")
+        return
+    table = new_table("node", "name", "identity", "profile", "NMT", "state", "mode", "modes")
+    for each in entries:
+        numbers = (each.vendor_id, each.product_code, each.serial)
+        identity = " ".join("-" if number is None else f"{number:#x}" for number in numbers)
+        state = "answers no SDO request" if not each.answers else "no drive" if each.state is None else each.state.words
+        table.add_row(
+            *(str(each.node), each.name or "-", identity, "-" if each.profile is None else str(each.profile)),
+            *(each.nmt or "-", state, each.mode or "-", " ".join(each.modes) or "-"),
+        )
+    print_table(table)
+
+
+def _print_notes(notes: Sequence[str]) -> None:
+    for note in notes:
+        click.echo(f"note: {note}")
+
+
+def _stop_line(stop: Stop) -> str:
+    words = {
+        "stopped": f"stopped: {stop.before.words} before, {stop.after.words} read back",
+        "unpowered": f"had no power: {stop.after.words}",
+        "powered": f"STILL POWERED: {stop.after.words} read back",
+        "unknown": "UNKNOWN: it is not known whether it has power",
+    }
+    return f"node {stop.node}: {words[stop.result]}{f' ({stop.detail})' if stop.detail else ''}"
+
+
+def _print_tree(shown: dict[str, Any], indent: str) -> None:
+    for name, value in shown.items():
+        if isinstance(value, dict):
+            click.echo(f"{indent}{name}")
+            _print_tree(value, indent + "  ")
+        elif isinstance(value, list) and value and isinstance(value[0], dict):
+            click.echo(f"{indent}{name}")
+            for each in value:
+                click.echo(f"{indent}  {_row(each)}")
+        else:
+            click.echo(f"{indent}{name}: {_cell(value)}")
+
+
+def _row(found: dict[str, Any]) -> str:
+    return ", ".join(f"{name} {_cell(value)}" for name, value in found.items())
+
+
+def _cell(value: Any) -> str:
+    if value is None:
+        return "-"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, list):
+        return " | ".join(_mapped(each) if isinstance(each, dict) else _cell(each) for each in value) or "none"
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _mapped(entry: dict[str, Any]) -> str:
+    sub = f":{entry['subindex']:02X}" if entry["subindex"] else ""
+    return f"{entry['index']:04X}h{sub} {entry['name'] or ''} ({entry['bits']} bits)"

@@ -1,0 +1,103 @@
+"""What a driver can find out about the drives on a bus without a configuration of axes, and stopping them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from friction_hil.drive.port import DriveState
+
+
+@dataclass(frozen=True, slots=True)
+class DriveEntry:
+    """One node that a scan has found.
+
+    Attributes
+    ----------
+    node : int
+    answers : bool
+        It answered; otherwise it was only heard.
+    name : str
+        Name that the device gives itself, "" for none.
+    profile : int or None
+        Number of its device profile: 402 for drives.
+    vendor_id, product_code, revision, serial : int or None
+    nmt : str
+        State of the network management, as heard, "" where it was not.
+    state : DriveState or None
+        None: it is no drive.
+    mode : str
+        Mode of operation in force, "" where the device reports none.
+    modes : tuple of str
+        Modes that it supports.
+    """
+
+    node: int
+    answers: bool
+    name: str = ""
+    profile: int | None = None
+    vendor_id: int | None = None
+    product_code: int | None = None
+    revision: int | None = None
+    serial: int | None = None
+    nmt: str = ""
+    state: DriveState | None = None
+    mode: str = ""
+    modes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Stop:
+    """Result of stopping one drive.
+
+    Attributes
+    ----------
+    node : int
+    before, after : DriveState
+        As read back; `DriveState.UNKNOWN` where it could not be read.
+    result : str
+        ``stopped`` (it was powered, and is read back without power), ``unpowered`` (it was so already), ``powered``
+        or ``unknown``.
+    detail : str
+        Reason, "" for none.
+    """
+
+    node: int
+    before: DriveState
+    after: DriveState
+    result: str
+    detail: str = ""
+
+    @property
+    def is_proved(self) -> bool:
+        """True if the drive has been read back without power."""
+        return self.result in ("stopped", "unpowered")
+
+
+@dataclass(frozen=True, slots=True)
+class Scan:
+    """Result of a scan: the nodes, and what other masters do on the bus."""
+
+    drives: tuple[DriveEntry, ...]
+    notes: tuple[str, ...] = field(default=())
+
+
+class Inventory(Protocol):
+    """Drives on a bus; made by ``open_inventory`` of a driver, closed by its user."""
+
+    notes: tuple[str, ...]  # what other masters do on the bus
+
+    def scan(self) -> Scan:
+        """Find the drives; reads only."""
+        ...
+
+    def show(self, node: int) -> dict[str, Any]:
+        """Return all that a drive says of itself, by section; reads only."""
+        ...
+
+    def stop(self, nodes: Sequence[int]) -> list[Stop]:
+        """Stop drives (all that are found, for none given) and read their states back."""
+        ...
+
+    def close(self) -> None:
+        """Leave the bus."""
+        ...

@@ -1,0 +1,79 @@
+"""SDO transfers of ``friction-hil drives``: bytes of CiA 301, written here by hand."""
+
+import pytest
+from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen.dialogue import Download, Transfer, Upload
+from friction_hil_drivers.canopen.traffic import Traffic
+
+
+def give(transfer: Transfer, *answers: str) -> list[str]:
+    """Give answers; return all requests."""
+    requests = [transfer.first().hex()]
+    for answer in answers:
+        following = transfer.take(bytes.fromhex(answer))
+        if following is not None:
+            requests.append(following.hex())
+    return requests
+
+
+def test_an_expedited_upload_has_sign_and_width() -> None:
+    upload = Upload(objects.MODE_DISPLAY)
+    assert give(upload, "4f616000f8000000") == ["4061600000000000"]
+    assert upload.is_accepted
+    assert upload.value == -8
+
+
+def test_a_text_comes_in_segments_with_alternating_toggle() -> None:
+    upload = Upload(objects.DEVICE_NAME)
+    requests = give(upload, "410810000c000000", "00" + b"durand ".hex(), "10" + b"servoXX".hex()[:14])
+    assert requests == ["4008100000000000", "6000000000000000", "7000000000000000", "6000000000000000"]
+    assert not upload.is_done, "the last segment says that more follow"
+    upload = Upload(objects.DEVICE_NAME)
+    give(upload, "410810000c000000", "00" + b"durand ".hex(), "15" + b"servo".hex() + "0000")
+    assert upload.data == b"durand servo"
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        "4b40600037020000",  # another index
+        "4b41600137020000",  # another sub-index
+        "8040600000000206",  # the abort of another object
+        "6041600000000000",  # a download's answer
+        "4b416000",  # too short
+    ],
+)
+def test_what_does_not_belong_to_the_request_is_passed_over(answer: str) -> None:
+    upload = Upload(objects.STATUSWORD)
+    give(upload, answer)
+    assert not upload.is_done
+    give(upload, answer, "4b41600037020000")
+    assert upload.value == 0x0237
+
+
+def test_a_segment_with_the_old_toggle_is_passed_over() -> None:
+    upload = Upload(objects.DEVICE_NAME)
+    give(upload, "4108100008000000", "00" + b"abcdefg".hex(), "00" + b"abcdefg".hex(), "1d" + b"h".hex() + "00" * 6)
+    assert upload.data == b"abcdefgh"
+
+
+def test_a_download_and_its_abort() -> None:
+    download = Download(objects.CONTROLWORD, 2)
+    assert give(download, "6040600000000000") == ["2b40600002000000"]
+    assert download.is_accepted
+    download = Download(objects.MODE, -3)
+    assert give(download, "8060600022000008") == ["2f606000fd000000"]
+    assert download.is_done
+    assert not download.is_accepted
+    assert download.abort_code == 0x08000022
+
+
+def test_traffic_of_other_masters_is_named() -> None:
+    traffic = Traffic()
+    assert list(traffic.notes()) == []
+    for can_id, data in ((0x080, b""), (0x205, b"\x0f\0"), (0x000, b"\x01\0"), (0x60A, bytes(8)), (0x705, b"\x05")):
+        traffic.take(can_id, data)
+    text = "; ".join(traffic.notes())
+    assert all(word in text for word in ("SYNC", "RPDOs", "node 5", "NMT", "node 10 by SDO"))
+    assert traffic.nmt_of(5) == "operational"
+    assert traffic.nmt_of(6) == ""
