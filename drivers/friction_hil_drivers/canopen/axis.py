@@ -1,12 +1,12 @@
 """One drive in the cyclic phase: what it last reported, and what it is commanded. No bus, no clock.
 
-A cycle is `begin_cycle`, the frames through `handlers`, `report`, `encode`, in this order.
+A cycle is `begin_cycle`, the frames through `handlers`, `report`, then `encode` and `other_frames`, in this order.
 """
 
 from collections.abc import Callable, Mapping
 from functools import partial
 
-from friction_hil.drive import Command, DriveState, Feedback
+from friction_hil.drive import Command, DriveState, Feedback, Request
 from friction_hil.drive.codes import coded
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes, objects
@@ -15,16 +15,26 @@ from friction_hil_drivers.canopen.codec import (
     FeedbackDecoder,
     Frame,
     Measurement,
-    decode_emergency,
     decode_heartbeat,
+    emergency_code,
     next_controlword,
 )
 from friction_hil_drivers.canopen.configure import ConfiguredDrive
 from friction_hil_drivers.canopen.mapping import MappedPdo
-from friction_hil_drivers.canopen.monitor import NodeMonitor
+from friction_hil_drivers.canopen.monitor import NodeCondition, NodeMonitor
+from friction_hil_drivers.canopen.notices import Notices
+from friction_hil_drivers.canopen.sdo_stop import CyclicSdo
+from friction_hil_drivers.canopen.sync_answers import SyncAnswers
 from friction_hil_drivers.cia402 import profile
 
 Handler = Callable[[bytes], None]  # takes the data of a frame
+
+_STALE_CYCLES = 2  # without feedback after which no controlword follows from the state that was reported last
+_BLIND_CYCLES = 10  # without feedback after which a stop is confirmed by SDO
+_NMT_START_NS = 50_000_000  # between two attempts to bring a node back to Operational
+_LARGEST_STEP = 1 << 30  # of the position counter in a cycle; the counter is not followed further than that
+_STANDSTILL_PER_S = 0.01  # rad/s (m/s) that counts as standstill where a stop is watched by SDO
+_IN_FAULT = (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE)
 
 
 class CanopenAxis:
@@ -44,7 +54,10 @@ class CanopenAxis:
     handlers : mapping of int to callable
         By identifier: takes the data of a frame of this drive.
     is_complete : bool
-        Every TPDO of this cycle arrived.
+        Every TPDO of this cycle arrived, and none of an earlier one is missing.
+    is_reachable : bool
+        RPDOs have an effect. Nothing but SDO and NMT is sent to a node for which this is false: it restarted, left
+        Operational, or has been silent for the time of three heartbeats.
     """
 
     def __init__(self, drive: ConfiguredDrive, node: int, heartbeat_s: float) -> None:
@@ -54,14 +67,22 @@ class CanopenAxis:
         self.node = node
         self.tpdos = drive.tpdos
         self._monitor = NodeMonitor(node, heartbeat_s)
-        self._now_ns = 0
+        self._answers = SyncAnswers(len(drive.tpdos))
+        self._sdo = CyclicSdo(node, max(1.0, _STANDSTILL_PER_S * abs(drive.units.velocity_per_unit)))
+        self._notices = Notices()
+        self._now_ns = self._heard_ns = self._left_ns = self._nmt_start_ns = 0
         self._decoder = FeedbackDecoder(drive.tpdos, drive.units, drive.mode, drive.period_s)
         self._encoder = CommandEncoder(drive.rpdos, drive.mode, drive.units)
         self._frames = [b""] * len(drive.tpdos)  # TPDOs of this cycle; empty: not arrived
         self.is_complete = False
+        self.is_reachable = True
+        self._is_reported = False  # the feedback of this cycle is closed
+        self._why_no_sync = ""
+        self._waits_for_older = True
         self._short = ""  # a TPDO of this cycle had too few bytes
+        self._comes_late = False  # TPDOs of the cycle before arrived after its end
+        self._missed = 0  # cycles in a row without feedback
         self._measured = Measurement()  # of the last complete cycle
-        self._age_cycles = 0  # cycles since then
         self._error = drive.error
         self._message = ""
         self._controlword = profile.DISABLE_VOLTAGE
@@ -73,6 +94,7 @@ class CanopenAxis:
         }
         handlers[objects.EMERGENCY_BASE + self.node] = self._on_emergency
         handlers[objects.HEARTBEAT_BASE + self.node] = self._on_heartbeat
+        handlers[objects.SDO_RESPONSE_BASE + self.node] = self._on_sdo
         return handlers
 
     @property
@@ -80,58 +102,158 @@ class CanopenAxis:
         """All PDOs of a cycle."""
         return (*self.tpdos, *self._drive.rpdos)
 
+    @property
+    def state(self) -> DriveState:
+        """State of the drive; UNKNOWN if neither TPDOs nor SDO tell it."""
+        read = self._sdo.stop.state if self._sdo.is_stopping else DriveState.UNKNOWN
+        if not self.is_reachable or (self._missed and read is not DriveState.UNKNOWN):
+            return read
+        return self._measured.state
+
+    @property
+    def is_proved_unpowered(self) -> bool:
+        """True if the drive has reported, a moment ago, that it has no power."""
+        if self._sdo.is_stopping and self._sdo.stop.is_proved:
+            return True
+        state = self._measured.state
+        is_known = self.is_reachable and self._missed <= _BLIND_CYCLES and state is not DriveState.UNKNOWN
+        return is_known and not state.is_powered
+
+    @property
+    def is_doubtful(self) -> bool:
+        """True if only a cycle without SYNC shows whether the TPDOs are those of the last SYNC."""
+        return self._answers.is_doubtful
+
+    @property
+    def needs_other_frames(self) -> bool:
+        """True if `other_frames` may have something to send."""
+        return self._sdo.is_active or not self.is_reachable or self._missed > _BLIND_CYCLES
+
     def copy(self) -> "CanopenAxis":
         """Return another axis for the same drive, as it was before its first cycle."""
         return CanopenAxis(self._drive, self.node, self._heartbeat_s)
 
-    def start(self, now_ns: int) -> None:
-        """Begin the cyclic phase."""
-        self._now_ns = now_ns
+    def start(self, now_ns: int, *, is_real: bool = True) -> None:
+        """Begin the cyclic phase; in simulated time no TPDO comes late, and one that is lost is not waited for."""
+        self._now_ns = self._heard_ns = now_ns
+        self._waits_for_older = is_real
 
-    def begin_cycle(self, now_ns: int) -> None:
-        """Forget the TPDOs that arrived before this cycle's SYNC."""
+    def begin_cycle(self, now_ns: int, why_no_sync: str = "") -> None:
+        """Forget the TPDOs that arrived before this cycle; ``why_no_sync`` is the reason for one without SYNC."""
         self._now_ns = now_ns
         self._frames = [b""] * len(self.tpdos)
-        self.is_complete = False
+        self._answers.begin_cycle(has_sync=not why_no_sync)
+        self._why_no_sync = why_no_sync
+        self.is_complete = self._is_reported = False
         self._short = ""
-        self._age_cycles += 1
+
+    # Frames of the node
 
     def _on_tpdo(self, number: int, data: bytes) -> None:
         size = self.tpdos[number].layout.size
-        if len(data) < size:
-            self._short = f"TPDO {number + 1} of node {self.node} has {len(data)} bytes instead of {size}"
-        elif not self._frames[number]:
-            self._frames[number] = data
-            self.is_complete = all(self._frames)
+        if len(data) != size:
+            text = f"TPDO {number + 1} of node {self.node} has {len(data)} bytes instead of {size}"
+            self._notices.add(coded(text, codes.PDO_LENGTH))
+            if len(data) < size:
+                self._short = text
+                self._answers.take(number)
+                return
+        if self._answers.take(number):
+            self._comes_late = self._is_reported
+            self._frames[number] = data  # the last one, if older ones came in this cycle too
+            is_last = self._answers.is_up_to_date or not self._waits_for_older
+            self.is_complete = is_last and all(self._frames)
 
     def _on_emergency(self, data: bytes) -> None:
-        error = decode_emergency(data)
-        if error is not None:
-            self._error = error
+        self._notices.take_emergency(data)
+        if code := emergency_code(data):  # 0000h does not say why the drive was in fault
+            self._error = profile.error_text(code)
 
     def _on_heartbeat(self, data: bytes) -> None:
         state = decode_heartbeat(data)
-        if state is not None:
-            self._message = self._monitor.take(state, self._now_ns) or self._message
+        if state is not None and (fault := self._monitor.take(state, self._now_ns)):
+            self._left_ns = self._now_ns
+            if self._monitor.condition is NodeCondition.RESTARTED:
+                self._measured = self._measured._replace(state=DriveState.UNKNOWN)
+                self._sdo.end_stop()  # what was read before the restart does not count
+            self._note_fault(fault)
+
+    def _on_sdo(self, data: bytes) -> None:
+        self._sdo.take(data, self._now_ns)
+
+    def _note_fault(self, fault: str) -> None:
+        """Keep the first fault, which is the cause; tell those that follow."""
+        if not self._message:
+            self._message = fault
+        elif fault != self._message:
+            self._notices.add(fault)
+
+    # Feedback
 
     def report(self, feedback: Feedback, now_ns: int) -> None:
         """Write the drive's feedback; without all TPDOs the values stay those of the last complete cycle."""
-        is_fresh = self.is_complete
+        is_fresh = self.is_complete or self._is_usable()
+        self._is_reported = True
         if is_fresh:
-            self._measured = self._decoder.decode(self._frames, self._measured, self._age_cycles)
-            self._age_cycles = 0
-            self._message = self._wrong_mode() or self._message
-        # the latest fault is kept: each of these ends the run, even if its cause goes away
-        self._message = self._monitor.check(now_ns) or self._message
+            self._take_measurement(now_ns)
+        else:
+            self._missed += 1
+        if fault := self._monitor.check(now_ns):
+            self._note_fault(fault)
+        if is_fresh and self._left_ns < self._now_ns:
+            self._monitor.answered()  # a node sends synchronous TPDOs in Operational only
+        is_silent = now_ns - self._heard_ns > self._monitor.patience_ns
+        self.is_reachable = self._monitor.condition is NodeCondition.GOOD and not is_silent
         measured = self._measured
         feedback.position = measured.position
         feedback.velocity = measured.velocity
         feedback.torque = measured.torque
-        feedback.state = measured.state
+        feedback.state = self.state
         feedback.is_fresh = is_fresh
         feedback.missing = "" if is_fresh else self._missing()
         feedback.error = self._error
         feedback.message = self._message
+        feedback.is_reachable = self.is_reachable
+        if self._notices.waiting:
+            feedback.notices += self._notices.waiting
+            self._notices.waiting.clear()
+
+    def _is_usable(self) -> bool:
+        """True if every TPDO came; those of an earlier SYNC, as far as that is known, do not count."""
+        return all(self._frames) and not self._answers.is_late and not self._why_no_sync
+
+    def _take_measurement(self, now_ns: int) -> None:
+        """Decode the TPDOs of this cycle."""
+        before = self._measured
+        measured = self._decoder.decode(self._frames, before, self._missed + 1)
+        was, now = before.counts, measured.counts
+        if was is not None and now is not None and abs(now - was) > _LARGEST_STEP:
+            measured = measured._replace(counts=was)  # the counter is followed from where it was
+        self._measured = measured
+        self._missed, self._heard_ns = 0, now_ns
+        state = measured.state
+        if state is not before.state:
+            self._change_state(state)
+        is_enabled = state is DriveState.OPERATION_ENABLED
+        self._notices.take_statusword(measured.statusword, is_enabled=is_enabled)
+        if is_enabled and (fault := self._wrong_mode()):
+            self._note_fault(fault)
+        elif state in _IN_FAULT:
+            self._take_error_code()
+
+    def _change_state(self, state: DriveState) -> None:
+        """React to a new state: the reason of a fault is read, and forgotten once the drive is enabled."""
+        if state is DriveState.OPERATION_ENABLED:
+            self._error = ""
+        elif state in _IN_FAULT and not self._error and self._drive.rpdos:
+            self._sdo.error_code.begin()
+
+    def _take_error_code(self) -> None:
+        """Take 603Fh where no emergency message told the reason."""
+        if not self._error and (code := self._sdo.error_code.code):
+            self._error = profile.error_text(code)
+
+    # Commands
 
     def encode(self, command: Command) -> list[Frame]:
         """Encode a command for the drive's RPDOs.
@@ -145,17 +267,63 @@ class CanopenAxis:
         """
         if not self._drive.rpdos:
             raise DriveError(f"{self.facts.name}: a drive that is only listened to gets no command")
-        self._controlword = next_controlword(self._measured.state, command.request, self._controlword)
+        self._controlword = self._next_controlword(command.request)
         return self._encoder.encode(self._controlword, command)
+
+    def _next_controlword(self, request: Request) -> int:
+        """Return the controlword for a request; to stop, none follows from a state that is not known any more."""
+        if self._missed > _STALE_CYCLES:
+            if request is Request.QUICK_STOP:
+                return profile.QUICK_STOP
+            if request is Request.DISABLE:
+                return profile.DISABLE_VOLTAGE
+        return next_controlword(self._measured.state, request, self._controlword)
+
+    def other_frames(self, request: Request, now_ns: int) -> list[Frame]:
+        """Return what is to be sent beside the RPDO: the stop of a drive that RPDOs do not reach, reading of 603Fh."""
+        frames: list[Frame] = []
+        is_blind_stop = self._missed > _BLIND_CYCLES and request in (Request.QUICK_STOP, Request.DISABLE)
+        if not self.is_reachable or is_blind_stop:
+            if not self._sdo.is_stopping:
+                self._sdo.begin_stop(now_ns)
+            if self._monitor.condition is NodeCondition.NOT_OPERATIONAL and now_ns >= self._nmt_start_ns:
+                self._nmt_start_ns = now_ns + _NMT_START_NS
+                # its configuration is in force: RPDOs reach it again, and a stopped node has no SDO
+                frames.append((objects.NMT_ID, bytes((objects.NmtCommand.START, self.node))))
+        elif self._sdo.is_stopping and not self._missed:
+            self._sdo.end_stop()
+        if (frame := self._sdo.next(now_ns)) is not None:
+            frames.append(frame)
+        return frames
+
+    def note_unsent(self, error: str) -> None:
+        """Note that the bus takes no frames any more."""
+        self._note_fault(error)
+
+    def note_dropped(self, age_ms: float) -> None:
+        """Note that a command was too old to be sent."""
+        self._notices.add(coded(f"a command was not sent because it was {age_ms:.0f} ms old", codes.COMMANDS_TOO_OLD))
+
+    # Messages
 
     def _wrong_mode(self) -> str:
         """Fault of an enabled drive that is not in the mode that was set, "" for none."""
         mode, found = self._drive.mode, self._measured.mode
-        if self._measured.state is not DriveState.OPERATION_ENABLED or not self._drive.rpdos or found == mode:
+        if not self._drive.rpdos or found == mode:
             return ""
         return coded(f"the drive is in mode {found} and not in {mode.name} ({mode.value})", codes.WRONG_MODE)
 
     def _missing(self) -> str:
         """Why the feedback of this cycle is not complete."""
+        if self._short:
+            return self._short
+        if self._answers.is_late:
+            text = f"the TPDOs of node {self.node} answer SYNC {self._answers.lag} cycles late"
+            return coded(text, codes.FEEDBACK_LATE)
+        if self._why_no_sync:
+            return self._why_no_sync
         lost = [f"TPDO {number + 1}" for number, data in enumerate(self._frames) if not data]
-        return self._short or f"{' and '.join(lost)} of node {self.node} did not arrive in time"
+        text = f"{' and '.join(lost)} of node {self.node} did not arrive in time"
+        if self._comes_late:
+            return coded(f"{text}: it came after the time kept for it in its cycle", codes.FEEDBACK_LATE)
+        return text

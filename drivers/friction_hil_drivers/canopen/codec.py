@@ -14,7 +14,7 @@ from friction_hil_drivers.cia402 import profile
 
 Frame = tuple[int, bytes]  # identifier and data
 
-_EMERGENCY = struct.Struct("<HB")  # error code and error register; some drives send nothing after them
+_EMERGENCY_CODE = struct.Struct("<H")  # then the error register and 5 bytes of the manufacturer; some drives send less
 _NMT_STATE = 0x7F  # bits of a heartbeat's byte; the upper one is the toggle bit of node guarding
 
 
@@ -30,6 +30,8 @@ class Measurement(NamedTuple):
         rad, rad/s, N m (m, m/s, N on a linear axis).
     mode : int
         Mode of operation that the drive reports (6061h); the one that was set where it reports none.
+    statusword : int
+        6041h.
     """
 
     state: DriveState = DriveState.UNKNOWN
@@ -38,6 +40,7 @@ class Measurement(NamedTuple):
     velocity: float = 0.0
     torque: float = 0.0
     mode: int = 0
+    statusword: int = 0
 
 
 class FeedbackDecoder:
@@ -102,6 +105,7 @@ class FeedbackDecoder:
             velocity,
             units.torque(values[self._torque]),
             values[self._mode],
+            values[self._status],
         )
 
 
@@ -173,12 +177,20 @@ class CommandEncoder:
         ]
 
 
-def decode_emergency(data: bytes) -> str | None:
-    """Return the error of an emergency message in words, "" for "no error", None for a message too short."""
-    if len(data) < _EMERGENCY.size:
-        return None
-    code = _EMERGENCY.unpack_from(data)[0]
-    return profile.error_text(code) if code else ""
+def emergency_code(data: bytes) -> int | None:
+    """Return the error code of an emergency message, None for a message too short to have one."""
+    return _EMERGENCY_CODE.unpack_from(data)[0] if len(data) >= _EMERGENCY_CODE.size else None
+
+
+def emergency_text(data: bytes) -> str:
+    """Return an emergency message in words: error code, error register, the manufacturer's bytes if there are any."""
+    code = emergency_code(data)
+    if code is None:
+        return f"emergency without an error code: {len(data)} bytes {data.hex(' ')}".rstrip()
+    text = f"emergency {profile.error_text(code)}" if code else "emergency 0000h: the drive reports no error any more"
+    if len(data) > _EMERGENCY_CODE.size:
+        text += f", error register {data[2]:02X}h"
+    return f"{text}, {data[3:].hex(' ')}" if any(data[3:]) else text
 
 
 def decode_heartbeat(data: bytes) -> int | None:

@@ -24,6 +24,9 @@ NODE_RESTARTED = "FH-231"
 NOT_OPERATIONAL = "FH-232"
 WRONG_MODE = "FH-233"
 SYNC_NOT_ANSWERED = "FH-234"
+FEEDBACK_LATE = "FH-235"
+PDO_LENGTH = "FH-236"
+COMMANDS_TOO_OLD = "FH-237"
 UNITS_CONTRADICT = "FH-240"
 UNIT_AMBIGUOUS = "FH-241"
 NODE_SILENT = "FH-244"
@@ -53,6 +56,9 @@ TITLES = {
     NOT_OPERATIONAL: "A node left the state Operational",
     WRONG_MODE: "An enabled drive is in another mode of operation",
     SYNC_NOT_ANSWERED: "Drives do not answer SYNC in simulated time",
+    FEEDBACK_LATE: "TPDOs answer an earlier SYNC",
+    PDO_LENGTH: "A TPDO has another length than its mapping",
+    COMMANDS_TOO_OLD: "Commands were too old to be sent",
     UNITS_CONTRADICT: "The configuration contradicts a unit that the drive reports",
     UNIT_AMBIGUOUS: "The drive's objects leave open which unit its position has",
     NODE_SILENT: "A node to be shown or stopped does not answer",

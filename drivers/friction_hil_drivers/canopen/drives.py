@@ -148,6 +148,7 @@ class CanopenDrives:
             heartbeat_s=min(option.heartbeat_s for option in options),
             master_node=options[0].master_node,
             dry_run=self._dry_run,
+            max_missed=self._configuration.realtime.max_missed,
         )
 
     # The cyclic phase

@@ -1,12 +1,14 @@
 """The cyclic phase: SYNC, feedback of every drive, command to every drive, in one thread."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
-from friction_hil.drive import Clock, Command, Feedback, Request
+from friction_hil.drive import Clock, Command, DriveState, Feedback, Request
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes, objects
-from friction_hil_drivers.canopen.axis import CanopenAxis
+from friction_hil_drivers.canopen.axis import CanopenAxis, Handler
+from friction_hil_drivers.canopen.queue_full import QueueFullError
 
 if TYPE_CHECKING:
     from friction_hil_drivers.canopen.frames import FrameBus
@@ -14,9 +16,16 @@ if TYPE_CHECKING:
 _COMMAND_FRACTION = 0.25  # of the period, kept for computing and sending what acts from the next SYNC on
 _OPERATIONAL = bytes([objects.NmtState.OPERATIONAL])
 
+_PROBE_CYCLES = 50  # at least, between two cycles without SYNC
+_SDO_NS = 200_000_000  # for the stop by SDO to be answered, before the heartbeat ends
+_LAPSE_NS = 3_000_000_000  # after which the heartbeat ends in any case
+_PROBE = "SYNC was left out for a cycle, to see whether TPDOs come late"
+_TO_POWER = (Request.ENABLE, Request.RESET_FAULT)
+
 # In simulated time nothing but these would ever end a run without drives.
 STEPPED_TIMEOUT_S = 10.0
 STEPPED_TIMEOUTS = 3  # in a row
+_STEPPED_RETURN_S = 0.05  # for a drive that is out of reach
 
 
 class CyclicExchange:
@@ -36,6 +45,8 @@ class CyclicExchange:
         Node number under which the daemon sends it.
     dry_run : bool
         Send SYNC and nothing else.
+    max_missed : int, optional
+        Periods after which a command is too old to be sent, and missed exchanges in a row that are bridged.
     """
 
     def __init__(
@@ -48,16 +59,23 @@ class CyclicExchange:
         heartbeat_s: float,
         master_node: int,
         dry_run: bool,
+        max_missed: int = 10,
     ) -> None:
         self._bus = bus
         self._axes = axes
         self._clock = clock
         self._dry_run = dry_run
         self._reserve_ns = round(_COMMAND_FRACTION * period_s * 1e9)
-        self._handlers = {can_id: handler for axis in axes for can_id, handler in axis.handlers.items()}
+        self._handlers = _join_handlers(axes)
         self._heartbeat_id = objects.HEARTBEAT_BASE + master_node
         self._heartbeat_ns = round(heartbeat_s * 1e9)
         self._next_heartbeat_ns = 0
+        self._max_missed = max_missed
+        self._unsent = 0  # cycles in a row in which the bus took no frames
+        self._oldest_ns = round(max_missed * period_s * 1e9)
+        self._sampled_ns = 0  # time of the last feedback
+        self._cycles_since_probe = 0
+        self._lost_since_ns: int | None = None  # a drive that may have power is out of reach since then
         self._timeouts = 0  # incomplete cycles in a row, in simulated time
         self._spare = axes[0].copy()
         self._spare_feedback, self._spare_command = Feedback(), Command(Request.ENABLE)
@@ -66,7 +84,7 @@ class CyclicExchange:
         """Begin the cyclic phase: the drives watch the daemon's heartbeat from its first one on."""
         now = self._clock.now_ns()
         for axis in self._axes:
-            axis.start(now)
+            axis.start(now, is_real=self._clock.is_real)
         self._send_heartbeat(now)
 
     def receive(self, feedback: Sequence[Feedback], end_ns: int) -> None:
@@ -80,26 +98,88 @@ class CyclicExchange:
             Time of the next SYNC.
         """
         self._take_waiting_frames()
-        now = self._clock.now_ns()
+        now = self._sampled_ns = self._clock.now_ns()
+        why_no_sync = _PROBE if self._is_probe_due() else self._send_sync()
         for axis in self._axes:
-            axis.begin_cycle(now)
-        self._bus.send(objects.SYNC_ID, b"")
+            axis.begin_cycle(now, why_no_sync)
         self._collect(end_ns - self._reserve_ns)
         if not self._clock.is_real:
             self._require_answers()
         for axis, target in zip(self._axes, feedback, strict=True):
             axis.report(target, now)
 
+    def _send_sync(self) -> str:
+        """Send SYNC; return why it was not sent, "" if it was."""
+        try:
+            self._bus.send(objects.SYNC_ID, b"")
+        except QueueFullError as error:
+            return f"SYNC was not sent: {error}"
+        return ""
+
+    def _is_probe_due(self) -> bool:
+        """Return True if SYNC is to be left out, to see whether TPDOs are late (see `sync_answers`)."""
+        self._cycles_since_probe += 1
+        if self._cycles_since_probe < _PROBE_CYCLES or not self._clock.is_real:
+            return False
+        if not any(axis.is_doubtful for axis in self._axes):
+            return False
+        self._cycles_since_probe = 0
+        return True
+
     def send(self, commands: Sequence[Command]) -> None:
-        """Send one command to each axis, and the daemon's heartbeat when it is due; a dry run sends nothing."""
-        if not self._dry_run:
-            for axis, command in zip(self._axes, commands, strict=True):
-                if command.request is not Request.LISTEN:
-                    for frame in axis.encode(command):
-                        self._bus.send(*frame)
+        """Send one command to each axis, and the daemon's heartbeat when it is due; a dry run sends nothing.
+
+        A drive that RPDOs do not reach is stopped by SDO. Commands that are too old, because the daemon was held up
+        after their feedback, are not sent: the next cycle computes new ones.
+        """
         now = self._clock.now_ns()
-        if now >= self._next_heartbeat_ns:
-            self._send_heartbeat(now)
+        try:
+            if not self._dry_run:
+                self._send_commands(commands, now)
+            if now >= self._next_heartbeat_ns and not self._lets_heartbeat_lapse(now):
+                self._send_heartbeat(now)
+        except QueueFullError as error:  # what the drives did not get is a missed exchange
+            self._unsent += 1
+            if self._unsent > self._max_missed:
+                for axis in self._axes:
+                    axis.note_unsent(str(error))
+        else:
+            self._unsent = 0
+
+    def _send_commands(self, commands: Sequence[Command], now: int) -> None:
+        """Send the RPDOs of each axis that they reach, and what else is due."""
+        age_ns = now - self._sampled_ns
+        is_too_old = self._clock.is_real and age_ns > self._oldest_ns
+        for axis, command in zip(self._axes, commands, strict=True):
+            if command.request is Request.LISTEN:
+                continue
+            if is_too_old and command.request in _TO_POWER:
+                axis.note_dropped(age_ns * 1e-6)
+                continue
+            if axis.is_reachable:
+                for frame in axis.encode(command):
+                    self._bus.send(*frame)
+            if axis.needs_other_frames:
+                for frame in axis.other_frames(command.request, now):
+                    self._bus.send(*frame)
+
+    def _lets_heartbeat_lapse(self, now: int) -> bool:
+        """Return True if a drive that may have power can be stopped in no other way than by the lost heartbeat.
+
+        All drives watch the same heartbeat: those in reach lose their power first, and a drive that answers SDO is
+        left the time for its quick stop. After 3 s the heartbeat ends in any case.
+        """
+        lost = [axis for axis in self._axes if not axis.is_reachable and not axis.is_proved_unpowered]
+        if not lost:
+            self._lost_since_ns = None
+            return False
+        if self._lost_since_ns is None:
+            self._lost_since_ns = now
+        elapsed_ns = now - self._lost_since_ns
+        if elapsed_ns <= _SDO_NS or elapsed_ns > _LAPSE_NS:
+            return elapsed_ns > _LAPSE_NS
+        is_answered = all(axis.state is not DriveState.UNKNOWN for axis in lost)
+        return not is_answered and all(axis.is_proved_unpowered for axis in self._axes if axis.is_reachable)
 
     def warm_caches(self) -> None:
         """Decode and encode as in a cycle, on a copy of the first axis; nothing is sent."""
@@ -123,7 +203,10 @@ class CyclicExchange:
         clock, receive, handlers = self._clock, self._bus.receive, self._handlers
         for axis in self._axes:
             while not axis.is_complete:
-                timeout = (deadline_ns - clock.now_ns()) * 1e-9 if clock.is_real else STEPPED_TIMEOUT_S
+                if clock.is_real:
+                    timeout = (deadline_ns - clock.now_ns()) * 1e-9
+                else:
+                    timeout = STEPPED_TIMEOUT_S if axis.is_reachable else _STEPPED_RETURN_S
                 if timeout <= 0.0:
                     return
                 frame = receive(timeout)
@@ -132,7 +215,7 @@ class CyclicExchange:
                     if handler is not None:  # else a frame of another node
                         handler(frame[1])
                 elif not clock.is_real:
-                    return
+                    break
 
     def _require_answers(self) -> None:
         """End a run in simulated time whose drives have stopped answering.
@@ -142,7 +225,7 @@ class CyclicExchange:
         DriveError
             Several cycles in a row were incomplete.
         """
-        is_complete = all(axis.is_complete for axis in self._axes)
+        is_complete = all(axis.is_complete or not axis.is_reachable for axis in self._axes)
         self._timeouts = 0 if is_complete else self._timeouts + 1
         if self._timeouts >= STEPPED_TIMEOUTS:
             waited_s = STEPPED_TIMEOUTS * STEPPED_TIMEOUT_S
@@ -153,3 +236,18 @@ class CyclicExchange:
         if not self._dry_run:
             self._bus.send(self._heartbeat_id, _OPERATIONAL)
         self._next_heartbeat_ns = now + self._heartbeat_ns
+
+
+def _join_handlers(axes: Sequence[CanopenAxis]) -> dict[int, Handler]:
+    """Return the handler of each identifier; axes of one node share its heartbeats, emergencies and SDO answers."""
+    joined: dict[int, Handler] = {}
+    for axis in axes:
+        for can_id, handler in axis.handlers.items():
+            before = joined.get(can_id)
+            joined[can_id] = handler if before is None else partial(_both, before, handler)
+    return joined
+
+
+def _both(first: Handler, second: Handler, data: bytes) -> None:
+    first(data)
+    second(data)

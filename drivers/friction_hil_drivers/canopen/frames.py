@@ -22,6 +22,7 @@ from friction_hil.errors import BusError
 from friction_hil_drivers.canopen import codes
 from friction_hil_drivers.canopen.codec import Frame
 from friction_hil_drivers.canopen.multicast import LocalSources
+from friction_hil_drivers.canopen.queue_full import QueueFullError
 
 if TYPE_CHECKING:
     from friction_hil.config import BusConfig
@@ -33,10 +34,6 @@ _LONGEST_DATAGRAM = 2048
 _LONGEST_DRAIN_S = 0.1  # spent on frames of other kinds before `receive` returns
 _NOTHING = b""  # in place of a datagram that is not for this bus: no frame
 _QUEUE_FULL = (errno.ENOBUFS, errno.EAGAIN)
-
-
-class QueueFullError(BusError):
-    """A frame was not sent: the interface's send queue is full. The next cycle may try again."""
 
 
 class FrameBus:

@@ -1,0 +1,258 @@
+"""Stop of one node by SDO, for a drive that RPDOs do not reach. State machines of the cyclic phase: no bus, no clock.
+
+A drive whose node left Operational ignores RPDOs and goes on with its last set-point; its SDO server still answers. The
+stop writes 6040h = quick stop at once, waits for standstill (606Ch), writes 6040h = disable voltage, and repeats that
+until 6041h, read back, shows no power. Nothing is believed that was not read back.
+"""
+
+from enum import IntEnum
+from typing import NamedTuple
+
+from friction_hil.drive import DriveState
+from friction_hil_drivers.canopen import objects, raw_sdo
+from friction_hil_drivers.canopen.codec import Frame
+from friction_hil_drivers.canopen.objects import Object
+from friction_hil_drivers.canopen.raw_sdo import SdoAnswer
+from friction_hil_drivers.cia402 import profile
+
+_MS = 1_000_000
+ANSWER_NS = 50 * _MS  # without an answer the request is repeated
+_OBEY_NS = 100 * _MS  # for the quick stop to begin; then voltage is disabled
+_QUICK_STOP_NS = 2_000 * _MS  # for the quick stop to end; then voltage is disabled all the same
+_BLIND_NS = 500 * _MS  # the same where 606Ch does not answer, or nothing does
+_STANDSTILL_NS = 50 * _MS
+_VERIFY_NS = 100 * _MS  # between two readings of a drive without power
+_ERROR_CODE_ATTEMPTS = 5
+
+
+class Request(NamedTuple):
+    """Request to the SDO server: ``value`` is written, or None to read."""
+
+    entry: Object
+    value: int | None = None
+
+    def frame(self, node: int) -> Frame:
+        """Return the request as a frame."""
+        if self.value is None:
+            return raw_sdo.upload(node, self.entry)
+        return raw_sdo.download(node, self.entry, self.value)
+
+    def is_answered_by(self, answer: SdoAnswer) -> bool:
+        """Return True for the answer to this request, or the abort of it."""
+        is_same = (answer.index, answer.subindex) == (self.entry.index, self.entry.subindex)
+        return is_same and (answer.is_abort or answer.is_upload is (self.value is None))
+
+
+class _Step(IntEnum):
+    COMMAND = 0  # write 6040h
+    READ_STATE = 1
+    READ_VELOCITY = 2
+    WAIT = 3  # without power; read again later
+
+
+class SdoStop:
+    """Stop of one drive: quick stop, standstill, disable voltage, read back.
+
+    Parameters
+    ----------
+    standstill : float
+        Largest |606Ch| that counts as standstill, in the drive's units.
+
+    Attributes
+    ----------
+    state : DriveState
+        As read back last; UNKNOWN before.
+    is_proved : bool
+        The last reading showed a drive without power.
+    """
+
+    __slots__ = (
+        "_began_ns",
+        "_is_disabling",
+        "_is_heard",
+        "_standing_since_ns",
+        "_standstill",
+        "_step",
+        "_wait_until_ns",
+        "is_proved",
+        "state",
+    )
+
+    def __init__(self, standstill: float) -> None:
+        self._standstill = standstill
+        self.begin(0)
+
+    def begin(self, now_ns: int) -> None:
+        """Begin with the quick stop; what was read before does not count."""
+        self.state = DriveState.UNKNOWN
+        self.is_proved = False
+        self._began_ns = self._wait_until_ns = now_ns
+        self._standing_since_ns: int | None = None
+        self._is_disabling = self._is_heard = False
+        self._step = _Step.COMMAND
+
+    def request(self, now_ns: int) -> Request | None:
+        """Return the request that is due."""
+        elapsed_ns = now_ns - self._began_ns
+        if elapsed_ns > _QUICK_STOP_NS or (elapsed_ns > _BLIND_NS and not self._is_heard):
+            self._is_disabling = True
+        if self._step is _Step.WAIT:
+            if now_ns < self._wait_until_ns:
+                return None
+            self._step = _Step.READ_STATE
+        if self._step is _Step.READ_STATE:
+            return Request(objects.STATUSWORD)
+        if self._step is _Step.READ_VELOCITY:
+            return Request(objects.VELOCITY_ACTUAL)
+        word = profile.DISABLE_VOLTAGE if self._is_disabling else profile.QUICK_STOP
+        return Request(objects.CONTROLWORD, word)
+
+    def take(self, request: Request, answer: SdoAnswer | None, now_ns: int) -> None:
+        """Take the answer to ``request``; None: there was none."""
+        if answer is None:
+            self.state, self.is_proved = DriveState.UNKNOWN, False
+            self._step = _Step.COMMAND
+            return
+        self._is_heard = True
+        value = answer.value(request.entry)
+        if request.entry is objects.STATUSWORD:
+            self._take_state(value, now_ns)
+        elif request.entry is objects.VELOCITY_ACTUAL:
+            self._take_velocity(value, now_ns)
+        else:
+            self._step = _Step.READ_STATE
+
+    def _take_state(self, statusword: int | None, now_ns: int) -> None:
+        self.state = DriveState.UNKNOWN if statusword is None else profile.drive_state(statusword)
+        self.is_proved = not self.state.is_powered and self.state is not DriveState.UNKNOWN
+        if self.is_proved:
+            self._step, self._wait_until_ns = _Step.WAIT, now_ns + _VERIFY_NS
+        elif self.state is DriveState.FAULT_REACTION_ACTIVE and not self._is_disabling:
+            self._step = _Step.READ_STATE  # it stops by itself
+        elif self.state is DriveState.QUICK_STOP_ACTIVE and not self._is_disabling:
+            self._step = _Step.READ_VELOCITY
+        else:
+            self._is_disabling = self._is_disabling or now_ns - self._began_ns > _OBEY_NS
+            self._step = _Step.COMMAND
+
+    def _take_velocity(self, velocity: int | None, now_ns: int) -> None:
+        self._step = _Step.READ_STATE
+        if velocity is None:
+            is_over = now_ns - self._began_ns > _BLIND_NS
+        elif abs(velocity) > self._standstill:
+            self._standing_since_ns = None
+            return
+        else:
+            since_ns = self._standing_since_ns = now_ns if self._standing_since_ns is None else self._standing_since_ns
+            is_over = now_ns - since_ns >= _STANDSTILL_NS
+        if is_over:
+            self._is_disabling = True
+            self._step = _Step.COMMAND
+
+
+class ErrorCodeRead:
+    """Reading of 603Fh after a fault.
+
+    Attributes
+    ----------
+    code : int or None
+        As read; None before, or if the drive does not answer.
+    """
+
+    __slots__ = ("_attempts_left", "code")
+
+    def __init__(self) -> None:
+        self.code: int | None = None
+        self._attempts_left = 0
+
+    def begin(self) -> None:
+        """Read the code again."""
+        self.code, self._attempts_left = None, _ERROR_CODE_ATTEMPTS
+
+    @property
+    def is_wanted(self) -> bool:
+        """True until the code was read."""
+        return self._attempts_left > 0
+
+    def request(self) -> Request | None:
+        """Return the request that is due."""
+        return Request(objects.ERROR_CODE) if self._attempts_left else None
+
+    def take(self, answer: SdoAnswer | None) -> None:
+        """Take the answer; None: there was none."""
+        self._attempts_left -= 1
+        if answer is not None:
+            self.code, self._attempts_left = answer.value(objects.ERROR_CODE), 0
+
+
+class CyclicSdo:
+    """SDO requests to one node in the cyclic phase, one at a time; the stop comes first.
+
+    Parameters
+    ----------
+    node : int
+        Node number.
+    standstill : float
+        See `SdoStop`.
+
+    Attributes
+    ----------
+    stop : SdoStop
+    is_stopping : bool
+        The stop has begun and is not to be ended.
+    error_code : ErrorCodeRead
+    """
+
+    __slots__ = ("_deadline_ns", "_is_for_stop", "_node", "_pending", "error_code", "is_stopping", "stop")
+
+    def __init__(self, node: int, standstill: float) -> None:
+        self._node = node
+        self.stop = SdoStop(standstill)
+        self.error_code = ErrorCodeRead()
+        self.is_stopping = False
+        self._pending: Request | None = None
+        self._is_for_stop = False
+        self._deadline_ns = 0
+
+    @property
+    def is_active(self) -> bool:
+        """True if `next` may return a frame."""
+        return self.is_stopping or self.error_code.is_wanted
+
+    def begin_stop(self, now_ns: int) -> None:
+        """Begin to stop the drive."""
+        self.is_stopping, self._pending = True, None  # an answer that is under way is not waited for
+        self.stop.begin(now_ns)
+
+    def end_stop(self) -> None:
+        """Leave the drive to RPDOs again."""
+        self.is_stopping = False
+        if self._is_for_stop:
+            self._pending = None
+
+    def next(self, now_ns: int) -> Frame | None:
+        """Return the frame that is due; None while an answer is awaited, or if nothing is to be done."""
+        if self._pending is not None:
+            if now_ns < self._deadline_ns:
+                return None
+            self._answered(self._pending, None, now_ns)
+        request = self.stop.request(now_ns) if self.is_stopping else None
+        self._is_for_stop = request is not None
+        request = request or self.error_code.request()
+        if request is None:
+            return None
+        self._pending, self._deadline_ns = request, now_ns + ANSWER_NS
+        return request.frame(self._node)
+
+    def take(self, data: bytes, now_ns: int) -> None:
+        """Take a frame of the SDO server; what answers no request of this client is ignored."""
+        answer, pending = raw_sdo.decode(data), self._pending
+        if answer is not None and pending is not None and pending.is_answered_by(answer):
+            self._answered(pending, answer, now_ns)
+
+    def _answered(self, request: Request, answer: SdoAnswer | None, now_ns: int) -> None:
+        self._pending = None
+        if self._is_for_stop:
+            self.stop.take(request, answer, now_ns)
+        else:
+            self.error_code.take(answer)
