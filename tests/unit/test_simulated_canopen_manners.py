@@ -8,7 +8,7 @@ from pydantic import ValidationError
 
 from friction_hil.drive import DriveState
 from friction_hil.errors import UsageError
-from tests.canopen_bench import Bench
+from tests.canopen_bench import Bench, Frame
 
 PLAIN: dict[str, Any] = {"friction": {"model": "coulomb", "parameters": {"coulomb": 0.01}}}
 
@@ -191,5 +191,283 @@ def test_manners_are_checked(manners: dict[str, Any]) -> None:
 
 @pytest.mark.parametrize("preset", [{"index": 0x6099, "value": 1}, {"index": 0x6007, "value": 40_000}])
 def test_values_are_checked(preset: dict[str, int]) -> None:
-    with pytest.raises(UsageError, match=r"simulation\.canopen\.values"):
+    with pytest.raises(UsageError, match=r"simulation\.canopen: 60"):
         Bench(manners={"values": [preset]})
+
+
+# Connection and controlword
+
+
+def test_a_drive_that_goes_on_outside_operational() -> None:
+    bench = Bench(PLAIN, manners={"nmt_stops_drive": False})
+    bench.stream(10)
+    for _ in range(5):
+        bench.send(0x205, struct.pack("<Hhh", 0x0F, 50, 0))
+        bench.sync()
+    bench.nmt(0x80)
+    for _ in range(100):
+        bench.send(0x205, struct.pack("<Hhh", 0x00, 0, 0))
+        bench.sync()
+    assert bench.servo.true_velocity > 10.0, "RPDOs are ignored"
+    bench.write(0x6040, 0, "H", 0)
+    assert bench.node.drive.state is DriveState.SWITCH_ON_DISABLED
+    assert bench.servo.torque_demand == 0.0
+
+
+@pytest.mark.parametrize("faults", [False, True])
+def test_lost_connection_without_power(faults: bool) -> None:
+    bench = Bench(PLAIN, manners={"faults_without_power": faults})
+    bench.write(0x1016, 1, "I", 126 << 16 | 20)
+    bench.send(0x77E, b"\x05")
+    bench.sync(30)
+    assert bench.emergencies == ["8130"]
+    assert (bench.node.drive.state is DriveState.FAULT) == faults
+
+
+def states_after(bench: Bench, words: list[int], mode: int = 10) -> list[str]:
+    bench.write(0x6060, 0, "b", mode)
+    states = []
+    for word in words:
+        bench.write(0x6040, 0, "H", word)
+        bench.sync()
+        states.append(bench.node.drive.state.name)
+    return states
+
+
+def test_level_triggered_controlword() -> None:
+    assert states_after(Bench(), [0x06, 0x0F])[-1] == "OPERATION_ENABLED", "3, then 4, as long as it asks for it"
+
+
+def test_edge_triggered_controlword() -> None:
+    bench = Bench(manners={"controlword": "edge"})
+    assert states_after(bench, [0x06, 0x0F, 0x0F, 0x0F])[-1] == "SWITCHED_ON", "a transition for a change"
+    assert states_after(bench, [0x07, 0x0F])[-1] == "OPERATION_ENABLED"
+
+
+def test_controlword_that_must_come_twice() -> None:
+    bench = Bench(manners={"controlword": "twice"})
+    states = states_after(bench, [0x06, 0x06, 0x07, 0x07, 0x0F, 0x0F])
+    assert states == [
+        "SWITCH_ON_DISABLED",
+        "READY_TO_SWITCH_ON",
+        "READY_TO_SWITCH_ON",
+        "SWITCHED_ON",
+        "SWITCHED_ON",
+        "OPERATION_ENABLED",
+    ]
+
+
+def test_slow_switch_on() -> None:
+    bench = Bench(manners={"switch_on_s": 0.05, "enable_s": 0.2})
+    states_after(bench, [0x06, 0x07])
+    bench.sync(48)
+    assert bench.node.drive.state is DriveState.READY_TO_SWITCH_ON
+    bench.sync(2)
+    assert bench.node.drive.state is DriveState.SWITCHED_ON
+    bench.write(0x6040, 0, "H", 0x0F)
+    bench.sync(150)
+    bench.write(0x6040, 0, "H", 0x07)
+    bench.sync(100)
+    bench.write(0x6040, 0, "H", 0x0F)
+    bench.sync(199)
+    assert bench.node.drive.state is DriveState.SWITCHED_ON, "the command was revoked meanwhile"
+    bench.sync(1)
+    assert bench.node.drive.state is DriveState.OPERATION_ENABLED
+
+
+def test_slow_switch_on_with_one_command() -> None:
+    bench = Bench(manners={"switch_on_s": 0.05, "enable_s": 0.2, "controlword": "edge"})
+    states_after(bench, [0x06, 0x07])
+    bench.sync(60)
+    assert bench.node.drive.state is DriveState.SWITCHED_ON, "it need not be sent again"
+
+
+# Events
+
+
+def scene(*events: dict[str, Any], **bench: Any) -> Bench:
+    """Return a bench in Operational with TPDO 1 (statusword and position) and 2 (velocity), before the first SYNC."""
+    made = Bench(PLAIN, manners={"events": events, **bench})
+    made.map(0x1800, 0x1A00, 0x185, 1, [0x60410010, 0x60640020])
+    made.map(0x1801, 0x1A01, 0x285, 1, [0x606C0020])
+    made.sync(50)  # in Pre-operational: time does not count
+    made.nmt(0x01)
+    return made
+
+
+def spin(bench: Bench, cycles: int, torque: int = 50) -> list[list[Frame]]:
+    """Enable in cst and push; return what comes in each cycle."""
+    if bench.node.drive.state is not DriveState.OPERATION_ENABLED:
+        bench.map(0x1400, 0x1600, 0x205, 1, [0x60400010, 0x60710010])
+        bench.enable(10)
+    frames = []
+    for _ in range(cycles):
+        bench.send(0x205, struct.pack("<Hh", 0x0F, torque))
+        frames.append(bench.sync())
+    return frames
+
+
+@pytest.mark.parametrize("state", ["pre_operational", "stopped"])
+def test_event_of_the_nmt_state(state: str) -> None:
+    bench = scene({"at_s": 0.01, "do": state}, {"at_s": 0.02, "do": "operational"})
+    answers = [len(bench.sync()) for _ in range(30)]
+    assert answers[:11] == [2] * 11, "the event comes after the answer to its SYNC"
+    assert answers[11:21] == [0] * 10
+    assert answers[21:] == [2] * 9
+
+
+@pytest.mark.parametrize("is_paced_by_sync", [True, False])
+def test_reboot(is_paced_by_sync: bool) -> None:
+    bench = Bench(
+        PLAIN,
+        is_paced_by_sync=is_paced_by_sync,
+        manners={"events": [{"at_s": 0.01, "do": "reboot", "for_s": 0.5}]},
+    )
+    bench.stream(10)
+    for time in range(1, 601):
+        bench.at(time)
+        bench.send(0x205, struct.pack("<Hhh", 0x0F, 50, 0))
+        bench.sync()
+        if time == 100:
+            assert bench.sdo(upload(0x1000)) == []
+            assert bench.servo.torque_demand == 0.0
+    assert bench.sent[-1] == (0x705, b"\0"), "the boot-up message, and nothing after it"
+    assert bench.read(0x6060, 0, "b") == 0, "back at its defaults"
+
+
+def test_reboot_of_an_instant() -> None:
+    bench = scene({"at_s": 0.005, "do": "reboot"})
+    frames = [bench.sync() for _ in range(8)]
+    assert (0x705, b"\0") in frames[5]
+    assert frames[6:] == [[], []]
+
+
+def test_mute_deaf_and_unplugged() -> None:
+    for kind, hears in (("mute", True), ("deaf", False), ("unplug", False)):
+        bench = scene({"at_s": 0.005, "do": kind, "for_s": 0.01})
+        frames = [bench.sync() for _ in range(6)]
+        assert [len(answer) for answer in frames] == [2] * 6
+        bench.send(0x605, "2365600001000000")
+        assert [bench.sync() for _ in range(9)] == [[]] * 9
+        bench.sync(3)
+        assert (bench.read(0x6065) == 1) == hears
+
+
+def test_lost_power_stage() -> None:
+    bench = scene({"at_s": 0.02, "do": "disable"})
+    spin(bench, 20)
+    assert bench.node.drive.state is DriveState.OPERATION_ENABLED
+    spin_frames = [bench.sync() for _ in range(3)]
+    assert spin_frames[-1][0][1][:1] == b"\x50"
+    assert bench.servo.torque_demand == 0.0
+
+
+def test_emergency_and_fault() -> None:
+    bench = scene(
+        {"at_s": 0.005, "do": "emergency", "code": 0x2310, "for_s": 0.01}, {"at_s": 0.03, "do": "fault", "code": 0x4210}
+    )
+    bench.sync(20)
+    assert bench.emergencies == ["2310", "0000"]
+    bench.sync(20)
+    assert bench.emergencies == ["2310", "0000", "4210"]
+    assert bench.node.drive.state is DriveState.FAULT
+    assert bench.read(0x603F, 0, "H") == 0x4210
+
+
+def test_bits_of_the_statusword() -> None:
+    bench = scene({"at_s": 0.005, "do": "statusword", "set": 0x0880, "clear": 0x0200, "for_s": 0.005})
+    words = [struct.unpack_from("<H", bench.sync()[0][1])[0] for _ in range(15)]
+    assert words == [0x250] * 6 + [0x8D0] * 5 + [0x250] * 4
+
+
+def test_object_that_changes_by_itself() -> None:
+    bench = scene({"at_s": 0.005, "do": "write", "index": 0x6060, "value": 1})
+    bench.sync(10)
+    assert bench.read(0x6061, 0, "b") == 1
+
+
+def test_frozen_encoder() -> None:
+    bench = scene({"at_s": 0.02, "do": "freeze_encoder", "for_s": 0.1})
+    frames = spin(bench, 150)
+    positions = [struct.unpack("<Hi", answer[0][1])[1] for answer in frames]
+    speeds = [struct.unpack("<i", answer[1][1])[0] for answer in frames]
+    assert len(set(positions[22:119])) == 1
+    assert speeds[110] > speeds[30] > 0
+    assert positions[125] - positions[119] > 10_000
+
+
+def test_jump_of_the_encoder() -> None:
+    bench = scene({"at_s": 0.005, "do": "jump_encoder", "counts": 1 << 31, "for_s": 0.001})
+    positions = [struct.unpack("<Hi", bench.sync()[0][1])[1] for _ in range(10)]
+    assert [position < -(1 << 30) for position in positions] == [False] * 6 + [True] + [False] * 3
+
+
+def test_tpdos_that_stop_get_lost_or_cut() -> None:
+    bench = scene({"at_s": 0.005, "do": "stop_tpdo", "tpdo": 2, "for_s": 0.005})
+    assert [[can_id for can_id, _ in bench.sync()] for _ in range(12)][6:11] == [[0x185]] * 5
+    bench = scene({"at_s": 0.0, "do": "lose_tpdo", "share": 0.5})
+    runs = [
+        [[can_id for can_id, _ in made.sync()] for _ in range(400)]
+        for made in (bench, scene({"at_s": 0.0, "do": "lose_tpdo", "share": 0.5}))
+    ]
+    assert runs[0] == runs[1], "the same ones in every run"
+    assert sum(len(answer) for answer in runs[0]) == pytest.approx(400, abs=60)
+    bench = scene({"at_s": 0.002, "do": "cut_tpdo", "tpdo": 1, "length": 4})
+    assert [[len(data) for _, data in bench.sync()] for _ in range(5)] == [[6, 4]] * 3 + [[4, 4]] * 2
+
+
+def test_late_tpdos_paced_by_sync() -> None:
+    bench = scene({"at_s": 0.0, "do": "late_tpdo", "by_s": 0.002})
+    punctual = scene()
+    late = [answer[0] if (answer := frames) else None for frames in spin(bench, 50)]
+    usual = [frames[0] for frames in spin(punctual, 50)]
+    assert late[1:3] == [None, None]
+    assert late[3:] == usual[1:48]
+
+
+def test_late_tpdos_in_real_time() -> None:
+    bench = Bench(PLAIN, is_paced_by_sync=False, manners={"events": [{"at_s": 0.0, "do": "late_tpdo", "by_s": 0.0009}]})
+    bench.map(0x1800, 0x1A00, 0x185, 1, [0x60410010])
+    bench.nmt(0x01)
+    for time in range(1, 5):
+        bench.at(time)
+        assert len(bench.sync()) == (time == 1)
+        assert bench.node.needs_poll(bench.node.now_ns) == (time > 1)
+        assert bench.at(time + 0.85) == []
+        assert len(bench.at(time + 0.95)) == (time > 1)
+
+
+def test_babbling() -> None:
+    bench = scene(
+        {"at_s": 0.005, "do": "babble", "can_id": 0x585, "data": "8060600000000405", "per_ms": 3, "for_s": 0.01}
+    )
+    for _ in range(30):
+        bench.sync()
+    babble = [data.hex() for can_id, data in bench.sent if data.hex() == "8060600000000405"]
+    assert len(babble) == 30
+
+
+@pytest.mark.parametrize(
+    ("event", "message"),
+    [
+        ({"do": "explode"}, "pre_operational"),
+        ({"do": "fault"}, "fault needs code"),
+        ({"do": "mute", "code": 1}, "mute has no code; it takes no other fields"),
+        ({"do": "fault", "code": 1, "for_s": 1.0}, "it happens once"),
+        ({"do": "babble", "can_id": 1, "data": "123"}, "match"),
+        ({"do": "mute", "at_s": -1.0}, "greater"),
+    ],
+)
+def test_events_are_checked(event: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValidationError, match=message):
+        scene({"at_s": 0.0, **event})
+
+
+def test_events_of_objects_are_checked_at_the_start() -> None:
+    with pytest.raises(UsageError, match="6099h"):
+        scene({"at_s": 1.0, "do": "write", "index": 0x6099, "value": 1})
+
+
+def test_the_same_frames_give_the_same_answers() -> None:
+    events = ({"at_s": 0.01, "do": "lose_tpdo", "share": 0.3}, {"at_s": 0.02, "do": "late_tpdo", "by_s": 0.0015})
+    assert spin(scene(*events), 60) == spin(scene(*events), 60)

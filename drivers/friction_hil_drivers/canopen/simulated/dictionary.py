@@ -208,14 +208,23 @@ class Dictionary:
         UsageError
             There is no such entry of integers, or the value does not fit its type.
         """
+        entry = self.check(index, subindex, value)
+        entry.default = entry.value = value
+
+    def change(self, index: int, subindex: int, value: int) -> None:
+        """Change any entry as the device itself does, without asking its access rights; raises as `preset`."""
+        self.check(index, subindex, value).value = value
+
+    def check(self, index: int, subindex: int, value: int) -> Entry:
+        """Return the entry if it exists and holds such a value; raises as `preset`."""
         entry = self._entries.get((index, subindex))
-        where = f"simulation.canopen.values: {index:04X}h:{subindex:02X}"
+        where = f"simulation.canopen: {index:04X}h:{subindex:02X}"
         if entry is None or not entry.type.bits:
             raise UsageError(f"{where} is no integer object of the simulated drive")
         low, high = entry.type.bounds
         if not low <= value <= high:
             raise UsageError(f"{where} holds {low} to {high}, not {value}")
-        entry.default = entry.value = value
+        return entry
 
     def reset(self, first: int, last: int) -> None:
         """Return the entries of the indices ``first`` to ``last`` to their defaults, without calling ``on_write``."""

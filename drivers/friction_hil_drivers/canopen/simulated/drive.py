@@ -70,6 +70,7 @@ class SimulatedCia402Drive:
         self._has_following_error = False
         self._emergencies = emergencies
         manners = Manners() if manners is None else manners
+        self._manners = manners
         self._units = _units(servo, manners)
         self._modes = frozenset(modes)
         set_defaults(dictionary, servo, self._units, self._modes)
@@ -79,6 +80,8 @@ class SimulatedCia402Drive:
 
         self._controlword_wanted, self._mode_wanted = dictionary.entries(objects.CONTROLWORD, objects.MODE)
         self._mode_wanted.on_write = self._check_mode
+        if manners.controlword == "twice":
+            self._controlword_wanted.on_write = self._count_controlword
         self._abort_option, self._quick_stop_option = dictionary.entries(
             objects.ABORT_CONNECTION_OPTION, objects.QUICK_STOP_OPTION
         )
@@ -95,6 +98,9 @@ class SimulatedCia402Drive:
         dictionary.of(objects.STATUSWORD).on_read = lambda: self.statusword
         dictionary.of(objects.MODE_DISPLAY).on_read = lambda: self._mode
 
+        self._repeats = 0  # of the controlword in a row
+        self._transition: DriveState | None = None  # that takes time, and is under way
+        self._transition_ends_ns = 0
         self._faults: set[int] = set()
         self._setpoints = Setpoints(servo, self._units, dictionary)
         self.reset()
@@ -104,6 +110,7 @@ class SimulatedCia402Drive:
         self._setpoints.load()
         self._faults.clear()
         self._controlword = 0
+        self._repeats = 0
         self._mode = NO_MODE
         self._has_following_error = False
         self._stop_was_commanded = False
@@ -158,10 +165,12 @@ class SimulatedCia402Drive:
 
     def connection_lost(self, code: int, now_ns: int) -> None:
         """Report that the master is missing and, while powered, react as 6007h says."""
+        reaction = self._abort_option.value
         if not self.state.is_powered:
+            if self._manners.faults_without_power and reaction == _ABORT_FAULT:
+                self.fault(code, now_ns)
             self._emergencies.report(code)
             return
-        reaction = self._abort_option.value
         if reaction == _ABORT_FAULT:
             self.fault(code, now_ns)
             return
@@ -170,6 +179,11 @@ class SimulatedCia402Drive:
             self._enter(_DISABLED)
         elif reaction == _ABORT_QUICK_STOP and self.state is _ENABLED:
             self._quick_stop(now_ns)
+
+    def disable(self) -> None:
+        """Lose the power stage, as by STO: Switch on Disabled without a ramp."""
+        if self.state not in (_FAULT, DriveState.FAULT_REACTION_ACTIVE):
+            self._enter(_DISABLED)
 
     def connection_restored(self, *codes: int) -> None:
         """Take back what `connection_lost` reported; a fault stays until it is reset."""
@@ -197,15 +211,40 @@ class SimulatedCia402Drive:
             if word & ~before & profile.FAULT_RESET:
                 self._reset_fault()
             return
+        if not self._is_heeded(word, before):
+            return
         wanted = requested_state(self.state, word)
         if self.state is _STOPPING:
             self._stop_was_commanded |= not word & 0x04
             if wanted is _ENABLED and not self._may_resume():
                 return
+        if wanted is not self._transition:
+            self._transition = None  # the command that had begun it was revoked
         if wanted is not self.state:
             self._change(wanted, now_ns)
         elif self.state is _ENABLED and self._stop is not None:
             self._enter(wanted)  # the command that had started a ramp was revoked
+
+    def _is_heeded(self, word: int, before: int) -> bool:
+        """True if the drive looks at a controlword; ``before`` is the one of the update before."""
+        if self._manners.controlword == "edge":
+            return word != before or self._transition is not None
+        return self._manners.controlword == "level" or self._repeats >= 2
+
+    def _count_controlword(self, word: int) -> None:
+        self._repeats = self._repeats + 1 if word == self._controlword_wanted.value else 1
+
+    def _takes_time(self, wanted: DriveState, now_ns: int) -> bool:
+        """True until a transition towards Operation Enabled has taken its time."""
+        duration_s = {
+            DriveState.SWITCHED_ON: self._manners.switch_on_s if self.state is not _ENABLED else 0.0,
+            _ENABLED: self._manners.enable_s,
+        }.get(wanted, 0.0)
+        if duration_s == 0.0:
+            return False
+        if self._transition is not wanted:
+            self._transition, self._transition_ends_ns = wanted, now_ns + round(duration_s * _S)
+        return now_ns < self._transition_ends_ns
 
     def _reset_fault(self) -> None:
         self._emergencies.clear(*self._faults)
@@ -222,6 +261,8 @@ class SimulatedCia402Drive:
         """Make a transition that the controlword asks for, with the ramp of its option code."""
         if wanted is _ENABLED and not self._setpoints.has_period:
             self.fault(PARAMETER_ERROR, now_ns)
+            return
+        if self._takes_time(wanted, now_ns):
             return
         option = None
         if self.state is _ENABLED:
@@ -265,6 +306,7 @@ class SimulatedCia402Drive:
     def _enter(self, state: DriveState) -> None:
         """Enter a state at once, without a ramp; without power unless it is Operation Enabled."""
         self.state = state
+        self._transition = None
         self._stop = None
         self._exceeded_since_ns = None
         self._setpoints.forget()

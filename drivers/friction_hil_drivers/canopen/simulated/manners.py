@@ -4,6 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
+from friction_hil_drivers.canopen.simulated.scenario import Event
 from friction_hil_drivers.canopen.simulated.units import VelocityUnit
 
 Unsigned8 = Annotated[int, Field(ge=0, le=0xFF)]
@@ -52,6 +53,22 @@ class Manners(BaseModel):
         description="look at the event timer (140xh:05) of a synchronous RPDO only when a SYNC comes, as CANopenNode "
         "does; event-driven RPDOs (254, 255) are always watched",
     )
+    nmt_stops_drive: bool = Field(
+        True,
+        description="leaving Operational is a lost connection (6007h) to a powered drive; false: it goes on with its "
+        "last set-points and heeds no RPDO, as CANopenNode does",
+    )
+    faults_without_power: bool = Field(
+        False, description="a lost connection leads to Fault (6007h = 1) also while the drive has no power"
+    )
+    switch_on_s: Seconds = Field(0.0, description="time from the command to Switched On, s")
+    enable_s: Seconds = Field(0.0, description="time from the command to Operation Enabled, s, e.g. of a brake")
+    controlword: Literal["level", "edge", "twice"] = Field(
+        "level",
+        description="level: acts as long as it asks for a transition; edge: acts when it changes; twice: acts when it "
+        "came twice in a row",
+    )
+    events: tuple[Event, ...] = Field((), description="what goes wrong, and when")
     sdo_delay_s: Seconds = Field(0.0, description="delay of every SDO answer, s, in real time")
     sdo: tuple[SdoManner, ...] = Field((), description="how some objects are answered; the first that fits counts")
     velocity_unit: str | None = Field(

@@ -7,11 +7,13 @@ from functools import partial
 from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.objects import NmtCommand, NmtState
 from friction_hil_drivers.canopen.simulated.dictionary import Abort, Dictionary, SdoAbortError
+from friction_hil_drivers.canopen.simulated.disturbances import DisturbedWire, ShownValues
 from friction_hil_drivers.canopen.simulated.drive import SimulatedCia402Drive
 from friction_hil_drivers.canopen.simulated.emergency import Emergencies
 from friction_hil_drivers.canopen.simulated.heartbeat import Consumer, LifeGuard, Producer
 from friction_hil_drivers.canopen.simulated.manners import Manners
 from friction_hil_drivers.canopen.simulated.pdo import Rpdo, Tpdo
+from friction_hil_drivers.canopen.simulated.scenario import Event, Timeline
 from friction_hil_drivers.canopen.simulated.slow_sdo import SlowSdoServer
 
 COMMUNICATION, HEARTBEAT_LOST, RPDO_TOO_SHORT, RPDO_TIMEOUT, SYNC_LOST = 0x8100, 0x8130, 0x8210, 0x8250, 0x8700
@@ -76,13 +78,20 @@ class SimulatedNode:
         self._lock_steps = lock_steps
         self._locked_until_ns = 0
         self._is_ahead = False  # integrated up to the coming SYNC
-        self._send = send
+        for event in self._manners.events:
+            if event.do == "write":
+                dictionary.check(event.index or 0, event.subindex or 0, event.value or 0)
+        self._timeline = Timeline(self._manners.events)
+        self._wire = DisturbedWire(send, self._tpdo_number) if self._manners.events else None
+        self._send = send if self._wire is None else self._wire.send
+        self._is_deaf = False
+        self._has_ticked = False  # time passed at a SYNC that a deaf node did not hear
         self._dictionary = dictionary
         self._emergencies = Emergencies(dictionary, self._send_emergency)
         self.drive = make_drive(dictionary, self._emergencies)
         self._sdo = SlowSdoServer(
             dictionary,
-            partial(send, objects.SDO_RESPONSE_BASE + number),
+            partial(self._send, objects.SDO_RESPONSE_BASE + number),
             self._manners.sdo_delay_s,
             self._manners.sdo,
             clock,
@@ -90,6 +99,7 @@ class SimulatedNode:
         self._producer = Producer(dictionary)
         self._consumer = Consumer(dictionary)
         self._guard = LifeGuard(dictionary)
+        self._shown = ShownValues(dictionary, self._manners.events)
         self._rpdos = [Rpdo(number, dictionary) for number in range(objects.PDO_COUNT)]
         self._tpdos = [Tpdo(number, dictionary) for number in range(objects.PDO_COUNT)]
         self._sync_id = dictionary.of(objects.SYNC_COB_ID)
@@ -115,13 +125,19 @@ class SimulatedNode:
 
     def receive(self, can_id: int, data: bytes) -> None:
         """Take a frame from the bus; those of other identifiers are ignored."""
+        if self._is_deaf:
+            if self._sync_steps is not None and can_id == self._sync_id.value & 0x7FF:
+                self._tick()
+                self._has_ticked = True
+            return
         handler = self._handlers.get(can_id)
         if handler is not None:
             handler(data)
 
     def receive_remote(self, can_id: int) -> None:
         """Take a remote frame: the request of node guarding. A node that sends heartbeats does not answer it."""
-        if can_id != objects.HEARTBEAT_BASE + self.number or not self._guard.is_supported or self._producer.is_on:
+        is_request = can_id == objects.HEARTBEAT_BASE + self.number and not self._is_deaf
+        if not is_request or not self._guard.is_supported or self._producer.is_on:
             return
         self._send(can_id, self._guard.answer(self.state, self.now_ns))
         self._restore_connection()
@@ -149,7 +165,9 @@ class SimulatedNode:
 
     def needs_poll(self, now_ns: int) -> bool:
         """True if `poll` is to be called."""
-        return self._has_sync or now_ns - self._polled_ns >= _POLL_NS
+        if self._has_sync or now_ns - self._polled_ns >= _POLL_NS:
+            return True
+        return self._has_ticked or (self._wire is not None and self._wire.is_due)
 
     def poll(self) -> None:
         """Apply the PDOs received before a SYNC; serve timers, ramps and event-driven PDOs."""
@@ -159,6 +177,11 @@ class SimulatedNode:
                 if rpdo.pending is not None:
                     rpdo.write(rpdo.pending)
                     rpdo.pending = None
+        if self._wire is not None:
+            self._has_ticked = False
+            self._wire.pass_time(self.now_ns)
+            for event, begins in self._timeline.take(self.now_ns):
+                self._act(event, begins=begins)
         self._check_timers(is_sync=is_sync)
         self._update()
 
@@ -236,7 +259,8 @@ class SimulatedNode:
             rpdo.write(data)
             self._update()
 
-    def _on_sync(self, _: bytes) -> None:
+    def _tick(self) -> None:
+        """Let time pass at a SYNC."""
         if self._sync_steps is not None:
             self.drive.advance(self._sync_steps)
             self._steps += self._sync_steps
@@ -247,9 +271,15 @@ class SimulatedNode:
             self._locked_until_ns = (
                 self.now_ns + _LOCKED_PERIODS * self._lock_steps * _S // self.drive.servo.steps_per_second
             )
+
+    def _on_sync(self, _: bytes) -> None:
+        self._tick()
         self._has_sync = True
+        if self._wire is not None:
+            self._wire.pass_time(self.now_ns)
         if self.state is not _OPERATIONAL:
             return
+        self._timeline.start(self.now_ns)
         for tpdo in self._synchronous:
             if (data := tpdo.at_sync()) is not None:
                 self._send(tpdo.can_id, data)
@@ -263,6 +293,50 @@ class SimulatedNode:
         if self.state in (NmtState.OPERATIONAL, NmtState.PRE_OPERATIONAL) and not cob_id & objects.PDO_INVALID:
             self._send(cob_id & 0x7FF, data)
 
+    # Events
+
+    def _tpdo_number(self, can_id: int) -> int | None:
+        """Return the number of the TPDO that is sent with an identifier."""
+        return next((n for n, tpdo in enumerate(self._tpdos, 1) if tpdo.exists and tpdo.can_id == can_id), None)
+
+    def _act(self, event: Event, *, begins: bool) -> None:
+        """Begin or end an event of the scenario."""
+        match event.do:
+            case "pre_operational" | "stopped" | "operational":
+                self._change_state(NmtState[event.do.upper()])
+            case "reboot":
+                self._reboot(event, begins=begins)
+            case "mute" | "deaf" | "unplug":
+                self._cut(is_mute=begins and event.do != "deaf", is_deaf=begins and event.do != "mute")
+            case "disable":
+                self.drive.disable()
+            case "emergency":
+                (self._emergencies.report if begins else self._emergencies.clear)(event.code or 0)
+            case "fault":
+                self.drive.fault(event.code or 0, self.now_ns)
+            case "write":
+                self._dictionary.change(event.index or 0, event.subindex or 0, event.value or 0)
+            case "statusword" | "freeze_encoder" | "jump_encoder":
+                self._shown.change(event, begins=begins)
+            case _:
+                assert self._wire is not None
+                self._wire.change(event, begins=begins)
+
+    def _reboot(self, event: Event, *, begins: bool) -> None:
+        """Lose the supply and, when it is back, boot."""
+        is_off = begins and event.for_s is not None
+        self._cut(is_mute=is_off, is_deaf=is_off)
+        if is_off:
+            self.drive.reset()
+            self._set_state(NmtState.BOOT_UP)
+        elif begins or self.state is NmtState.BOOT_UP:
+            self._reset(0xFFFF)
+
+    def _cut(self, *, is_mute: bool, is_deaf: bool) -> None:
+        """Cut or mend the wires."""
+        assert self._wire is not None
+        self._wire.is_mute, self._is_deaf = is_mute, is_deaf
+
     # States and supervision
 
     def _change_state(self, state: NmtState) -> None:
@@ -275,7 +349,8 @@ class SimulatedNode:
 
     def _leave_operational(self) -> None:
         """Report a lost connection to a powered drive: without PDOs it gets no set-points."""
-        if self.state is _OPERATIONAL and self.drive.state.is_powered:
+        is_noticed = self._manners.nmt_stops_drive and self.state is _OPERATIONAL
+        if is_noticed and self.drive.state.is_powered:
             self.drive.connection_lost(COMMUNICATION, self.now_ns)
 
     def _set_state(self, state: NmtState) -> None:
