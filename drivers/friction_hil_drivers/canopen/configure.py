@@ -313,7 +313,8 @@ def _set_interpolation_period(access: "SdoClient", mode: Mode, period_s: float) 
     except DriveError as error:
         if error.code != codes.SDO_ABORT:
             raise
-        found, power = access.read(objects.INTERPOLATION_PERIOD), access.find(objects.INTERPOLATION_EXPONENT)
+        found = _with_present_exponent(access, period_s)
+        power = access.find(objects.INTERPOLATION_EXPONENT)
         present_s = found * 10.0 ** (-3 if power is None else power)
         if math.isclose(present_s, period_s):
             return []
@@ -323,6 +324,15 @@ def _set_interpolation_period(access: "SdoClient", mode: Mode, period_s: float) 
             raise DriveError(f"{access.axis}: {text}", fix, code=codes.PERIOD_NOT_EXPRESSIBLE) from error
         return [text]
     return []
+
+
+def _with_present_exponent(access: "SdoClient", period_s: float) -> int:
+    """Write the value of 60C2h that fits the exponent in it, if one does; return the value in it then."""
+    power = access.find(objects.INTERPOLATION_EXPONENT)
+    value = period_s * 10.0 ** -(-3 if power is None else power)
+    if 1.0 <= round(value) <= 255.0 and abs(value - round(value)) < 1e-6:
+        access.try_write(objects.INTERPOLATION_PERIOD, round(value))
+    return access.read(objects.INTERPOLATION_PERIOD)
 
 
 def _interpolation_period(axis: str, period_s: float) -> tuple[int, int]:
