@@ -138,6 +138,11 @@ class PdoRecord:
         return self.parameter(objects.PDO_TRANSMISSION_TYPE, "transmission type", DataType.UNSIGNED8)
 
     @property
+    def inhibit_time(self) -> Object:
+        """Entry with the shortest time between two frames, in units of 100 us."""
+        return self.parameter(objects.PDO_INHIBIT_TIME, "inhibit time", DataType.UNSIGNED16)
+
+    @property
     def event_timer(self) -> Object:
         """Entry with the event timer; of an RPDO, the time after which its absence is an error."""
         return self.parameter(objects.PDO_EVENT_TIMER, "event timer", DataType.UNSIGNED16)

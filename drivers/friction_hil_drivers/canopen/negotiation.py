@@ -227,7 +227,7 @@ class PdoNegotiator:
         entries : sequence of Object
             In the order of the bytes.
         optional : collection of Object
-            Objects among them that are left out, with a note, if no PDO of the drive takes them.
+            Objects among them that are left out, with a note, if no PDO of the drive takes them; the first ones first.
         values : mapping of Object to bytes, optional
             Content of objects in a kept RPDO that are not to be read from the drive.
 
@@ -238,7 +238,7 @@ class PdoNegotiator:
         """
         self._values = dict(values or {})
         bits = self._widths(entries)
-        droppable = [entry for entry in entries if entry in optional]
+        droppable = [entry for entry in optional if entry in entries]
         for dropped in itertools.chain.from_iterable(
             itertools.combinations(droppable, count) for count in range(len(droppable) + 1)
         ):
@@ -342,12 +342,16 @@ class PdoNegotiator:
         identifier = free_identifier(pdo, self._taken)
         cob_id = pdo.cob_id & objects.PDO_NO_RTR | identifier
         kind = access.find(record.transmission_type)
-        if kind != SYNCHRONOUS or access.find(record.cob_id) != cob_id:
+        # it concerns event-driven PDOs alone, but some drives are delivered with 100 ms and may look at it always
+        is_inhibited = not record.is_receive and bool(access.find(record.inhibit_time))
+        if kind != SYNCHRONOUS or is_inhibited or access.find(record.cob_id) != cob_id:
             present = access.read(record.cob_id)
             if not present & objects.PDO_INVALID:
                 self._attempt(record.cob_id, objects.PDO_INVALID | present)
             if kind != SYNCHRONOUS and not self._attempt(record.transmission_type, SYNCHRONOUS):
                 self._require_usable_type(record, kind)
+            if is_inhibited:
+                self._attempt(record.inhibit_time, 0)
             if not self._attempt(record.cob_id, cob_id):
                 self._attempt(record.cob_id, pdo.cob_id & ~objects.PDO_INVALID)
         in_force = access.read(record.cob_id)

@@ -64,7 +64,6 @@ class CanopenOptions(BaseModel):
     is_watchdog_required: bool = Field(
         True, description="refuse a drive that cannot watch the daemon (neither 1016h nor an RPDO timer)"
     )
-
     is_mode_check_required: bool = Field(
         True, description="refuse a drive whose 6502h does not list the mode; false: its 6502h may be wrong, try it"
     )
