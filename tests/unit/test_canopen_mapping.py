@@ -14,10 +14,10 @@ from friction_hil_drivers.canopen.mapping import (
     PdoRecord,
     check_bus_load,
     frame_bits,
-    map_pdo,
     switch_off,
     wire_time_s,
 )
+from friction_hil_drivers.canopen.negotiation import PdoNegotiator
 from friction_hil_drivers.canopen.sdo import SdoClient
 
 from friction_hil.drive import Mode
@@ -50,8 +50,12 @@ class Drive:
         node = network.add_node(NODE, object_dictionary=None)
         self.access = SdoClient(node, "x", f"node {NODE} on a wire")
 
-    def map(self, entries, *, is_receive=False, number=0, event_ms=0):
-        return map_pdo(self.access, PdoRecord(is_receive, number, NODE), entries, event_ms)
+    def negotiate(self, entries, *, is_receive=False, taken=None, **how):
+        return PdoNegotiator(self.access, is_receive=is_receive, node=NODE, taken=taken).negotiate(entries, **how)
+
+    def map(self, entries, *, is_receive=False):
+        [pdo] = self.negotiate(entries, is_receive=is_receive).pdos
+        return pdo
 
 
 @pytest.fixture
@@ -73,7 +77,7 @@ def drive(make) -> Drive:
 
 
 def test_feedback_is_mapped_and_comes_with_every_sync(drive):
-    pdos = [drive.map(entries, number=number) for number, entries in enumerate(FEEDBACK)]
+    pdos = drive.negotiate([*FEEDBACK[0], *FEEDBACK[1]]).pdos
     assert [(pdo.cob_id, pdo.layout.format) for pdo in pdos] == [(0x185, "<Hih"), (0x285, "<ib")]
     assert drive.bench.read(0x1A00, 0, "B") == 3
     assert [drive.bench.read(0x1A00, k) for k in (1, 2, 3)] == [0x60410010, 0x60640020, 0x60770010]
@@ -88,9 +92,8 @@ def test_feedback_is_mapped_and_comes_with_every_sync(drive):
 
 @pytest.mark.parametrize("mode", Mode)
 def test_commands_are_mapped_and_take_effect(drive, mode):
-    pdo = drive.map(COMMANDS[mode], is_receive=True, event_ms=20)
+    pdo = drive.map(COMMANDS[mode], is_receive=True)
     assert pdo.cob_id == 0x205
-    assert drive.bench.read(0x1400, 5, "H") == 20
     drive.bench.nmt(0x01)
     drive.bench.send(pdo.cob_id, pdo.layout.pack(0x06, *range(5, 5 + len(COMMANDS[mode]) - 1)))
     drive.bench.sync()
@@ -102,7 +105,7 @@ def test_mapping_again_replaces_what_was_there(drive):
     drive.map(FEEDBACK[0])
     pdo = drive.map(FEEDBACK[1])
     assert drive.bench.read(0x1A00, 0, "B") == len(pdo.entries) == 2
-    assert drive.bench.read(0x1800, 1) == 0x185
+    assert drive.bench.read(0x1800, 1) == 0x40000185  # bit 30, no RTR, stays as it was
 
 
 def test_a_pdo_is_switched_off_while_its_mapping_changes(drive):
@@ -113,8 +116,8 @@ def test_a_pdo_is_switched_off_while_its_mapping_changes(drive):
     downloads = [data for data in drive.wire.requests if data[0] & 0xE0 == 0x20]
     addresses = [int.from_bytes(data[1:3], "little") for data in downloads]
     assert addresses[0] == addresses[-1] == 0x1800
-    assert int.from_bytes(downloads[0][4:8], "little") == 0x80000185
-    assert int.from_bytes(downloads[-1][4:8], "little") == 0x185
+    assert int.from_bytes(downloads[0][4:8], "little") == 0xC0000185
+    assert int.from_bytes(downloads[-1][4:8], "little") == 0x40000185
 
 
 def test_the_width_is_the_drives_own(tmp_path, make):
@@ -128,28 +131,31 @@ def test_the_width_is_the_drives_own(tmp_path, make):
     pdo = drive.map(COMMANDS[Mode.CSV][::2], is_receive=True)  # controlword and torque offset
     assert pdo.layout.format == "<Hi"
     assert drive.bench.read(0x1600, 2) == 0x60B20020
-    with pytest.raises(DriveError, match=r"x: .*60B2h torque offset need 10 bytes on this drive; RPDO 1 carries 8"):
-        drive.map(COMMANDS[Mode.CSP], is_receive=True)
+    csp = drive.negotiate(COMMANDS[Mode.CSP], is_receive=True).pdos  # ten bytes
+    assert [(pdo.cob_id, pdo.entries, pdo.layout.format) for pdo in csp] == [
+        (0x205, COMMANDS[Mode.CSP][:2], "<Hi"),
+        (0x305, COMMANDS[Mode.CSP][2:], "<i"),
+    ]
 
 
 def test_a_missing_object_is_named(make):
     drive = make(missing=[0x60B2])
-    with pytest.raises(
-        DriveError, match="x: node 5 on a wire lacks object 60B2h torque offset, which belongs into RPDO 1"
-    ):
+    with pytest.raises(DriveError, match="x: node 5 on a wire lacks object 60B2h torque offset, which is needed"):
         drive.map(COMMANDS[Mode.CSP], is_receive=True)
 
 
 def test_a_drive_that_keeps_another_mapping_is_refused(drive):
     upload_of_second = bytes.fromhex("43001a02")
     drive.wire.garble = lambda data: data[:4] + bytes.fromhex("20006c60") if data[:4] == upload_of_second else data
+    pdos = drive.negotiate(FEEDBACK[0]).pdos
+    assert [pdo.cob_id for pdo in pdos] == [0x285]  # the next one takes it
+    drive.wire.garble = lambda data: data[:4] + bytes.fromhex("20006c60") if data[3] == 2 and data[0] == 0x43 else data
     with pytest.raises(DriveError, match="TPDO 1 of node 5 on a wire holds 606C0020h at position 2 after 60640020h"):
-        drive.map(FEEDBACK[0])
+        drive.negotiate([*FEEDBACK[0], *FEEDBACK[1], objects.FOLLOWING_ERROR, objects.POSITION_DEMAND])
 
 
 def test_unused_pdos_are_switched_off_once(drive):
-    drive.map(FEEDBACK[0], number=2)
-    assert drive.bench.read(0x1802, 1) == 0x385
+    drive.bench.map(0x1802, 0x1A02, 0x385, 1, [0x60640020])
     switch_off(drive.access, PdoRecord(False, 2, NODE))
     assert drive.bench.read(0x1802, 1) & objects.PDO_INVALID
     drive.wire.requests.clear()
@@ -179,7 +185,7 @@ def test_a_cycle_takes_its_known_time(drive, axes, microseconds):
 
 
 def test_a_cycle_that_does_not_fit_is_refused_with_the_arithmetic(drive):
-    pdos = [drive.map(FEEDBACK[0]), drive.map(FEEDBACK[1], number=1), drive.map(COMMANDS[Mode.CSP], is_receive=True)]
+    pdos = [*drive.negotiate([*FEEDBACK[0], *FEEDBACK[1]]).pdos, drive.map(COMMANDS[Mode.CSP], is_receive=True)]
     bits = 55 + 135 + frame_bits(5) + 135
     two = 55 + 2 * (bits - 55)
     assert check_bus_load(1_000_000, 1e-3, pdos * 2) == f"a cycle needs {two} us of 1000 us on the bus at 1000000 bit/s"

@@ -19,6 +19,9 @@ PERIOD_NOT_EXPRESSIBLE = "FH-216"
 NO_WATCHDOG = "FH-217"
 BUS_OVERLOAD = "FH-218"
 MAPPING_NOT_KEPT = "FH-219"
+NO_MAPPING = "FH-227"
+UNKNOWN_ENTRY = "FH-228"
+NO_TORQUE_OFFSET = "FH-229"
 HEARTBEAT_LOST = "FH-230"
 NODE_RESTARTED = "FH-231"
 NOT_OPERATIONAL = "FH-232"
@@ -51,6 +54,9 @@ TITLES = {
     NO_WATCHDOG: "The drive cannot watch the daemon",
     BUS_OVERLOAD: "A cycle does not fit on the bus",
     MAPPING_NOT_KEPT: "The drive keeps another PDO mapping than was written",
+    NO_MAPPING: "No PDO of a drive carries an object that is needed",
+    UNKNOWN_ENTRY: "A fixed PDO mapping carries an object whose value is not known",
+    NO_TORQUE_OFFSET: "A drive cannot be given a compensation in this mode",
     HEARTBEAT_LOST: "The heartbeat of a node is missing",
     NODE_RESTARTED: "A node restarted during the run",
     NOT_OPERATIONAL: "A node left the state Operational",

@@ -9,8 +9,9 @@ from friction_hil.drive import AxisFacts, DriveState, Mode
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes, objects
 from friction_hil_drivers.canopen.eds import load_eds
-from friction_hil_drivers.canopen.mapping import COMMANDS, FEEDBACK, MappedPdo, PdoRecord, map_pdo, switch_off
+from friction_hil_drivers.canopen.mapping import COMMANDS, FEEDBACK, MappedPdo, PdoRecord, switch_off
 from friction_hil_drivers.canopen.monitor import HEARTBEATS_TO_LOSS
+from friction_hil_drivers.canopen.negotiation import PdoNegotiator
 from friction_hil_drivers.canopen.objects import Object
 from friction_hil_drivers.canopen.options import CanopenOptions, canopen_options
 from friction_hil_drivers.canopen.scales import read_scales, require_agreement
@@ -24,8 +25,15 @@ if TYPE_CHECKING:
 
 _ACTUATION_DELAY_CYCLES = 1.5  # sampled at one SYNC, in force from the next, for one period: by its middle
 _SETPOINT_DELAY_CYCLES = {Mode.CSP: 2.5, Mode.CSV: 2.0, Mode.CST: 1.5}
+_DELAY_ON_ARRIVAL_CYCLES = 1.0  # an RPDO that acts when it arrives comes within the period, and then acts for one
 _STAY_IN_QUICK_STOP = 6  # 605Ah
 _TO_FAULT = 1  # 6007h
+# Feedback that a drive may lack, in the order in which it is done without, and what follows
+_WITHOUT = {
+    objects.MODE_DISPLAY: "that it takes the mode is not confirmed",
+    objects.TORQUE_ACTUAL: "no torque is recorded, so nothing can be identified from it",
+    objects.VELOCITY_ACTUAL: "the velocity is derived from the position, and has its resolution per period",
+}
 _RPDO_PERIODS_TO_LOSS = 20
 _SHORTEST_RPDO_TIMER_MS = 20
 
@@ -43,10 +51,24 @@ class ConfiguredDrive:
     period_s: float
 
 
-def configure(access: "SdoClient", name: str, axis: "AxisConfig", period_s: float, *, dry_run: bool) -> ConfiguredDrive:
+def configure(
+    access: "SdoClient", name: str, axis: "AxisConfig", period_s: float, *, dry_run: bool, taken: set[int] | None = None
+) -> ConfiguredDrive:
     """Check a drive's identity and modes, read its units, map its PDOs and set its watchdogs.
 
     A dry run reads, and sets up TPDOs; nothing else is written.
+
+    Parameters
+    ----------
+    access : SdoClient
+    name : str
+        Name of the axis.
+    axis : AxisConfig
+    period_s : float
+        Period of the cycle, s.
+    dry_run : bool
+    taken : set of int, optional
+        Identifiers that PDOs of other axes have; those of this axis are added.
 
     Raises
     ------
@@ -55,10 +77,14 @@ def configure(access: "SdoClient", name: str, axis: "AxisConfig", period_s: floa
     """
     options = canopen_options(axis)
     mode = Mode[axis.mode.upper()]
+    taken = set() if taken is None else taken
     identity = _identify(access, options)
-    notes = _check_mode(access, mode)
+    notes = _check_mode(access, mode, options)
+    feedback, absent = _feedback_objects(access)
+    commands, without = _command_objects(access, mode, is_compensated=axis.compensation.enabled)
+    notes += absent + without
     if options.eds is not None:
-        _check_eds(options, access, (*FEEDBACK[0], *FEEDBACK[1], *COMMANDS[mode]))
+        _check_eds(options, access, (*feedback, *commands))
     scales = read_scales(access, options, axis.model.axis)
     require_agreement(access, options, scales)
     units = scales.units(is_inverted=options.is_inverted)
@@ -67,23 +93,37 @@ def configure(access: "SdoClient", name: str, axis: "AxisConfig", period_s: floa
     rpdos: tuple[MappedPdo, ...] = ()
     if not dry_run:
         _require_unpowered(access, state)
-        rpdos, watchdogs = _set_up_commands(access, options, mode, period_s)
-        notes += watchdogs
-    tpdos = _set_up_feedback(access, options.node, dry_run=dry_run)
-    delay_cycles = options.setpoint_delay_cycles
+        rpdos, of_commands = _set_up_commands(access, options, mode, commands, period_s, taken)
+        notes += of_commands
+    tpdos, of_feedback = _set_up_feedback(access, options, feedback, taken, dry_run=dry_run)
+    notes += of_feedback
+    has_torque = any(objects.TORQUE_ACTUAL in pdo.entries for pdo in tpdos)
     facts = AxisFacts(
         name=name,
         identity=identity,
         position_resolution=1.0 / abs(units.counts_per_unit),
         torque_resolution=abs(units.rated_torque) / PER_MILLE,
-        setpoint_delay_s=(_SETPOINT_DELAY_CYCLES[mode] if delay_cycles is None else delay_cycles) * period_s,
-        actuation_delay_s=_ACTUATION_DELAY_CYCLES * period_s,
+        setpoint_delay_s=_setpoint_delay_cycles(options, mode, rpdos) * period_s,
+        actuation_delay_s=_actuation_delay_cycles(rpdos) * period_s,
         notes=tuple(notes),
+        torque_delay_s=0.0 if has_torque else None,
         velocity_resolution=1.0 / abs(units.velocity_per_unit),
         units=unit_rows(scales, axis.limits, mode, axis.model.axis),
     )
     code = access.find(objects.ERROR_CODE) if state is DriveState.FAULT else None
     return ConfiguredDrive(facts, units, mode, tpdos, rpdos, profile.error_text(code) if code else "", period_s)
+
+
+def _actuation_delay_cycles(rpdos: Sequence[MappedPdo]) -> float:
+    """Return the periods from a sample to the middle of the time for which the torque computed from it acts."""
+    return _ACTUATION_DELAY_CYCLES if all(pdo.is_synchronous for pdo in rpdos) else _DELAY_ON_ARRIVAL_CYCLES
+
+
+def _setpoint_delay_cycles(options: CanopenOptions, mode: Mode, rpdos: Sequence[MappedPdo]) -> float:
+    if options.setpoint_delay_cycles is not None:
+        return options.setpoint_delay_cycles
+    earlier = _ACTUATION_DELAY_CYCLES - _actuation_delay_cycles(rpdos)
+    return _SETPOINT_DELAY_CYCLES[mode] - earlier
 
 
 def _identify(access: "SdoClient", options: CanopenOptions) -> str:
@@ -105,19 +145,55 @@ def _identify(access: "SdoClient", options: CanopenOptions) -> str:
     return text if serial is None else f"{text}, serial number {serial}"
 
 
-def _check_mode(access: "SdoClient", mode: Mode) -> list[str]:
-    """Refuse a mode that the drive does not support; return a note where the drive does not report its modes."""
+def _check_mode(access: "SdoClient", mode: Mode, options: CanopenOptions) -> list[str]:
+    """Refuse a mode that the drive does not support; return a note where that is not known."""
     bits = access.find(objects.SUPPORTED_MODES)
     if bits is None:
         return [
             f"the drive has no {objects.SUPPORTED_MODES}: a mode {mode.name} that it lacks shows when it is enabled"
         ]
-    modes = profile.supported_modes(bits)
-    if mode not in modes:
-        supported = ", ".join(m.name.lower() for m in modes) or "none of csp, csv, cst"
-        text = f"{access.axis}: {access.where} does not support mode {mode.name.lower()}; it supports {supported}"
-        raise DriveError(text, code=codes.MODE_NOT_SUPPORTED)
-    return []
+    if mode in profile.supported_modes(bits):
+        return []
+    names = ", ".join(profile.mode_names(bits)) or "no mode of the profile at all"
+    text = f"does not support mode {mode.name.lower()}; it supports {names}"
+    if not profile.supported_modes(bits):
+        text = f"supports none of csp, csv, cst, one of which is needed for cyclic commands; it supports {names}"
+    if options.is_mode_check_required:
+        raise DriveError(f"{access.axis}: {access.where} {text}", code=codes.MODE_NOT_SUPPORTED)
+    return [f"the drive says that it {text} ({objects.SUPPORTED_MODES}); it is tried, as is_mode_check_required says"]
+
+
+def _feedback_objects(access: "SdoClient") -> tuple[list[Object], list[str]]:
+    """Return the objects for the TPDOs that the drive has, and what it means that it lacks others."""
+    notes = []
+    entries = [entry for group in FEEDBACK for entry in group]
+    for entry, consequence in _WITHOUT.items():
+        if access.width(entry) is None:
+            entries.remove(entry)
+            notes.append(f"the drive has no {entry}: {consequence}")
+    return entries, notes
+
+
+def _command_objects(access: "SdoClient", mode: Mode, *, is_compensated: bool) -> tuple[list[Object], list[str]]:
+    """Return the objects for the RPDOs.
+
+    Raises
+    ------
+    DriveError
+        The drive lacks the torque offset, and the configuration wants a compensation.
+    """
+    entries = list(COMMANDS[mode])
+    if mode is Mode.CST or access.width(objects.TORQUE_OFFSET) is not None:
+        return entries, []
+    if is_compensated:
+        text = (
+            f"{access.axis}: {access.where} lacks object {objects.TORQUE_OFFSET}, by which mode {mode.name.lower()} is "
+            "compensated: take mode cst, which compensates without it, or let the axis run without compensation "
+            "(compensation: {enabled: false})"
+        )
+        raise DriveError(text, code=codes.NO_TORQUE_OFFSET)
+    entries.remove(objects.TORQUE_OFFSET)
+    return entries, [f"the drive has no {objects.TORQUE_OFFSET}: it runs without compensation"]
 
 
 def _check_eds(options: CanopenOptions, access: "SdoClient", entries: Sequence[Object]) -> None:
@@ -151,44 +227,112 @@ def _require_unpowered(access: "SdoClient", state: DriveState) -> None:
 
 
 def _set_up_commands(
-    access: "SdoClient", options: CanopenOptions, mode: Mode, period_s: float
+    access: "SdoClient",
+    options: CanopenOptions,
+    mode: Mode,
+    entries: Sequence[Object],
+    period_s: float,
+    taken: set[int],
 ) -> tuple[tuple[MappedPdo, ...], list[str]]:
-    """Prepare the mode, map RPDO 1, switch the others off, set the watchdogs; return the PDO and notes."""
-    _prepare_mode(access, mode, period_s)
-    records = [PdoRecord(True, number, options.node) for number in range(objects.PDO_COUNT)]
+    """Prepare the mode, map the RPDOs, switch the others off, set the watchdogs; return the PDOs and notes."""
+    notes = _prepare_mode(access, mode, period_s)
+    negotiator = PdoNegotiator(access, is_receive=True, node=options.node, axis=options.axis_number, taken=taken)
+    values = {objects.MODE: int(mode).to_bytes(1, "little")}
+    result = negotiator.negotiate(entries, values=values)
+    notes += result.notes
+    for pdo in result.unused:
+        switch_off(access, pdo.record)  # one that stays on is not sent
+    if not all(pdo.is_synchronous for pdo in result.pdos):
+        notes.append("RPDOs of the drive take effect when they arrive and not at SYNC")
     timer_ms = max(_SHORTEST_RPDO_TIMER_MS, math.ceil(_RPDO_PERIODS_TO_LOSS * period_s * 1e3))
-    rpdo = map_pdo(access, records[0], COMMANDS[mode], timer_ms)
-    for record in records[1:]:
-        switch_off(access, record)
-    return (rpdo,), _set_watchdogs(access, options, records[0].event_timer, timer_ms)
+    timer = PdoRecord(True, result.pdos[0].number, options.node, options.axis_number).event_timer
+    access.try_write(timer, timer_ms)
+    return result.pdos, notes + _set_watchdogs(access, options, timer, timer_ms)
 
 
-def _set_up_feedback(access: "SdoClient", node: int, *, dry_run: bool) -> tuple[MappedPdo, ...]:
+def _set_up_feedback(
+    access: "SdoClient", options: CanopenOptions, entries: Sequence[Object], taken: set[int], *, dry_run: bool
+) -> tuple[tuple[MappedPdo, ...], list[str]]:
     """Map the TPDOs of the feedback and, unless it is a dry run, switch the others off."""
-    records = [PdoRecord(False, number, node) for number in range(objects.PDO_COUNT)]
-    tpdos = tuple(map_pdo(access, record, entries) for record, entries in zip(records, FEEDBACK, strict=False))
+    negotiator = PdoNegotiator(access, is_receive=False, node=options.node, axis=options.axis_number, taken=taken)
+    result = negotiator.negotiate(entries, optional=tuple(_WITHOUT))
+    notes = list(result.notes)
     if not dry_run:
-        for record in records[len(FEEDBACK) :]:
-            switch_off(access, record)
-    return tpdos
+        on = [pdo.record.name for pdo in result.unused if not switch_off(access, pdo.record)]
+        if on:
+            notes.append(f"the drive does not let {', '.join(on)} be switched off: they load the bus for nothing")
+    return result.pdos, notes
 
 
-def _prepare_mode(access: "SdoClient", mode: Mode, period_s: float) -> None:
-    """Set zero torque, the present position as target, the mode and the interpolation period."""
+def ensure(access: "SdoClient", entry: Object, value: int, bits: int | None = None) -> None:
+    """Write an object; a refusal is no obstacle where the drive holds the value already.
+
+    Raises
+    ------
+    DriveError
+        It refuses and holds another value, or does not answer.
+    """
+    try:
+        access.write(entry, value, bits)
+    except DriveError as error:
+        if error.code != codes.SDO_ABORT or access.find(entry) != value:
+            raise
+
+
+def _prepare_mode(access: "SdoClient", mode: Mode, period_s: float) -> list[str]:
+    """Set zero torque, the present position as target, the mode and the interpolation period; return notes."""
     access.write(objects.CONTROLWORD, profile.DISABLE_VOLTAGE)
-    if access.find(objects.INTERPOLATION_PERIOD) is not None:
-        value, exponent = _interpolation_period(access.axis, period_s)
-        access.write(objects.INTERPOLATION_EXPONENT, exponent)
-        access.write(objects.INTERPOLATION_PERIOD, value)
+    notes = _set_interpolation_period(access, mode, period_s)
     for entry in (objects.TARGET_TORQUE, objects.TORQUE_OFFSET, objects.TARGET_VELOCITY):
         bits = access.width(entry)
         if bits is not None:
-            access.write(entry, 0, bits)
+            ensure(access, entry, 0, bits)
     if mode is Mode.CSP:
         access.write(objects.TARGET_POSITION, access.read(objects.POSITION_ACTUAL))
-    access.write(objects.MODE, mode)
+    ensure(access, objects.MODE, mode)
     # where the drive can: it holds its position after a quick stop, until the loop has seen standstill
     access.try_write(objects.QUICK_STOP_OPTION, _STAY_IN_QUICK_STOP)
+    return notes
+
+
+def _set_interpolation_period(access: "SdoClient", mode: Mode, period_s: float) -> list[str]:
+    """Set 60C2h, where the drive has it; return a note where it stays different.
+
+    Raises
+    ------
+    DriveError
+        The drive would interpolate the positions of csp with another period.
+    """
+    found = access.find(objects.INTERPOLATION_PERIOD)
+    if found is None:
+        return []
+    value, exponent = _interpolation_period(access.axis, period_s)
+    try:
+        ensure(access, objects.INTERPOLATION_EXPONENT, exponent)
+        ensure(access, objects.INTERPOLATION_PERIOD, value)
+    except DriveError as error:
+        if error.code != codes.SDO_ABORT:
+            raise
+        found = _with_present_exponent(access, period_s)
+        power = access.find(objects.INTERPOLATION_EXPONENT)
+        present_s = found * 10.0 ** (-3 if power is None else power)
+        if math.isclose(present_s, period_s):
+            return []
+        text = f"{objects.INTERPOLATION_PERIOD} stays at {present_s:g} s and not {period_s:g} s: {error.detail}"
+        if mode is Mode.CSP:
+            fix = f"take period_s: {present_s:g}, or mode csv or cst" if present_s > 0.0 else "take mode csv or cst"
+            raise DriveError(f"{access.axis}: {text}", fix, code=codes.PERIOD_NOT_EXPRESSIBLE) from error
+        return [text]
+    return []
+
+
+def _with_present_exponent(access: "SdoClient", period_s: float) -> int:
+    """Write the value of 60C2h that fits the exponent in it, if one does; return the value in it then."""
+    power = access.find(objects.INTERPOLATION_EXPONENT)
+    value = period_s * 10.0 ** -(-3 if power is None else power)
+    if 1.0 <= round(value) <= 255.0 and abs(value - round(value)) < 1e-6:
+        access.try_write(objects.INTERPOLATION_PERIOD, round(value))
+    return access.read(objects.INTERPOLATION_PERIOD)
 
 
 def _interpolation_period(axis: str, period_s: float) -> tuple[int, int]:

@@ -12,13 +12,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from friction_hil.drive import AxisFacts, Clock, Command, Feedback
+from friction_hil.drive import AxisFacts, Clock, Command, Feedback, Mode
 from friction_hil.errors import BusError, DriveError, FrictionHilError, UsageError
 from friction_hil_drivers.canopen import codes, interfaces, objects
 from friction_hil_drivers.canopen.axis import CanopenAxis
 from friction_hil_drivers.canopen.checks import check_connection
 from friction_hil_drivers.canopen.configure import ConfiguredDrive, configure
 from friction_hil_drivers.canopen.eds import load_eds
+from friction_hil_drivers.canopen.eds_check import compare_eds
 from friction_hil_drivers.canopen.exchange import CyclicExchange
 from friction_hil_drivers.canopen.exclusive import AxisLock
 from friction_hil_drivers.canopen.interfaces import bus_name
@@ -49,12 +50,16 @@ class CanopenDrives:
     def check_files(
         cls, configuration: "Configuration", axes: "Mapping[str, AxisConfig]"
     ) -> Iterator[tuple[str, str, FrictionHilError]]:
-        """Read the EDS of each axis; see `friction_hil.drive.Driver`."""
+        """Read the EDS of each axis and compare it with the mode; see `friction_hil.drive.Driver`."""
         for name, axis in axes.items():
+            options = canopen_options(axis)
             try:
-                _read_eds(axis)
+                reasons = () if options.eds is None else _compare_eds(options.eds, axis)
             except UsageError as error:
                 yield name, "eds", error
+                continue
+            for reason in reasons:
+                yield name, "eds", UsageError(f"{options.eds} {reason}")
 
     @staticmethod
     def open_inventory(config: "BusConfig") -> "CanopenInventory":
@@ -237,3 +242,11 @@ def _read_eds(axis: "AxisConfig") -> None:
     options = canopen_options(axis)
     if options.eds is not None:
         load_eds(options.eds, options.node)
+
+
+def _compare_eds(path: Path, axis: "AxisConfig") -> list[str]:
+    """Return the reasons for which a drive with this EDS cannot be driven as configured."""
+    options = canopen_options(axis)
+    mode = Mode[axis.mode.upper()]
+    dictionary = load_eds(path, options.node)
+    return list(compare_eds(dictionary, mode, options, is_compensated=axis.compensation.enabled))

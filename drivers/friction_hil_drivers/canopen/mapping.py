@@ -14,8 +14,7 @@ if TYPE_CHECKING:
     from friction_hil_drivers.canopen.sdo import SdoClient
 
 SYNCHRONOUS = 1  # transmission type: with every SYNC
-_INVALID = objects.PDO_INVALID
-_LARGEST = 8  # bytes
+LARGEST_BYTES = 8
 _LARGEST_LOAD = 0.9  # of the period; the rest is for SDO, heartbeats and emergencies
 
 FEEDBACK = (
@@ -32,7 +31,7 @@ TARGETS = {
     Mode.CSV: objects.TARGET_VELOCITY,
     Mode.CST: objects.TARGET_TORQUE,
 }
-_FORMATS = {8: "b", 16: "h", 32: "i"}  # of `struct`, for signed integers by their width
+_FORMATS = {8: "b", 16: "h", 32: "i", 64: "q"}  # of `struct`, for signed integers by their width
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,31 +63,66 @@ class MappedPdo:
 
 @dataclass(frozen=True, slots=True)
 class PdoRecord:
-    """Objects that configure one PDO of a drive; ``number`` counts from 0, separately for each direction."""
+    """Objects that configure one PDO of an axis.
+
+    Attributes
+    ----------
+    is_receive : bool
+    number : int
+        Number of the PDO, from 0, separately for each direction and axis.
+    node : int
+    axis : int
+        Number of the axis in a node with several (CiA 402-2): its objects of the profile stand 800h higher for each
+        axis, its PDOs 64 higher.
+    """
 
     is_receive: bool
     number: int
     node: int
+    axis: int = 0
 
     @property
     def name(self) -> str:
         """Name in messages: ``RPDO 1``."""
-        return f"{'RPDO' if self.is_receive else 'TPDO'} {self.number + 1}"
+        return f"{'RPDO' if self.is_receive else 'TPDO'} {self._offset + 1}"
+
+    @property
+    def default_identifier(self) -> int | None:
+        """Identifier of the PDO's frames in the pre-defined connection set, which has four for each direction."""
+        bases = objects.RPDO_BASES if self.is_receive else objects.TPDO_BASES
+        return bases[self.number] + self.node if self.axis == 0 and self.number < len(bases) else None
 
     @property
     def identifier(self) -> int:
-        """Identifier of the PDO's frames, from the pre-defined connection set."""
-        bases = objects.RPDO_BASES if self.is_receive else objects.TPDO_BASES
-        return bases[self.number] + self.node
+        """Identifier of one of the first four PDOs."""
+        identifier = self.default_identifier
+        assert identifier is not None
+        return identifier
+
+    @property
+    def _offset(self) -> int:
+        return objects.PDOS_PER_AXIS * self.axis + self.number
+
+    def own_index(self, index: int) -> int:
+        """Return the index of an object of this axis as it is in the first one."""
+        return index - objects.AXIS_OFFSET * self.axis if index in objects.PROFILE_INDICES else index
+
+    def address(self, entry: Object) -> int:
+        """Return index and sub-index of an object on this axis: index << 8 | sub-index."""
+        return objects.axis_index(entry.index, self.axis) << 8 | entry.subindex
+
+    def word(self, entry: Object, bits: int) -> int:
+        """Return the entry of a mapping object for an object of ``bits`` bits."""
+        return self.address(entry) << 8 | bits
 
     def parameter(self, subindex: int, name: str, kind: DataType) -> Object:
         """Return an object of the communication record (1400h, 1800h)."""
         base = objects.RPDO_PARAMETER if self.is_receive else objects.TPDO_PARAMETER
-        return Object(base + self.number, f"{name} of {self.name}", kind, subindex)
+        return Object(base + self._offset, f"{name} of {self.name}", kind, subindex)
 
     def mapping(self, position: int) -> Object:
         """Return an object of the mapping record (1600h, 1A00h); position 0 is the number of mapped objects."""
-        index = (objects.RPDO_MAPPING if self.is_receive else objects.TPDO_MAPPING) + self.number
+        index = (objects.RPDO_MAPPING if self.is_receive else objects.TPDO_MAPPING) + self._offset
         if position == 0:
             return Object(index, f"number of objects in {self.name}", DataType.UNSIGNED8, 0)
         return Object(index, f"object {position} of {self.name}", DataType.UNSIGNED32, position)
@@ -99,84 +133,43 @@ class PdoRecord:
         return self.parameter(objects.PDO_COB_ID, "COB-ID", DataType.UNSIGNED32)
 
     @property
+    def transmission_type(self) -> Object:
+        """Entry that says when the PDO is sent or takes effect."""
+        return self.parameter(objects.PDO_TRANSMISSION_TYPE, "transmission type", DataType.UNSIGNED8)
+
+    @property
+    def inhibit_time(self) -> Object:
+        """Entry with the shortest time between two frames, in units of 100 us."""
+        return self.parameter(objects.PDO_INHIBIT_TIME, "inhibit time", DataType.UNSIGNED16)
+
+    @property
     def event_timer(self) -> Object:
         """Entry with the event timer; of an RPDO, the time after which its absence is an error."""
         return self.parameter(objects.PDO_EVENT_TIMER, "event timer", DataType.UNSIGNED16)
 
 
+def field_format(entry: Object, bits: int) -> str:
+    """Return the format character of `struct` for an object of ``bits`` bits."""
+    return _FORMATS[bits] if entry.type.is_signed else _FORMATS[bits].upper()
+
+
 def pdo_layout(entries: Sequence[Object], widths: Sequence[int]) -> struct.Struct:
     """Return the layout of a PDO that carries ``entries``, with their widths in bits on this drive."""
-    formats = [
-        _FORMATS[bits] if entry.type.is_signed else _FORMATS[bits].upper()
-        for entry, bits in zip(entries, widths, strict=True)
-    ]
-    return struct.Struct("<" + "".join(formats))
+    return struct.Struct("<" + "".join(field_format(entry, bits) for entry, bits in zip(entries, widths, strict=True)))
 
 
-def map_pdo(access: "SdoClient", record: PdoRecord, entries: Sequence[Object], event_ms: int = 0) -> MappedPdo:
-    """Set up a PDO of a drive and check that the drive keeps the mapping.
-
-    The widths are those that the drive itself gives its objects: a PDO mapped with another width is accepted
-    by many drives and shifts every later field.
-
-    Raises
-    ------
-    DriveError
-        The drive lacks an object, or keeps another mapping than was written.
-    """
-    widths = _widths(access, record, entries)
-    layout = pdo_layout(entries, widths)
-    if layout.size > _LARGEST:
-        listed = ", ".join(map(str, entries))
-        text = f"{access.axis}: {listed} need {layout.size} bytes on this drive; {record.name} carries {_LARGEST}"
-        raise DriveError(text, code=codes.OBJECT_SIZE)
-    words = [entry.index << 16 | entry.subindex << 8 | bits for entry, bits in zip(entries, widths, strict=True)]
-    _write_mapping(access, record, words, event_ms)
-    _check_mapping(access, record, words)
-    return MappedPdo(record.identifier, tuple(entries), layout)
-
-
-def _widths(access: "SdoClient", record: PdoRecord, entries: Sequence[Object]) -> list[int]:
-    widths = []
-    for entry in entries:
-        bits = access.width(entry)
-        if bits is None:
-            text = f"{access.axis}: {access.where} lacks object {entry}, which belongs into {record.name}"
-            raise DriveError(text, code=codes.OBJECT_MISSING)
-        widths.append(bits)
-    return widths
-
-
-def _write_mapping(access: "SdoClient", record: PdoRecord, words: Sequence[int], event_ms: int) -> None:
-    """Write a mapping in the order that CiA 301 prescribes: PDO off, count 0, entries, count, PDO on."""
-    access.write(record.cob_id, _INVALID | record.identifier)
-    access.write(record.mapping(0), 0)
-    for position, word in enumerate(words, 1):
-        access.write(record.mapping(position), word)
-    access.write(record.mapping(0), len(words))
-    kind = record.parameter(objects.PDO_TRANSMISSION_TYPE, "transmission type", DataType.UNSIGNED8)
-    access.write(kind, SYNCHRONOUS)
-    if event_ms:
-        access.try_write(record.event_timer, event_ms)
-    access.write(record.cob_id, record.identifier)
-
-
-def _check_mapping(access: "SdoClient", record: PdoRecord, words: Sequence[int]) -> None:
-    for position, word in enumerate(words, 1):
-        kept = access.read(record.mapping(position))
-        if kept != word:
-            text = (
-                f"{access.axis}: {record.name} of {access.where} holds {kept:08X}h at position {position} "
-                f"after {word:08X}h was written"
-            )
-            raise DriveError(text, code=codes.MAPPING_NOT_KEPT)
-
-
-def switch_off(access: "SdoClient", record: PdoRecord) -> None:
-    """Switch off a PDO that is not used, where the drive has it."""
+def switch_off(access: "SdoClient", record: PdoRecord) -> bool:
+    """Switch off a PDO that is not used, where the drive has it; return False if the drive refuses."""
     before = access.find(record.cob_id)
-    if before is not None and not before & _INVALID:
-        access.write(record.cob_id, _INVALID | record.identifier)
+    if before is None or before & objects.PDO_INVALID:
+        return True
+    try:
+        access.write(record.cob_id, objects.PDO_INVALID | before)
+    except DriveError as error:
+        if error.code != codes.SDO_ABORT:
+            raise
+        return False
+    return True
 
 
 def frame_bits(size: int) -> int:

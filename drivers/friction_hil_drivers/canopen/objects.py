@@ -139,6 +139,10 @@ TORQUE_ACTUAL = Object(0x6077, "torque actual value", _I16)
 TARGET_POSITION = Object(0x607A, "target position", _I32)
 MIN_POSITION_LIMIT = Object(0x607D, "min position limit", _I32, 1)
 MAX_POSITION_LIMIT = Object(0x607D, "max position limit", _I32, 2)
+PROFILE_VELOCITY = Object(0x6081, "profile velocity", _U32)
+PROFILE_ACCELERATION = Object(0x6083, "profile acceleration", _U32)
+TORQUE_SLOPE = Object(0x6087, "torque slope", _U32)
+PHYSICAL_OUTPUTS = Object(0x60FE, "physical outputs", _U32, 1)
 MAX_MOTOR_SPEED = Object(0x6080, "max motor speed", _U32)  # 1/min
 PROFILE_DECELERATION = Object(0x6084, "profile deceleration", _U32)
 QUICK_STOP_DECELERATION = Object(0x6085, "quick stop deceleration", _U32)
@@ -167,14 +171,28 @@ TABLE: dict[tuple[int, int], Object] = {
     entry.address: entry for entry in list(globals().values()) if isinstance(entry, Object)
 }
 
-# PDO parameters: four records of each kind, counted from these indices
+# Nodes with several axes (CiA 402-2): the objects of the profile of each are this far from those of the one before
+PROFILE_INDICES = range(0x6000, 0xA000)
+AXIS_OFFSET = 0x800
+MOST_AXES = 8
+
+
+def axis_index(index: int, axis: int) -> int:
+    """Return the index on axis ``axis`` of an object that has ``index`` on axis 0."""
+    return index + AXIS_OFFSET * axis if index in PROFILE_INDICES else index
+
+
+# PDO parameters: records of each kind, counted from these indices; four is what the simulated drive has
 PDO_COUNT = 4
+PDOS_PER_AXIS = 64
 RPDO_PARAMETER = 0x1400
 RPDO_MAPPING = 0x1600
 TPDO_PARAMETER = 0x1800
 TPDO_MAPPING = 0x1A00
 PDO_COB_ID, PDO_TRANSMISSION_TYPE, PDO_INHIBIT_TIME, PDO_EVENT_TIMER = 1, 2, 3, 5  # sub-indices
 PDO_INVALID = 1 << 31  # bit of a COB-ID entry: this PDO (or EMCY) does not exist
+PDO_NO_RTR = 1 << 30  # bit of a TPDO's COB-ID entry: it is not sent on request
+PDO_EXTENDED = 1 << 29  # bit of a COB-ID entry: 29-bit identifier
 
 # Identifiers of the pre-defined connection set; the node's number is added to the bases
 NMT_ID = 0x000

@@ -29,6 +29,9 @@ class CanopenOptions(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
     node: int = Field(ge=1, le=127, description="CANopen node number of the drive")
+    axis_number: int = Field(
+        0, ge=0, le=7, description="which axis of a node with several: 0 has its objects at 6000h, 1 at 6800h and so on"
+    )
     identity: Identity = Field(default=Identity(), description="refuse a drive that is not this one")
     eds: Path | None = Field(None, description="EDS or DCF of the drive; widths of mapped objects are checked")
     counts_per_unit: Positive | None = Field(
@@ -60,6 +63,9 @@ class CanopenOptions(BaseModel):
     master_node: int = Field(126, ge=1, le=127, description="node number under which the daemon sends its heartbeat")
     is_watchdog_required: bool = Field(
         True, description="refuse a drive that cannot watch the daemon (neither 1016h nor an RPDO timer)"
+    )
+    is_mode_check_required: bool = Field(
+        True, description="refuse a drive whose 6502h does not list the mode; false: its 6502h may be wrong, try it"
     )
 
     @field_validator("velocity_unit")

@@ -99,6 +99,25 @@ def supported_modes(bits: int) -> tuple[Mode, ...]:
     return tuple(mode for mode in Mode if bits >> (mode - 1) & 1)
 
 
+_MODE_NAMES = {
+    1: "profile position",
+    2: "velocity",
+    3: "profile velocity",
+    4: "profile torque",
+    6: "homing",
+    7: "interpolated position",
+    8: "csp",
+    9: "csv",
+    10: "cst",
+    11: "cst with commutation angle",
+}
+
+
+def mode_names(bits: int) -> list[str]:
+    """Return the names of all modes of the profile in object 6502h."""
+    return [name for mode, name in _MODE_NAMES.items() if bits >> (mode - 1) & 1]
+
+
 # Error codes of 603Fh and of EMCY messages that a servo axis meets (CiA 301, CiA 402)
 ERROR_TEXTS: dict[int, str] = {
     0x2310: "continuous over-current",

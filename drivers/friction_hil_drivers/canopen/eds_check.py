@@ -1,0 +1,133 @@
+"""Comparing an EDS with the mode of an axis, without the drive. Pure."""
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+from friction_hil.drive import Mode
+from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen.mapping import COMMANDS, PdoRecord
+from friction_hil_drivers.canopen.negotiation import FoundPdo, covering, grouped
+from friction_hil_drivers.canopen.objects import Object
+from friction_hil_drivers.canopen.options import CanopenOptions
+from friction_hil_drivers.cia402 import profile
+
+if TYPE_CHECKING:
+    from canopen import ObjectDictionary
+
+_FEEDBACK = (objects.STATUSWORD, objects.POSITION_ACTUAL)  # the drive may lack the rest
+_WRITABLE = ("rw", "rww", "rwr", "wo")
+_RECEIVABLE = ("rw", "rww", "wo")
+_TRANSMITTABLE = ("ro", "rw", "rwr", "const")
+
+
+def compare_eds(
+    dictionary: "ObjectDictionary", mode: Mode, options: CanopenOptions, *, is_compensated: bool
+) -> Iterator[str]:
+    """Yield the reasons for which a drive with this EDS cannot be driven as configured.
+
+    Parameters
+    ----------
+    dictionary : ObjectDictionary
+        Of the canopen library, from the EDS.
+    mode : Mode
+    options : CanopenOptions
+    is_compensated : bool
+        The mode needs the torque offset, where it uses one.
+    """
+    yield from _compare_modes(dictionary, mode, options)
+    commands = list(COMMANDS[mode])
+    if mode is not Mode.CST and not is_compensated and _variable(dictionary, objects.TORQUE_OFFSET, options) is None:
+        commands.remove(objects.TORQUE_OFFSET)
+    for entry in (objects.MODE, *commands, *_FEEDBACK):
+        variable = _variable(dictionary, entry, options)
+        if variable is None:
+            hint = " (mode cst does without it)" if entry is objects.TORQUE_OFFSET else ""
+            yield f"has no object {entry}, which mode {mode.name.lower()} needs{hint}"
+        elif len(variable) < entry.type.bits:
+            yield f"gives {entry} {len(variable)} bits and not {entry.type.bits}"
+    yield from _compare_pdos(dictionary, options, commands, is_receive=True)
+    yield from _compare_pdos(dictionary, options, _FEEDBACK, is_receive=False)
+
+
+def _compare_modes(dictionary: "ObjectDictionary", mode: Mode, options: CanopenOptions) -> Iterator[str]:
+    variable = _variable(dictionary, objects.SUPPORTED_MODES, options)
+    bits = None if variable is None else _value(variable)
+    if not bits or not options.is_mode_check_required or mode in profile.supported_modes(bits):
+        return  # many files give no value
+    names = ", ".join(profile.mode_names(bits)) or "no mode of the profile"
+    yield (
+        f"lists {names} as the drive's modes ({objects.SUPPORTED_MODES}), not {mode.name.lower()} "
+        "(is_mode_check_required: false if that is wrong)"
+    )
+
+
+def _compare_pdos(
+    dictionary: "ObjectDictionary", options: CanopenOptions, entries: Sequence[Object], *, is_receive: bool
+) -> Iterator[str]:
+    variables = {entry: _variable(dictionary, entry, options) for entry in entries}
+    if any(variable is None for variable in variables.values()):
+        return  # told already
+    found = list(_pdos(dictionary, options, is_receive=is_receive))
+    direction = "RPDO" if is_receive else "TPDO"
+    if not found:
+        yield f"has no {direction}"
+        return
+    if covering(found, entries) is not None:
+        return
+    writable = [pdo for pdo in found if _is_writable(dictionary, pdo)]
+    access = _RECEIVABLE if is_receive else _TRANSMITTABLE
+    fixed = [
+        str(entry)
+        for entry, variable in variables.items()
+        if variable is not None and not (variable.pdo_mappable and variable.access_type in access)
+    ]
+    if not writable:
+        wanted = ", ".join(map(str, entries))
+        yield f"has {direction}s with fixed mappings only, and those do not contain {wanted}"
+    elif fixed:
+        yield f"does not let {', '.join(fixed)} be mapped into any {direction}"
+    else:
+        most = max(_most_entries(dictionary, pdo) for pdo in writable)
+        bits = {entry: len(variable) for entry, variable in variables.items() if variable is not None}
+        needed = len(grouped(entries, bits, most))
+        if needed > len(writable):
+            yield f"has {len(writable)} {direction}s of {most} entries that can be mapped; {needed} are needed"
+
+
+def _pdos(dictionary: "ObjectDictionary", options: CanopenOptions, *, is_receive: bool) -> Iterator[FoundPdo]:
+    """Yield the PDOs of one direction, with the mappings that the file gives them."""
+    for number in range(objects.PDOS_PER_AXIS):
+        record = PdoRecord(is_receive, number, options.node, options.axis_number)
+        cob_id, count = (_find(dictionary, entry) for entry in (record.cob_id, record.mapping(0)))
+        if cob_id is None or count is None:
+            continue
+        mapped = [_find(dictionary, record.mapping(position)) for position in range(1, (_value(count) or 0) + 1)]
+        words = tuple(_value(word) or 0 for word in mapped if word is not None)
+        yield FoundPdo(record, _value(cob_id) or 0, None, words)
+
+
+def _is_writable(dictionary: "ObjectDictionary", pdo: FoundPdo) -> bool:
+    entries = [_find(dictionary, pdo.record.mapping(position)) for position in (0, 1)]
+    return all(entry is not None and entry.access_type in _WRITABLE for entry in entries)
+
+
+def _most_entries(dictionary: "ObjectDictionary", pdo: FoundPdo) -> int:
+    return sum(_find(dictionary, pdo.record.mapping(position)) is not None for position in range(1, 9))
+
+
+def _variable(dictionary: "ObjectDictionary", entry: Object, options: CanopenOptions) -> Any:
+    index = objects.axis_index(entry.index, options.axis_number)
+    return _find(dictionary, Object(index, entry.name, entry.type, entry.subindex))
+
+
+def _find(dictionary: "ObjectDictionary", entry: Object) -> Any:
+    """Return an entry of the canopen library's dictionary, None where there is none."""
+    try:
+        return dictionary.get_variable(entry.index, entry.subindex)
+    except KeyError:
+        return None
+
+
+def _value(variable: Any) -> int | None:
+    value = variable.default if variable.value is None else variable.value
+    return value if isinstance(value, int) else None

@@ -1,0 +1,251 @@
+"""Drives of other vendors: their EDS against the modes, and the negotiation with drives that have such an EDS."""
+
+import math
+import re
+from pathlib import Path
+
+import pytest
+from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen.drives import CanopenDrives
+from friction_hil_drivers.canopen.eds import load_eds
+from friction_hil_drivers.canopen.eds_check import compare_eds
+from friction_hil_drivers.canopen.options import CanopenOptions
+
+from friction_hil.daemon.realtime import SteppedClock
+from friction_hil.drive import Command, DriveState, Feedback, Mode, Request
+from friction_hil.errors import DriveError
+from tests.canopen_bench import NODE, Bench, BenchBus
+from tests.servo_drives import axis_dict, configuration
+from tests.vendor_drives import DRIVES, EROB, EYOU, FIXED, INGENIA, NOT_CYCLIC, ONE_ENTRY, SCHUNK, VendorDrive
+
+CONTROLLER = {"position_gain": 1.0, "velocity_gain": 0.1}
+UNITS = {"counts_per_unit": 2**20 / math.tau, "rated_torque": 0.64}
+
+
+def reasons(drive: VendorDrive, mode: str, folder: Path, *, is_compensated=True, **options) -> list[str]:
+    dictionary = load_eds(drive.write(folder / "drive.eds"), NODE)
+    return list(
+        compare_eds(dictionary, Mode[mode.upper()], CanopenOptions(node=NODE, **options), is_compensated=is_compensated)
+    )
+
+
+@pytest.mark.parametrize("mode", ["csp", "csv", "cst"])
+@pytest.mark.parametrize("name", DRIVES)
+def test_an_eds_is_compared_with_the_mode(tmp_path, name, mode):
+    found = reasons(DRIVES[name], mode, tmp_path)
+    assert (found == []) == DRIVES[name].works[mode], found
+
+
+def test_the_reasons_are_named(tmp_path):
+    assert reasons(EYOU, "csp", tmp_path) == [
+        "has no object 60B2h torque offset, which mode csp needs (mode cst does without it)"
+    ]
+    assert reasons(EYOU, "csp", tmp_path, is_compensated=False) == []
+    [text] = reasons(INGENIA, "cst", tmp_path)
+    assert text == (
+        "lists csp, csv as the drive's modes (6502h supported drive modes), not cst "
+        "(is_mode_check_required: false if that is wrong)"
+    )
+    assert reasons(INGENIA, "cst", tmp_path, is_mode_check_required=False) == []
+    assert (
+        "lists profile position, profile velocity, homing, interpolated position as"
+        in reasons(NOT_CYCLIC, "csv", tmp_path)[0]
+    )
+    assert "has no object 6071h target torque, which mode cst needs" in reasons(SCHUNK, "cst", tmp_path)
+    [text] = reasons(FIXED, "cst", tmp_path)
+    assert text == "has RPDOs with fixed mappings only, and those do not contain 6040h controlword, 6071h target torque"
+
+
+def test_objects_that_cannot_be_mapped_are_named(tmp_path):
+    drive = VendorDrive(values={("60B2", "PDOMapping"): "0", ("6064", "PDOMapping"): "0"}, tpdos=([], [], [], []))
+    assert reasons(drive, "csp", tmp_path) == [
+        "does not let 60B2h torque offset be mapped into any RPDO",
+        "does not let 6064h position actual value be mapped into any TPDO",
+    ]
+
+
+def test_too_few_pdos_are_counted(tmp_path):
+    drive = VendorDrive(most_entries=1, rpdos=([], []), tpdos=ONE_ENTRY.tpdos)
+    assert reasons(drive, "csp", tmp_path) == ["has 2 RPDOs of 1 entries that can be mapped; 3 are needed"]
+
+
+def test_a_second_axis_is_looked_for_where_it_stands(tmp_path):
+    found = reasons(EROB, "cst", tmp_path, axis_number=1)
+    assert "has no object 6071h target torque, which mode cst needs" in found
+
+
+# --- drives with these EDS, on a bus that hands every frame over at once
+
+
+class Driven:
+    """A simulated drive with a vendor's EDS, connected and in its cyclic phase."""
+
+    def __init__(self, eds: Path, mode: str, *, supported=None, **keys):
+        self.bench = Bench(eds=eds)
+        if supported is not None:  # what its EDS says, whatever it can
+            self.bench.node._dictionary.of(objects.SUPPORTED_MODES).value = supported
+        self.bus = BenchBus(self.bench)
+        options = {"is_watchdog_required": False, **UNITS, **keys}
+        if mode == "cst":
+            options["controller"] = CONTROLLER
+        config = configuration(x=axis_dict(node=NODE, mode=mode, **options))
+        self.clock = SteppedClock()
+        self.drives = CanopenDrives(config, config.axes, self.clock, dry_run=False, bus=self.bus)
+        self.feedback, self.command = Feedback(), Command()
+
+    def __enter__(self):
+        try:
+            (self.facts,) = self.drives.connect()
+        except DriveError:
+            self.__exit__()
+            raise
+        self.drives.start()
+        return self
+
+    def __exit__(self, *_):
+        self.drives.close()
+        self.bus.shutdown()
+
+    def refusal(self):
+        """The error with which connecting ends."""
+        with pytest.raises(DriveError) as caught, self:
+            pass
+        return caught.value
+
+    def cycle(self, request, torque=0.0, count=1):
+        for _ in range(count):
+            self.clock.sleep_until(self.clock.now_ns() + 1_000_000)
+            self.drives.receive([self.feedback], 0)
+            self.command.request, self.command.torque = request, torque
+            self.command.position = self.feedback.position
+            self.drives.send([self.command])
+
+
+ALL = [(name, mode) for name, drive in DRIVES.items() for mode, works in drive.works.items() if works]
+
+
+@pytest.mark.parametrize(("name", "mode"), ALL)
+def test_a_drive_that_can_be_driven_is_driven(tmp_path, name, mode):
+    """Enabled, followed, and the torque arrives where it adds to the loops, whatever its PDOs allow."""
+    drive = DRIVES[name]
+    with Driven(drive.write(tmp_path / "drive.eds"), mode) as driven:
+        driven.cycle(Request.ENABLE, count=20)
+        assert driven.feedback.state is DriveState.OPERATION_ENABLED, driven.facts.notes
+        assert driven.feedback.message == ""
+        driven.cycle(Request.ENABLE, 0.064, count=3)
+        index = 0x6071 if mode == "cst" else 0x60B2
+        code = "i" if mode != "cst" and ("60B2", "DataType") in drive.values else "h"
+        assert driven.bench.read(index, 0, code) == 100
+        assert driven.feedback.is_fresh
+        assert driven.feedback.position == pytest.approx(driven.bench.servo.position, abs=1e-3)
+        if mode == "cst":
+            assert driven.feedback.torque == pytest.approx(0.064, abs=5e-3)
+        driven.cycle(Request.DISABLE, count=300)
+        assert not driven.feedback.state.is_powered
+        assert driven.bench.emergencies == []
+
+
+@pytest.mark.parametrize(
+    ("name", "mode"), [(n, m) for n, d in DRIVES.items() for m, works in d.works.items() if not works]
+)
+def test_a_drive_that_cannot_be_driven_is_refused_before_it_is_enabled(tmp_path, name, mode):
+    driven = Driven(DRIVES[name].write(tmp_path / "drive.eds"), mode, supported=DRIVES[name].supported)
+    assert driven.refusal().code in ("FH-209", "FH-212", "FH-227", "FH-229")
+    assert driven.bench.statusword & 0x6F == 0x40
+
+
+def test_a_drive_without_cyclic_modes_says_what_it_can(tmp_path):
+    error = Driven(NOT_CYCLIC.write(tmp_path / "drive.eds"), "csp", supported=NOT_CYCLIC.supported).refusal()
+    text = "supports none of csp, csv, cst, one of which is needed for cyclic commands; it supports profile position"
+    assert text in str(error)
+
+
+def test_a_mode_that_6502h_does_not_list_is_tried_if_the_configuration_insists(tmp_path):
+    eds = INGENIA.write(tmp_path / "drive.eds")
+    with Driven(eds, "cst", supported=INGENIA.supported, is_mode_check_required=False) as driven:
+        assert any("is tried, as is_mode_check_required says" in note for note in driven.facts.notes)
+
+
+def test_csp_without_a_torque_offset_needs_the_users_word(tmp_path):
+    eds = EYOU.write(tmp_path / "drive.eds")
+    error = Driven(eds, "csp").refusal()
+    assert re.search(
+        "take mode cst, which compensates without it, or let the axis run without compensation", str(error)
+    )
+    with Driven(eds, "csp", compensation={"enabled": False}) as driven:
+        driven.cycle(Request.ENABLE, count=20)
+        assert driven.feedback.state is DriveState.OPERATION_ENABLED
+        assert "the drive has no 60B2h torque offset: it runs without compensation" in driven.facts.notes
+
+
+def test_a_fixed_mapping_is_kept_and_what_it_carries_is_told(tmp_path):
+    with Driven(FIXED.write(tmp_path / "drive.eds"), "csp") as driven:
+        present = driven.bench.read(0x6084)
+        driven.cycle(Request.ENABLE, count=20)
+        notes = "\n".join(driven.facts.notes)
+        assert (
+            f"RPDO 3 keeps the mapping that the drive has, which carries 6084h profile deceleration = {present} too"
+            in notes
+        )
+        assert driven.bench.read(0x6084) == present
+        assert driven.bench.read(0x60FF, 0, "i") == 0
+        assert driven.feedback.state is DriveState.OPERATION_ENABLED
+
+
+def test_what_a_fixed_mapping_carries_must_be_readable(tmp_path):
+    unreadable = VendorDrive(
+        is_fixed=True, rpdos=FIXED.rpdos, tpdos=FIXED.tpdos, values={**FIXED.values, ("6084", "AccessType"): "wo"}
+    )
+    error = Driven(unreadable.write(tmp_path / "drive.eds"), "csp").refusal()
+    assert re.search(r"RPDO 3 .* carries 6084h profile deceleration too; its value cannot be read", str(error))
+
+
+POOR = [0x6061, 0x6077, 0x606C, 0x6502, 0x605A, 0x60C2, 0x1017]
+
+
+def test_a_drive_that_reports_little_is_driven_and_what_that_costs_is_told(tmp_path):
+    drive = VendorDrive(lacks=POOR)
+    with Driven(drive.write(tmp_path / "drive.eds"), "cst") as driven:
+        assert driven.facts.torque_delay_s is None
+        notes = "\n".join(driven.facts.notes)
+        assert "no 6061h modes of operation display: that it takes the mode is not confirmed" in notes
+        assert "no 6077h torque actual value: no torque is recorded" in notes
+        assert "no 606Ch velocity actual value: the velocity is derived from the position" in notes
+        driven.cycle(Request.ENABLE, 0.2, count=30)
+        assert driven.feedback.state is DriveState.OPERATION_ENABLED
+        true = driven.bench.servo.velocity
+        assert true > 1.0
+        assert driven.feedback.velocity == pytest.approx(true, abs=0.1 * true)
+
+
+@pytest.mark.parametrize("mode", ["csp", "csv"])
+def test_objects_that_are_read_only_and_right_are_no_obstacle(tmp_path, mode):
+    values = {("60C2sub1", "AccessType"): "ro", ("60C2sub1", "DefaultValue"): "1", ("60C2sub2", "AccessType"): "ro"}
+    values[("60C2sub2", "DefaultValue")] = "-3"
+    drive = VendorDrive(values={**values, ("1400sub2", "AccessType"): "ro", ("1400sub2", "DefaultValue"): "1"})
+    with Driven(drive.write(tmp_path / "drive.eds"), mode) as driven:
+        driven.cycle(Request.ENABLE, count=20)
+        assert driven.feedback.state is DriveState.OPERATION_ENABLED
+
+
+def test_another_interpolation_period_is_refused_in_csp_and_told_in_csv(tmp_path):
+    values = {("60C2sub1", "AccessType"): "ro", ("60C2sub1", "DefaultValue"): "4"}
+    values |= {("60C2sub2", "AccessType"): "ro", ("60C2sub2", "DefaultValue"): "-3"}
+    eds = VendorDrive(values=values).write(tmp_path / "drive.eds")
+    error = Driven(eds, "csp").refusal()
+    assert re.search(r"60C2h.* stays at 0.004 s and not 0.001 s.*take period_s: 0.004, or mode", str(error))
+    with Driven(eds, "csv") as driven:
+        assert any("stays at 0.004 s" in note for note in driven.facts.notes)
+
+
+def test_an_rpdo_that_acts_on_arrival_shortens_the_delay(tmp_path):
+    drive = VendorDrive(values={(f"{0x1400 + n:X}sub2", "AccessType"): "ro" for n in range(4)})  # type 255
+    with Driven(drive.write(tmp_path / "drive.eds"), "cst") as driven:
+        assert driven.facts.actuation_delay_s == pytest.approx(1e-3)
+        assert "RPDOs of the drive take effect when they arrive and not at SYNC" in driven.facts.notes
+
+
+def test_tpdos_that_do_not_come_with_sync_are_refused(tmp_path):
+    drive = VendorDrive(values={(f"{0x1800 + n:X}sub2", "AccessType"): "ro" for n in range(4)})
+    error = Driven(drive.write(tmp_path / "drive.eds"), "cst").refusal()
+    assert re.search(r"TPDO 1 .* does not come with every SYNC: its transmission type", str(error))
