@@ -8,7 +8,7 @@ each with its rule, so that a test may ask for some of them only:
 identifier  a frame outside the pre-defined connection set and of no PDO that was configured, or of a PDO switched off
 length      a PDO with another length than its mapping
 sync        a SYNC with a counter where 1019h demands none, or without, or with a wrong one
-order       a synchronous PDO twice in a cycle; an RPDO before the TPDOs of its node
+order       two different synchronous PDOs of one kind in a cycle; an RPDO before the TPDOs of its node
 nmt         a PDO to or from a node that is not Operational
 control     a controlword that skips a step of the state machine
 sdo         an answer that belongs to no request, two requests at a time, a wrong toggle bit
@@ -67,6 +67,7 @@ class Pdo:
     count: int | None = None
     words: dict[int, int] = field(default_factory=dict)
     cycle: int = -1  # in which it was sent last
+    data: bytes = b""
 
     @property
     def mapping(self) -> list[int] | None:
@@ -229,9 +230,10 @@ class Recorder:
         if node.nmt != OPERATIONAL and not has_grace:
             self._blame("nmt", f"{pdo.name} of node {node.number} in NMT state {node.nmt}", frame)
         if pdo.is_synchronous:
-            if pdo.cycle == self._cycle and self._cycle:
+            # the later one counts; repeating the same says nothing new
+            if pdo.cycle == self._cycle and self._cycle and frame.data != pdo.data:
                 self._blame("order", f"{pdo.name} of node {node.number} twice in a cycle", frame)
-            pdo.cycle = self._cycle
+            pdo.cycle, pdo.data = self._cycle, frame.data
         if pdo.is_receive:
             self._check_order(node, pdo, frame)
             word = pdo.find(frame.data, _CONTROLWORD)
@@ -371,8 +373,6 @@ class Recorder:
             self._sync_overflow, self._sync_count = value, None
         elif index == 0x6041:
             node.status = value & 0x6F
-        elif index == 0x6040 and node.request is None and len(data) == 2:
-            pass
 
     # Helpers
 
