@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 
 from friction_hil.recordings import read_all
-from tests.durand_process import DurandDrives, Event, durand_configuration, durand_drives
-from tests.processes import listening, run, run_daemon, start
+from tests.durand_process import CONTROLLER, DurandDrives, Event, durand_configuration, durand_drives
+from tests.peers.frame_recorder import Recorder
+from tests.processes import listening, run, run_daemon, simulated_drives, start, write_configuration
+from tests.recorded_bus import recorded
 
 MODES = ("csp", "csv", "cst")
 AT_SYNC = ["--timer-at-sync-only"]
@@ -40,15 +42,15 @@ def start_real(configuration: Path, *options: object):
 @pytest.mark.parametrize("mode", MODES)
 def test_a_run_moves_the_drive_and_ends_in_order(tmp_path: Path, mode: str) -> None:
     configuration = durand_configuration(tmp_path, mode=mode)
-    recorded = tmp_path / "run.mcap"
+    file = tmp_path / "run.mcap"
     with durand_drives(configuration, is_paced_by_sync=True) as drives:
-        result, _ = run_daemon(configuration, "--duration", 1.5, "--record", recorded)
+        result, _ = run_daemon(configuration, "--duration", 1.5, "--record", file)
         assert result["faults"] == []
         walked = states(drives)
     assert walked[:4] == ["SWITCH_ON_DISABLED", *UP]
     assert walked[-1] == "SWITCH_ON_DISABLED"
     assert walked.count("OPERATION_ENABLED") == 1
-    recording = read_all(recorded)["x1"]
+    recording = read_all(file)["x1"]
     position = recording["position"]
     assert np.ptp(position) == pytest.approx(0.6, abs=0.1), "the sine of 0.3 rad"
     assert abs(recording["velocity"][-1]) < 0.05, "disabled at rest"
@@ -123,3 +125,22 @@ def test_the_peer_imports_nothing_of_the_product() -> None:
                 assert not any(module.startswith("friction_hil") for module in modules), modules
                 pending += [each for each in modules if each.startswith("tests.") and each not in seen]
     assert len(seen) == 2
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("is_ours", [False, True], ids=["durand", "simulated"])
+def test_the_frames_of_a_whole_run_keep_to_the_standards(tmp_path: Path, mode: str, is_ours: bool) -> None:
+    nodes = (1, 2)
+    if is_ours:
+        keys = {"mode": mode, **({"controller": CONTROLLER} if mode == "cst" else {})}
+        configuration = write_configuration(tmp_path, **{f"x{node}": {"node": node, **keys} for node in nodes})
+        drives = simulated_drives(configuration)
+    else:
+        configuration = durand_configuration(tmp_path, mode=mode, nodes=nodes)
+        drives = durand_drives(configuration, is_paced_by_sync=True)
+    with drives, recorded(configuration) as frames:
+        run_daemon(configuration, "--duration", 0.5)
+    recorder = Recorder(has_clock=False).take_all(frames)
+    assert recorder.counts["sync"] > 500
+    assert recorder.counts["tpdo"] >= recorder.counts["rpdo"] > 1000
+    assert recorder.of() == []

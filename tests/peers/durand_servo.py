@@ -53,6 +53,7 @@ class Manners:
     rated_torque: float = 0.64  # 6076h, N m
     is_in_rpm: bool = False  # 606Ch, 60FFh and 60A9h
     timer_at_sync_only: bool = False  # event timers of synchronous RPDOs are looked at when a SYNC comes
+    has_rpdo_timers: bool = True  # 1400h:05 ...
     missing: tuple[int, ...] = ()  # objects that the drive lacks
     operational_at_start: bool = False
     inertia: float = 2e-4
@@ -225,7 +226,7 @@ class DurandServo:
         self._variable(0x100D, U8, "rw")
         self._variable(0x1029, U8, "rw", 0, 1)
         for number in range(PDOS):
-            for base in (0x1400, 0x1800):
+            for base in (0x1400, 0x1800) if self.manners.has_rpdo_timers else (0x1800,):
                 od[base + number][5] = Variable(U16, "rw", 0)
             for parameter, mapping in ((0x1400, 0x1600), (0x1800, 0x1A00)):
                 refuse = self._mapping_guard(parameter + number)
@@ -353,7 +354,7 @@ class DurandServo:
 
     def _feed_watches(self, can_id: int, data: bytes) -> None:
         now = self.now_ns
-        if self.node.nmt.state is OPERATIONAL:
+        if self.node.nmt.state is OPERATIONAL and self.manners.has_rpdo_timers:
             for number, watch in enumerate(self._watches.rpdos):
                 if self.od.read(0x1400 + number, 1) & 0x800007FF == can_id:
                     watch.feed(now, self.od.read(0x1400 + number, 5) * MILLION)
