@@ -5,10 +5,12 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from friction_hil.daemon.safety import LoopState
+from friction_hil.drive import DriveState
 from friction_hil.drive.codes import FaultCode
 from friction_hil.numerics.jit import Array
 
 _MOST_FAULTS = 20
+_MOST_NOTICES = 100
 
 
 class Sink(Protocol):
@@ -25,7 +27,19 @@ class Sink(Protocol):
 
 @dataclass(slots=True)
 class LoopResult:
-    """Result of a run. The lateness is that of the wake-ups, us."""
+    """Result of a run.
+
+    Attributes
+    ----------
+    cycles, missed : int
+    late_p50_us, late_p99_us : float
+        Lateness of the wake-ups, us.
+    faults, warnings : list of str
+    notices : list of str
+        What the drives said beside their feedback: emergencies, warnings.
+    drive_states : list of DriveState
+        State of each drive after the stop; empty after a dry run.
+    """
 
     cycles: int = 0
     missed: int = 0
@@ -33,6 +47,8 @@ class LoopResult:
     late_p99_us: float = math.nan
     faults: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
+    notices: list[str] = field(default_factory=list)
+    drive_states: list[DriveState] = field(default_factory=list)
 
 
 class RunLog:
@@ -52,6 +68,28 @@ class RunLog:
         if text not in self.result.faults and len(self.result.faults) < _MOST_FAULTS:
             self.result.faults.append(text)
             self._sink.event(cycle, "fault", text)
+
+    def notice(self, cycle: int, text: str) -> None:
+        """Keep what a drive said; the same text counts once."""
+        notices = self.result.notices
+        if text not in notices and len(notices) < _MOST_NOTICES:
+            notices.append(text)
+            self._sink.event(cycle, "notice", text)
+
+    def drive_state(self, cycle: int, name: str, state: DriveState, *, is_read_back: bool) -> None:
+        """Keep the state of a drive after the stop; one that may have power is a fault.
+
+        Where the driver reads nothing back, a run that failed already gets a warning: its fault says what happened.
+        """
+        self.result.drive_states.append(state)
+        self._sink.event(cycle, "drive_state", f"{name}: {state.words}")
+        if state is DriveState.UNKNOWN:
+            text = f"{name}: the state of the drive after the stop is unknown: it may have power"
+            tell = self.fault if is_read_back or not self.result.faults else self.warn
+            tell(cycle, FaultCode.STATE_UNKNOWN.append_to(text))
+        elif state.is_powered and not any(fault.startswith(f"{name}: still powered") for fault in self.result.faults):
+            text = f"{name}: still powered after the stop: the drive is in {state.words}"
+            self.fault(cycle, FaultCode.STILL_POWERED.append_to(text))
 
     def missed(self, cycle: int, skipped: int, overslept_ns: int, max_missed: int) -> None:
         """Count the periods missed before ``cycle``; ``max_missed`` of them in a row are a fault."""

@@ -12,7 +12,7 @@ from friction_hil.daemon.row import AxisRow
 from friction_hil.daemon.run import LoopSettings, RunControl
 from friction_hil.daemon.safety import REQUESTS, REQUESTS_AFTER_FAULT, LoopState
 from friction_hil.daemon.stop import StopRequest
-from friction_hil.drive import Clock, Command, Drives, Feedback, Request
+from friction_hil.drive import Clock, Command, Drives, DriveState, Feedback, Request
 from friction_hil.drive.codes import FaultCode
 from friction_hil.errors import FrictionHilError
 from friction_hil.motion.trajectory import PathTime
@@ -47,6 +47,7 @@ class Loop:
     ) -> None:
         self._drives, self._axes, self._clock, self._sink, self._settings = drives, axes, clock, sink, settings
         self._feedback = [Feedback() for _ in axes]
+        self._is_commanded = False  # something but LISTEN was sent
         self._commands = [Command() for _ in axes]
         width = columns_width(axes)
         self._row = np.full(len(axes) * width, math.nan)
@@ -84,6 +85,7 @@ class Loop:
         self._drives.receive(self._feedback, self._pacer.end_ns(cycle))
         if not self._run.begin(self._feedback, time_s):
             return
+        self._tell_notices(cycle)
         updates = self._update_axes(cycle, self._run.state, self._run.running_s(time_s))
         self._drives.send(self._commands)
         exchange_us = (self._clock.now_ns() - began_ns) * 1e-3
@@ -107,7 +109,16 @@ class Loop:
         for command, update in zip(self._commands, updates, strict=True):
             is_reset = state is LoopState.ENABLING and update.is_reset_due
             command.request = Request.RESET_FAULT if is_reset else request
+        self._is_commanded = self._is_commanded or request is not Request.LISTEN
         return updates
+
+    def _tell_notices(self, cycle: int) -> None:
+        """Record what the drives said beside their feedback."""
+        for axis, feedback in zip(self._axes, self._feedback, strict=True):
+            if feedback.notices:
+                for text in feedback.notices:
+                    self._log.notice(cycle, f"{axis.name}: {text}")
+                feedback.notices.clear()
 
     def _warm_caches(self, cycle: int) -> None:
         """Warm the caches for ``cycle``; an exception is a fault, as it would be in the cycle itself."""
@@ -124,10 +135,29 @@ class Loop:
         except FrictionHilError as error:
             self._log.fault(cycle, FaultCode.EXCHANGE_FAILED.append_to(str(error)))
         finally:
-            self._drives.close()
+            self._close(cycle)
         result = self._log.result
         if result.cycles:
             result.late_p50_us, result.late_p99_us = (self._pacer.late_percentile_us(part) for part in (0.5, 0.99))
+
+    def _close(self, cycle: int) -> None:
+        """Leave the bus, and keep the states in which the drives were left."""
+        read_back: Sequence[DriveState] | None
+        try:
+            read_back = self._drives.close()
+        except FrictionHilError as error:
+            read_back = [DriveState.UNKNOWN] * len(self._axes)
+            self._log.fault(cycle, FaultCode.EXCHANGE_FAILED.append_to(str(error)))
+        if self._settings.dry_run or not self._is_commanded:
+            return
+        states = [_last_state(heard) for heard in self._feedback] if read_back is None else read_back
+        for axis, state in zip(self._axes, states, strict=True):
+            self._log.drive_state(cycle, axis.name, state, is_read_back=read_back is not None)
+
+
+def _last_state(heard: Feedback) -> DriveState:
+    """Return the state of a drive that is not read back: what it reported before the last request proves no power."""
+    return heard.state if heard.is_fresh and not heard.state.is_powered else DriveState.UNKNOWN
 
 
 def columns_width(axes: Sequence[AxisLoop]) -> int:

@@ -119,15 +119,18 @@ class RunControl:
             self._idle_exchanges.add(exchange_us)
         if self.running_s(time_s) >= self._settings.duration_s:
             self._stop.is_requested = True
-        states = [heard.state for heard in feedback]
+        reached = [heard.state for heard in feedback if heard.is_reachable]
+        lost = [heard.state for heard in feedback if not heard.is_reachable]
         is_standing = [update.is_standing for update in updates]
         inputs = RunInputs(
             is_stop_requested=self._stop.is_requested,
             has_fault=bool(self._log.result.faults),
-            is_enabled=all(state is DriveState.OPERATION_ENABLED for state in states),
-            is_powered=any(state.is_powered for state in states),
+            is_enabled=not lost and all(state is DriveState.OPERATION_ENABLED for state in reached),
+            is_powered=any(state.is_powered for state in reached),
+            is_lost_powered=any(state.is_powered for state in lost),
+            is_lost_unknown=DriveState.UNKNOWN in lost,
             is_setpoint_standing=self._path_time.is_standing(time_s - self._settings.period_s),
-            is_standing=all(is_standing),
+            is_standing=all(s or not heard.is_reachable for s, heard in zip(is_standing, feedback, strict=True)),
             is_faded_out=all(update.is_faded_out for update in updates),
         )
         if not self._machine.advance(time_s, inputs):

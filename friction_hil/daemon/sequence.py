@@ -12,20 +12,28 @@ ENABLE_TIMEOUT_S = 5.0
 STANDSTILL_TIMEOUT_S = 2.0
 QUICK_STOP_TIMEOUT_S = 5.0
 DISABLE_TIMEOUT_S = 2.0
+LOST_POWERED_TIMEOUT_S = 5.0  # for the driver to stop a drive that commands do not reach, if that still tells its state
+LOST_UNKNOWN_TIMEOUT_S = 1.0  # the same for a drive whose state is unknown: its own watchdog has acted by then
 STANDSTILL_S = 0.05  # without motion; in a single cycle an axis seems to stand at each reversal
 
 
 @dataclass(slots=True)
 class RunInputs:
-    """Inputs of the state machine in one cycle, of all axes together."""
+    """Inputs of the state machine in one cycle, of all axes together.
+
+    A drive that commands do not reach any more is no part of ``is_powered`` and ``is_standing``: the others must not wait
+    for it. The driver stops it in another way, as far as it can.
+    """
 
     is_stop_requested: bool = False
     has_fault: bool = False
     is_enabled: bool = False  # every drive is in Operation enabled
-    is_powered: bool = False  # some drive may give torque
+    is_powered: bool = False  # some drive in reach may give torque
     is_setpoint_standing: bool = False  # the set-point has come to rest for good
-    is_standing: bool = False  # no axis moves in this cycle
+    is_standing: bool = False  # no axis in reach moves in this cycle
     is_faded_out: bool = False  # no compensation is left
+    is_lost_powered: bool = False  # some drive out of reach has power
+    is_lost_unknown: bool = False  # the state of some drive out of reach is unknown
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,17 +118,20 @@ class RunStateMachine:
         return LoopState.DISABLING if has_stood or elapsed_s > STANDSTILL_TIMEOUT_S else self.state
 
     def _fault_stopping(self, elapsed_s: float, inputs: RunInputs, has_stood: bool) -> LoopState:
-        if has_stood or not inputs.is_powered:
+        if has_stood or not (inputs.is_powered or inputs.is_lost_powered or inputs.is_lost_unknown):
             return LoopState.DISABLING
         if elapsed_s > QUICK_STOP_TIMEOUT_S:
-            text = f"no standstill within {QUICK_STOP_TIMEOUT_S:g} s of the quick stop; disabled all the same"
+            text = f"no standstill within {QUICK_STOP_TIMEOUT_S:g} s of the quick stop; the request to disable follows"
             self._timeout = Timeout(FaultCode.NO_STANDSTILL, text)
             return LoopState.DISABLING
         return self.state
 
     def _disabling(self, elapsed_s: float, inputs: RunInputs) -> LoopState:
+        is_waiting = (inputs.is_lost_powered and elapsed_s <= LOST_POWERED_TIMEOUT_S) or (
+            inputs.is_lost_unknown and elapsed_s <= LOST_UNKNOWN_TIMEOUT_S
+        )
         if not inputs.is_powered:
-            return LoopState.DONE
+            return self.state if is_waiting else LoopState.DONE
         if elapsed_s > DISABLE_TIMEOUT_S:
             text = f"still powered {DISABLE_TIMEOUT_S:g} s after the request to disable"
             self._timeout = Timeout(FaultCode.STILL_POWERED, text)
@@ -143,13 +154,20 @@ def timeout_faults(
     """
     is_any = False
     for name, heard, stands in zip(names, feedback, is_standing, strict=True):
-        if _is_awaited(state, heard.state, stands):
+        if heard.is_reachable and _is_awaited(state, heard.state, stands):
             is_any = True
             error = f" ({heard.error})" if heard.error else ""
-            text = f"{name}: {timeout.text}: the drive is in {heard.state.words}{error}"
+            text = f"{name}: {timeout.text}: {_known(heard)}{error}"
             yield timeout.code.append_to(text)
     if not is_any:  # an axis that comes to rest now and then may stand in this very cycle
         yield timeout.code.append_to(timeout.text)
+
+
+def _known(heard: Feedback) -> str:
+    """Return what is known of a drive's state."""
+    if heard.is_fresh:
+        return f"the drive is in {heard.state.words}"
+    return f"the state of the drive is unknown, the last one reported was {heard.state.words}"
 
 
 def _is_awaited(state: LoopState, drive_state: DriveState, is_standing: bool) -> bool:

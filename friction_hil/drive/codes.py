@@ -36,6 +36,8 @@ class FaultCode(Enum):
     STILL_POWERED = 116, "drive still powered"
     EXCHANGE_FAILED = 117, "exchange with the drives failed"
     DRIVER_MESSAGE = 118, "fault reported by the driver"
+    VELOCITY_CONTRADICTS = 119, "velocity contradicts position"
+    STATE_UNKNOWN = 120, "state unknown after the stop"
 
     def __init__(self, number: int, title: str) -> None:
         self.number = number

@@ -197,8 +197,16 @@ class Drives(Protocol):
         """
         ...
 
-    def close(self) -> None:
-        """Leave the bus. May be called at any time, also twice."""
+    def close(self) -> Sequence[DriveState] | None:
+        """Disable the drives and leave the bus. May be called at any time, also twice.
+
+        Returns
+        -------
+        sequence of DriveState or None
+            State of each drive as read back after the stop, `DriveState.UNKNOWN` where it was not. A state that is
+            powered or unknown is a fault of the run. None: the driver reads nothing back; what counts then is the
+            feedback of the last cycle.
+        """
         ...
 
 

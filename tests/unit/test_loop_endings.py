@@ -206,7 +206,7 @@ def test_an_axis_that_its_quick_stop_does_not_stop_is_told_of(until, axis_at_fau
     run = Run(axis(), axis(node=2), disturb=creep)
     assert run.result.faults == [
         "x: the node has been reset [FH-118]",
-        f"{axis_at_fault}no standstill within 5 s of the quick stop; disabled all the same{drive} [FH-115]",
+        f"{axis_at_fault}no standstill within 5 s of the quick stop; the request to disable follows{drive} [FH-115]",
     ]
 
 

@@ -66,6 +66,8 @@ def _summary(result: "SessionResult") -> dict[str, Any]:
         "missed": result.loop.missed,
         "faults": result.loop.faults,
         "warnings": result.loop.warnings,
+        "notices": result.loop.notices,
+        "drive_states": dict(zip(result.axes, (state.words for state in result.loop.drive_states), strict=False)),
         "axes": result.axes,
         "recording": paths[0] if paths else None,
     }
@@ -79,6 +81,8 @@ def _report_problems(result: "SessionResult") -> int:
     is_incomplete = bool(report and report.lost and report.recording)
     if report and is_incomplete:
         click.echo(f"recording: {report.lost} of {report.rows + report.lost} rows were lost", err=True)
+    for notice in result.loop.notices:
+        click.echo(f"notice: {notice}", err=True)
     for warning in result.loop.warnings:
         click.echo(f"warning: {warning}", err=True)
     for fault in result.loop.faults:
