@@ -10,6 +10,7 @@ from friction_hil.daemon.figures import CompensationNotices, FollowingError
 from friction_hil.daemon.motion import AxisMotion
 from friction_hil.daemon.row import AxisRow, row_width
 from friction_hil.daemon.safety import MAX_STALE_CYCLES, FaultReset, LoopState, Supervisor
+from friction_hil.daemon.sequence import STANDSTILL_S
 from friction_hil.drive import AxisFacts, Command, DriveState, Feedback
 from friction_hil.drive.codes import FaultCode
 from friction_hil.errors import OptionError
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
     from friction_hil.config import AxisConfig
 
 _STANDSTILL_RATIO = 1e-3  # of the velocity limit: slower counts as standing
+_HELD_S = 0.5 * STANDSTILL_S  # a cycle without usable feedback tells nothing about standstill, for so long
+_MOST_HELD = 10  # cycles
 
 
 class AxisUpdate(NamedTuple):
@@ -55,8 +58,11 @@ class AxisLoop:
         "_baseline_s",
         "_command",
         "_fault_reset",
+        "_held",
         "_is_broken",
         "_is_compensation_enabled",
+        "_is_standing",
+        "_most_held",
         "_notices",
         "_period_s",
         "_standstill",
@@ -93,7 +99,9 @@ class AxisLoop:
         self.shadow_names = list(shadow_names)
         self.compensator = make_compensator(config, config.model, facts, period_s)
         self.shadows = make_shadows(config, facts, period_s)
-        self.supervisor = Supervisor(name, limits, period_s, facts.position_resolution, unit, max_stale_cycles)
+        self.supervisor = Supervisor(
+            name, limits, period_s, facts.position_resolution, unit, max_stale_cycles, facts.velocity_resolution
+        )
         self.motion = AxisMotion(name, unit, config, limits, facts, period_s, self.lead_s, path_time)
         self.following_error = FollowingError()
         self.stale_cycles = 0  # without usable feedback, bridged by prediction
@@ -105,6 +113,9 @@ class AxisLoop:
         self._notices = CompensationNotices(name, unit, self.compensator)
         self._fault_reset = FaultReset(is_wanted=False)
         self._is_broken = False
+        self._is_standing = False  # in the last cycle with usable feedback
+        self._held = 0  # cycles since then
+        self._most_held = min(_MOST_HELD, max(1, int(_HELD_S / period_s)))
         self._states = [one.state for one in (self.compensator, *self.shadows.values())]
         self.state_width = sum(state.size for state in self._states)
         self.row_width = row_width(shadow_names) + self.state_width
@@ -139,7 +150,16 @@ class AxisLoop:
                 warning = self._notices.next(self.compensator, self.compensator.velocity_estimate)
         command.torque = command.velocity = 0.0
         row.clear(cycle * self._period_s, cycle)
-        return AxisUpdate(fault, warning, False, self._seems_to_stand(feedback), self.compensator.is_faded_out)
+        is_standing = self._judge_standstill(self._seems_to_stand(feedback), is_usable=feedback.is_fresh)
+        return AxisUpdate(fault, warning, False, is_standing, self.compensator.is_faded_out)
+
+    def _judge_standstill(self, is_slow: bool, *, is_usable: bool) -> bool:
+        """Return True if the axis stands; a lost cycle now and then says nothing, and changes nothing."""
+        if is_usable:
+            self._is_standing, self._held = is_slow, 0
+        else:
+            self._held += 1
+        return self._is_standing and self._held <= self._most_held
 
     def _seems_to_stand(self, feedback: Feedback) -> bool:
         """True if the drive itself reports standstill; a velocity that is not a number proves none."""
@@ -189,7 +209,7 @@ class AxisLoop:
         row.write_cycle(time_s, inputs, estimate, compensation, command.torque, state, feedback.state)
         for name, shadow in self.shadows.items():
             row.write_shadow(name, shadow.step(*inputs))
-        is_standing = supervisor.is_current and abs(estimate) <= self._standstill
+        is_standing = self._judge_standstill(abs(estimate) <= self._standstill, is_usable=is_usable)
         is_reset_due = self._takes_reset(time_s, state, feedback, fault)
         fault = None if is_reset_due else fault  # what is to be reset does not end the run
         warning = self._notices.next(compensator, estimate)

@@ -48,6 +48,7 @@ class Loop:
         self._drives, self._axes, self._clock, self._sink, self._settings = drives, axes, clock, sink, settings
         self._feedback = [Feedback() for _ in axes]
         self._is_commanded = False  # something but LISTEN was sent
+        self._states_while_disabling = [DriveState.UNKNOWN] * len(axes)
         self._commands = [Command() for _ in axes]
         width = columns_width(axes)
         self._row = np.full(len(axes) * width, math.nan)
@@ -85,7 +86,7 @@ class Loop:
         self._drives.receive(self._feedback, self._pacer.end_ns(cycle))
         if not self._run.begin(self._feedback, time_s):
             return
-        self._tell_notices(cycle)
+        self._note_states(cycle)
         updates = self._update_axes(cycle, self._run.state, self._run.running_s(time_s))
         self._drives.send(self._commands)
         exchange_us = (self._clock.now_ns() - began_ns) * 1e-3
@@ -112,8 +113,12 @@ class Loop:
         self._is_commanded = self._is_commanded or request is not Request.LISTEN
         return updates
 
-    def _tell_notices(self, cycle: int) -> None:
-        """Record what the drives said beside their feedback."""
+    def _note_states(self, cycle: int) -> None:
+        """Record what the drives said beside their feedback; keep the states to which they were disabled."""
+        if self._run.state is LoopState.DISABLING:
+            for k, feedback in enumerate(self._feedback):
+                if feedback.is_fresh or not feedback.state.is_powered:
+                    self._states_while_disabling[k] = feedback.state
         for axis, feedback in zip(self._axes, self._feedback, strict=True):
             if feedback.notices:
                 for text in feedback.notices:
@@ -150,14 +155,9 @@ class Loop:
             self._log.fault(cycle, FaultCode.EXCHANGE_FAILED.append_to(str(error)))
         if self._settings.dry_run or not self._is_commanded:
             return
-        states = [_last_state(heard) for heard in self._feedback] if read_back is None else read_back
+        states = self._states_while_disabling if read_back is None else read_back
         for axis, state in zip(self._axes, states, strict=True):
             self._log.drive_state(cycle, axis.name, state, is_read_back=read_back is not None)
-
-
-def _last_state(heard: Feedback) -> DriveState:
-    """Return the state of a drive that is not read back: what it reported before the last request proves no power."""
-    return heard.state if heard.is_fresh and not heard.state.is_powered else DriveState.UNKNOWN
 
 
 def columns_width(axes: Sequence[AxisLoop]) -> int:

@@ -9,12 +9,14 @@ import math
 from dataclasses import dataclass
 from enum import IntEnum
 
+from friction_hil.daemon.velocity_check import VelocityCheck
 from friction_hil.drive import DriveState, Feedback, Request
 from friction_hil.drive.codes import FaultCode
 
 MAX_STALE_CYCLES = 10
 _JUMP_MARGIN = 2.0
 _FAULT_RESET_S = 1.0
+_MOST_FAST_CYCLES = 3  # beyond the velocity limit by the drive's own report: fewer may be noise
 
 
 class LoopState(IntEnum):
@@ -77,9 +79,12 @@ class Supervisor:
         Unit of position, for messages: ``rad`` or ``m``.
     max_stale_cycles : int
         Largest number of successive cycles without usable feedback that are bridged.
+    velocity_resolution : float
+        Smallest step of the reported velocity, SI; 0 if it is not known.
     """
 
     __slots__ = (
+        "_fast_cycles",
         "_jump",
         "_last_position",
         "_limits",
@@ -89,6 +94,7 @@ class Supervisor:
         "_slack",
         "_stale_cycles",
         "_unit",
+        "_velocity_check",
     )
 
     def __init__(
@@ -99,6 +105,7 @@ class Supervisor:
         position_resolution: float,
         unit: str = "rad",
         max_stale_cycles: int = MAX_STALE_CYCLES,
+        velocity_resolution: float = 0.0,
     ) -> None:
         self._name = name
         self._limits = limits
@@ -108,6 +115,8 @@ class Supervisor:
         self._last_position = math.nan
         self._stale_cycles = 0
         self._max_stale_cycles = max_stale_cycles
+        self._velocity_check = VelocityCheck(period_s, limits.velocity, position_resolution, velocity_resolution)
+        self._fast_cycles = 0  # in a row in which the drive reported more than the velocity limit
         self._missing = ""  # message about the feedback that is missing now
 
     @property
@@ -194,6 +203,8 @@ class Supervisor:
             return FaultCode.VELOCITY_LIMIT.append_to(
                 f"{name}: velocity {velocity:.4g} is beyond its limit of {limits.velocity:g} {unit}/s"
             )
+        if fault := self._find_velocity_fault(feedback):
+            return fault
         if not limits.position_low <= position <= limits.position_high:
             return FaultCode.POSITION_LIMIT.append_to(
                 f"{name}: position {position:.4g} {unit} is outside "
@@ -205,6 +216,25 @@ class Supervisor:
                 f"{limits.following_error:g} {unit}"
             )
         return None
+
+    def _find_velocity_fault(self, feedback: Feedback) -> str | None:
+        """Return the fault of the velocity that the drive reports: too high, or not that of its position."""
+        is_usable, velocity, unit = self._stale_cycles == 0, feedback.velocity, self._unit
+        if is_usable:
+            self._fast_cycles = 0 if abs(velocity) <= self._limits.velocity else self._fast_cycles + 1
+            if self._fast_cycles >= _MOST_FAST_CYCLES:
+                return FaultCode.VELOCITY_LIMIT.append_to(
+                    f"{self._name}: the drive reports a velocity of {velocity:.4g} {unit}/s, beyond the limit of "
+                    f"{self._limits.velocity:g} {unit}/s"
+                )
+        window = self._velocity_check.take(feedback.position, velocity, is_usable=is_usable)
+        if window is None or not self._velocity_check.is_lasting:
+            return None
+        moved, reported = window.displacement / window.duration_s, window.integral / window.duration_s
+        return FaultCode.VELOCITY_CONTRADICTS.append_to(
+            f"{self._name}: the drive reports a velocity of {reported:.4g} {unit}/s, but its position changes by "
+            f"{moved:.4g} {unit}/s"
+        )
 
 
 class FaultReset:

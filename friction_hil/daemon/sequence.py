@@ -21,8 +21,8 @@ STANDSTILL_S = 0.05  # without motion; in a single cycle an axis seems to stand 
 class RunInputs:
     """Inputs of the state machine in one cycle, of all axes together.
 
-    A drive that commands do not reach any more is no part of ``is_powered`` and ``is_standing``: the others must not wait
-    for it. The driver stops it in another way, as far as it can.
+    A drive that commands do not reach any more is no part of ``is_powered`` and ``is_standing``: the others must not
+    wait for it. The driver stops it in another way, as far as it can.
     """
 
     is_stop_requested: bool = False

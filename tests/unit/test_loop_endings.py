@@ -70,6 +70,7 @@ def carried(cycle, feedback):
     """Somewhere else, whatever the drive does about it."""
     if cycle >= 300:
         feedback[0].position = carried.at + 3e-3 * min(cycle - 299, 300)
+        feedback[0].velocity = 3.0 if cycle < 599 else 0.0
     else:
         carried.at = feedback[0].position
 
@@ -80,8 +81,9 @@ def jumps(cycle, feedback):
 
 
 def freezes(cycle, feedback):
+    """The encoder, from which the drive derives its velocity."""
     if cycle >= 300:
-        feedback[0].position = freezes.at
+        feedback[0].position, feedback[0].velocity = freezes.at, 0.0
     else:
         freezes.at = feedback[0].position
 
@@ -113,6 +115,120 @@ def test_in_cst_the_torque_of_the_loops_own_control_ramps_down_after_a_fault_too
     assert run.result.faults[0].startswith("x: following error")
     assert np.abs(run.torques()).max() > 0.3
     run.assert_within_limits()
+
+
+@pytest.mark.parametrize("mode", ["csv", "cst"])
+def test_a_frozen_position_does_not_hide_the_velocity_that_the_drive_reports(mode):
+    """6064h is held, 606Ch is true: the axis must not run away unseen."""
+    at = []
+
+    def hold(cycle, feedback):
+        if cycle >= 300:
+            at.append((feedback[0].position, feedback[0].velocity))
+            feedback[0].position = at[0][0]
+
+    run = Run(axis(mode, limits=LIMITS | {"following_error": 100.0}), disturb=hold, duration_s=3.0)
+    assert "the drive reports a velocity of" in run.result.faults[0]
+    assert run.requests() == STOPPED_BY_FAULT
+    assert max(abs(velocity) for _, velocity in at) < 1.3 * LIMITS["velocity"]
+
+
+@pytest.mark.parametrize("part", [0.1, 0.3, 0.5])
+def test_lost_feedback_does_not_hide_standstill(part):
+    """A tenth, or half, of the cycles bring nothing: the axis is at rest, and disabled soon after it."""
+    rng = np.random.default_rng(1)
+
+    def lose(cycle, feedback):
+        feedback[0].is_fresh = rng.random() >= part
+
+    plain, lossy = Run(duration_s=0.3), Run(duration_s=0.3, disturb=lose)
+    assert lossy.result.faults == []
+    assert lossy.result.cycles - plain.result.cycles < 50
+
+
+def test_notices_of_the_drives_are_recorded_once_each():
+    def say(cycle, feedback):
+        if cycle in (100, 200, 300):
+            feedback[1].notices += ["emergency 8611h following error", f"in cycle {cycle // 200}"]
+
+    run = Run(axis(), axis(node=2), disturb=say, duration_s=0.4)
+    assert run.result.faults == run.result.warnings == []
+    told = ["y: emergency 8611h following error", "y: in cycle 0", "y: in cycle 1"]
+    assert run.result.notices == run.events("notice") == told
+
+
+# --- a drive out of reach
+
+
+def lost(state=DriveState.UNKNOWN, until=100_000):
+    def disturb(cycle, feedback):
+        if 300 <= cycle < until:
+            one = feedback[0]
+            one.is_fresh, one.is_reachable, one.state = False, False, state
+            one.message = "node 1 restarted (boot-up message) [FH-231]"
+
+    return disturb
+
+
+@pytest.mark.parametrize(
+    ("state", "longest_s"),
+    [(DriveState.UNKNOWN, 1.0), (DriveState.OPERATION_ENABLED, 5.0), (DriveState.SWITCH_ON_DISABLED, 0.0)],
+)
+def test_a_lost_drive_does_not_keep_the_others_waiting(state, longest_s):
+    run = Run(axis(), axis(node=2), disturb=lost(state))
+    assert run.result.faults[0] == "x: node 1 restarted (boot-up message) [FH-231]"
+    requests = [command.request for command in run.commands[1]]
+    begin = requests.index(Request.QUICK_STOP)
+    assert begin == 300
+    disabled = requests.index(Request.DISABLE)
+    assert disabled - begin < 300, "the healthy axis is disabled as soon as it stands"
+    assert longest_s * 1000 <= run.result.cycles - disabled <= longest_s * 1000 + 10
+    assert not any("standstill" in fault or "still powered 2 s" in fault for fault in run.result.faults)
+
+
+def test_a_drive_that_is_back_is_stopped_like_the_others():
+    run = Run(axis(), axis(node=2), disturb=lost(until=302))
+    assert len(run.result.faults) == 1
+    assert run.requests(0) == run.requests(1) == STOPPED_BY_FAULT
+    run.assert_left_disabled()
+
+
+class ReadsBack(Drives):
+    """Drives that say in which state they were left."""
+
+    states_at_close: tuple[DriveState, ...] | None = None
+
+    def close(self):
+        super().close()
+        return self.states_at_close
+
+
+@pytest.mark.parametrize(
+    ("states", "faults"),
+    [
+        ((DriveState.SWITCH_ON_DISABLED, DriveState.FAULT), []),
+        (
+            (DriveState.UNKNOWN, DriveState.SWITCH_ON_DISABLED),
+            ["x: the state of the drive after the stop is unknown: it may have power [FH-120]"],
+        ),
+        (
+            (DriveState.READY_TO_SWITCH_ON, DriveState.QUICK_STOP_ACTIVE),
+            ["y: still powered after the stop: the drive is in quick stop active [FH-116]"],
+        ),
+        (None, []),  # nothing is read back: the last cycle's feedback counts
+    ],
+)
+def test_the_states_after_the_stop_are_recorded_and_power_is_a_fault(states, faults):
+    config = configuration(x=axis(), y=axis(node=2))
+    drives = ReadsBack(config)
+    drives.states_at_close = states
+    loop, sink, _ = make_loop(config, drives, duration_s=0.2)
+    result = loop.run()
+    assert result.faults == faults
+    told = states or (DriveState.SWITCH_ON_DISABLED,) * 2
+    assert tuple(result.drive_states) == told
+    expected = [f"{name}: {state.words}" for name, state in zip("xy", told, strict=True)]
+    assert [text for _, kind, text in sink.events if kind == "drive_state"] == expected
 
 
 def test_a_path_that_leaves_the_limits_is_refused_before_anything_is_enabled():
