@@ -52,7 +52,10 @@ class Configuration(Section):
 
 
 def _mistakes(configuration: Configuration) -> Iterator[Mistake]:
-    """Check axes and bus against each other; drivers add their own checks by ``Options.check``."""
+    """Check axes and bus against each other; drivers add their own checks.
+
+    ``Options.check(axes, bus)`` and ``Options.check_timing(axes, period_s, max_missed)`` yield (axis, key, message).
+    """
     period_us = 1e6 * configuration.period_s
     if configuration.realtime.spin_us >= period_us:
         yield ("realtime", "spin_us"), f"must be below the period, {period_us:g} us"
@@ -60,7 +63,10 @@ def _mistakes(configuration: Configuration) -> Iterator[Mistake]:
     for name, axis in configuration.axes.items():
         by_driver.setdefault(axis.driver, {})[name] = axis
     for axes in by_driver.values():
-        check = getattr(type(next(iter(axes.values())).options), "check", None)
-        if check is not None:
-            for name, field, message in check(axes, configuration.bus):
-                yield ("axes", name, *field.split(".")), message
+        options = type(next(iter(axes.values())).options)
+        check, check_timing = getattr(options, "check", None), getattr(options, "check_timing", None)
+        found = [] if check is None else list(check(axes, configuration.bus))
+        if check_timing is not None:
+            found += check_timing(axes, configuration.period_s, configuration.realtime.max_missed)
+        for name, field, message in found:
+            yield ("axes", name, *field.split(".")), message

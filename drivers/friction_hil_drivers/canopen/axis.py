@@ -66,6 +66,7 @@ class CanopenAxis:
         self.facts = drive.facts
         self.node = node
         self.tpdos = drive.tpdos
+        self.watch = drive.watch
         self._monitor = NodeMonitor(node, heartbeat_s)
         self._answers = SyncAnswers(len(drive.tpdos))
         self._sdo = CyclicSdo(node, max(1.0, _STANDSTILL_PER_S * abs(drive.units.velocity_per_unit)))
@@ -128,6 +129,11 @@ class CanopenAxis:
     def needs_other_frames(self) -> bool:
         """True if `other_frames` may have something to send."""
         return self._sdo.is_active or not self.is_reachable or self._missed > _BLIND_CYCLES
+
+    @property
+    def controlword(self) -> int:
+        """Controlword that was encoded last."""
+        return self._controlword
 
     def copy(self) -> "CanopenAxis":
         """Return another axis for the same drive, as it was before its first cycle."""

@@ -13,6 +13,7 @@ from friction_hil_drivers.canopen.exclusive import AxisLock
 from friction_hil_drivers.canopen.interfaces import bus_name
 from friction_hil_drivers.canopen.mapping import check_bus_load, expected_pdos
 from friction_hil_drivers.canopen.options import canopen_options
+from friction_hil_drivers.canopen.watchdogs import watchdog_pdos
 
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig, BusConfig, Configuration
@@ -30,7 +31,7 @@ def check_connection(configuration: "Configuration", axes: "Mapping[str, AxisCon
         name = str(config.channel)
         yield interfaces.check_interface(name, interfaces.ask_ip(name), config.bitrate)
     if config.bitrate is not None:
-        yield _load(config.bitrate, configuration.period_s, axes)
+        yield _load(config.bitrate, configuration, axes)
     for name, axis in axes.items():
         yield _owner(config, name, axis)
 
@@ -56,8 +57,10 @@ def _opened(config: "BusConfig") -> Finding:
     return Finding(check, "warn", detail, "friction-hil run with --dry-run opens it and commands nothing", "FH-439")
 
 
-def _load(bitrate: int, period_s: float, axes: "Mapping[str, AxisConfig]") -> Finding:
+def _load(bitrate: int, configuration: "Configuration", axes: "Mapping[str, AxisConfig]") -> Finding:
+    period_s, max_missed = configuration.period_s, configuration.realtime.max_missed
     pdos = [pdo for axis in axes.values() for pdo in expected_pdos(Mode[axis.mode.upper()])]
+    pdos += watchdog_pdos(canopen_options(axis).times(period_s, max_missed).feed_cycles for axis in axes.values())
     try:
         return Finding("bus load", "pass", check_bus_load(bitrate, period_s, pdos))
     except DriveError as error:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from friction_hil.drive import AxisFacts, DriveState, Mode
@@ -10,13 +10,14 @@ from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes, objects
 from friction_hil_drivers.canopen.eds import load_eds
 from friction_hil_drivers.canopen.mapping import COMMANDS, FEEDBACK, MappedPdo, PdoRecord, switch_off
-from friction_hil_drivers.canopen.monitor import HEARTBEATS_TO_LOSS
-from friction_hil_drivers.canopen.negotiation import PdoNegotiator
+from friction_hil_drivers.canopen.negotiation import FoundPdo, PdoNegotiator
 from friction_hil_drivers.canopen.objects import Object
 from friction_hil_drivers.canopen.options import CanopenOptions, canopen_options
 from friction_hil_drivers.canopen.scales import read_scales, require_agreement
 from friction_hil_drivers.canopen.unit_table import resolution_notes, unit_rows
 from friction_hil_drivers.canopen.units import PER_MILLE, CanopenUnits
+from friction_hil_drivers.canopen.watchdog_times import WatchdogTimes
+from friction_hil_drivers.canopen.watchdogs import NOT_WATCHED, Watch, arm
 from friction_hil_drivers.cia402 import profile
 
 if TYPE_CHECKING:
@@ -27,15 +28,12 @@ _ACTUATION_DELAY_CYCLES = 1.5  # sampled at one SYNC, in force from the next, fo
 _SETPOINT_DELAY_CYCLES = {Mode.CSP: 2.5, Mode.CSV: 2.0, Mode.CST: 1.5}
 _DELAY_ON_ARRIVAL_CYCLES = 1.0  # an RPDO that acts when it arrives comes within the period, and then acts for one
 _STAY_IN_QUICK_STOP = 6  # 605Ah
-_TO_FAULT = 1  # 6007h
 # Feedback that a drive may lack, in the order in which it is done without, and what follows
 _WITHOUT = {
     objects.MODE_DISPLAY: "that it takes the mode is not confirmed",
     objects.TORQUE_ACTUAL: "no torque is recorded, so nothing can be identified from it",
     objects.VELOCITY_ACTUAL: "the velocity is derived from the position, and has its resolution per period",
 }
-_RPDO_PERIODS_TO_LOSS = 20
-_SHORTEST_RPDO_TIMER_MS = 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,10 +47,18 @@ class ConfiguredDrive:
     rpdos: tuple[MappedPdo, ...]  # empty: the drive is only listened to
     error: str  # why the drive is in fault; empty where it is not
     period_s: float
+    watch: Watch = NOT_WATCHED
 
 
 def configure(
-    access: "SdoClient", name: str, axis: "AxisConfig", period_s: float, *, dry_run: bool, taken: set[int] | None = None
+    access: "SdoClient",
+    name: str,
+    axis: "AxisConfig",
+    period_s: float,
+    times: WatchdogTimes,
+    *,
+    dry_run: bool,
+    taken: set[int] | None = None,
 ) -> ConfiguredDrive:
     """Check a drive's identity and modes, read its units, map its PDOs and set its watchdogs.
 
@@ -66,6 +72,7 @@ def configure(
     axis : AxisConfig
     period_s : float
         Period of the cycle, s.
+    times : WatchdogTimes
     dry_run : bool
     taken : set of int, optional
         Identifiers that PDOs of other axes have; those of this axis are added.
@@ -91,9 +98,10 @@ def configure(
     notes += resolution_notes(scales, axis)
     state = profile.drive_state(access.read(objects.STATUSWORD))
     rpdos: tuple[MappedPdo, ...] = ()
+    watch = NOT_WATCHED
     if not dry_run:
         _require_unpowered(access, state)
-        rpdos, of_commands = _set_up_commands(access, options, mode, commands, period_s, taken)
+        rpdos, watch, of_commands = _set_up_commands(access, options, mode, commands, period_s, times, taken)
         notes += of_commands
     tpdos, of_feedback = _set_up_feedback(access, options, feedback, taken, dry_run=dry_run)
     notes += of_feedback
@@ -111,7 +119,8 @@ def configure(
         units=unit_rows(scales, axis.limits, mode, axis.model.axis),
     )
     code = access.find(objects.ERROR_CODE) if state is DriveState.FAULT else None
-    return ConfiguredDrive(facts, units, mode, tpdos, rpdos, profile.error_text(code) if code else "", period_s)
+    error = profile.error_text(code) if code else ""
+    return ConfiguredDrive(facts, units, mode, tpdos, rpdos, error, period_s, watch)
 
 
 def _actuation_delay_cycles(rpdos: Sequence[MappedPdo]) -> float:
@@ -232,9 +241,10 @@ def _set_up_commands(
     mode: Mode,
     entries: Sequence[Object],
     period_s: float,
+    times: WatchdogTimes,
     taken: set[int],
-) -> tuple[tuple[MappedPdo, ...], list[str]]:
-    """Prepare the mode, map the RPDOs, switch the others off, set the watchdogs; return the PDOs and notes."""
+) -> tuple[tuple[MappedPdo, ...], Watch, list[str]]:
+    """Prepare the mode, map the RPDOs, switch the others off, set the watchdogs; return RPDOs, watchdogs and notes."""
     notes = _prepare_mode(access, mode, period_s)
     negotiator = PdoNegotiator(access, is_receive=True, node=options.node, axis=options.axis_number, taken=taken)
     values = {objects.MODE: int(mode).to_bytes(1, "little")}
@@ -244,10 +254,20 @@ def _set_up_commands(
         switch_off(access, pdo.record)  # one that stays on is not sent
     if not all(pdo.is_synchronous for pdo in result.pdos):
         notes.append("RPDOs of the drive take effect when they arrive and not at SYNC")
-    timer_ms = max(_SHORTEST_RPDO_TIMER_MS, math.ceil(_RPDO_PERIODS_TO_LOSS * period_s * 1e3))
-    timer = PdoRecord(True, result.pdos[0].number, options.node, options.axis_number).event_timer
-    access.try_write(timer, timer_ms)
-    return result.pdos, notes + _set_watchdogs(access, options, timer, timer_ms)
+    number = next(number for number, pdo in enumerate(result.pdos) if objects.CONTROLWORD in pdo.entries)
+    command = result.pdos[number]
+    record = PdoRecord(True, command.number, options.node, options.axis_number)
+    armed = arm(access, options, times, (record, command.cob_id), _free_rpdos(result.unused, taken))
+    taken.add(armed.watch.rpdo_id)
+    pdos = list(result.pdos)
+    pdos[number] = replace(command, is_synchronous=command.is_synchronous and not armed.is_command_event_driven)
+    return tuple(pdos), armed.watch, notes + armed.notes
+
+
+def _free_rpdos(unused: Sequence[FoundPdo], taken: set[int]) -> list[tuple[PdoRecord, int]]:
+    """Return the RPDOs that a watchdog may use, each with an identifier that no other PDO has."""
+    found = [(pdo.record, pdo.record.default_identifier or pdo.cob_id & 0x7FF) for pdo in unused]
+    return [(record, identifier) for record, identifier in found if identifier and identifier not in taken]
 
 
 def _set_up_feedback(
@@ -346,32 +366,3 @@ def _interpolation_period(axis: str, period_s: float) -> tuple[int, int]:
         "times a power of ten)"
     )
     raise DriveError(text, code=codes.PERIOD_NOT_EXPRESSIBLE)
-
-
-def _set_watchdogs(access: "SdoClient", options: CanopenOptions, rpdo_timer: Object, timer_ms: int) -> list[str]:
-    """Let the drive watch the daemon; return a note that says by what.
-
-    Raises
-    ------
-    DriveError
-        The drive has neither watchdog, and the configuration does not accept that.
-    """
-    loss_ms = round(HEARTBEATS_TO_LOSS * options.heartbeat_s * 1e3)
-    has_heartbeat = access.try_write(objects.CONSUMER_HEARTBEAT, options.master_node << 16 | loss_ms)
-    has_reaction = access.try_write(objects.ABORT_CONNECTION_OPTION, _TO_FAULT)
-    has_timer = access.find(rpdo_timer) == timer_ms
-    access.try_write(objects.PRODUCER_HEARTBEAT, round(options.heartbeat_s * 1e3))
-    watchdogs = []
-    if has_heartbeat and has_reaction:
-        watchdogs.append(f"heartbeat consumer {loss_ms} ms")
-    if has_timer and has_reaction:
-        watchdogs.append(f"RPDO timer {timer_ms} ms")
-    if watchdogs:
-        return [f"the drive watches the daemon: {', '.join(watchdogs)}"]
-    if options.is_watchdog_required:
-        text = (
-            f"{access.axis}: {access.where} cannot watch the daemon (no heartbeat consumer 1016h or RPDO timer with "
-            "6007h): if the daemon dies, its torque stays. Set is_watchdog_required: false to accept that"
-        )
-        raise DriveError(text, code=codes.NO_WATCHDOG)
-    return ["the drive does NOT watch the daemon: if the daemon dies, its last torque stays"]

@@ -25,6 +25,8 @@ from friction_hil_drivers.canopen.exclusive import AxisLock
 from friction_hil_drivers.canopen.interfaces import bus_name
 from friction_hil_drivers.canopen.mapping import check_bus_load
 from friction_hil_drivers.canopen.options import CanopenOptions, canopen_options
+from friction_hil_drivers.canopen.watchdog_times import WatchdogTimes
+from friction_hil_drivers.canopen.watchdogs import watchdog_pdos
 from friction_hil_drivers.cia402 import profile
 
 if TYPE_CHECKING:
@@ -127,6 +129,7 @@ class CanopenDrives:
                 self._axes.append(self._connect_axis(self._network, name, axis))
         if config.bitrate is not None:
             pdos = [pdo for axis in self._axes for pdo in axis.pdos]
+            pdos += watchdog_pdos(axis.watch.feed_cycles for axis in self._axes if axis.watch.rpdo_id)
             check_bus_load(config.bitrate, self._configuration.period_s, pdos)
         self._exchange = self._make_exchange(self._bus)
         return [axis.facts for axis in self._axes]
@@ -139,9 +142,13 @@ class CanopenDrives:
         if not self._dry_run:
             # a drive in Operational may refuse new mappings; a dry run must not stop a drive that another master runs
             self._write_nmt(objects.NmtCommand.ENTER_PRE_OPERATIONAL, options.node)
-        drive = configure(client, name, config, self._configuration.period_s, dry_run=self._dry_run)
+        times = self._times(options)
+        drive = configure(client, name, config, self._configuration.period_s, times, dry_run=self._dry_run)
         drive = _with_notes(drive, client.notes)
-        return CanopenAxis(drive, options.node, options.heartbeat_s)
+        return CanopenAxis(drive, options.node, 1e-3 * times.heartbeat_ms)
+
+    def _times(self, options: CanopenOptions) -> WatchdogTimes:
+        return options.times(self._configuration.period_s, self._configuration.realtime.max_missed)
 
     def _make_exchange(self, bus: "FrameBus") -> CyclicExchange:
         options = [canopen_options(axis) for axis in self._configs.values()]
@@ -150,7 +157,7 @@ class CanopenDrives:
             self._axes,
             self._clock,
             period_s=self._configuration.period_s,
-            heartbeat_s=min(option.heartbeat_s for option in options),
+            heartbeat_s=1e-3 * min(self._times(option).heartbeat_ms for option in options),
             master_node=options[0].master_node,
             dry_run=self._dry_run,
             max_missed=self._configuration.realtime.max_missed,

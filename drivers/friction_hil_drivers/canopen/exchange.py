@@ -9,6 +9,7 @@ from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes, objects
 from friction_hil_drivers.canopen.axis import CanopenAxis, Handler
 from friction_hil_drivers.canopen.queue_full import QueueFullError
+from friction_hil_drivers.canopen.watchdogs import Feeder, Guard, feeders
 
 if TYPE_CHECKING:
     from friction_hil_drivers.canopen.frames import FrameBus
@@ -70,6 +71,8 @@ class CyclicExchange:
         self._heartbeat_id = objects.HEARTBEAT_BASE + master_node
         self._heartbeat_ns = round(heartbeat_s * 1e9)
         self._next_heartbeat_ns = 0
+        self._feeders = feeders([axis.watch for axis in axes])
+        self._guards = [Guard(axis.node, axis.watch.guard_ms) for axis in axes if axis.watch.guard_ms]
         self._max_missed = max_missed
         self._unsent = 0  # cycles in a row in which the bus took no frames
         self._oldest_ns = round(max_missed * period_s * 1e9)
@@ -109,11 +112,13 @@ class CyclicExchange:
             axis.report(target, now)
 
     def _send_sync(self) -> str:
-        """Send SYNC; return why it was not sent, "" if it was."""
+        """Send SYNC, at which drives take over what their RPDOs carried; return why it was not sent, "" if it was."""
         try:
             self._bus.send(objects.SYNC_ID, b"")
         except QueueFullError as error:
             return f"SYNC was not sent: {error}"
+        for feeder in self._feeders:
+            feeder.taken_over()
         return ""
 
     def _is_probe_due(self) -> bool:
@@ -138,6 +143,8 @@ class CyclicExchange:
                 self._send_commands(commands, now)
             if now >= self._next_heartbeat_ns and not self._lets_heartbeat_lapse(now):
                 self._send_heartbeat(now)
+            if self._guards and not self._dry_run:
+                self._send_guards(now)
         except QueueFullError as error:  # what the drives did not get is a missed exchange
             self._unsent += 1
             if self._unsent > self._max_missed:
@@ -150,18 +157,33 @@ class CyclicExchange:
         """Send the RPDOs of each axis that they reach, and what else is due."""
         age_ns = now - self._sampled_ns
         is_too_old = self._clock.is_real and age_ns > self._oldest_ns
-        for axis, command in zip(self._axes, commands, strict=True):
+        for axis, feeder, command in zip(self._axes, self._feeders, commands, strict=True):
             if command.request is Request.LISTEN:
                 continue
             if is_too_old and command.request in _TO_POWER:
                 axis.note_dropped(age_ns * 1e-6)
                 continue
             if axis.is_reachable:
-                for frame in axis.encode(command):
-                    self._bus.send(*frame)
+                self._send_command(axis, feeder, command)
             if axis.needs_other_frames:
                 for frame in axis.other_frames(command.request, now):
                     self._bus.send(*frame)
+
+    def _send_command(self, axis: CanopenAxis, feeder: Feeder, command: Command) -> None:
+        """Send the RPDOs of an axis; before them, when it is due, the controlword in force to its watchdog RPDO."""
+        frames = axis.encode(command)
+        if feeder.can_id and (word := feeder.next()) is not None:
+            self._bus.send(feeder.can_id, word)
+        for frame in frames:
+            self._bus.send(*frame)
+        feeder.note(axis.controlword)
+
+    def _send_guards(self, now: int) -> None:
+        """Ask the nodes that are guarded for their state, unless they are to miss it."""
+        for guard in self._guards:
+            if now >= guard.next_ns and not self._lets_heartbeat_lapse(now):
+                self._bus.send_remote(guard.can_id, 1)
+                guard.next_ns = now + guard.period_ns
 
     def _lets_heartbeat_lapse(self, now: int) -> bool:
         """Return True if a drive that may have power can be stopped in no other way than by the lost heartbeat.

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from friction_hil_drivers.canopen.si_units import parse_velocity_unit
+from friction_hil_drivers.canopen.watchdog_times import WatchdogTimes, contradictions, watchdog_times
 
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig, BusConfig
@@ -57,12 +58,23 @@ class CanopenOptions(BaseModel):
         description="periods from sending a set-point to the drive's demand reaching it; 2.5 (csp) or 2 (csv) "
         "when not given: one for the exchange, the rest for the drive's interpolation",
     )
-    heartbeat_s: float = Field(
-        0.1, ge=0.01, le=10.0, description="period of heartbeats in both directions; three missing ones are a loss"
+    heartbeat_s: float | None = Field(
+        None,
+        ge=0.005,
+        le=10.0,
+        description="period of heartbeats in both directions, or of node guarding; three missing ones are a loss; 0.02 "
+        "when not given, or longer as realtime.max_missed needs it",
+    )
+    watchdog_s: float | None = Field(
+        None,
+        ge=0.002,
+        le=60.0,
+        description="time without commands after which the drive stops, by the timer of an RPDO; 0.02 when not given, "
+        "or longer as realtime.max_missed needs it",
     )
     master_node: int = Field(126, ge=1, le=127, description="node number under which the daemon sends its heartbeat")
     is_watchdog_required: bool = Field(
-        True, description="refuse a drive that cannot watch the daemon (neither 1016h nor an RPDO timer)"
+        True, description="refuse a drive that cannot watch the daemon (RPDO timer, heartbeat, node guarding)"
     )
     is_mode_check_required: bool = Field(
         True, description="refuse a drive whose 6502h does not list the mode; false: its 6502h may be wrong, try it"
@@ -87,11 +99,29 @@ class CanopenOptions(BaseModel):
                 yield name, "node", f"node {options.node} is axis {owners[options.node]!r} already"
             if options.node == options.master_node:
                 yield name, "node", f"node {options.node} is master_node, the daemon's own number"
+            first = canopen_options(next(iter(axes.values())))
+            if options.master_node != first.master_node:
+                text = f"must be the same for all axes: the daemon sends one heartbeat, as node {first.master_node}"
+                yield name, "master_node", text
             if axis.model.axis == "linear":
                 for field in ("counts_per_unit", "rated_torque"):
                     if getattr(options, field) is None:
                         yield name, field, "must be given for a linear axis: drives report neither per metre"
             owners.setdefault(options.node, name)
+
+    @classmethod
+    def check_timing(
+        cls, axes: "Mapping[str, AxisConfig]", period_s: float, max_missed: int
+    ) -> Iterator[tuple[str, str, str]]:
+        """Yield watchdogs that would trip while the loop bridges missed periods: (axis, field, message)."""
+        for name, axis in axes.items():
+            times = canopen_options(axis).times(period_s, max_missed)
+            for field, message in contradictions(period_s, max_missed, times):
+                yield name, field, message
+
+    def times(self, period_s: float, max_missed: int) -> WatchdogTimes:
+        """Return the times of the watchdogs for a period, s, and the periods that the loop bridges."""
+        return watchdog_times(period_s, max_missed, self.heartbeat_s, self.watchdog_s)
 
 
 def canopen_options(axis: "AxisConfig") -> CanopenOptions:

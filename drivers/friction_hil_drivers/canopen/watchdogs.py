@@ -1,0 +1,342 @@
+"""Watchdogs of a drive: what stops it when the daemon dies, set up and read back.
+
+Three means, none of which depends on SYNC, which a dead daemon does not send any more:
+
+- an event-driven RPDO with its event timer. It carries the controlword that is in force already and is sent every few
+  cycles. The timer of a synchronous RPDO does not count: CiA 301 lets a drive look at it when SYNC comes.
+- the heartbeat consumer, 1016h.
+- life guarding, 100Ch and 100Dh, where there is no heartbeat consumer: the daemon asks with remote frames.
+"""
+
+import struct
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from friction_hil.errors import DriveError
+from friction_hil_drivers.canopen import codes, objects
+from friction_hil_drivers.canopen.mapping import MappedPdo, PdoRecord
+from friction_hil_drivers.canopen.objects import DataType, Object
+from friction_hil_drivers.canopen.watchdog_times import HEARTBEATS_TO_LOSS, WatchdogTimes
+
+if TYPE_CHECKING:
+    from friction_hil_drivers.canopen.options import CanopenOptions
+    from friction_hil_drivers.canopen.sdo import SdoClient
+
+RpdoPlace = tuple[PdoRecord, int]  # an RPDO of the drive, and the identifier that its frames have or shall have
+
+NOT_TRIED = "written and read back, not tried"
+_EVENT_DRIVEN = (255, 254)
+_REACTIONS = {1: "a fault", 2: "no voltage", 3: "a quick stop"}  # 6007h
+_LEAVES_OPERATIONAL = {0: "Pre-operational", 2: "Stopped"}  # 1029h:01
+_WORD = struct.Struct("<H")
+
+
+@dataclass(frozen=True, slots=True)
+class Watch:
+    """What the cyclic phase does so that the drive's watchdogs do not trip.
+
+    Attributes
+    ----------
+    rpdo_id : int
+        Identifier of the watchdog RPDO, 0 for none.
+    feed_cycles : int
+        It is sent every so many cycles.
+    guard_ms : int
+        Period of node guarding, 0 for none.
+    means : tuple of str
+        What watches the daemon, in words, each with its time.
+    """
+
+    rpdo_id: int = 0
+    feed_cycles: int = 1
+    guard_ms: int = 0
+    means: tuple[str, ...] = ()
+
+
+NOT_WATCHED = Watch()
+
+
+class Feeder:
+    """Content of the watchdog RPDO of one axis, from cycle to cycle. No bus, no clock.
+
+    Parameters
+    ----------
+    watch : Watch
+    offset : int
+        Cycles before the first one, so that those of several axes fall into different cycles.
+    """
+
+    def __init__(self, watch: Watch, offset: int) -> None:
+        self.can_id = watch.rpdo_id
+        self._cycles = watch.feed_cycles
+        self._left = offset + 1
+        self._in_force = self._sent = 0
+
+    def taken_over(self) -> None:
+        """SYNC was sent: what the synchronous RPDO carried before is in force."""
+        self._in_force = self._sent
+
+    def note(self, controlword: int) -> None:
+        """Note the controlword of the synchronous RPDO that was just sent."""
+        self._sent = controlword
+
+    def next(self) -> bytes | None:
+        """Return the RPDO's content if it is due in this cycle; it changes nothing in the drive."""
+        self._left -= 1
+        if self._left > 0:
+            return None
+        self._left = self._cycles
+        return _WORD.pack(self._in_force)
+
+
+def feeders(watches: Sequence[Watch]) -> list[Feeder]:
+    """Return the feeders of several axes, spread over the cycles."""
+    return [
+        Feeder(watch, number * watch.feed_cycles // len(watches) if watch.rpdo_id else 0)
+        for number, watch in enumerate(watches)
+    ]
+
+
+class Guard:
+    """When a node is to be asked for its state next.
+
+    Attributes
+    ----------
+    can_id : int
+        Identifier of the remote frame, and of its answer.
+    period_ns, next_ns : int
+    """
+
+    def __init__(self, node: int, guard_ms: int) -> None:
+        self.can_id = objects.HEARTBEAT_BASE + node
+        self.period_ns = 1_000_000 * guard_ms
+        self.next_ns = 0
+
+
+def watchdog_pdos(feed_cycles: Iterable[int]) -> list[MappedPdo]:
+    """Return the watchdog RPDOs in the fullest cycle, for the load of the bus, from each axis's number of cycles."""
+    cycles = list(feed_cycles)
+    most = -(-len(cycles) // min(cycles)) if cycles else 0
+    return [MappedPdo(0, (objects.CONTROLWORD,), _WORD)] * most
+
+
+@dataclass(frozen=True, slots=True)
+class Armed:
+    """Result of `arm`."""
+
+    watch: Watch
+    notes: list[str]
+    is_command_event_driven: bool = False  # RPDO 1 itself is the watchdog, and takes effect when it arrives
+
+
+def arm(
+    access: "SdoClient",
+    options: "CanopenOptions",
+    times: WatchdogTimes,
+    command: RpdoPlace,
+    free: Sequence[RpdoPlace],
+) -> Armed:
+    """Let the drive watch the daemon by everything that it has.
+
+    Parameters
+    ----------
+    access : SdoClient
+    options : CanopenOptions
+    times : WatchdogTimes
+    command : PdoRecord and int
+        The RPDO with the controlword, and its identifier.
+    free : sequence of PdoRecord and int
+        RPDOs that are not needed otherwise, switched off, and identifiers for them.
+
+    Raises
+    ------
+    DriveError
+        The drive has no watchdog, and the configuration does not accept that.
+    """
+    reaction = _reaction(access)
+    leaves = "" if reaction else _leaves_operational(access)
+    means: list[str] = []
+    notes: list[str] = []
+    rpdo_id, is_command = 0, False
+    if reaction:
+        rpdo_id, is_command, found = _arm_rpdo(access, times, command, free)
+        means += found
+    guard_ms = 0
+    if reaction or leaves:
+        consumer, notes = _arm_heartbeat(access, options.master_node, times)
+        if not consumer:
+            consumer = _arm_guarding(access, times)
+            guard_ms = times.heartbeat_ms if consumer else 0
+        means += consumer
+    if not guard_ms:  # CiA 301: a node that produces heartbeats is not guarded
+        access.try_write(objects.PRODUCER_HEARTBEAT, times.heartbeat_ms)
+    if is_command:
+        notes.append(f"no other RPDO has a timer: {command[0].name} takes effect when it arrives, and not at SYNC")
+    watch = Watch(rpdo_id, times.feed_cycles, guard_ms, tuple(means))
+    return Armed(watch, [_summary(access, options, means, reaction, leaves), *notes], is_command)
+
+
+def _summary(access: "SdoClient", options: "CanopenOptions", means: Sequence[str], reaction: str, leaves: str) -> str:
+    """Return a note that says what watches the daemon.
+
+    Raises
+    ------
+    DriveError
+        Nothing does, and the configuration does not accept that.
+    """
+    if means:
+        text = f"the drive watches the daemon by {', '.join(means)}; a loss is {reaction or leaves} ({NOT_TRIED}"
+        if not reaction:
+            text += f": the drive has no {objects.ABORT_CONNECTION_OPTION}, and whether leaving Operational stops it "
+            text += "has not been seen; friction-hil doctor --try-watchdog shows it"
+        return f"{text})"
+    if options.is_watchdog_required:
+        text = (
+            f"{access.axis}: {access.where} cannot watch the daemon: it has no event-driven RPDO with a timer, no "
+            f"heartbeat consumer 1016h and no node guarding 100Ch, or does not react to their loss (6007h, 1029h). If "
+            "the daemon dies, its torque stays. Set is_watchdog_required: false to accept that"
+        )
+        raise DriveError(text, code=codes.NO_WATCHDOG)
+    return "the drive does NOT watch the daemon: if the daemon dies, its last torque stays"
+
+
+def _reaction(access: "SdoClient") -> str:
+    """Let the drive react to a lost connection; return the reaction in words, "" if that is not known."""
+    if not holds(access, objects.ABORT_CONNECTION_OPTION, 1):
+        found = access.find(objects.ABORT_CONNECTION_OPTION)
+        return f"{_REACTIONS[found]} (6007h = {found})" if found in _REACTIONS else ""
+    return f"{_REACTIONS[1]} (6007h = 1)"
+
+
+def _leaves_operational(access: "SdoClient") -> str:
+    """Return how a drive without 6007h leaves Operational when a heartbeat is lost, "" if it does not say so."""
+    entry = objects.COMMUNICATION_ERROR_BEHAVIOUR
+    found = access.find(entry)
+    if found == 1 and holds(access, entry, 0):
+        found = 0
+    return f"NMT {_LEAVES_OPERATIONAL[found]} (1029h:01 = {found})" if found in _LEAVES_OPERATIONAL else ""
+
+
+def _arm_rpdo(
+    access: "SdoClient", times: WatchdogTimes, command: RpdoPlace, free: Sequence[RpdoPlace]
+) -> tuple[int, bool, list[str]]:
+    """Set up an event-driven RPDO; return its identifier (0: RPDO 1 or none), whether it is RPDO 1, and words."""
+    for record, identifier in reversed(free):
+        if _set_up_feed(access, record, identifier, times.timer_ms):
+            return identifier, False, [f"{record.name} within {times.timer_ms} ms"]
+    if _make_event_driven(access, *command, times.timer_ms):
+        return 0, True, [f"{command[0].name} within {times.timer_ms} ms"]
+    # some drives look at it without SYNC too: it is set, and does not count
+    access.try_write(command[0].event_timer, times.timer_ms)
+    return 0, False, []
+
+
+def _set_up_feed(access: "SdoClient", record: PdoRecord, identifier: int, timer_ms: int) -> bool:
+    """Let an RPDO carry the controlword alone, with a timer; return False if the drive refuses."""
+    if access.find(record.cob_id) is None or access.find(record.event_timer) is None:
+        return False
+    word = record.word(objects.CONTROLWORD, objects.CONTROLWORD.type.bits)
+    is_ready = (
+        _holds_cob_id(access, record, objects.PDO_INVALID | identifier)
+        and (_carries(access, record, word) or _map(access, record, word))
+        and any(holds(access, record.transmission_type, kind) for kind in _EVENT_DRIVEN)
+        and holds(access, record.event_timer, timer_ms)
+        and _holds_cob_id(access, record, identifier)
+    )
+    if not is_ready:
+        _holds_cob_id(access, record, objects.PDO_INVALID | identifier)
+    return is_ready
+
+
+def _make_event_driven(access: "SdoClient", record: PdoRecord, identifier: int, timer_ms: int) -> bool:
+    """Give the RPDO of the commands a timer that does not depend on SYNC; without success it is as before."""
+    if access.find(record.event_timer) is None:
+        return False
+    before = access.find(record.transmission_type)
+    _holds_cob_id(access, record, objects.PDO_INVALID | identifier)
+    is_ready = any(holds(access, record.transmission_type, kind) for kind in _EVENT_DRIVEN) and holds(
+        access, record.event_timer, timer_ms
+    )
+    if not is_ready and before is not None:
+        holds(access, record.transmission_type, before)
+    access.write(record.cob_id, identifier)
+    return is_ready
+
+
+def _map(access: "SdoClient", record: PdoRecord, word: int) -> bool:
+    return (
+        holds(access, record.mapping(0), 0)
+        and holds(access, record.mapping(1), word)
+        and holds(access, record.mapping(0), 1)
+    )
+
+
+def _carries(access: "SdoClient", record: PdoRecord, word: int) -> bool:
+    return access.find(record.mapping(0)) == 1 and access.find(record.mapping(1)) == word
+
+
+def _holds_cob_id(access: "SdoClient", record: PdoRecord, value: int) -> bool:
+    """Write the COB-ID of an RPDO; other bits than those of the identifier and of its validity are the drive's."""
+    relevant = objects.PDO_INVALID | 0x7FF
+    holds(access, record.cob_id, value)
+    found = access.find(record.cob_id)
+    return found is not None and found & relevant == value & relevant
+
+
+def _arm_heartbeat(access: "SdoClient", master: int, times: WatchdogTimes) -> tuple[list[str], list[str]]:
+    """Let the drive watch the daemon's heartbeat by an entry of 1016h that is free; return it in words, and notes."""
+    count = access.find(objects.CONSUMER_HEARTBEAT_COUNT) or 0
+    entries = [
+        Object(0x1016, objects.CONSUMER_HEARTBEAT.name, DataType.UNSIGNED32, number) for number in range(1, count + 1)
+    ]
+    found = {entry: access.find(entry) or 0 for entry in entries}
+    notes, chosen = [], None
+    for entry, value in found.items():
+        node, time_ms = value >> 16 & 0x7F, value & 0xFFFF
+        if node == master:
+            chosen = entry  # CiA 301 allows one entry for a node
+        elif node and time_ms:
+            text = f"{entry} is {value:08X}h: the drive watches node {node} too, within {time_ms} ms; it is kept"
+            notes.append(text)
+    if chosen is None:
+        free = [entry for entry, value in found.items() if not (value >> 16 & 0x7F and value & 0xFFFF)]
+        chosen = free[0] if free else None
+    if chosen is None:
+        return [], [*notes, "no entry of 1016h is free for the daemon"] if entries else []
+    if not holds(access, chosen, master << 16 | times.loss_ms):
+        return [], notes
+    return [f"heartbeat (1016h:{chosen.subindex:02X}) within {times.loss_ms} ms"], notes
+
+
+def _arm_guarding(access: "SdoClient", times: WatchdogTimes) -> list[str]:
+    """Let the drive watch for the daemon's remote frames; return it in words, nothing where it has no life guarding."""
+    if access.find(objects.GUARD_TIME) is None or access.find(objects.LIFE_TIME_FACTOR) is None:
+        return []
+    if access.find(objects.PRODUCER_HEARTBEAT) and not holds(access, objects.PRODUCER_HEARTBEAT, 0):
+        return []  # CiA 301: a node that produces heartbeats is not guarded
+    is_ready = holds(access, objects.GUARD_TIME, times.heartbeat_ms) and holds(
+        access, objects.LIFE_TIME_FACTOR, HEARTBEATS_TO_LOSS
+    )
+    if not is_ready:
+        holds(access, objects.GUARD_TIME, 0)
+        return []
+    return [f"node guarding (100Ch, 100Dh) within {times.loss_ms} ms"]
+
+
+def holds(access: "SdoClient", entry: Object, value: int) -> bool:
+    """Write an optional object; return True if it then holds the value.
+
+    A refusal is no obstacle where the drive holds the value already.
+
+    Raises
+    ------
+    DriveError
+        The drive does not answer.
+    """
+    try:
+        access.write(entry, value)
+    except DriveError as error:
+        if error.code != codes.SDO_ABORT:
+            raise
+    return access.find(entry) == value
