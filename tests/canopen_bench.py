@@ -36,7 +36,7 @@ class Bench:
         position: float = 0.0,
         is_paced_by_sync: bool = True,
         is_locked: bool = False,
-        modes: Sequence[Mode] = tuple(Mode),
+        modes: Sequence[Mode] | None = None,
         missing: Sequence[int] = (),
         eds: Path = SIMULATED_SERVO,
         manners: dict[str, Any] | None = None,

@@ -42,7 +42,8 @@ def make_node(
     assert isinstance(simulation, SimulationOptions)
     number: int = getattr(axis.options, "node")  # noqa: B009 - the driver's options, known to it alone
     servo = Servo(simulation)
-    modes = [Mode[name.upper()] for name in simulation.canopen.supported_modes]
+    names = simulation.canopen.supported_modes
+    modes = None if names is None else [Mode[name.upper()] for name in names]
     _compile(Servo(simulation))
     steps = _steps_per_period(configuration.period_s, servo)
     return SimulatedNode(
@@ -71,7 +72,19 @@ def _dictionary(configuration: "Configuration", number: int, simulation: Simulat
     ):
         if value is not None:
             dictionary.set_default(entry, value)
+    if not dictionary.shows(objects.INTERPOLATION_PERIOD):
+        _set_period(dictionary, configuration.period_s)
     return dictionary
+
+
+def _set_period(dictionary: Dictionary, period_s: float) -> None:
+    """Let a drive without 60C2h interpolate over the period of the configuration, as if it measured that of SYNC."""
+    for exponent in range(0, -7, -1):
+        mantissa = period_s / 10.0**exponent
+        if 1 <= round(mantissa) <= 255 and abs(mantissa - round(mantissa)) < 1e-6:
+            dictionary.set_default(objects.INTERPOLATION_PERIOD, round(mantissa))
+            dictionary.set_default(objects.INTERPOLATION_EXPONENT, exponent)
+            return
 
 
 def _steps_per_period(period_s: float, servo: Servo) -> int:

@@ -1,7 +1,6 @@
 """Object dictionary of a simulated node: values, access rights, limits and abort codes."""
 
-import struct
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from enum import IntEnum
 from pathlib import Path
 from typing import Any
@@ -9,12 +8,13 @@ from typing import Any
 from canopen.objectdictionary import ODVariable
 
 from friction_hil.errors import UsageError
+from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.eds import SIMULATED_SERVO, load_eds
 from friction_hil_drivers.canopen.objects import DataType, Object
+from friction_hil_drivers.canopen.simulated.wire_types import Value, wire_type
 
-Value = int | bytes
 _FIRST_OBJECT = 0x1000
-_TYPES = frozenset(DataType)
+_UNICODE_STRING, _DOMAIN = 0x0B, 0x0F
 
 
 class Abort(IntEnum):
@@ -47,7 +47,7 @@ class SdoAbortError(Exception):
 
 
 class Entry:
-    """One variable: an integer, or the bytes of a string or domain.
+    """One variable: a number, or the bytes of a string, a domain or an unknown type.
 
     ``on_read`` supplies the value of an entry that mirrors something live. ``on_write`` is called with the new
     value before it is stored, and may refuse it with `SdoAbortError`.
@@ -56,6 +56,7 @@ class Entry:
     __slots__ = (
         "access",
         "default",
+        "has_default",
         "index",
         "is_mappable",
         "maximum",
@@ -72,12 +73,15 @@ class Entry:
         self, index: int, subindex: int, name: str, kind: int, access: str = "rw", *, is_mappable: bool = False
     ) -> None:
         self.index, self.subindex, self.name = index, subindex, name
-        self.type = DataType(kind) if kind in _TYPES else DataType.VISIBLE_STRING
+        self.type = wire_type(kind)
         self.access = access
         self.is_mappable = is_mappable
+        self.minimum: float
+        self.maximum: float
         self.minimum, self.maximum = self.type.bounds if self.type.bits else (0, 0)
         self.default: Value = 0 if self.type.bits else b""
-        self.value: Any = self.default  # int or bytes
+        self.has_default = False  # a file gives one
+        self.value: Any = self.default  # of type Value
         self.on_read: Callable[[], Value] | None = None
         self.on_write: Callable[[int], None] | None = None
 
@@ -95,12 +99,17 @@ class Entry:
         """Return the current value."""
         return self.value if self.on_read is None else self.on_read()
 
+    def connect(self, read: Callable[[], int], known: Object) -> None:
+        """Make the entry mirror something live, that has the type of ``known`` where the drive uses another."""
+        is_usual = self.type == wire_type(known.type)
+        self.on_read = read if is_usual else lambda: self.type.fit(read())
+
     def reader(self) -> Callable[[], Value]:
         """Return a function that does what `read` does, for frequent reading."""
         return (lambda: self.value) if self.on_read is None else self.on_read
 
-    def write(self, value: int) -> None:
-        """Store a new integer value, or raise `SdoAbortError`."""
+    def write(self, value: Any) -> None:
+        """Store a new number, or raise `SdoAbortError`."""
         if value > self.maximum:
             raise SdoAbortError(Abort.TOO_HIGH)
         if value < self.minimum:
@@ -114,7 +123,7 @@ class Entry:
         if not self.is_readable:
             raise SdoAbortError(Abort.WRITE_ONLY)
         value = self.read()
-        data = value if isinstance(value, bytes) else struct.pack(f"<{self.type.code}", value)
+        data = self.type.pack(value)
         if not data:
             raise SdoAbortError(Abort.NO_DATA)
         return data
@@ -128,7 +137,7 @@ class Entry:
         elif len(data) * 8 != self.type.bits:
             raise SdoAbortError(Abort.LENGTH)
         else:
-            self.write(struct.unpack(f"<{self.type.code}", data)[0])
+            self.write(self.type.unpack(data))
 
 
 class Dictionary:
@@ -146,6 +155,8 @@ class Dictionary:
         self._entries = {(entry.index, entry.subindex): entry for entry in entries}
         self._visible = {address: self._entries[address] for address in self._entries.keys() - set(hidden)}
         self._indices = {index for index, _ in self._visible}
+        self.is_foreign = False
+        self.notes: list[str] = []
 
     @classmethod
     def from_eds(cls, path: Path, node: int, missing: Iterable[int] = ()) -> "Dictionary":
@@ -163,13 +174,48 @@ class Dictionary:
         Raises
         ------
         UsageError
-            The file is not an EDS, or a default does not fit its type.
+            The file is not an EDS.
         """
         own = {(entry.index, entry.subindex): entry for entry in _entries(SIMULATED_SERVO, node)}
-        shown = own if path == SIMULATED_SERVO else {(e.index, e.subindex): e for e in _entries(path, node)}
         lacking = frozenset(missing)
+        if path == SIMULATED_SERVO:
+            return cls(own.values(), {address for address in own if address[0] in lacking})
+        shown = {(entry.index, entry.subindex): entry for entry in _entries(path, node)}
+        notes = [note for entry in shown.values() if (note := _doubt(entry))]
         hidden = {address for address in own | shown if address not in shown or address[0] in lacking}
-        return cls((own | shown).values(), hidden)
+        dictionary = cls((own | shown).values(), hidden)
+        dictionary.is_foreign, dictionary.notes = True, notes
+        dictionary._keep_apart(own, shown)
+        dictionary._fill_in(own, node)
+        return dictionary
+
+    def _keep_apart(self, own: Mapping[tuple[int, int], Entry], shown: Mapping[tuple[int, int], Entry]) -> None:
+        """Let the device work with its own entries where the file gives them a type that is no integer."""
+        for address in own.keys() & shown.keys():
+            if _is_integer(own[address]) and not _is_integer(shown[address]):
+                self._entries[address] = own[address]
+                self.notes.append(f"{address[0]:04X}h:{address[1]:02X} is no integer in the file: it stays as it is")
+
+    def _fill_in(self, own: Mapping[tuple[int, int], Entry], node: int) -> None:
+        """Give values to the objects that the file leaves empty and without which no node works (CiA 301)."""
+        for known in (objects.SYNC_COB_ID, objects.EMERGENCY_COB_ID):
+            if not self.of(known).value & 0x7FF:
+                self.set_default(known, own[known.address].value)
+        for parameter, mapping, bases in (
+            (objects.RPDO_PARAMETER, objects.RPDO_MAPPING, objects.RPDO_BASES),
+            (objects.TPDO_PARAMETER, objects.TPDO_MAPPING, objects.TPDO_BASES),
+        ):
+            for number in self.numbers(parameter, mapping, 0):
+                entry = self.at_or_hidden(parameter + number, objects.PDO_COB_ID, DataType.UNSIGNED32)
+                if not entry.value & 0x7FF:
+                    predefined = bases[number] + node if number < len(bases) else 0
+                    entry.default = entry.value = (entry.value | predefined) or objects.PDO_INVALID
+        self.set_default(objects.CONTROLWORD, 0)
+        if not self.of(objects.INTERPOLATION_PERIOD).value:
+            for known in (objects.INTERPOLATION_PERIOD, objects.INTERPOLATION_EXPONENT):
+                self.set_default(known, own[known.address].value)
+        if not self.of(objects.MAX_MOTOR_SPEED).value:
+            self.set_default(objects.MAX_MOTOR_SPEED, own[objects.MAX_MOTOR_SPEED.address].value)
 
     def find(self, index: int, subindex: int) -> Entry:
         """Return an entry as SDO and PDO find it, or raise `SdoAbortError`."""
@@ -181,6 +227,28 @@ class Dictionary:
     def shows(self, known: Object) -> bool:
         """Return True if SDO and PDO find an object."""
         return known.address in self._visible
+
+    def given(self, known: Object) -> int:
+        """Return the value that a vendor's file gives an object; 0 if it gives none, or is the package's own."""
+        entry = self._visible.get(known.address)
+        value = entry.default if entry is not None and entry.has_default and self.is_foreign else 0
+        return round(value) if isinstance(value, int | float) else 0
+
+    def subindices(self, index: int, first: int, last: int) -> list[Entry]:
+        """Return the entries of an index that SDO finds, or that the device uses if SDO finds none."""
+        source = self._visible if index in self._indices else self._entries
+        return [source[index, subindex] for subindex in range(first, last + 1) if (index, subindex) in source]
+
+    def numbers(self, parameter: int, mapping: int, count: int) -> list[int]:
+        """Return the numbers of the PDOs, counted from 0, whose records start at two indices."""
+        if not self.is_foreign:
+            return list(range(count))
+        found = {parameter + number for number in range(512)} & self._indices
+        return sorted(index - parameter for index in found if index - parameter + mapping in self._indices)
+
+    def at_or_hidden(self, index: int, subindex: int, kind: DataType) -> Entry:
+        """Return an entry that the device uses; where there is none, one that SDO and PDO do not find."""
+        return self._entries.setdefault((index, subindex), Entry(index, subindex, "not in the file", kind))
 
     def of(self, known: Object) -> Entry:
         """Return an entry that the device itself uses, visible or not."""
@@ -197,6 +265,9 @@ class Dictionary:
     def set_default(self, known: Object, value: int) -> None:
         """Set the default of an entry, limited to the range of its type."""
         entry = self.of(known)
+        if entry.type.bits == 0:
+            entry.default = entry.value = entry.type.fit(value)
+            return
         low, high = entry.type.bounds
         entry.default = entry.value = min(max(value, low), high)
 
@@ -238,34 +309,44 @@ def _entries(path: Path, node: int) -> Iterator[Entry]:
         if item.index < _FIRST_OBJECT:
             continue  # data types, listed for dummy mapping
         variables = [item] if isinstance(item, ODVariable) else [item[subindex] for subindex in item]
-        yield from (_entry(variable, path) for variable in variables)
+        yield from (_entry(variable) for variable in variables)
 
 
-def _entry(variable: ODVariable, path: Path) -> Entry:
-    kind = variable.data_type or DataType.VISIBLE_STRING
+def _entry(variable: ODVariable) -> Entry:
     entry = Entry(
         variable.index,
         variable.subindex,
         variable.name,
-        kind,
+        _DOMAIN if variable.data_type is None else variable.data_type,
         variable.access_type,
         is_mappable=variable.pdo_mappable,
     )
     value: Any = variable.default if variable.value is None else variable.value
+    entry.has_default = value is not None
     if not entry.type.bits:
-        entry.default = entry.value = value.encode() if isinstance(value, str) else bytes(value or b"")
+        if isinstance(value, str):
+            value = value.encode("utf-16-le" if variable.data_type == _UNICODE_STRING else "utf-8")
+        entry.default = entry.value = entry.type.fit(b"" if value is None else value)
         return entry
-    if variable.min is not None:
-        entry.minimum = max(entry.minimum, variable.min)
-    if variable.max is not None:
-        entry.maximum = min(entry.maximum, variable.max)
-    number = 0 if value is None else int(value)
     low, high = entry.type.bounds
-    if entry.type.bits and low < 0 and number > high:
-        number -= 1 << entry.type.bits  # hexadecimal defaults of signed entries
-    if not low <= number <= high:
-        raise UsageError(
-            f"{path}: the default {number} of {entry.index:04X}h:{entry.subindex:02X} does not fit its type"
-        )
-    entry.default = entry.value = number
+    least = low if variable.min is None else max(low, variable.min)
+    most = high if variable.max is None else min(high, variable.max)
+    if least < most:  # equal, or the wrong way round, where an editor filled them in
+        entry.minimum, entry.maximum = least, most
+    entry.default = entry.value = 0 if value is None else value
     return entry
+
+
+def _is_integer(entry: Entry) -> bool:
+    return entry.type.bits > 0 and not entry.type.is_real
+
+
+def _doubt(entry: Entry) -> str:
+    """Cut a default that does not fit its type; return what to say about it, empty for nothing."""
+    value, fitting = entry.default, entry.type.fit(entry.default)
+    entry.default = entry.value = fitting
+    if entry.type.is_signed and isinstance(value, int) and value - (1 << entry.type.bits) == fitting:
+        return ""  # hexadecimal
+    if value == fitting or entry.type.is_real:
+        return ""
+    return f"{entry.index:04X}h:{entry.subindex:02X}: the default {value!r} does not fit its type; {fitting!r} is used"

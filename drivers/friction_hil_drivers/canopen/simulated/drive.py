@@ -13,7 +13,12 @@ from friction_hil_drivers.canopen.simulated.emergency import Emergencies
 from friction_hil_drivers.canopen.simulated.manners import Manners
 from friction_hil_drivers.canopen.simulated.setpoints import NO_MODE, Setpoints
 from friction_hil_drivers.canopen.simulated.units import SimulatedUnits, VelocityUnit
-from friction_hil_drivers.canopen.simulated.values import connect_live_values, set_defaults
+from friction_hil_drivers.canopen.simulated.values import (
+    connect_live_values,
+    file_resolution,
+    file_velocity_unit,
+    set_defaults,
+)
 from friction_hil_drivers.cia402 import profile
 from friction_hil_drivers.cia402.power import requested_state
 
@@ -39,10 +44,16 @@ class _Stop:
     give_up_ns: int
 
 
-def _units(servo: Servo, manners: Manners) -> SimulatedUnits:
+def _units(servo: Servo, manners: Manners, dictionary: Dictionary) -> SimulatedUnits:
+    """Return the units of the drive: those of the configuration, else of a vendor's file, else of the servo."""
     unit = manners.velocity_unit
-    velocity = None if unit is None else VelocityUnit.parse(unit)
-    return SimulatedUnits(servo, velocity=velocity, is_inverted=manners.is_inverted)
+    return SimulatedUnits(
+        servo,
+        resolution=file_resolution(dictionary) if servo.config.mechanics.axis == "rotary" else None,
+        rated_torque=dictionary.given(objects.RATED_TORQUE) or None,
+        velocity=file_velocity_unit(dictionary) if unit is None else VelocityUnit.parse(unit),
+        is_inverted=manners.is_inverted,
+    )
 
 
 class SimulatedCia402Drive:
@@ -57,7 +68,7 @@ class SimulatedCia402Drive:
         servo: Servo,
         dictionary: Dictionary,
         emergencies: Emergencies,
-        modes: Iterable[Mode],
+        modes: Iterable[Mode] | None,
         manners: Manners | None = None,
     ) -> None:
         self.servo = servo
@@ -71,9 +82,16 @@ class SimulatedCia402Drive:
         self._emergencies = emergencies
         manners = Manners() if manners is None else manners
         self._manners = manners
-        self._units = _units(servo, manners)
-        self._modes = frozenset(modes)
-        set_defaults(dictionary, servo, self._units, self._modes)
+        self._units = _units(servo, manners, dictionary)
+        told = dictionary.given(objects.SUPPORTED_MODES)
+        if modes is None:
+            self._modes = frozenset(mode for mode in Mode if not told or told >> (mode - 1) & 1)
+        else:
+            self._modes = frozenset(modes)
+        # those without a model here give no torque
+        other = {number for number in range(1, 33) if told >> (number - 1) & 1 and number not in set(Mode)}
+        self._accepted = self._modes | other | {NO_MODE, dictionary.of(objects.MODE).value}
+        set_defaults(dictionary, servo, self._units, self._modes, are_modes_given=modes is not None)
         for preset in manners.values:
             dictionary.preset(preset.index, preset.subindex, preset.value)
         connect_live_values(dictionary, servo, self._units)
@@ -95,8 +113,8 @@ class SimulatedCia402Drive:
         self._window, self._timeout = dictionary.entries(
             objects.FOLLOWING_ERROR_WINDOW, objects.FOLLOWING_ERROR_TIMEOUT
         )
-        dictionary.of(objects.STATUSWORD).on_read = lambda: self.statusword
-        dictionary.of(objects.MODE_DISPLAY).on_read = lambda: self._mode
+        dictionary.of(objects.STATUSWORD).connect(lambda: self.statusword, objects.STATUSWORD)
+        dictionary.of(objects.MODE_DISPLAY).connect(lambda: self._mode, objects.MODE_DISPLAY)
 
         self._repeats = 0  # of the controlword in a row
         self._transition: DriveState | None = None  # that takes time, and is under way
@@ -111,7 +129,7 @@ class SimulatedCia402Drive:
         self._faults.clear()
         self._controlword = 0
         self._repeats = 0
-        self._mode = NO_MODE
+        self._mode = self._mode_wanted.value
         self._has_following_error = False
         self._stop_was_commanded = False
         self._enter(_DISABLED)
@@ -331,7 +349,7 @@ class SimulatedCia402Drive:
         self.fault(FOLLOWING_ERROR, now_ns)
 
     def _check_mode(self, value: int) -> None:
-        if value != NO_MODE and value not in self._modes:
+        if value not in self._accepted:
             raise SdoAbortError(Abort.VALUE)
 
     def _check_quick_stop_option(self, value: int) -> None:

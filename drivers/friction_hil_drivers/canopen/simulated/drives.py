@@ -84,7 +84,8 @@ class SimulatedCanopenDrives:
         for node in self._nodes:
             node.boot()
         listed = ", ".join(f"{name}=node {node.number}" for name, node in nodes.items())
-        return f"{listed} on {bus_name(config)}"
+        notes = [f"\nnote: {name}: {note}" for name, node in nodes.items() for note in node.notes]
+        return f"{listed} on {bus_name(config)}{''.join(notes)}"
 
     def run(self, is_stopping: Callable[[], bool]) -> None:
         """Serve the bus until ``is_stopping()`` is true.

@@ -34,8 +34,8 @@ class Emergencies:
         self._send = send
         self._present: list[int] = []  # oldest first
         self._history: list[int] = []  # newest first
-        dictionary.of(objects.ERROR_REGISTER).on_read = lambda: self.register
-        dictionary.of(objects.ERROR_CODE).on_read = lambda: self._present[-1] if self._present else 0
+        dictionary.of(objects.ERROR_REGISTER).connect(lambda: self.register, objects.ERROR_REGISTER)
+        dictionary.of(objects.ERROR_CODE).connect(lambda: self._present[-1] if self._present else 0, objects.ERROR_CODE)
         count = dictionary.of(objects.ERROR_HISTORY_COUNT)
         count.on_read = lambda: len(self._history)
         count.on_write = self._clear_history

@@ -39,8 +39,7 @@ class Consumer:
     """Watches other nodes. A node is watched from its first heartbeat on."""
 
     def __init__(self, dictionary: Dictionary) -> None:
-        index, count = objects.CONSUMER_HEARTBEAT.index, dictionary.of(objects.CONSUMER_HEARTBEAT_COUNT)
-        self._entries = [dictionary.at(index, subindex) for subindex in range(1, count.value + 1)]
+        self._entries = dictionary.subindices(objects.CONSUMER_HEARTBEAT.index, 1, 127)
         for entry in self._entries:
             entry.on_write = lambda value, entry=entry: self._write(entry, value)
         self._deadlines_ns: dict[int, int] = {}  # by node

@@ -26,6 +26,10 @@ _LOCKED_PERIODS = 10  # without SYNC after which the drive's clock runs free aga
 _S, _US = 1_000_000_000, 1_000  # ns
 
 
+def _numbers(dictionary: Dictionary, kind: type[Rpdo] | type[Tpdo]) -> list[int]:
+    return dictionary.numbers(kind.parameter_base, kind.mapping_base, objects.PDO_COUNT)
+
+
 class SimulatedNode:
     """One node on the bus.
 
@@ -96,12 +100,13 @@ class SimulatedNode:
             self._manners.sdo,
             clock,
         )
+        self.notes = dictionary.notes  # about the file that it follows
         self._producer = Producer(dictionary)
         self._consumer = Consumer(dictionary)
         self._guard = LifeGuard(dictionary)
         self._shown = ShownValues(dictionary, self._manners.events)
-        self._rpdos = [Rpdo(number, dictionary) for number in range(objects.PDO_COUNT)]
-        self._tpdos = [Tpdo(number, dictionary) for number in range(objects.PDO_COUNT)]
+        self._rpdos = [Rpdo(number, dictionary) for number in _numbers(dictionary, Rpdo)]
+        self._tpdos = [Tpdo(number, dictionary) for number in _numbers(dictionary, Tpdo)]
         self._sync_id = dictionary.of(objects.SYNC_COB_ID)
         self._sync_id.on_write = self._write_sync_id
         self._sync_period = dictionary.of(objects.COMMUNICATION_CYCLE_PERIOD)

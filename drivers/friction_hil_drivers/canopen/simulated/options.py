@@ -20,8 +20,8 @@ class CanopenSimulation(Manners):
     revision: Unsigned32 | None = Field(None, description="1018h:03; as in the EDS when not given")
     serial: Unsigned32 | None = Field(None, description="1018h:04; the node number when not given")
     missing: tuple[Index, ...] = Field((), description="indices of objects that it lacks, e.g. [0x60B2]")
-    supported_modes: tuple[Literal["csp", "csv", "cst"], ...] = Field(
-        ("csp", "csv", "cst"), description="modes of operation that it has"
+    supported_modes: tuple[Literal["csp", "csv", "cst"], ...] | None = Field(
+        None, description="modes of operation that it has; as in 6502h of the EDS, all three where that says nothing"
     )
 
 

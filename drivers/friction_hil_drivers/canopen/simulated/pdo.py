@@ -1,11 +1,15 @@
 """Process data objects of a simulated node: parameters, mapping through SDO, packing (CiA 301)."""
 
 import struct
+from collections.abc import Sequence
 
 from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen.objects import DataType
 from friction_hil_drivers.canopen.simulated.dictionary import Abort, Dictionary, Entry, SdoAbortError
+from friction_hil_drivers.canopen.simulated.wire_types import Value, WireType
 
 _LARGEST_SYNCHRONOUS = 240
+_MOST_ENTRIES = 64
 _EVENT_DRIVEN = (254, 255)
 _DUMMIES = range(0x0002, 0x0008)  # data types that may stand for "ignore" in an RPDO
 _MS, _INHIBIT_UNIT = 1_000_000, 100_000  # ns
@@ -23,6 +27,34 @@ def _is_restricted(can_id: int) -> bool:
     )
 
 
+class _OddLayout:
+    """Layout of a PDO with entries whose widths `struct` does not know."""
+
+    def __init__(self, types: Sequence[WireType]) -> None:
+        self._types = types
+        self.size = sum(kind.bits for kind in types) // 8
+
+    def pack(self, *values: Value) -> bytes:
+        """Return the values one behind the other."""
+        return b"".join(kind.pack(value) for kind, value in zip(self._types, values, strict=True))
+
+    def unpack_from(self, data: bytes) -> tuple[Value, ...]:
+        """Return the values in the first bytes of a frame."""
+        values, start = [], 0
+        for kind in self._types:
+            end = start + kind.bits // 8
+            values.append(kind.unpack(data[start:end]))
+            start = end
+        return tuple(values)
+
+
+def _layout(entries: Sequence[Entry]) -> "struct.Struct | _OddLayout":
+    types = [entry.type for entry in entries]
+    return (
+        struct.Struct("<" + "".join(kind.code for kind in types)) if all(t.code for t in types) else _OddLayout(types)
+    )
+
+
 class SimulatedPdo:
     """Base of both directions: one communication record, one mapping record.
 
@@ -30,17 +62,17 @@ class SimulatedPdo:
     """
 
     _is_receive: bool
-    _parameter_base: int
-    _mapping_base: int
+    parameter_base: int
+    mapping_base: int
 
     def __init__(self, number: int, dictionary: Dictionary) -> None:
         self._dictionary = dictionary
-        parameter, mapping = self._parameter_base + number, self._mapping_base + number
-        self._cob_id = dictionary.at(parameter, objects.PDO_COB_ID)
-        self._type = dictionary.at(parameter, objects.PDO_TRANSMISSION_TYPE)
-        self._event_timer = dictionary.at(parameter, objects.PDO_EVENT_TIMER)
-        self._count = dictionary.at(mapping, 0)
-        self._mapped = [dictionary.at(mapping, position) for position in range(1, 9)]
+        parameter, mapping = self.parameter_base + number, self.mapping_base + number
+        self._cob_id = dictionary.at_or_hidden(parameter, objects.PDO_COB_ID, DataType.UNSIGNED32)
+        self._type = dictionary.at_or_hidden(parameter, objects.PDO_TRANSMISSION_TYPE, DataType.UNSIGNED8)
+        self._event_timer = dictionary.at_or_hidden(parameter, objects.PDO_EVENT_TIMER, DataType.UNSIGNED16)
+        self._count = dictionary.at_or_hidden(mapping, 0, DataType.UNSIGNED8)
+        self._mapped = dictionary.subindices(mapping, 1, _MOST_ENTRIES)
         self._cob_id.on_write = self._write_cob_id
         self._type.on_write = self._write_type
         self._event_timer.on_write = self._note
@@ -58,12 +90,13 @@ class SimulatedPdo:
         self.event_timer_ns = self._event_timer.value * _MS
         try:
             mapping = [entry.value for entry in self._mapped[: self._count.value]]
-            self._entries = [self._resolve(word) for word in mapping]
+            self._entries = [self._resolve(word, is_default=True) for word in mapping]
         except SdoAbortError:  # the default mapping names an object that this drive lacks
             self._entries = []
-        self._struct = struct.Struct("<" + "".join(entry.type.code for entry in self._entries))
-        self.size = self._struct.size
-        self.exists = not self._cob_id.value & objects.PDO_INVALID and bool(self._entries)
+        self._layout = _layout(self._entries)
+        self.size = self._layout.size
+        is_valid = not self._cob_id.value & objects.PDO_INVALID and not _is_restricted(self.can_id)
+        self.exists = is_valid and bool(self._entries)
 
     def _note(self, _: int) -> None:
         self.is_stale = True
@@ -100,8 +133,11 @@ class SimulatedPdo:
         if value != 0:
             self._resolve(value)
 
-    def _resolve(self, word: int) -> Entry:
-        """Return the entry that a mapping word names; refuse one that a PDO of this direction cannot carry."""
+    def _resolve(self, word: int, *, is_default: bool = False) -> Entry:
+        """Return the entry that a mapping word names; refuse one that a PDO of this direction cannot carry.
+
+        Files are sloppy about what may be mapped: a mapping that is in force already is not asked for that.
+        """
         index, subindex, bits = word >> 16, word >> 8 & 0xFF, word & 0xFF
         if self._is_receive and index in _DUMMIES:
             entry = Entry(index, subindex, "dummy", index)
@@ -111,9 +147,9 @@ class SimulatedPdo:
             except SdoAbortError as error:
                 raise SdoAbortError(Abort.NOT_MAPPABLE) from error
             may_be_mapped = entry.is_writable if self._is_receive else entry.is_readable
-            if not (entry.is_mappable and may_be_mapped):
+            if not (is_default or (entry.is_mappable and may_be_mapped)):
                 raise SdoAbortError(Abort.NOT_MAPPABLE)
-        if bits != entry.type.bits:
+        if bits == 0 or bits != entry.type.bits:
             raise SdoAbortError(Abort.NOT_MAPPABLE)
         return entry
 
@@ -122,8 +158,8 @@ class Rpdo(SimulatedPdo):
     """Received: writes the entries mapped to it."""
 
     _is_receive = True
-    _parameter_base = objects.RPDO_PARAMETER
-    _mapping_base = objects.RPDO_MAPPING
+    parameter_base = objects.RPDO_PARAMETER
+    mapping_base = objects.RPDO_MAPPING
 
     def load(self) -> None:
         """Apply the records as they are now, and start afresh."""
@@ -139,7 +175,7 @@ class Rpdo(SimulatedPdo):
 
     def write(self, data: bytes) -> None:
         """Write a frame's values. One that its entry refuses is left out: an RPDO has no answer."""
-        for entry, value in zip(self._entries, self._struct.unpack_from(data), strict=True):
+        for entry, value in zip(self._entries, self._layout.unpack_from(data), strict=True):
             try:
                 entry.write(value)
             except SdoAbortError:
@@ -154,11 +190,12 @@ class Tpdo(SimulatedPdo):
     """
 
     _is_receive = False
-    _parameter_base = objects.TPDO_PARAMETER
-    _mapping_base = objects.TPDO_MAPPING
+    parameter_base = objects.TPDO_PARAMETER
+    mapping_base = objects.TPDO_MAPPING
 
     def __init__(self, number: int, dictionary: Dictionary) -> None:
-        self._inhibit = dictionary.at(self._parameter_base + number, objects.PDO_INHIBIT_TIME)
+        parameter = self.parameter_base + number
+        self._inhibit = dictionary.at_or_hidden(parameter, objects.PDO_INHIBIT_TIME, DataType.UNSIGNED16)
         self._inhibit.on_write = self._write_inhibit
         super().__init__(number, dictionary)
 
@@ -177,7 +214,7 @@ class Tpdo(SimulatedPdo):
 
     def sample(self) -> bytes:
         """Return the content at this moment."""
-        return self._struct.pack(*[read() for read in self._readers])
+        return self._layout.pack(*[read() for read in self._readers])
 
     def at_sync(self) -> bytes | None:
         """Return what to send at this SYNC, None for nothing."""

@@ -40,7 +40,11 @@ class Setpoints:
             (objects.VELOCITY_OFFSET, "_velocity_offset"),
             (objects.TORQUE_OFFSET, "_torque_offset"),
         ):
-            dictionary.of(known).on_write = lambda value, name=name: self._take(name, value)
+            entry = dictionary.of(known)
+            if entry.type.is_signed:
+                entry.on_write = lambda value, name=name: self._take(name, value)
+            else:  # in a vendor's file
+                entry.on_write = lambda value, name=name: self._take(name, wrap(value))
         self._period_s = 0.0
         self.load()
         self.forget()

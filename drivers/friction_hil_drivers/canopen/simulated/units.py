@@ -128,12 +128,14 @@ class SimulatedUnits:
     ) -> None:
         config = servo.config
         revolution = config.encoder.counts / servo.counts_per_unit  # rad or m
+        self.is_resolution_given = resolution is not None
         if resolution is None:
             resolution = Fraction(config.encoder.counts).limit_denominator(1000)
             self.counts = servo.counts_per_unit  # per rad or m
         else:
             self.counts = float(resolution) / revolution
         self.resolution = resolution  # counts a revolution
+        self.is_velocity_given = velocity is not None
         self._per_minute = float(self.resolution) / 60.0
         self.rated_torque = rated_torque or max(1, round(1000.0 * config.motor.rated_torque))  # mN m or mN
         self.torque = self.rated_torque * 1e-6  # N m or N per per mille

@@ -1,45 +1,80 @@
 """Objects of a simulated drive that mirror the servo, and those whose defaults depend on it."""
 
 from collections.abc import Iterable
+from fractions import Fraction
 
 from friction_hil.drive import Mode
 from friction_hil.servo.servo import Servo
 from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.simulated.dictionary import Dictionary
-from friction_hil_drivers.canopen.simulated.units import INT16, INT32, SimulatedUnits, saturated
+from friction_hil_drivers.canopen.simulated.units import INT16, INT32, SimulatedUnits, VelocityUnit, saturated
 from friction_hil_drivers.canopen.units import wrap
+
+_LEAST_RESOLUTION = 2  # counts per revolution
 
 
 def connect_live_values(dictionary: Dictionary, servo: Servo, units: SimulatedUnits) -> None:
     """Make the entries for demands and actual values read from the servo."""
     counts, torque, speed = units.sign * units.counts, units.sign * units.torque, units.sign * units.increments
-    dictionary.of(objects.POSITION_ACTUAL).on_read = lambda: wrap(round(servo.position * counts))
-    dictionary.of(objects.POSITION_DEMAND).on_read = lambda: wrap(round(servo.position_demand * counts))
-    dictionary.of(objects.FOLLOWING_ERROR).on_read = lambda: saturated(servo.following_error * counts, INT32)
-    dictionary.of(objects.VELOCITY_ACTUAL).on_read = lambda: saturated(servo.velocity * speed, INT32)
-    dictionary.of(objects.VELOCITY_DEMAND).on_read = lambda: saturated(servo.velocity_demand * speed, INT32)
-    dictionary.of(objects.TORQUE_ACTUAL).on_read = lambda: saturated(servo.torque / torque, INT16)
-    dictionary.of(objects.TORQUE_DEMAND).on_read = lambda: saturated(servo.torque_demand / torque, INT16)
+    for known, read in (
+        (objects.POSITION_ACTUAL, lambda: wrap(round(servo.position * counts))),
+        (objects.POSITION_DEMAND, lambda: wrap(round(servo.position_demand * counts))),
+        (objects.FOLLOWING_ERROR, lambda: saturated(servo.following_error * counts, INT32)),
+        (objects.VELOCITY_ACTUAL, lambda: saturated(servo.velocity * speed, INT32)),
+        (objects.VELOCITY_DEMAND, lambda: saturated(servo.velocity_demand * speed, INT32)),
+        (objects.TORQUE_ACTUAL, lambda: saturated(servo.torque / torque, INT16)),
+        (objects.TORQUE_DEMAND, lambda: saturated(servo.torque_demand / torque, INT16)),
+    ):
+        dictionary.of(known).connect(read, known)
 
 
-def set_defaults(dictionary: Dictionary, servo: Servo, units: SimulatedUnits, modes: Iterable[Mode]) -> None:
+def set_defaults(
+    dictionary: Dictionary, servo: Servo, units: SimulatedUnits, modes: Iterable[Mode], *, are_modes_given: bool
+) -> None:
     """Set the entries that describe this motor, as its commissioning would do.
 
     The quick stop uses half of the rated torque on the inertia, the profile ramp a quarter; the following
-    error window is a twentieth of a revolution.
+    error window is a twentieth of a revolution. Values of a vendor's file stay, unless they are zero, or in counts of
+    an encoder that it does not tell. ``are_modes_given`` is True if the configuration says which modes there are.
     """
     motor, inertia = servo.config.motor, servo.config.mechanics.inertia
     strongest = motor.rated_torque / inertia * units.increments  # velocity units per second
     defaults = {
-        objects.SUPPORTED_MODES: sum(1 << (mode - 1) for mode in modes),
         objects.RATED_TORQUE: units.rated_torque,
         objects.MAX_TORQUE: round(motor.peak_torque / units.torque),
+        objects.VELOCITY_UNIT: units.velocity.code,
+        objects.SUPPORTED_MODES: sum(1 << (mode - 1) for mode in modes),
+    }
+    in_counts = {
         objects.ENCODER_INCREMENTS: units.resolution.numerator,
         objects.MOTOR_REVOLUTIONS: units.resolution.denominator,
         objects.FOLLOWING_ERROR_WINDOW: round(units.resolution / 20),
         objects.PROFILE_DECELERATION: max(1, round(0.25 * strongest)),
         objects.QUICK_STOP_DECELERATION: max(1, round(0.5 * strongest)),
-        objects.VELOCITY_UNIT: units.velocity.code,
     }
-    for known, value in defaults.items():
-        dictionary.set_default(known, value)
+    for known, value in (defaults | in_counts).items():
+        is_said = (known is objects.SUPPORTED_MODES and are_modes_given) or (
+            known is objects.VELOCITY_UNIT and units.is_velocity_given
+        )
+        stays = dictionary.given(known) and (known in defaults or units.is_resolution_given)
+        if is_said or not stays:
+            dictionary.set_default(known, value)
+
+
+def file_resolution(dictionary: Dictionary) -> Fraction | None:
+    """Return the counts of a revolution in a vendor's file (608Fh); None where it tells none that makes sense.
+
+    Many files hold 1/1 in an object that the drive does not use.
+    """
+    increments, revolutions = dictionary.given(objects.ENCODER_INCREMENTS), dictionary.given(objects.MOTOR_REVOLUTIONS)
+    resolution = Fraction(increments, revolutions or 1)
+    return resolution if resolution >= _LEAST_RESOLUTION else None
+
+
+def file_velocity_unit(dictionary: Dictionary) -> VelocityUnit | None:
+    """Return the velocity unit of a vendor's file (60A9h); None where it tells none."""
+    code = dictionary.given(objects.VELOCITY_UNIT)
+    unit = VelocityUnit.decode(code) if code else None
+    if code and unit is None:
+        dictionary.notes.append(f"60A9h:00: the unit {code:08X}h is not known; velocities are in counts/s")
+    return unit

@@ -1,0 +1,356 @@
+"""A simulated drive that follows a vendor's EDS: its types, access rights, fixed mappings, gaps and sloppiness."""
+
+import struct
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from friction_hil.drive import DriveState, Mode
+from tests.canopen_bench import NODE, Bench
+
+PLAIN: dict[str, Any] = {"friction": {"model": "coulomb", "parameters": {"coulomb": 0.01}}}
+
+
+def variable(section: str, kind: int, default: object = None, access: str = "rw", **more: object) -> str:
+    """Return the section of one variable."""
+    lines = [f"[{section}]", f"ParameterName=object {section}", f"DataType=0x{kind:04X}", f"AccessType={access}"]
+    lines += [] if default is None else [f"DefaultValue={default}"]
+    return "\n".join([*lines, *(f"{key}={value}" for key, value in more.items()), ""])
+
+
+def record(index: str, *subs: str, kind: int = 0x9) -> str:
+    return f"[{index}]\nParameterName=record {index}\nObjectType=0x{kind:X}\n" + "".join(subs)
+
+
+def pdo(number: int, *, is_receive: bool, cob_id: object, words: list[int], access: str = "rw", kind: int = 1) -> str:
+    """Return both records of a PDO, whose mapping has no room for more."""
+    parameter, mapping = (0x1400, 0x1600) if is_receive else (0x1800, 0x1A00)
+    head, body = f"{parameter + number:04X}", f"{mapping + number:04X}"
+    return record(
+        head,
+        variable(f"{head}sub0", 5, 2, "ro"),
+        variable(f"{head}sub1", 7, cob_id, access),
+        variable(f"{head}sub2", 5, kind, access),
+    ) + record(
+        body,
+        variable(f"{body}sub0", 5, len(words), access),
+        *(variable(f"{body}sub{n:X}", 7, f"0x{word:08X}", access) for n, word in enumerate(words, 1)),
+    )
+
+
+MANDATORY = (
+    variable("1000", 7, "0x00020192", "const")
+    + variable("1001", 5, 0, "ro", PDOMapping=1)
+    + record("1018", variable("1018sub0", 5, 4, "ro"), variable("1018sub1", 7, "0x2A", "ro"))
+)
+SERVO = MANDATORY + "".join(
+    (
+        variable("6040", 6, 0, "rww", PDOMapping=1),
+        variable("6041", 6, None, "ro", PDOMapping=1),
+        variable("6060", 2, 0, "rww", PDOMapping=1),
+        variable("6061", 2, 0, "ro", PDOMapping=1),
+        variable("6064", 4, 0, "ro", PDOMapping=1),
+        variable("606C", 4, 0, "ro", PDOMapping=1),
+        variable("6071", 3, 0, "rww", PDOMapping=1),
+        variable("6077", 3, 0, "ro", PDOMapping=1),
+        variable("607A", 4, 0, "rww", PDOMapping=1),
+        variable("60FF", 4, 0, "rww", PDOMapping=1),
+        pdo(0, is_receive=True, cob_id="$NODEID+0x200", words=[0x60400010, 0x60FF0020]),
+        pdo(0, is_receive=False, cob_id="$NODEID+0x40000180", words=[0x60410010, 0x60640020]),
+    )
+)
+
+
+@pytest.fixture
+def drive(tmp_path: Path) -> Any:
+    """Return a function that makes a bench from the text of an EDS."""
+
+    def make(text: str, **options: Any) -> Bench:
+        path = tmp_path / "vendor.eds"
+        path.write_text("[DeviceInfo]\nVendorName=somebody\n" + text)
+        return Bench(PLAIN, eds=path, **options)
+
+    return make
+
+
+def upload(bench: Bench, index: int, subindex: int = 0) -> bytes:
+    """Upload any object, expedited or in segments."""
+    [(_, answer)] = bench.sdo(struct.pack("<BHB4x", 0x40, index, subindex))
+    assert answer[0] != 0x80, answer.hex()
+    if answer[0] & 2:
+        return answer[4 : 8 - (answer[0] >> 2 & 3)]
+    data, toggle = b"", 0
+    while True:
+        [(_, segment)] = bench.sdo(bytes([0x60 | toggle]) + bytes(7))
+        data += segment[1 : 8 - (segment[0] >> 1 & 7)]
+        if segment[0] & 1:
+            assert len(data) == struct.unpack_from("<I", answer, 4)[0]
+            return data
+        toggle ^= 0x10
+
+
+# Data types
+
+WIDTHS = {0x10: 3, 0x12: 5, 0x13: 6, 0x14: 7, 0x15: 8, 0x16: 3, 0x18: 5, 0x19: 6, 0x1A: 7, 0x1B: 8, 0x0C: 6, 0x0D: 6}
+
+
+@pytest.mark.parametrize("kind", [*range(1, 0x1E), 0x20, 0x23, 0x40, 0xFFFF])
+@pytest.mark.parametrize("default", [None, "0", "0x12", "0x7FFFFFFF", "text", ""])
+def test_every_type_with_every_default(drive: Any, kind: int, default: str | None) -> None:
+    bench = drive(MANDATORY + variable("2000", kind, default, "rw", LowLimit="0", HighLimit="0x7F"))
+    [(_, answer)] = bench.sdo(struct.pack("<BHB4x", 0x40, 0x2000, 0))
+    assert answer[0] in (0x40, 0x41, 0x43, 0x47, 0x4B, 0x4F, 0x80), answer.hex()
+    if kind in WIDTHS and default == "0x12":
+        assert upload(bench, 0x2000) == (0x12).to_bytes(WIDTHS[kind], "little")
+
+
+@pytest.mark.parametrize(
+    ("kind", "default", "data"),
+    [
+        (0x08, "1.5", struct.pack("<f", 1.5)),
+        (0x11, "-2.25", struct.pack("<d", -2.25)),
+        (0x10, "-5", b"\xfb\xff\xff"),
+        (0x15, "-5", b"\xfb" + b"\xff" * 7),
+        (0x04, "0xFFFFFFFE", b"\xfe\xff\xff\xff"),
+        (0x09, "iPOS", b"iPOS"),
+        (0x0A, "01 02 03", b"\x01\x02\x03"),
+        (0x0B, "ab", b"a\0b\0"),
+    ],
+)
+def test_values_on_the_wire(drive: Any, kind: int, default: str, data: bytes) -> None:
+    assert upload(drive(MANDATORY + variable("2000", kind, default)), 0x2000) == data
+
+
+def test_a_wide_object_is_written_in_segments(drive: Any) -> None:
+    bench = drive(MANDATORY + variable("2000", 0x15, 0))
+    [(_, answer)] = bench.sdo(struct.pack("<BHBI", 0x21, 0x2000, 0, 8))
+    assert answer[0] == 0x60
+    bench.sdo(b"\x00" + bytes(range(1, 8)))
+    bench.sdo(b"\x1d" + b"\x88" + bytes(6))
+    assert upload(bench, 0x2000) == bytes(range(1, 8)) + b"\x88"
+    [(_, answer)] = bench.sdo(struct.pack("<BHBI", 0x23, 0x2000, 0, 5))
+    assert struct.unpack_from("<I", answer, 4)[0] == 0x06070010, "its length is honest"
+
+
+def test_odd_widths_in_a_pdo(drive: Any) -> None:
+    text = SERVO + variable("2000", 0x10, -2, "ro", PDOMapping=1) + variable("2001", 0x18, 7, "rww", PDOMapping=1)
+    bench = drive(text)
+    bench.write(0x1800, 1, "I", 0x80000185)
+    bench.write(0x1A00, 0, "B", 0)
+    bench.write(0x1A00, 1, "I", 0x20000018)
+    bench.write(0x1A00, 2, "I", 0x20010028)
+    bench.write(0x1A00, 0, "B", 2)
+    bench.write(0x1800, 1, "I", 0x185)
+    bench.nmt(0x01)
+    assert bench.sync() == [(0x185, b"\xfe\xff\xff\x07\0\0\0\0")]
+
+
+def test_a_default_beyond_its_type_is_told(drive: Any) -> None:
+    bench = drive(MANDATORY + variable("2000", 5, 300))
+    assert bench.read(0x2000, 0, "B") == 44
+    assert bench.node.notes == ["2000h:00: the default 300 does not fit its type; 44 is used"]
+
+
+def test_a_live_value_in_another_type(drive: Any) -> None:
+    text = SERVO.replace(variable("6064", 4, 0, "ro", PDOMapping=1), variable("6064", 7, 0, "ro", PDOMapping=1))
+    text = text.replace(variable("6041", 6, None, "ro", PDOMapping=1), variable("6041", 3, None, "ro", PDOMapping=1))
+    bench = drive(text, position=-1.0)
+    assert bench.read(0x6064) > 1 << 31, "two's complement"
+    bench.write(0x6040, 0, "H", 6)
+    assert bench.read(0x6041, 0, "h") & 0x6F == 0x21
+
+
+def test_an_object_of_the_drive_that_is_a_string_here(drive: Any) -> None:
+    bench = drive(SERVO + variable("6080", 9, "fast") + variable("6072", 8, "1000.0"))
+    assert upload(bench, 0x6080) == b"fast"
+    bench.enable(9)
+    assert len(bench.node.notes) == 2
+
+
+# Objects and access rights
+
+
+def test_what_the_file_lacks_the_drive_lacks(drive: Any) -> None:
+    bench = drive(SERVO)
+    for index in (0x60B2, 0x1016, 0x1017, 0x6007, 0x60C2, 0x608F, 0x1401, 0x1403, 0x1801, 0x100C, 0x6502):
+        [(_, answer)] = bench.sdo(struct.pack("<BHB4x", 0x40, index, 0))
+        assert struct.unpack_from("<I", answer, 4)[0] == 0x06020000, f"{index:X}"
+    assert bench.guard() == []
+
+
+@pytest.mark.parametrize(("mode", "target"), [(9, 0x60FF0020), (10, 0x60710010)])
+def test_a_sparse_drive_works(drive: Any, mode: int, target: int) -> None:
+    bench = drive(SERVO)
+    bench.map(0x1400, 0x1600, 0x205, 1, [0x60400010, target])
+    bench.nmt(0x01)
+    bench.enable(mode)
+    for _ in range(100):
+        bench.send(0x205, struct.pack("<Hh" if mode == 10 else "<Hi", 0x0F, 50 if mode == 10 else 500_000))
+        [(can_id, data)] = bench.sync()
+    assert can_id == 0x185
+    assert bench.servo.true_velocity > 1.0
+    assert struct.unpack("<Hi", data)[1] > 1000
+
+
+@pytest.mark.parametrize("access", ["ro", "const"])
+def test_a_fixed_mapping_works_and_refuses(drive: Any, access: str) -> None:
+    text = MANDATORY + "".join(
+        (
+            variable("6040", 6, 0, "rw"),  # that it may be mapped is left out, as in many files
+            variable("6041", 6, 0, "ro"),
+            variable("6060", 2, 9, "rw"),
+            variable("60FF", 4, 0, "rw"),
+            pdo(2, is_receive=True, cob_id="$NODEID+0x400", words=[0x60400010, 0x60FF0020], access=access),
+            pdo(4, is_receive=False, cob_id="$NODEID+0x1A0", words=[0x60410010], access=access),
+        )
+    )
+    bench = drive(text)
+    bench.nmt(0x01)
+    for word in (6, 7, 0x0F, 0x0F):
+        bench.send(0x405, struct.pack("<Hi", word, 1000))
+        frames = bench.sync()
+    assert [can_id for can_id, _ in frames] == [0x1A5]
+    assert bench.node.drive.state is DriveState.OPERATION_ENABLED
+    for index, subindex, code in ((0x1402, 1, "I"), (0x1402, 2, "B"), (0x1602, 0, "B"), (0x1602, 1, "I")):
+        assert bench.try_write(index, subindex, code, 0) == 0x06010002
+    assert bench.try_write(0x1602, 3, "I", 0x60710010) == 0x06090011
+    assert bench.try_write(0x1402, 5, "H", 20) == 0x06090011
+
+
+def test_a_mapping_takes_no_more_than_the_file_has_room_for(drive: Any) -> None:
+    bench = drive(SERVO)
+    bench.write(0x1400, 1, "I", 0x80000205)
+    bench.write(0x1600, 0, "B", 0)
+    assert bench.try_write(0x1600, 3, "I", 0x60710010) == 0x06090011
+    assert bench.try_write(0x1600, 0, "B", 3) == 0x06090031
+
+
+def test_cob_ids_with_bit_30_and_without_defaults(drive: Any) -> None:
+    text = SERVO.replace("DefaultValue=$NODEID+0x40000180\n", "")
+    bench = drive(text + pdo(7, is_receive=False, cob_id=0, words=[0x60410010]))
+    assert bench.read(0x1800, 1) == 0x185
+    assert bench.read(0x1807, 1) == 0x80000000, "no predefined identifier"
+    assert drive(SERVO).read(0x1800, 1) == 0x40000185
+
+
+def test_limits_of_the_file(drive: Any) -> None:
+    text = MANDATORY + variable("2000", 4, 5, LowLimit="0xFFFFFFF6", HighLimit="10")
+    bench = drive(
+        text + variable("2001", 4, 5, LowLimit="0", HighLimit="0") + variable("2002", 5, 1, LowLimit="", HighLimit="7")
+    )
+    assert bench.try_write(0x2000, 0, "i", -10) == 0
+    assert bench.try_write(0x2000, 0, "i", 11) == 0x06090031
+    assert bench.try_write(0x2000, 0, "i", -11) == 0x06090032
+    assert bench.try_write(0x2001, 0, "i", -11) == 0, "an editor filled them in"
+    assert bench.try_write(0x2002, 0, "B", 8) == 0x06090031
+
+
+def test_consumer_heartbeats_as_many_as_the_file_has(drive: Any) -> None:
+    entries = [variable(f"1016sub{n}", 7, 0) for n in (1, 2, 3)]
+    bench = drive(SERVO + record("1016", variable("1016sub0", 5, 127, "ro"), *entries, kind=8))
+    bench.write(0x1016, 3, "I", 126 << 16 | 50)
+    assert bench.try_write(0x1016, 1, "I", 126 << 16 | 50) == 0x06040043
+    bench.send(0x77E, b"\x05")
+    bench.sync(60)
+    assert bench.emergencies == ["8130"]
+
+
+# Modes and units
+
+
+@pytest.mark.parametrize(
+    ("bits", "modes"),
+    [(None, set(Mode)), (0, set(Mode)), (0x3ED, set(Mode)), (0x1A5, {Mode.CSP, Mode.CSV}), (0x6D, set())],
+)
+def test_modes_of_the_file(drive: Any, bits: int | None, modes: set[Mode]) -> None:
+    bench = drive(SERVO + variable("6502", 7, bits, "ro"))
+    for mode in Mode:
+        assert (bench.try_write(0x6060, 0, "b", mode) == 0) == (mode in modes)
+    told = bench.read(0x6502)
+    assert told == (bits or 0x380)
+    assert (bench.try_write(0x6060, 0, "b", 1) == 0) == bool(bits), "profile position, without a model"
+
+
+def test_mode_at_power_on(drive: Any) -> None:
+    bench = drive(SERVO.replace(variable("6060", 2, 0, "rww", PDOMapping=1), variable("6060", 2, -3)))
+    assert bench.read(0x6061, 0, "b") == -3
+    bench.write(0x6060, 0, "b", 9)
+    bench.write(0x6060, 0, "b", -3)
+
+
+UNITS = "".join(
+    (
+        record(
+            "608F", variable("608Fsub0", 5, 2, "ro"), variable("608Fsub1", 7, 4096, "ro"), variable("608Fsub2", 7, 1)
+        ),
+        variable("6076", 7, 500, "ro"),
+        variable("60A9", 7, "0x00B44700", "ro"),
+    )
+)
+
+
+def test_units_of_the_file(drive: Any) -> None:
+    bench = drive(SERVO + UNITS, position=1.0)
+    assert bench.read(0x6064, 0, "i") == pytest.approx(4096 / 6.283185, abs=1)
+    bench.map(0x1400, 0x1600, 0x205, 1, [0x60400010, 0x60FF0020])
+    bench.nmt(0x01)
+    bench.enable(9)
+    for _ in range(200):
+        bench.send(0x205, struct.pack("<Hi", 0x0F, 60))
+        bench.sync()
+    assert bench.servo.true_velocity == pytest.approx(6.283, rel=0.03)
+    assert bench.read(0x606C, 0, "i") == pytest.approx(60, abs=2)
+    bench.write(0x6060, 0, "b", 10)
+    bench.write(0x6071, 0, "h", 100)
+    bench.sync(20)
+    assert bench.servo.torque_demand == pytest.approx(0.05)
+
+
+@pytest.mark.parametrize("increments", [0, 1])
+def test_units_that_the_file_leaves_open(drive: Any, increments: int) -> None:
+    text = UNITS.replace("DefaultValue=4096", f"DefaultValue={increments}").replace(
+        "DefaultValue=500", "DefaultValue=0"
+    )
+    bench = drive(SERVO + text.replace("0x00B44700", "0"))
+    assert (bench.read(0x608F, 1), bench.read(0x6076), bench.read(0x60A9)) == (1 << 20, 640, 0x00B50300)
+
+
+def test_unknown_unit_is_told(drive: Any) -> None:
+    bench = drive(SERVO + UNITS.replace("0x00B44700", "0x00123400"))
+    assert bench.read(0x60A9) == 0x00123400
+    assert "00123400h is not known" in bench.node.notes[0]
+
+
+def test_first_axis_of_a_drive_with_two(drive: Any) -> None:
+    second = variable("6840", 6, 0, "rww", PDOMapping=1) + variable("6841", 6, 0, "ro", PDOMapping=1)
+    bench = drive(SERVO + second + pdo(4, is_receive=False, cob_id="$NODEID+0x1A0", words=[0x68410010]))
+    bench.enable(9)
+    assert bench.read(0x6841, 0, "H") == 0, "the second one does nothing"
+
+
+# Sloppiness
+
+
+@given(
+    st.lists(
+        st.tuples(
+            st.integers(0x1000, 0x7000), st.integers(1, 0x1C), st.sampled_from([None, "", "0", "-1", "0xFFFFFFFF", "x"])
+        )
+    )
+)
+def test_any_file_makes_a_node(tmp_path_factory: Any, items: list[tuple[int, int, str | None]]) -> None:
+    path = tmp_path_factory.mktemp("eds") / "any.eds"
+    path.write_text(
+        MANDATORY
+        + "".join(
+            variable(f"{i:04X}", kind, d)
+            for i, kind, d in {i: (i, k, d) for i, k, d in items if i not in (0x1000, 0x1001, 0x1018)}.values()
+        )
+    )
+    bench = Bench(PLAIN, eds=path)
+    bench.nmt(0x01)
+    bench.sync(2)
+    assert bench.node.number == NODE
