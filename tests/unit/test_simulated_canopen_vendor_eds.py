@@ -258,6 +258,14 @@ def test_consumer_heartbeats_as_many_as_the_file_has(drive: Any) -> None:
     assert bench.emergencies == ["8130"]
 
 
+def test_compact_arrays(drive: Any) -> None:
+    bench = drive(SERVO + variable("1016", 7, 0, "rw", ObjectType=8, CompactSubObj=4) + variable("2000", 7, 1))
+    assert bench.read(0x1016, 0, "B") == 4
+    bench.write(0x1016, 4, "I", 126 << 16 | 50)
+    assert (bench.read(0x1016, 4), bench.read(0x1016, 1)) == (126 << 16 | 50, 0)
+    assert bench.try_write(0x1016, 5, "I", 0) == 0x06090011
+
+
 # Modes and units
 
 

@@ -1,5 +1,7 @@
 """Object dictionary of a simulated node: values, access rights, limits and abort codes."""
 
+import contextlib
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from enum import IntEnum
 from pathlib import Path
@@ -14,6 +16,7 @@ from friction_hil_drivers.canopen.objects import DataType, Object
 from friction_hil_drivers.canopen.simulated.wire_types import Value, wire_type
 
 _FIRST_OBJECT = 0x1000
+_COMPACT = re.compile(r"^\[([0-9A-Fa-f]{4})\]\s*\n(?:[^\[\n]*\n)*?CompactSubObj\s*=\s*(\w+)", re.MULTILINE)
 _UNICODE_STRING, _DOMAIN = 0x0B, 0x0F
 
 
@@ -305,11 +308,29 @@ class Dictionary:
 
 
 def _entries(path: Path, node: int) -> Iterator[Entry]:
-    for item in load_eds(path, node).values():
+    dictionary = load_eds(path, node)
+    compact = _compact_arrays(path.read_text(encoding="utf-8", errors="replace"))
+    for item in dictionary.values():
         if item.index < _FIRST_OBJECT:
             continue  # data types, listed for dummy mapping
-        variables = [item] if isinstance(item, ODVariable) else [item[subindex] for subindex in item]
-        yield from (_entry(variable) for variable in variables)
+        if isinstance(item, ODVariable):
+            yield _entry(item)
+        elif item.index in compact:
+            count = compact[item.index]
+            item[0].default, item[0].access_type = count, "ro"
+            yield from (_entry(item[subindex]) for subindex in range(count + 1))
+        else:
+            yield from (_entry(item[subindex]) for subindex in item)
+
+
+def _compact_arrays(text: str) -> dict[int, int]:
+    """Return the numbers of entries, by index, of the arrays that a file describes once for all entries (CiA 306)."""
+    found = {}
+    for section in _COMPACT.finditer(text):
+        number = section[2].lower()
+        with contextlib.suppress(ValueError):  # canopen refuses the file, or takes it as an array without entries
+            found[int(section[1], 16)] = min(int(number, 16 if number.startswith("0x") else 10), 254)
+    return {index: count for index, count in found.items() if count > 0}
 
 
 def _entry(variable: ODVariable) -> Entry:
