@@ -177,23 +177,28 @@ class DrivesContract:
                 if not feedback[0].is_reachable:
                     break
             assert not connection.feedback[0].is_reachable
-            assert connection.feedback[0].message, "the reason is given"
             assert connection.feedback[1].is_reachable
             connection.run(50, Request.QUICK_STOP)
+            assert connection.feedback[0].message, "the reason is given"
             states = connection.drives.close()
         if states is not None:
             assert states[0] is DriveState.UNKNOWN or states[0].is_powered == rig.has_power(0)
         assert not rig.has_power(1)
 
-    def test_closing_returns_the_states_that_were_read_back(self, rig: Rig) -> None:
+    @pytest.mark.parametrize("is_disabled", [True, False])
+    def test_closing_returns_the_states_that_were_read_back(self, rig: Rig, is_disabled: bool) -> None:
         with Connection(rig, is_enabled=True) as connection:
             connection.run(10, Request.ENABLE, PUSH)
+            if is_disabled:
+                connection.run(LONG, Request.DISABLE)
             states = connection.drives.close()
-        assert not rig.has_power(0)
-        assert not rig.has_power(1)
+        if is_disabled:
+            assert not rig.has_power(0)
+            assert not rig.has_power(1)
         if states is not None:  # None: the driver reads nothing back
             assert len(states) == len(AXES)
-            assert not any(state.is_powered for state in states)
+            for axis, state in enumerate(states):
+                assert state is DriveState.UNKNOWN or state.is_powered == rig.has_power(axis)
 
     def test_a_killed_driver_leaves_no_power(self, rig: Rig) -> None:
         with Connection(rig, is_enabled=True) as connection:
