@@ -1,12 +1,13 @@
 """What the drive port promises, as tests. Subclass `DrivesContract` for a driver; README.md shows how."""
 
 import math
+from collections.abc import Callable
 
 import pytest
 
 from friction_hil.drive import DriveState, Request
-from friction_hil.errors import BusError
-from tests.contract.rig import AXES, PERIOD_S, Connection, InstalledRig, Rig
+from friction_hil.errors import BusError, DriveError
+from tests.contract.rig import AXES, PERIOD_S, Connection, InstalledRig, NotApplicableError, Rig
 
 _RISING = (  # towards power, which a drive gains in this order
     DriveState.UNKNOWN,
@@ -18,6 +19,14 @@ _RISING = (  # towards power, which a drive gains in this order
 )
 PUSH = 0.1  # N m
 LONG = 400  # cycles, more than any drive takes to stop
+
+
+def applicable(action: Callable[[], None]) -> None:
+    """Do something with a rig, or skip the test where the rig says that it is not applicable."""
+    try:
+        action()
+    except NotApplicableError as reason:
+        pytest.skip(str(reason))
 
 
 class DrivesContract:
@@ -42,6 +51,18 @@ class DrivesContract:
         with Connection(rig) as connection:
             connection.run(5, Request.LISTEN)
             assert not any(state.is_powered for state in connection.states)
+
+    def test_a_drive_with_power_is_refused_and_nothing_is_written(self, rig: Rig) -> None:
+        """Somebody else moves it, or has left it so: touching it may be worse than leaving it."""
+        rig.leave_enabled()
+        before = rig.count_commands()
+        drives = rig.make_drives()
+        with pytest.raises(DriveError, match="already"):
+            drives.connect()
+        drives.close()
+        assert rig.count_commands() == before
+        assert rig.has_power(0)
+        assert rig.has_power(1)
 
     # --- feedback
 
@@ -145,6 +166,47 @@ class DrivesContract:
             assert connection.states[0] is not DriveState.FAULT
             assert not connection.states[0].is_powered
             connection.enable()
+
+    # --- blind stops and kills
+
+    def test_a_drive_that_commands_do_not_reach_is_told_and_nothing_untrue_said_of_it(self, rig: Rig) -> None:
+        with Connection(rig, is_enabled=True) as connection:
+            connection.run(10, Request.ENABLE, PUSH, 0.0)
+            applicable(rig.detach)
+            for feedback in connection.cycles(LONG, Request.ENABLE, PUSH, 0.0):
+                if not feedback[0].is_reachable:
+                    break
+            assert not connection.feedback[0].is_reachable
+            assert connection.feedback[1].is_reachable
+            connection.run(50, Request.QUICK_STOP)
+            assert connection.feedback[0].message, "the reason is given"
+            states = connection.drives.close()
+        if states is not None:
+            assert states[0] is DriveState.UNKNOWN or states[0].is_powered == rig.has_power(0)
+        assert not rig.has_power(1)
+
+    @pytest.mark.parametrize("is_disabled", [True, False])
+    def test_closing_returns_the_states_that_were_read_back(self, rig: Rig, is_disabled: bool) -> None:
+        with Connection(rig, is_enabled=True) as connection:
+            connection.run(10, Request.ENABLE, PUSH)
+            if is_disabled:
+                connection.run(LONG, Request.DISABLE)
+            states = connection.drives.close()
+        if is_disabled:
+            assert not rig.has_power(0)
+            assert not rig.has_power(1)
+        if states is not None:  # None: the driver reads nothing back
+            assert len(states) == len(AXES)
+            for axis, state in enumerate(states):
+                assert state is DriveState.UNKNOWN or state.is_powered == rig.has_power(axis)
+
+    def test_a_killed_driver_leaves_no_power(self, rig: Rig) -> None:
+        with Connection(rig, is_enabled=True) as connection:
+            connection.run(20, Request.ENABLE, PUSH, -PUSH)
+            assert rig.has_power(0)
+            applicable(rig.kill)
+            assert not rig.has_power(0)
+            assert not rig.has_power(1)
 
     # --- dry runs and the end
 

@@ -4,8 +4,9 @@ import math
 import os
 import struct
 import threading
+import time
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,8 @@ PLANT = {
     "friction": {"model": "coulomb", "parameters": {"coulomb": FRICTION}},
 }
 AXES = ("x", "y")
+_LONGEST_WATCHDOG_S = 0.5
+_PATIENCE_S = 20.0  # only ends a test that hangs
 
 
 class SteppedTime:
@@ -33,8 +36,10 @@ class SteppedTime:
 
     def __init__(self) -> None:
         self.ns = 0
+        self.tick_ns = 0  # for every look at it, where a driver waits for what does not come
 
     def now_ns(self) -> int:
+        self.ns += self.tick_ns
         return self.ns
 
     def doze_until(self, deadline_ns: int) -> bool:
@@ -42,6 +47,13 @@ class SteppedTime:
 
     def sleep_until(self, deadline_ns: int) -> None:
         self.ns = max(self.ns, deadline_ns)
+
+
+class NotApplicableError(Exception):
+    """Raised by a method of a rig for what its drives or its line cannot do; the tests that need it are skipped.
+
+    Its text says why, and is the reason of the skip.
+    """
 
 
 class Rig(ABC):
@@ -61,6 +73,7 @@ class Rig(ABC):
 
     inertia, friction = INERTIA, FRICTION
     torque_tolerance = 2e-3
+    is_detached = False  # set by `detach`
 
     def __init__(self, configuration: Configuration) -> None:
         self.configuration = configuration
@@ -81,6 +94,34 @@ class Rig(ABC):
     @abstractmethod
     def trip(self) -> None:
         """Bring the drive of the first axis into its fault state."""
+
+    @abstractmethod
+    def has_power(self, axis: int) -> bool:
+        """Return whether a drive (0 or 1) has power, as the drive itself knows it; not through the driver."""
+
+    @abstractmethod
+    def leave_enabled(self) -> None:
+        """Give both drives power before the driver connects, as a master does that ends without disabling them."""
+
+    @abstractmethod
+    def detach(self) -> None:
+        """Keep the commands of the cycle from the drive of the first axis, though it is there and has power.
+
+        Raises
+        ------
+        NotApplicableError
+            Here a drive that is there takes every command.
+        """
+
+    @abstractmethod
+    def kill(self) -> None:
+        """Let the drives alone, as if the driver's process had been killed, until their watchdogs must have acted.
+
+        Raises
+        ------
+        NotApplicableError
+            The drives have no watchdog, or time does not pass without the driver.
+        """
 
     @abstractmethod
     def close(self) -> None:
@@ -121,7 +162,8 @@ class Connection:
         clock = self.rig.clock
         clock.ns += round(PERIOD_S * 1e9)
         # where nobody replies, the deadline has passed already: nothing waits
-        self.drives.receive(self.feedback, 0 if clock.is_real else clock.ns + round(PERIOD_S * 1e9))
+        is_silent = clock.is_real and not self.rig.is_detached
+        self.drives.receive(self.feedback, 0 if is_silent else clock.ns + round(PERIOD_S * 1e9))
         for k, command in enumerate(self._commands):
             command.request = request
             command.position, command.velocity = self.feedback[k].position, 0.0
@@ -218,6 +260,42 @@ class CanRig(InstalledRig):
         """See `Rig.trip`."""
         self.counterpart._nodes[0].drive.fault(0x2310, 0)
 
+    def has_power(self, axis: int) -> bool:
+        """See `Rig.has_power`."""
+        return bool(self.counterpart._nodes[axis].drive.state.is_powered)
+
+    def leave_enabled(self) -> None:
+        """See `Rig.leave_enabled`: by SDO, as another master does it."""
+        for node in (1, 2):
+            for word in ("2f6060000a000000", "2b40600006000000", "2b40600007000000", "2b4060000f000000"):
+                self._send(0x600 + node, bytes.fromhex(word))
+        self._await(lambda: self.has_power(0) and self.has_power(1))
+
+    def detach(self) -> None:
+        """See `Rig.detach`: in Pre-operational a drive ignores PDOs, and its loops go on."""
+        self.is_detached = self.clock.is_real = True  # in simulated time a driver would wait for its TPDOs
+        self.clock.tick_ns = round(0.05 * PERIOD_S * 1e9)
+        self._send(0x000, bytes([0x80, 1]))
+
+    def kill(self) -> None:
+        """See `Rig.kill`: time passes with SYNC, which another master goes on to send here."""
+        cycles = round(_LONGEST_WATCHDOG_S / PERIOD_S)
+        node = self.counterpart._nodes[0]
+        end_ns = node.now_ns + round((cycles - 1) * PERIOD_S * 1e9)
+        for _ in range(cycles):
+            self._send(0x080, b"")
+        self._await(lambda: node.now_ns >= end_ns)
+
+    def _send(self, can_id: int, data: bytes) -> None:
+        self._listener.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
+
+    @staticmethod
+    def _await(is_done: Callable[[], bool]) -> None:
+        end = time.monotonic() + _PATIENCE_S
+        while not is_done():
+            assert time.monotonic() < end, "the simulated drives do not answer"
+            time.sleep(1e-3)
+
     def close(self) -> None:
         super().close()
         self._listener.shutdown()
@@ -258,8 +336,29 @@ class SerialRig(InstalledRig):
 
     def trip(self) -> None:
         """See `Rig.trip`."""
+        self._drives[0].fail()
+
+    def has_power(self, axis: int) -> bool:
+        """See `Rig.has_power`."""
+        return bool(self._drives[axis].state.is_powered)
+
+    def leave_enabled(self) -> None:
+        """See `Rig.leave_enabled`."""
+        for drive in self._drives:
+            drive._enter(DriveState.OPERATION_ENABLED)
+
+    def detach(self) -> None:
+        """See `Rig.detach`."""
+        raise NotApplicableError("a serial drive that replies takes commands: there is no state between")
+
+    def kill(self) -> None:
+        """See `Rig.kill`."""
+        raise NotApplicableError("the time of simulated serial drives passes with requests only")
+
+    @property
+    def _drives(self) -> Any:
         (line,) = self.counterpart._lines
-        line._drives[0].fail()
+        return line._drives
 
 
 # Requests of each protocol, one after the other: True for those that change a drive.

@@ -6,8 +6,9 @@ import pytest
 
 from friction_hil.config import from_dict
 from friction_hil.drive import AxisFacts, Command, DriveState, Feedback, Request
+from friction_hil.errors import DriveError
 from tests.contract.drives import DrivesContract
-from tests.contract.rig import FRICTION, INERTIA, PERIOD_S, Rig
+from tests.contract.rig import FRICTION, INERTIA, PERIOD_S, NotApplicableError, Rig
 
 AXIS = {
     "driver": "canopen",  # yours, once it has an entry point
@@ -51,6 +52,9 @@ class MyDrives:
         self._is_open = False
 
     def connect(self) -> Sequence[AxisFacts]:
+        for name, motor in self._motors.items():
+            if motor.state.is_powered and not self._dry_run:
+                raise DriveError(f"{name}: the motor has power already: another master drives it")
         self._is_open = True
         return [AxisFacts(name, "my motor", 1e-6, 1e-3, PERIOD_S, 1.5 * PERIOD_S) for name in self._motors]
 
@@ -73,15 +77,16 @@ class MyDrives:
     def warm_caches(self) -> None:
         pass
 
-    def close(self) -> None:
+    def close(self) -> Sequence[DriveState]:
         for motor in self._motors.values():
             if self._is_open and motor.state.is_powered and not self._dry_run:
                 motor.write(Request.DISABLE, 0.0)
         self._is_open = False
+        return [motor.state for motor in self._motors.values()]
 
 
 class MyRig(Rig):
-    """Two motors, and the five things that a contract test wants of them."""
+    """Two motors, and what a contract test wants of them."""
 
     def __init__(self) -> None:
         axes = {"x": AXIS, "y": {**AXIS, "node": 2}}
@@ -101,6 +106,19 @@ class MyRig(Rig):
 
     def trip(self) -> None:
         self.motors["x"].state = DriveState.FAULT
+
+    def has_power(self, axis: int) -> bool:
+        return list(self.motors.values())[axis].state.is_powered
+
+    def leave_enabled(self) -> None:
+        for motor in self.motors.values():
+            motor.state = DriveState.OPERATION_ENABLED
+
+    def detach(self) -> None:
+        raise NotApplicableError("a motor that is called directly takes every command")
+
+    def kill(self) -> None:
+        raise NotApplicableError("these motors have no watchdog")
 
     def close(self) -> None:
         """Nothing runs here that would have to be ended."""
