@@ -5,6 +5,7 @@ from collections.abc import Iterable
 from friction_hil.drive import Mode
 from friction_hil.servo.servo import Servo
 from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen.si_units import COUNTS_CODE, encode_unit
 from friction_hil_drivers.canopen.simulated.dictionary import Dictionary
 from friction_hil_drivers.canopen.simulated.units import INT16, INT32, SimulatedUnits, saturated
 from friction_hil_drivers.canopen.units import wrap
@@ -39,6 +40,16 @@ def set_defaults(dictionary: Dictionary, servo: Servo, units: SimulatedUnits, mo
         objects.FOLLOWING_ERROR_WINDOW: round(units.resolution / 20),
         objects.PROFILE_DECELERATION: max(1, round(0.25 * strongest)),
         objects.QUICK_STOP_DECELERATION: max(1, round(0.5 * strongest)),
+        # 6064h counts the encoder, whatever gear, feed and unit a vendor's file has as defaults
+        objects.VELOCITY_ENCODER_INCREMENTS: 1,
+        objects.VELOCITY_MOTOR_REVOLUTIONS: 1,
+        objects.GEAR_MOTOR_REVOLUTIONS: 1,
+        objects.GEAR_SHAFT_REVOLUTIONS: 1,
+        objects.FEED: 1,
+        objects.FEED_SHAFT_REVOLUTIONS: 1,
+        objects.VELOCITY_FACTOR_NUMERATOR: 1,
+        objects.VELOCITY_FACTOR_DIVISOR: 1,
+        objects.POSITION_UNIT: encode_unit(0, COUNTS_CODE),
         objects.VELOCITY_UNIT: units.velocity.code,
     }
     for known, value in defaults.items():
