@@ -36,6 +36,9 @@ class FaultCode(Enum):
     STILL_POWERED = 116, "drive still powered"
     EXCHANGE_FAILED = 117, "exchange with the drives failed"
     DRIVER_MESSAGE = 118, "fault reported by the driver"
+    VELOCITY_UNIT_WRONG = 123, "wrong unit of the velocity"
+    AXIS_DOES_NOT_MOVE = 124, "axis does not move"
+    WRONG_DIRECTION = 125, "axis moves in the wrong direction"
 
     def __init__(self, number: int, title: str) -> None:
         self.number = number
