@@ -7,6 +7,7 @@ from friction_hil.compensator import CompensatorInputs
 from friction_hil.daemon.assembly import lead_s, make_compensator, make_limits, make_shadows
 from friction_hil.daemon.command import CommandWriter
 from friction_hil.daemon.figures import CompensationNotices, FollowingError
+from friction_hil.daemon.first_motion import FirstMotion
 from friction_hil.daemon.motion import AxisMotion
 from friction_hil.daemon.row import AxisRow, row_width
 from friction_hil.daemon.safety import MAX_STALE_CYCLES, FaultReset, LoopState, Supervisor
@@ -58,6 +59,7 @@ class AxisLoop:
         "_baseline_s",
         "_command",
         "_fault_reset",
+        "_first_motion",
         "_held",
         "_is_broken",
         "_is_compensation_enabled",
@@ -112,6 +114,11 @@ class AxisLoop:
         self._command = CommandWriter(config, limits, self.motion, period_s)
         self._notices = CompensationNotices(name, unit, self.compensator)
         self._fault_reset = FaultReset(is_wanted=False)
+        self._first_motion = None
+        if config.mode == "csv" and self.motion.has_setpoint and facts.velocity_resolution > 0.0:
+            self._first_motion = FirstMotion(
+                name, unit, limits, period_s, facts.position_resolution, facts.velocity_resolution
+            )
         self._is_broken = False
         self._is_standing = False  # in the last cycle with usable feedback
         self._held = 0  # cycles since then
@@ -126,6 +133,11 @@ class AxisLoop:
     def allow_fault_reset(self) -> None:
         """Allow to reset the fault in which the drive is found at the start."""
         self._fault_reset = FaultReset(is_wanted=True)
+
+    @property
+    def is_first_motion_due(self) -> bool:
+        """True if the unit of the velocity target is still to be confirmed by a first motion."""
+        return self._first_motion is not None and not self._first_motion.is_done
 
     def enter_path(self) -> None:
         """Let the path begin where the axis is held now."""
@@ -204,6 +216,9 @@ class AxisLoop:
             fault = FaultCode.MODEL_NOT_FINITE.append_to(text)
         is_operation_enabled = feedback.state is DriveState.OPERATION_ENABLED
         self._command.write(command, state, time_s, position, estimate, setpoint, compensation, is_operation_enabled)
+        if state is LoopState.FIRST_MOTION and self._first_motion is not None:
+            fault = self._first_motion.take(position, velocity, is_usable=is_usable) or fault
+            command.velocity = self._first_motion.target
         if setpoint is not None and is_usable and state is LoopState.RUNNING:
             self.following_error.add(setpoint.position - position)
         row.write_cycle(time_s, inputs, estimate, compensation, command.torque, state, feedback.state)
@@ -212,8 +227,15 @@ class AxisLoop:
         is_standing = self._judge_standstill(abs(estimate) <= self._standstill, is_usable=is_usable)
         is_reset_due = self._takes_reset(time_s, state, feedback, fault)
         fault = None if is_reset_due else fault  # what is to be reset does not end the run
-        warning = self._notices.next(compensator, estimate)
+        warning = self._notices.next(compensator, estimate) or self._take_first_warning()
         return AxisUpdate(fault, warning, is_reset_due, is_standing, compensator.is_faded_out)
+
+    def _take_first_warning(self) -> str | None:
+        """Return the warning of the first motion, once."""
+        if self._first_motion is None or self._first_motion.warning is None:
+            return None
+        warning, self._first_motion.warning = self._first_motion.warning, None
+        return warning
 
     def _takes_reset(self, time_s: float, state: LoopState, feedback: Feedback, fault: str | None) -> bool:
         """Take the feedback; return True if the drive is in the fault that the user wants to leave."""

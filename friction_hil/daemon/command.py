@@ -94,9 +94,15 @@ class CommandWriter:
         command.velocity = 0.0
         if state not in MOVING:
             # While it waits for the others, an enabled axis is held at one position: following itself, it would sink.
-            if not (is_operation_enabled and state is LoopState.ENABLING and self._mode is Mode.CSP):
+            # In another axis's first motion, one with torque alone is held by the loop.
+            is_waiting = state is LoopState.FIRST_MOTION and self._mode is not Mode.CSV
+            if not is_waiting and not (is_operation_enabled and state is LoopState.ENABLING and self._mode is Mode.CSP):
                 self.held_position = position
             command.position = self.held_position
+            if is_waiting and self._mode is Mode.CST and self._motion.has_setpoint:
+                held = Setpoint(self.held_position, 0.0, 0.0)
+                command.torque = self._limited(self._control(held, position, velocity))
+                return
             self._integral = 0.0
             self._torque = command.torque = self._limited(compensation) if state is LoopState.FAULT_STOPPING else 0.0
         elif self._mode is Mode.CST:

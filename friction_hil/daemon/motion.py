@@ -37,6 +37,11 @@ class AxisMotion:
     path_time : PathTime
         Shared by all axes, so that they stay on their common path.
 
+    Attributes
+    ----------
+    has_setpoint : bool
+        False with ``trajectory: {kind: none}``.
+
     Raises
     ------
     UsageError
@@ -45,13 +50,13 @@ class AxisMotion:
 
     __slots__ = (
         "_extent",
-        "_has_setpoint",
         "_lead_s",
         "_limits",
         "_name",
         "_setpoint_delay_s",
         "_trajectory",
         "_unit",
+        "has_setpoint",
     )
 
     def __init__(
@@ -69,7 +74,7 @@ class AxisMotion:
         self._lead_s = lead_s
         self._setpoint_delay_s = facts.setpoint_delay_s
         given = config.trajectory
-        self._has_setpoint = given.kind != "none"
+        self.has_setpoint = given.kind != "none"
         try:
             path = make_path(config, facts.position_resolution, period_s)
         except UsageError as error:
@@ -113,7 +118,7 @@ class AxisMotion:
 
     def demand(self, time_s: float, state: LoopState) -> tuple[Setpoint | None, Demand]:
         """Return the set-point at ``time_s``, None outside of the motion, and the demand for the compensator."""
-        if not self._has_setpoint or state not in MOVING:
+        if not self.has_setpoint or state not in MOVING:
             return None, _NO_DEMAND
         setpoint = self._trajectory.at(time_s)
         return setpoint, (setpoint.position, setpoint.velocity, self._trajectory.at(time_s + self._lead_s).velocity)

@@ -132,6 +132,7 @@ class RunControl:
             is_setpoint_standing=self._path_time.is_standing(time_s - self._settings.period_s),
             is_standing=all(s or not heard.is_reachable for s, heard in zip(is_standing, feedback, strict=True)),
             is_faded_out=all(update.is_faded_out for update in updates),
+            is_first_motion_due=any(axis.is_first_motion_due for axis in self._axes),
         )
         if not self._machine.advance(time_s, inputs):
             return

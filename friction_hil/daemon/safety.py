@@ -29,14 +29,17 @@ class LoopState(IntEnum):
     FAULT_STOPPING = 4  # quick stop of the drives
     DISABLING = 5
     DONE = 6
+    FIRST_MOTION = 7  # csv: between ENABLING and RUNNING, see `daemon.first_motion`
 
 
 MOVING = (LoopState.RUNNING, LoopState.STOPPING)
+_LIMITED = (LoopState.FIRST_MOTION, *MOVING)
 _NOT_YET_ENABLED = (LoopState.IDLE, LoopState.ENABLING)
 
 REQUESTS = {
     LoopState.IDLE: Request.LISTEN,
     LoopState.ENABLING: Request.ENABLE,
+    LoopState.FIRST_MOTION: Request.ENABLE,
     LoopState.RUNNING: Request.ENABLE,
     LoopState.STOPPING: Request.ENABLE,
     LoopState.FAULT_STOPPING: Request.QUICK_STOP,
@@ -46,6 +49,7 @@ REQUESTS = {
 # in the very cycle in which a fault is found, before the state follows
 REQUESTS_AFTER_FAULT = REQUESTS | {
     LoopState.ENABLING: Request.DISABLE,
+    LoopState.FIRST_MOTION: Request.QUICK_STOP,
     LoopState.RUNNING: Request.QUICK_STOP,
     LoopState.STOPPING: Request.QUICK_STOP,
 }
@@ -181,7 +185,7 @@ class Supervisor:
             text = f"{self._name}: the drive is in fault: {feedback.error or 'it reports no error code'}"
             advice = "; --reset-fault leaves it" if state in _NOT_YET_ENABLED else ""
             return FaultCode.DRIVE_IN_FAULT.append_to(text + advice)
-        return self._find_motion_fault(feedback, velocity, position_demand) if state in MOVING else None
+        return self._find_motion_fault(feedback, velocity, position_demand) if state in _LIMITED else None
 
     def _missing_feedback(self, feedback: Feedback) -> str:
         text = f"{self._name}: no usable feedback for more than {self._max_stale_cycles} cycles"

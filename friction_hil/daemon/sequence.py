@@ -34,6 +34,7 @@ class RunInputs:
     is_faded_out: bool = False  # no compensation is left
     is_lost_powered: bool = False  # some drive out of reach has power
     is_lost_unknown: bool = False  # the state of some drive out of reach is unknown
+    is_first_motion_due: bool = False  # some axis has yet to show that its velocity target means what it should
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +94,10 @@ class RunStateMachine:
             return state if self._is_listening or elapsed_s < SETTLE_S else LoopState.ENABLING
         if state is LoopState.ENABLING:
             return LoopState.DISABLING if is_ending else self._enabling(elapsed_s, inputs)
+        if state is LoopState.FIRST_MOTION:
+            if is_ending:  # no path has begun that could come to rest: the drives stop by themselves
+                return LoopState.FAULT_STOPPING
+            return state if inputs.is_first_motion_due else LoopState.RUNNING
         if state in (LoopState.RUNNING, LoopState.STOPPING) and inputs.has_fault:
             return LoopState.FAULT_STOPPING
         if state is LoopState.RUNNING:
@@ -109,7 +114,9 @@ class RunStateMachine:
         if elapsed_s > ENABLE_TIMEOUT_S:
             self._timeout = Timeout(FaultCode.NOT_ENABLED, f"not enabled within {ENABLE_TIMEOUT_S:g} s")
             return LoopState.DISABLING
-        return LoopState.RUNNING if inputs.is_enabled else self.state
+        if not inputs.is_enabled:
+            return self.state
+        return LoopState.FIRST_MOTION if inputs.is_first_motion_due else LoopState.RUNNING
 
     def _stopping(self, elapsed_s: float, inputs: RunInputs, has_stood: bool) -> LoopState:
         if not (inputs.is_setpoint_standing and inputs.is_faded_out):

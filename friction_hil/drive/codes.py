@@ -38,6 +38,9 @@ class FaultCode(Enum):
     DRIVER_MESSAGE = 118, "fault reported by the driver"
     VELOCITY_CONTRADICTS = 119, "velocity contradicts position"
     STATE_UNKNOWN = 120, "state unknown after the stop"
+    VELOCITY_UNIT_WRONG = 123, "wrong unit of the velocity"
+    AXIS_DOES_NOT_MOVE = 124, "axis does not move"
+    WRONG_DIRECTION = 125, "axis moves in the wrong direction"
 
     def __init__(self, number: int, title: str) -> None:
         self.number = number

@@ -166,13 +166,18 @@ def test_each_limit_trips_just_beyond_it(state, position, velocity, demand, word
     assert (text is None) if words is None else str(text).startswith(words)
 
 
-@given(st.floats(-10.0, 10.0), st.floats(-1.0, 1.0), st.floats(-0.1, 0.1), st.sampled_from(MOVING))
+@given(
+    st.floats(-10.0, 10.0),
+    st.floats(-1.0, 1.0),
+    st.floats(-0.1, 0.1),
+    st.sampled_from([*MOVING, LoopState.FIRST_MOTION]),
+)
 def test_inside_all_limits_there_is_no_fault(velocity, position, error, state):
     demand = position + 0.999 * error
     assert supervisor(position=position).find_fault(heard(position), state, velocity, demand) is None
 
 
-@pytest.mark.parametrize("state", [state for state in LoopState if state not in MOVING])
+@pytest.mark.parametrize("state", [state for state in LoopState if state not in (*MOVING, LoopState.FIRST_MOTION)])
 def test_limits_of_motion_do_not_count_while_nothing_is_commanded_to_move(state):
     assert supervisor(position=5.0).find_fault(heard(5.0, state=DriveState.SWITCHED_ON), state, 99.0, 77.0) is None
 
@@ -189,7 +194,7 @@ def test_an_axis_without_the_optional_limits_has_none_and_a_linear_one_its_unit(
 def test_only_states_of_motion_ask_for_power():
     assert set(REQUESTS) == set(LoopState)
     enabling = {state for state, request in REQUESTS.items() if request is Request.ENABLE}
-    assert enabling == {LoopState.ENABLING, LoopState.RUNNING, LoopState.STOPPING}
+    assert enabling == {LoopState.ENABLING, LoopState.FIRST_MOTION, LoopState.RUNNING, LoopState.STOPPING}
     assert Request.RESET_FAULT not in REQUESTS.values()
 
 

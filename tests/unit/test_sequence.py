@@ -20,7 +20,12 @@ from friction_hil.drive.codes import FaultCode
 
 DT = 0.01
 STANDING = {"is_standing": True, "is_setpoint_standing": True, "is_faded_out": True}
-inputs = st.builds(RunInputs, *[st.booleans()] * 7)
+inputs = st.builds(RunInputs, *[st.booleans()] * 8)
+
+
+def place(state):
+    """Place of a state in the order of a run."""
+    return 1.5 if state is LoopState.FIRST_MOTION else float(state)
 
 
 class Run:
@@ -62,6 +67,20 @@ def test_an_ordinary_run():
     assert run.pass_time() is LoopState.DONE
     assert run.pass_time(10.0, is_stop_requested=True, has_fault=True) is LoopState.DONE
     assert run.machine.take_timeout() is None
+
+
+def test_a_first_motion_comes_before_the_path():
+    run = Run().reach(LoopState.ENABLING)
+    assert run.pass_time(is_enabled=True, is_first_motion_due=True) is LoopState.FIRST_MOTION
+    assert run.pass_time(3.0, is_enabled=True, is_powered=True, is_first_motion_due=True) is LoopState.FIRST_MOTION
+    assert run.pass_time(is_enabled=True, is_powered=True) is LoopState.RUNNING
+
+
+@pytest.mark.parametrize("ending", ["has_fault", "is_stop_requested"])
+def test_a_first_motion_is_ended_by_the_drives_quick_stop(ending):
+    run = Run().reach(LoopState.ENABLING)
+    run.pass_time(is_enabled=True, is_first_motion_due=True)
+    assert run.pass_time(is_powered=True, is_first_motion_due=True, **{ending: True}) is LoopState.FAULT_STOPPING
 
 
 def test_a_reversal_is_no_standstill():
@@ -147,12 +166,12 @@ def test_no_inputs_lead_back_or_to_power_after_a_fault(events, is_listening):
             changed = machine.advance(time_s, what)
             after = machine.state
             assert changed is (after is not before)
-            assert after >= before
+            assert place(after) >= place(before)
             if after is not before:
                 assert machine.since_s == time_s
             if is_listening:
                 assert after in (LoopState.IDLE, LoopState.DONE)
-            if (before, after) == (LoopState.ENABLING, LoopState.RUNNING):
+            if before is LoopState.ENABLING and after in (LoopState.FIRST_MOTION, LoopState.RUNNING):
                 assert what.is_enabled
                 assert not what.has_fault
                 assert not what.is_stop_requested

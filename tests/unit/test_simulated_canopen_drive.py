@@ -402,3 +402,12 @@ def test_reset_node_returns_to_the_defaults_and_keeps_the_place(bench: Bench) ->
     assert bench.read(0x6060, 0, "b") == 0
     assert bench.read(0x1600, 0, "B") == 1
     assert bench.servo.position == pytest.approx(start, abs=1e-3)
+
+
+def test_a_reversed_drive_turns_against_its_targets() -> None:
+    for mode, target in ((9, struct.pack("<Hih", 0x0F, 100000, 0)), (10, struct.pack("<Hhh", 0x0F, 300, 0))):
+        bench = Bench(manners={"is_reversed": True})
+        bench.stream(mode)
+        bench.send(0x205, target)
+        bench.sync(100)
+        assert bench.servo.position < -1e-3

@@ -36,12 +36,13 @@ class Unit:
     text: str
 
 
+COUNTS_CODE = 0xB5
 _NUMERATORS = {
     0x01: ("m", Measure.LENGTH, 1.0),
     0x10: ("rad", Measure.ANGLE, 1.0),
     0x41: ("deg", Measure.ANGLE, math.pi / 180.0),
     0xB4: ("rev", Measure.ANGLE, 2.0 * math.pi),
-    0xB5: ("counts", Measure.COUNTS, 1.0),
+    COUNTS_CODE: ("counts", Measure.COUNTS, 1.0),
 }
 _DENOMINATORS = {0x03: ("s", 1.0), 0x47: ("min", 60.0), 0x48: ("h", 3600.0)}
 _NAMES = {

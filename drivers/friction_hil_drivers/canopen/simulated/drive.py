@@ -120,7 +120,7 @@ class SimulatedCia402Drive:
         self._transition: DriveState | None = None  # that takes time, and is under way
         self._transition_ends_ns = 0
         self._faults: set[int] = set()
-        self._setpoints = Setpoints(servo, self._units, dictionary)
+        self._setpoints = Setpoints(servo, self._units, dictionary, is_reversed=manners.is_reversed)
         self.reset()
 
     def reset(self) -> None:

@@ -77,6 +77,9 @@ class Manners(BaseModel):
         "missing; counts/s when not given",
     )
     is_inverted: bool = Field(False, description="the positive direction on the bus is the servo's negative one")
+    is_reversed: bool = Field(
+        False, description="targets and offsets of velocity and torque act against the direction of the position"
+    )
     values: tuple[Preset, ...] = Field(
         (),
         description="values of objects at power-on; 608Fh, 6076h, 60A9h and 6502h are only shown, so that a drive can "

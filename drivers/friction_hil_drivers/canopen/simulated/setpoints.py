@@ -21,10 +21,13 @@ class Setpoints:
     is enabled or changes its mode: until the next target it holds its position, or gives no torque.
     """
 
-    def __init__(self, servo: Servo, units: SimulatedUnits, dictionary: Dictionary) -> None:
+    def __init__(
+        self, servo: Servo, units: SimulatedUnits, dictionary: Dictionary, *, is_reversed: bool = False
+    ) -> None:
         self._servo = servo
         self._units = units
         self._sign = units.sign
+        self._drive_sign = -units.sign if is_reversed else units.sign  # of velocity and torque
         self._min_position, self._max_position, self._max_speed, self._max_torque = dictionary.entries(
             objects.MIN_POSITION_LIMIT, objects.MAX_POSITION_LIMIT, objects.MAX_MOTOR_SPEED, objects.MAX_TORQUE
         )
@@ -73,11 +76,11 @@ class Setpoints:
     def activate(self, mode: int) -> None:
         """Give the set-points to the servo, which reaches them over the next interpolation periods."""
         self.are_new = self.are_limited = False
-        units, sign = self._units, self._sign
+        units, sign = self._units, self._drive_sign
         velocity_offset = sign * self._velocity_offset / units.increments
         torque_offset = sign * self._torque_offset * units.torque
         if mode == _CSP:
-            target = sign * self._next_position() / units.counts
+            target = self._sign * self._next_position() / units.counts
             self._servo.command(_CSP, target, velocity_offset, torque_offset)
         elif mode == _CSV:
             wanted = sign * self._velocity / units.increments

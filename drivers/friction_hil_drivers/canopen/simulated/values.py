@@ -6,11 +6,24 @@ from fractions import Fraction
 from friction_hil.drive import Mode
 from friction_hil.servo.servo import Servo
 from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen.si_units import COUNTS_CODE, encode_unit
 from friction_hil_drivers.canopen.simulated.dictionary import Dictionary
 from friction_hil_drivers.canopen.simulated.units import INT16, INT32, SimulatedUnits, VelocityUnit, saturated
 from friction_hil_drivers.canopen.units import wrap
 
 _LEAST_RESOLUTION = 2  # counts per revolution
+# 6064h counts the encoder, whatever gear, feed and unit a vendor's file has as defaults
+_COUNTS_OF_ENCODER = {
+    objects.VELOCITY_ENCODER_INCREMENTS: 1,
+    objects.VELOCITY_MOTOR_REVOLUTIONS: 1,
+    objects.GEAR_MOTOR_REVOLUTIONS: 1,
+    objects.GEAR_SHAFT_REVOLUTIONS: 1,
+    objects.FEED: 1,
+    objects.FEED_SHAFT_REVOLUTIONS: 1,
+    objects.VELOCITY_FACTOR_NUMERATOR: 1,
+    objects.VELOCITY_FACTOR_DIVISOR: 1,
+    objects.POSITION_UNIT: encode_unit(0, COUNTS_CODE),
+}
 
 
 def connect_live_values(dictionary: Dictionary, servo: Servo, units: SimulatedUnits) -> None:
@@ -59,6 +72,8 @@ def set_defaults(
         stays = dictionary.given(known) and (known in defaults or units.is_resolution_given)
         if is_said or not stays:
             dictionary.set_default(known, value)
+    for known, value in _COUNTS_OF_ENCODER.items():
+        dictionary.set_default(known, value)
 
 
 def file_resolution(dictionary: Dictionary) -> Fraction | None:

@@ -1,0 +1,179 @@
+"""Whole runs of the loop on a simulated CANopen drive whose units are not those that are assumed."""
+
+import math
+
+import numpy as np
+import pytest
+from friction_hil_drivers.canopen.drives import CanopenDrives
+
+from friction_hil.daemon.realtime import SteppedClock
+from friction_hil.daemon.safety import LoopState
+from friction_hil.daemon.stop import StopRequest
+from tests.canopen_bench import NODE, Bench, BenchBus
+from tests.loop_run import MODES
+from tests.servo_drives import PERIOD_S, axis_dict, configuration, make_loop
+
+LIMITS = {"torque": 0.3, "torque_slew": 300.0, "velocity": 10.0, "following_error": 0.5, "position": [-4.0, 4.0]}
+BOUND = 0.04  # rad: 0.05 rad by the velocity limit, 0.08 by the position limits; a stop takes a little more
+ENCODER = {"encoder": {"counts": 65536}}
+NO_UNIT = [0x60A9]
+
+
+class Run:
+    """A run of one axis on the bench, and what its true position and velocity were."""
+
+    def __init__(
+        self, manners=None, missing=(), servo=None, position=0.0, duration_s=1.0, dry_run=False, stop_at=None, **changes
+    ):
+        changes = {"mode": "csv", "limits": LIMITS, **MODES["csv"], **changes}
+        config = configuration(x=axis_dict(node=NODE, **changes))
+        self.bench = Bench({**ENCODER, **(servo or {})}, position=position, manners=manners, missing=missing)
+        bus = BenchBus(self.bench)
+        clock, stop = SteppedClock(), StopRequest()
+        drives = CanopenDrives(config, config.axes, clock, dry_run=dry_run, bus=bus)
+        self.position, self.velocity = [], []
+        receive = drives.receive
+
+        def watched(feedback, end_ns):
+            receive(feedback, end_ns)
+            stop.is_requested |= len(self.position) == stop_at
+            self.position.append(self.bench.servo.true_position)
+            self.velocity.append(self.bench.servo.velocity)
+
+        drives.receive = watched
+        self.facts = None
+        connect = drives.connect
+
+        def connected():
+            self.facts = connect()
+            return self.facts
+
+        drives.connect = connected
+        loop, self.sink, _ = make_loop(config, drives, stop=stop, clock=clock, duration_s=duration_s, dry_run=dry_run)
+        self.result = loop.run()
+        bus.shutdown()
+        self.state = np.array(self.sink.column("x", "state"))
+
+    def moved(self, state=None):
+        """Largest distance from the start, over the whole run or in one state."""
+        away = np.abs(np.array(self.position) - self.position[0])[: len(self.state)]
+        return float(away.max() if state is None else away[self.state == state].max())
+
+    @property
+    def fastest(self):
+        return float(np.abs(self.velocity).max())
+
+
+@pytest.mark.parametrize(
+    ("unit", "guess"),
+    [
+        ("rpm", "rpm"),
+        ("0.1 rpm", "0.1 rpm"),
+        ("deg/s", "deg/s"),
+        ("rev/s", ""),
+        ("rad/s", ""),
+        ("0.01 rpm", "0.01 rpm"),
+    ],
+)
+def test_a_drive_in_another_unit_is_found_out_by_a_small_motion(unit, guess):
+    run = Run({"velocity_unit": unit}, NO_UNIT)
+    (fault,) = run.result.faults
+    assert "times as fast as the unit of its velocity target says" in fault
+    assert fault.endswith("[FH-123]")
+    if guess:
+        assert f"that looks like {guess};" in fault
+    assert LoopState.RUNNING not in run.state
+    assert run.moved() < 2.0 * BOUND
+    assert run.fastest < (8.0 if unit == "rev/s" else 2.0)  # one increment; it was 22 rad/s
+    assert not run.bench.statusword & 0x04  # disabled
+
+
+@pytest.mark.parametrize("unit", ["counts/s", "rpm", "0.1 rpm", "deg/s", "0.01 rad/s"])
+def test_with_the_right_unit_the_run_goes_on_as_before(unit):
+    run = Run({"velocity_unit": unit}, NO_UNIT, velocity_unit=unit)
+    assert run.result.faults == []
+    assert run.moved(LoopState.FIRST_MOTION) < BOUND
+    assert run.moved() > 0.29  # the trajectory, which began where the axis stood
+    first = run.state == LoopState.FIRST_MOTION
+    assert 0.3 < np.count_nonzero(first) * PERIOD_S < 3.0
+    assert np.abs(run.position[np.flatnonzero(first)[-1]]) < 0.25 * BOUND  # and back again
+    assert np.all(np.array(run.sink.column("x", "command"))[first] == 0.0)
+
+
+def test_60a9h_is_believed_and_yet_examined():
+    run = Run({"velocity_unit": "0.1 rpm"})
+    assert run.result.faults == []
+    assert LoopState.FIRST_MOTION in run.state
+    assert "0.1 rpm" in run.facts[0].units[1].value
+
+
+def test_the_drive_may_be_slower_than_its_unit_says():
+    run = Run({"velocity_unit": "counts/s"}, NO_UNIT, velocity_unit="rpm")
+    (fault,) = run.result.faults
+    assert "[FH-123]" in fault or "[FH-124]" in fault
+    assert run.moved() < BOUND
+
+
+@pytest.mark.parametrize("position", [0.0, 3.0, -3.0])
+def test_a_reversed_drive_is_found_out(position):
+    run = Run({"is_reversed": True}, position=position)
+    (fault,) = run.result.faults
+    assert "moves in the wrong direction" in fault
+    assert fault.endswith("[FH-125]")
+    assert run.moved() < BOUND
+
+
+def test_a_blocked_axis_is_found_out():
+    run = Run(servo={"mechanics": {"inertia": 1e6}})
+    (fault,) = run.result.faults
+    assert "does not move although" in fault
+    assert fault.endswith("[FH-124]")
+
+
+@pytest.mark.parametrize("encoder", [1024, 4096, 1 << 20])
+@pytest.mark.parametrize("unit", ["counts/s", "rpm"])
+def test_coarse_and_fine_encoders(encoder, unit):
+    run = Run({"velocity_unit": unit}, servo={"encoder": {"counts": encoder}})
+    assert run.result.faults == []
+    assert run.moved(LoopState.FIRST_MOTION) < max(BOUND, 96.0 * 2.0 * math.pi / encoder)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.02, 0.15, 0.3])
+def test_friction_is_no_fault(friction):
+    dry = {"friction": {"model": "coulomb", "parameters": {"coulomb": friction, "static": 1.5 * friction}}}
+    run = Run(
+        servo={**dry, "motor": {"rated_torque": 0.64, "peak_torque": 2.0}}, limits=LIMITS | {"following_error": 3.0}
+    )
+    assert run.result.faults == []
+
+
+@pytest.mark.parametrize("load", [-0.1, 0.1])
+def test_a_hanging_load_is_no_fault(load):
+    run = Run(servo={"mechanics": {"inertia": 2e-4, "load_torque": load}}, limits=LIMITS | {"following_error": 3.0})
+    assert not [fault for fault in run.result.faults if "first motion" in fault]
+
+
+@pytest.mark.parametrize("changes", [MODES["csp"], MODES["cst"]])
+def test_other_modes_need_no_first_motion(changes):
+    run = Run({"velocity_unit": "rpm"}, **{"controller": None, **changes})
+    assert LoopState.FIRST_MOTION not in run.state
+    assert run.result.faults == []
+
+
+def test_a_dry_run_moves_nothing():
+    run = Run({"velocity_unit": "rpm"}, NO_UNIT, dry_run=True)
+    assert run.moved() < 1e-3
+    assert LoopState.FIRST_MOTION not in run.state
+
+
+def test_a_stop_in_the_first_motion_is_no_fault():
+    run = Run(stop_at=400)
+    assert run.result.faults == []
+    assert [text for _, kind, text in run.sink.events if kind == "state"] == [
+        "enabling",
+        "first_motion",
+        "fault_stopping",
+        "disabling",
+        "done",
+    ]
+    assert not run.bench.statusword & 0x04
