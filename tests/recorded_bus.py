@@ -3,6 +3,7 @@
 import contextlib
 import socket
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -25,8 +26,11 @@ def recorded(configuration: Path) -> Iterator[list[Frame]]:
         _enlarge(bus)
 
         def read() -> None:
-            while (message := bus.recv(_SETTLE_S)) is not None or not is_over.is_set():
-                if message is not None:
+            end = None
+            while end is None or time.monotonic() < end:
+                if end is None and is_over.is_set():
+                    end = time.monotonic() + _SETTLE_S  # others may go on sending for ever
+                if (message := bus.recv(_SETTLE_S)) is not None:
                     data = bytes(message.data)
                     frames.append(Frame(message.timestamp, message.arbitration_id, data, message.is_remote_frame))
 
