@@ -1,0 +1,167 @@
+"""Stops that RPDOs do not bring about: the daemon and simulated drives as processes, in real time, on udp_multicast."""
+
+import contextlib
+import json
+import struct
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import can
+import pytest
+
+from tests.launcher import start
+from tests.loop_run import MODES
+from tests.processes import listening, write_configuration
+
+PERIOD_S = 5e-3  # long, for a machine that is busy with other tests
+HEARTBEAT_S = 0.2
+PRE_OPERATIONAL, STOP, RESET_NODE = 0x80, 0x02, 0x81
+SDO_REQUEST, SDO_ANSWER, RPDO1 = 0x601, 0x581, 0x201
+CONTROLWORD, STATUSWORD, POSITION, VELOCITY = 0x6040, 0x6041, 0x6064, 0x606C
+COUNTS_PER_RAD = 2**20 / 6.283185307179586
+
+
+def axis(mode: str, node: int, **manners: Any) -> dict[str, Any]:
+    """An axis that moves to and fro; its drive goes on with its last set-point when its node leaves Operational."""
+    changes: dict[str, Any] = {
+        "node": node,
+        "heartbeat_s": HEARTBEAT_S,
+        "limits": {"torque": 0.3, "torque_slew": 300.0, "velocity": 30.0, "position": [-4.0, 4.0]},
+        "trajectory": {"kind": "sine", "amplitude": 1.0, "frequency": 0.5, "ramp_s": 0.25},
+        "simulation": {"canopen": {"nmt_stops_drive": False, **manners}},
+    }
+    if mode == "cst":
+        changes["controller"] = {"position_gain": 8.0, "velocity_gain": 5e-3}
+    elif mode == "csv":
+        changes["controller"] = {"position_gain": 10.0}
+    return {**MODES[mode], **changes, "mode": mode}
+
+
+class Rig:
+    """Drives and daemon, and a listener on their bus."""
+
+    def __init__(self, folder: Path, stack: contextlib.ExitStack, **axes: dict[str, Any]) -> None:
+        self.path = write_configuration(folder, period_s=PERIOD_S, **axes)
+        text = self.path.read_text().replace("priority: 0", "max_missed: 40\n  priority: 0")
+        self.path.write_text(text)
+        simulation = start(*("simulate", self.path, "--exit-with-stdin"), stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        stack.callback(simulation.wait, 30)
+        assert simulation.stdin is not None
+        assert simulation.stdout is not None
+        stack.callback(simulation.stdout.close)
+        stack.callback(simulation.stdin.close)
+        assert simulation.stdout.readline().startswith("ready:")
+        self.bus = stack.enter_context(listening(self.path))
+        words = ("run", self.path, "--json", "--duration", "20")
+        self.daemon = start(*words, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        stack.callback(self.daemon.wait, 30)
+        stack.callback(self.daemon.kill)
+        self.frames: list[can.Message] = []
+
+    def listen(self, is_last: Any, timeout_s: float = 60.0) -> can.Message:
+        """Keep frames up to one for which ``is_last``."""
+        while (message := self.bus.recv(timeout_s)) is not None:
+            self.frames.append(message)
+            if is_last(message):
+                return message
+        raise AssertionError(f"no such frame within {timeout_s} s")
+
+    def run_until_it_moves(self, node: int = 1) -> None:
+        """Wait until the axis is far from its start and fast: an RPDO enables, and the position has changed."""
+        tpdo, began = 0x180 + node, None
+        while True:
+            data = self.listen(lambda message: message.arbitration_id == tpdo).data
+            word, position = struct.unpack_from("<Hi", data)
+            began = position if began is None else began
+            if word & 0x6F == 0x27 and abs(position - began) > 0.5 * COUNTS_PER_RAD:
+                return
+
+    def nmt(self, command: int, node: int = 1) -> None:
+        self.frames.clear()
+        self.bus.send(can.Message(arbitration_id=0, data=[command, node], is_extended_id=False))
+
+    def result(self) -> dict[str, Any]:
+        """The daemon's JSON; frames are kept meanwhile."""
+        while self.daemon.poll() is None:
+            if (message := self.bus.recv(0.05)) is not None:
+                self.frames.append(message)
+        assert self.daemon.stdout is not None
+        assert self.daemon.stderr is not None
+        output, errors = self.daemon.stdout.read(), self.daemon.stderr.read()
+        assert output, errors
+        result: dict[str, Any] = json.loads(output)
+        result["exit"] = self.daemon.returncode
+        return result
+
+    def read(self, index: int, code: str, node: int = 1) -> int:
+        request = struct.pack("<BHB4x", 0x40, index, 0)
+        self.bus.send(can.Message(arbitration_id=0x600 + node, data=request, is_extended_id=False))
+        answer = self.listen(
+            lambda message: message.arbitration_id == 0x580 + node and message.data[1:4] == request[1:4]
+        )
+        return int(struct.unpack_from(f"<{code}", answer.data, 4)[0])
+
+    def after(self, can_id: int, start_s: float) -> list[can.Message]:
+        return [frame for frame in self.frames if frame.arbitration_id == can_id and frame.timestamp > start_s]
+
+
+@pytest.mark.parametrize("command", [PRE_OPERATIONAL, STOP])
+@pytest.mark.parametrize("mode", MODES)
+def test_an_axis_whose_node_is_taken_out_of_operational_is_stopped_for_certain(
+    tmp_path: Path, mode: str, command: int
+) -> None:
+    with contextlib.ExitStack() as stack:
+        rig = Rig(tmp_path, stack, x=axis(mode, 1))
+        rig.run_until_it_moves()
+        rig.nmt(command)
+        result = rig.result()
+        assert result["exit"] == 1
+        name = "pre-operational" if command == PRE_OPERATIONAL else "stopped"
+        cause = f"x: node 1 left Operational: it is {name} [FH-232]"
+        assert result["faults"] == [cause]
+        assert result["drive_states"] == {"x": "switch on disabled"}
+        # the report is true: no power, no motion, and not far from where it was
+        assert rig.read(STATUSWORD, "H") & 0x6F == 0x40
+        assert abs(rig.read(VELOCITY, "i")) < 0.01 * COUNTS_PER_RAD
+        assert abs(rig.read(POSITION, "i")) < 4.0 * COUNTS_PER_RAD
+        # at once: quick stop by SDO in the cycle in which the heartbeat told it
+        told = next(frame for frame in rig.frames if frame.arbitration_id == 0x701 and frame.data[0] in (0x7F, 0x04))
+        stops = [frame for frame in rig.after(SDO_REQUEST, told.timestamp) if frame.data[1:3] == b"\x40\x60"]
+        assert bytes(stops[0].data) == bytes.fromhex("2b40600002000000")
+        assert stops[0].timestamp - told.timestamp < 0.1
+        words = [struct.unpack_from("<H", frame.data)[0] for frame in rig.after(RPDO1, stops[0].timestamp)]
+        assert 0x0F not in words
+
+
+def test_a_restarted_node_gets_no_rpdo_and_the_other_axis_is_disabled_in_its_own_time(tmp_path: Path) -> None:
+    with contextlib.ExitStack() as stack:
+        rig = Rig(tmp_path, stack, x=axis("csv", 1), y=axis("csv", 2))
+        rig.run_until_it_moves()
+        rig.nmt(RESET_NODE)
+        boot = rig.listen(lambda message: message.arbitration_id == 0x701 and message.data[0] == 0)
+        result = rig.result()
+        assert result["exit"] == 1
+        assert result["faults"][0] == "x: node 1 restarted (boot-up message) [FH-231]"
+        assert result["drive_states"] == {"x": "switch on disabled", "y": "switch on disabled"}
+        assert not [fault for fault in result["faults"] if "standstill" in fault or "powered" in fault]
+        late = [frame for frame in rig.after(RPDO1, boot.timestamp + 0.1) if len(frame.data)]
+        assert late == []
+        off = next(
+            frame
+            for frame in rig.after(0x182, boot.timestamp)
+            if struct.unpack_from("<H", frame.data)[0] & 0x6F in (0x40, 0x21, 0x23)
+        )
+        assert off.timestamp - boot.timestamp < 1.0, "the healthy one does not wait for the other"
+
+
+def test_a_drive_that_cannot_be_asked_any_more_is_unknown_and_trips_when_the_heartbeat_ends(tmp_path: Path) -> None:
+    with contextlib.ExitStack() as stack:
+        events = [{"at_s": 2.0, "do": "mute", "for_s": 1000.0}]
+        rig = Rig(tmp_path, stack, x=axis("csv", 1, events=events))
+        result = rig.result()
+        assert result["exit"] == 1
+        assert result["drive_states"] == {"x": "unknown"}
+        told = [*result["faults"], *result["warnings"]]
+        assert "x: the state of the drive after the stop is unknown: it may have power [FH-120]" in told
+        assert not [fault for fault in result["faults"] if "still powered" in fault]
