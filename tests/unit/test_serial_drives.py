@@ -113,6 +113,15 @@ def test_a_cycle_that_was_broken_off_does_not_keep_the_power_from_being_taken_aw
         wait_for(lambda: not there.state.is_powered)
 
 
+def test_the_states_after_the_stop_are_read_back(kind, tmp_path):
+    with Bench(kind, tmp_path).begin().enable() as bench:
+        bench.cycle(Request.ENABLE, 0.3, count=5)
+        (state,) = bench.drives.close()
+        assert state is not DriveState.UNKNOWN
+        assert not state.is_powered
+        assert bench.drives.close() == [state]
+
+
 def test_a_drive_that_is_powered_already_is_refused(kind, tmp_path):
     """A daemon that was killed leaves it so, until the drive's watchdog ends it."""
     with Bench(kind, tmp_path).begin().enable() as bench:
@@ -288,7 +297,10 @@ def test_a_silent_drive_on_the_line_leaves_no_other_one_under_power(tmp_path):
         there = bench.simulated._lines[0]._drives[1]
         assert there.state.is_powered
         bench.silence(3)
-        bench.drives.close()
+        silent, answering = bench.drives.close()
+        assert silent is DriveState.UNKNOWN
+        assert not answering.is_powered
+        assert answering is not DriveState.UNKNOWN
         wait_for(lambda: not there.state.is_powered)
 
 

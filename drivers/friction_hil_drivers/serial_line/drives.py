@@ -16,7 +16,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
-from friction_hil.drive import AxisFacts, Clock, Command, Feedback, Request
+from friction_hil.drive import AxisFacts, Clock, Command, DriveState, Feedback, Request
 from friction_hil.drive.codes import coded
 from friction_hil.drive.finding import Finding, failure
 from friction_hil.errors import BusError, DriveError, FrictionHilError, OptionError, UsageError
@@ -38,6 +38,7 @@ _SIMULATED_TIMEOUT_NS = 10_000_000_000
 _SIMULATED_TIMEOUTS = 3  # in succession; in simulated time nothing else would end a run without drives
 _RELEASE_NS = 300_000_000
 _REOPEN_S, _REOPEN_POLL_S = 0.3, 5e-3
+_POWER_OFF_S = 0.5  # for a drive to brake and take its power away
 _MAX_REFUSALS = 10  # successive refused commands that are a fault
 
 
@@ -118,6 +119,7 @@ class SerialDrives:
         self._end_ns = 0  # end of the cycle
         self._time_s = 0.0  # time of its feedback
         self._timeouts = 0
+        self._states: dict[str, DriveState] = {}  # read back after the stop
 
     def connect(self) -> Sequence[AxisFacts]:
         """Open the lines and prepare every drive; nothing is enabled. See `friction_hil.drive.Drives.connect`."""
@@ -215,8 +217,8 @@ class SerialDrives:
         self._selector.forget()
         self._is_read = True
 
-    def close(self) -> None:
-        """Disable every drive, and close the lines."""
+    def close(self) -> list[DriveState]:
+        """Disable every drive, and close the lines; return the states read back after that."""
         try:
             if self._is_started and self._is_commanding:
                 for bus in self._buses:
@@ -226,9 +228,10 @@ class SerialDrives:
                 bus.scheduler.line.close()
             self._selector.close()
             self._is_started = False
+        return [self._states.get(name, DriveState.UNKNOWN) for name in self._configs]
 
     def _release(self, bus: SerialBus) -> None:
-        """Disable every drive of a bus and write zero commands, even if some drives do not answer."""
+        """Disable every drive of a bus, write zero commands, read the states back, even if some do not answer."""
         line, end_s = bus.scheduler.line, time.monotonic() + _REOPEN_S
         while not line.reopen() and time.monotonic() < end_s:  # the line may be back since the last cycle
             time.sleep(_REOPEN_POLL_S)
@@ -242,11 +245,26 @@ class SerialDrives:
         for exchange in (*bus.plan.poll, *bus.plan.push):
             if exchange.writes:
                 self._try(bus, bus.axes[0].name, exchange)
+        for axis in bus.axes:
+            self._states[axis.name] = self._read_back(bus, axis)
 
-    def _try(self, bus: SerialBus, axis: str, exchange: Exchange) -> None:
+    def _read_back(self, bus: SerialBus, axis: SerialAxis) -> DriveState:
+        """Return the state of a drive, once it has no power or its time is over; UNKNOWN if it does not answer."""
+        exchanges = [bus.protocol.read(axis.name, (name,)) for name in axis.state_signals]
+        end_s = time.monotonic() + _POWER_OFF_S
+        while exchanges and all(self._try(bus, axis.name, exchange) for exchange in exchanges):
+            state = axis.read_state()
+            if not state.is_powered or time.monotonic() > end_s:
+                return state
+        return DriveState.UNKNOWN
+
+    def _try(self, bus: SerialBus, axis: str, exchange: Exchange) -> bool:
+        """Perform an exchange if the line still works; return True if it was answered."""
         with contextlib.suppress(BusError, DriveError):
             if bus.scheduler.line.is_open:
                 bus.transact(axis, exchange, attempts=1)
+                return True
+        return False
 
 
 def _opened(line: Line, axes: "Mapping[str, AxisConfig]") -> Finding:
