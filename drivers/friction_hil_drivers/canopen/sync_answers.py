@@ -66,7 +66,7 @@ class SyncAnswers:
             if not was_answered:
                 self._missing[number] = 0
         self._open = sum(self._missing)
-        if not self._open:
+        if not any(self._was_answered):
             self.is_late = False
 
     def take(self, number: int) -> bool:
@@ -76,5 +76,6 @@ class SyncAnswers:
         self._missing[number] -= 1
         self._open -= 1
         self._was_answered[number] = True
-        self.is_late = self._open > 0 and (self.is_late or self._is_probe)
+        # caught up in a probe proves nothing: the next SYNC shows whether its answer comes in time
+        self.is_late = self._is_probe or (self.is_late and self._open > 0)
         return True

@@ -1,0 +1,253 @@
+"""A cycle on the bus when something is wrong with it: frames that are not sent, late, lost, or strange.
+
+Time is what the tests say; the exchange takes it for real.
+"""
+
+import errno
+
+import can
+import pytest
+from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen.drives import CanopenDrives
+
+from friction_hil.drive import Command, DriveState, Feedback, Request
+from tests.canopen_bench import NODE, Bench, BenchBus
+from tests.servo_drives import axis_dict, configuration
+
+MS = 1_000_000
+RPDO1, TPDO1 = 0x205, 0x185
+CONTROLLER = {"position_gain": 1.0, "velocity_gain": 0.1}
+
+
+class Time:
+    """Real for the driver; each look at it takes 10 us, so that nothing waits for ever."""
+
+    is_real = True
+
+    def __init__(self):
+        self.ns = 0
+
+    def now_ns(self):
+        self.ns += 10_000
+        return self.ns
+
+    def doze_until(self, deadline_ns):
+        return False
+
+    def sleep_until(self, deadline_ns):
+        self.ns = max(self.ns, deadline_ns)
+
+
+class Between(BenchBus):
+    """A man in the middle: TPDOs come so many cycles late, or not at all; sending may fail."""
+
+    def __init__(self, bench):
+        super().__init__(bench)
+        self.delay_cycles = 0
+        self.is_lost = lambda: False
+        self.is_full = lambda can_id: False
+        self.held = []  # (cycle in which it is due, message)
+        self.cycle = 0
+        self.clock = None
+
+    def send(self, msg, timeout=None):
+        if self.is_full(msg.arbitration_id):
+            raise OSError(errno.ENOBUFS, "No buffer space available")
+        before = self.answers.qsize()
+        super().send(msg, timeout)
+        if not self.delay_cycles and not self.is_lost():
+            return
+        kept = [self.answers.get() for _ in range(before)]
+        new = [self.answers.get() for _ in range(self.answers.qsize())]
+        for message in kept:
+            self.answers.put(message)
+        for message in new:
+            if message.arbitration_id & 0x780 not in (0x180, 0x280):
+                self.answers.put(message)
+            elif not self.is_lost():
+                self.held.append((self.cycle + self.delay_cycles, message))
+
+    def begin_cycle(self):
+        self.cycle += 1
+
+    def release(self):
+        """What is due comes a little after SYNC."""
+        due = [message for cycle, message in self.held if cycle <= self.cycle]
+        self.held = [one for one in self.held if one[0] > self.cycle]
+        for message in due:
+            self.answers.put(message)
+
+    def recv(self, timeout=None):
+        if self.clock is None or self.answers.qsize():  # connecting, or something is there
+            return super().recv(timeout)
+        if timeout:  # the driver waits: time for what is late
+            self.release()
+        if self.answers.empty():
+            self.clock.ns += round(timeout * 1e9)
+            return None
+        return super().recv(timeout)
+
+
+class Driven:
+    """A drive in CST, enabled."""
+
+    def __init__(self):
+        self.bench = Bench()
+        self.bus = Between(self.bench)
+        config = configuration(x=axis_dict(node=NODE, mode="cst", controller=CONTROLLER))
+        self.clock = Time()
+        self.drives = CanopenDrives(config, config.axes, self.clock, dry_run=False, bus=self.bus)
+        self.drives.connect()
+        self.bus.clock = self.clock
+        self.drives.start()
+        self.feedback, self.command = Feedback(), Command()
+        self.notices = []
+        self.cycles(20, Request.ENABLE)
+        assert self.feedback.state is DriveState.OPERATION_ENABLED
+
+    def receive(self):
+        self.bus.begin_cycle()
+        self.clock.ns = (self.clock.ns // MS + 1) * MS
+        self.drives.receive([self.feedback], self.clock.ns + MS)
+        self.notices += self.feedback.notices
+        self.feedback.notices.clear()
+        return self.feedback
+
+    def send(self, request):
+        self.command.request = request
+        self.drives.send([self.command])
+
+    def cycles(self, count, request):
+        """Return for how many cycles the feedback was fresh, and the reasons why it was not."""
+        heard = []
+        for _ in range(count):
+            feedback = self.receive()
+            heard.append((feedback.is_fresh, feedback.missing))
+            self.send(request)
+        return sum(is_fresh for is_fresh, _ in heard), [missing for _, missing in heard if missing]
+
+    def sent(self, can_id):
+        return [data for each, data in self.bus.sent if each == can_id]
+
+
+@pytest.fixture
+def driven(monkeypatch):
+    one = Driven()
+    yield one
+    one.bus.delay_cycles, one.bus.is_full, one.bus.is_lost = 0, lambda can_id: False, lambda: False
+    one.bus.clock = None
+    one.drives.close()
+    one.bus.shutdown()
+
+
+def test_a_full_queue_is_a_missed_exchange_and_then_a_fault(driven):
+    driven.bus.is_full = lambda can_id: True
+    for _ in range(3):
+        fresh, missing = driven.cycles(5, Request.ENABLE)
+        assert fresh == 0
+        assert missing[0].startswith("SYNC was not sent: the bus virtual")
+        driven.bus.is_full = lambda can_id: False
+        fresh, _ = driven.cycles(5, Request.ENABLE)
+        assert fresh >= 4
+        assert driven.feedback.message == ""
+        driven.bus.is_full = lambda can_id: True
+    driven.cycles(10, Request.ENABLE)
+    driven.bus.is_full = lambda can_id: False
+    driven.cycles(2, Request.ENABLE)
+    driven.bus.is_full = lambda can_id: can_id == RPDO1  # SYNC and feedback come, commands do not
+    driven.cycles(12, Request.ENABLE)
+    assert "cannot send" in driven.feedback.message
+    assert driven.feedback.message.endswith("[FH-202]")
+    driven.bus.is_full = lambda can_id: False
+    driven.cycles(3, Request.QUICK_STOP)  # the usual stop
+    assert driven.sent(RPDO1)[-1][0] == 0x02
+
+
+@pytest.mark.parametrize("delay", [1, 2, 5, 9])
+def test_feedback_that_comes_whole_cycles_late_is_never_taken_for_fresh_for_long(driven, delay):
+    driven.cycles(60, Request.ENABLE)
+    driven.bus.delay_cycles = delay
+    fresh, missing = driven.cycles(60, Request.ENABLE)
+    assert fresh <= 3
+    # one less while a cycle without SYNC is on its way
+    assert missing[-1] in [f"the TPDOs of node 5 answer SYNC {lag} cycles late [FH-235]" for lag in (delay, delay - 1)]
+    driven.bus.delay_cycles = 0
+    driven.bus.held = [(0, message) for _, message in driven.bus.held]  # at once: the last one counts
+    fresh, missing = driven.cycles(60, Request.ENABLE)
+    assert fresh >= 57
+    assert driven.feedback.missing == ""
+
+
+def test_lost_feedback_is_bridged_and_not_taken_for_late(driven):
+    lost = iter([True, False, False] * 1000)
+    state = {}
+
+    def is_lost():
+        if state.get("cycle") != driven.bus.cycle:
+            state.update(cycle=driven.bus.cycle, lost=next(lost))
+        return state["lost"]
+
+    driven.bus.is_lost = is_lost
+    fresh, missing = driven.cycles(300, Request.ENABLE)
+    assert 180 <= fresh <= 200
+    assert not any("late" in reason and "SYNC was left out" not in reason for reason in missing)
+    probes = 320 - len(driven.sent(objects.SYNC_ID))
+    assert probes <= 300 / 50 + 1
+
+
+def test_a_command_that_was_held_up_is_not_sent(driven):
+    driven.receive()
+    before = len(driven.sent(RPDO1))
+    driven.clock.ns += 4_000 * MS  # SIGSTOP, between feedback and command
+    driven.send(Request.ENABLE)
+    assert len(driven.sent(RPDO1)) == before
+    driven.receive()
+    assert any("a command was not sent because it was 4000 ms old [FH-237]" in notice for notice in driven.notices)
+    driven.send(Request.QUICK_STOP)
+    assert driven.sent(RPDO1)[-1][0] in (0x00, 0x02)
+
+
+def test_a_late_request_to_stop_is_sent_all_the_same(driven):
+    driven.receive()
+    driven.clock.ns += 4_000 * MS
+    driven.send(Request.QUICK_STOP)
+    assert driven.sent(RPDO1)[-1][0] == 0x02
+
+
+def test_the_heartbeat_ends_when_a_drive_that_may_have_power_answers_nothing(driven):
+    driven.bus.loses = lambda can_id, data: True  # the wire is cut
+    heartbeat = objects.HEARTBEAT_BASE + 126
+    for _ in range(400):
+        driven.cycles(1, Request.QUICK_STOP)
+    assert not driven.feedback.is_reachable
+    assert driven.feedback.state is DriveState.UNKNOWN
+    counts = [len(driven.sent(heartbeat))]
+    for _ in range(1000):
+        driven.cycles(1, Request.DISABLE)
+    counts.append(len(driven.sent(heartbeat)))
+    driven.cycles(500, Request.DISABLE)
+    assert len(driven.sent(heartbeat)) == counts[1], counts
+
+
+def test_a_node_that_another_master_took_out_of_operational_is_brought_back_and_stopped(driven):
+    driven.bench.write(0x6007, 0, "h", 0)  # the drive itself does nothing about it
+    driven.cycles(5, Request.ENABLE)
+    for can_id, data in [*driven.bench.nmt(0x80), (objects.HEARTBEAT_BASE + NODE, b"\x7f")]:
+        driven.bus.answers.put(message(can_id, data))
+    driven.receive()
+    assert not driven.feedback.is_reachable
+    assert "left Operational: it is pre-operational" in driven.feedback.message
+    rpdos = len(driven.sent(RPDO1))
+    driven.send(Request.QUICK_STOP)
+    assert len(driven.sent(RPDO1)) == rpdos
+    assert driven.bus.sent[-2:] == [(0, bytes([1, NODE])), (0x605, bytes.fromhex("2b40600002000000"))]
+    assert driven.bench.statusword & 0x6F == 0x07, "quick stop active, by SDO"
+    driven.cycles(3, Request.QUICK_STOP)
+    assert driven.feedback.is_reachable
+    assert driven.feedback.state is DriveState.QUICK_STOP_ACTIVE
+    driven.cycles(5, Request.DISABLE)
+    assert driven.feedback.state is DriveState.SWITCH_ON_DISABLED
+
+
+def message(can_id, data):
+    return can.Message(arbitration_id=can_id, data=data, is_extended_id=False)
