@@ -78,7 +78,7 @@ def emergency_after_kill(bus, daemon):
         can_id, data = message.arbitration_id, bytes(message.data)
         if can_id in OF_DAEMON or message.is_remote_frame:
             last_s = message.timestamp
-        elif can_id == EMERGENCY and (code := struct.unpack_from("<H", data)[0]):
+        elif can_id == EMERGENCY and turning > TURNING and (code := struct.unpack_from("<H", data)[0]):
             return code, 1e3 * (message.timestamp - last_s)
         elif can_id == TPDO1 and turning <= TURNING:
             turning += struct.unpack_from("<H", data)[0] & 0x6F == ENABLED
