@@ -1,11 +1,11 @@
-"""All checks of a machine and a configuration that are possible before a run; no drive receives a byte."""
+"""All checks of a machine and a configuration before a run; no drive receives a byte unless watchdogs are tried."""
 
 from collections.abc import Iterator
 from pathlib import Path
 
 from friction_hil.config import Configuration, Realtime, file_problems, load
 from friction_hil.config.drivers import driver_names, load_driver
-from friction_hil.daemon.realtime import punctuality
+from friction_hil.daemon.realtime import RealClock, punctuality
 from friction_hil.doctor import machine
 from friction_hil.drive.finding import Finding, failure
 from friction_hil.errors import ConfigurationError, FrictionHilError, Problem
@@ -15,7 +15,7 @@ CONFIGURATION = "configuration"  # name of the check that reports mistakes
 _ROOT = Path("/")
 
 
-def examine(path: Path | None, root: Path = _ROOT) -> Iterator[Finding]:
+def examine(path: Path | None, root: Path = _ROOT, *, try_watchdog: bool = False) -> Iterator[Finding]:
     """Check the machine, and everything that the configuration ``path`` needs from it.
 
     Parameters
@@ -24,6 +24,8 @@ def examine(path: Path | None, root: Path = _ROOT) -> Iterator[Finding]:
         A configuration. Without one, or if it has mistakes, each installed driver checks the machine for any drive.
     root : Path
         Root of the system files that are read.
+    try_watchdog : bool
+        Also connect to each drive and let its watchdogs lapse, unless a check before has failed.
 
     Yields
     ------
@@ -34,6 +36,7 @@ def examine(path: Path | None, root: Path = _ROOT) -> Iterator[Finding]:
     yield machine.processor_clock(root)
     yield machine.compiled_kernels(cache_folder())
     configuration = None
+    problems: list[Problem] = []
     if path is not None:
         configuration, problems = _load(path)
         yield from map(_mistake, problems)
@@ -45,8 +48,27 @@ def examine(path: Path | None, root: Path = _ROOT) -> Iterator[Finding]:
     yield from _punctuality(realtime.priority)
     if configuration is None:
         yield from _hardware(root)
-    else:
-        yield from _daemon(configuration)
+        return
+    is_well = not problems
+    for finding in _daemon(configuration):
+        is_well = is_well and finding.result != "fail"
+        yield finding
+    if try_watchdog and is_well:
+        yield from _watchdogs(configuration)
+
+
+def _watchdogs(configuration: Configuration) -> Iterator[Finding]:
+    """Yield what each drive does when the daemon is silent."""
+    clock = RealClock(configuration.realtime.spin_us)
+    for name in dict.fromkeys(axis.driver for axis in configuration.axes.values()):
+        attempt = getattr(load_driver(name), "try_watchdogs", None)
+        axes = {key: axis for key, axis in configuration.axes.items() if axis.driver == name}
+        if attempt is None:
+            detail = f"the driver {name} has no trial of its watchdogs"
+            fix = "disconnect the drive's cable at standstill and see whether it loses its power"
+            yield Finding(f"driver {name}: watchdogs", "warn", detail, fix, "FH-445")
+            continue
+        yield from attempt(configuration, axes, clock)
 
 
 def _load(path: Path) -> tuple[Configuration | None, list[Problem]]:

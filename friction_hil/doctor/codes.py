@@ -44,4 +44,8 @@ CODES = {
     "FH-439": "CAN adapter not opened by doctor",
     "FH-440": "bus load too high",
     "FH-441": "axis in use by another daemon",
+    "FH-442": "watchdog not seen to act",
+    "FH-443": "watchdog reports, no reaction seen",
+    "FH-444": "drive without a watchdog",
+    "FH-445": "watchdogs could not be tried",
 }

@@ -223,6 +223,9 @@ class Driver(Protocol):
     ``check_connection(configuration, axes)``
         Yields a Finding for each part of the connection to the drives that can be checked without sending a byte. Not
         repeated is what ``check_files`` reports. Ports and buses opened for it are closed at once.
+    ``try_watchdogs(configuration, axes, clock)``
+        Sets each drive up, without torque and at standstill, lets each of its watchdogs lapse, and yields a Finding for
+        each: what was seen to act, and what was not.
     ``open_inventory(bus)`` and ``inventory_node(axis)``
         Opens a bus (the section ``bus`` of a configuration) and returns a `friction_hil.drive.inventory.Inventory`, for
         ``friction-hil drives``; and returns the number under which that finds the drive of an axis.

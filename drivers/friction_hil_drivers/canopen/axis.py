@@ -130,6 +130,11 @@ class CanopenAxis:
         """True if `other_frames` may have something to send."""
         return self._sdo.is_active or not self.is_reachable or self._missed > _BLIND_CYCLES
 
+    def idle_frames(self, controlword: int, counts: int) -> list[Frame]:
+        """Return the RPDOs with a controlword, the position ``counts`` as target, and neither velocity nor torque."""
+        command = Command(position=counts / self._drive.units.counts_per_unit)
+        return self._encoder.encode(controlword, command)
+
     @property
     def controlword(self) -> int:
         """Controlword that was encoded last."""

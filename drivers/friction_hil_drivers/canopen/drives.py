@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from friction_hil.drive import AxisFacts, Clock, Command, Feedback, Mode
+from friction_hil.drive.finding import Finding, failure
 from friction_hil.errors import BusError, DriveError, FrictionHilError, UsageError
 from friction_hil_drivers.canopen import codes, interfaces, objects
 from friction_hil_drivers.canopen.axis import CanopenAxis
@@ -84,6 +85,44 @@ class CanopenDrives:
         from friction_hil_drivers.canopen.bus_log import read_bus_log
 
         return read_bus_log(path, axes)
+
+    @classmethod
+    def try_watchdogs(
+        cls, configuration: "Configuration", axes: "Mapping[str, AxisConfig]", clock: Clock
+    ) -> Iterator[Finding]:
+        """Let each watchdog of each drive lapse, one at a time; see `friction_hil.drive.Driver`."""
+        for name, axis in axes.items():
+            # one after the other: all drives on the bus would miss the daemon's heartbeat
+            drives = cls(configuration, {name: axis}, clock, dry_run=False)
+            try:
+                drives.connect()
+                yield from drives._try_watchdogs(name)
+            except FrictionHilError as error:
+                yield failure(f"{name}: watchdogs", error, "FH-445")
+            finally:
+                drives.close()
+
+    def _try_watchdogs(self, name: str) -> Iterator[Finding]:
+        # imported here: python-can takes 0.5 s, and reading a configuration does not need it
+        from friction_hil_drivers.canopen.watchdog_trial import WatchdogTrial
+
+        [axis], options = self._axes, canopen_options(self._configs[name])
+        if not axis.watch.means:
+            detail = "the drive does not watch the daemon: if the daemon dies, its last torque stays"
+            yield Finding(f"{name}: watchdogs", "fail", detail, "see friction-hil run with --dry-run", "FH-444")
+            return
+        assert self._bus is not None
+        assert self._network is not None
+        self._is_started = True
+        trial = WatchdogTrial(
+            self._bus,
+            self._network,
+            self._clients[name],
+            axis,
+            master_node=options.master_node,
+            heartbeat_ms=self._times(options).heartbeat_ms,
+        )
+        yield from trial.run()
 
     def __init__(
         self,

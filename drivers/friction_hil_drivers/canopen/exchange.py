@@ -72,7 +72,8 @@ class CyclicExchange:
         self._heartbeat_ns = round(heartbeat_s * 1e9)
         self._next_heartbeat_ns = 0
         self._feeders = feeders([axis.watch for axis in axes])
-        self._guards = [Guard(axis.node, axis.watch.guard_ms) for axis in axes if axis.watch.guard_ms]
+        guarded = {axis.node: axis.watch.guard_ms for axis in axes if axis.watch.guard_ms}
+        self._guards = [Guard(node, guard_ms) for node, guard_ms in guarded.items()]
         self._max_missed = max_missed
         self._unsent = 0  # cycles in a row in which the bus took no frames
         self._oldest_ns = round(max_missed * period_s * 1e9)

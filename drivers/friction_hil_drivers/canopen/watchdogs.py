@@ -11,7 +11,7 @@ Three means, none of which depends on SYNC, which a dead daemon does not send an
 import struct
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes, objects
@@ -33,6 +33,26 @@ _WORD = struct.Struct("<H")
 
 
 @dataclass(frozen=True, slots=True)
+class Means:
+    """One watchdog of a drive. Prints as ``RPDO 4 within 20 ms``.
+
+    Attributes
+    ----------
+    kind : {"rpdo", "heartbeat", "guarding"}
+    name : str
+    within_ms : int
+        Time without the daemon after which it trips.
+    """
+
+    kind: Literal["rpdo", "heartbeat", "guarding"]
+    name: str
+    within_ms: int
+
+    def __str__(self) -> str:
+        return f"{self.name} within {self.within_ms} ms"
+
+
+@dataclass(frozen=True, slots=True)
 class Watch:
     """What the cyclic phase does so that the drive's watchdogs do not trip.
 
@@ -44,14 +64,14 @@ class Watch:
         It is sent every so many cycles.
     guard_ms : int
         Period of node guarding, 0 for none.
-    means : tuple of str
-        What watches the daemon, in words, each with its time.
+    means : tuple of Means
+        What watches the daemon.
     """
 
     rpdo_id: int = 0
     feed_cycles: int = 1
     guard_ms: int = 0
-    means: tuple[str, ...] = ()
+    means: tuple[Means, ...] = ()
 
 
 NOT_WATCHED = Watch()
@@ -156,7 +176,7 @@ def arm(
     """
     reaction = _reaction(access)
     leaves = "" if reaction else _leaves_operational(access)
-    means: list[str] = []
+    means: list[Means] = []
     notes: list[str] = []
     rpdo_id, is_command = 0, False
     if reaction:
@@ -177,7 +197,7 @@ def arm(
     return Armed(watch, [_summary(access, options, means, reaction, leaves), *notes], is_command)
 
 
-def _summary(access: "SdoClient", options: "CanopenOptions", means: Sequence[str], reaction: str, leaves: str) -> str:
+def _summary(access: "SdoClient", options: "CanopenOptions", means: Sequence[Means], reaction: str, leaves: str) -> str:
     """Return a note that says what watches the daemon.
 
     Raises
@@ -186,7 +206,8 @@ def _summary(access: "SdoClient", options: "CanopenOptions", means: Sequence[str
         Nothing does, and the configuration does not accept that.
     """
     if means:
-        text = f"the drive watches the daemon by {', '.join(means)}; a loss is {reaction or leaves} ({NOT_TRIED}"
+        listed = ", ".join(map(str, means))
+        text = f"the drive watches the daemon by {listed}; a loss is {reaction or leaves} ({NOT_TRIED}"
         if not reaction:
             text += f": the drive has no {objects.ABORT_CONNECTION_OPTION}, and whether leaving Operational stops it "
             text += "has not been seen; friction-hil doctor --try-watchdog shows it"
@@ -220,13 +241,13 @@ def _leaves_operational(access: "SdoClient") -> str:
 
 def _arm_rpdo(
     access: "SdoClient", times: WatchdogTimes, command: RpdoPlace, free: Sequence[RpdoPlace]
-) -> tuple[int, bool, list[str]]:
-    """Set up an event-driven RPDO; return its identifier (0: RPDO 1 or none), whether it is RPDO 1, and words."""
+) -> tuple[int, bool, list[Means]]:
+    """Set up an event-driven RPDO; return its identifier (0: RPDO 1 or none), whether it is RPDO 1, and it."""
     for record, identifier in reversed(free):
         if _set_up_feed(access, record, identifier, times.timer_ms):
-            return identifier, False, [f"{record.name} within {times.timer_ms} ms"]
+            return identifier, False, [Means("rpdo", record.name, times.timer_ms)]
     if _make_event_driven(access, *command, times.timer_ms):
-        return 0, True, [f"{command[0].name} within {times.timer_ms} ms"]
+        return 0, True, [Means("rpdo", command[0].name, times.timer_ms)]
     # some drives look at it without SYNC too: it is set, and does not count
     access.try_write(command[0].event_timer, times.timer_ms)
     return 0, False, []
@@ -284,8 +305,8 @@ def _holds_cob_id(access: "SdoClient", record: PdoRecord, value: int) -> bool:
     return found is not None and found & relevant == value & relevant
 
 
-def _arm_heartbeat(access: "SdoClient", master: int, times: WatchdogTimes) -> tuple[list[str], list[str]]:
-    """Let the drive watch the daemon's heartbeat by an entry of 1016h that is free; return it in words, and notes."""
+def _arm_heartbeat(access: "SdoClient", master: int, times: WatchdogTimes) -> tuple[list[Means], list[str]]:
+    """Let the drive watch the daemon's heartbeat by an entry of 1016h that is free; return it, and notes."""
     count = access.find(objects.CONSUMER_HEARTBEAT_COUNT) or 0
     entries = [
         Object(0x1016, objects.CONSUMER_HEARTBEAT.name, DataType.UNSIGNED32, number) for number in range(1, count + 1)
@@ -306,11 +327,11 @@ def _arm_heartbeat(access: "SdoClient", master: int, times: WatchdogTimes) -> tu
         return [], [*notes, "no entry of 1016h is free for the daemon"] if entries else []
     if not holds(access, chosen, master << 16 | times.loss_ms):
         return [], notes
-    return [f"heartbeat (1016h:{chosen.subindex:02X}) within {times.loss_ms} ms"], notes
+    return [Means("heartbeat", f"heartbeat (1016h:{chosen.subindex:02X})", times.loss_ms)], notes
 
 
-def _arm_guarding(access: "SdoClient", times: WatchdogTimes) -> list[str]:
-    """Let the drive watch for the daemon's remote frames; return it in words, nothing where it has no life guarding."""
+def _arm_guarding(access: "SdoClient", times: WatchdogTimes) -> list[Means]:
+    """Let the drive watch for the daemon's remote frames; return it, nothing where it has no life guarding."""
     if access.find(objects.GUARD_TIME) is None or access.find(objects.LIFE_TIME_FACTOR) is None:
         return []
     if access.find(objects.PRODUCER_HEARTBEAT) and not holds(access, objects.PRODUCER_HEARTBEAT, 0):
@@ -321,7 +342,7 @@ def _arm_guarding(access: "SdoClient", times: WatchdogTimes) -> list[str]:
     if not is_ready:
         holds(access, objects.GUARD_TIME, 0)
         return []
-    return [f"node guarding (100Ch, 100Dh) within {times.loss_ms} ms"]
+    return [Means("guarding", "node guarding (100Ch, 100Dh)", times.loss_ms)]
 
 
 def holds(access: "SdoClient", entry: Object, value: int) -> bool:

@@ -14,16 +14,19 @@ from friction_hil.cli.output import print_json
 from friction_hil.cli.work.tables import console
 from friction_hil.doctor.checks import CONFIGURATION, examine
 from friction_hil.drive.finding import Finding
+from friction_hil.errors import UsageError
 
 _STYLES = {"pass": "green", "warn": "yellow", "fail": "bold red"}
 _INDENT = " " * 6
 
 
-def run_doctor(*, config: Path | None, as_json: bool) -> int:
+def run_doctor(*, config: Path | None, as_json: bool, try_watchdog: bool = False) -> int:
     """Run all checks and print their findings; return 2 after mistakes of the configuration, 1 after other failures."""
+    if try_watchdog and config is None:
+        raise UsageError("--try-watchdog needs CONFIG: it tries the drives of a configuration")
     out = console()
     findings = []
-    for finding in examine(config):
+    for finding in examine(config, try_watchdog=try_watchdog):
         findings.append(finding)
         if not as_json:
             _print(out, finding)
