@@ -48,7 +48,7 @@ def test_a_drive_with_a_vendors_eds_and_slow_manners_runs(tmp_path: Path) -> Non
         timer_at_sync_only=True,
     )
     with simulated_drives(path):
-        result, done = run_daemon(path, "--duration", 1)
+        _, done = run_daemon(path, "--duration", 1)
     assert "rpm" in done.stderr + done.stdout
 
 
