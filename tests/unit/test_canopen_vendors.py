@@ -81,7 +81,7 @@ class Driven:
     """A simulated drive with a vendor's EDS, connected and in its cyclic phase."""
 
     def __init__(self, eds: Path, mode: str, *, supported=None, **keys):
-        self.bench = Bench(eds=eds)
+        self.bench = Bench(eds=eds, modes=tuple(Mode))
         if supported is not None:  # what its EDS says, whatever it can
             self.bench.node._dictionary.of(objects.SUPPORTED_MODES).value = supported
         self.bus = BenchBus(self.bench)

@@ -335,6 +335,12 @@ def test_reboot(is_paced_by_sync: bool) -> None:
     assert bench.read(0x6060, 0, "b") == 0, "back at its defaults"
 
 
+def test_a_node_that_changes_its_state_tells_it_at_once() -> None:
+    bench = scene({"at_s": 0.005, "do": "pre_operational"})
+    bench.write(0x1017, 0, "H", 1000)
+    assert (0x705, b"\x7f") in [bench.sync() for _ in range(6)][5], "as CANopenNode does"
+
+
 def test_reboot_of_an_instant() -> None:
     bench = scene({"at_s": 0.005, "do": "reboot"})
     frames = [bench.sync() for _ in range(8)]

@@ -362,3 +362,22 @@ def test_any_file_makes_a_node(tmp_path_factory: Any, items: list[tuple[int, int
     bench.nmt(0x01)
     bench.sync(2)
     assert bench.node.number == NODE
+
+
+PDO_SUBS = [f"{index:04X}sub{sub}" for index in (0x1404, 0x1604, 0x1800, 0x1A00, 0x1016) for sub in (0, 1, 2, 3, 5)]
+
+
+@given(st.dictionaries(st.sampled_from(PDO_SUBS), st.tuples(st.integers(1, 0x1C), st.sampled_from([None, "1", "-1"]))))
+def test_any_types_in_the_records_of_the_communication(tmp_path_factory: Any, subs: dict[str, Any]) -> None:
+    path = tmp_path_factory.mktemp("eds") / "any.eds"
+    indices = sorted({section[:4] for section in subs})
+    text = "".join(
+        record(index, *(variable(name, *how) for name, how in subs.items() if name.startswith(index)))
+        for index in indices
+    )
+    path.write_text("[DeviceInfo]\nVendorName=somebody\n" + MANDATORY + text)
+    bench = Bench(PLAIN, eds=path)
+    bench.nmt(0x01)
+    bench.sync(2)
+    bench.nmt(0x82)
+    assert bench.read(0x1000) == 0x00020192

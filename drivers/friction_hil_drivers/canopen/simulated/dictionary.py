@@ -238,9 +238,10 @@ class Dictionary:
         return round(value) if isinstance(value, int | float) else 0
 
     def subindices(self, index: int, first: int, last: int) -> list[Entry]:
-        """Return the entries of an index that SDO finds, or that the device uses if SDO finds none."""
+        """Return the integer entries of an index that SDO finds, or that the device uses if SDO finds none."""
         source = self._visible if index in self._indices else self._entries
-        return [source[index, subindex] for subindex in range(first, last + 1) if (index, subindex) in source]
+        found = [source[index, subindex] for subindex in range(first, last + 1) if (index, subindex) in source]
+        return [entry for entry in found if _is_integer(entry)]
 
     def numbers(self, parameter: int, mapping: int, count: int) -> list[int]:
         """Return the numbers of the PDOs, counted from 0, whose records start at two indices."""
@@ -251,7 +252,10 @@ class Dictionary:
 
     def at_or_hidden(self, index: int, subindex: int, kind: DataType) -> Entry:
         """Return an entry that the device uses; where there is none, one that SDO and PDO do not find."""
-        return self._entries.setdefault((index, subindex), Entry(index, subindex, "not in the file", kind))
+        entry = self._entries.get((index, subindex))
+        if entry is None or not _is_integer(entry):
+            entry = self._entries[index, subindex] = Entry(index, subindex, "not in the file", kind)
+        return entry
 
     def of(self, known: Object) -> Entry:
         """Return an entry that the device itself uses, visible or not."""

@@ -309,6 +309,7 @@ class SimulatedNode:
         match event.do:
             case "pre_operational" | "stopped" | "operational":
                 self._change_state(NmtState[event.do.upper()])
+                self._send_heartbeat()
             case "reboot":
                 self._reboot(event, begins=begins)
             case "mute" | "deaf" | "unplug":
@@ -387,7 +388,7 @@ class SimulatedNode:
         now_ns = self._polled_ns = self.now_ns
         if self._producer.is_due(now_ns):
             self._producer.sent(now_ns)
-            self._send(objects.HEARTBEAT_BASE + self.number, bytes([self.state]))
+            self._send_heartbeat()
         for _ in self._consumer.take_lost(now_ns):
             self._lose_connection(HEARTBEAT_LOST)
         if not self._producer.is_on and self._guard.is_overdue(now_ns):
@@ -405,6 +406,10 @@ class SimulatedNode:
         if self._sync_deadline_ns is not None and now_ns >= self._sync_deadline_ns:
             self._sync_deadline_ns = None
             self.drive.connection_lost(SYNC_LOST, now_ns)
+
+    def _send_heartbeat(self) -> None:
+        if self._producer.is_on:
+            self._send(objects.HEARTBEAT_BASE + self.number, bytes([self.state]))
 
     def _lose_connection(self, code: int) -> None:
         """React to a lost heartbeat: the drive by 6007h, the node by 1029h."""
