@@ -75,7 +75,9 @@ def test_show_tells_units_mapping_watchdogs_and_the_way_of_the_compensation(tmp_
     assert shown["watchdogs"]["reaction"] == "fault"
     assert shown["compensation"]["csp"]["object"] is None
     assert shown["compensation"]["cst"]["object"].startswith("6071h")
-    assert "6040h controlword" in text
+    assert "RPDO 1 201h on, type 255 (event-driven): 6040h controlword (16 bits)" in text
+    assert "csp: no object for it in this drive" in text
+    assert "vendor_id 0x7ee7" in text
 
 
 def test_stop_takes_the_power_and_reads_it_back_in_pre_operational(tmp_path: Path) -> None:

@@ -43,7 +43,7 @@ def show_drive(*, words: Sequence[str], bus: str | None, bitrate: int | None, as
     if as_json:
         print_json({**shown, "notes": notes})
     else:
-        _print_tree(shown, "")
+        _print_drive(shown)
         _print_notes(notes)
     return 0
 
@@ -179,33 +179,70 @@ def _stop_line(stop: Stop) -> str:
     return f"node {stop.node}: {words[stop.result]}{f' ({stop.detail})' if stop.detail else ''}"
 
 
-def _print_tree(shown: dict[str, Any], indent: str) -> None:
-    for name, value in shown.items():
-        if isinstance(value, dict):
-            click.echo(f"{indent}{name}")
-            _print_tree(value, indent + "  ")
-        elif isinstance(value, list) and value and isinstance(value[0], dict):
-            click.echo(f"{indent}{name}")
-            for each in value:
-                click.echo(f"{indent}  {_row(each)}")
-        else:
-            click.echo(f"{indent}{name}: {_cell(value)}")
+_HEX = ("vendor_id", "product_code", "revision")
 
 
-def _row(found: dict[str, Any]) -> str:
-    return ", ".join(f"{name} {_cell(value)}" for name, value in found.items())
+def _print_drive(shown: dict[str, Any]) -> None:
+    """Print what a drive says of itself, one section after the other."""
+    click.echo(f"node {shown['node']}")
+    for section in ("identity", "state", "units"):
+        cells = [f"{name} {_cell(name, value)}" for name, value in shown[section].items()]
+        click.echo(f"  {section}: {', '.join(cells)}")
+    click.echo("  PDOs:")
+    for pdo in shown["mapping"]:
+        click.echo(f"    {_pdo_line(pdo)}")
+    click.echo(f"  watchdogs: {_watchdog_line(shown['watchdogs'])}")
+    click.echo("  compensation:")
+    for mode, way in shown["compensation"].items():
+        click.echo(f"    {mode}: {_way(way)}")
 
 
-def _cell(value: Any) -> str:
-    if value is None:
+def _pdo_line(pdo: dict[str, Any]) -> str:
+    kind = pdo["transmission_type"]
+    manner = "type -" if kind is None else f"type {kind} ({'synchronous' if kind <= 240 else 'event-driven'})"
+    timer = f", timer {pdo['event_timer_ms']} ms" if pdo["event_timer_ms"] else ""
+    objects = ", ".join(_mapped(entry) for entry in pdo["entries"]) or "nothing mapped"
+    return f"{pdo['pdo']} {pdo['cob_id']:03X}h {'on' if pdo['is_valid'] else 'off'}, {manner}{timer}: {objects}"
+
+
+def _mapped(entry: dict[str, Any]) -> str:
+    subindex = f":{entry['subindex']:02X}" if entry["subindex"] else ""
+    name = f" {entry['name']}" if entry["name"] else ""
+    return f"{entry['index']:04X}h{subindex}{name} ({entry['bits']} bits)"
+
+
+def _watchdog_line(found: dict[str, Any]) -> str:
+    consumer = found["heartbeat_consumer"]
+    words = []
+    if consumer is None:
+        words.append("no heartbeat consumer 1016h")
+    elif not consumer["node"] or not consumer["ms"]:
+        words.append("heartbeat consumer 1016h off")
+    else:
+        words.append(f"heartbeat of node {consumer['node']} within {consumer['ms']} ms")
+    guarding = found["node_guarding_ms"]
+    words.append("no node guarding 100Ch" if guarding is None else f"node guarding {guarding or 'off'}")
+    for timer in found["rpdo_timers"]:
+        trap = ", which some drives look at only when a SYNC comes" if timer["needs_sync"] else ""
+        words.append(f"{timer['pdo']} within {timer['ms']} ms{trap}")
+    words.append(f"reaction 6007h: {_cell('', found['reaction'])}")
+    words.append(f"own heartbeat every {_cell('', found['heartbeat_producer_ms'])} ms")
+    return "; ".join(words)
+
+
+def _way(way: dict[str, Any]) -> str:
+    if way["object"] is None:
+        return "no object for it in this drive"
+    support = "; 6502h does not list the mode" if way["is_supported"] is False else ""
+    where = f"in {', '.join(way['mapped_in'])}" if way["mapped_in"] else "in no RPDO now"
+    return f"{way['object']} ({way['bits']} bits), {where}{support}"
+
+
+def _cell(name: str, value: Any) -> str:
+    if value is None or value == "":
         return "-"
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, list):
-        return " | ".join(_mapped(each) if isinstance(each, dict) else _cell(each) for each in value) or "none"
-    return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _mapped(entry: dict[str, Any]) -> str:
-    sub = f":{entry['subindex']:02X}" if entry["subindex"] else ""
-    return f"{entry['index']:04X}h{sub} {entry['name'] or ''} ({entry['bits']} bits)"
+        return " ".join(_cell("", each) for each in value) or "none"
+    return f"{value:#x}" if name in _HEX else f"{value:g}" if isinstance(value, float) else str(value)
