@@ -23,7 +23,9 @@ CONTROLLER = {"position_gain": 25.0, "velocity_gain": 0.03, "integral_hz": 4.0}
 SINE = {"kind": "sine", "amplitude": 0.3, "frequency": 1.0, "ramp_s": 0.25}
 
 
-def durand_configuration(folder: Path, *, period_s: float = 1e-3, nodes: tuple[int, ...] = (1,), **keys: Any) -> Path:
+def durand_configuration(
+    folder: Path, *, period_s: float = 1e-3, nodes: tuple[int, ...] = (1,), max_missed: int | None = None, **keys: Any
+) -> Path:
     """Write a configuration for drives on durand; ``keys`` are those of each axis."""
     axes = {f"x{node}": {"node": node, "limits": LIMITS, "model": MODEL, "trajectory": SINE, **keys} for node in nodes}
     if keys.get("mode") == "cst":
@@ -33,6 +35,8 @@ def durand_configuration(folder: Path, *, period_s: float = 1e-3, nodes: tuple[i
     data = yaml.safe_load(path.read_text())
     for axis in data["axes"].values():
         del axis["simulation"]
+    if max_missed is not None:
+        data["realtime"]["max_missed"] = max_missed
     path.write_text(yaml.safe_dump(data))
     return path
 

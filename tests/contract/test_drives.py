@@ -47,10 +47,6 @@ class TestCanopen(_Both):
     def test_a_drive_with_power_is_refused_and_nothing_is_written(self, rig: Rig) -> None:
         super().test_a_drive_with_power_is_refused_and_nothing_is_written(rig)
 
-    @pytest.mark.xfail(reason="a drive that left Operational is not told at once", strict=False)
-    def test_a_drive_that_commands_do_not_reach_is_told_and_nothing_untrue_said_of_it(self, rig: Rig) -> None:
-        super().test_a_drive_that_commands_do_not_reach_is_told_and_nothing_untrue_said_of_it(rig)
-
 
 class TestModbusRtu(_Both):
     grammar = staticmethod(rigs.modbus_rtu)

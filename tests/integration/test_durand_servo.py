@@ -1,8 +1,11 @@
 """The daemon with servo drives that nobody here wrote the CANopen stack of: `tests/peers/durand_servo.py`."""
 
+import contextlib
 import signal
 import time
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import can
 import numpy as np
@@ -14,9 +17,9 @@ from tests.peers.frame_recorder import Recorder
 from tests.processes import listening, run, run_daemon, simulated_drives, start, write_configuration
 from tests.recorded_bus import recorded
 
+REAL_PERIOD_S, MAX_MISSED = 2e-3, 20  # a busy machine may be late by 40 ms
 MODES = ("csp", "csv", "cst")
 AT_SYNC = ["--timer-at-sync-only"]
-NOT_YET = pytest.mark.xfail(reason="the only fast watchdog needs SYNC; a stop by SDO comes seconds late", strict=False)
 UP = ["READY_TO_SWITCH_ON", "SWITCHED_ON", "OPERATION_ENABLED"]
 
 
@@ -34,9 +37,24 @@ def is_torque_gone(event: Event) -> bool:
     return event.what.endswith("no torque")
 
 
-def start_real(configuration: Path, *options: object):
-    """Start the daemon in real time; the caller ends it."""
-    return start("run", configuration, "--json", *options, stdout=-1, stderr=-1)
+@contextlib.contextmanager
+def started(configuration: Path, drives: DurandDrives) -> Iterator[Any]:
+    """Start the daemon in real time, and wait until the drive has had torque for a while.
+
+    On a machine too busy for real time the daemon ends with FH-113 before that; it is started again then.
+    """
+    for _ in range(3):
+        began = len(drives.events)
+        with start("run", configuration, "--json", stdout=-1, stderr=-1) as daemon:
+            while daemon.poll() is None and not any("ENABLED torque" in event.what for event in drives.events[began:]):
+                time.sleep(0.01)
+            time.sleep(0.2)
+            if daemon.poll() is None:
+                yield daemon
+                return
+            output, errors = daemon.communicate()
+            assert "FH-113" in output, output + errors
+    pytest.skip("this machine is too busy for real time")
 
 
 @pytest.mark.parametrize("mode", MODES)
@@ -56,39 +74,28 @@ def test_a_run_moves_the_drive_and_ends_in_order(tmp_path: Path, mode: str) -> N
     assert abs(recording["velocity"][-1]) < 0.05, "disabled at rest"
 
 
-@pytest.mark.parametrize(
-    ("mode", "manner"),
-    [
-        ("csv", []),
-        pytest.param("csp", AT_SYNC, marks=NOT_YET),
-        pytest.param("csv", AT_SYNC, marks=NOT_YET),
-        pytest.param("cst", AT_SYNC, marks=NOT_YET),
-    ],
-)
+@pytest.mark.parametrize(("mode", "manner"), [("csv", []), ("csp", AT_SYNC), ("csv", AT_SYNC), ("cst", AT_SYNC)])
 def test_a_killed_daemon_leaves_no_torque(tmp_path: Path, mode: str, manner: list[str]) -> None:
-    configuration = durand_configuration(tmp_path, mode=mode)
+    configuration = durand_configuration(tmp_path, mode=mode, period_s=REAL_PERIOD_S, max_missed=MAX_MISSED)
     with durand_drives(configuration, *manner) as drives:
-        with start_real(configuration) as daemon:
-            drives.wait_for(lambda event: event.what == "OPERATION_ENABLED torque")
-            time.sleep(0.3)
+        with started(configuration, drives) as daemon:
             killed_ns = time.monotonic_ns()
             daemon.send_signal(signal.SIGKILL)
             daemon.wait(10.0)
         gone = drives.wait_for(lambda event: event.ns > killed_ns and is_torque_gone(event))
         time.sleep(0.1)
         assert drives.is_free, drives.told()
-    # 20 ms by the timer; the rest is for a busy machine: this process and the daemon's last frames
+    # 50 ms by the timer with this max_missed; the rest is for a busy machine
     assert gone.ns - killed_ns < 150e6, drives.told()
 
 
-@NOT_YET
 def test_pre_operational_in_mid_run_stops_the_drive_at_once(tmp_path: Path) -> None:
-    configuration = durand_configuration(tmp_path, mode="csv")
+    configuration = durand_configuration(tmp_path, mode="csv", period_s=REAL_PERIOD_S, max_missed=MAX_MISSED)
     with durand_drives(configuration) as drives, listening(configuration) as bus:
-        with start_real(configuration) as daemon:
-            drives.wait_for(lambda event: event.what == "OPERATION_ENABLED torque")
+        with started(configuration, drives) as daemon:
             bus.send(can.Message(arbitration_id=0, data=[0x80, 1], is_extended_id=False))
-            lost = drives.wait_for(lambda event: event.what == "NMT PRE_OPERATIONAL" and len(drives.told()) > 4)
+            now_ns = time.monotonic_ns() - 1_000_000_000
+            lost = drives.wait_for(lambda event: event.what == "NMT PRE_OPERATIONAL" and event.ns > now_ns)
             gone = drives.wait_for(lambda event: event.ns > lost.ns and is_torque_gone(event))
             output, errors = daemon.communicate(timeout=30.0)
         assert daemon.returncode == 1, errors

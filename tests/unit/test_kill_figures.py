@@ -224,7 +224,6 @@ def make(request: pytest.FixtureRequest, tmp_path: Path) -> Callable[..., tuple[
     return made
 
 
-@pytest.mark.xfail(reason="the only timer is that of a synchronous RPDO", strict=False)
 def test_the_rpdo_timer_takes_the_torque_within_30_ms(make: Callable[..., tuple[CutBus, Master]]) -> None:
     """Though the drive looks at the timers of synchronous RPDOs only when a SYNC comes."""
     times = kill_times(*make(has_timers=True), seed=1)
