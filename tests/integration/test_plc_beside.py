@@ -41,9 +41,13 @@ def writes(frames: list[Frame]) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    "is_event_driven", [pytest.param(False, id="sync"), pytest.param(True, id="events", marks=NOT_YET)]
+    ("is_ours", "is_event_driven"),
+    [
+        pytest.param(False, False, id="durand, sync"),
+        pytest.param(False, True, id="durand, events", marks=NOT_YET),
+        pytest.param(True, True, id="simulated, events", marks=NOT_YET),
+    ],
 )
-@pytest.mark.parametrize("is_ours", [False, True], ids=["durand", "simulated"])
 def test_a_drive_that_a_plc_moves_is_left_alone(tmp_path: Path, is_ours: bool, is_event_driven: bool) -> None:
     """Neither a dry run nor a run changes the drive's objects or takes it from its master."""
     if is_ours:
