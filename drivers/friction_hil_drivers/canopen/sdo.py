@@ -158,6 +158,8 @@ class SdoClient(ObjectReader):
 
     Attributes
     ----------
+    axis_number : int
+        Number of the axis in a node with several: objects of the profile are those of this axis.
     notes : list of str
         For the user: objects that the drive refuses to show, and answers that came late.
     refusals : dict
@@ -177,6 +179,7 @@ class SdoClient(ObjectReader):
         node.network.subscribe(self._sdo.tx_cobid, self._sdo.on_response)
         self.axis = axis
         self.where = where
+        self.axis_number = 0
         self.notes: list[str] = []
         self.refusals: dict[Address, str] = {}
         self._has_answered = False
@@ -214,7 +217,7 @@ class SdoClient(ObjectReader):
     def _upload(self, entry: Object) -> bytes:
         try:
             with self._attempts(_READ_ATTEMPTS):
-                return bytes(self._sdo.upload(entry.index, entry.subindex))
+                return bytes(self._sdo.upload(entry.of_axis(self.axis_number).index, entry.subindex))
         except canopen.SdoCommunicationError as error:
             if self._has_answered:
                 raise self._answer_lost("reading", entry) from error
@@ -248,7 +251,7 @@ class SdoClient(ObjectReader):
         """
         try:
             with self._attempts(1):
-                self._sdo.download(entry.index, entry.subindex, data)
+                self._sdo.download(entry.of_axis(self.axis_number).index, entry.subindex, data)
         except canopen.SdoAbortedError as error:
             text = f"{self.axis}: writing {shown or data.hex()} to {entry} of {self.where}: {error}"
             raise DriveError(text, code=codes.SDO_ABORT) from error
