@@ -201,6 +201,7 @@ class SdoClient(ObjectReader):
 
     def bytes_of(self, entry: Object) -> bytes | None:
         """See `ObjectReader.bytes_of`; an object that the drive refuses to show counts as absent, with a note."""
+        entry = entry.of_axis(self.axis_number)
         try:
             return self._upload(entry)
         except canopen.SdoAbortedError as error:
@@ -211,13 +212,13 @@ class SdoClient(ObjectReader):
 
     def why_absent(self, entry: Object) -> str:
         """See `ObjectReader.why_absent`."""
-        reason = self.refusals.get(entry.address)
+        reason = self.refusals.get(entry.of_axis(self.axis_number).address)
         return f"does not show ({reason})" if reason else super().why_absent(entry)
 
     def _upload(self, entry: Object) -> bytes:
         try:
             with self._attempts(_READ_ATTEMPTS):
-                return bytes(self._sdo.upload(entry.of_axis(self.axis_number).index, entry.subindex))
+                return bytes(self._sdo.upload(entry.index, entry.subindex))
         except canopen.SdoCommunicationError as error:
             if self._has_answered:
                 raise self._answer_lost("reading", entry) from error
@@ -249,9 +250,10 @@ class SdoClient(ObjectReader):
         DriveError
             The drive does not answer, or refuses.
         """
+        entry = entry.of_axis(self.axis_number)
         try:
             with self._attempts(1):
-                self._sdo.download(entry.of_axis(self.axis_number).index, entry.subindex, data)
+                self._sdo.download(entry.index, entry.subindex, data)
         except canopen.SdoAbortedError as error:
             text = f"{self.axis}: writing {shown or data.hex()} to {entry} of {self.where}: {error}"
             raise DriveError(text, code=codes.SDO_ABORT) from error
