@@ -36,6 +36,13 @@ class Configuration(Section):
     bus: BusConfig | None = key("CAN bus; not needed for drives on serial lines", default=None)
     axes: dict[Name, AxisConfig] = key("axes by name", min_length=1)
     recording: RecordingConfig | None = key("recording of the run", default=None)
+    enable_timeout_s: float = key(
+        "time within which all drives must be enabled; longer for slow brakes or charging",
+        "s",
+        default=5.0,
+        ge=1,
+        le=60,
+    )
     realtime: Realtime = key("scheduling of the loop", default=Realtime())
 
     _source_path: Path | None = PrivateAttr(default=None)

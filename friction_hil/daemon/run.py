@@ -8,7 +8,7 @@ from friction_hil.daemon.axis import AxisLoop, AxisUpdate
 from friction_hil.daemon.log import RunLog
 from friction_hil.daemon.pacing import ExchangeTimes
 from friction_hil.daemon.safety import LoopState
-from friction_hil.daemon.sequence import RunInputs, RunStateMachine, timeout_faults
+from friction_hil.daemon.sequence import ENABLE_TIMEOUT_S, RunInputs, RunStateMachine, timeout_faults
 from friction_hil.daemon.stop import StopRequest
 from friction_hil.drive import DriveState, Feedback
 from friction_hil.drive.codes import FaultCode
@@ -29,6 +29,8 @@ class LoopSettings:
         Time after which the motion comes to rest; infinity for none.
     max_missed : int
         Missed periods in a row that are a fault.
+    enable_timeout_s : float
+        Time within which all drives must be enabled.
     dry_run : bool
         Listen, compute, record; never command.
     is_fault_reset_wanted : bool
@@ -38,6 +40,7 @@ class LoopSettings:
     period_s: float
     duration_s: float = math.inf
     max_missed: int = 10
+    enable_timeout_s: float = ENABLE_TIMEOUT_S
     dry_run: bool = False
     is_fault_reset_wanted: bool = False
 
@@ -64,7 +67,7 @@ class RunControl:
         log: RunLog,
     ) -> None:
         self._axes, self._path_time, self._settings, self._stop, self._log = axes, path_time, settings, stop, log
-        self._machine = RunStateMachine(is_listening=settings.dry_run)
+        self._machine = RunStateMachine(is_listening=settings.dry_run, enable_timeout_s=settings.enable_timeout_s)
         self._idle_exchanges = ExchangeTimes(settings.period_s)
         self._has_begun = False
         self._running_since_s = 0.0 if settings.dry_run else math.nan

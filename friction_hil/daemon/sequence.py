@@ -52,6 +52,8 @@ class RunStateMachine:
     ----------
     is_listening : bool
         Stay idle: a dry run enables nothing.
+    enable_timeout_s : float
+        Time within which all drives must be enabled.
 
     Attributes
     ----------
@@ -60,10 +62,11 @@ class RunStateMachine:
         Time at which this state began.
     """
 
-    __slots__ = ("_is_listening", "_moved_s", "_timeout", "since_s", "state")
+    __slots__ = ("_enable_timeout_s", "_is_listening", "_moved_s", "_timeout", "since_s", "state")
 
-    def __init__(self, *, is_listening: bool) -> None:
+    def __init__(self, *, is_listening: bool, enable_timeout_s: float = ENABLE_TIMEOUT_S) -> None:
         self._is_listening = is_listening
+        self._enable_timeout_s = enable_timeout_s
         self.state = LoopState.IDLE
         self.since_s = 0.0
         self._timeout: Timeout | None = None
@@ -111,8 +114,8 @@ class RunStateMachine:
         return state
 
     def _enabling(self, elapsed_s: float, inputs: RunInputs) -> LoopState:
-        if elapsed_s > ENABLE_TIMEOUT_S:
-            self._timeout = Timeout(FaultCode.NOT_ENABLED, f"not enabled within {ENABLE_TIMEOUT_S:g} s")
+        if elapsed_s > self._enable_timeout_s:
+            self._timeout = Timeout(FaultCode.NOT_ENABLED, f"not enabled within {self._enable_timeout_s:g} s")
             return LoopState.DISABLING
         if not inputs.is_enabled:
             return self.state

@@ -131,6 +131,7 @@ def run_session(
                     period_s=configuration.period_s,
                     duration_s=settings.duration_s,
                     max_missed=realtime.max_missed,
+                    enable_timeout_s=configuration.enable_timeout_s,
                     dry_run=settings.dry_run,
                     is_fault_reset_wanted=settings.is_fault_reset_wanted,
                 )

@@ -16,7 +16,7 @@ from friction_hil.drive import Command, DriveState, Feedback, Mode, Request
 from friction_hil.errors import DriveError
 from tests.canopen_bench import NODE, Bench, BenchBus
 from tests.servo_drives import axis_dict, configuration
-from tests.vendor_drives import DRIVES, EROB, EYOU, FIXED, INGENIA, NOT_CYCLIC, ONE_ENTRY, SCHUNK, VendorDrive
+from tests.vendor_drives import DRIVES, EPOS4, EROB, EYOU, FIXED, INGENIA, NOT_CYCLIC, ONE_ENTRY, SCHUNK, VendorDrive
 
 CONTROLLER = {"position_gain": 1.0, "velocity_gain": 0.1}
 UNITS = {"counts_per_unit": 2**20 / math.tau, "rated_torque": 0.64}
@@ -80,8 +80,8 @@ def test_a_second_axis_is_looked_for_where_it_stands(tmp_path):
 class Driven:
     """A simulated drive with a vendor's EDS, connected and in its cyclic phase."""
 
-    def __init__(self, eds: Path, mode: str, *, supported=None, **keys):
-        self.bench = Bench(eds=eds, modes=tuple(Mode))
+    def __init__(self, eds: Path, mode: str, *, supported=None, manners=None, **keys):
+        self.bench = Bench(eds=eds, modes=tuple(Mode), manners=manners)
         if supported is not None:  # what its EDS says, whatever it can
             self.bench.node._dictionary.of(objects.SUPPORTED_MODES).value = supported
         self.bus = BenchBus(self.bench)
@@ -161,7 +161,7 @@ def test_a_drive_without_cyclic_modes_says_what_it_can(tmp_path):
 
 
 def test_a_mode_that_6502h_does_not_list_is_tried_if_the_configuration_insists(tmp_path):
-    eds = INGENIA.write(tmp_path / "drive.eds")
+    eds = VendorDrive().write(tmp_path / "drive.eds")  # it has cst
     with Driven(eds, "cst", supported=INGENIA.supported, is_mode_check_required=False) as driven:
         assert any("is tried, as is_mode_check_required says" in note for note in driven.facts.notes)
 
@@ -249,3 +249,17 @@ def test_tpdos_that_do_not_come_with_sync_are_refused(tmp_path):
     drive = VendorDrive(values={(f"{0x1800 + n:X}sub2", "AccessType"): "ro" for n in range(4)})
     error = Driven(drive.write(tmp_path / "drive.eds"), "cst").refusal()
     assert re.search(r"TPDO 1 .* does not come with every SYNC: its transmission type", str(error))
+
+
+@pytest.mark.parametrize(
+    "manners",
+    [{"controlword": "edge"}, {"controlword": "twice"}, {"switch_on_s": 2.0}, {"switch_on_s": 1.0, "enable_s": 1.5}],
+)
+@pytest.mark.parametrize("mode", ["csp", "cst"])
+def test_drives_that_switch_on_in_their_own_way_are_enabled(tmp_path, mode, manners):
+    """Brakes and charging take seconds; some drives look at changes of the controlword, some need it twice."""
+    with Driven(EPOS4.write(tmp_path / "drive.eds"), mode, manners=manners) as driven:
+        driven.cycle(Request.ENABLE, count=3000)
+        assert driven.feedback.state is DriveState.OPERATION_ENABLED
+        assert (driven.feedback.message, driven.feedback.error) == ("", "")
+        assert driven.bench.emergencies == []

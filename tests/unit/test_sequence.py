@@ -111,6 +111,15 @@ def test_a_fault_that_took_the_power_away_needs_no_stop():
     assert run.pass_time(has_fault=True) is LoopState.DONE
 
 
+def test_a_drive_may_be_given_longer_to_switch_on():
+    run = Run()
+    run.machine = RunStateMachine(is_listening=False, enable_timeout_s=20.0)
+    run.reach(LoopState.ENABLING)
+    assert run.pass_time(19.9, is_standing=True) is LoopState.ENABLING
+    assert run.pass_time(0.2, is_standing=True) is not LoopState.ENABLING
+    assert run.machine.take_timeout().text == "not enabled within 20 s"
+
+
 @pytest.mark.parametrize("what", ["has_fault", "is_stop_requested"])
 def test_before_power_a_fault_or_a_stop_ends_the_run(what):
     assert Run().pass_time(**{what: True}) is LoopState.DONE

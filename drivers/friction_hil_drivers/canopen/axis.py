@@ -69,7 +69,8 @@ class CanopenAxis:
         self.watch = drive.watch
         self._monitor = NodeMonitor(node, heartbeat_s)
         self._answers = SyncAnswers(len(drive.tpdos))
-        self._sdo = CyclicSdo(node, max(1.0, _STANDSTILL_PER_S * abs(drive.units.velocity_per_unit)))
+        standstill = max(1.0, _STANDSTILL_PER_S * abs(drive.units.velocity_per_unit))
+        self._sdo = CyclicSdo(node, standstill, drive.axis_number)
         self._notices = Notices()
         self._now_ns = self._heard_ns = self._left_ns = self._nmt_start_ns = 0
         self._decoder = FeedbackDecoder(drive.tpdos, drive.units, drive.mode, drive.period_s)

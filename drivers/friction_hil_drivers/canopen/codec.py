@@ -1,8 +1,9 @@
 """PDOs, emergencies and heartbeats as bytes and as values. Pure: no bus, no clock, no state from cycle to cycle."""
 
 import struct
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from operator import itemgetter
+from typing import Any, NamedTuple
 
 from friction_hil.drive import Command, DriveState, Mode, Request
 from friction_hil.drive.encoder import unwrap
@@ -11,6 +12,8 @@ from friction_hil_drivers.canopen.mapping import TARGETS, MappedPdo
 from friction_hil_drivers.canopen.objects import Object
 from friction_hil_drivers.canopen.units import COUNTER_BITS, CanopenUnits
 from friction_hil_drivers.cia402 import profile
+
+_COMMANDED = 3  # values of a command: controlword, target, torque
 
 Frame = tuple[int, bytes]  # identifier and data
 
@@ -58,22 +61,25 @@ class FeedbackDecoder:
         Period of the cycle, s.
     """
 
-    __slots__ = ("_mode", "_period_s", "_position", "_status", "_torque", "_units", "_unpack", "_velocity", "_without")
+    __slots__ = ("_has_velocity", "_period_s", "_pick", "_units", "_unpack", "_without")
 
     def __init__(self, tpdos: Sequence[MappedPdo], units: CanopenUnits, mode: Mode, period_s: float) -> None:
         self._unpack = [pdo.layout.unpack_from for pdo in tpdos]
         self._units = units
         self._period_s = period_s
         slots: dict[Object, int] = {}
-        for slot, entry in enumerate(entry for pdo in tpdos for entry in pdo.entries):
-            slots.setdefault(entry, slot)
-        self._status = slots[objects.STATUSWORD]
-        self._position = slots[objects.POSITION_ACTUAL]
-        self._velocity = slots.get(objects.VELOCITY_ACTUAL)
-        # objects that no TPDO carries are read from behind the values of the frames
+        # objects that no TPDO carries are read from before the values of the frames
         self._without = (0, int(mode))
-        self._torque = slots.get(objects.TORQUE_ACTUAL, -2)
-        self._mode = slots.get(objects.MODE_DISPLAY, -1)
+        for slot, entry in enumerate((entry for pdo in tpdos for entry in pdo.entries), len(self._without)):
+            slots.setdefault(entry, slot)
+        self._has_velocity = objects.VELOCITY_ACTUAL in slots
+        self._pick = itemgetter(
+            slots[objects.STATUSWORD],
+            slots[objects.POSITION_ACTUAL],
+            slots.get(objects.VELOCITY_ACTUAL, 0),
+            slots.get(objects.TORQUE_ACTUAL, 0),
+            slots.get(objects.MODE_DISPLAY, 1),
+        )
 
     def decode(self, frames: Sequence[bytes], before: Measurement, cycles: int = 1) -> Measurement:
         """Decode the TPDOs of one cycle.
@@ -87,25 +93,25 @@ class FeedbackDecoder:
         cycles : int
             Cycles since then.
         """
-        values: list[int] = []
-        for unpack, data in zip(self._unpack, frames, strict=True):
+        values: tuple[int, ...] = self._without
+        for unpack, data in zip(self._unpack, frames):  # noqa: B905 (as many as there are TPDOs; strict costs time)
             values += unpack(data)
-        values += self._without
-        units, raw, counts = self._units, values[self._position], before.counts
+        statusword, raw, increments, torque, mode = self._pick(values)
+        units, counts = self._units, before.counts
         counts = raw if counts is None else unwrap(counts, raw, COUNTER_BITS)
         position = counts / units.counts_per_unit
-        if self._velocity is not None:
-            velocity = values[self._velocity] / units.velocity_per_unit
+        if self._has_velocity:
+            velocity = increments / units.velocity_per_unit
         else:
             velocity = 0.0 if before.counts is None else (position - before.position) / (cycles * self._period_s)
         return Measurement(
-            profile.drive_state(values[self._status]),
+            profile.drive_state(statusword),
             counts,
             position,
             velocity,
-            units.torque(values[self._torque]),
-            values[self._mode],
-            values[self._status],
+            units.torque(torque),
+            mode,
+            statusword,
         )
 
 
@@ -136,7 +142,7 @@ class CommandEncoder:
     units : CanopenUnits
     """
 
-    __slots__ = ("_mode", "_pdos", "_units")
+    __slots__ = ("_carried", "_mode", "_pdos", "_units")
 
     def __init__(self, rpdos: Sequence[MappedPdo], mode: Mode, units: CanopenUnits) -> None:
         self._mode = mode
@@ -144,15 +150,19 @@ class CommandEncoder:
         slots = {objects.CONTROLWORD: 0, TARGETS[mode]: 1}
         if mode is not Mode.CST:
             slots[objects.TORQUE_OFFSET] = 2
-        # of each PDO: identifier, packing function, and for each entry the slot of its value, or its constant value
-        self._pdos = [
-            (
-                pdo.cob_id,
-                pdo.layout.pack,
-                [(slots.get(entry, 0), None if entry in slots else pdo.carried[entry]) for entry in pdo.entries],
-            )
-            for pdo in rpdos
-        ]
+        # the values of each PDO are picked out of the commanded ones and, behind them, the constant ones of all PDOs
+        constants: list[bytes] = []
+        self._pdos = []
+        for pdo in rpdos:
+            picked = []
+            for entry in pdo.entries:
+                if entry in slots:
+                    picked.append(slots[entry])
+                else:
+                    picked.append(_COMMANDED + len(constants))
+                    constants.append(pdo.carried[entry])
+            self._pdos.append((pdo.cob_id, pdo.layout.pack, _picker(picked)))
+        self._carried = tuple(constants)
 
     def encode(self, controlword: int, command: Command) -> list[Frame]:
         """Return the frames of a command, in the order of the RPDOs.
@@ -170,11 +180,13 @@ class CommandEncoder:
             target = units.velocity_increments(command.velocity)
         else:
             target = torque
-        values = (controlword, target, torque)
-        return [
-            (cob_id, pack(*[values[slot] if constant is None else constant for slot, constant in fields]))
-            for cob_id, pack, fields in self._pdos
-        ]
+        values = (controlword, target, torque, *self._carried)
+        return [(cob_id, pack(*pick(values))) for cob_id, pack, pick in self._pdos]
+
+
+def _picker(slots: Sequence[int]) -> Callable[[Sequence[Any]], Sequence[Any]]:
+    """Return a function that picks the values at ``slots``."""
+    return itemgetter(*slots) if len(slots) > 1 else itemgetter(slice(slots[0], slots[0] + 1))
 
 
 def emergency_code(data: bytes) -> int | None:

@@ -48,6 +48,7 @@ class ConfiguredDrive:
     error: str  # why the drive is in fault; empty where it is not
     period_s: float
     watch: Watch = NOT_WATCHED
+    axis_number: int = 0  # in a node with several axes
 
 
 def configure(
@@ -120,7 +121,7 @@ def configure(
     )
     code = access.find(objects.ERROR_CODE) if state is DriveState.FAULT else None
     error = profile.error_text(code) if code else ""
-    return ConfiguredDrive(facts, units, mode, tpdos, rpdos, error, period_s, watch)
+    return ConfiguredDrive(facts, units, mode, tpdos, rpdos, error, period_s, watch, options.axis_number)
 
 
 def _actuation_delay_cycles(rpdos: Sequence[MappedPdo]) -> float:

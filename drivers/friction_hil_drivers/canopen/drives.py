@@ -143,6 +143,7 @@ class CanopenDrives:
         self._locks: list[AxisLock] = []
         self._clients: dict[str, SdoClient] = {}
         self._axes: list[CanopenAxis] = []
+        self._identifiers: set[int] = set()  # of all PDOs in use
         self._exchange: CyclicExchange | None = None
         self._is_started = False
 
@@ -158,8 +159,9 @@ class CanopenDrives:
         assert config is not None  # the driver's options have checked it
         for axis in self._configs.values():
             _read_eds(axis)  # an invalid file is found before any drive is configured
-        for name, axis in self._configs.items():
-            self._locks.append(AxisLock(config, canopen_options(axis).node, name))
+        owners = {canopen_options(axis).node: name for name, axis in reversed(self._configs.items())}
+        for node, name in owners.items():
+            self._locks.append(AxisLock(config, node, name))
         self._bus = open_frame_bus(config, self._given_bus)
         _refuse_second_master(self._bus, bus_name(config))
         self._network = SdoNetwork(self._bus)
@@ -178,11 +180,12 @@ class CanopenDrives:
         assert self._configuration.bus is not None
         where = f"node {options.node} on {bus_name(self._configuration.bus)}"
         client = self._clients[name] = network.client(options.node, name, where)
+        client.axis_number = options.axis_number
         if not self._dry_run:
             # a drive in Operational may refuse new mappings; a dry run must not stop a drive that another master runs
             self._write_nmt(objects.NmtCommand.ENTER_PRE_OPERATIONAL, options.node)
-        times = self._times(options)
-        drive = configure(client, name, config, self._configuration.period_s, times, dry_run=self._dry_run)
+        times, period_s = self._times(options), self._configuration.period_s
+        drive = configure(client, name, config, period_s, times, dry_run=self._dry_run, taken=self._identifiers)
         drive = _with_notes(drive, client.notes)
         return CanopenAxis(drive, options.node, 1e-3 * times.heartbeat_ms)
 

@@ -103,10 +103,6 @@ class PdoRecord:
     def _offset(self) -> int:
         return objects.PDOS_PER_AXIS * self.axis + self.number
 
-    def own_index(self, index: int) -> int:
-        """Return the index of an object of this axis as it is in the first one."""
-        return index - objects.AXIS_OFFSET * self.axis if index in objects.PROFILE_INDICES else index
-
     def address(self, entry: Object) -> int:
         """Return index and sub-index of an object on this axis: index << 8 | sub-index."""
         return objects.axis_index(entry.index, self.axis) << 8 | entry.subindex

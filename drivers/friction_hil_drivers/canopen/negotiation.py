@@ -137,7 +137,7 @@ def kept_layout(pdo: FoundPdo, entries: Collection[Object]) -> tuple[tuple[Objec
 
 def _carried_object(record: PdoRecord, word: int, position: int) -> Object:
     """Return an object of a mapping that is not commanded; dummies are told apart by their position."""
-    index, subindex = record.own_index(word >> 16), word >> 8 & 0xFF
+    index, subindex = objects.first_axis_index(word >> 16, record.axis), word >> 8 & 0xFF
     if index in _DUMMIES:
         return Object(index, "nothing", DataType.UNSIGNED8, position)
     known = objects.TABLE.get((index, subindex))

@@ -4,7 +4,7 @@ Every index, name and type is defined here and nowhere else. Types are those of 
 (60B2h is INTEGER32 in some), so objects are mapped with the widths that the drive itself gives them.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 
@@ -87,6 +87,10 @@ class Object:
     def mapping(self) -> int:
         """Entry of a PDO mapping object: index, sub-index and width in bits."""
         return self.index << 16 | self.subindex << 8 | self.type.bits
+
+    def of_axis(self, axis: int) -> "Object":
+        """Return the same object of axis ``axis`` of a node with several."""
+        return replace(self, index=axis_index(self.index, axis)) if axis else self
 
     def __str__(self) -> str:
         address = f"{self.index:04X}h" if self.subindex == 0 else f"{self.index:04X}h:{self.subindex:02X}"
@@ -172,14 +176,19 @@ TABLE: dict[tuple[int, int], Object] = {
 }
 
 # Nodes with several axes (CiA 402-2): the objects of the profile of each are this far from those of the one before
-PROFILE_INDICES = range(0x6000, 0xA000)
 AXIS_OFFSET = 0x800
-MOST_AXES = 8
+_FIRST_AXIS = range(0x6000, 0x6000 + AXIS_OFFSET)
 
 
 def axis_index(index: int, axis: int) -> int:
-    """Return the index on axis ``axis`` of an object that has ``index`` on axis 0."""
-    return index + AXIS_OFFSET * axis if index in PROFILE_INDICES else index
+    """Return the index on axis ``axis`` of an object that has ``index`` on axis 0; others stay as they are."""
+    return index + AXIS_OFFSET * axis if index in _FIRST_AXIS else index
+
+
+def first_axis_index(index: int, axis: int) -> int:
+    """Return the index on axis 0 of an object of axis ``axis``; others stay as they are."""
+    first = index - AXIS_OFFSET * axis
+    return first if first in _FIRST_AXIS else index
 
 
 # PDO parameters: records of each kind, counted from these indices; four is what the simulated drive has

@@ -90,13 +90,15 @@ class CanopenOptions(BaseModel):
     @classmethod
     def check(cls, axes: "Mapping[str, AxisConfig]", bus: "BusConfig | None") -> Iterator[tuple[str, str, str]]:
         """Yield mistakes that concern several axes, or an axis and the bus: (axis, field, message)."""
-        owners: dict[int, str] = {}
+        owners: dict[tuple[int, int], str] = {}
         for name, axis in axes.items():
             options = canopen_options(axis)
             if bus is None:
                 yield name, "driver", "the canopen driver needs a bus: section (interface, channel)"
-            if options.node in owners:
-                yield name, "node", f"node {options.node} is axis {owners[options.node]!r} already"
+            owner = owners.setdefault((options.node, options.axis_number), name)
+            if owner != name:
+                which = f" (axis_number {options.axis_number})" if options.axis_number else ""
+                yield name, "node", f"node {options.node}{which} is axis {owner!r} already"
             if options.node == options.master_node:
                 yield name, "node", f"node {options.node} is master_node, the daemon's own number"
             first = canopen_options(next(iter(axes.values())))
@@ -107,7 +109,6 @@ class CanopenOptions(BaseModel):
                 for field in ("counts_per_unit", "rated_torque"):
                     if getattr(options, field) is None:
                         yield name, field, "must be given for a linear axis: drives report neither per metre"
-            owners.setdefault(options.node, name)
 
     @classmethod
     def check_timing(

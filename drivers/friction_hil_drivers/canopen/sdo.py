@@ -158,6 +158,8 @@ class SdoClient(ObjectReader):
 
     Attributes
     ----------
+    axis_number : int
+        Number of the axis in a node with several: objects of the profile are those of this axis.
     notes : list of str
         For the user: objects that the drive refuses to show, and answers that came late.
     refusals : dict
@@ -177,6 +179,7 @@ class SdoClient(ObjectReader):
         node.network.subscribe(self._sdo.tx_cobid, self._sdo.on_response)
         self.axis = axis
         self.where = where
+        self.axis_number = 0
         self.notes: list[str] = []
         self.refusals: dict[Address, str] = {}
         self._has_answered = False
@@ -198,6 +201,7 @@ class SdoClient(ObjectReader):
 
     def bytes_of(self, entry: Object) -> bytes | None:
         """See `ObjectReader.bytes_of`; an object that the drive refuses to show counts as absent, with a note."""
+        entry = entry.of_axis(self.axis_number)
         try:
             return self._upload(entry)
         except canopen.SdoAbortedError as error:
@@ -208,7 +212,7 @@ class SdoClient(ObjectReader):
 
     def why_absent(self, entry: Object) -> str:
         """See `ObjectReader.why_absent`."""
-        reason = self.refusals.get(entry.address)
+        reason = self.refusals.get(entry.of_axis(self.axis_number).address)
         return f"does not show ({reason})" if reason else super().why_absent(entry)
 
     def _upload(self, entry: Object) -> bytes:
@@ -246,6 +250,7 @@ class SdoClient(ObjectReader):
         DriveError
             The drive does not answer, or refuses.
         """
+        entry = entry.of_axis(self.axis_number)
         try:
             with self._attempts(1):
                 self._sdo.download(entry.index, entry.subindex, data)

@@ -37,6 +37,10 @@ class Request(NamedTuple):
             return raw_sdo.upload(node, self.entry)
         return raw_sdo.download(node, self.entry, self.value)
 
+    def of_axis(self, axis: int) -> "Request":
+        """Return the request for the same object of axis ``axis`` of a node with several."""
+        return Request(self.entry.of_axis(axis), self.value) if axis else self
+
     def is_answered_by(self, answer: SdoAnswer) -> bool:
         """Return True for the answer to this request, or the abort of it."""
         is_same = (answer.index, answer.subindex) == (self.entry.index, self.entry.subindex)
@@ -194,6 +198,8 @@ class CyclicSdo:
         Node number.
     standstill : float
         See `SdoStop`.
+    axis : int
+        Number of the axis in a node with several.
 
     Attributes
     ----------
@@ -203,10 +209,11 @@ class CyclicSdo:
     error_code : ErrorCodeRead
     """
 
-    __slots__ = ("_deadline_ns", "_is_for_stop", "_node", "_pending", "error_code", "is_stopping", "stop")
+    __slots__ = ("_axis", "_deadline_ns", "_is_for_stop", "_node", "_pending", "error_code", "is_stopping", "stop")
 
-    def __init__(self, node: int, standstill: float) -> None:
+    def __init__(self, node: int, standstill: float, axis: int = 0) -> None:
         self._node = node
+        self._axis = axis
         self.stop = SdoStop(standstill)
         self.error_code = ErrorCodeRead()
         self.is_stopping = False
@@ -242,12 +249,12 @@ class CyclicSdo:
         if request is None:
             return None
         self._pending, self._deadline_ns = request, now_ns + ANSWER_NS
-        return request.frame(self._node)
+        return request.of_axis(self._axis).frame(self._node)
 
     def take(self, data: bytes, now_ns: int) -> None:
         """Take a frame of the SDO server; what answers no request of this client is ignored."""
         answer, pending = raw_sdo.decode(data), self._pending
-        if answer is not None and pending is not None and pending.is_answered_by(answer):
+        if answer is not None and pending is not None and pending.of_axis(self._axis).is_answered_by(answer):
             self._answered(pending, answer, now_ns)
 
     def _answered(self, request: Request, answer: SdoAnswer | None, now_ns: int) -> None:

@@ -1,0 +1,110 @@
+"""A node with two axes (CiA 402-2): objects from 6800h and PDOs from 1440h belong to the second."""
+
+import struct
+
+import can
+import pytest
+from friction_hil_drivers.canopen.drives import CanopenDrives
+
+from friction_hil.daemon.realtime import SteppedClock
+from friction_hil.drive import Command, DriveState, Feedback, Request
+from tests.canopen_bench import NODE, Bench, BenchBus
+from tests.servo_drives import axis_dict, configuration
+from tests.vendor_drives import VendorDrive
+
+SDO_REQUEST, SDO_ANSWER = 0x600 + NODE, 0x580 + NODE
+OWN_OF_NODE = range(0x700, 0x780)  # heartbeats
+CONTROLLER = {"position_gain": 1.0, "velocity_gain": 0.1}
+RECORDS = (0x1400, 0x1600, 0x1800, 0x1A00)
+
+
+def is_of_second(index: int) -> bool:
+    return 0x6800 <= index < 0x7000 or any(base + 64 <= index < base + 128 for base in RECORDS)
+
+
+def moved(index: int, sign: int) -> int:
+    """The index on the other axis."""
+    return index + sign * (0x800 if index >= 0x6000 else 64)
+
+
+def translate(data: bytes, sign: int) -> bytes:
+    """An SDO frame for the other axis; mapping words in it name that axis's objects too."""
+    index, subindex = struct.unpack_from("<HB", data, 1)
+    content = data[4:]
+    is_mapping = index & 0xFF00 in (0x1600, 0x1A00) and subindex and data[0] != 0x80
+    word = struct.unpack("<I", content)[0]
+    if is_mapping and word >> 16 >= 0x6000:
+        content = struct.pack("<I", word + sign * 0x0800_0000)
+    return data[:1] + struct.pack("<HB", moved(index, sign), subindex) + content
+
+
+class TwoAxes(BenchBus):
+    """One node made of two simulated drives."""
+
+    def __init__(self, second_eds):
+        super().__init__(Bench())
+        self.second = Bench(eds=second_eds)
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        can_id, data = msg.arbitration_id, bytes(msg.data)
+        self.sent.append((can_id, data))
+        if can_id == SDO_REQUEST and is_of_second(struct.unpack_from("<H", data, 1)[0]):
+            frames = [(i, translate(d, +1)) for i, d in self.second.send(can_id, translate(data, -1))]
+        elif can_id == SDO_REQUEST:
+            frames = self.bench.send(can_id, data)
+        else:
+            others = [frame for frame in self.second.send(can_id, data) if frame[0] not in OWN_OF_NODE]
+            frames = [*self.bench.send(can_id, data), *others]
+        for answer_id, answer in frames:
+            self.answers.put(can.Message(arbitration_id=answer_id, data=answer, is_extended_id=False))
+
+
+@pytest.fixture
+def bus(tmp_path):
+    # as delivered, the PDOs of the second axis have no identifier
+    values = {(f"{0x1400 + n:X}sub1", "DefaultValue"): "0x80000000" for n in range(4)}
+    values |= {(f"{0x1800 + n:X}sub1", "DefaultValue"): "0x80000000" for n in range(4)}
+    one = TwoAxes(VendorDrive(values=values).write(tmp_path / "second.eds"))
+    yield one
+    one.shutdown()
+
+
+def test_two_axes_of_a_node_are_driven_independently(bus):
+    keys = {"node": NODE, "mode": "cst", "controller": CONTROLLER, "is_watchdog_required": False}
+    config = configuration(x=axis_dict(**keys), y=axis_dict(**keys, axis_number=1))
+    clock = SteppedClock()
+    drives = CanopenDrives(config, config.axes, clock, dry_run=False, bus=bus)
+    try:
+        facts = drives.connect()
+        assert [one.name for one in facts] == ["x", "y"]
+        assert bus.second.read(0x6060, 0, "b") == 10
+        drives.start()
+        feedback, commands = [Feedback(), Feedback()], [Command(), Command()]
+
+        def cycle(torques, request=Request.ENABLE, count=1):
+            for _ in range(count):
+                clock.sleep_until(clock.now_ns() + 1_000_000)
+                drives.receive(feedback, 0)
+                for command, torque in zip(commands, torques, strict=True):
+                    command.request, command.torque = request, torque
+                drives.send(commands)
+
+        cycle((0.0, 0.0), count=20)
+        assert [one.state for one in feedback] == [DriveState.OPERATION_ENABLED] * 2
+        cycle((0.3, -0.2), count=20)
+        assert feedback[0].torque == pytest.approx(0.3, abs=5e-3)
+        assert feedback[1].torque == pytest.approx(-0.2, abs=5e-3)
+        assert feedback[0].position == pytest.approx(bus.bench.servo.position, abs=0.05)
+        assert feedback[1].position == pytest.approx(bus.second.servo.position, abs=0.05)
+        assert feedback[0].velocity > 0.0 > feedback[1].velocity
+        cycle((0.0, 0.0), Request.DISABLE, count=300)
+        assert not any(one.state.is_powered for one in feedback)
+    finally:
+        drives.close()
+    assert [bench.statusword & 0x6F for bench in (bus.bench, bus.second)] == [0x40, 0x40]
+
+
+def test_each_axis_of_a_node_is_configured_once():
+    keys = {"node": NODE, "mode": "csp"}
+    with pytest.raises(Exception, match=r"node 5 \(axis_number 1\) is axis 'x' already"):
+        configuration(x=axis_dict(**keys, axis_number=1), y=axis_dict(**keys, axis_number=1))
