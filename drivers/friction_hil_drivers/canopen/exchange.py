@@ -71,6 +71,7 @@ class CyclicExchange:
         self._heartbeat_id = objects.HEARTBEAT_BASE + master_node
         self._heartbeat_ns = round(heartbeat_s * 1e9)
         self._next_heartbeat_ns = 0
+        self._is_commanding = False  # from the first command on; before, the loop may pause, and no drive has power
         self._feeders = feeders([axis.watch for axis in axes])
         guarded = {axis.node: axis.watch.guard_ms for axis in axes if axis.watch.guard_ms}
         self._guards = [Guard(node, guard_ms) for node, guard_ms in guarded.items()]
@@ -85,11 +86,10 @@ class CyclicExchange:
         self._spare_feedback, self._spare_command = Feedback(), Command(Request.ENABLE)
 
     def start(self) -> None:
-        """Begin the cyclic phase: the drives watch the daemon's heartbeat from its first one on."""
+        """Begin the cyclic phase. The drives watch the daemon from its first command on."""
         now = self._clock.now_ns()
         for axis in self._axes:
             axis.start(now, is_real=self._clock.is_real)
-        self._send_heartbeat(now)
 
     def receive(self, feedback: Sequence[Feedback], end_ns: int) -> None:
         """Send SYNC and collect the feedback of every drive until it is complete, or too late for this cycle.
@@ -142,10 +142,8 @@ class CyclicExchange:
         try:
             if not self._dry_run:
                 self._send_commands(commands, now)
-            if now >= self._next_heartbeat_ns and not self._lets_heartbeat_lapse(now):
-                self._send_heartbeat(now)
-            if self._guards and not self._dry_run:
-                self._send_guards(now)
+            if self._is_commanding:
+                self._feed(now)
         except QueueFullError as error:  # what the drives did not get is a missed exchange
             self._unsent += 1
             if self._unsent > self._max_missed:
@@ -161,6 +159,7 @@ class CyclicExchange:
         for axis, feeder, command in zip(self._axes, self._feeders, commands, strict=True):
             if command.request is Request.LISTEN:
                 continue
+            self._is_commanding = True
             if is_too_old and command.request in _TO_POWER:
                 axis.note_dropped(age_ns * 1e-6)
                 continue
@@ -179,8 +178,10 @@ class CyclicExchange:
             self._bus.send(*frame)
         feeder.note(axis.controlword)
 
-    def _send_guards(self, now: int) -> None:
-        """Ask the nodes that are guarded for their state, unless they are to miss it."""
+    def _feed(self, now: int) -> None:
+        """Send the heartbeat and the remote frames of node guarding when due, unless the drives are to miss them."""
+        if now >= self._next_heartbeat_ns and not self._lets_heartbeat_lapse(now):
+            self._send_heartbeat(now)
         for guard in self._guards:
             if now >= guard.next_ns and not self._lets_heartbeat_lapse(now):
                 self._bus.send_remote(guard.can_id, 1)
