@@ -8,6 +8,7 @@ from friction_hil.daemon.assembly import lead_s, make_compensator, make_limits, 
 from friction_hil.daemon.command import CommandWriter
 from friction_hil.daemon.figures import CompensationNotices, FollowingError
 from friction_hil.daemon.first_motion import FirstMotion
+from friction_hil.daemon.follow_check import FollowCheck
 from friction_hil.daemon.motion import AxisMotion
 from friction_hil.daemon.row import AxisRow, row_width
 from friction_hil.daemon.safety import MAX_STALE_CYCLES, FaultReset, LoopState, Supervisor
@@ -60,6 +61,7 @@ class AxisLoop:
         "_command",
         "_fault_reset",
         "_first_motion",
+        "_follow_check",
         "_held",
         "_is_broken",
         "_is_compensation_enabled",
@@ -118,6 +120,17 @@ class AxisLoop:
         if config.mode == "csv" and self.motion.has_setpoint and facts.velocity_resolution > 0.0:
             self._first_motion = FirstMotion(
                 name, unit, limits, period_s, facts.position_resolution, facts.velocity_resolution
+            )
+        self._follow_check = None
+        if self.motion.has_setpoint:
+            self._follow_check = FollowCheck(
+                name,
+                unit,
+                limits,
+                self.motion.distance,
+                period_s,
+                facts.position_resolution,
+                is_torque_ours=config.mode == "cst",
             )
         self._is_broken = False
         self._is_standing = False  # in the last cycle with usable feedback
@@ -221,6 +234,10 @@ class AxisLoop:
             command.velocity = self._first_motion.target
         if setpoint is not None and is_usable and state is LoopState.RUNNING:
             self.following_error.add(setpoint.position - position)
+            if self._follow_check is not None:
+                fault = self._follow_check.take(position, estimate, setpoint.position, command.torque) or fault
+                if self._follow_check.is_confirmed:
+                    self._follow_check = None
         row.write_cycle(time_s, inputs, estimate, compensation, command.torque, state, feedback.state)
         for name, shadow in self.shadows.items():
             row.write_shadow(name, shadow.step(*inputs))

@@ -85,6 +85,11 @@ class AxisMotion:
             self._extent = extent(path, 1.0 / getattr(given, "frequency", 1.0))
         self._trajectory = Trajectory(path, path_time)
 
+    @property
+    def distance(self) -> float:
+        """Largest distance of the path from its beginning, SI; 0 without a path that moves."""
+        return max(abs(self._extent[0]), abs(self._extent[1])) if self.has_setpoint else 0.0
+
     def begin_at(self, position: float) -> None:
         """Let the path begin at ``position``."""
         self._trajectory.begin_at(position)

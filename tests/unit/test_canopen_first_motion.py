@@ -177,3 +177,18 @@ def test_a_stop_in_the_first_motion_is_no_fault():
         "done",
     ]
     assert not run.bench.statusword & 0x04
+
+
+def test_torque_of_the_wrong_sign_is_found_out_before_the_axis_is_fast():
+    limits = LIMITS | {"torque": 0.5, "velocity": 30.0}
+    run = Run({"is_reversed": True}, **MODES["cst"] | {"limits": limits})
+    assert "moves in the wrong direction" in run.result.faults[0]
+    assert run.result.faults[0].endswith("[FH-125]")
+    assert run.moved() < 0.5
+
+
+@pytest.mark.parametrize("mode", ["csp", "cst"])
+def test_a_blocked_axis_is_a_fault_that_says_so(mode):
+    changes = {"controller": None, **MODES[mode], "limits": LIMITS | {"following_error": None}}
+    run = Run(servo={"mechanics": {"inertia": 1e6}}, duration_s=3.0, **changes)
+    assert any("does not move although its set-point has moved" in fault for fault in run.result.faults), run.result

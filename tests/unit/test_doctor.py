@@ -306,6 +306,7 @@ def test_a_bus_that_opens(look):
         "x: node 5": "pass",
         "y: node 6": "pass",
     }
+    assert "position as 608Fh says, velocity as 60A9h says" in found["x: units"]["detail"]
 
 
 @pytest.mark.parametrize(

@@ -34,6 +34,7 @@ def check_connection(configuration: "Configuration", axes: "Mapping[str, AxisCon
         yield _load(config.bitrate, configuration, axes)
     for name, axis in axes.items():
         yield _owner(config, name, axis)
+        yield _units(name, axis)
 
 
 def _opened(config: "BusConfig") -> Finding:
@@ -76,3 +77,21 @@ def _owner(config: "BusConfig", name: str, axis: "AxisConfig") -> Finding:
     except DriveError as error:
         return failure(check, error, "FH-441")
     return Finding(check, "pass", "no other daemon of this machine drives it")
+
+
+def _units(name: str, axis: "AxisConfig") -> Finding:
+    """Say which units are configured, and which the drive must report; nothing is read from the drive here."""
+    options, per, force = canopen_options(axis), "rad", "N m"
+    if axis.model.axis == "linear":
+        per, force = "m", "N"
+    counts, torque = options.counts_per_unit, options.rated_torque
+    given = [
+        "position as 608Fh says" if counts is None else f"position {counts:.7g} counts per {per} (counts_per_unit)",
+        f"velocity {options.velocity_unit} (velocity_unit)" if options.velocity_unit else "velocity as 60A9h says",
+        "torque as 6076h says" if torque is None else f"torque {torque:g} {force} at 1000 per mille (rated_torque)",
+    ]
+    trusted = f"; trusted whatever the drive says: {', '.join(options.trust)}" if options.trust else ""
+    detail = (
+        f"{', '.join(given)}{trusted}; run with --dry-run compares them with the drive and shows the limits in them"
+    )
+    return Finding(f"{name}: units", "pass", detail)

@@ -1,0 +1,152 @@
+"""Does an axis follow its path, at its beginning: does it move at all, and towards its set-point? Pure.
+
+Once the axis has followed a part of its path, the check ends for this run; later faults have their own limits.
+
+- It does not move: the demand has covered a distance X, and 0.3 s later the position not a twentieth of it. X is half
+  of the path, or 80 % of `limits.following_error`, whichever is smaller.
+- It moves in the wrong direction (cst, where the daemon's own torque moves the axis): it leaves its set-point although
+  the torque pushes towards it, and faster and faster. A load that sinks until the torque holds it does so too, but then
+  the growing torque slows it down. With the wrong sign the torque accelerates the axis, v grows with the distance x,
+  and v^2 is four times as large at 2 x; under a constant load twice as large, and less once torque slows it down.
+"""
+
+import math
+
+from friction_hil.daemon.safety import SafetyLimits
+from friction_hil.drive.codes import FaultCode
+
+_PATH_PART = 0.5
+_ERROR_PART = 0.8
+_LEAST_STEPS = 100.0  # of the position, in X
+_MOVED = 0.05  # part of the demand's range that counts as motion
+_PATIENCE_S = 0.3
+_PATIENCE_CYCLES = 20
+
+_FOLLOWED = 0.1  # part of the path after which the axis counts as following, if its error is less than half of that
+_RUNAWAY_S = 5e-3  # largest distance of a runaway, times the velocity limit
+_DOUBLINGS = 3  # of the distance up to that one
+_GROWTH = 2.7  # of v^2, when the distance doubles
+_LEAST_RUNAWAY_STEPS = 80.0
+
+
+class FollowCheck:
+    """Check of one axis.
+
+    Parameters
+    ----------
+    name, unit : str
+        Name of the axis; unit of its position, ``rad`` or ``m``.
+    limits : SafetyLimits
+    extent : float
+        Largest distance of the path from its beginning, SI.
+    period_s : float
+    position_resolution : float
+        Smallest step of the position, SI.
+    is_torque_ours : bool
+        True in mode CST.
+
+    Attributes
+    ----------
+    is_confirmed : bool
+        The axis has followed its path: nothing more is to be checked.
+    """
+
+    __slots__ = (
+        "_demand_high",
+        "_demand_low",
+        "_distance",
+        "_extent",
+        "_high",
+        "_is_torque_ours",
+        "_low",
+        "_name",
+        "_next",
+        "_patience",
+        "_runaway",
+        "_speed",
+        "_start",
+        "_start_demand",
+        "_unit",
+        "_waited",
+        "is_confirmed",
+    )
+
+    def __init__(
+        self,
+        name: str,
+        unit: str,
+        limits: SafetyLimits,
+        extent: float,
+        period_s: float,
+        position_resolution: float,
+        *,
+        is_torque_ours: bool,
+    ) -> None:
+        self._name, self._unit, self._extent, self._is_torque_ours = name, unit, extent, is_torque_ours
+        self._distance = max(
+            min(_PATH_PART * extent, _ERROR_PART * limits.following_error), _LEAST_STEPS * position_resolution
+        )
+        self._patience = max(_PATIENCE_S / period_s, _PATIENCE_CYCLES)
+        self._runaway = max(
+            min(_RUNAWAY_S * limits.velocity, _ERROR_PART * limits.following_error),
+            _LEAST_RUNAWAY_STEPS * position_resolution,
+        )
+        self._waited = 0
+        self._start = self._start_demand = math.nan
+        self._low = self._high = self._demand_low = self._demand_high = 0.0  # since the start
+        self._next = self._runaway / 2.0**_DOUBLINGS  # distance at which the speed is noted next
+        self._speed = math.nan  # at half of that distance
+        self.is_confirmed = False
+
+    def take(self, position: float, velocity: float, demand: float, torque: float) -> str | None:
+        """Take one cycle of the motion; return a fault as a message, or None.
+
+        Parameters
+        ----------
+        position, velocity : float
+            Of the feedback, SI.
+        demand : float
+            Demanded position at the time of the feedback.
+        torque : float
+            Torque that is sent, SI.
+        """
+        if math.isnan(self._start):
+            self._start, self._start_demand = position, demand
+        moved, demanded = position - self._start, demand - self._start_demand
+        self._low, self._high = min(self._low, moved), max(self._high, moved)
+        self._demand_low, self._demand_high = min(self._demand_low, demanded), max(self._demand_high, demanded)
+        error = demanded - moved
+        if abs(moved) >= max(_FOLLOWED * self._extent, 0.25 * self._distance) and abs(error) < 0.5 * abs(moved):
+            self.is_confirmed = moved * demanded > 0.0
+            return None
+        if self._is_torque_ours and (fault := self._find_runaway(moved, velocity, error, torque)):
+            return fault
+        demand_range, moved_range = self._demand_high - self._demand_low, self._high - self._low
+        self._waited = self._waited + 1 if demand_range >= self._distance else 0
+        if self._waited >= self._patience and moved_range < _MOVED * demand_range:
+            text = (
+                f"{self._name}: the axis does not move although its set-point has moved by {demand_range:.3g} "
+                f"{self._unit}: brake, blocked axis, torque limit, or wrong unit of the position"
+            )
+            return FaultCode.AXIS_DOES_NOT_MOVE.append_to(text)
+        return None
+
+    def _find_runaway(self, moved: float, velocity: float, error: float, torque: float) -> str | None:
+        """Return a fault if the axis accelerates against the torque that should bring it back."""
+        is_leaving = velocity * error < 0.0 and moved * error < 0.0 and torque * error > 0.0
+        if not is_leaving:
+            if abs(moved) >= self._runaway / 2.0**_DOUBLINGS:
+                self._next = math.inf  # a load may oscillate until the torque holds it; only a first departure counts
+            return None
+        if abs(moved) < self._next:
+            return None
+        before, self._speed = self._speed, abs(velocity)
+        distance, self._next = self._next, 2.0 * self._next
+        if distance <= self._runaway and self._speed**2 >= _GROWTH * before**2:
+            text = (
+                f"{self._name}: the axis moves in the wrong direction: {moved:.3g} {self._unit} away from its "
+                f"set-point, faster and faster, against a torque of {torque:.3g}: sign of the encoder or of the motor "
+                "in the drive"
+            )
+            return FaultCode.WRONG_DIRECTION.append_to(text)
+        return None
