@@ -72,7 +72,7 @@ def emergency_after_kill(bus, daemon):
     The time counts from the daemon's last frame. None: the run ended before.
     """
     turning, last_s = 0, 0.0
-    while (message := bus.recv(30.0)) is not None:
+    while (message := bus.recv(8.0)) is not None:
         if turning <= TURNING and daemon.poll() is not None:
             return None
         can_id, data = message.arbitration_id, bytes(message.data)
@@ -84,7 +84,8 @@ def emergency_after_kill(bus, daemon):
             turning += struct.unpack_from("<H", data)[0] & 0x6F == ENABLED
             if turning > TURNING:
                 daemon.send_signal(signal.SIGKILL)
-    raise AssertionError("the bus fell silent without an emergency")
+    assert turning <= TURNING, "the bus fell silent without an emergency"
+    return None
 
 
 def state_by_sdo(bus):
