@@ -100,7 +100,7 @@ def run_session(
         prepare(path, overwrite=settings.is_overwrite_allowed)  # report a wrong path before any drive is touched
     with contextlib.ExitStack() as stack:
         drives: Drives = load_driver(driver)(configuration, configuration.axes, clock, dry_run=settings.dry_run)
-        stack.callback(drives.close)
+        stack.callback(_close, drives, report)
         facts = drives.connect()
         for fact in facts:
             report(f"{fact.name}: {fact.identity}")
@@ -148,6 +148,13 @@ def run_session(
         for axis in axes
     }
     return SessionResult(result, errors, recorded)
+
+
+def _close(drives: Drives, report: Callable[[str], None]) -> None:
+    """Leave the bus, and tell what the driver could not leave as it was found."""
+    drives.close()
+    for line in getattr(drives, "leftovers", ()):
+        report(line)
 
 
 def _recording_path(configuration: "Configuration", settings: SessionSettings, started_ns: int) -> Path | None:
