@@ -29,6 +29,8 @@ from friction_hil.recordings.fingerprint import fingerprint
 if TYPE_CHECKING:
     from friction_hil.config import Configuration
 
+_PASSIVE_STALE_S = 1.0
+
 
 @dataclass(frozen=True, slots=True)
 class SessionSettings:
@@ -110,6 +112,9 @@ def run_session(
                 report(f"{fact.name}: {note}")
         path_time = PathTime(ramp_s(configuration.axes.values()))
         shadows = sorted({shadow.name for axis in configuration.axes.values() for shadow in axis.shadows})
+        max_stale = realtime.max_missed
+        if getattr(drives, "is_passive", False):  # the feedback comes when another master asks for it
+            max_stale = max(max_stale, math.ceil(_PASSIVE_STALE_S / configuration.period_s))
         axes = [
             AxisLoop(
                 fact.name,
@@ -118,7 +123,7 @@ def run_session(
                 configuration.period_s,
                 path_time,
                 shadows,
-                realtime.max_missed,
+                max_stale,
             )
             for fact in facts
         ]

@@ -3,6 +3,7 @@
 import json
 import struct
 import tempfile
+import time
 
 import can
 import pytest
@@ -108,8 +109,8 @@ def test_a_powered_drive_is_not_touched(bench, dry_run):
     bus = Others(bench)
     drives = make(bus, dry_run=dry_run)
     if dry_run:
-        with pytest.raises(DriveError, match=r"FH-221"):
-            drives.connect()  # its TPDOs carry no torque
+        with pytest.raises(DriveError, match=r"its TPDOs as they are do not give the feedback: no TPDO .*FH-221"):
+            drives.connect()  # they come only on a change
     else:
         with pytest.raises(DriveError, match=r"is in state operation enabled already.*FH-215"):
             drives.connect()
@@ -204,6 +205,64 @@ def test_frames_that_come_back_are_not_another_masters(bench):
     for _ in range(2):
         drives.receive([feedback], 0)
     assert "RPDO 1 (205h) to node 5 [FH-220]" in feedback.message
+    drives.close()
+
+
+class Streaming(Others):
+    """Another master sends SYNC and an RPDO whenever the listener waits for a frame."""
+
+    def _recv_internal(self, timeout):
+        if self.answers.empty() and timeout:
+            for can_id, data in ((0x205, b"\x0f\0\x09"), (0x080, b"")):
+                self.hear(can_id, data)
+                for answer in self.bench.send(can_id, data):
+                    self.hear(*answer)
+            time.sleep(0.001)
+        return super()._recv_internal(timeout)
+
+
+@pytest.mark.parametrize("kind", [1, 255])
+def test_a_dry_run_beside_another_master_shows_the_feedback_and_touches_nothing(bench, kind, folder):
+    words = [0x60410010, 0x60640020]
+    bench.map(0x1800, 0x1A00, 0x185, 1, [0x60770010, *words])
+    bench.map(0x1801, 0x1A01, 0x285, kind, [0x606C0020])
+    bench.nmt(0x01)
+    bench.enable(9)
+    bench.write(0x60FF, 0, "i", 100_000)
+    before = settings(bench)
+    bus = Streaming(bench)
+    drives = make(bus, mode="csv", dry_run=True)
+    if kind == 255:
+        bench.write(0x1801, 5, "H", 1)
+        before = settings(bench)
+    (facts,) = drives.connect()
+    (note,) = [note for note in facts.notes if "another master drives it" in note]
+    assert "SYNC (080h)" in note
+    assert "RPDO 1 (205h) to node 5" in note
+    drives.start()
+    feedback, positions = Feedback(), []
+    for _ in range(30):
+        drives.receive([feedback], 0)
+        drives.send([Command(Request.ENABLE, velocity=5.0)])
+        assert feedback.is_fresh
+        assert feedback.message == ""
+        positions.append(feedback.position)
+    assert feedback.state is DriveState.OPERATION_ENABLED
+    assert feedback.velocity == pytest.approx(0.6, rel=0.2)
+    assert positions == sorted(positions)
+    drives.close()
+    assert writes(bus) == []
+    assert settings(bench) == before
+    assert list(folder.iterdir()) == []
+
+
+def test_a_dry_run_beside_another_master_needs_position_and_state(bench):
+    """TPDOs 1 and 2 of this drive carry no torque, velocity or mode: these are done without."""
+    bench.map(0x1801, 0x1A01, 0x285, 1, [0x60410010])
+    bench.nmt(0x01)
+    drives = make(Streaming(bench), dry_run=True)
+    with pytest.raises(DriveError, match=r"SYNC .*6064h position actual value.*FH-221"):
+        drives.connect()
     drives.close()
 
 

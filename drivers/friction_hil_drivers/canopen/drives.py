@@ -5,6 +5,7 @@ cyclic phase begins: a second busy thread would delay wake-ups by up to 5 ms. Fr
 writes the bus.
 """
 
+import contextlib
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -36,6 +37,7 @@ from friction_hil_drivers.canopen.listening import (
 )
 from friction_hil_drivers.canopen.mapping import check_bus_load
 from friction_hil_drivers.canopen.options import CanopenOptions, canopen_options
+from friction_hil_drivers.canopen.passive import PassiveAxis, PassiveExchange
 from friction_hil_drivers.canopen.watchdog_times import WatchdogTimes
 from friction_hil_drivers.canopen.watchdogs import watchdog_pdos
 
@@ -48,7 +50,15 @@ if TYPE_CHECKING:
     from friction_hil_drivers.canopen.inventory import CanopenInventory
     from friction_hil_drivers.canopen.sdo import SdoClient, SdoNetwork
 
-_OF_MAPPING = (codes.SDO_ABORT, codes.OBJECT_MISSING, codes.OBJECT_SIZE, codes.MAPPING_NOT_KEPT)
+_OF_MAPPING = (
+    codes.SDO_ABORT,
+    codes.OBJECT_MISSING,
+    codes.OBJECT_SIZE,
+    codes.MAPPING_NOT_KEPT,
+    codes.NO_MAPPING,
+    codes.UNKNOWN_ENTRY,
+)
+_HEAR_S = 1.0  # for every TPDO to come once, where another master decides when
 _PRE_OPERATIONAL = (objects.NmtState.BOOT_UP, objects.NmtState.PRE_OPERATIONAL)  # a node boots into the latter
 
 
@@ -166,7 +176,7 @@ class CanopenDrives:
         self.leftovers: list[str] = []
         self._others = OtherMasters((), 0)
         self._axes: list[CanopenAxis] = []
-        self._exchange: CyclicExchange | None = None
+        self._exchange: CyclicExchange | PassiveExchange | None = None
         self._is_started = False
 
     @property
@@ -206,7 +216,7 @@ class CanopenDrives:
             pdos = [pdo for axis in self._axes for pdo in axis.pdos]
             pdos += watchdog_pdos(axis.watch.feed_cycles for axis in self._axes if axis.watch.rpdo_id)
             check_bus_load(config.bitrate, self._configuration.period_s, pdos)
-        self._exchange = self._make_exchange(self._bus)
+        self._exchange = self._make_passive_exchange(self._bus) if self._is_passive else self._make_exchange(self._bus)
         return [axis.facts for axis in self._axes]
 
     def _client(self, network: "SdoNetwork", name: str, node: int) -> "SdoClient":
@@ -267,8 +277,14 @@ class CanopenDrives:
                 raise self._nothing_to_hear(client, error) from error
             raise
         notes = client.notes if client.journal is None else [*client.notes, *client.journal.notes]
-        drive = _with_notes(drive, notes)
+        drive = _with_notes(drive, [*notes, *self._passive_notes()])
         return CanopenAxis(drive, options.node, self._heartbeat_s(name, options))
+
+    def _passive_notes(self) -> list[str]:
+        if not self._is_passive:
+            return []
+        heard = self._others.words or "its power is on"
+        return [f"another master drives it ({heard}): this dry run only listens to its TPDOs, and reads by SDO"]
 
     def _nothing_to_hear(self, client: "SdoClient", error: DriveError) -> DriveError:
         """Return why a dry run that must not write gets no feedback."""
@@ -291,6 +307,25 @@ class CanopenDrives:
 
     def _times(self, options: CanopenOptions) -> WatchdogTimes:
         return options.times(self._configuration.period_s, self._configuration.realtime.max_missed)
+
+    def _make_passive_exchange(self, bus: "FrameBus") -> PassiveExchange:
+        """Return the exchange of a dry run beside another master.
+
+        Raises
+        ------
+        DriveError
+            A TPDO does not come.
+        """
+        wanted = {pdo.cob_id: axis for axis in self._axes for pdo in axis.tpdos}
+        end = time.monotonic() + _HEAR_S
+        while (silent := [c for c in wanted if not self._others.has_heard(c)]) and time.monotonic() < end:
+            heard_by(bus, self._others, min(end, time.monotonic() + 0.05), time.monotonic)
+        if silent:
+            axis, listed = wanted[silent[0]], ", ".join(f"{can_id:03X}h" for can_id in silent)
+            reason = f"no TPDO {listed} came within {_HEAR_S:g} s, as one that is sent only on a change may not"
+            raise self._nothing_to_hear(self._clients[axis.facts.name], DriveError(reason))
+        passive = [PassiveAxis(axis.drive, axis.node) for axis in self._axes]
+        return PassiveExchange(bus, passive, self._clock, period_s=self._configuration.period_s)
 
     def _make_exchange(self, bus: "FrameBus") -> CyclicExchange:
         options = [canopen_options(axis) for axis in self._configs.values()]
@@ -390,10 +425,17 @@ class CanopenDrives:
         assert self._bus is not None
         for axis in self._axes:
             # the last RPDO would take effect at the next SYNC, which is not sent any more; this does at once
-            self._bus.send(*disable_frame(axis.node))
+            with contextlib.suppress(BusError):  # below it is tried again, with an answer
+                self._bus.send(*disable_frame(axis.node))
+        failure: BusError | None = None
         for name, client in self._clients.items():
             self._states[name] = disable(client)
-            self._write_nmt(objects.NmtCommand.ENTER_PRE_OPERATIONAL, canopen_options(self._configs[name]).node)
+            try:
+                self._write_nmt(objects.NmtCommand.ENTER_PRE_OPERATIONAL, canopen_options(self._configs[name]).node)
+            except BusError as error:
+                failure = error  # the other drives first
+        if failure is not None:
+            raise failure
 
     def _set_nmt(self, command: objects.NmtCommand, node: int) -> None:
         """Change the NMT state of a node, and keep the one that it was found in."""

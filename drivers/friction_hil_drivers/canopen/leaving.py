@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from friction_hil.drive import DriveState
 from friction_hil.drive.codes import coded
-from friction_hil.errors import DriveError
+from friction_hil.errors import BusError, DriveError
 from friction_hil_drivers.canopen import codes, objects
 from friction_hil_drivers.cia402 import profile
 
@@ -32,7 +32,7 @@ def disable(client: "SdoClient", now: Callable[[], float] = time.monotonic) -> D
         with client.patience(PATIENCE_S):
             client.write(objects.CONTROLWORD, profile.DISABLE_VOLTAGE)
             return _settled_state(client, now)
-    except DriveError:
+    except (DriveError, BusError):
         return DriveState.UNKNOWN
 
 
@@ -49,7 +49,7 @@ def read_state(client: "SdoClient") -> DriveState:
     try:
         with client.patience(PATIENCE_S):
             return profile.drive_state(client.read(objects.STATUSWORD))
-    except DriveError:
+    except (DriveError, BusError):
         return DriveState.UNKNOWN
 
 
@@ -72,7 +72,7 @@ def restore(client: "SdoClient") -> list[str]:
         if has_no_power(state):
             return [_message(client, text) for text in journal.restore()]
         reason = "the drive does not answer" if state is DriveState.UNKNOWN else f"its state is {state.words}"
-    except DriveError as error:
+    except (DriveError, BusError) as error:
         reason = error.detail.removeprefix(f"{client.axis}: ")
     return [_message(client, f"{', '.join(journal.what_is_left())}: {reason}")]
 

@@ -100,6 +100,10 @@ class OtherMasters:
         """Return the NMT state in the last heartbeat of one of our nodes, None where none was heard."""
         return self._states.get(node)
 
+    def has_heard(self, can_id: int) -> bool:
+        """Return True if a frame with an identifier was heard."""
+        return can_id in self._identifiers
+
     @property
     def commanding(self) -> set[int]:
         """Identifiers of frames that act on our drives: SYNC, NMT, RPDOs."""

@@ -28,6 +28,7 @@ PATIENCE_S = 3.0  # storing parameters and a change of mapping take some drives 
 SHORT_PATIENCE_S = 0.5
 _READ_ATTEMPTS = 3  # within the patience: reading again is harmless, and a frame may have been lost
 _MOST_NOTES = 5
+_MOST_WAITING = 1000  # frames read at once: a request has its time limit on a busy bus too
 
 
 class MatchingSdo(canopen.sdo.client.SdoClient):
@@ -382,7 +383,10 @@ class SdoNetwork:
 
     def _pump(self, timeout: float) -> None:
         """Take a frame that comes within ``timeout`` seconds, and those that wait already."""
-        while (frame := self._bus.receive(timeout)) is not None:
+        for _ in range(_MOST_WAITING):
+            frame = self._bus.receive(timeout)
+            if frame is None:
+                return
             timeout = 0.0
             if self._heard is not None:
                 self._heard(frame)
