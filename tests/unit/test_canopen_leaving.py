@@ -293,20 +293,20 @@ def test_a_dry_run_on_a_quiet_bus_leaves_the_drive_as_it_was_found(bench, folder
 
 
 def test_a_refusal_leaves_the_drive_as_it_was_found(bench, folder):
-    """Found out in the middle of the configuration: the drive has no watchdog."""
+    """Found out in the middle of the configuration, after the RPDOs: the TPDOs are fixed and do not come with SYNC."""
     before = settings(bench)
 
     class Refusing(Others):
         def send(self, msg, timeout=None):
             data = bytes(msg.data)
-            is_watchdog = data[1:3] in (b"\x07\x60", b"\x16\x10") and data[0] >> 5 == 1
-            if msg.arbitration_id == SDO_REQUEST and is_watchdog:
+            is_of_tpdo = data[2] in (0x18, 0x1A) and data[0] >> 5 == 1
+            if msg.arbitration_id == SDO_REQUEST and is_of_tpdo:
                 self.hear(SDO_ANSWER, b"\x80" + data[1:4] + struct.pack("<I", 0x06010002))
                 return
             super().send(msg)
 
     drives = make(Refusing(bench))
-    with pytest.raises(DriveError, match="cannot watch the daemon"):
+    with pytest.raises(DriveError, match=r"FH-227"):
         drives.connect()
     drives.close()
     assert settings(bench) == before
