@@ -299,7 +299,7 @@ def test_a_refusal_leaves_the_drive_as_it_was_found(bench, folder):
     class Refusing(Others):
         def send(self, msg, timeout=None):
             data = bytes(msg.data)
-            is_of_tpdo = data[2] in (0x18, 0x1A) and data[0] >> 5 == 1
+            is_of_tpdo = data[2:3] in (b"\x18", b"\x1a") and data[0] >> 5 == 1
             if msg.arbitration_id == SDO_REQUEST and is_of_tpdo:
                 self.hear(SDO_ANSWER, b"\x80" + data[1:4] + struct.pack("<I", 0x06010002))
                 return

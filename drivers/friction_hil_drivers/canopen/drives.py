@@ -5,7 +5,6 @@ cyclic phase begins: a second busy thread would delay wake-ups by up to 5 ms. Fr
 writes the bus.
 """
 
-import contextlib
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -25,7 +24,7 @@ from friction_hil_drivers.canopen.exchange import CyclicExchange
 from friction_hil_drivers.canopen.exclusive import AxisLock, state_path
 from friction_hil_drivers.canopen.interfaces import bus_name
 from friction_hil_drivers.canopen.journal import Journal
-from friction_hil_drivers.canopen.leaving import disable, disable_frame, has_no_power, read_state, restore
+from friction_hil_drivers.canopen.leaving import disable, has_no_power, read_state, restore
 from friction_hil_drivers.canopen.listening import (
     LISTEN_S,
     Look,
@@ -422,13 +421,9 @@ class CanopenDrives:
         A drive that does not answer, or keeps its power, goes on watching: it trips when the daemon is silent. In
         Pre-operational it would react as to a lost connection, so it is disabled first.
         """
-        assert self._bus is not None
-        for axis in self._axes:
-            # the last RPDO would take effect at the next SYNC, which is not sent any more; this does at once
-            with contextlib.suppress(BusError):  # below it is tried again, with an answer
-                self._bus.send(*disable_frame(axis.node))
         failure: BusError | None = None
         for name, client in self._clients.items():
+            # the last RPDO would take effect at the next SYNC, which is not sent any more; this does at once
             self._states[name] = disable(client)
             try:
                 self._write_nmt(objects.NmtCommand.ENTER_PRE_OPERATIONAL, canopen_options(self._configs[name]).node)

@@ -16,14 +16,6 @@ if TYPE_CHECKING:
 PATIENCE_S = 0.5  # for a drive that may be gone: the others wait meanwhile
 _POWER_OFF_S = 0.5
 _POLL_S = 0.01
-_WRITE_2_BYTES = 0x2B  # expedited
-
-
-def disable_frame(node: int) -> tuple[int, bytes]:
-    """Return the SDO request that writes controlword 0: it acts at once, and without a SYNC."""
-    word = objects.CONTROLWORD.index.to_bytes(2, "little")
-    data = bytes([_WRITE_2_BYTES]) + word + bytes([0]) + profile.DISABLE_VOLTAGE.to_bytes(4, "little")
-    return objects.SDO_REQUEST_BASE + node, data
 
 
 def disable(client: "SdoClient", now: Callable[[], float] = time.monotonic) -> DriveState:
