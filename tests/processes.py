@@ -35,10 +35,10 @@ def write_configuration(folder: Path, *, port=None, bus=None, period_s=1e-3, **a
 
 
 @contextlib.contextmanager
-def simulated_drives(configuration: Path, *options: str):
-    """Simulated drives on the bus, paced by SYNC; they end with this test, however it ends."""
+def simulated_drives(configuration: Path, *options: str, pace: str = "sync"):
+    """Simulated drives on the bus; they end with this test, however it ends."""
     process = start(
-        *("simulate", configuration, "--pace", "sync", "--exit-with-stdin", *options),
+        *("simulate", configuration, "--pace", pace, "--exit-with-stdin", *options),
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,

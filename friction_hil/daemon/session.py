@@ -29,6 +29,8 @@ from friction_hil.recordings.fingerprint import fingerprint
 if TYPE_CHECKING:
     from friction_hil.config import Configuration
 
+_PASSIVE_STALE_S = 1.0
+
 
 @dataclass(frozen=True, slots=True)
 class SessionSettings:
@@ -100,7 +102,7 @@ def run_session(
         prepare(path, overwrite=settings.is_overwrite_allowed)  # report a wrong path before any drive is touched
     with contextlib.ExitStack() as stack:
         drives: Drives = load_driver(driver)(configuration, configuration.axes, clock, dry_run=settings.dry_run)
-        stack.callback(drives.close)
+        stack.callback(_close, drives, report)
         facts = drives.connect()
         for fact in facts:
             report(f"{fact.name}: {fact.identity}")
@@ -110,6 +112,9 @@ def run_session(
                 report(f"{fact.name}: {note}")
         path_time = PathTime(ramp_s(configuration.axes.values()))
         shadows = sorted({shadow.name for axis in configuration.axes.values() for shadow in axis.shadows})
+        max_stale = realtime.max_missed
+        if getattr(drives, "is_passive", False):  # the feedback comes when another master asks for it
+            max_stale = max(max_stale, math.ceil(_PASSIVE_STALE_S / configuration.period_s))
         axes = [
             AxisLoop(
                 fact.name,
@@ -118,7 +123,7 @@ def run_session(
                 configuration.period_s,
                 path_time,
                 shadows,
-                realtime.max_missed,
+                max_stale,
             )
             for fact in facts
         ]
@@ -149,6 +154,13 @@ def run_session(
         for axis in axes
     }
     return SessionResult(result, errors, recorded)
+
+
+def _close(drives: Drives, report: Callable[[str], None]) -> None:
+    """Leave the bus, and tell what the driver could not leave as it was found."""
+    drives.close()
+    for line in getattr(drives, "leftovers", ()):
+        report(line)
 
 
 def _recording_path(configuration: "Configuration", settings: SessionSettings, started_ns: int) -> Path | None:

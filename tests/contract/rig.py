@@ -304,7 +304,7 @@ class CanRig(InstalledRig):
 def _commands_can(can_id: int, data: bytes) -> bool:
     """True for what changes a drive: PDOs to it, SDO downloads and NMT, but for what makes it send feedback."""
     if can_id == 0x000:
-        return data[0] != 0x01  # start
+        return data[0] not in (0x01, 0x80)  # start, and back to Pre-operational
     if 0x600 < can_id < 0x680:
         index = struct.unpack_from("<H", data, 1)[0]
         return data[0] & 0xE0 == 0x20 and not 0x1800 <= index < 0x1C00  # PDOs that the drive sends

@@ -134,7 +134,7 @@ def test_a_dry_run_writes_nothing_that_moves_or_changes_a_drive():
     assert written <= {*range(0x1800, 0x1804), *range(0x1A00, 0x1A04)}  # TPDOs
     assert RPDO1 not in {can_id for can_id, _ in listener.bus.sent}
     commands = [data[0] for can_id, data in listener.bus.sent if can_id == objects.NMT_ID]
-    assert set(commands) == {objects.NmtCommand.START}
+    assert commands == [objects.NmtCommand.START, objects.NmtCommand.ENTER_PRE_OPERATIONAL]
     assert listener.bench.statusword & 0x6F == 0x40
 
 

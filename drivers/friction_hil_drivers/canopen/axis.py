@@ -61,7 +61,7 @@ class CanopenAxis:
     """
 
     def __init__(self, drive: ConfiguredDrive, node: int, heartbeat_s: float) -> None:
-        self._drive = drive
+        self._drive = self.drive = drive
         self._heartbeat_s = heartbeat_s
         self.facts = drive.facts
         self.node = node

@@ -5,14 +5,13 @@ cyclic phase begins: a second busy thread would delay wake-ups by up to 5 ms. Fr
 writes the bus.
 """
 
-import contextlib
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from friction_hil.drive import AxisFacts, Clock, Command, Feedback, Mode
+from friction_hil.drive import AxisFacts, Clock, Command, DriveState, Feedback, Mode
 from friction_hil.drive.finding import Finding, failure
 from friction_hil.errors import BusError, DriveError, FrictionHilError, UsageError
 from friction_hil_drivers.canopen import codes, interfaces, objects
@@ -22,13 +21,24 @@ from friction_hil_drivers.canopen.configure import ConfiguredDrive, configure
 from friction_hil_drivers.canopen.eds import load_eds
 from friction_hil_drivers.canopen.eds_check import compare_eds
 from friction_hil_drivers.canopen.exchange import CyclicExchange
-from friction_hil_drivers.canopen.exclusive import AxisLock
+from friction_hil_drivers.canopen.exclusive import AxisLock, state_path
 from friction_hil_drivers.canopen.interfaces import bus_name
+from friction_hil_drivers.canopen.journal import Journal
+from friction_hil_drivers.canopen.leaving import disable, has_no_power, read_state, restore
+from friction_hil_drivers.canopen.listening import (
+    LISTEN_S,
+    Look,
+    MasterAlarm,
+    OtherMasters,
+    count_sent,
+    heard_by,
+    look,
+)
 from friction_hil_drivers.canopen.mapping import check_bus_load
 from friction_hil_drivers.canopen.options import CanopenOptions, canopen_options
+from friction_hil_drivers.canopen.passive import PassiveAxis, PassiveExchange
 from friction_hil_drivers.canopen.watchdog_times import WatchdogTimes
 from friction_hil_drivers.canopen.watchdogs import watchdog_pdos
-from friction_hil_drivers.cia402 import profile
 
 if TYPE_CHECKING:
     import can
@@ -39,11 +49,26 @@ if TYPE_CHECKING:
     from friction_hil_drivers.canopen.inventory import CanopenInventory
     from friction_hil_drivers.canopen.sdo import SdoClient, SdoNetwork
 
-_LISTEN_S = 0.1
+_OF_MAPPING = (
+    codes.SDO_ABORT,
+    codes.OBJECT_MISSING,
+    codes.OBJECT_SIZE,
+    codes.MAPPING_NOT_KEPT,
+    codes.NO_MAPPING,
+    codes.UNKNOWN_ENTRY,
+)
+_HEAR_S = 1.0  # for every TPDO to come once, where another master decides when
+_PRE_OPERATIONAL = (objects.NmtState.BOOT_UP, objects.NmtState.PRE_OPERATIONAL)  # a node boots into the latter
 
 
 class CanopenDrives:
-    """Drives of some axes on one bus; see `friction_hil.drive.Drives`."""
+    """Drives of some axes on one bus; see `friction_hil.drive.Drives`.
+
+    Attributes
+    ----------
+    leftovers : list of str
+        After `close`: what could not be left as it was found.
+    """
 
     Options = CanopenOptions
     check_machine = staticmethod(interfaces.check_machine)
@@ -142,10 +167,22 @@ class CanopenDrives:
         self._network: SdoNetwork | None = None
         self._locks: list[AxisLock] = []
         self._clients: dict[str, SdoClient] = {}
+        self._looks: dict[str, Look] = {}
+        self._journals: dict[int, Journal] = {}
+        self._nmt_states: dict[int, int | None] = {}  # of nodes that were given another one: the state found
+        self._states: dict[str, DriveState] = {}  # read back while leaving
+        self._is_passive = False
+        self.leftovers: list[str] = []
+        self._others = OtherMasters((), 0)
         self._axes: list[CanopenAxis] = []
         self._identifiers: set[int] = set()  # of all PDOs in use
-        self._exchange: CyclicExchange | None = None
+        self._exchange: CyclicExchange | PassiveExchange | None = None
         self._is_started = False
+
+    @property
+    def is_passive(self) -> bool:
+        """True for a dry run that only listens, because another master is at work."""
+        return self._is_passive
 
     # Connecting
 
@@ -163,34 +200,133 @@ class CanopenDrives:
         for node, name in owners.items():
             self._locks.append(AxisLock(config, node, name))
         self._bus = open_frame_bus(config, self._given_bus)
-        _refuse_second_master(self._bus, bus_name(config))
-        self._network = SdoNetwork(self._bus)
+        self._others = OtherMasters(owners, self._first_options.master_node)
+        if _is_echoing(config):
+            count_sent(self._bus, self._others)
+        heard_by(self._bus, self._others, time.monotonic() + LISTEN_S, time.monotonic)
+        self._refuse_other_masters()
+        self._network = SdoNetwork(self._bus, self._others.take)
         with self._network.reading():
             for name, axis in self._configs.items():
-                self._axes.append(self._connect_axis(self._network, name, axis))
+                self._clients[name] = self._client(self._network, name, canopen_options(axis).node)
+            self._look()
+            for name, axis in self._configs.items():
+                self._axes.append(self._connect_axis(name, axis))
         if config.bitrate is not None:
             pdos = [pdo for axis in self._axes for pdo in axis.pdos]
             pdos += watchdog_pdos(axis.watch.feed_cycles for axis in self._axes if axis.watch.rpdo_id)
             check_bus_load(config.bitrate, self._configuration.period_s, pdos)
-        self._exchange = self._make_exchange(self._bus)
+        self._exchange = self._make_passive_exchange(self._bus) if self._is_passive else self._make_exchange(self._bus)
         return [axis.facts for axis in self._axes]
 
-    def _connect_axis(self, network: "SdoNetwork", name: str, config: "AxisConfig") -> CanopenAxis:
-        options = canopen_options(config)
-        assert self._configuration.bus is not None
-        where = f"node {options.node} on {bus_name(self._configuration.bus)}"
-        client = self._clients[name] = network.client(options.node, name, where)
-        client.axis_number = options.axis_number
-        if not self._dry_run:
-            # a drive in Operational may refuse new mappings; a dry run must not stop a drive that another master runs
-            self._write_nmt(objects.NmtCommand.ENTER_PRE_OPERATIONAL, options.node)
-        times, period_s = self._times(options), self._configuration.period_s
-        drive = configure(client, name, config, period_s, times, dry_run=self._dry_run, taken=self._identifiers)
-        drive = _with_notes(drive, client.notes)
-        return CanopenAxis(drive, options.node, 1e-3 * times.heartbeat_ms)
+    def _client(self, network: "SdoNetwork", name: str, node: int) -> "SdoClient":
+        config = self._configuration.bus
+        assert config is not None
+        client = network.client(node, name, f"node {node} on {bus_name(config)}")
+        client.axis_number = canopen_options(self._configs[name]).axis_number
+        if node not in self._journals:
+            self._journals[node] = Journal(client, lambda identity: state_path(config, node, f"-{identity}.json"))
+        client.journal = self._journals[node]
+        return client
+
+    def _look(self) -> None:
+        """Read the state of every drive, before anything is written to any of them.
+
+        Raises
+        ------
+        DriveError
+            A drive has power already, or another master is at work.
+        """
+        for name, client in self._clients.items():
+            node = canopen_options(self._configs[name]).node
+            self._looks[name] = look(client, node, self._others)
+        refusals = [
+            f"{client.axis}: {client.where} {self._looks[name].refusal}"
+            for name, client in self._clients.items()
+            if self._looks[name].refusal
+        ]
+        if refusals and not self._dry_run:
+            raise DriveError("; ".join(refusals), code=codes.ALREADY_POWERED)
+        self._is_passive = self._dry_run and bool(refusals or self._others.words)
+        self._refuse_other_masters()
+
+    def _refuse_other_masters(self) -> None:
+        """Refuse to drive what another master drives; a dry run only listens to it.
+
+        Raises
+        ------
+        DriveError
+            Something of another master was heard.
+        """
+        heard = self._others.words
+        if heard and not self._dry_run:
+            assert self._configuration.bus is not None
+            text = f"another master is at work on {bus_name(self._configuration.bus)}: {heard}"
+            raise DriveError(text, "stop it first, or listen with --dry-run", code=codes.SECOND_MASTER)
+
+    def _connect_axis(self, name: str, config: "AxisConfig") -> CanopenAxis:
+        options, client = canopen_options(config), self._clients[name]
+        client.is_read_only = self._is_passive
+        if not self._dry_run and self._others.state_of(options.node) not in _PRE_OPERATIONAL:
+            # a drive in Operational may refuse new mappings; this one has no power, and no other master
+            self._set_nmt(objects.NmtCommand.ENTER_PRE_OPERATIONAL, options.node)
+        try:
+            times, period_s = self._times(options), self._configuration.period_s
+            drive = configure(client, name, config, period_s, times, dry_run=self._dry_run, taken=self._identifiers)
+        except DriveError as error:
+            if self._is_passive and error.code in _OF_MAPPING:
+                raise self._nothing_to_hear(client, error) from error
+            raise
+        notes = client.notes if client.journal is None else [*client.notes, *client.journal.notes]
+        drive = _with_notes(drive, [*notes, *self._passive_notes()])
+        return CanopenAxis(drive, options.node, self._heartbeat_s(name, options))
+
+    def _passive_notes(self) -> list[str]:
+        if not self._is_passive:
+            return []
+        heard = self._others.words or "its power is on"
+        return [f"another master drives it ({heard}): this dry run only listens to its TPDOs, and reads by SDO"]
+
+    def _nothing_to_hear(self, client: "SdoClient", error: DriveError) -> DriveError:
+        """Return why a dry run that must not write gets no feedback."""
+        reason = error.detail.removeprefix(f"{client.axis}: ")
+        heard = self._others.words or "its power is on"
+        text = (
+            f"{client.axis}: {client.where} belongs to another master ({heard}), so nothing is written to it, and its "
+            f"TPDOs as they are do not give the feedback: {reason}"
+        )
+        return DriveError(text, code=codes.NOTHING_TO_HEAR)
+
+    def _heartbeat_s(self, name: str, options: CanopenOptions) -> float:
+        """Return the period of a drive's heartbeat, s: in a dry run its own."""
+        own_ms = self._looks[name].heartbeat_ms if self._dry_run else 0
+        return 1e-3 * max(self._times(options).heartbeat_ms, own_ms)
+
+    @property
+    def _first_options(self) -> CanopenOptions:
+        return canopen_options(next(iter(self._configs.values())))
 
     def _times(self, options: CanopenOptions) -> WatchdogTimes:
         return options.times(self._configuration.period_s, self._configuration.realtime.max_missed)
+
+    def _make_passive_exchange(self, bus: "FrameBus") -> PassiveExchange:
+        """Return the exchange of a dry run beside another master.
+
+        Raises
+        ------
+        DriveError
+            A TPDO does not come.
+        """
+        wanted = {pdo.cob_id: axis for axis in self._axes for pdo in axis.tpdos}
+        end = time.monotonic() + _HEAR_S
+        while (silent := [c for c in wanted if not self._others.has_heard(c)]) and time.monotonic() < end:
+            heard_by(bus, self._others, min(end, time.monotonic() + 0.05), time.monotonic)
+        if silent:
+            axis, listed = wanted[silent[0]], ", ".join(f"{can_id:03X}h" for can_id in silent)
+            reason = f"no TPDO {listed} came within {_HEAR_S:g} s, as one that is sent only on a change may not"
+            raise self._nothing_to_hear(self._clients[axis.facts.name], DriveError(reason))
+        passive = [PassiveAxis(axis.drive, axis.node) for axis in self._axes]
+        return PassiveExchange(bus, passive, self._clock, period_s=self._configuration.period_s)
 
     def _make_exchange(self, bus: "FrameBus") -> CyclicExchange:
         options = [canopen_options(axis) for axis in self._configs.values()]
@@ -203,6 +339,7 @@ class CanopenDrives:
             master_node=options[0].master_node,
             dry_run=self._dry_run,
             max_missed=self._configuration.realtime.max_missed,
+            alarm=MasterAlarm(self._others),
         )
 
     # The cyclic phase
@@ -213,7 +350,8 @@ class CanopenDrives:
             raise BusError("the bus is not open: connect first")
         self._is_started = True
         for axis in self._axes:
-            self._write_nmt(objects.NmtCommand.START, axis.node)
+            if not self._is_passive:
+                self._set_nmt(objects.NmtCommand.START, axis.node)
         self._exchange.start()
 
     def receive(self, feedback: Sequence[Feedback], end_ns: int) -> None:
@@ -233,31 +371,73 @@ class CanopenDrives:
 
     # Leaving
 
-    def close(self) -> None:
-        """Take the nodes out of Operational, so that no old command stays in force, and leave the bus."""
+    def close(self) -> list[DriveState]:
+        """Disable every drive, leave each as it was found, and leave the bus.
+
+        Returns
+        -------
+        list of DriveState
+            State of each drive as it was read back at last, UNKNOWN where it was not.
+        """
         if self._bus is not None:
             try:
-                if self._is_started and not self._dry_run:
-                    self._switch_off()
+                if self._network is not None and not self._is_passive:
+                    self._leave(self._network)
             finally:
                 bus, self._bus = self._bus, None
                 bus.close()
         for lock in self._locks:
             lock.release()
+        return [self._states.get(name, DriveState.UNKNOWN) for name in self._configs]
+
+    def _leave(self, network: "SdoNetwork") -> None:
+        with network.reading():
+            if self._dry_run:
+                self._stop_listening()
+            elif self._is_started:
+                self._switch_off()
+            for client in self._clients.values():
+                self.leftovers += restore(client)
+            for node, found in self._nmt_states.items():
+                if found == objects.NmtState.OPERATIONAL and self._is_unpowered(node):
+                    self._write_nmt(objects.NmtCommand.START, node)
+
+    def _is_unpowered(self, node: int) -> bool:
+        """Return True if every axis of a node says that it has no power."""
+        clients = [
+            client for name, client in self._clients.items() if canopen_options(self._configs[name]).node == node
+        ]
+        return all(has_no_power(read_state(client)) for client in clients)
+
+    def _stop_listening(self) -> None:
+        """Take the nodes that a dry run has started out of Operational, unless somebody drives them meanwhile."""
+        for node in list(self._nmt_states):
+            if self._others.words or not self._is_unpowered(node):
+                del self._nmt_states[node]
+            else:
+                self._write_nmt(objects.NmtCommand.ENTER_PRE_OPERATIONAL, node)
 
     def _switch_off(self) -> None:
-        """Stop the exchange of PDOs, disable every drive, and end the watch of those that have no power any more."""
-        for axis in self._axes:
-            self._write_nmt(objects.NmtCommand.ENTER_PRE_OPERATIONAL, axis.node)
-        assert self._network is not None
-        with self._network.reading():
-            for client in self._clients.values():
-                # a drive that does not answer, or keeps its power, goes on watching: it trips when the daemon is silent
-                with contextlib.suppress(DriveError):
-                    # the last RPDO would take effect at the next SYNC, which is not sent any more; this does at once
-                    client.write(objects.CONTROLWORD, profile.DISABLE_VOLTAGE)
-                    if not profile.drive_state(client.read(objects.STATUSWORD)).is_powered:
-                        client.try_write(objects.CONSUMER_HEARTBEAT, 0)
+        """Disable every drive, and stop the exchange of PDOs.
+
+        A drive that does not answer, or keeps its power, goes on watching: it trips when the daemon is silent. In
+        Pre-operational it would react as to a lost connection, so it is disabled first.
+        """
+        failure: BusError | None = None
+        for name, client in self._clients.items():
+            # the last RPDO would take effect at the next SYNC, which is not sent any more; this does at once
+            self._states[name] = disable(client)
+            try:
+                self._write_nmt(objects.NmtCommand.ENTER_PRE_OPERATIONAL, canopen_options(self._configs[name]).node)
+            except BusError as error:
+                failure = error  # the other drives first
+        if failure is not None:
+            raise failure
+
+    def _set_nmt(self, command: objects.NmtCommand, node: int) -> None:
+        """Change the NMT state of a node, and keep the one that it was found in."""
+        self._nmt_states.setdefault(node, self._others.state_of(node))
+        self._write_nmt(command, node)
 
     def _write_nmt(self, command: objects.NmtCommand, node: int) -> None:
         if self._bus is None:
@@ -271,20 +451,9 @@ def _with_notes(drive: ConfiguredDrive, notes: Sequence[str]) -> ConfiguredDrive
     return replace(drive, facts=replace(drive.facts, notes=drive.facts.notes + further))
 
 
-def _refuse_second_master(bus: "FrameBus", name: str) -> None:
-    """Listen for SYNC of another master, which may run on another machine.
-
-    Raises
-    ------
-    DriveError
-        There is one.
-    """
-    end = time.monotonic() + _LISTEN_S
-    while (left := end - time.monotonic()) > 0.0:
-        frame = bus.receive(left)
-        if frame is not None and frame[0] == objects.SYNC_ID:
-            text = f"another master sends SYNC on {name}: two daemons must not drive one bus"
-            raise DriveError(text, code=codes.SECOND_MASTER)
+def _is_echoing(config: "BusConfig") -> bool:
+    """Return True for a bus that delivers the daemon's own frames to it."""
+    return config.interface == "udp_multicast" or bool(config.further.get("receive_own_messages"))
 
 
 def _read_eds(axis: "AxisConfig") -> None:

@@ -8,6 +8,7 @@ from friction_hil.drive import Clock, Command, DriveState, Feedback, Request
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes, objects
 from friction_hil_drivers.canopen.axis import CanopenAxis, Handler
+from friction_hil_drivers.canopen.listening import MasterAlarm
 from friction_hil_drivers.canopen.queue_full import QueueFullError
 from friction_hil_drivers.canopen.watchdogs import Feeder, Guard, feeders
 
@@ -48,6 +49,8 @@ class CyclicExchange:
         Send SYNC and nothing else.
     max_missed : int, optional
         Periods after which a command is too old to be sent, and missed exchanges in a row that are bridged.
+    alarm : MasterAlarm, optional
+        Tells of another master that appears.
     """
 
     def __init__(
@@ -61,6 +64,7 @@ class CyclicExchange:
         master_node: int,
         dry_run: bool,
         max_missed: int = 10,
+        alarm: MasterAlarm | None = None,
     ) -> None:
         self._bus = bus
         self._axes = axes
@@ -68,6 +72,8 @@ class CyclicExchange:
         self._dry_run = dry_run
         self._reserve_ns = round(_COMMAND_FRACTION * period_s * 1e9)
         self._handlers = _join_handlers(axes)
+        self._alarm = alarm or MasterAlarm()
+        self._handlers |= self._alarm.handlers
         self._heartbeat_id = objects.HEARTBEAT_BASE + master_node
         self._heartbeat_ns = round(heartbeat_s * 1e9)
         self._next_heartbeat_ns = 0
@@ -111,6 +117,8 @@ class CyclicExchange:
             self._require_answers()
         for axis, target in zip(self._axes, feedback, strict=True):
             axis.report(target, now)
+            if self._alarm.message:
+                target.message = target.message or self._alarm.message
 
     def _send_sync(self) -> str:
         """Send SYNC, at which drives take over what their RPDOs carried; return why it was not sent, "" if it was."""

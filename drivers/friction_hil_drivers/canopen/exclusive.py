@@ -15,6 +15,11 @@ if TYPE_CHECKING:
     from friction_hil.config import BusConfig
 
 
+def state_path(bus: "BusConfig", node: int, suffix: str) -> Path:
+    """Return the path of a file about one node of a bus, in the folder for temporary files."""
+    return Path(tempfile.gettempdir()) / (re.sub(r"\W+", "-", f"friction_hil-{bus_name(bus)}-{node}") + suffix)
+
+
 class AxisLock:
     """Lock of one node of a bus, held by the daemon of this machine that drives it.
 
@@ -25,8 +30,7 @@ class AxisLock:
     """
 
     def __init__(self, bus: "BusConfig", node: int, axis: str) -> None:
-        name = re.sub(r"\W+", "-", f"friction_hil-{bus_name(bus)}-{node}") + ".lock"
-        self._path = Path(tempfile.gettempdir()) / name
+        self._path = state_path(bus, node, ".lock")
         self._descriptor = self._open(axis)
         try:
             # the owner before may have removed the file after it was opened here and before it was locked

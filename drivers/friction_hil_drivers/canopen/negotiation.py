@@ -252,7 +252,9 @@ class PdoNegotiator:
         raise self._refusal(entries)
 
     def _found(self) -> list[FoundPdo]:
-        return read_pdos(self._access, **self._where)  # type: ignore[arg-type]
+        found = read_pdos(self._access, **self._where)  # type: ignore[arg-type]
+        # where nothing may be written, a PDO that is off stays off
+        return [pdo for pdo in found if not (self._access.is_read_only and pdo.cob_id & objects.PDO_INVALID)]
 
     def _widths(self, entries: Sequence[Object]) -> dict[Object, int]:
         """Return the widths that the drive itself gives its objects."""
@@ -283,6 +285,8 @@ class PdoNegotiator:
 
     def _write(self, groups: Sequence[tuple[Object, ...]], bits: Mapping[Object, int]) -> list[MappedPdo] | None:
         """Write each group into the first PDO that takes it; None, with all as before, if one finds none."""
+        if self._access.is_read_only:
+            return None
         free = self._found()
         done: list[tuple[FoundPdo, MappedPdo]] = []
         for group in groups:
@@ -365,7 +369,7 @@ class PdoNegotiator:
 
     def _require_usable_type(self, record: PdoRecord, kind: int | None) -> None:
         """Refuse a TPDO that does not come with every SYNC; an RPDO may take effect with SYNC or when it arrives."""
-        if not record.is_receive:
+        if not record.is_receive and not self._access.is_read_only:
             text = (
                 f"{self._access.axis}: {record.name} of {self._access.where} does not come with every SYNC: "
                 f"its transmission type {kind} cannot be changed to {SYNCHRONOUS}"

@@ -19,6 +19,7 @@ from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes
 from friction_hil_drivers.canopen.codec import Frame
 from friction_hil_drivers.canopen.frames import FrameBus
+from friction_hil_drivers.canopen.journal import Journal
 from friction_hil_drivers.canopen.object_reader import ObjectReader
 from friction_hil_drivers.canopen.objects import Object
 from friction_hil_drivers.canopen.sdo_answers import ABSENT, SEGMENT, Address, Request, abort_code, address_of, describe
@@ -27,6 +28,7 @@ PATIENCE_S = 3.0  # storing parameters and a change of mapping take some drives 
 SHORT_PATIENCE_S = 0.5
 _READ_ATTEMPTS = 3  # within the patience: reading again is harmless, and a frame may have been lost
 _MOST_NOTES = 5
+_MOST_WAITING = 1000  # frames read at once: a request has its time limit on a busy bus too
 
 
 class MatchingSdo(canopen.sdo.client.SdoClient):
@@ -142,13 +144,21 @@ def _abort_after_timeout(address: Address) -> bytes:
     return _abort(address, 0x05040000)
 
 
+def _channel(node: int, network: Any, pump: Callable[[float], None] | None, now: Callable[[], float]) -> MatchingSdo:
+    """Return the SDO channel of a node, which hears what its server sends."""
+    channel = MatchingSdo(node, pump, now)
+    channel.network = network
+    network.subscribe(channel.tx_cobid, channel.on_response)
+    return channel
+
+
 class SdoClient(ObjectReader):
     """SDO client of one node.
 
     Parameters
     ----------
     node
-        ``canopen.RemoteNode`` on a network that is being read.
+        ``canopen.RemoteNode`` on a network that is being read, or the `MatchingSdo` of a node.
     axis : str
         Name of the axis, for messages.
     where : str
@@ -164,6 +174,10 @@ class SdoClient(ObjectReader):
         For the user: objects that the drive refuses to show, and answers that came late.
     refusals : dict
         By index and sub-index: why the drive refused to show an object, where it did not say that it has none.
+    journal : Journal or None
+        Keeps what the drive holds before it is written to.
+    is_read_only : bool
+        True: every write is refused, as if by the drive, and nothing is sent.
     """
 
     def __init__(
@@ -174,14 +188,14 @@ class SdoClient(ObjectReader):
         pump: Callable[[float], None] | None = None,
         now: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._sdo = MatchingSdo(node.id, pump, now)
-        self._sdo.network = node.network
-        node.network.subscribe(self._sdo.tx_cobid, self._sdo.on_response)
+        self._sdo = node if isinstance(node, MatchingSdo) else _channel(node.id, node.network, pump, now)
         self.axis = axis
         self.where = where
         self.axis_number = 0
         self.notes: list[str] = []
         self.refusals: dict[Address, str] = {}
+        self.journal: Journal | None = None
+        self.is_read_only = False
         self._has_answered = False
         self._late = 0
 
@@ -251,6 +265,15 @@ class SdoClient(ObjectReader):
             The drive does not answer, or refuses.
         """
         entry = entry.of_axis(self.axis_number)
+        if self.is_read_only:
+            text = f"{self.axis}: {entry} of {self.where} is not written: another master moves the drive"
+            raise DriveError(text, code=codes.SDO_ABORT)
+        if self.journal is not None:
+            self.journal.before(entry, data)
+        self.download(entry, data, shown)
+
+    def download(self, entry: Object, data: bytes, shown: str = "") -> None:
+        """Write the content of an object without keeping what it held before; see `write_bytes`."""
         try:
             with self._attempts(1):
                 self._sdo.download(entry.index, entry.subindex, data)
@@ -259,6 +282,19 @@ class SdoClient(ObjectReader):
             raise DriveError(text, code=codes.SDO_ABORT) from error
         except canopen.SdoCommunicationError as error:
             raise self._answer_lost("writing", entry) from error
+
+    def peek(self, entry: Object) -> bytes | None:
+        """Return the content of an object, None where the drive does not show it for whatever reason; without a note.
+
+        Raises
+        ------
+        DriveError
+            The drive does not answer.
+        """
+        try:
+            return self._upload(entry)
+        except canopen.SdoAbortedError:
+            return None
 
     def try_write(self, entry: Object, value: int) -> bool:
         """Write an object that the drive may lack or refuse; return True if it reads back as written."""
@@ -333,14 +369,17 @@ class SdoNetwork:
         heard: Callable[[Frame], None] | None = None,
         now: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._bus = bus if isinstance(bus, FrameBus) else FrameBus(bus, "of the SDO client")
+        self._bus = FrameBus(bus, "of the SDO client") if isinstance(bus, can.BusABC) else bus
         self._heard = heard
         self._now = now
         self._network: Any = _Network(self._bus)
+        self._channels: dict[int, MatchingSdo] = {}  # a node with several axes has one
 
     def client(self, node: int, axis: str, where: str) -> SdoClient:
         """Return the SDO client of a node; `axis` and `where` are for its messages."""
-        return SdoClient(self._network.add_node(node, object_dictionary=None), axis, where, self._pump, self._now)
+        if node not in self._channels:
+            self._channels[node] = _channel(node, self._network, self._pump, self._now)
+        return SdoClient(self._channels[node], axis, where)
 
     @contextlib.contextmanager
     def reading(self) -> Iterator[None]:
@@ -349,7 +388,10 @@ class SdoNetwork:
 
     def _pump(self, timeout: float) -> None:
         """Take a frame that comes within ``timeout`` seconds, and those that wait already."""
-        while (frame := self._bus.receive(timeout)) is not None:
+        for _ in range(_MOST_WAITING):
+            frame = self._bus.receive(timeout)
+            if frame is None:
+                return
             timeout = 0.0
             if self._heard is not None:
                 self._heard(frame)

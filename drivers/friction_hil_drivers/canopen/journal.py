@@ -1,0 +1,333 @@
+"""What a drive held before the daemon wrote to it, in memory and on disk, to leave the drive as it was found.
+
+The file is written before the drive is: after a kill the next start finds it, takes its values for those found, and
+restores them at its end. A value that is neither the one found nor one that was written belongs to somebody else, who
+has changed the drive since; it is left alone.
+"""
+
+import contextlib
+import json
+import os
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+from friction_hil.errors import DriveError
+from friction_hil_drivers.canopen import codes, objects
+from friction_hil_drivers.canopen.objects import DataType, Object
+
+_VERSION = 1
+_MOST_ENTRIES = 64  # of a mapping; larger counts stand for multiplexed PDOs
+_PDO_PARAMETERS = (range(0x1400, 0x1600), range(0x1800, 0x1A00))
+_PDO_MAPPINGS = (range(0x1600, 0x1800), range(0x1A00, 0x1C00))
+_TO_MAPPING = 0x200  # from a communication record to its mapping record
+
+# Commands and set-points are no settings; 1010h and 1011h are orders
+_NOT_KEPT = frozenset({0x1010, 0x1011, 0x6040, 0x6071, 0x607A, 0x60B0, 0x60B1, 0x60B2, 0x60FF})
+
+Address = tuple[int, int]
+
+
+class Access(Protocol):
+    """What the journal needs of an SDO client."""
+
+    axis: str
+    where: str
+
+    def peek(self, entry: Object) -> bytes | None:
+        """Return the content of an object, None where the drive does not show it."""
+        ...
+
+    def download(self, entry: Object, data: bytes) -> None:
+        """Write the content of an object, without the journal."""
+        ...
+
+
+@dataclass(slots=True)
+class Found:
+    """One object: what it held, and what was written to it since.
+
+    Attributes
+    ----------
+    entry : Object
+    found : bytes or None
+        None: the drive did not show it.
+    written : list of bytes
+    """
+
+    entry: Object
+    found: bytes | None
+    written: list[bytes] = field(default_factory=list)
+
+    def is_ours(self, present: bytes | None) -> bool:
+        """Return True if ``present`` is what was found or written, or is not shown, so that nobody else changed it."""
+        return present is None or present == self.found or present in self.written
+
+
+# What belongs together
+
+
+def is_kept(entry: Object) -> bool:
+    """Return True for a setting, False for a command or a set-point."""
+    index = entry.index
+    if 0x6000 <= index < 0xA000:  # each further axis of a node has its objects 800h higher
+        index = 0x6000 + (index - 0x6000) % 0x800
+    return index not in _NOT_KEPT
+
+
+def pdo_record(index: int) -> int | None:
+    """Return the communication record of the PDO that an object belongs to, None for another object."""
+    if any(index in indices for indices in _PDO_PARAMETERS):
+        return index
+    return index - _TO_MAPPING if any(index in indices for indices in _PDO_MAPPINGS) else None
+
+
+def cob_id_entry(record: int) -> Object:
+    """Return the entry that switches a PDO on and off."""
+    return Object(record, "COB-ID of a PDO", DataType.UNSIGNED32, objects.PDO_COB_ID)
+
+
+def mapping_entry(record: int, position: int) -> Object:
+    """Return an entry of the mapping of a PDO; position 0 is their number."""
+    if position == 0:
+        return Object(record + _TO_MAPPING, "number of objects in a PDO", DataType.UNSIGNED8, 0)
+    return Object(record + _TO_MAPPING, f"object {position} of a PDO", DataType.UNSIGNED32, position)
+
+
+Step = tuple[Object, bytes]
+
+
+def restoration(found: Sequence[Found]) -> list[list[Step]]:
+    """Return what is to be written, in groups: the last one that was changed comes first.
+
+    A PDO is one group, in the order that CiA 301 prescribes: PDO off, count 0, entries, count, parameters, PDO on.
+    """
+    groups: dict[int, list[Found]] = {}
+    for one in found:
+        record = pdo_record(one.entry.index)
+        key = one.entry.index << 8 | one.entry.subindex if record is None else record << 8
+        groups.setdefault(key, []).append(one)
+    plans = [_pdo_steps(group) if pdo_record(group[0].entry.index) else _steps(group) for group in groups.values()]
+    return [plan for plan in reversed(plans) if plan]
+
+
+def _steps(group: Sequence[Found]) -> list[Step]:
+    return [(one.entry, one.found) for one in group if one.found is not None]
+
+
+def _pdo_steps(group: Sequence[Found]) -> list[Step]:
+    record = pdo_record(group[0].entry.index)
+    assert record is not None
+    values = {one.entry.address: one for one in group if one.found is not None}
+    switch = values.pop((record, objects.PDO_COB_ID), None)
+    mapping = sorted((one for one in values.values() if one.entry.index != record), key=lambda one: one.entry.subindex)
+    parameters = [one for one in values.values() if one.entry.index == record]
+    steps: list[Step] = []
+    if mapping and mapping[0].entry.subindex == 0:
+        count = mapping[0]
+        steps.append((count.entry, bytes(1)))
+        steps += _steps(mapping[1 : 1 + _number(count.found)])
+        steps += _steps([count])
+    steps += _steps(parameters)
+    if switch is None or switch.found is None:
+        return steps
+    off = (_number(switch.found) | objects.PDO_INVALID).to_bytes(4, "little")
+    before = [(switch.entry, off)] if steps else []
+    return [*before, *steps, (switch.entry, switch.found)]
+
+
+def _number(data: bytes | None) -> int:
+    return int.from_bytes(data or b"", "little")
+
+
+class Journal:
+    """Values found in one drive.
+
+    Parameters
+    ----------
+    access : Access
+    path_of : callable
+        Returns the path of the file, given the identity of the drive in hexadecimal numbers.
+    """
+
+    def __init__(self, access: Access, path_of: Callable[[str], Path]) -> None:
+        self._access = access
+        self._path_of = path_of
+        self._path: Path | None = None
+        self._found: dict[Address, Found] = {}
+        self.notes: list[str] = []
+
+    def __bool__(self) -> bool:
+        return bool(self._found)
+
+    def before(self, entry: Object, data: bytes) -> None:
+        """Keep what the drive holds, before ``data`` is written to an object.
+
+        Raises
+        ------
+        DriveError
+            It cannot be kept on disk.
+        """
+        if not is_kept(entry):
+            return
+        self._open()
+        for one in self._concerned(entry):
+            if one.address not in self._found:
+                self._found[one.address] = Found(one, self._access.peek(one))
+        kept = self._found[entry.address]
+        if data not in kept.written:
+            kept.written.append(data)
+        self._save()
+
+    def take_over(self) -> None:
+        """Take the values that a run left behind which was killed."""
+        self._open()
+
+    def _open(self) -> None:
+        """Find the file of this drive, once, and take over what it has."""
+        if self._path is not None:
+            return
+        parts = [self._access.peek(entry) for entry in _IDENTITY]
+        self._path = self._path_of("-".join(f"{_number(part):x}" for part in parts))
+        kept, problem = _load(self._path)
+        if problem:
+            self.notes.append(f"{self._path} is not used: {problem}")
+        for one in kept:
+            if one.is_ours(self._access.peek(one.entry)):
+                self._found[one.entry.address] = one
+        if self._found:
+            self.notes.append(
+                f"a run before this one ended without restoring the drive's settings ({len(self._found)} objects, kept "
+                f"in {self._path}): they are restored at the end of this one"
+            )
+
+    def _concerned(self, entry: Object) -> Iterator[Object]:
+        """Yield what has to be known to undo a write: of a mapping all of it, of every PDO its switch."""
+        record = pdo_record(entry.index)
+        if record is not None:
+            yield cob_id_entry(record)
+            if entry.index != record and (record + _TO_MAPPING, 0) not in self._found:
+                count = mapping_entry(record, 0)
+                yield count
+                held = _number(self._access.peek(count))
+                yield from (mapping_entry(record, k) for k in range(1, held + 1) if held <= _MOST_ENTRIES)
+        yield entry
+
+    # Restoring
+
+    def restore(self) -> list[str]:
+        """Write back what was found; return what could not be restored, in words.
+
+        The caller has made sure that the drive has no power. The file stays as long as something is to be restored.
+
+        Raises
+        ------
+        DriveError
+            The drive does not answer any more; then everything stays in the file.
+        """
+        for group in restoration(list(self._found.values())):
+            self._restore_group(group)
+        left: dict[Address, Found] = {}
+        words = []
+        for one in self._found.values():
+            present = self._access.peek(one.entry)
+            if one.found is not None and present != one.found and not self._is_unused(one.entry):
+                left[one.entry.address] = one
+                words.append(f"{one.entry} was {_shown(one.found)} and stays {_shown(present)}")
+        self._found = left
+        self._forget_or_save()
+        return words
+
+    def _is_unused(self, entry: Object) -> bool:
+        """Return True for an entry of a mapping that has fewer entries again."""
+        count = self._found.get((entry.index, 0))
+        is_mapping = any(entry.index in indices for indices in _PDO_MAPPINGS) and entry.subindex > 0
+        return is_mapping and count is not None and entry.subindex > _number(count.found)
+
+    def _restore_group(self, group: Sequence[Step]) -> None:
+        wanted = dict(group)  # the last value of each object
+        if all(self._access.peek(entry) == data for entry, data in wanted.items()):
+            return
+        for entry, data in group:
+            try:
+                self._access.download(entry, data)
+            except DriveError as error:
+                if error.code != codes.SDO_ABORT:
+                    raise
+                # told by the comparison afterwards
+
+    def what_is_left(self) -> list[str]:
+        """Return what has not been restored, in words."""
+        return [f"{one.entry} was {_shown(one.found)}" for one in self._found.values() if one.found is not None]
+
+    # The file
+
+    def _save(self) -> None:
+        assert self._path is not None
+        entries = [
+            {
+                "index": one.entry.index,
+                "subindex": one.entry.subindex,
+                "found": None if one.found is None else one.found.hex(),
+                "written": [data.hex() for data in one.written],
+            }
+            for one in self._found.values()
+        ]
+        text = json.dumps({"version": _VERSION, "entries": entries})
+        new = self._path.with_suffix(".new")
+        try:
+            with contextlib.suppress(FileNotFoundError):
+                new.unlink()
+            flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC | os.O_NOFOLLOW
+            with os.fdopen(os.open(new, flags, 0o600), "w") as file:
+                file.write(text)
+            new.replace(self._path)
+        except OSError as error:
+            text = (
+                f"{self._access.axis}: what the drive held before cannot be kept in {self._path}: "
+                f"{error.strerror or error}; nothing more is written to the drive"
+            )
+            raise DriveError(text, code=codes.JOURNAL_FILE) from error
+
+    def _forget_or_save(self) -> None:
+        if self._found:
+            self._save()
+        elif self._path is not None:
+            with contextlib.suppress(OSError):
+                self._path.unlink(missing_ok=True)
+
+
+_IDENTITY = (objects.VENDOR_ID, objects.PRODUCT_CODE, objects.SERIAL_NUMBER)
+
+
+def _load(path: Path) -> tuple[list[Found], str]:
+    """Return the content of a file that this user wrote, and why it cannot be used, "" where it can."""
+    try:
+        descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW)
+    except FileNotFoundError:
+        return [], ""
+    except OSError as error:
+        return [], error.strerror or str(error)
+    with os.fdopen(descriptor) as file:
+        if os.fstat(file.fileno()).st_uid not in (os.geteuid(), 0):
+            return [], "it belongs to another user"
+        try:
+            content = json.load(file)
+            if content["version"] != _VERSION:
+                return [], "it has another version"
+            return [_entry(one) for one in content["entries"]], ""
+        except (ValueError, KeyError, TypeError) as error:
+            return [], f"it is damaged ({error})"
+
+
+def _entry(one: dict[str, Any]) -> Found:
+    address = int(one["index"]), int(one["subindex"])
+    found = None if one["found"] is None else bytes.fromhex(one["found"])
+    written = [bytes.fromhex(data) for data in one["written"]]
+    entry = objects.TABLE.get(address) or Object(address[0], "(kept)", DataType.UNSIGNED32, address[1])
+    return Found(entry, found, written)
+
+
+def _shown(data: bytes | None) -> str:
+    return "not shown" if data is None else f"{int.from_bytes(data, 'little'):0{2 * len(data)}X}h"
