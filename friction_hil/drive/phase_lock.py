@@ -109,6 +109,10 @@ class PhaseLock:
         """Return the time at which the SYNC of ``cycle`` is expected, ns."""
         return round(self._at_ns + (cycle - self._cycle) * self._period_ns)
 
+    def cycle_at(self, time_ns: int) -> int:
+        """Return the cycle whose SYNC is expected nearest to a time."""
+        return self._cycle + round((time_ns - self._at_ns) / self._period_ns)
+
     def take(self, cycle: int, stamp_ns: int) -> bool:
         """Correct period and phase by the SYNC of ``cycle``; return False for an outlier, which corrects nothing."""
         expected = self._at_ns + (cycle - self._cycle) * self._period_ns
