@@ -109,7 +109,8 @@ class _Slave:
         elif (fields := self._tpdos.get(can_id)) is not None:
             self.missing.discard(can_id)
             values = fields.unpack(data)
-            self.state = profile.drive_state(values.get(objects.STATUSWORD.index, 0))
+            if objects.STATUSWORD.index in values:
+                self.state = profile.drive_state(values[objects.STATUSWORD.index])
             if objects.POSITION_ACTUAL.index in values:
                 raw = values[objects.POSITION_ACTUAL.index]
                 self.counts = unwrap(self.counts, raw, COUNTER_BITS) if self._has_position else raw
