@@ -7,6 +7,7 @@ import numpy as np
 from friction_hil.numerics.jit import Array
 
 SPAN = 5  # set-points in the fit
+_LONGEST_GAP = 3  # cycles without a new set-point, or missed, that are filled in once the next one comes
 _NO_DEMAND = (math.nan, math.nan, math.nan)
 
 
@@ -14,7 +15,8 @@ class DemandEstimator:
     """Demand now, and its velocity ahead, by a parabola through the last set-points (least squares).
 
     The parabola filters the rounding of the set-points to whole counts: at the newest of them its slope has 0.8 times
-    the variance of their simple difference. A constant acceleration leaves no error.
+    the variance of their simple difference. A constant acceleration leaves no error. Where a set-point was lost, came
+    a cycle late or is rounded to the same count, the gap is filled in on the straight line to the next one.
 
     Parameters
     ----------
@@ -29,12 +31,12 @@ class DemandEstimator:
     --------
     >>> demand = DemandEstimator(1e-3, 1.5e-3, 1e-3)
     >>> for k in range(5):
-    ...     heard = demand.take(0.002 * k)
+    ...     heard = demand.take(k, 0.002 * k)
     >>> [round(value, 6) for value in heard]
     [0.005, 2.0, 2.0]
     """
 
-    __slots__ = ("_ahead", "_count", "_now", "_points", "_rate")
+    __slots__ = ("_ahead", "_count", "_cycle", "_now", "_points", "_rate")
 
     def __init__(self, period_s: float, delay_s: float, lead_s: float) -> None:
         grid = np.arange(1.0 - SPAN, 1.0)  # periods, the newest at 0
@@ -45,8 +47,9 @@ class DemandEstimator:
         self._ahead: Array = np.array([0.0, 1.0, 2.0 * ahead]) @ fit / period_s
         self._points = np.zeros(SPAN)
         self._count = 0
+        self._cycle = 0  # of the newest set-point
 
-    def take(self, setpoint: float) -> tuple[float, float, float]:
+    def take(self, cycle: int, setpoint: float) -> tuple[float, float, float]:
         """Take one cycle's set-point; return position and velocity now, and velocity ahead.
 
         They are NaN until there is one set-point for each point of the fit; a set-point that is NaN begins anew.
@@ -54,10 +57,17 @@ class DemandEstimator:
         if not math.isfinite(setpoint):
             self._count = 0
             return _NO_DEMAND
-        points = self._points
-        points[:-1] = points[1:]
-        points[-1] = setpoint
-        self._count = min(self._count + 1, SPAN)
+        elapsed = max(cycle - self._cycle, 1)
+        self._cycle = cycle
+        if elapsed > _LONGEST_GAP:
+            self._count = 0
+        points, known = self._points, self._count
+        for _ in range(elapsed if known else 1):
+            points[:-1] = points[1:]
+            points[-1] = setpoint
+        if known:
+            self._fill(setpoint, elapsed, known)
+        self._count = min(known + elapsed, SPAN) if known else 1
         if self._count < SPAN:
             return _NO_DEMAND
         # relative to the newest: a position of many turns must not cost digits of the velocity
@@ -67,3 +77,13 @@ class DemandEstimator:
             float(self._rate @ relative),
             float(self._ahead @ relative),
         )
+
+    def _fill(self, setpoint: float, elapsed: int, known: int) -> None:
+        """Place the set-points of a gap on the straight line to this one."""
+        points, gap = self._points, elapsed
+        before = float(points[-1 - gap])
+        while gap - elapsed + 1 < known and gap + 2 <= SPAN and points[-2 - gap] == before:
+            gap += 1
+        if setpoint != before and 1 < gap <= _LONGEST_GAP:
+            for k in range(1, gap):
+                points[-1 - k] = setpoint + (before - setpoint) * k / gap

@@ -127,7 +127,7 @@ class FollowerAxis(AxisLoop):
         self.stale_cycles += not is_usable
         position = supervisor.position
         velocity = feedback.velocity if is_usable else compensator.velocity_estimate
-        demand = self._demand.take(feedback.position_demand if is_operating else math.nan)
+        demand = self._demand.take(cycle, feedback.position_demand if is_operating else math.nan)
         is_enabled = self._gate(is_operating and state in (LoopState.IDLE, LoopState.RUNNING) and running_s >= 0.0)
         inputs = CompensatorInputs(float(cycle), position, velocity, feedback.torque, *demand, is_usable, is_enabled)
         row.write_states(self._states)

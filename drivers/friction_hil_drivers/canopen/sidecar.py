@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from friction_hil.config import AxisConfig, Configuration
     from friction_hil_drivers.canopen.frames import FrameBus
 
-_SYNCS, _RELOCK_SYNCS = 100, 30
+_SYNCS, _RELOCK_SYNCS = 250, 50
 _SYNC_TIMEOUT_S = 5.0
 
 # RPDO of type 255: in force as soon as it arrives, some 0.25 periods after SYNC, and held for a period

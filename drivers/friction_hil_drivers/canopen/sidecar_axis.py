@@ -49,8 +49,6 @@ class SidecarAxis:
         By identifier: takes the data of a frame.
     is_complete : bool
         Every TPDO of this cycle that comes with SYNC has arrived.
-    is_heard : bool
-        A position has been heard.
     """
 
     def __init__(
@@ -65,6 +63,7 @@ class SidecarAxis:
         self._awaited = frozenset(one.pdo.cob_id for one in self._tpdos if one.is_awaited)
         self._position_id = next(one.pdo.cob_id for one in self._tpdos if objects.POSITION_ACTUAL in one.pdo.entries)
         self._missing = set(self._awaited)
+        self._early: set[int] = set()
         self._values: dict[Object, int] = {}  # raw, the latest of each object
         self._wrong = ""
         self._error = ""
@@ -75,7 +74,6 @@ class SidecarAxis:
         self._demand: int | None = None
         self._demand_object = demand_object(options)
         self.is_complete = False
-        self.is_heard = False
         self.handlers = self._make_handlers()
 
     def _make_handlers(self) -> Mapping[int, Handler]:
@@ -111,11 +109,19 @@ class SidecarAxis:
         """Return another axis for the same drive, as it was before its first cycle."""
         return SidecarAxis(*self._arguments)
 
-    def begin_cycle(self) -> None:
-        """Take the set-point heard so far as that of the cycle before, and wait for this cycle's TPDOs."""
+    def begin_cycle(self, *, has_early: bool = False) -> None:
+        """Take the set-point heard so far as that of the cycle before, and wait for this cycle's TPDOs.
+
+        Parameters
+        ----------
+        has_early : bool
+            A second TPDO since the last call is the answer to this SYNC: in simulated time nobody sends two, but
+            several processes on udp_multicast may be heard in another order than they sent.
+        """
         self._demand = self._values.get(objects.TARGET_POSITION)
-        self._missing = set(self._awaited)
-        self.is_complete = False
+        self._missing = set(self._awaited - self._early if has_early else self._awaited)
+        self._early.clear()
+        self.is_complete = not self._missing
         self._wrong = ""
 
     def report(self, feedback: Feedback) -> None:
@@ -164,8 +170,12 @@ class SidecarAxis:
 
     def _on_tpdo(self, heard: _Heard, data: bytes) -> None:
         if self._on_pdo(heard, data):
-            self._missing.discard(heard.pdo.cob_id)
-            self.is_complete = self.is_heard = not self._missing or self.is_complete
+            cob_id = heard.pdo.cob_id
+            if cob_id in self._missing:
+                self._missing.discard(cob_id)
+            else:
+                self._early.add(cob_id)
+            self.is_complete = not self._missing
 
     def _on_emergency(self, data: bytes) -> None:
         error = decode_emergency(data)

@@ -194,8 +194,9 @@ class SidecarExchange:
         return None
 
     def _begin_cycle(self) -> None:
+        has_early = not self._clock.is_real
         for axis in self._axes:
-            axis.begin_cycle()
+            axis.begin_cycle(has_early=has_early)
 
     def _count_missed(self, has_sync: bool) -> None:
         self._missed = 0 if has_sync else self._missed + 1

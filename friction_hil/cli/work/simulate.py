@@ -38,7 +38,7 @@ def simulate(*, config: str, pace: str, master: bool, ready_fd: int | None, exit
             if conductor is None:
                 drives.run(is_stopping)
             else:
-                _run_with_master(drives, conductor, is_stopping)
+                _run_with_master(drives, conductor, is_stopping, priority)
     finally:
         drives.close()
 
@@ -57,13 +57,13 @@ def _make_master(kind: Any, driver: str, configuration: Configuration, axes: dic
     return make(configuration, axes, pace=pace)
 
 
-def _run_with_master(drives: Any, master: Any, is_stopping: Callable[[], bool]) -> None:
+def _run_with_master(drives: Any, master: Any, is_stopping: Callable[[], bool], priority: int) -> None:
     """Serve the bus, with the master in a process of its own, until a signal comes or the master has ended."""
     read_end, write_end = os.pipe()
     child = os.fork()
     if child == 0:
         os.close(write_end)
-        os._exit(_conduct(master, read_end))
+        os._exit(_conduct(master, read_end, priority))
     os.close(read_end)
     try:
         drives.run(is_stopping)
@@ -80,12 +80,13 @@ def _run_with_master(drives: Any, master: Any, is_stopping: Callable[[], bool]) 
             os.waitpid(child, 0)
 
 
-def _conduct(master: Any, read_end: int) -> int:
+def _conduct(master: Any, read_end: int, priority: int) -> int:
     """Run the master until its parent closes the pipe; return the exit status."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)  # the parent tells when to stop, also after it was killed
     try:
-        master.run(lambda: bool(select.select([read_end], [], [], 0.0)[0]))
+        with punctuality(priority):
+            master.run(lambda: bool(select.select([read_end], [], [], 0.0)[0]))
     except FrictionHilError as error:
         click.echo(f"master: {error}", err=True)
         return 1

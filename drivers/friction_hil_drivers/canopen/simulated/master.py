@@ -193,6 +193,7 @@ class StandInMaster:
             )
         self._config, self._period_s = config, configuration.period_s
         self._is_real = pace == "real"
+        self._spin_ns = configuration.realtime.spin_us * 1000
         ramps = [getattr(getattr(axis.simulation, "trajectory", None), "ramp_s", 1.0) for axis in axes.values()]
         self._path_time = PathTime(max(ramps, default=1.0))
         self._slaves = [_Slave(name, axis, self._path_time) for name, axis in axes.items()]
@@ -287,9 +288,10 @@ class StandInMaster:
         if not self._is_real:
             return cycle
         period_ns = round(self._period_s * 1e9)
-        left = start_ns + cycle * period_ns - time.monotonic_ns()
-        if left > 0:
-            self._collect(lambda: False, left * 1e-9, 0.0)
+        begin_ns = start_ns + cycle * period_ns
+        self._collect(lambda: False, (begin_ns - self._spin_ns - time.monotonic_ns()) * 1e-9, 0.0)
+        while time.monotonic_ns() < begin_ns:
+            pass
         return max(cycle, (time.monotonic_ns() - start_ns) // period_ns)
 
     # Frames
