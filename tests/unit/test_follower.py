@@ -117,7 +117,7 @@ def states_of(sink):
 
 def test_compensation_is_faded_in_and_out_and_the_last_offset_is_zero():
     machine = Machine()
-    result, sink, axis = run(machine)
+    result, sink, _axis = run(machine)
     assert result.faults == []
     assert states_of(sink) == ["running", "stopping", "done"]
     assert machine.sent[:50] == [0.0] * 50

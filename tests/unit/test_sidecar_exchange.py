@@ -1,5 +1,6 @@
 """A sidecar's cycles in real time, in time that a test makes: a clock and a bus whose frames come when they are due."""
 
+import itertools
 import random
 
 import pytest
@@ -126,7 +127,7 @@ def test_jitter_and_drift_lose_no_cycle(ppm, seed):
         positions.append(round(heard.position * 1e5))
         # the set-point of the cycle before, which the drive's demand reaches 1.5 periods after this position
         assert round(heard.position_demand * 1e5) == positions[-1] - 1000 + 2500
-    assert {b - a for a, b in zip(positions, positions[1:], strict=False)} == {1000}
+    assert {b - a for a, b in itertools.pairwise(positions)} == {1000}
     assert sidecar.lock.is_locked
 
 
@@ -161,7 +162,7 @@ def test_missing_syncs_are_bridged_and_the_cycles_after_them_are_right(length):
     assert len(stale) == length
     assert not any(message for _, _, message in heard)
     positions = [round(position * 1e5) for is_fresh, position, _ in heard if is_fresh]
-    steps = [b - a for a, b in zip(positions, positions[1:], strict=False)]
+    steps = [b - a for a, b in itertools.pairwise(positions)]
     assert sorted(set(steps)) == [1000, 1000 * (length + 1)]
 
 
