@@ -107,6 +107,8 @@ class Loop:
             if update.fault is not None:
                 self._log.fault(cycle, update.fault)
         request = (REQUESTS_AFTER_FAULT if self._log.result.faults else REQUESTS)[state]
+        if self._settings.is_follower:
+            request = Request.LISTEN  # another controller enables and stops the drives
         for command, update in zip(self._commands, updates, strict=True):
             is_reset = state is LoopState.ENABLING and update.is_reset_due
             command.request = Request.RESET_FAULT if is_reset else request

@@ -165,8 +165,8 @@ class Drives(Protocol):
     ``receive`` and ``send`` in each cycle, and ``close`` in any case. Between ``start`` and ``close`` no other
     thread may use the bus.
 
-    Drives that another controller enables and moves have ``is_follower = True``: the loop then sends torque offsets
-    only. In real time they have a ``phase_lock`` too (`friction_hil.drive.phase_lock.PhaseLock`), and the loop keeps
+    Drives that another controller enables and moves have ``is_follower = True``: the loop then requests nothing
+    (`Request.LISTEN`), and only the torque of its commands is sent, as offset. In real time they have a ``phase_lock`` too (`friction_hil.drive.phase_lock.PhaseLock`), and the loop keeps
     its pace.
     """
 

@@ -1,4 +1,4 @@
-"""The demonstration beside another controller: simulated drives, a stand-in master and the daemon, as real processes."""
+"""The demonstration beside another controller: simulated drives, a stand-in master and the daemon, as processes."""
 
 import json
 import struct

@@ -238,12 +238,12 @@ def test_offset_is_wanted_only_in_the_configured_mode_and_while_the_master_wants
 def test_emergencies_and_reboots_are_noticed_and_are_no_fault():
     axis = Sidecar(_quiet()).axis
     heard = Feedback()
-    axis.handlers[0x081](bytes.fromhex("1186 08 0000000000"))
+    axis.handlers[0x081](bytes.fromhex("1186080000000000"))
     axis.handlers[0x701](b"\0")
     axis.report(heard)
     assert heard.notices == [
-        "x: emergency message of node 1: 8611h following error",
-        "x: node 1 restarted (boot-up message)",
+        "node 1: emergency 8611h following error, error register 08h",
+        "node 1 restarted (boot-up message)",
     ]
     assert heard.error == "8611h following error"
     assert heard.message == ""

@@ -8,7 +8,6 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from friction_hil_drivers.canopen.si_units import parse_velocity_unit
 from friction_hil_drivers.canopen.watchdog_times import WatchdogTimes, contradictions, watchdog_times
-
 from friction_hil_drivers.canopen.sidecar_options import SidecarOptions
 
 if TYPE_CHECKING:

@@ -97,8 +97,8 @@ class SidecarDrives:
         notes: dict[str, list[str]] = {name: [] for name in self._configs}
         if self._clock.is_real:
             sizes = self._acquire(_SYNCS)
-            for axis in self._axes:
-                notes[axis.facts.name] += self._compare(axis, sizes)
+            for listener in self._axes:
+                notes[listener.facts.name] += self._compare(listener, sizes)
         self._exchange = self._make_exchange(self._bus)
         return [replace(axis.facts, notes=(*axis.facts.notes, *notes[axis.facts.name])) for axis in self._axes]
 

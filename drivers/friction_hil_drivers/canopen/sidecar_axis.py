@@ -9,7 +9,7 @@ from friction_hil.drive import AxisFacts, DriveState, Feedback, Mode
 from friction_hil.drive.encoder import unwrap
 from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.axis import Handler
-from friction_hil_drivers.canopen.codec import Frame, decode_emergency, decode_heartbeat
+from friction_hil_drivers.canopen.codec import Frame, decode_heartbeat, emergency_code, emergency_text
 from friction_hil_drivers.canopen.mapping import MappedPdo
 from friction_hil_drivers.canopen.objects import NmtState, Object
 from friction_hil_drivers.canopen.sidecar_options import SidecarOptions, mapped
@@ -82,7 +82,7 @@ class SidecarAxis:
             objects.HEARTBEAT_BASE + self.node: self._on_heartbeat,
         }
         handlers |= {one.pdo.cob_id: partial(self._on_tpdo, one) for one in self._tpdos}
-        handlers |= {one.pdo.cob_id: partial(self._on_pdo, one) for one in self._rpdos}
+        handlers |= {one.pdo.cob_id: partial(self._on_rpdo, one) for one in self._rpdos}
         return handlers
 
     @property
@@ -159,7 +159,10 @@ class SidecarAxis:
 
     # Frames
 
-    def _on_pdo(self, heard: _Heard, data: bytes) -> bool:
+    def _on_rpdo(self, heard: _Heard, data: bytes) -> None:
+        self._take_values(heard, data)
+
+    def _take_values(self, heard: _Heard, data: bytes) -> bool:
         if len(data) != heard.size:
             text = f"{heard.pdo.cob_id:03X}h has {len(data)} bytes, but its entries {heard.size}"
             if not self._wrong:
@@ -169,7 +172,7 @@ class SidecarAxis:
         return True
 
     def _on_tpdo(self, heard: _Heard, data: bytes) -> None:
-        if self._on_pdo(heard, data):
+        if self._take_values(heard, data):
             cob_id = heard.pdo.cob_id
             if cob_id in self._missing:
                 self._missing.discard(cob_id)
@@ -178,14 +181,13 @@ class SidecarAxis:
             self.is_complete = not self._missing
 
     def _on_emergency(self, data: bytes) -> None:
-        error = decode_emergency(data)
-        if error:
-            self._error = error
-            self._notices.append(f"{self.facts.name}: emergency message of node {self.node}: {error}")
+        self._notices.append(f"node {self.node}: {emergency_text(data)}")
+        if code := emergency_code(data):  # 0000h does not say why the drive was in fault
+            self._error = profile.error_text(code)
 
     def _on_heartbeat(self, data: bytes) -> None:
         if decode_heartbeat(data) == NmtState.BOOT_UP:
-            self._notices.append(f"{self.facts.name}: node {self.node} restarted (boot-up message)")
+            self._notices.append(f"node {self.node} restarted (boot-up message)")
 
     # Values
 

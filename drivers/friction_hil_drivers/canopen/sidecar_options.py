@@ -134,9 +134,9 @@ def _mistakes(options: SidecarOptions) -> Iterator[str]:
     for entry in (objects.STATUSWORD, objects.POSITION_ACTUAL):
         if entry not in feedback:
             yield f"tpdos: none of them carries {entry}, which is needed"
-    for pdo in options.tpdos:
-        if objects.POSITION_ACTUAL in mapped(pdo).entries and not pdo.is_synchronous:
-            yield f"tpdos: {pdo.cob_id:#x} carries {objects.POSITION_ACTUAL}, so it must come with every SYNC"
+    for tpdo in options.tpdos:
+        if objects.POSITION_ACTUAL in mapped(tpdo).entries and not tpdo.is_synchronous:
+            yield f"tpdos: {tpdo.cob_id:#x} carries {objects.POSITION_ACTUAL}, so it must come with every SYNC"
     if mapped(options.offset).entries != (objects.TORQUE_OFFSET,) or len(options.offset.entries) != 1:
         yield f"offset: entries must be {objects.TORQUE_OFFSET} alone: what else is in this RPDO belongs to the master"
     for pdo in (*options.rpdos, *options.tpdos):

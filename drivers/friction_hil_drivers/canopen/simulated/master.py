@@ -48,6 +48,7 @@ _SILENCE_S = 0.05  # without a torque offset, after which the one in force is cl
 _JOIN_S, _LOCKSTEP_S = 0.25, 10.0  # in simulated time: how long a cycle waits for the sidecar, before and after it came
 _POSITION_GAIN = 20.0  # 1/s, in csv
 
+_CODES = {8: "b", 16: "h", 32: "i", 64: "q"}  # of `struct`, by the width in bits
 _RATES: dict[Mode, Object] = {
     Mode.CSP: objects.TARGET_POSITION,
     Mode.CSV: objects.TARGET_VELOCITY,
@@ -147,12 +148,10 @@ class _Slave:
 class _Fields:
     """Layout of one PDO, by index."""
 
-    _CODES = {8: "b", 16: "h", 32: "i", 64: "q"}
-
     def __init__(self, pdo: SidecarPdo) -> None:
         self.cob_id = pdo.cob_id
         self.words = mapping_words(pdo)
-        self._layout = struct.Struct("<" + "".join(self._CODES[word & 0xFF] for word in self.words))
+        self._layout = struct.Struct("<" + "".join(_CODES[word & 0xFF] for word in self.words))
 
     def unpack(self, data: bytes) -> dict[int, int]:
         if len(data) != self._layout.size:
@@ -255,12 +254,12 @@ class StandInMaster:
         if self._enabled_since_s is None and (self._is_real or self._is_joined):
             self._enabled_since_s = time_s
         since = self._enabled_since_s
-        if self._moving_since_s is None and since is not None and time_s - since >= _SETTLE_S:
-            if self._stopping_since_s is None:
-                self._moving_since_s = time_s
-                for slave in self._slaves:
-                    slave.begin_motion()
-                self._path_time.start(time_s)
+        is_waiting = self._moving_since_s is None and self._stopping_since_s is None
+        if is_waiting and since is not None and time_s - since >= _SETTLE_S:
+            self._moving_since_s = time_s
+            for slave in self._slaves:
+                slave.begin_motion()
+            self._path_time.start(time_s)
 
     def _is_done(self, is_stopping: bool) -> bool:
         """Return True once a stop that was asked for is complete: at rest, and disabled."""
