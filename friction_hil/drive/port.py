@@ -166,8 +166,8 @@ class Drives(Protocol):
     thread may use the bus.
 
     Drives that another controller enables and moves have ``is_follower = True``: the loop then requests nothing
-    (`Request.LISTEN`), and only the torque of its commands is sent, as offset. In real time they have a ``phase_lock`` too (`friction_hil.drive.phase_lock.PhaseLock`), and the loop keeps
-    its pace.
+    (`Request.LISTEN`), and only the torque of its commands is sent, as offset. In real time they have a ``phase_lock``
+    too (`friction_hil.drive.phase_lock.PhaseLock`), and the loop keeps its pace.
     """
 
     def connect(self) -> Sequence[AxisFacts]:

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from friction_hil_drivers.canopen.si_units import parse_velocity_unit
-from friction_hil_drivers.canopen.watchdog_times import WatchdogTimes, contradictions, watchdog_times
 from friction_hil_drivers.canopen.sidecar_options import SidecarOptions
+from friction_hil_drivers.canopen.watchdog_times import WatchdogTimes, contradictions, watchdog_times
 
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig, BusConfig

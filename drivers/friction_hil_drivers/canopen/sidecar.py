@@ -165,7 +165,7 @@ class SidecarDrives:
             torque_resolution=abs(units.rated_torque) / PER_MILLE,
             setpoint_delay_s=delay_cycles * period_s,
             actuation_delay_s=actuation_cycles * period_s,
-            notes=tuple(_notes(options.sidecar)),
+            notes=(*_notes(options.sidecar), *_frozen(config)),
             torque_delay_s=0.0 if _has(options.sidecar, objects.TORQUE_ACTUAL) else None,
         )
         return SidecarAxis(facts, options.node, mode, units, period_s, options.sidecar)
@@ -269,3 +269,12 @@ def _notes(options: SidecarOptions) -> list[str]:
     if not _has(options, objects.MODE_DISPLAY):
         notes.append(f"{objects.MODE_DISPLAY} is in no TPDO: the drive is taken to be in the configured mode")
     return notes
+
+
+def _frozen(config: "AxisConfig") -> list[str]:
+    """Return a note where the last offset of a daemon that was killed could move the axis."""
+    limit, level = config.limits.torque, config.model.friction_model.level
+    if limit <= level:
+        return []
+    text = f"if the daemon is killed, an offset of up to {limit:g} stays in force, more than the friction of {level:g}"
+    return [f"{text}: the master should clear it ('If the daemon dies' in the driver's README)"]

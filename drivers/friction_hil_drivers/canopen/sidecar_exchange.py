@@ -9,6 +9,7 @@ from friction_hil.drive.phase_lock import PhaseLock
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes, objects
 from friction_hil_drivers.canopen.exchange import STEPPED_TIMEOUT_S, STEPPED_TIMEOUTS
+from friction_hil_drivers.canopen.queue_full import QueueFullError
 from friction_hil_drivers.canopen.sidecar_axis import SidecarAxis
 
 if TYPE_CHECKING:
@@ -71,6 +72,7 @@ class SidecarExchange:
         self._extra = 0  # SYNCs too many, weighted; falls by one in each cycle
         self._message = ""  # the first fault of SYNC
         self._timeouts = 0
+        self._unsent = 0  # cycles in a row
         self._spare = axes[0].copy()
         self._spare_feedback = Feedback()
 
@@ -103,6 +105,16 @@ class SidecarExchange:
         """Send the torque offset of each axis, and the heartbeat when it is due; a dry run sends nothing."""
         if self._dry_run:
             return
+        try:
+            self._send(commands)
+        except QueueFullError:  # bridged as a missed SYNC is: the queue empties once the bus is free again
+            self._unsent += 1
+            if self._unsent > self._max_missed:
+                raise
+        else:
+            self._unsent = 0
+
+    def _send(self, commands: Sequence[Command]) -> None:
         for axis, command in zip(self._axes, commands, strict=True):
             self._bus.send(*axis.encode(command.torque))
         if self._heartbeat is not None and (now := self._clock.now_ns()) >= self._next_heartbeat_ns:

@@ -41,10 +41,10 @@ MASTER_NODE = 127
 _EVENT_DRIVEN = 255
 _OFFSET_RPDO = 3  # RPDO 4
 _TO_FAULT = 1  # 6007h
-_HEARTBEAT_S = 0.05
+_HEARTBEAT_S = 0.1
 _ANSWER_S, _BOOT_S = 2.0, 20.0
 _SETTLE_S = 0.2  # enabled, before the motion begins
-_SILENCE_S = 0.05  # without a torque offset, after which the one in force is cleared
+_SILENCE_PERIODS = 20  # without a torque offset, after which the one in force is cleared
 _JOIN_S, _LOCKSTEP_S = 0.25, 10.0  # in simulated time: how long a cycle waits for the sidecar, before and after it came
 _POSITION_GAIN = 20.0  # 1/s, in csv
 
@@ -321,7 +321,7 @@ class StandInMaster:
     def _clear_old_offsets(self) -> None:
         """Set a torque offset to zero whose sender has fallen silent."""
         for slave in self._slaves:
-            if slave.offset_ns is not None and self._now() - slave.offset_ns > _SILENCE_S * 1e9:
+            if slave.offset_ns is not None and self._now() - slave.offset_ns > _SILENCE_PERIODS * self._period_s * 1e9:
                 slave.offset_ns = None
                 bits = mapping_words(slave.sidecar.offset)[0] & 0xFF
                 self._open_bus.send(objects.SDO_REQUEST_BASE + slave.node, _download(objects.TORQUE_OFFSET, 0, bits))
