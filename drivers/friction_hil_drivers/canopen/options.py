@@ -122,6 +122,8 @@ class CanopenOptions(BaseModel):
     ) -> Iterator[tuple[str, str, str]]:
         """Yield watchdogs that would trip while the loop bridges missed periods: (axis, field, message)."""
         for name, axis in axes.items():
+            if canopen_options(axis).sidecar is not None:
+                continue  # a sidecar arms no watchdog
             times = canopen_options(axis).times(period_s, max_missed)
             for field, message in contradictions(period_s, max_missed, times):
                 yield name, field, message
