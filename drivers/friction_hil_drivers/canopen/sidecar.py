@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 _SYNCS, _RELOCK_SYNCS = 250, 50
 _SYNC_TIMEOUT_S = 5.0
+_ATTEMPTS = 3  # a computer that was held up may have stamped SYNC unevenly
 
 # RPDO of type 255: in force as soon as it arrives, some 0.25 periods after SYNC, and held for a period
 _REAL_ACTUATION_CYCLES = 0.75
@@ -197,8 +198,23 @@ class SidecarDrives:
         DriveError
             SYNC does not come, or not as it should.
         """
-        assert self._bus is not None
         sync_id, name = self._bus_config.sync_cob_id, bus_name(self._bus_config)
+        problem = ""
+        for _ in range(_ATTEMPTS):
+            stamps, sizes = self._listen(count)
+            if not stamps:
+                text = f"no SYNC ({sync_id:03X}h) within {_SYNC_TIMEOUT_S:g} s on {name}"
+                fix = "start the master of the bus first; bus.sync_cob_id must be its identifier (1005h)"
+                raise DriveError(text, fix, code=codes.SYNC_UNUSABLE)
+            problem = self.phase_lock.acquire(stamps)
+            if not problem:
+                return sizes
+        text = f"the SYNC ({sync_id:03X}h) on {name} gives no time base: {problem}"
+        raise DriveError(text, "period_s must be the master's period", code=codes.SYNC_UNUSABLE)
+
+    def _listen(self, count: int) -> tuple[list[int], dict[int, Counter[int]]]:
+        """Listen to ``count`` SYNCs, or as long as they should take; return their stamps, and the lengths of frames."""
+        assert self._bus is not None
         stamps: list[int] = []
         sizes: dict[int, Counter[int]] = {}
         end = time.monotonic() + _SYNC_TIMEOUT_S + count * self._configuration.period_s
@@ -207,16 +223,9 @@ class SidecarDrives:
             if frame is None:
                 continue
             sizes.setdefault(frame[0], Counter())[len(frame[1])] += 1
-            if frame[0] == sync_id:
+            if frame[0] == self._bus_config.sync_cob_id:
                 stamps.append(self._clock.now_ns())
-        if not stamps:
-            text = f"no SYNC ({sync_id:03X}h) within {_SYNC_TIMEOUT_S:g} s on {name}"
-            fix = "start the master of the bus first; bus.sync_cob_id must be its identifier (1005h)"
-            raise DriveError(text, fix, code=codes.SYNC_UNUSABLE)
-        if problem := self.phase_lock.acquire(stamps):
-            text = f"the SYNC ({sync_id:03X}h) on {name} gives no time base: {problem}"
-            raise DriveError(text, "period_s must be the master's period", code=codes.SYNC_UNUSABLE)
-        return sizes
+        return stamps, sizes
 
     def _compare(self, axis: SidecarAxis, heard: Mapping[int, Counter[int]]) -> list[str]:
         """Compare what was heard with the configuration; return notes.
