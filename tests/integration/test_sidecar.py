@@ -12,6 +12,7 @@ import pytest
 import yaml
 
 from friction_hil.recordings import read_all
+from tests.peers.plc_master import EVENT_DRIVEN, PlcMaster
 from tests.processes import free_port, listening, run, run_daemon, simulated_drives, start
 from tests.readme_commands import ROOT
 
@@ -114,9 +115,9 @@ def test_a_dry_run_sends_nothing(configuration):
 
 
 @contextmanager
-def machine(configuration):
-    """Drives and their master in real time."""
-    words = ("simulate", configuration, "--master", "--exit-with-stdin")
+def machine(configuration, *options):
+    """Drives and, unless other options are given, their master in real time."""
+    words = ("simulate", configuration, *(options or ("--master",)), "--exit-with-stdin")
     process = start(*words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     try:
         assert process.stdout.readline().startswith("ready:")
@@ -157,6 +158,30 @@ def test_when_the_machine_ends_the_daemon_fades_out_and_says_why(configuration):
     assert daemon.returncode == 1
     assert any("FH-248" in fault or "did not come" in fault for fault in json.loads(output)["faults"])
     assert offsets(frames)[-1] == 0
+
+
+def test_beside_an_independent_master_only_offsets_are_sent(configuration):
+    """A PLC on the canopen library moves the drive; its commissioning has prepared the offset's RPDO."""
+    slow_down(configuration, max_missed=300)
+    values = yaml.safe_load(configuration.read_text())
+    values["axes"]["x"]["sidecar"]["tpdos"] = [{"cob_id": 0x181, "entries": [0x6041, 0x6064]}]
+    configuration.write_text(yaml.safe_dump(values))
+    bus = {key: value for key, value in values["bus"].items() if key not in ("role", "sync_cob_id")}
+    with frame_log(configuration) as frames, machine(configuration, "--pace", "real"), PlcMaster(bus, 1) as plc:
+        plc._map(0x1403, 0x500, EVENT_DRIVEN, (0x60B20010,))
+        before = plc.dictionary()
+        at_start = len(frames)
+        done = run("run", configuration, "--duration", "3", "--json", check=False)
+        wait_until(lambda: offsets(frames)[-1:] == [0])
+        frames_of_run = frames[at_start:]
+        assert plc.dictionary() == before
+        assert plc.is_in_command
+    summary = json.loads(done.stdout)
+    assert summary["faults"] == []
+    assert {can_id for can_id, _ in frames_of_run} == {SYNC, STATUS, RPDO, OFFSET}
+    assert len(offsets(frames_of_run)) == pytest.approx(summary["cycles"], abs=3)
+    assert max(map(abs, offsets(frames_of_run))) > 50
+    assert offsets(frames_of_run)[-1] == 0
 
 
 def test_without_a_master_nothing_starts(configuration):

@@ -200,6 +200,18 @@ def test_a_second_sync_producer_is_told():
     assert "two controllers send it" in heard[-1][2]
 
 
+@pytest.mark.parametrize("count", [3, 8, 15])
+def test_a_master_that_catches_up_after_a_stall_is_no_second_producer(count):
+    world = World()
+    master_and_drive(world, 400, lost=range(150, 150 + count))
+    for k in range(count):
+        world.add((150 + count) * T - 300_000 + k * 10_000, 0x080)
+    sidecar = Sidecar(world, max_missed=20)
+    heard = sidecar.steps(300)
+    assert not any(message for _, _, message in heard)
+    assert all(is_fresh for is_fresh, _, _ in heard[150:])
+
+
 def test_a_tpdo_of_another_length_is_no_feedback_and_named():
     world = World()
     master_and_drive(world, 120)

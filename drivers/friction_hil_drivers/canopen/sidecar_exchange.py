@@ -69,6 +69,7 @@ class SidecarExchange:
         self._has_sync = False  # a SYNC was read that begins the next cycle
         self._missed = 0  # SYNCs in a row
         self._late = 0  # cycles in a row in which SYNC came outside of its window
+        self._heard, self._elapsed = 0, 1  # SYNCs heard in this cycle, periods since the one before
         self._extra = 0  # SYNCs too many, weighted; falls by one in each cycle
         self._message = ""  # the first fault of SYNC
         self._timeouts = 0
@@ -145,15 +146,14 @@ class SidecarExchange:
         was_missing = self._missed > 0
         # the pacer counts cycles by the same lock: this one ends shortly before the next SYNC
         cycle = lock.cycle_at(end_ns - period_ns // 2)
-        elapsed, self._cycle = max(cycle - self._cycle, 1), cycle
-        waiting = self._take_waiting()
+        self._elapsed, self._cycle = max(cycle - self._cycle, 1), cycle
+        self._heard = waiting = self._take_waiting()
         if was_missing and waiting:
             waiting -= 1  # the SYNC before came too late
             self._late += 1
         if self._late >= _LATE_TO_CAPTURE:
             return self._capture(cycle)
         if waiting:
-            self._extra += _EXTRA_WEIGHT * max(waiting - elapsed, 0)
             now = clock.now_ns()
             if now < lock.sync_ns(cycle):  # it came even before that
                 lock.take(cycle, now)
@@ -200,6 +200,7 @@ class SidecarExchange:
                 continue
             if frame[0] == self._sync_id:
                 stamp = clock.now_ns()
+                self._heard += 1
                 self._begin_cycle()
                 return stamp
             self._take(*frame)
@@ -212,7 +213,11 @@ class SidecarExchange:
 
     def _count_missed(self, has_sync: bool) -> None:
         self._missed = 0 if has_sync else self._missed + 1
-        self._extra = max(self._extra - 1, 0)
+        # a master that was held up sends fewer at first, and then as many more
+        extra = self._extra + _EXTRA_WEIGHT * (self._heard - self._elapsed)
+        if extra > 0:
+            extra -= 1
+        self._extra = max(extra, -_EXTRA_WEIGHT * self._max_missed)
         if self._message:
             return
         if self._missed > self._max_missed:
