@@ -106,7 +106,7 @@ def test_two_runs_are_equal_bit_for_bit(configuration, tmp_path):
 
 def test_a_dry_run_sends_nothing(configuration):
     with frame_log(configuration) as frames, simulated_drives(configuration, "--master"):
-        summary, _ = run_daemon(configuration, "--duration", "0.03", "--dry-run")
+        summary, _ = run_daemon(configuration, "--duration", "0.005", "--dry-run")
     assert summary["faults"] == []
     assert offsets(frames) == []
 

@@ -45,7 +45,7 @@ _HEARTBEAT_S = 0.1
 _ANSWER_S, _BOOT_S = 2.0, 20.0
 _SETTLE_S = 0.2  # enabled, before the motion begins
 _SILENCE_PERIODS = 20  # without a torque offset, after which the one in force is cleared
-_JOIN_S, _LOCKSTEP_S = 0.25, 10.0  # in simulated time: how long a cycle waits for the sidecar, before and after it came
+_JOIN_S, _LOCKSTEP_S = 1.0, 10.0  # in simulated time: how long a cycle waits for the sidecar, before and after it came
 _POSITION_GAIN = 20.0  # 1/s, in csv
 
 _CODES = {8: "b", 16: "h", 32: "i", 64: "q"}  # of `struct`, by the width in bits
