@@ -15,6 +15,11 @@ import click
     help="real: keep real time. sync: advance by exactly one period at each SYNC or request, for tests that do not "
     "depend on the clock.",
 )
+@click.option(
+    "--master",
+    is_flag=True,
+    help="Also simulate the controller that moves the drives, for a configuration with bus.role: sidecar.",
+)
 @click.option("--ready-fd", type=int, metavar="N", help="Also write the 'ready' line to this file descriptor.")
 @click.option("--exit-with-stdin", is_flag=True, help="Stop when standard input is closed, e.g. by a parent process.")
 def command(**options: Any) -> None:

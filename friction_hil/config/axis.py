@@ -123,7 +123,7 @@ class AxisConfig(Section):
     model: ModelFile = key("friction model of the axis: a model file (a path), or its content")
     compensation: Compensation = key("application of the model's torque", default=Compensation())
     shadows: tuple[Shadow, ...] = key("further models, recorded for comparison but not commanded", default=())
-    trajectory: Trajectory = key("motion: kind circle, sine, triangle, experiment, hold or none")
+    trajectory: Trajectory = key("motion: kind circle, sine, triangle, experiment, hold, none or master")
     controller: Controller | None = key("controller of the daemon (modes cst and csv)", default=None)
     experiment: AxisExperiment | None = key(
         "bounds of the motion by which 'tune' identifies the friction of the axis", default=None
@@ -215,7 +215,10 @@ def _mistakes(axis: AxisConfig) -> Iterator[Mistake]:
 
 def _controller_mistakes(axis: AxisConfig, has_setpoint: bool) -> Iterator[Mistake]:
     given = axis.controller
-    if axis.mode == "cst" and has_setpoint:
+    if axis.trajectory.kind == "master":
+        if given is not None:
+            yield ("controller",), "is not possible here: with trajectory kind master another one controls the axis"
+    elif axis.mode == "cst" and has_setpoint:
         if given is None:
             yield ("controller",), "is missing: mode cst needs position_gain, velocity_gain and integral_hz"
         elif given.velocity_gain == 0.0:

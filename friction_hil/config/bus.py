@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Iterator
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 from pydantic import ConfigDict, model_validator
 
@@ -17,6 +17,7 @@ _BUS_KEYS = {
     "socketcan": ("bitrate",),
     "slcan": ("bitrate",),
 }
+_SYNC_COB_ID = 0x80
 
 
 class BusConfig(Section):
@@ -27,6 +28,12 @@ class BusConfig(Section):
 
     interface: str = key("interface of python-can: socketcan, slcan, udp_multicast, virtual, pcan, kvaser, ...")
     channel: int | str = key("channel of the interface: can0, /dev/ttyACM0, 239.74.163.2, ...")
+    role: Literal["master", "sidecar"] = key(
+        "master: the daemon moves the drives. sidecar: another controller does, and the daemon only listens and adds "
+        "the compensation as torque offset",
+        default="master",
+    )
+    sync_cob_id: int = key("identifier of SYNC (1005h), to which a sidecar locks", default=0x80, ge=1, le=0x7FF)
     bitrate: int | None = key(
         "bit rate; for socketcan the rate set by 'ip link', used to compute the bus load",
         "bit/s",
@@ -63,11 +70,13 @@ def _mistakes(bus: BusConfig) -> Iterator[Mistake]:
             yield (name,), "must be a single value, because it is passed to python-can unchanged"
         elif isinstance(value, float) and not math.isfinite(value):
             yield (name,), f"must be a finite number, not {show(value)}"
+    if bus.role == "master" and bus.sync_cob_id != _SYNC_COB_ID:
+        yield ("sync_cob_id",), "is only for role: sidecar; as master the daemon sends SYNC as 080h"
     allowed = _BUS_KEYS.get(bus.interface)
     if allowed is None:
         return
     for name in bus.further:
-        yield (name,), f"is not a key here; {choices(name, ('interface', 'channel', *allowed))}"
+        yield (name,), f"is not a key here; {choices(name, ('interface', 'channel', 'role', *allowed))}"
     for name in ("bitrate", "port", "hop_limit"):
         if getattr(bus, name) is not None and name not in allowed:
             yield (name,), f"has no meaning for the interface {bus.interface}: remove it"

@@ -66,6 +66,14 @@ def _mistakes(configuration: Configuration) -> Iterator[Mistake]:
     period_us = 1e6 * configuration.period_s
     if configuration.realtime.spin_us >= period_us:
         yield ("realtime", "spin_us"), f"must be below the period, {period_us:g} us"
+    is_sidecar = configuration.bus is not None and configuration.bus.role == "sidecar"
+    for name, axis in configuration.axes.items():
+        if is_sidecar and axis.trajectory.kind != "master":
+            text = "must be 'master' with bus.role: sidecar, where another controller moves the axis"
+            yield ("axes", name, "trajectory", "kind"), text
+        elif axis.trajectory.kind == "master" and not is_sidecar:
+            text = "'master' needs bus.role: sidecar; without it the daemon itself moves the axis"
+            yield ("axes", name, "trajectory", "kind"), text
     by_driver: dict[str, dict[str, AxisConfig]] = {}
     for name, axis in configuration.axes.items():
         by_driver.setdefault(axis.driver, {})[name] = axis

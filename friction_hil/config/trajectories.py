@@ -77,7 +77,15 @@ class NoTrajectory(Section):
     kind: Literal["none"]
 
 
-Trajectory = Annotated[Circle | Sine | Triangle | Experiment | Hold | NoTrajectory, Field(discriminator="kind")]
+class Master(Section):
+    """The motion of the controller that is master of the bus (bus.role: sidecar); its set-points are listened to."""
+
+    kind: Literal["master"]
+
+
+Trajectory = Annotated[
+    Circle | Sine | Triangle | Experiment | Hold | NoTrajectory | Master, Field(discriminator="kind")
+]
 
 
 def peak_speed(trajectory: Trajectory) -> float:

@@ -7,7 +7,7 @@ import numpy as np
 
 from friction_hil.daemon.axis import AxisLoop, AxisUpdate
 from friction_hil.daemon.log import LoopResult, RunLog, Sink
-from friction_hil.daemon.pacing import CacheWarmer, Pacer
+from friction_hil.daemon.pacing import CacheWarmer, make_pacer
 from friction_hil.daemon.row import AxisRow
 from friction_hil.daemon.run import LoopSettings, RunControl
 from friction_hil.daemon.safety import REQUESTS, REQUESTS_AFTER_FAULT, LoopState
@@ -57,7 +57,7 @@ class Loop:
         self._log = RunLog(sink)
         self._run = RunControl(axes, path_time, settings, stop, self._log)
         self._warmer = CacheWarmer(drives, axes[0], self._parts[0])
-        self._pacer = Pacer(clock, settings.period_s, self._warm_caches)
+        self._pacer = make_pacer(drives, clock, settings.period_s, self._warm_caches)
 
     def run(self) -> LoopResult:
         """Run until the duration is over, a stop is requested, or a fault has been dealt with.
@@ -107,6 +107,8 @@ class Loop:
             if update.fault is not None:
                 self._log.fault(cycle, update.fault)
         request = (REQUESTS_AFTER_FAULT if self._log.result.faults else REQUESTS)[state]
+        if self._settings.is_follower:
+            request = Request.LISTEN  # another controller enables and stops the drives
         for command, update in zip(self._commands, updates, strict=True):
             is_reset = state is LoopState.ENABLING and update.is_reset_due
             command.request = Request.RESET_FAULT if is_reset else request

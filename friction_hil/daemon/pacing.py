@@ -9,8 +9,10 @@ from friction_hil.daemon.axis import AxisLoop
 from friction_hil.daemon.row import AxisRow
 from friction_hil.daemon.safety import LoopState
 from friction_hil.drive import Clock, Command, Drives, DriveState, Feedback
+from friction_hil.drive.phase_lock import PhaseLock
 
 _HISTOGRAM_US = 20000
+_EARLY = 0.15  # of the period: a locked loop is awake this long before SYNC, so that jitter does not let it come late
 
 
 class Pacer:
@@ -49,7 +51,7 @@ class Pacer:
 
     def wait(self, cycle: int) -> int:
         """Sleep until ``cycle`` begins; return the cycle in progress, a later one where periods were missed."""
-        deadline_ns = self._start_ns + cycle * self._period_ns
+        deadline_ns = self.deadline_ns(cycle)
         if self._clock.doze_until(deadline_ns):
             self._warm_caches(cycle)
         self._clock.sleep_until(deadline_ns)
@@ -59,13 +61,52 @@ class Pacer:
         self.late_us = late_ns * 1e-3
         return cycle + self.skipped
 
+    def deadline_ns(self, cycle: int) -> int:
+        """Return the time at which ``cycle`` begins, ns."""
+        return self._start_ns + cycle * self._period_ns
+
     def end_ns(self, cycle: int) -> int:
-        """Return the time at which ``cycle`` ends."""
-        return self._start_ns + (cycle + 1) * self._period_ns
+        """Return the time at which ``cycle`` ends, ns."""
+        return self.deadline_ns(cycle + 1)
 
     def late_percentile_us(self, fraction: float) -> float:
         """Return the lateness, in whole microseconds, that ``fraction`` of the wake-ups do not exceed."""
         return float(np.searchsorted(np.cumsum(self._histogram), fraction * self._histogram.sum()))
+
+
+class LockedPacer(Pacer):
+    """Waits for the cycles of a loop whose drives another controller paces: each begins shortly before its SYNC.
+
+    Parameters
+    ----------
+    clock : Clock
+    period_s : float
+    warm_caches : callable
+        As for `Pacer`.
+    lock : PhaseLock
+        Fed by the driver with the stamps of SYNC.
+    """
+
+    def __init__(self, clock: Clock, period_s: float, warm_caches: Callable[[int], None], lock: PhaseLock) -> None:
+        super().__init__(clock, period_s, warm_caches)
+        self._lock = lock
+        self._early_ns = round(_EARLY * self._period_ns)
+
+    def start(self) -> None:
+        """Let cycle 0 begin with the next SYNC that there is time to wait for."""
+        self._lock.start(self._clock.now_ns() + self._early_ns)
+
+    def deadline_ns(self, cycle: int) -> int:
+        """Return the time at which ``cycle`` begins, ns; each SYNC may shift it."""
+        return self._lock.sync_ns(cycle) - self._early_ns
+
+
+def make_pacer(drives: Drives, clock: Clock, period_s: float, warm_caches: Callable[[int], None]) -> Pacer:
+    """Return the pacer of a loop: locked to another controller where the drives have a ``phase_lock``."""
+    lock: PhaseLock | None = getattr(drives, "phase_lock", None)
+    if lock is None or not clock.is_real:
+        return Pacer(clock, period_s, warm_caches)
+    return LockedPacer(clock, period_s, warm_caches, lock)
 
 
 class ExchangeTimes:

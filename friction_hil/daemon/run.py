@@ -5,6 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from friction_hil.daemon.axis import AxisLoop, AxisUpdate
+from friction_hil.daemon.follower import FollowerStateMachine
 from friction_hil.daemon.log import RunLog
 from friction_hil.daemon.pacing import ExchangeTimes
 from friction_hil.daemon.safety import LoopState
@@ -35,6 +36,8 @@ class LoopSettings:
         Listen, compute, record; never command.
     is_fault_reset_wanted : bool
         True to reset, before enabling, the fault that a drive is found in.
+    is_follower : bool
+        Another controller enables and moves the drives.
     """
 
     period_s: float
@@ -43,6 +46,7 @@ class LoopSettings:
     enable_timeout_s: float = ENABLE_TIMEOUT_S
     dry_run: bool = False
     is_fault_reset_wanted: bool = False
+    is_follower: bool = False
 
 
 class RunControl:
@@ -67,7 +71,8 @@ class RunControl:
         log: RunLog,
     ) -> None:
         self._axes, self._path_time, self._settings, self._stop, self._log = axes, path_time, settings, stop, log
-        self._machine = RunStateMachine(is_listening=settings.dry_run, enable_timeout_s=settings.enable_timeout_s)
+        machine = FollowerStateMachine if settings.is_follower else RunStateMachine
+        self._machine = machine(is_listening=settings.dry_run, enable_timeout_s=settings.enable_timeout_s)
         self._idle_exchanges = ExchangeTimes(settings.period_s)
         self._has_begun = False
         self._running_since_s = 0.0 if settings.dry_run else math.nan
@@ -107,7 +112,7 @@ class RunControl:
                     text = f"{axis.name}: no usable feedback within {_FIRST_FEEDBACK_S:g} s of the start"
                     raise DriveError(FaultCode.FIRST_FEEDBACK_MISSING.append_to(text))
                 return False
-        if not self._settings.dry_run:
+        if not self._settings.dry_run and not self._settings.is_follower:
             for axis in self._axes:
                 axis.motion.check(axis.supervisor.position)
         self._has_begun = True

@@ -14,6 +14,7 @@ from friction_hil.config.load import only_driver
 from friction_hil.daemon.assembly import ramp_s
 from friction_hil.daemon.axis import AxisLoop
 from friction_hil.daemon.companion import Companion, CompanionReport, Job, free_path, prepare
+from friction_hil.daemon.follower import FollowerAxis
 from friction_hil.daemon.log import LoopResult
 from friction_hil.daemon.loop import Loop
 from friction_hil.daemon.realtime import RealClock, SteppedClock, punctuality
@@ -115,8 +116,10 @@ def run_session(
         max_stale = realtime.max_missed
         if getattr(drives, "is_passive", False):  # the feedback comes when another master asks for it
             max_stale = max(max_stale, math.ceil(_PASSIVE_STALE_S / configuration.period_s))
+        is_follower = bool(getattr(drives, "is_follower", False))
+        make_axis = FollowerAxis if is_follower else AxisLoop
         axes = [
-            AxisLoop(
+            make_axis(
                 fact.name,
                 configuration.axes[fact.name],
                 fact,
@@ -139,6 +142,7 @@ def run_session(
                     enable_timeout_s=configuration.enable_timeout_s,
                     dry_run=settings.dry_run,
                     is_fault_reset_wanted=settings.is_fault_reset_wanted,
+                    is_follower=is_follower,
                 )
                 sink = _CompanionSink(companion, clock.is_real)
                 loop = Loop(drives, axes, path_time, clock, sink, loop_settings, stop)
@@ -150,6 +154,7 @@ def run_session(
             "rms": axis.following_error.rms,
             "peak": axis.following_error.peak,
             "stale": axis.stale_cycles,
+            **_baseline(axis),
         }
         for axis in axes
     }
@@ -161,6 +166,13 @@ def _close(drives: Drives, report: Callable[[str], None]) -> None:
     drives.close()
     for line in getattr(drives, "leftovers", ()):
         report(line)
+
+
+def _baseline(axis: AxisLoop) -> dict[str, float]:
+    """Return the following error without compensation of an axis that another controller moves."""
+    if not isinstance(axis, FollowerAxis):
+        return {}
+    return {"baseline_rms": axis.baseline_error.rms, "baseline_peak": axis.baseline_error.peak}
 
 
 def _recording_path(configuration: "Configuration", settings: SessionSettings, started_ns: int) -> Path | None:

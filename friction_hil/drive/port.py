@@ -6,6 +6,7 @@ command to every drive. The class that simulates the drives is registered under 
 by the same name.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -77,6 +78,9 @@ class Feedback:
     # False: cyclic commands do not reach the drive any more (node rebooted, lost, not Operational)
     is_reachable: bool = True
     notices: list[str] = field(default_factory=list)  # to be recorded and shown once each; the loop empties it
+    # of drives that another controller moves (`Drives.is_follower`)
+    position_demand: float = math.nan  # the drive's demand after `AxisFacts.setpoint_delay_s`; NaN where not known
+    is_offset_wanted: bool = True  # mode and controlword are such that a torque offset compensates friction
 
 
 @dataclass(slots=True)
@@ -108,7 +112,8 @@ class AxisFacts:
     position_resolution, torque_resolution : float
         Smallest step of the position feedback and of the torque command, SI.
     setpoint_delay_s : float
-        Time from sending a set-point until the drive's demand equals it.
+        Time from sending a set-point until the drive's demand equals it; where another controller moves the drive,
+        from the sampling of the position until the drive's demand equals `Feedback.position_demand`.
     actuation_delay_s : float
         Time from the sampling of the position to the middle of the time for which the drive holds the torque that
         the loop computed from it.
@@ -159,6 +164,10 @@ class Drives(Protocol):
     Order of calls: ``connect`` (blocking: identity, parameters, mapping, watchdogs), ``start`` (cyclic phase), then
     ``receive`` and ``send`` in each cycle, and ``close`` in any case. Between ``start`` and ``close`` no other
     thread may use the bus.
+
+    Drives that another controller enables and moves have ``is_follower = True``: the loop then requests nothing
+    (`Request.LISTEN`), and only the torque of its commands is sent, as offset. In real time they have a ``phase_lock``
+    too (`friction_hil.drive.phase_lock.PhaseLock`), and the loop keeps its pace.
     """
 
     def connect(self) -> Sequence[AxisFacts]:

@@ -218,6 +218,15 @@ class Servo:
         return bool(self._get(_IS_LIMITED))
 
     @property
+    def torque_offset(self) -> float:
+        """Torque offset in force (60B2h), N m or N; a new one acts at once and leaves the interpolation as it is."""
+        return self._get(_TORQUE_OFFSET)
+
+    @torque_offset.setter
+    def torque_offset(self, offset: float) -> None:
+        self._s[_TORQUE_OFFSET] = offset
+
+    @property
     def torque_limit(self) -> float:
         """Bound on the absolute torque demand (6072h), N m or N."""
         return self._get(_TORQUE_LIMIT)

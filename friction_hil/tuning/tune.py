@@ -75,6 +75,11 @@ def tune(configuration: Configuration, settings: TuneSettings, dialog: Dialog) -
     KeyboardInterrupt
         The user stopped a run; the axes are at rest.
     """
+    if configuration.bus is not None and configuration.bus.role == "sidecar":
+        raise UsageError(
+            "with bus.role: sidecar another controller moves the axes, so 'tune' cannot: record its motion with 'run', "
+            "and identify the friction from the recording with 'identify'"
+        )
     names = _names(configuration, settings.names)
     chosen_families(settings.families)
     for name in names:

@@ -60,6 +60,7 @@ ELSEWHERE = (
         "friction-hil simulate --pace --exit-with-stdin",
         "test_limits_hold_in_every_cycle_and_nothing_is_left_at_the_end",
     ),
+    ("friction-hil simulate --master", "test_compensation_beside_a_master_reduces_its_following_error"),
     ("friction-hil tune --output --json --yes --pace", "test_an_axis_learns_its_friction_on_its_drive"),
     ("friction-hil tune --models --axis", "test_mistakes_are_reported_before_anything_moves"),
     ("friction-hil tune --reset-fault", "test_a_drive_in_fault_is_tuned_only_if_its_fault_may_be_reset"),

@@ -113,7 +113,7 @@ def test_the_first_example_lists_every_key():
         (value["axes"]["x"]["experiment"], AxisExperiment),
     ]:
         assert set(group) == set(keys(model))
-    elsewhere = {"controller", "simulation"}
+    elsewhere = {"controller", "sidecar", "simulation"}
     assert set(value["axes"]["x"]) == {*keys(AxisConfig), *type(axis.options).model_fields} - elsewhere
 
 

@@ -11,8 +11,9 @@ from friction_hil.errors import DriveError, FrictionHilError
 from friction_hil_drivers.canopen import interfaces
 from friction_hil_drivers.canopen.exclusive import AxisLock
 from friction_hil_drivers.canopen.interfaces import bus_name
-from friction_hil_drivers.canopen.mapping import check_bus_load, expected_pdos
+from friction_hil_drivers.canopen.mapping import MappedPdo, check_bus_load, expected_pdos
 from friction_hil_drivers.canopen.options import canopen_options
+from friction_hil_drivers.canopen.sidecar_options import mapped
 from friction_hil_drivers.canopen.watchdogs import watchdog_pdos
 
 if TYPE_CHECKING:
@@ -60,12 +61,21 @@ def _opened(config: "BusConfig") -> Finding:
 
 def _load(bitrate: int, configuration: "Configuration", axes: "Mapping[str, AxisConfig]") -> Finding:
     period_s, max_missed = configuration.period_s, configuration.realtime.max_missed
-    pdos = [pdo for axis in axes.values() for pdo in expected_pdos(Mode[axis.mode.upper()])]
-    pdos += watchdog_pdos(canopen_options(axis).times(period_s, max_missed).feed_cycles for axis in axes.values())
+    pdos = [pdo for axis in axes.values() for pdo in _pdos(axis)]
+    masters = [options for options in map(canopen_options, axes.values()) if options.sidecar is None]
+    pdos += watchdog_pdos(options.times(period_s, max_missed).feed_cycles for options in masters)
     try:
         return Finding("bus load", "pass", check_bus_load(bitrate, period_s, pdos))
     except DriveError as error:
         return failure("bus load", error, "FH-440")
+
+
+def _pdos(axis: "AxisConfig") -> list[MappedPdo]:
+    """Return the PDOs of an axis: those that the driver maps, or those that the keys of a sidecar state."""
+    sidecar = canopen_options(axis).sidecar
+    if sidecar is None:
+        return expected_pdos(Mode[axis.mode.upper()])
+    return [mapped(pdo) for pdo in (*sidecar.tpdos, *sidecar.rpdos, sidecar.offset)]
 
 
 def _owner(config: "BusConfig", name: str, axis: "AxisConfig") -> Finding:

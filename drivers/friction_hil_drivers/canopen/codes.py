@@ -37,6 +37,9 @@ COMMANDS_TOO_OLD = "FH-237"
 UNITS_CONTRADICT = "FH-240"
 UNIT_AMBIGUOUS = "FH-241"
 NODE_SILENT = "FH-244"
+SYNC_UNUSABLE = "FH-247"
+SYNC_LOST = "FH-248"
+PDO_NOT_AS_STATED = "FH-249"
 
 TITLES = {
     BUS_NOT_OPENED: "The CAN bus does not open",
@@ -76,4 +79,7 @@ TITLES = {
     UNITS_CONTRADICT: "The configuration contradicts a unit that the drive reports",
     UNIT_AMBIGUOUS: "The drive's objects leave open which unit its position has",
     NODE_SILENT: "A node to be shown or stopped does not answer",
+    SYNC_UNUSABLE: "A sidecar hears no SYNC of its period",
+    SYNC_LOST: "A sidecar has lost SYNC, or hears two of them",
+    PDO_NOT_AS_STATED: "A PDO is not as the configuration of a sidecar says",
 }

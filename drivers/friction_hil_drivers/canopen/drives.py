@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from friction_hil.drive import AxisFacts, Clock, Command, DriveState, Feedback, Mode
 from friction_hil.drive.finding import Finding, failure
@@ -37,6 +37,7 @@ from friction_hil_drivers.canopen.listening import (
 from friction_hil_drivers.canopen.mapping import check_bus_load
 from friction_hil_drivers.canopen.options import CanopenOptions, canopen_options
 from friction_hil_drivers.canopen.passive import PassiveAxis, PassiveExchange
+from friction_hil_drivers.canopen.sidecar import SidecarDrives
 from friction_hil_drivers.canopen.watchdog_times import WatchdogTimes
 from friction_hil_drivers.canopen.watchdogs import watchdog_pdos
 
@@ -116,6 +117,10 @@ class CanopenDrives:
         cls, configuration: "Configuration", axes: "Mapping[str, AxisConfig]", clock: Clock
     ) -> Iterator[Finding]:
         """Let each watchdog of each drive lapse, one at a time; see `friction_hil.drive.Driver`."""
+        if configuration.bus is not None and configuration.bus.role == "sidecar":
+            detail = "with bus.role: sidecar the drives are another controller's: their watchdogs are not tried"
+            yield Finding("watchdogs", "fail", detail, "leave --try-watchdog out", "FH-445")
+            return
         for name, axis in axes.items():
             # one after the other: all drives on the bus would miss the daemon's heartbeat
             drives = cls(configuration, {name: axis}, clock, dry_run=False)
@@ -148,6 +153,12 @@ class CanopenDrives:
             heartbeat_ms=self._times(options).heartbeat_ms,
         )
         yield from trial.run()
+
+    def __new__(cls, configuration: "Configuration", *arguments: Any, **options: Any) -> Any:
+        """Return the drives, or where another controller moves them (``bus.role: sidecar``) those of a sidecar."""
+        if configuration.bus is not None and configuration.bus.role == "sidecar":
+            return SidecarDrives(configuration, *arguments, **options)
+        return super().__new__(cls)
 
     def __init__(
         self,

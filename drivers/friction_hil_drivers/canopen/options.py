@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
 from friction_hil_drivers.canopen.si_units import parse_velocity_unit
+from friction_hil_drivers.canopen.sidecar_options import SidecarOptions
 from friction_hil_drivers.canopen.watchdog_times import WatchdogTimes, contradictions, watchdog_times
 
 if TYPE_CHECKING:
@@ -79,6 +80,9 @@ class CanopenOptions(BaseModel):
     is_mode_check_required: bool = Field(
         True, description="refuse a drive whose 6502h does not list the mode; false: its 6502h may be wrong, try it"
     )
+    sidecar: SidecarOptions | None = Field(
+        None, description="PDOs as the master of the drive has mapped them; needed with bus.role: sidecar"
+    )
 
     @field_validator("velocity_unit")
     @classmethod
@@ -109,6 +113,8 @@ class CanopenOptions(BaseModel):
                 for field in ("counts_per_unit", "rated_torque"):
                     if getattr(options, field) is None:
                         yield name, field, "must be given for a linear axis: drives report neither per metre"
+        if bus is not None:
+            yield from _sidecar_mistakes(axes, is_sidecar=bus.role == "sidecar")
 
     @classmethod
     def check_timing(
@@ -116,6 +122,8 @@ class CanopenOptions(BaseModel):
     ) -> Iterator[tuple[str, str, str]]:
         """Yield watchdogs that would trip while the loop bridges missed periods: (axis, field, message)."""
         for name, axis in axes.items():
+            if canopen_options(axis).sidecar is not None:
+                continue  # a sidecar arms no watchdog
             times = canopen_options(axis).times(period_s, max_missed)
             for field, message in contradictions(period_s, max_missed, times):
                 yield name, field, message
@@ -129,3 +137,27 @@ def canopen_options(axis: "AxisConfig") -> CanopenOptions:
     """Return the options of an axis of this driver."""
     assert isinstance(axis.options, CanopenOptions)
     return axis.options
+
+
+def _sidecar_mistakes(axes: "Mapping[str, AxisConfig]", *, is_sidecar: bool) -> Iterator[tuple[str, str, str]]:
+    """Yield what a sidecar lacks, which asks the drive nothing, and what belongs to a sidecar alone."""
+    identifiers: dict[int, str] = {}
+    for name, axis in axes.items():
+        options = canopen_options(axis)
+        if not is_sidecar:
+            if options.sidecar is not None:
+                yield name, "sidecar", "is only for bus.role: sidecar"
+            continue
+        for field, reason in (
+            ("sidecar", "must list the PDOs as the master has mapped them"),
+            ("counts_per_unit", "must be given with bus.role: sidecar, which does not ask the drive"),
+            ("rated_torque", "must be given with bus.role: sidecar, which does not ask the drive"),
+        ):
+            if getattr(options, field) is None:
+                yield name, field, reason
+        given = options.sidecar
+        for pdo in () if given is None else (*given.tpdos, *given.rpdos, given.offset):
+            if pdo.cob_id in identifiers:
+                yield name, "sidecar", f"cob_id {pdo.cob_id:#x} belongs to axis {identifiers[pdo.cob_id]!r} already"
+        if given is not None:
+            identifiers |= {pdo.cob_id: name for pdo in (*given.tpdos, *given.rpdos, given.offset)}

@@ -98,6 +98,9 @@ def _print(result: "SessionResult", period_s: float, dry_run: bool) -> None:
     for name, error in result.axes.items():
         if not dry_run and math.isfinite(error["rms"]):
             click.echo(f"{name}: following error {error['rms']:.3g} rms, {error['peak']:.3g} peak")
+        if not dry_run and math.isfinite(error.get("baseline_rms", math.nan)):
+            rms, peak = error["baseline_rms"], error["baseline_peak"]
+            click.echo(f"{name}: without compensation {rms:.3g} rms, {peak:.3g} peak")
         if error["stale"]:
             click.echo(f"{name}: {error['stale']} cycles without usable feedback were bridged")
     for path in result.report.recording if result.report else ():

@@ -12,18 +12,21 @@ import click
 from friction_hil.config import AxisConfig, Configuration, load
 from friction_hil.config.drivers import SIMULATED_DRIVES, load_driver
 from friction_hil.daemon.realtime import punctuality
-from friction_hil.errors import UsageError
+from friction_hil.errors import FrictionHilError, UsageError
 
 _PRIORITY_BELOW_LOOP = 10
 _STDIN_CHECK_S = 0.05
+_MASTER_STOP_S = 5.0
 
 
-def simulate(*, config: str, pace: str, ready_fd: int | None, exit_with_stdin: bool) -> None:
+def simulate(*, config: str, pace: str, master: bool, ready_fd: int | None, exit_with_stdin: bool) -> None:
     """Run the simulated drives of a configuration until a signal comes, or standard input is closed."""
     configuration = load(config, needs_models=False)
     axes = {name: axis for name, axis in configuration.axes.items() if axis.simulation is not None}
     driver = _only_driver(config, configuration, axes)
-    drives: Any = load_driver(driver, SIMULATED_DRIVES)(configuration, axes, pace=pace)
+    kind: Any = load_driver(driver, SIMULATED_DRIVES)
+    drives: Any = kind(configuration, axes, pace=pace)
+    conductor = _make_master(kind, driver, configuration, axes, pace) if master else None
     try:
         ready = f"ready: {drives.open()}"
         is_stopping = _stop_conditions(exit_with_stdin)
@@ -32,9 +35,69 @@ def simulate(*, config: str, pace: str, ready_fd: int | None, exit_with_stdin: b
             _announce(ready_fd, ready)
         priority = configuration.realtime.priority if pace == "real" else 0
         with punctuality(max(priority - _PRIORITY_BELOW_LOOP, 1) if priority else 0):
-            drives.run(is_stopping)
+            if conductor is None:
+                drives.run(is_stopping)
+            else:
+                _run_with_master(drives, conductor, is_stopping, priority)
     finally:
         drives.close()
+
+
+def _make_master(kind: Any, driver: str, configuration: Configuration, axes: dict[str, AxisConfig], pace: str) -> Any:
+    """Return the stand-in for the controller that moves the drives.
+
+    Raises
+    ------
+    UsageError
+        There is none for drives of this kind, or the configuration is not that of a sidecar.
+    """
+    make = getattr(kind, "make_master", None)
+    if make is None:
+        raise UsageError(f"--master: there is no stand-in master for drives of the driver {driver}")
+    return make(configuration, axes, pace=pace)
+
+
+def _run_with_master(drives: Any, master: Any, is_stopping: Callable[[], bool], priority: int) -> None:
+    """Serve the bus, with the master in a process of its own, until a signal comes or the master has ended."""
+    read_end, write_end = os.pipe()
+    child = os.fork()
+    if child == 0:
+        os.close(write_end)
+        os._exit(_conduct(master, read_end, priority))
+    os.close(read_end)
+    try:
+        drives.run(is_stopping)
+        # the drives must answer while the master brings them to rest
+        os.close(write_end)
+        write_end = -1
+        end = time.monotonic() + _MASTER_STOP_S
+        drives.run(lambda: time.monotonic() > end or _has_ended(child))
+    finally:
+        if write_end >= 0:
+            os.close(write_end)
+        if not _has_ended(child):
+            os.kill(child, signal.SIGKILL)
+            os.waitpid(child, 0)
+
+
+def _conduct(master: Any, read_end: int, priority: int) -> int:
+    """Run the master until its parent closes the pipe; return the exit status."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)  # the parent tells when to stop, also after it was killed
+    try:
+        with punctuality(priority):
+            master.run(lambda: bool(select.select([read_end], [], [], 0.0)[0]))
+    except FrictionHilError as error:
+        click.echo(f"master: {error}", err=True)
+        return 1
+    return 0
+
+
+def _has_ended(child: int) -> bool:
+    try:
+        return os.waitpid(child, os.WNOHANG)[0] == child
+    except ChildProcessError:
+        return True
 
 
 def _only_driver(config: str, configuration: Configuration, axes: dict[str, AxisConfig]) -> str:

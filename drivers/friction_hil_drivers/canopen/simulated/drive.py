@@ -178,6 +178,8 @@ class SimulatedCia402Drive:
             return
         if self._setpoints.are_new:
             self._setpoints.activate(self._mode)
+        elif self._setpoints.are_offsets_new:
+            self._setpoints.activate_offsets()
         if self._mode == _CSP:
             self._supervise(now_ns)
 

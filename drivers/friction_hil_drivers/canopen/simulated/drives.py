@@ -12,6 +12,7 @@ from friction_hil_drivers.canopen.simulated.options import SimulationOptions
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig, Configuration
     from friction_hil_drivers.canopen.frames import FrameBus
+    from friction_hil_drivers.canopen.simulated.master import StandInMaster
     from friction_hil_drivers.canopen.simulated.node import SimulatedNode
 
 _IDLE_TIMEOUT_S = 2.5e-4  # between frames time passes this often, so that little is left to integrate at a SYNC
@@ -52,6 +53,16 @@ class SimulatedCanopenDrives:
         self._bus: FrameBus | None = None
         self._nodes: list[SimulatedNode] = []
         self._start_ns = 0
+
+    @staticmethod
+    def make_master(
+        configuration: "Configuration", axes: "Mapping[str, AxisConfig]", *, pace: Literal["real", "sync"]
+    ) -> "StandInMaster":
+        """Return a stand-in for the controller that moves the drives beside a sidecar; see `StandInMaster`."""
+        # imported here: without --master nobody needs it
+        from friction_hil_drivers.canopen.simulated.master import StandInMaster
+
+        return StandInMaster(configuration, axes, pace=pace)
 
     def open(self) -> str:
         """Compile the servos, open the bus and let every node send its boot-up message.

@@ -5,6 +5,7 @@ from typing import Literal
 
 from pydantic import Field
 
+from friction_hil.config.trajectories import Circle, Hold, Sine, Triangle
 from friction_hil.servo.config import ServoConfig
 from friction_hil_drivers.canopen.simulated.manners import Index, Manners, Unsigned32
 
@@ -29,3 +30,8 @@ class SimulationOptions(ServoConfig):
     """A simulated servo and its drive."""
 
     canopen: CanopenSimulation = CanopenSimulation()
+    trajectory: Circle | Sine | Triangle | Hold | None = Field(
+        None,
+        discriminator="kind",
+        description="motion that the stand-in master of 'simulate --master' gives the axis; by default it is held",
+    )

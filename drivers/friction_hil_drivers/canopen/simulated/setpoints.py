@@ -65,6 +65,7 @@ class Setpoints:
         self._position_offset = self._velocity_offset = self._torque_offset = 0
         self._is_first = True
         self.are_new = True  # not activated yet
+        self.are_offsets_new = False  # offsets alone: they take effect at once, without a step of the interpolation
         self.are_limited = False  # a limit other than that of the torque cut the last target
 
     def jumps_beyond(self, window: int) -> bool:
@@ -75,7 +76,7 @@ class Setpoints:
 
     def activate(self, mode: int) -> None:
         """Give the set-points to the servo, which reaches them over the next interpolation periods."""
-        self.are_new = self.are_limited = False
+        self.are_new = self.are_offsets_new = self.are_limited = False
         units, sign = self._units, self._drive_sign
         velocity_offset = sign * self._velocity_offset / units.increments
         torque_offset = sign * self._torque_offset * units.torque
@@ -93,9 +94,17 @@ class Setpoints:
         else:
             self._servo.command(NO_MODE, 0.0, 0.0, 0.0)
 
+    def activate_offsets(self) -> None:
+        """Give the torque offset to the servo, without a new target."""
+        self.are_offsets_new = False
+        self._servo.torque_offset = self._drive_sign * self._torque_offset * self._units.torque
+
     def _take(self, name: str, value: int) -> None:
         setattr(self, name, value)
-        self.are_new = True
+        if name == "_torque_offset":
+            self.are_offsets_new = True
+        else:
+            self.are_new = True
 
     def _within_limits(self, position: int) -> int:
         """Return a target position cut to the software position limits (607Dh)."""

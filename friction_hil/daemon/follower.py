@@ -1,0 +1,193 @@
+"""Axes that another controller enables and moves: the loop only adds the compensation (``bus.role: sidecar``).
+
+Nothing here stops the machine. The compensation of an axis is faded in while its drive is in Operation enabled in the
+configured mode, and out otherwise; a fault of the daemon fades all of it out and ends the run.
+"""
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from friction_hil.compensator import CompensatorInputs
+from friction_hil.daemon.assembly import make_limits
+from friction_hil.daemon.axis import AxisLoop, AxisUpdate
+from friction_hil.daemon.demand import DemandEstimator
+from friction_hil.daemon.figures import FollowingError
+from friction_hil.daemon.row import AxisRow
+from friction_hil.daemon.safety import MAX_STALE_CYCLES, LoopState, Supervisor
+from friction_hil.daemon.sequence import SETTLE_S, RunInputs, RunStateMachine
+from friction_hil.drive import AxisFacts, Command, DriveState, Feedback
+from friction_hil.drive.codes import FaultCode
+from friction_hil.motion.trajectory import PathTime
+
+if TYPE_CHECKING:
+    from friction_hil.config import AxisConfig
+
+_FAULTS = (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE)
+
+
+class FollowerStateMachine(RunStateMachine):
+    """State of a run in which another controller enables and stops the drives: IDLE, RUNNING, fading out, DONE."""
+
+    __slots__ = ()
+
+    def _next(self, elapsed_s: float, inputs: RunInputs, has_stood: bool) -> LoopState:
+        state = self.state
+        if state is LoopState.IDLE:
+            if inputs.is_stop_requested or inputs.has_fault:
+                return LoopState.DONE
+            return state if self._is_listening or elapsed_s < SETTLE_S else LoopState.RUNNING
+        if state in (LoopState.RUNNING, LoopState.STOPPING) and inputs.has_fault:
+            return LoopState.FAULT_STOPPING
+        if state is LoopState.RUNNING:
+            return LoopState.STOPPING if inputs.is_stop_requested else state
+        return LoopState.DONE if inputs.is_faded_out else state
+
+
+class FollowerSupervisor(Supervisor):
+    """Check the feedback of an axis that another controller moves; see `friction_hil.daemon.safety.Supervisor`.
+
+    Attributes
+    ----------
+    is_operating : bool
+        The drive is in Operation enabled, in the configured mode. Otherwise the axis may be moved by hand or be homed:
+        its position may jump, and its limits do not apply.
+    """
+
+    __slots__ = ("is_operating",)
+
+    is_operating: bool
+
+    def take(self, feedback: Feedback) -> bool:
+        """Take one cycle's feedback; return True if it is fresh, finite and, while the drive operates, plausible."""
+        if not self.is_operating and feedback.is_fresh and math.isfinite(feedback.position):
+            self._last_position = feedback.position
+        return super().take(feedback)
+
+    def find_fault(self, feedback: Feedback, state: LoopState, velocity: float, position_demand: float) -> str | None:
+        """Return the fault of the axis as a message, or None: a fault of the drive is its master's business."""
+        if feedback.message or self._stale_cycles > self._max_stale_cycles or feedback.state not in _FAULTS:
+            judged = state if self.is_operating else LoopState.IDLE
+            return super().find_fault(feedback, judged, velocity, position_demand)
+        return None
+
+
+class FollowerAxis(AxisLoop):
+    """Computation of one axis that another controller moves; see `friction_hil.daemon.axis.AxisLoop`.
+
+    Attributes
+    ----------
+    following_error, baseline_error : FollowingError
+        With the compensation fully faded in, and without any, while the drive operates.
+    """
+
+    __slots__ = ("_baseline_left_s", "_demand", "_drive_notice", "_fade_s", "_faded_s", "baseline_error")
+
+    supervisor: FollowerSupervisor
+
+    def __init__(
+        self,
+        name: str,
+        config: "AxisConfig",
+        facts: AxisFacts,
+        period_s: float,
+        path_time: PathTime,
+        shadow_names: Sequence[str] = (),
+        max_stale_cycles: int = MAX_STALE_CYCLES,
+    ) -> None:
+        super().__init__(name, config, facts, period_s, path_time, shadow_names, max_stale_cycles)
+        unit, limits = ("rad" if config.model.axis == "rotary" else "m"), make_limits(config)
+        self.supervisor = FollowerSupervisor(name, limits, period_s, facts.position_resolution, unit, max_stale_cycles)
+        self.supervisor.is_operating = False
+        self.baseline_error = FollowingError()
+        self._demand = DemandEstimator(period_s, facts.setpoint_delay_s, self.lead_s)
+        self._baseline_left_s = config.compensation.baseline_s
+        self._fade_s = config.compensation.fade_s
+        self._faded_s = 0.0  # time for which the compensation has been enabled
+        self._drive_notice = _DriveNotice(name)
+
+    def enter_path(self) -> None:
+        """Do nothing: the path is another controller's."""
+
+    def update(
+        self, cycle: int, state: LoopState, running_s: float, feedback: Feedback, command: Command, row: AxisRow
+    ) -> AxisUpdate:
+        """Compute one cycle; see `AxisLoop.update`. After an exception nothing is left to fade out."""
+        update = super().update(cycle, state, running_s, feedback, command, row)
+        return update._replace(is_faded_out=True) if self._is_broken else update
+
+    def compute(
+        self, cycle: int, state: LoopState, running_s: float, feedback: Feedback, command: Command, row: AxisRow
+    ) -> AxisUpdate:
+        """Compute one cycle: check the feedback, compensate, command, record; see `AxisLoop.compute`."""
+        time_s, compensator, supervisor = cycle * self._period_s, self.compensator, self.supervisor
+        is_powered = feedback.state is DriveState.OPERATION_ENABLED
+        supervisor.is_operating = is_operating = is_powered and feedback.is_offset_wanted
+        is_usable = supervisor.take(feedback)
+        self.stale_cycles += not is_usable
+        position = supervisor.position
+        velocity = feedback.velocity if is_usable else compensator.velocity_estimate
+        demand = self._demand.take(cycle, feedback.position_demand if is_operating else math.nan)
+        is_enabled = self._gate(is_operating and state in (LoopState.IDLE, LoopState.RUNNING) and running_s >= 0.0)
+        inputs = CompensatorInputs(float(cycle), position, velocity, feedback.torque, *demand, is_usable, is_enabled)
+        row.write_states(self._states)
+        compensation = compensator.step(*inputs)
+        estimate = compensator.velocity_estimate
+        fault = supervisor.find_fault(feedback, state, estimate, inputs.position_demand)
+        if fault is None and compensator.is_faulty:
+            text = f"{self.name}: the friction model gave a torque that is not finite"
+            fault = FaultCode.MODEL_NOT_FINITE.append_to(text)
+        # without power no torque flows, and none may wait for the moment in which the master enables the drive again
+        torque = compensation if is_powered else 0.0
+        self._command.write(command, state, time_s, position, estimate, None, torque, is_powered)
+        self._judge(demand[0] - position, is_usable and is_operating and state is LoopState.RUNNING)
+        row.write_cycle(time_s, inputs, estimate, compensation, command.torque, state, feedback.state)
+        for name, shadow in self.shadows.items():
+            row.write_shadow(name, shadow.step(*inputs))
+        is_standing = supervisor.is_current and abs(estimate) <= self._standstill
+        warning = self._notices.next(compensator, estimate) or self._drive_notice.next(feedback)
+        is_faded_out = compensator.is_faded_out and command.torque == 0.0
+        return AxisUpdate(fault, warning, False, is_standing, is_faded_out)
+
+    def _gate(self, is_open: bool) -> bool:
+        """Return True if the compensation is to be faded in, or kept: after the time without it at the start."""
+        if is_open and self._baseline_left_s > 0.0:
+            self._baseline_left_s -= self._period_s
+            is_open = False
+        is_enabled = is_open and self._is_compensation_enabled
+        self._faded_s = self._faded_s + self._period_s if is_enabled else 0.0
+        return is_enabled
+
+    def _judge(self, error: float, is_counted: bool) -> None:
+        """Count the following error of a cycle with full compensation, or of one without."""
+        if not is_counted or not math.isfinite(error):
+            return
+        if self._faded_s > self._fade_s:
+            self.following_error.add(error)
+        elif self.compensator.is_faded_out:
+            self.baseline_error.add(error)
+
+
+class _DriveNotice:
+    """Tells, once for each change, that the drive does not operate, or does again."""
+
+    __slots__ = ("_is_operating", "_name", "_told")
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+        self._is_operating: bool | None = None
+        self._told = ""
+
+    def next(self, feedback: Feedback) -> str | None:
+        """Return the notice of this cycle; None in most cycles."""
+        is_powered = feedback.state is DriveState.OPERATION_ENABLED
+        if is_powered and self._is_operating is False:
+            self._is_operating, self._told = True, ""
+            return f"{self._name}: its master has enabled the drive again"
+        if is_powered:
+            self._is_operating = True
+        elif self._is_operating and feedback.state.words != self._told:
+            self._is_operating, self._told = False, feedback.state.words
+            error = f" ({feedback.error})" if feedback.error else ""
+            return f"{self._name}: the drive left Operation enabled, its master's business: {self._told}{error}"
+        return None
