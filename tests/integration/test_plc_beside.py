@@ -17,7 +17,6 @@ from tests.processes import run, write_configuration
 from tests.recorded_bus import recorded
 
 NMT, SYNC = 0x000, 0x080
-NOT_YET = pytest.mark.xfail(reason="connecting writes before it has looked", strict=False)
 
 
 @contextlib.contextmanager
@@ -44,8 +43,8 @@ def writes(frames: list[Frame]) -> list[str]:
     ("is_ours", "is_event_driven"),
     [
         pytest.param(False, False, id="durand, sync"),
-        pytest.param(False, True, id="durand, events", marks=NOT_YET),
-        pytest.param(True, True, id="simulated, events", marks=NOT_YET),
+        pytest.param(False, True, id="durand, events"),
+        pytest.param(True, True, id="simulated, events"),
     ],
 )
 def test_a_drive_that_a_plc_moves_is_left_alone(tmp_path: Path, is_ours: bool, is_event_driven: bool) -> None:
