@@ -11,7 +11,7 @@ import pytest
 
 from tests.contract import rig as rigs
 from tests.contract.drives import DrivesContract, SimulatedDrivesContract
-from tests.contract.rig import COUNTS, RATED_TORQUE, InstalledRig, Rig
+from tests.contract.rig import COUNTS, RATED_TORQUE, InstalledRig
 
 _numbers = itertools.count()
 
@@ -42,10 +42,6 @@ class _Both(DrivesContract, SimulatedDrivesContract):
 class TestCanopen(_Both):
     def make(self, folder: Path, patch: pytest.MonkeyPatch) -> InstalledRig:
         return rigs.CanRig(folder)
-
-    @pytest.mark.xfail(reason="NMT goes out before the state is read", strict=False)
-    def test_a_drive_with_power_is_refused_and_nothing_is_written(self, rig: Rig) -> None:
-        super().test_a_drive_with_power_is_refused_and_nothing_is_written(rig)
 
 
 class TestModbusRtu(_Both):

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import can
 import pytest
 import yaml
 
@@ -13,11 +14,10 @@ from tests.durand_process import durand_configuration, durand_drives
 from tests.launcher import start
 from tests.peers.frame_recorder import Frame
 from tests.peers.plc_master import PlcMaster
-from tests.processes import run, write_configuration
+from tests.processes import listening, run, write_configuration
 from tests.recorded_bus import recorded
 
 NMT, SYNC = 0x000, 0x080
-NOT_YET = pytest.mark.xfail(reason="connecting writes before it has looked", strict=False)
 
 
 @contextlib.contextmanager
@@ -44,8 +44,8 @@ def writes(frames: list[Frame]) -> list[str]:
     ("is_ours", "is_event_driven"),
     [
         pytest.param(False, False, id="durand, sync"),
-        pytest.param(False, True, id="durand, events", marks=NOT_YET),
-        pytest.param(True, True, id="simulated, events", marks=NOT_YET),
+        pytest.param(False, True, id="durand, events"),
+        pytest.param(True, True, id="simulated, events"),
     ],
 )
 def test_a_drive_that_a_plc_moves_is_left_alone(tmp_path: Path, is_ours: bool, is_event_driven: bool) -> None:
@@ -73,3 +73,22 @@ def test_a_drive_that_a_plc_moves_is_left_alone(tmp_path: Path, is_ours: bool, i
     if is_event_driven:
         assert not any(frame.can_id == SYNC for frame in frames), "nobody but the daemon would send it"
     assert count > 20
+
+
+@pytest.mark.parametrize(
+    ("changes", "wanted"),
+    [
+        pytest.param({}, [bytes((0x01, 1)), bytes((0x80, 1)), bytes((0x01, 1))], id="dry run"),
+        pytest.param({"identity": {"vendor_id": 99}}, [], id="refused"),
+    ],
+)
+def test_a_silent_node_is_left_operational(tmp_path: Path, changes: dict[str, Any], wanted: list[bytes]) -> None:
+    """A node without heartbeat does not tell its NMT state by itself."""
+    configuration = durand_configuration(tmp_path, **changes)
+    with durand_drives(configuration):
+        with listening(configuration) as bus:
+            bus.send(can.Message(arbitration_id=NMT, data=bytes((0x01, 1)), is_extended_id=False))
+        with recorded(configuration) as frames:
+            ended = run("run", configuration, "--dry-run", "--duration", 0.1, check=False)
+    assert [bytes(frame.data) for frame in frames if frame.can_id == NMT] == wanted
+    assert "FH-222" not in ended.stderr
