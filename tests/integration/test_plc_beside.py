@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import can
 import pytest
 import yaml
 
@@ -13,7 +14,7 @@ from tests.durand_process import durand_configuration, durand_drives
 from tests.launcher import start
 from tests.peers.frame_recorder import Frame
 from tests.peers.plc_master import PlcMaster
-from tests.processes import run, write_configuration
+from tests.processes import listening, run, write_configuration
 from tests.recorded_bus import recorded
 
 NMT, SYNC = 0x000, 0x080
@@ -72,3 +73,22 @@ def test_a_drive_that_a_plc_moves_is_left_alone(tmp_path: Path, is_ours: bool, i
     if is_event_driven:
         assert not any(frame.can_id == SYNC for frame in frames), "nobody but the daemon would send it"
     assert count > 20
+
+
+@pytest.mark.parametrize(
+    ("changes", "wanted"),
+    [
+        pytest.param({}, [bytes((0x01, 1)), bytes((0x80, 1)), bytes((0x01, 1))], id="dry run"),
+        pytest.param({"identity": {"vendor_id": 99}}, [], id="refused"),
+    ],
+)
+def test_a_silent_node_is_left_operational(tmp_path: Path, changes: dict[str, Any], wanted: list[bytes]) -> None:
+    """A node without heartbeat does not tell its NMT state by itself."""
+    configuration = durand_configuration(tmp_path, **changes)
+    with durand_drives(configuration):
+        with listening(configuration) as bus:
+            bus.send(can.Message(arbitration_id=NMT, data=bytes((0x01, 1)), is_extended_id=False))
+        with recorded(configuration) as frames:
+            ended = run("run", configuration, "--dry-run", "--duration", 0.1, check=False)
+    assert [bytes(frame.data) for frame in frames if frame.can_id == NMT] == wanted
+    assert "FH-222" not in ended.stderr

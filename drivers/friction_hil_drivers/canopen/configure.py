@@ -1,7 +1,7 @@
 """Configuration of a drive that was just switched on, until it is ready for the cyclic phase."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
@@ -60,6 +60,7 @@ def configure(
     *,
     dry_run: bool,
     taken: set[int] | None = None,
+    before_writing: Callable[[], None] = lambda: None,
 ) -> ConfiguredDrive:
     """Check a drive's identity and modes, read its units, map its PDOs and set its watchdogs.
 
@@ -77,6 +78,8 @@ def configure(
     dry_run : bool
     taken : set of int, optional
         Identifiers that PDOs of other axes have; those of this axis are added.
+    before_writing : callable, optional
+        Called when everything has been read and compared, before the first write.
 
     Raises
     ------
@@ -102,6 +105,8 @@ def configure(
     watch = NOT_WATCHED
     if not dry_run:
         _require_unpowered(access, state)
+    before_writing()
+    if not dry_run:
         rpdos, watch, of_commands = _set_up_commands(access, options, mode, commands, period_s, times, taken)
         notes += of_commands
     tpdos, of_feedback = _set_up_feedback(access, options, feedback, taken, dry_run=dry_run)
@@ -122,6 +127,12 @@ def configure(
     code = access.find(objects.ERROR_CODE) if state is DriveState.FAULT else None
     error = profile.error_text(code) if code else ""
     return ConfiguredDrive(facts, units, mode, tpdos, rpdos, error, period_s, watch, options.axis_number)
+
+
+def with_notes(drive: ConfiguredDrive, notes: Sequence[str]) -> ConfiguredDrive:
+    """Return the drive with further notes for the user."""
+    further = tuple(note for note in notes if note not in drive.facts.notes)
+    return replace(drive, facts=replace(drive.facts, notes=drive.facts.notes + further))
 
 
 def _actuation_delay_cycles(rpdos: Sequence[MappedPdo]) -> float:

@@ -7,7 +7,6 @@ writes the bus.
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +16,7 @@ from friction_hil.errors import BusError, DriveError, FrictionHilError, UsageErr
 from friction_hil_drivers.canopen import codes, interfaces, objects
 from friction_hil_drivers.canopen.axis import CanopenAxis
 from friction_hil_drivers.canopen.checks import check_connection
-from friction_hil_drivers.canopen.configure import ConfiguredDrive, configure
+from friction_hil_drivers.canopen.configure import configure, with_notes
 from friction_hil_drivers.canopen.eds import load_eds
 from friction_hil_drivers.canopen.eds_check import compare_eds
 from friction_hil_drivers.canopen.exchange import CyclicExchange
@@ -35,6 +34,7 @@ from friction_hil_drivers.canopen.listening import (
     look,
 )
 from friction_hil_drivers.canopen.mapping import check_bus_load
+from friction_hil_drivers.canopen.nmt_state import ask_nmt_state, unknown_nmt_state
 from friction_hil_drivers.canopen.options import CanopenOptions, canopen_options
 from friction_hil_drivers.canopen.passive import PassiveAxis, PassiveExchange
 from friction_hil_drivers.canopen.sidecar import SidecarDrives
@@ -278,19 +278,41 @@ class CanopenDrives:
     def _connect_axis(self, name: str, config: "AxisConfig") -> CanopenAxis:
         options, client = canopen_options(config), self._clients[name]
         client.is_read_only = self._is_passive
-        if not self._dry_run and self._others.state_of(options.node) not in _PRE_OPERATIONAL:
-            # a drive in Operational may refuse new mappings; this one has no power, and no other master
-            self._set_nmt(objects.NmtCommand.ENTER_PRE_OPERATIONAL, options.node)
         try:
-            times, period_s = self._times(options), self._configuration.period_s
-            drive = configure(client, name, config, period_s, times, dry_run=self._dry_run, taken=self._identifiers)
+            drive = configure(
+                client,
+                name,
+                config,
+                self._configuration.period_s,
+                self._times(options),
+                dry_run=self._dry_run,
+                taken=self._identifiers,
+                before_writing=lambda: self._prepare_nmt(client, options.node),
+            )
         except DriveError as error:
             if self._is_passive and error.code in _OF_MAPPING:
                 raise self._nothing_to_hear(client, error) from error
             raise
         notes = client.notes if client.journal is None else [*client.notes, *client.journal.notes]
-        drive = _with_notes(drive, [*notes, *self._passive_notes()])
+        drive = with_notes(drive, [*notes, *self._passive_notes()])
         return CanopenAxis(drive, options.node, self._heartbeat_s(name, options))
+
+    def _prepare_nmt(self, client: "SdoClient", node: int) -> None:
+        """Find out the NMT state of a node, and take it out of Operational, in which it may refuse new mappings.
+
+        Raises
+        ------
+        DriveError
+            Another master was heard since the drives were looked at.
+        """
+        self._refuse_other_masters()
+        if self._is_passive or node in self._nmt_states:
+            return
+        if self._clock.is_real and self._others.state_of(node) is None:
+            assert self._bus is not None
+            ask_nmt_state(client, self._bus, self._others, node)
+        if not self._dry_run and self._others.state_of(node) not in _PRE_OPERATIONAL:
+            self._set_nmt(objects.NmtCommand.ENTER_PRE_OPERATIONAL, node)
 
     def _passive_notes(self) -> list[str]:
         if not self._is_passive:
@@ -412,6 +434,8 @@ class CanopenDrives:
             for node, found in self._nmt_states.items():
                 if found == objects.NmtState.OPERATIONAL and self._is_unpowered(node):
                     self._write_nmt(objects.NmtCommand.START, node)
+                elif found is None and self._clock.is_real:
+                    self.leftovers.append(unknown_nmt_state(node))
 
     def _is_unpowered(self, node: int) -> bool:
         """Return True if every axis of a node says that it has no power."""
@@ -454,12 +478,6 @@ class CanopenDrives:
         if self._bus is None:
             raise BusError("the bus is not open: connect first")
         self._bus.send(objects.NMT_ID, bytes((command, node)))
-
-
-def _with_notes(drive: ConfiguredDrive, notes: Sequence[str]) -> ConfiguredDrive:
-    """Return the drive with further notes for the user."""
-    further = tuple(note for note in notes if note not in drive.facts.notes)
-    return replace(drive, facts=replace(drive.facts, notes=drive.facts.notes + further))
 
 
 def _is_echoing(config: "BusConfig") -> bool:
