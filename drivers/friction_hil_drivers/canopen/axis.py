@@ -30,11 +30,13 @@ from friction_hil_drivers.cia402 import profile
 Handler = Callable[[bytes], None]  # takes the data of a frame
 
 _STALE_CYCLES = 2  # without feedback after which no controlword follows from the state that was reported last
+_LARGEST_STEP = 1 << 30  # of the position counter in a cycle; the counter is not followed further than that
 _BLIND_CYCLES = 10  # without feedback after which a stop is confirmed by SDO
 _NMT_START_NS = 50_000_000  # between two attempts to bring a node back to Operational
-_LARGEST_STEP = 1 << 30  # of the position counter in a cycle; the counter is not followed further than that
 _STANDSTILL_PER_S = 0.01  # rad/s (m/s) that counts as standstill where a stop is watched by SDO
 _IN_FAULT = (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE)
+_GOOD = NodeCondition.GOOD
+_OPERATION_ENABLED = DriveState.OPERATION_ENABLED
 
 
 class CanopenAxis:
@@ -58,7 +60,54 @@ class CanopenAxis:
     is_reachable : bool
         RPDOs have an effect. Nothing but SDO and NMT is sent to a node for which this is false: it restarted, left
         Operational, or has been silent for the time of three heartbeats.
+    needs_other_frames : bool
+        `other_frames` may have something to send; as of the last `report`.
+    controlword : int
+        Controlword that was encoded last.
     """
+
+    # every cycle runs through these: with a __dict__ of that size, attributes would take twice as long
+    __slots__ = (
+        "_answers",
+        "_arrived",
+        "_asked",
+        "_comes_late",
+        "_decoder",
+        "_drive",
+        "_encoder",
+        "_error",
+        "_every_tpdo",
+        "_frames",
+        "_heard_ns",
+        "_heartbeat_s",
+        "_is_commanded",
+        "_is_plain",
+        "_is_reported",
+        "_left_ns",
+        "_measured",
+        "_message",
+        "_missed",
+        "_mode",
+        "_monitor",
+        "_nmt_start_ns",
+        "_notices",
+        "_now_ns",
+        "_sdo",
+        "_short",
+        "_state",
+        "_waits_for_older",
+        "_why_no_sync",
+        "controlword",
+        "drive",
+        "facts",
+        "handlers",
+        "is_complete",
+        "is_reachable",
+        "needs_other_frames",
+        "node",
+        "tpdos",
+        "watch",
+    )
 
     def __init__(self, drive: ConfiguredDrive, node: int, heartbeat_s: float) -> None:
         self._drive = self.drive = drive
@@ -75,9 +124,15 @@ class CanopenAxis:
         self._now_ns = self._heard_ns = self._left_ns = self._nmt_start_ns = 0
         self._decoder = FeedbackDecoder(drive.tpdos, drive.units, drive.mode, drive.period_s)
         self._encoder = CommandEncoder(drive.rpdos, drive.mode, drive.units)
-        self._frames = [b""] * len(drive.tpdos)  # TPDOs of this cycle; empty: not arrived
+        self._mode = int(drive.mode)
+        self._is_commanded = bool(drive.rpdos)
+        self._frames = [b""] * len(drive.tpdos)  # last data of each TPDO
+        self._arrived = 0  # TPDOs of this cycle: bit n for TPDO n
+        self._every_tpdo = (1 << len(drive.tpdos)) - 1
         self.is_complete = False
         self.is_reachable = True
+        self.needs_other_frames = False
+        self._is_plain = False  # TPDOs of this cycle are not counted in `_answers`, as long as each comes once
         self._is_reported = False  # the feedback of this cycle is closed
         self._why_no_sync = ""
         self._waits_for_older = True
@@ -87,12 +142,16 @@ class CanopenAxis:
         self._measured = Measurement()  # of the last complete cycle
         self._error = drive.error
         self._message = ""
-        self._controlword = profile.DISABLE_VOLTAGE
+        self.controlword = profile.DISABLE_VOLTAGE
+        # the controlword follows from these alone, as long as the request is not to reset a fault
+        self._state: DriveState | None = None
+        self._asked: Request | None = None
         self.handlers = self._make_handlers()
 
     def _make_handlers(self) -> Mapping[int, Handler]:
         handlers: dict[int, Handler] = {
-            pdo.cob_id: partial(self._on_tpdo, number) for number, pdo in enumerate(self.tpdos)
+            pdo.cob_id: partial(self._on_tpdo, number, 1 << number, pdo.layout.size)
+            for number, pdo in enumerate(self.tpdos)
         }
         handlers[objects.EMERGENCY_BASE + self.node] = self._on_emergency
         handlers[objects.HEARTBEAT_BASE + self.node] = self._on_heartbeat
@@ -126,20 +185,10 @@ class CanopenAxis:
         """True if only a cycle without SYNC shows whether the TPDOs are those of the last SYNC."""
         return self._answers.is_doubtful
 
-    @property
-    def needs_other_frames(self) -> bool:
-        """True if `other_frames` may have something to send."""
-        return self._sdo.is_active or not self.is_reachable or self._missed > _BLIND_CYCLES
-
     def idle_frames(self, controlword: int, counts: int) -> list[Frame]:
         """Return the RPDOs with a controlword, the position ``counts`` as target, and neither velocity nor torque."""
         command = Command(position=counts / self._drive.units.counts_per_unit)
         return self._encoder.encode(controlword, command)
-
-    @property
-    def controlword(self) -> int:
-        """Controlword that was encoded last."""
-        return self._controlword
 
     def copy(self) -> "CanopenAxis":
         """Return another axis for the same drive, as it was before its first cycle."""
@@ -153,28 +202,53 @@ class CanopenAxis:
     def begin_cycle(self, now_ns: int, why_no_sync: str = "") -> None:
         """Forget the TPDOs that arrived before this cycle; ``why_no_sync`` is the reason for one without SYNC."""
         self._now_ns = now_ns
-        self._frames = [b""] * len(self.tpdos)
-        self._answers.begin_cycle(has_sync=not why_no_sync)
+        if self._is_plain and not self.is_complete:
+            self._count_answers()
+        self._arrived = 0
+        self._is_plain = not why_no_sync and (self._is_plain or self._answers.is_settled)
+        if not self._is_plain:
+            self._answers.begin_cycle(has_sync=not why_no_sync)
         self._why_no_sync = why_no_sync
-        self.is_complete = self._is_reported = False
         self._short = ""
+        self.is_complete = self._is_reported = False
 
     # Frames of the node
 
-    def _on_tpdo(self, number: int, data: bytes) -> None:
-        size = self.tpdos[number].layout.size
-        if len(data) != size:
-            text = f"TPDO {number + 1} of node {self.node} has {len(data)} bytes instead of {size}"
-            self._notices.add(coded(text, codes.PDO_LENGTH))
-            if len(data) < size:
-                self._short = text
+    def _count_answers(self) -> None:
+        """Count this cycle in `_answers`, which is needed once a TPDO is missing."""
+        self._is_plain = False
+        self._answers.begin_cycle(has_sync=True)
+        for number in range(len(self.tpdos)):
+            if self._arrived >> number & 1:
                 self._answers.take(number)
-                return
-        if self._answers.take(number):
-            self._comes_late = self._is_reported
-            self._frames[number] = data  # the last one, if older ones came in this cycle too
-            is_last = self._answers.is_up_to_date or not self._waits_for_older
-            self.is_complete = is_last and all(self._frames)
+
+    def _on_tpdo(self, number: int, bit: int, size: int, data: bytes) -> None:
+        if self._is_plain and len(data) == size:
+            if self._arrived & bit:
+                return  # it has answered the last SYNC already
+        elif not self._is_counted(number, size, data):
+            return
+        self._comes_late = self._is_reported
+        self._frames[number] = data  # the last one, if older ones came in this cycle too
+        arrived = self._arrived = self._arrived | bit
+        if arrived == self._every_tpdo:
+            self.is_complete = self._is_plain or not (self._answers.open and self._waits_for_older)
+
+    def _is_counted(self, number: int, size: int, data: bytes) -> bool:
+        """Count a TPDO; return True if it answers a SYNC and can be decoded."""
+        if self._is_plain:
+            self._count_answers()
+        is_too_short = len(data) != size and self._is_too_short(number, size, data)
+        return self._answers.take(number) and not is_too_short
+
+    def _is_too_short(self, number: int, size: int, data: bytes) -> bool:
+        """Tell of a TPDO that has not the bytes of its mapping; return True if it has too few."""
+        text = f"TPDO {number + 1} of node {self.node} has {len(data)} bytes instead of {size}"
+        self._notices.add(coded(text, codes.PDO_LENGTH))
+        if len(data) >= size:
+            return False
+        self._short = text
+        return True
 
     def _on_emergency(self, data: bytes) -> None:
         self._notices.take_emergency(data)
@@ -204,54 +278,66 @@ class CanopenAxis:
 
     def report(self, feedback: Feedback, now_ns: int) -> None:
         """Write the drive's feedback; without all TPDOs the values stay those of the last complete cycle."""
+        if self._is_plain and not self.is_complete:
+            self._count_answers()
         is_fresh = self.is_complete or self._is_usable()
         self._is_reported = True
+        monitor = self._monitor
         if is_fresh:
             self._take_measurement(now_ns)
         else:
             self._missed += 1
-        if fault := self._monitor.check(now_ns):
+        if fault := monitor.check(now_ns):
             self._note_fault(fault)
-        if is_fresh and self._left_ns < self._now_ns:
-            self._monitor.answered()  # a node sends synchronous TPDOs in Operational only
-        is_silent = now_ns - self._heard_ns > self._monitor.patience_ns
-        self.is_reachable = self._monitor.condition is NodeCondition.GOOD and not is_silent
+        if is_fresh and monitor.condition is not _GOOD and self._left_ns < self._now_ns:
+            monitor.answered()  # a node sends synchronous TPDOs in Operational only
+        is_silent = now_ns - self._heard_ns > monitor.patience_ns
+        is_reachable = self.is_reachable = monitor.condition is _GOOD and not is_silent
         measured = self._measured
         feedback.position = measured.position
         feedback.velocity = measured.velocity
         feedback.torque = measured.torque
-        feedback.state = self.state
         feedback.is_fresh = is_fresh
-        feedback.missing = "" if is_fresh else self._missing()
+        if is_fresh and is_reachable:
+            feedback.state, feedback.missing = measured.state, ""
+            self.needs_other_frames = self._sdo.is_stopping or self._sdo.error_code.attempts_left > 0
+        else:
+            feedback.state, feedback.missing = self.state, "" if is_fresh else self._missing()
+            self.needs_other_frames = self._sdo.is_active or not is_reachable or self._missed > _BLIND_CYCLES
         feedback.error = self._error
         feedback.message = self._message
-        feedback.is_reachable = self.is_reachable
+        feedback.is_reachable = is_reachable
         if self._notices.waiting:
             feedback.notices += self._notices.waiting
             self._notices.waiting.clear()
 
     def _is_usable(self) -> bool:
         """True if every TPDO came; those of an earlier SYNC, as far as that is known, do not count."""
-        return all(self._frames) and not self._answers.is_late and not self._why_no_sync
+        return self._arrived == self._every_tpdo and not self._answers.is_late and not self._why_no_sync
 
     def _take_measurement(self, now_ns: int) -> None:
         """Decode the TPDOs of this cycle."""
         before = self._measured
         measured = self._decoder.decode(self._frames, before, self._missed + 1)
-        was, now = before.counts, measured.counts
-        if was is not None and now is not None and abs(now - was) > _LARGEST_STEP:
+        was = before.counts
+        if was is not None and not -_LARGEST_STEP <= measured.counts - was <= _LARGEST_STEP:  # type: ignore[operator]
             measured = measured._replace(counts=was)  # the counter is followed from where it was
         self._measured = measured
         self._missed, self._heard_ns = 0, now_ns
         state = measured.state
-        if state is not before.state:
-            self._change_state(state)
-        is_enabled = state is DriveState.OPERATION_ENABLED
-        self._notices.take_statusword(measured.statusword, is_enabled=is_enabled)
-        if is_enabled and (fault := self._wrong_mode()):
-            self._note_fault(fault)
+        if measured.statusword != before.statusword or state is not before.state:
+            self._take_statusword(measured, before)
+        if state is _OPERATION_ENABLED:
+            if measured.mode != self._mode and self._is_commanded:
+                self._note_fault(self._wrong_mode(measured.mode))
         elif state in _IN_FAULT:
             self._take_error_code()
+
+    def _take_statusword(self, measured: Measurement, before: Measurement) -> None:
+        """React to a statusword that has changed."""
+        if measured.state is not before.state:
+            self._change_state(measured.state)
+        self._notices.take_statusword(measured.statusword, is_enabled=measured.state is _OPERATION_ENABLED)
 
     def _change_state(self, state: DriveState) -> None:
         """React to a new state: the reason of a fault is read, and forgotten once the drive is enabled."""
@@ -277,19 +363,25 @@ class CanopenAxis:
         DriveError
             The axis is only listened to.
         """
-        if not self._drive.rpdos:
+        if not self._is_commanded:
             raise DriveError(f"{self.facts.name}: a drive that is only listened to gets no command")
-        self._controlword = self._next_controlword(command.request)
-        return self._encoder.encode(self._controlword, command)
+        if command.request is not self._asked or self._measured.state is not self._state or self._missed:
+            self.controlword = self._next_controlword(command.request)
+        return self._encoder.encode(self.controlword, command)
 
     def _next_controlword(self, request: Request) -> int:
         """Return the controlword for a request; to stop, none follows from a state that is not known any more."""
+        self._asked = None
         if self._missed > _STALE_CYCLES:
             if request is Request.QUICK_STOP:
                 return profile.QUICK_STOP
             if request is Request.DISABLE:
                 return profile.DISABLE_VOLTAGE
-        return next_controlword(self._measured.state, request, self._controlword)
+        state = self._measured.state
+        word = next_controlword(state, request, self.controlword)
+        if request is not Request.RESET_FAULT:
+            self._asked, self._state = request, state
+        return word
 
     def other_frames(self, request: Request, now_ns: int) -> list[Frame]:
         """Return what is to be sent beside the RPDO: the stop of a drive that RPDOs do not reach, reading of 603Fh."""
@@ -318,11 +410,9 @@ class CanopenAxis:
 
     # Messages
 
-    def _wrong_mode(self) -> str:
-        """Fault of an enabled drive that is not in the mode that was set, "" for none."""
-        mode, found = self._drive.mode, self._measured.mode
-        if not self._drive.rpdos or found == mode:
-            return ""
+    def _wrong_mode(self, found: int) -> str:
+        """Fault of an enabled drive that is not in the mode that was set."""
+        mode = self._drive.mode
         return coded(f"the drive is in mode {found} and not in {mode.name} ({mode.value})", codes.WRONG_MODE)
 
     def _missing(self) -> str:
@@ -334,7 +424,7 @@ class CanopenAxis:
             return coded(text, codes.FEEDBACK_LATE)
         if self._why_no_sync:
             return self._why_no_sync
-        lost = [f"TPDO {number + 1}" for number, data in enumerate(self._frames) if not data]
+        lost = [f"TPDO {number + 1}" for number in range(len(self.tpdos)) if not self._arrived >> number & 1]
         text = f"{' and '.join(lost)} of node {self.node} did not arrive in time"
         if self._comes_late:
             return coded(f"{text}: it came after the time kept for it in its cycle", codes.FEEDBACK_LATE)

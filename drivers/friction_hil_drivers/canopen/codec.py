@@ -10,9 +10,11 @@ from friction_hil.drive.encoder import unwrap
 from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.mapping import TARGETS, MappedPdo
 from friction_hil_drivers.canopen.objects import Object
-from friction_hil_drivers.canopen.units import COUNTER_BITS, CanopenUnits
+from friction_hil_drivers.canopen.units import COUNTER_BITS, PER_MILLE, CanopenUnits
 from friction_hil_drivers.cia402 import profile
+from friction_hil_drivers.cia402.profile import drive_state
 
+_make = tuple.__new__  # what the constructor of a named tuple calls
 _COMMANDED = 3  # values of a command: controlword, target, torque
 
 Frame = tuple[int, bytes]  # identifier and data
@@ -61,11 +63,25 @@ class FeedbackDecoder:
         Period of the cycle, s.
     """
 
-    __slots__ = ("_has_velocity", "_period_s", "_pick", "_units", "_unpack", "_without")
+    __slots__ = (
+        "_counts_per_unit",
+        "_has_velocity",
+        "_period_s",
+        "_pick",
+        "_rated_torque",
+        "_size",
+        "_unpack",
+        "_unpack_all",
+        "_velocity_per_unit",
+        "_without",
+    )
 
     def __init__(self, tpdos: Sequence[MappedPdo], units: CanopenUnits, mode: Mode, period_s: float) -> None:
         self._unpack = [pdo.layout.unpack_from for pdo in tpdos]
-        self._units = units
+        together = struct.Struct("<" + "".join(pdo.layout.format.removeprefix("<") for pdo in tpdos))
+        self._unpack_all, self._size = together.unpack, together.size
+        self._counts_per_unit, self._velocity_per_unit = units.counts_per_unit, units.velocity_per_unit
+        self._rated_torque = units.rated_torque
         self._period_s = period_s
         slots: dict[Object, int] = {}
         # objects that no TPDO carries are read from before the values of the frames
@@ -93,26 +109,22 @@ class FeedbackDecoder:
         cycles : int
             Cycles since then.
         """
-        values: tuple[int, ...] = self._without
-        for unpack, data in zip(self._unpack, frames):  # noqa: B905 (as many as there are TPDOs; strict costs time)
-            values += unpack(data)
-        statusword, raw, increments, torque, mode = self._pick(values)
-        units, counts = self._units, before.counts
+        data = b"".join(frames)
+        values = self._unpack_all(data) if len(data) == self._size else self._unpack_longer(frames)
+        statusword, raw, increments, torque, mode = self._pick(self._without + values)
+        counts = before.counts
         counts = raw if counts is None else unwrap(counts, raw, COUNTER_BITS)
-        position = counts / units.counts_per_unit
+        position = counts / self._counts_per_unit
         if self._has_velocity:
-            velocity = increments / units.velocity_per_unit
+            velocity = increments / self._velocity_per_unit
         else:
             velocity = 0.0 if before.counts is None else (position - before.position) / (cycles * self._period_s)
-        return Measurement(
-            profile.drive_state(statusword),
-            counts,
-            position,
-            velocity,
-            units.torque(torque),
-            mode,
-            statusword,
-        )
+        state, si_torque = drive_state(statusword), torque * self._rated_torque / PER_MILLE
+        return _make(Measurement, (state, counts, position, velocity, si_torque, mode, statusword))
+
+    def _unpack_longer(self, frames: Sequence[bytes]) -> tuple[int, ...]:
+        """Return the values of TPDOs some of which are longer than their mapping."""
+        return tuple(value for unpack, data in zip(self._unpack, frames, strict=True) for value in unpack(data))
 
 
 def next_controlword(state: DriveState, request: Request, before: int) -> int:
@@ -180,7 +192,10 @@ class CommandEncoder:
             target = units.velocity_increments(command.velocity)
         else:
             target = torque
-        values = (controlword, target, torque, *self._carried)
+        values = (controlword, target, torque) + self._carried  # noqa: RUF005 (unpacking takes twice as long)
+        if len(self._pdos) == 1:
+            cob_id, pack, pick = self._pdos[0]
+            return [(cob_id, pack(*pick(values)))]
         return [(cob_id, pack(*pick(values))) for cob_id, pack, pick in self._pdos]
 
 

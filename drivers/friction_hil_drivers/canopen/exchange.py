@@ -10,7 +10,7 @@ from friction_hil_drivers.canopen import codes, objects
 from friction_hil_drivers.canopen.axis import CanopenAxis, Handler
 from friction_hil_drivers.canopen.listening import MasterAlarm
 from friction_hil_drivers.canopen.queue_full import QueueFullError
-from friction_hil_drivers.canopen.watchdogs import Feeder, Guard, feeders
+from friction_hil_drivers.canopen.watchdogs import Guard, feeders
 
 if TYPE_CHECKING:
     from friction_hil_drivers.canopen.frames import FrameBus
@@ -22,6 +22,7 @@ _PROBE_CYCLES = 50  # at least, between two cycles without SYNC
 _SDO_NS = 200_000_000  # for the stop by SDO to be answered, before the heartbeat ends
 _LAPSE_NS = 3_000_000_000  # after which the heartbeat ends in any case
 _PROBE = "SYNC was left out for a cycle, to see whether TPDOs come late"
+_LISTEN = Request.LISTEN
 _TO_POWER = (Request.ENABLE, Request.RESET_FAULT)
 
 # In simulated time nothing but these would ever end a run without drives.
@@ -53,6 +54,35 @@ class CyclicExchange:
         Tells of another master that appears.
     """
 
+    __slots__ = (
+        "_alarm",
+        "_axes",
+        "_bus",
+        "_clock",
+        "_cycles_since_probe",
+        "_dry_run",
+        "_feeders",
+        "_guards",
+        "_handlers",
+        "_has_new_words",
+        "_heartbeat_id",
+        "_heartbeat_ns",
+        "_is_commanding",
+        "_is_complete",
+        "_lost_since_ns",
+        "_max_missed",
+        "_next_heartbeat_ns",
+        "_oldest_ns",
+        "_pairs",
+        "_reserve_ns",
+        "_sampled_ns",
+        "_spare",
+        "_spare_command",
+        "_spare_feedback",
+        "_timeouts",
+        "_unsent",
+    )
+
     def __init__(
         self,
         bus: "FrameBus",
@@ -79,6 +109,9 @@ class CyclicExchange:
         self._next_heartbeat_ns = 0
         self._is_commanding = False  # from the first command on; before, the loop may pause, and no drive has power
         self._feeders = feeders([axis.watch for axis in axes])
+        self._pairs = list(zip(axes, self._feeders, strict=True))
+        self._has_new_words = False  # a controlword that was sent is not in force yet
+        self._is_complete = False  # every SYNC so far was answered by every axis
         guarded = {axis.node: axis.watch.guard_ms for axis in axes if axis.watch.guard_ms}
         self._guards = [Guard(node, guard_ms) for node, guard_ms in guarded.items()]
         self._max_missed = max_missed
@@ -109,16 +142,18 @@ class CyclicExchange:
         """
         self._take_waiting_frames()
         now = self._sampled_ns = self._clock.now_ns()
-        why_no_sync = _PROBE if self._is_probe_due() else self._send_sync()
+        self._cycles_since_probe += 1
+        why_no_sync = _PROBE if not self._is_complete and self._is_probe_due() else self._send_sync()
         for axis in self._axes:
             axis.begin_cycle(now, why_no_sync)
-        self._collect(end_ns - self._reserve_ns)
+        self._is_complete = self._collect(end_ns - self._reserve_ns)
         if not self._clock.is_real:
             self._require_answers()
+        alarm = self._alarm.message
         for axis, target in zip(self._axes, feedback, strict=True):
             axis.report(target, now)
-            if self._alarm.message:
-                target.message = target.message or self._alarm.message
+            if alarm:
+                target.message = target.message or alarm
 
     def _send_sync(self) -> str:
         """Send SYNC, at which drives take over what their RPDOs carried; return why it was not sent, "" if it was."""
@@ -126,13 +161,14 @@ class CyclicExchange:
             self._bus.send(objects.SYNC_ID, b"")
         except QueueFullError as error:
             return f"SYNC was not sent: {error}"
-        for feeder in self._feeders:
-            feeder.taken_over()
+        if self._has_new_words:
+            self._has_new_words = False
+            for feeder in self._feeders:
+                feeder.taken_over()
         return ""
 
     def _is_probe_due(self) -> bool:
         """Return True if SYNC is to be left out, to see whether TPDOs are late (see `sync_answers`)."""
-        self._cycles_since_probe += 1
         if self._cycles_since_probe < _PROBE_CYCLES or not self._clock.is_real:
             return False
         if not any(axis.is_doubtful for axis in self._axes):
@@ -150,7 +186,7 @@ class CyclicExchange:
         try:
             if not self._dry_run:
                 self._send_commands(commands, now)
-            if self._is_commanding:
+            if self._is_commanding and (self._guards or now >= self._next_heartbeat_ns):
                 self._feed(now)
         except QueueFullError as error:  # what the drives did not get is a missed exchange
             self._unsent += 1
@@ -161,30 +197,32 @@ class CyclicExchange:
             self._unsent = 0
 
     def _send_commands(self, commands: Sequence[Command], now: int) -> None:
-        """Send the RPDOs of each axis that they reach, and what else is due."""
-        age_ns = now - self._sampled_ns
-        is_too_old = self._clock.is_real and age_ns > self._oldest_ns
-        for axis, feeder, command in zip(self._axes, self._feeders, commands, strict=True):
-            if command.request is Request.LISTEN:
+        """Send the RPDOs of each axis that they reach, and what else is due.
+
+        Before the RPDOs of an axis, its watchdog RPDO is sent when it is due, with the controlword in force.
+        """
+        age_ns, send = now - self._sampled_ns, self._bus.send
+        is_too_old = age_ns > self._oldest_ns and self._clock.is_real
+        for (axis, feeder), command in zip(self._pairs, commands, strict=True):
+            request = command.request
+            if request is _LISTEN:
                 continue
             self._is_commanding = True
-            if is_too_old and command.request in _TO_POWER:
+            if is_too_old and request in _TO_POWER:
                 axis.note_dropped(age_ns * 1e-6)
                 continue
             if axis.is_reachable:
-                self._send_command(axis, feeder, command)
+                frames = axis.encode(command)
+                if feeder.can_id and (word := feeder.next()) is not None:
+                    send(feeder.can_id, word)
+                for can_id, data in frames:
+                    send(can_id, data)
+                if axis.controlword != feeder.sent:
+                    feeder.note(axis.controlword)
+                    self._has_new_words = True
             if axis.needs_other_frames:
-                for frame in axis.other_frames(command.request, now):
-                    self._bus.send(*frame)
-
-    def _send_command(self, axis: CanopenAxis, feeder: Feeder, command: Command) -> None:
-        """Send the RPDOs of an axis; before them, when it is due, the controlword in force to its watchdog RPDO."""
-        frames = axis.encode(command)
-        if feeder.can_id and (word := feeder.next()) is not None:
-            self._bus.send(feeder.can_id, word)
-        for frame in frames:
-            self._bus.send(*frame)
-        feeder.note(axis.controlword)
+                for can_id, data in axis.other_frames(request, now):
+                    send(can_id, data)
 
     def _feed(self, now: int) -> None:
         """Send the heartbeat and the remote frames of node guarding when due, unless the drives are to miss them."""
@@ -230,24 +268,30 @@ class CyclicExchange:
             if handler is not None:
                 handler(frame[1])
 
-    def _collect(self, deadline_ns: int) -> None:
-        """Take frames until every axis is complete; in simulated time for as long as the bus waits."""
-        clock, receive, handlers = self._clock, self._bus.receive, self._handlers
+    def _collect(self, deadline_ns: int) -> bool:
+        """Take frames until every axis is complete; return False if it is too late for that.
+
+        In simulated time it is never too late: frames are taken for as long as the bus waits.
+        """
+        clock, receive, find = self._clock, self._bus.receive, self._handlers.get
+        is_real, now_ns = clock.is_real, clock.now_ns
         for axis in self._axes:
             while not axis.is_complete:
-                if clock.is_real:
-                    timeout = (deadline_ns - clock.now_ns()) * 1e-9
+                if is_real:
+                    timeout = (deadline_ns - now_ns()) * 1e-9
+                    if timeout <= 0.0:
+                        return False
                 else:
                     timeout = STEPPED_TIMEOUT_S if axis.is_reachable else _STEPPED_RETURN_S
-                if timeout <= 0.0:
-                    return
                 frame = receive(timeout)
                 if frame is not None:
-                    handler = handlers.get(frame[0])
+                    can_id, data = frame
+                    handler = find(can_id)
                     if handler is not None:  # else a frame of another node
-                        handler(frame[1])
-                elif not clock.is_real:
+                        handler(data)
+                elif not is_real:
                     break
+        return True
 
     def _require_answers(self) -> None:
         """End a run in simulated time whose drives have stopped answering.

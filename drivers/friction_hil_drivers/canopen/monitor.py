@@ -36,6 +36,8 @@ class NodeMonitor:
     condition : NodeCondition
     """
 
+    __slots__ = ("_last_ns", "_node", "condition", "patience_ns")
+
     def __init__(self, node: int, heartbeat_s: float) -> None:
         self._node = node
         self.patience_ns = round(HEARTBEATS_TO_LOSS * heartbeat_s * 1e9)

@@ -161,32 +161,29 @@ class ErrorCodeRead:
     ----------
     code : int or None
         As read; None before, or if the drive does not answer.
+    attempts_left : int
+        More than 0 until the code was read.
     """
 
-    __slots__ = ("_attempts_left", "code")
+    __slots__ = ("attempts_left", "code")
 
     def __init__(self) -> None:
         self.code: int | None = None
-        self._attempts_left = 0
+        self.attempts_left = 0
 
     def begin(self) -> None:
         """Read the code again."""
-        self.code, self._attempts_left = None, _ERROR_CODE_ATTEMPTS
-
-    @property
-    def is_wanted(self) -> bool:
-        """True until the code was read."""
-        return self._attempts_left > 0
+        self.code, self.attempts_left = None, _ERROR_CODE_ATTEMPTS
 
     def request(self) -> Request | None:
         """Return the request that is due."""
-        return Request(objects.ERROR_CODE) if self._attempts_left else None
+        return Request(objects.ERROR_CODE) if self.attempts_left else None
 
     def take(self, answer: SdoAnswer | None) -> None:
         """Take the answer; None: there was none."""
-        self._attempts_left -= 1
+        self.attempts_left -= 1
         if answer is not None:
-            self.code, self._attempts_left = answer.value(objects.ERROR_CODE), 0
+            self.code, self.attempts_left = answer.value(objects.ERROR_CODE), 0
 
 
 class CyclicSdo:
@@ -224,7 +221,7 @@ class CyclicSdo:
     @property
     def is_active(self) -> bool:
         """True if `next` may return a frame."""
-        return self.is_stopping or self.error_code.is_wanted
+        return self.is_stopping or self.error_code.attempts_left > 0
 
     def begin_stop(self, now_ns: int) -> None:
         """Begin to stop the drive."""

@@ -20,62 +20,77 @@ class SyncAnswers:
     ----------
     is_late : bool
         TPDOs answer an earlier SYNC than the last one; a probe has shown it.
+    open : int
+        SYNCs that were not answered, summed over the TPDOs; 0: the last TPDOs answer the last SYNC.
     """
 
-    __slots__ = ("_is_probe", "_missing", "_open", "_was_answered", "is_late")
+    __slots__ = ("_answered", "_count", "_is_probe", "_syncs", "_taken", "is_late", "open")
 
     def __init__(self, count: int) -> None:
-        self._missing = [0] * count  # SYNCs without an answer, for each TPDO
-        self._open = 0  # their sum
-        self._was_answered = [False] * count  # in this cycle
+        self._count = count
+        self._syncs = 0
+        self._taken = [0] * count  # answers of each TPDO; those that are lost for good are among them
+        self._answered = 0  # TPDOs that came in this cycle: bit n for TPDO n
         self._is_probe = False
+        self.open = 0
         self.is_late = False
 
     @property
-    def is_up_to_date(self) -> bool:
-        """True if every SYNC was answered."""
-        return not self._open
+    def is_settled(self) -> bool:
+        """True if the last TPDOs answer the last SYNC, and nothing else is known or to be found out."""
+        return not (self.open or self.is_late or self._is_probe)
 
     @property
     def lag(self) -> int:
         """Number of SYNCs that were not answered yet, or never."""
-        return max(self._missing)
+        return self._syncs - min(self._taken)
 
     @property
     def is_doubtful(self) -> bool:
         """True if TPDOs came in this cycle, but fewer than SYNCs so far: lost, or late."""
-        if not self._open or self._is_probe:
+        if not self.open or self._is_probe:
             return False
-        return any(missing and answered for missing, answered in zip(self._missing, self._was_answered, strict=True))
+        return any(taken < self._syncs and self._answered >> number & 1 for number, taken in enumerate(self._taken))
 
-    def begin_cycle(self, *, has_sync: bool) -> None:
+    def begin_cycle(self, has_sync: bool) -> None:
         """Count a SYNC; a cycle without one is a probe."""
         if self._is_probe:
             self._end_probe()
         self._is_probe = not has_sync
-        missing, answered = self._missing, self._was_answered
-        for number in range(len(missing)):
-            answered[number] = False
-            if has_sync and missing[number] < _MOST_MISSING:
-                missing[number] += 1
-                self._open += 1
+        self._answered = 0
+        if has_sync:
+            self._syncs += 1
+            self.open += self._count
+            if self.open > _MOST_MISSING:
+                self._forget_oldest()
+
+    def _forget_oldest(self) -> None:
+        """Wait for no more than the last 1000 answers of each TPDO."""
+        oldest = self._syncs - _MOST_MISSING
+        self._taken = [max(taken, oldest) for taken in self._taken]
+        self._count_open()
 
     def _end_probe(self) -> None:
         """What was not answered by now is lost."""
-        for number, was_answered in enumerate(self._was_answered):
-            if not was_answered:
-                self._missing[number] = 0
-        self._open = sum(self._missing)
-        if not any(self._was_answered):
+        for number in range(self._count):
+            if not self._answered >> number & 1:
+                self._taken[number] = self._syncs
+        self._count_open()
+        if not self._answered:
             self.is_late = False
+
+    def _count_open(self) -> None:
+        self.open = self._count * self._syncs - sum(self._taken)
 
     def take(self, number: int) -> bool:
         """Count TPDO ``number``; return False if no SYNC is left that it could answer."""
-        if not self._missing[number]:
+        taken = self._taken
+        if taken[number] == self._syncs:
             return False
-        self._missing[number] -= 1
-        self._open -= 1
-        self._was_answered[number] = True
+        taken[number] += 1
+        self.open -= 1
+        self._answered |= 1 << number
         # caught up in a probe proves nothing: the next SYNC shows whether its answer comes in time
-        self.is_late = self._is_probe or (self.is_late and self._open > 0)
+        if self._is_probe or self.is_late:
+            self.is_late = self._is_probe or self.open > 0
         return True

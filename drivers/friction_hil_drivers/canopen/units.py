@@ -6,6 +6,7 @@ from dataclasses import dataclass
 PER_MILLE = 1000.0
 COUNTER_BITS = 32
 _RANGE = 1 << COUNTER_BITS
+_is_finite = math.isfinite
 _ROUNDING = 1e-12  # relative error of the conversions
 
 
@@ -29,7 +30,10 @@ class CanopenUnits:
 
     def position_counts(self, position: float) -> int:
         """Return the counts of a position, wrapped to 32 bits as drives wrap theirs."""
-        return wrap(round(_finite(position * self.counts_per_unit)))
+        counts = position * self.counts_per_unit
+        if not _is_finite(counts):
+            raise _not_finite(counts)
+        return wrap(round(counts))
 
     def velocity_increments(self, velocity: float) -> int:
         """Return the increments of a velocity, saturated at 32 bits."""
@@ -40,10 +44,13 @@ class CanopenUnits:
 
         Rounded to the nearest, a torque at its limit would exceed it.
         """
-        value = _finite(torque / self.rated_torque * PER_MILLE)
+        value = torque / self.rated_torque * PER_MILLE
+        if not _is_finite(value):
+            raise _not_finite(value)
         nearest = round(value)
         # 500 per mille and back may come out as 499.9999999999999
-        return _saturate(nearest if abs(value - nearest) <= _ROUNDING * abs(value) else math.trunc(value), 16)
+        per_mille = nearest if abs(value - nearest) <= _ROUNDING * abs(value) else int(value)
+        return per_mille if -0x8000 <= per_mille <= 0x7FFF else _saturate(per_mille, 16)
 
     def torque(self, per_mille: int) -> float:
         """Return the torque of a per-mille value."""
@@ -57,10 +64,10 @@ def wrap(counts: int) -> int:
 
 def _saturate(value: float, bits: int) -> int:
     bound = (1 << (bits - 1)) - 1
-    return max(-bound - 1, min(bound, round(_finite(value))))
+    if not _is_finite(value):
+        raise _not_finite(value)
+    return max(-bound - 1, min(bound, round(value)))
 
 
-def _finite(value: float) -> float:
-    if not math.isfinite(value):
-        raise ValueError(f"{value} cannot be sent to a drive")
-    return value
+def _not_finite(value: float) -> ValueError:
+    return ValueError(f"{value} cannot be sent to a drive")

@@ -85,21 +85,30 @@ class Feeder:
     watch : Watch
     offset : int
         Cycles before the first one, so that those of several axes fall into different cycles.
+
+    Attributes
+    ----------
+    can_id : int
+        Identifier of the watchdog RPDO, 0 for none.
+    sent : int
+        Controlword that the synchronous RPDO carried last.
     """
+
+    __slots__ = ("_cycles", "_in_force", "_left", "can_id", "sent")
 
     def __init__(self, watch: Watch, offset: int) -> None:
         self.can_id = watch.rpdo_id
         self._cycles = watch.feed_cycles
         self._left = offset + 1
-        self._in_force = self._sent = 0
+        self._in_force = self.sent = 0
 
     def taken_over(self) -> None:
         """SYNC was sent: what the synchronous RPDO carried before is in force."""
-        self._in_force = self._sent
+        self._in_force = self.sent
 
     def note(self, controlword: int) -> None:
         """Note the controlword of the synchronous RPDO that was just sent."""
-        self._sent = controlword
+        self.sent = controlword
 
     def next(self) -> bytes | None:
         """Return the RPDO's content if it is due in this cycle; it changes nothing in the drive."""
@@ -127,6 +136,8 @@ class Guard:
         Identifier of the remote frame, and of its answer.
     period_ns, next_ns : int
     """
+
+    __slots__ = ("can_id", "next_ns", "period_ns")
 
     def __init__(self, node: int, guard_ms: int) -> None:
         self.can_id = objects.HEARTBEAT_BASE + node
