@@ -40,14 +40,15 @@ class Bench:
         missing: Sequence[int] = (),
         eds: Path = SIMULATED_SERVO,
         manners: dict[str, Any] | None = None,
+        number: int = NODE,
     ) -> None:
         self.sent: list[Frame] = []
         self.real_ms = 0.0  # the clock on the wall, which runs with `at` and `wait`
         self.servo = Servo(ServoConfig.model_validate(servo or {}), position)
         wanted = Manners.model_validate(manners or {})
         self.node = SimulatedNode(
-            NODE,
-            Dictionary.from_eds(eds, NODE, missing),
+            number,
+            Dictionary.from_eds(eds, number, missing),
             lambda dictionary, emergencies: SimulatedCia402Drive(self.servo, dictionary, emergencies, modes, wanted),
             lambda can_id, data: self.sent.append((can_id, bytes(data))),
             sync_steps=STEPS_PER_MS if is_paced_by_sync else None,
@@ -142,7 +143,8 @@ class Bench:
     @property
     def emergencies(self) -> list[str]:
         """Codes of the emergency messages so far."""
-        return [f"{struct.unpack_from('<H', data)[0]:04X}" for can_id, data in self.sent if can_id == 0x080 + NODE]
+        own = 0x080 + self.node.number
+        return [f"{struct.unpack_from('<H', data)[0]:04X}" for can_id, data in self.sent if can_id == own]
 
     def enable(self, mode: int) -> None:
         """To Operation Enabled, by SDO."""

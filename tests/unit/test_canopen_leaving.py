@@ -380,7 +380,7 @@ def test_a_drive_that_keeps_its_power_is_not_restored(bench):
     before = settings(bench)
     bench.enable(10)
     bus.loses = lambda can_id, data: can_id == SDO_REQUEST and data[1:3] == b"\x40\x60"
-    assert drives.close() == [DriveState.UNKNOWN]
+    assert drives.close() == [DriveState.OPERATION_ENABLED]
     assert settings(bench) == before
     (text,) = drives.leftovers
     assert text.startswith("x: not restored in node 5 on virtual")

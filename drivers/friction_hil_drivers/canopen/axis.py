@@ -190,6 +190,12 @@ class CanopenAxis:
         command = Command(position=counts / self._drive.units.counts_per_unit)
         return self._encoder.encode(controlword, command)
 
+    def disabling_frames(self) -> list[Frame]:
+        """Return what keeps the timer of the drive's event-driven RPDO from running out, and disables the drive."""
+        if self.watch.rpdo_id:
+            return [(self.watch.rpdo_id, profile.DISABLE_VOLTAGE.to_bytes(2, "little"))]
+        return self.idle_frames(profile.DISABLE_VOLTAGE, self._measured.counts or 0)
+
     def copy(self) -> "CanopenAxis":
         """Return another axis for the same drive, as it was before its first cycle."""
         return CanopenAxis(self._drive, self.node, self._heartbeat_s)

@@ -3,14 +3,16 @@
 A script is a generator: it yields the transfers that it wants and pauses, and returns its result.
 """
 
+import contextlib
 import time
 from collections import deque
-from collections.abc import Generator, Mapping
+from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
 from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.dialogue import Transfer
+from friction_hil_drivers.canopen.queue_full import QueueFullError
 
 if TYPE_CHECKING:
     from friction_hil_drivers.canopen.frames import FrameBus
@@ -51,10 +53,15 @@ class Conversation:
         Longest wait for an answer, s.
     attempts : int
         Number of times that a request is sent to a silent node.
+    meanwhile : callable, optional
+        Called before each wait; returns for how long it need not be called again, s.
     """
 
-    def __init__(self, bus: "FrameBus", *, answer_s: float, attempts: int) -> None:
+    def __init__(
+        self, bus: "FrameBus", *, answer_s: float, attempts: int, meanwhile: Callable[[], float] | None = None
+    ) -> None:
         self._bus = bus
+        self._meanwhile = meanwhile
         self._answer_s = answer_s
         self._attempts = attempts
         self._turns: dict[int, _Turn] = {}
@@ -74,7 +81,8 @@ class Conversation:
             self._advance(node, script, results)
         while self._turns:
             self._send_due()
-            frame = self._bus.receive(self._patience())
+            longest_s = float("inf") if self._meanwhile is None else self._meanwhile()
+            frame = self._bus.receive(min(self._patience(), longest_s))
             if frame is not None and frame[0] - objects.SDO_RESPONSE_BASE in self._turns:
                 self._take(frame[0] - objects.SDO_RESPONSE_BASE, frame[1])
             now = time.monotonic()
@@ -101,7 +109,9 @@ class Conversation:
         now = time.monotonic()
         if self._waiting and now >= self._next_send:
             node, data = self._waiting.popleft()
-            self._bus.send(objects.SDO_REQUEST_BASE + node, data)
+            # a request that the queue does not take is repeated as one that was lost on the bus
+            with contextlib.suppress(QueueFullError):
+                self._bus.send(objects.SDO_REQUEST_BASE + node, data)
             self._next_send = now + _SPACING_S
             turn = self._turns.get(node)
             if turn is not None and turn.transfer is not None:

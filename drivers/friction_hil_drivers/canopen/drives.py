@@ -6,24 +6,24 @@ writes the bus.
 """
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from friction_hil.drive import AxisFacts, Clock, Command, DriveState, Feedback, Mode
+from friction_hil.drive import AxisFacts, Clock, Command, DriveState, Feedback
 from friction_hil.drive.finding import Finding, failure
 from friction_hil.errors import BusError, DriveError, FrictionHilError, UsageError
 from friction_hil_drivers.canopen import codes, interfaces, objects
 from friction_hil_drivers.canopen.axis import CanopenAxis
 from friction_hil_drivers.canopen.checks import check_connection
 from friction_hil_drivers.canopen.configure import configure, with_notes
-from friction_hil_drivers.canopen.eds import load_eds
-from friction_hil_drivers.canopen.eds_check import compare_eds
+from friction_hil_drivers.canopen.eds_check import compare_axis, read_eds
 from friction_hil_drivers.canopen.exchange import CyclicExchange
 from friction_hil_drivers.canopen.exclusive import AxisLock, state_path
 from friction_hil_drivers.canopen.interfaces import bus_name
 from friction_hil_drivers.canopen.journal import Journal
-from friction_hil_drivers.canopen.leaving import disable, has_no_power, read_state, restore
+from friction_hil_drivers.canopen.last_frames import LastFrames
+from friction_hil_drivers.canopen.leaving import disable, read_state, restore, watchdog_frames
 from friction_hil_drivers.canopen.listening import (
     LISTEN_S,
     Look,
@@ -31,6 +31,7 @@ from friction_hil_drivers.canopen.listening import (
     OtherMasters,
     count_sent,
     heard_by,
+    is_echoing,
     look,
 )
 from friction_hil_drivers.canopen.mapping import check_bus_load
@@ -38,6 +39,7 @@ from friction_hil_drivers.canopen.nmt_state import ask_nmt_state, unknown_nmt_st
 from friction_hil_drivers.canopen.options import CanopenOptions, canopen_options
 from friction_hil_drivers.canopen.passive import PassiveAxis, PassiveExchange
 from friction_hil_drivers.canopen.sidecar import SidecarDrives
+from friction_hil_drivers.canopen.stopping import has_no_power
 from friction_hil_drivers.canopen.watchdog_times import WatchdogTimes
 from friction_hil_drivers.canopen.watchdogs import watchdog_pdos
 
@@ -83,7 +85,7 @@ class CanopenDrives:
         for name, axis in axes.items():
             options = canopen_options(axis)
             try:
-                reasons = () if options.eds is None else _compare_eds(options.eds, axis)
+                reasons = () if options.eds is None else compare_axis(options.eds, axis)
             except UsageError as error:
                 yield name, "eds", error
                 continue
@@ -206,13 +208,13 @@ class CanopenDrives:
         config = self._configuration.bus
         assert config is not None  # the driver's options have checked it
         for axis in self._configs.values():
-            _read_eds(axis)  # an invalid file is found before any drive is configured
+            read_eds(axis)  # an invalid file is found before any drive is configured
         owners = {canopen_options(axis).node: name for name, axis in reversed(self._configs.items())}
         for node, name in owners.items():
             self._locks.append(AxisLock(config, node, name))
         self._bus = open_frame_bus(config, self._given_bus)
         self._others = OtherMasters(owners, self._first_options.master_node)
-        if _is_echoing(config):
+        if is_echoing(config):
             count_sent(self._bus, self._others)
         heard_by(self._bus, self._others, time.monotonic() + LISTEN_S, time.monotonic)
         self._refuse_other_masters()
@@ -424,25 +426,40 @@ class CanopenDrives:
         return [self._states.get(name, DriveState.UNKNOWN) for name in self._configs]
 
     def _leave(self, network: "SdoNetwork") -> None:
+        frames = self._exchange.last_frames() if isinstance(self._exchange, CyclicExchange) else None
+        if frames is not None:
+            assert self._bus is not None
+            network.meanwhile = watchdog_frames(self._bus, frames, self._clock)
         with network.reading():
             if self._dry_run:
                 self._stop_listening()
             elif self._is_started:
-                self._switch_off()
-            for client in self._clients.values():
-                self.leftovers += restore(client)
+                self._switch_off(network.meanwhile, frames)
+            for name, client in self._clients.items():
+                self.leftovers += restore(client, self._obstacle(self._node_of(name)))
+                if frames is not None:
+                    frames.left(self._node_of(name))
             for node, found in self._nmt_states.items():
                 if found == objects.NmtState.OPERATIONAL and self._is_unpowered(node):
                     self._write_nmt(objects.NmtCommand.START, node)
                 elif found is None and self._clock.is_real:
                     self.leftovers.append(unknown_nmt_state(node))
 
+    def _node_of(self, name: str) -> int:
+        return canopen_options(self._configs[name]).node
+
     def _is_unpowered(self, node: int) -> bool:
-        """Return True if every axis of a node says that it has no power."""
-        clients = [
-            client for name, client in self._clients.items() if canopen_options(self._configs[name]).node == node
-        ]
-        return all(has_no_power(read_state(client)) for client in clients)
+        """Return True if every axis of a node says that it has no power; one that did not answer is not asked again."""
+        if self._obstacle(node) is not None:
+            return False
+        return all(
+            has_no_power(read_state(client)) for name, client in self._clients.items() if self._node_of(name) == node
+        )
+
+    def _obstacle(self, node: int) -> DriveState | None:
+        """Return the state of an axis of a node that was not read back without power, None for none."""
+        states = (state for name, state in self._states.items() if self._node_of(name) == node)
+        return next((state for state in states if not has_no_power(state)), None)
 
     def _stop_listening(self) -> None:
         """Take the nodes that a dry run has started out of Operational, unless somebody drives them meanwhile."""
@@ -452,20 +469,27 @@ class CanopenDrives:
             else:
                 self._write_nmt(objects.NmtCommand.ENTER_PRE_OPERATIONAL, node)
 
-    def _switch_off(self) -> None:
+    def _switch_off(self, meanwhile: Callable[[], float] | None, frames: LastFrames | None) -> None:
         """Disable every drive, and stop the exchange of PDOs.
 
         A drive that does not answer, or keeps its power, goes on watching: it trips when the daemon is silent. In
         Pre-operational it would react as to a lost connection, so it is disabled first.
         """
+        assert self._bus is not None
+        axes = [(name, self._node_of(name), client.axis_number) for name, client in self._clients.items()]
+        # the last RPDO would take effect at the next SYNC, which is not sent any more; this does at once
+        self._states = disable(self._bus, axes, meanwhile)
         failure: BusError | None = None
-        for name, client in self._clients.items():
-            # the last RPDO would take effect at the next SYNC, which is not sent any more; this does at once
-            self._states[name] = disable(client)
+        for node in dict.fromkeys(node for _, node, _ in axes):
             try:
-                self._write_nmt(objects.NmtCommand.ENTER_PRE_OPERATIONAL, canopen_options(self._configs[name]).node)
+                self._write_nmt(objects.NmtCommand.ENTER_PRE_OPERATIONAL, node)
             except BusError as error:
                 failure = error  # the other drives first
+            if frames is not None:
+                frames.left_operational(node)
+        if frames is not None:
+            for name, state in self._states.items():
+                frames.note(name, is_unpowered=has_no_power(state))
         if failure is not None:
             raise failure
 
@@ -478,22 +502,3 @@ class CanopenDrives:
         if self._bus is None:
             raise BusError("the bus is not open: connect first")
         self._bus.send(objects.NMT_ID, bytes((command, node)))
-
-
-def _is_echoing(config: "BusConfig") -> bool:
-    """Return True for a bus that delivers the daemon's own frames to it."""
-    return config.interface == "udp_multicast" or bool(config.further.get("receive_own_messages"))
-
-
-def _read_eds(axis: "AxisConfig") -> None:
-    options = canopen_options(axis)
-    if options.eds is not None:
-        load_eds(options.eds, options.node)
-
-
-def _compare_eds(path: Path, axis: "AxisConfig") -> list[str]:
-    """Return the reasons for which a drive with this EDS cannot be driven as configured."""
-    options = canopen_options(axis)
-    mode = Mode[axis.mode.upper()]
-    dictionary = load_eds(path, options.node)
-    return list(compare_eds(dictionary, mode, options, is_compensated=axis.compensation.enabled))

@@ -1,18 +1,22 @@
-"""Comparing an EDS with the mode of an axis, without the drive. Pure."""
+"""Comparing an EDS with the mode of an axis, without the drive."""
 
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from friction_hil.drive import Mode
 from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen.eds import load_eds
 from friction_hil_drivers.canopen.mapping import COMMANDS, PdoRecord
 from friction_hil_drivers.canopen.negotiation import FoundPdo, covering, grouped
 from friction_hil_drivers.canopen.objects import Object
-from friction_hil_drivers.canopen.options import CanopenOptions
+from friction_hil_drivers.canopen.options import CanopenOptions, canopen_options
 from friction_hil_drivers.cia402 import profile
 
 if TYPE_CHECKING:
     from canopen import ObjectDictionary
+
+    from friction_hil.config import AxisConfig
 
 _FEEDBACK = (objects.STATUSWORD, objects.POSITION_ACTUAL)  # the drive may lack the rest
 _WRITABLE = ("rw", "rww", "rwr", "wo")
@@ -131,3 +135,17 @@ def _find(dictionary: "ObjectDictionary", entry: Object) -> Any:
 def _value(variable: Any) -> int | None:
     value = variable.default if variable.value is None else variable.value
     return value if isinstance(value, int) else None
+
+
+def read_eds(axis: "AxisConfig") -> None:
+    """Read the EDS that an axis names, if any, to find out early that it is invalid."""
+    options = canopen_options(axis)
+    if options.eds is not None:
+        load_eds(options.eds, options.node)
+
+
+def compare_axis(path: Path, axis: "AxisConfig") -> list[str]:
+    """Return the reasons for which a drive with this EDS cannot be driven as configured."""
+    options = canopen_options(axis)
+    dictionary = load_eds(path, options.node)
+    return list(compare_eds(dictionary, Mode[axis.mode.upper()], options, is_compensated=axis.compensation.enabled))

@@ -8,6 +8,7 @@ from friction_hil.drive import Clock, Command, DriveState, Feedback, Request
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes, objects
 from friction_hil_drivers.canopen.axis import CanopenAxis, Handler
+from friction_hil_drivers.canopen.last_frames import LastFrames
 from friction_hil_drivers.canopen.listening import MasterAlarm
 from friction_hil_drivers.canopen.queue_full import QueueFullError
 from friction_hil_drivers.canopen.watchdogs import Guard, feeders
@@ -250,6 +251,12 @@ class CyclicExchange:
             return elapsed_ns > _LAPSE_NS
         is_answered = all(axis.state is not DriveState.UNKNOWN for axis in lost)
         return not is_answered and all(axis.is_proved_unpowered for axis in self._axes if axis.is_reachable)
+
+    def last_frames(self) -> LastFrames | None:
+        """Return what the drives wait for while they are left; None where none has begun to watch, or time stands."""
+        if self._dry_run or not self._is_commanding or not self._clock.is_real:
+            return None
+        return LastFrames(self._axes, self._heartbeat_id, self._heartbeat_ns, self._guards)
 
     def warm_caches(self) -> None:
         """Decode and encode as in a cycle, on a copy of the first axis; nothing is sent."""

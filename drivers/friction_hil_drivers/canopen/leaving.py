@@ -1,39 +1,64 @@
-"""Leaving a drive: without power, and as it was found."""
+"""Leaving drives: without power, and as they were found."""
 
-import time
-from collections.abc import Callable
+import contextlib
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING
 
-from friction_hil.drive import DriveState
+from friction_hil.drive import Clock, DriveState
 from friction_hil.drive.codes import coded
 from friction_hil.errors import BusError, DriveError
 from friction_hil_drivers.canopen import codes, objects
+from friction_hil_drivers.canopen.conversation import Conversation
+from friction_hil_drivers.canopen.queue_full import QueueFullError
+from friction_hil_drivers.canopen.stopping import disable_axes, has_no_power
 from friction_hil_drivers.cia402 import profile
 
 if TYPE_CHECKING:
+    from friction_hil_drivers.canopen.frames import FrameBus
+    from friction_hil_drivers.canopen.last_frames import LastFrames
     from friction_hil_drivers.canopen.sdo import SdoClient
 
 PATIENCE_S = 0.5  # for a drive that may be gone: the others wait meanwhile
-_POWER_OFF_S = 0.5
-_POLL_S = 0.01
+_ATTEMPTS = 2  # within the patience: the same controlword again is harmless, and a frame may have been lost
 
 
-def disable(client: "SdoClient", now: Callable[[], float] = time.monotonic) -> DriveState:
-    """Write controlword 0 and return the state that the drive reports then, UNKNOWN where it does not answer."""
-    try:
-        with client.patience(PATIENCE_S):
-            client.write(objects.CONTROLWORD, profile.DISABLE_VOLTAGE)
-            return _settled_state(client, now)
-    except (DriveError, BusError):
-        return DriveState.UNKNOWN
+def watchdog_frames(bus: "FrameBus", frames: "LastFrames", clock: Clock) -> Callable[[], float]:
+    """Return a function that sends the frames that are due, and returns the time until the next one, s."""
+
+    def send() -> float:
+        now = clock.now_ns()
+        for can_id, data in frames.due(now):
+            # the next one is due soon, and a drive that misses several trips, as it should
+            with contextlib.suppress(QueueFullError):
+                if data is None:
+                    bus.send_remote(can_id, 1)
+                else:
+                    bus.send(can_id, data)
+        return frames.wait_s(now)
+
+    return send
 
 
-def _settled_state(client: "SdoClient", now: Callable[[], float]) -> DriveState:
-    """Return the state of a drive that was told to disable, once it has done so or too long has passed."""
-    end = now() + _POWER_OFF_S
-    while (state := profile.drive_state(client.read(objects.STATUSWORD))).is_powered and now() < end:
-        time.sleep(_POLL_S)
-    return state
+def disable(
+    bus: "FrameBus", axes: Iterable[tuple[str, int, int]], meanwhile: Callable[[], float] | None = None
+) -> dict[str, DriveState]:
+    """Write controlword 0 to drives and return what they report then, UNKNOWN where one does not answer.
+
+    All nodes are asked at the same time, so that one that is gone does not hold up the others.
+
+    Parameters
+    ----------
+    bus : FrameBus
+    axes : iterable of (name, node, number of the axis in its node)
+    meanwhile : callable, optional
+        See `Conversation`.
+    """
+    names: dict[int, dict[int, str]] = {}
+    for name, node, number in axes:
+        names.setdefault(node, {})[number] = name
+    talk = Conversation(bus, answer_s=PATIENCE_S / _ATTEMPTS, attempts=_ATTEMPTS, meanwhile=meanwhile)
+    answers = talk.hold({node: disable_axes(list(numbers)) for node, numbers in names.items()})
+    return {names[node][number]: state for node, states in answers.items() for number, state in states.items()}
 
 
 def read_state(client: "SdoClient") -> DriveState:
@@ -45,22 +70,23 @@ def read_state(client: "SdoClient") -> DriveState:
         return DriveState.UNKNOWN
 
 
-def has_no_power(state: DriveState) -> bool:
-    """Return True for a state that is known, and in which the drive gives no torque."""
-    return state is not DriveState.UNKNOWN and not state.is_powered
-
-
-def restore(client: "SdoClient") -> list[str]:
+def restore(client: "SdoClient", state: DriveState | None = None) -> list[str]:
     """Write back what a drive held before; return what could not be restored, in messages.
 
     A drive that has power, or whose state is not known, is left as it is: its watchdogs among others must not be
     switched off.
+
+    Parameters
+    ----------
+    client : SdoClient
+    state : DriveState, optional
+        State in which the node must not be restored; without it, the drive's state is read.
     """
     journal = client.journal
     if not journal or not journal.what_is_left():
         return []
     try:
-        state = read_state(client)
+        state = read_state(client) if state is None else state
         if has_no_power(state):
             return [_message(client, text) for text in journal.restore()]
         reason = "the drive does not answer" if state is DriveState.UNKNOWN else f"its state is {state.words}"

@@ -361,6 +361,11 @@ class SdoNetwork:
         Called with each frame that was read.
     now : callable, optional
         Clock, s.
+
+    Attributes
+    ----------
+    meanwhile : callable or None
+        Called before each wait for an answer; returns for how long it need not be called again, s.
     """
 
     def __init__(
@@ -373,6 +378,7 @@ class SdoNetwork:
         self._heard = heard
         self._now = now
         self._network: Any = _Network(self._bus)
+        self.meanwhile: Callable[[], float] | None = None
         self._channels: dict[int, MatchingSdo] = {}  # a node with several axes has one
 
     def client(self, node: int, axis: str, where: str) -> SdoClient:
@@ -389,6 +395,8 @@ class SdoNetwork:
     def _pump(self, timeout: float) -> None:
         """Take a frame that comes within ``timeout`` seconds, and those that wait already."""
         for _ in range(_MOST_WAITING):
+            if self.meanwhile is not None:
+                timeout = min(timeout, self.meanwhile())
             frame = self._bus.receive(timeout)
             if frame is None:
                 return

@@ -3,12 +3,13 @@
 Quick stop, standstill or two seconds, disable voltage, and the statusword read back. Nothing here can enable a drive.
 """
 
+from collections.abc import Sequence
+
 from friction_hil.drive import DriveState
 from friction_hil.drive.inventory import Stop
 from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.conversation import Pause, Script
 from friction_hil_drivers.canopen.dialogue import Download, Transfer, Upload
-from friction_hil_drivers.canopen.objects import Object
 from friction_hil_drivers.cia402 import profile
 
 _POLL_S = 0.02
@@ -16,14 +17,13 @@ _STANDSTILL_POLLS = 100  # 2 s
 _READ_BACK_POLLS = 50  # 1 s
 _STANDSTILL_COUNTS = 2  # between two polls: noise of an encoder
 _AXES = 8  # of a multi-axis node (CiA 402-3: the objects of axis k are those of axis 0 plus k * 800h)
-_AXIS_OFFSET = 0x800
 
 
 def stop_drive(node: int) -> "Script[list[Stop]]":
     """Stop every axis of a node; return what was read back of each."""
     stops: list[Stop] = []
     for axis in range(_AXES):
-        status = Upload(_of_axis(objects.STATUSWORD, axis))
+        status = Upload(objects.STATUSWORD.of_axis(axis))
         yield status
         if axis and status.value is None:
             break
@@ -33,8 +33,13 @@ def stop_drive(node: int) -> "Script[list[Stop]]":
     return stops
 
 
-def _of_axis(entry: Object, axis: int) -> Object:
-    return Object(entry.index + axis * _AXIS_OFFSET, entry.name, entry.type, entry.subindex)
+def disable_axes(axes: Sequence[int]) -> "Script[dict[int, DriveState]]":
+    """Disable some axes of a node that are at rest; return the state of each as read back, UNKNOWN where it was not."""
+    states = {}
+    for axis in axes:
+        yield from _command(axis, profile.DISABLE_VOLTAGE)
+        states[axis] = yield from _read_back(axis)
+    return states
 
 
 def _stop_axis(node: int, axis: int, status: Upload) -> "Script[Stop]":
@@ -47,7 +52,7 @@ def _stop_axis(node: int, axis: int, status: Upload) -> "Script[Stop]":
         return Stop(node, before, DriveState.UNKNOWN, "unknown", f"{name}it answers no SDO request")
     if status.value is None:
         return Stop(node, before, DriveState.UNKNOWN, "unknown", f"{name}it has no statusword 6041h: not a drive")
-    if not before.is_powered and before is not DriveState.UNKNOWN:
+    if has_no_power(before):
         return Stop(node, before, before, "unpowered", name.rstrip(": "))
     refused = yield from _command(axis, profile.QUICK_STOP)
     yield from _await_standstill(axis)
@@ -67,13 +72,18 @@ def _reason(result: str, refused: str) -> str:
     return "the state could not be read back"
 
 
+def has_no_power(state: DriveState) -> bool:
+    """Return True for a state that is known, and in which the drive gives no torque."""
+    return state is not DriveState.UNKNOWN and not state.is_powered
+
+
 def _state(status: Upload) -> DriveState:
     return DriveState.UNKNOWN if status.value is None else profile.drive_state(status.value)
 
 
 def _command(axis: int, word: int) -> "Script[str]":
     """Write a controlword; return why it was not taken, "" if it was."""
-    download = Download(_of_axis(objects.CONTROLWORD, axis), word)
+    download = Download(objects.CONTROLWORD.of_axis(axis), word)
     yield download
     return _failure(download, f"controlword {word:04X}h")
 
@@ -88,11 +98,11 @@ def _await_standstill(axis: int) -> "Script[None]":
     """Wait until the drive stands or has no power any more, at most two seconds."""
     position: int | None = None
     for _ in range(_STANDSTILL_POLLS):
-        status = Upload(_of_axis(objects.STATUSWORD, axis))
+        status = Upload(objects.STATUSWORD.of_axis(axis))
         yield status
-        if status.is_silent or _state(status) in _RESTING:
+        if status.is_silent or has_no_power(_state(status)):
             return
-        found = Upload(_of_axis(objects.POSITION_ACTUAL, axis))
+        found = Upload(objects.POSITION_ACTUAL.of_axis(axis))
         yield found
         if found.value is None and found.is_silent:
             return
@@ -102,26 +112,17 @@ def _await_standstill(axis: int) -> "Script[None]":
         yield Pause(_POLL_S)
 
 
-_RESTING = (
-    DriveState.NOT_READY,
-    DriveState.SWITCH_ON_DISABLED,
-    DriveState.READY_TO_SWITCH_ON,
-    DriveState.SWITCHED_ON,
-    DriveState.FAULT,
-)
-
-
 def _read_back(axis: int) -> "Script[DriveState]":
     """Read the state until it is one without power, at most for a second; twice, against an answer that is old."""
     state = DriveState.UNKNOWN
     confirmed = 0
     for _ in range(_READ_BACK_POLLS):
-        status = Upload(_of_axis(objects.STATUSWORD, axis))
+        status = Upload(objects.STATUSWORD.of_axis(axis))
         yield status
         if status.is_silent:
             return DriveState.UNKNOWN
         state = _state(status)
-        confirmed = confirmed + 1 if state in _RESTING else 0
+        confirmed = confirmed + 1 if has_no_power(state) else 0
         if confirmed == 2:
             return state
         yield Pause(_POLL_S if not confirmed else 0.0)

@@ -1,0 +1,178 @@
+"""While drives are left, the daemon goes on being heard; a drive that may have power is not kept alive."""
+
+import tempfile
+
+import can
+import pytest
+from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen.drives import CanopenDrives
+
+from friction_hil.drive import Command, DriveState, Feedback, Request
+from tests.canopen_bench import Bench
+from tests.servo_drives import axis_dict, configuration
+
+CONTROLLER = {"position_gain": 1.0, "velocity_gain": 0.1}
+MASTER = 0x77E
+FIRST, SECOND = 5, 6
+HEARTBEAT_LOST, RPDO_LOST = "8130", "8250"
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path, monkeypatch):
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+
+
+class TimedBus(can.BusABC):
+    """Drives whose SDO server takes some time for an answer. Time passes while somebody waits for a frame."""
+
+    def __init__(self, benches, answer_ms):
+        super().__init__(channel="timed")
+        self.benches, self.answer_ms, self.now_ms = benches, answer_ms, 0.0
+        self.waiting, self.sent, self.gone = [], [], set()
+
+    def put(self, frames):
+        for can_id, data in frames:
+            is_sdo = 0x580 <= can_id < 0x600
+            message = can.Message(arbitration_id=can_id, data=data, is_extended_id=False)
+            self.waiting.append((self.now_ms + (self.answer_ms if is_sdo else 0.0), message))
+        self.waiting.sort(key=lambda one: one[0])
+
+    def send(self, msg, timeout=None):
+        self.sent.append((self.now_ms, msg.arbitration_id, bytes(msg.data)))
+        for bench in self.benches:
+            if bench.node.number in self.gone:
+                continue
+            if msg.is_remote_frame:
+                if msg.arbitration_id == 0x700 + bench.node.number:
+                    before = len(bench.sent)
+                    bench.node.receive_remote(msg.arbitration_id)
+                    self.put(bench.sent[before:])
+            else:
+                self.put(bench.send(msg.arbitration_id, bytes(msg.data)))
+
+    def recv(self, timeout=None):
+        end = self.now_ms + 1e3 * (timeout or 0.0)
+        while not self.waiting or self.waiting[0][0] > self.now_ms:
+            if self.now_ms >= end:
+                return None
+            self.pass_until(min(end, self.now_ms + 1.0))
+        return self.waiting.pop(0)[1]
+
+    def pass_until(self, now_ms):
+        self.now_ms = now_ms
+        for bench in self.benches:
+            frames = bench.at(now_ms)
+            if bench.node.number not in self.gone:
+                self.put(frames)
+
+
+class BusClock:
+    """The clock of a `TimedBus`."""
+
+    is_real = True
+
+    def __init__(self, bus):
+        self.now_ns = lambda: round(bus.now_ms * 1e6)
+
+    def doze_until(self, deadline_ns):
+        return False
+
+    def sleep_until(self, deadline_ns):
+        pass
+
+
+class Machine:
+    """Two drives that have no power and watch the daemon; a lost connection is a fault without power too."""
+
+    def __init__(self, *, answer_ms=15.0, missing=()):
+        manners = {"faults_without_power": True}
+        self.benches = [
+            Bench(number=number, is_paced_by_sync=False, missing=missing, manners=manners) for number in (FIRST, SECOND)
+        ]
+        self.bus = TimedBus(self.benches, 0.0)
+        keys = {"mode": "cst", "controller": CONTROLLER}
+        config = configuration(x=axis_dict(node=FIRST, **keys), y=axis_dict(node=SECOND, **keys))
+        self.drives = CanopenDrives(config, config.axes, BusClock(self.bus), dry_run=False, bus=self.bus)
+        self.facts = self.drives.connect()
+        self.drives.start()
+        self.bus.answer_ms = answer_ms
+        self.feedback = [Feedback(), Feedback()]
+
+    def cycle(self, request, count):
+        for _ in range(count):
+            self.bus.pass_until(self.bus.now_ms + 1.0)
+            self.drives.receive(self.feedback, self.drives._clock.now_ns() + 1_000_000)
+            self.drives.send([Command(request), Command(request)])
+
+    def heartbeats(self, since_ms):
+        return [now for now, can_id, _ in self.bus.sent if can_id == MASTER and now >= since_ms]
+
+    def errors(self):
+        """Emergencies of each drive."""
+        return [set(bench.emergencies) for bench in self.benches]
+
+
+@pytest.fixture
+def machine(request):
+    one = Machine(**getattr(request, "param", {}))
+    yield one
+    one.bus.shutdown()
+
+
+@pytest.mark.parametrize("machine", [{}, {"missing": (0x1016,)}], indirect=True, ids=["heartbeat", "guarding"])
+def test_slow_drives_are_left_without_an_error(machine):
+    """Restoring takes seconds here; heartbeat, guarding and RPDO timer are 60 ms, 60 ms and 20 ms."""
+    machine.cycle(Request.ENABLE, 20)
+    machine.cycle(Request.DISABLE, 20)
+    began = machine.bus.now_ms
+    assert machine.drives.close() == [DriveState.SWITCH_ON_DISABLED] * 2
+    assert machine.bus.now_ms - began > 500.0
+    assert machine.errors() == [set(), set()]
+    assert machine.drives.leftovers == []
+    for bench in machine.benches:
+        assert bench.node.drive.state is DriveState.SWITCH_ON_DISABLED
+        assert bench.node._consumer.nodes == []
+        bench.at(machine.bus.now_ms + 1000.0)
+    assert machine.errors() == [set(), set()], "nothing watches a daemon that has gone"
+
+
+@pytest.mark.parametrize("request_at_last", [Request.ENABLE, Request.DISABLE])
+def test_a_drive_that_may_have_power_is_not_kept_alive(machine, request_at_last):
+    machine.cycle(Request.ENABLE, 20)
+    machine.bus.gone = {SECOND} if request_at_last is Request.ENABLE else set()
+    machine.cycle(request_at_last, 20)
+    machine.bus.gone = {SECOND}
+    began = machine.bus.now_ms
+    first, second = machine.drives.close()
+    assert not first.is_powered
+    assert second is DriveState.UNKNOWN
+    left = max(now for now, can_id, data in machine.bus.sent if (can_id, data) == (0, bytes([0x80, SECOND])))
+    assert [now for now in machine.heartbeats(began) if now > left] == [], "it has not answered"
+    if request_at_last is Request.ENABLE:
+        assert machine.heartbeats(began) == [], "the drives had power when they were heard last"
+
+
+def test_the_watch_begins_with_the_first_command(machine):
+    """A drive watches from the first heartbeat on; none is sent while the loop only listens and may pause."""
+    machine.cycle(Request.LISTEN, 100)
+    machine.bus.pass_until(machine.bus.now_ms + 500.0)
+    assert machine.heartbeats(0.0) == []
+    assert machine.errors() == [set(), set()]
+    machine.cycle(Request.ENABLE, 20)
+    assert [each.state for each in machine.feedback] == [DriveState.OPERATION_ENABLED] * 2
+    machine.bus.pass_until(machine.bus.now_ms + 100.0)
+    assert all(errors & {HEARTBEAT_LOST, RPDO_LOST} for errors in machine.errors()), "now they do"
+
+
+def test_drives_that_are_gone_are_asked_at_the_same_time(machine):
+    machine.cycle(Request.ENABLE, 20)
+    machine.bus.gone = {FIRST, SECOND}
+    asked = len(machine.bus.sent)
+    assert machine.drives.close() == [DriveState.UNKNOWN] * 2
+    commands = [
+        can_id
+        for _, can_id, data in machine.bus.sent[asked:]
+        if can_id >= objects.SDO_REQUEST_BASE and data[1:3] == b"\x40\x60"
+    ]
+    assert commands[:2] == [0x605, 0x606], "the second one does not wait for the first"
+    assert machine.heartbeats(0.0)[-1] <= machine.bus.sent[asked][0]
