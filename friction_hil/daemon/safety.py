@@ -35,6 +35,7 @@ class LoopState(IntEnum):
 MOVING = (LoopState.RUNNING, LoopState.STOPPING)
 _LIMITED = (LoopState.FIRST_MOTION, *MOVING)
 _NOT_YET_ENABLED = (LoopState.IDLE, LoopState.ENABLING)
+_ENDING = (LoopState.FAULT_STOPPING, LoopState.DISABLING, LoopState.DONE)
 
 REQUESTS = {
     LoopState.IDLE: Request.LISTEN,
@@ -176,7 +177,8 @@ class Supervisor:
         """
         if feedback.message:
             return FaultCode.DRIVER_MESSAGE.append_to(f"{self._name}: {feedback.message}")
-        if self._stale_cycles > self._max_stale_cycles:
+        is_lost = not feedback.is_reachable and state not in _ENDING
+        if is_lost or self._stale_cycles > self._max_stale_cycles:
             # one message for the whole gap, though the reason may change with each byte received
             self._missing = self._missing or self._missing_feedback(feedback)
             return self._missing
@@ -188,12 +190,15 @@ class Supervisor:
         return self._find_motion_fault(feedback, velocity, position_demand) if state in _LIMITED else None
 
     def _missing_feedback(self, feedback: Feedback) -> str:
-        text = f"{self._name}: no usable feedback for more than {self._max_stale_cycles} cycles"
-        if feedback.is_fresh:
-            return FaultCode.POSITION_JUMPS.append_to(
-                f"{text}: its position jumps further than limits.velocity allows, now to "
-                f"{feedback.position:.4g} {self._unit}"
-            )
+        if self._stale_cycles <= self._max_stale_cycles:
+            text = f"{self._name}: commands do not reach the drive any more"
+        else:
+            text = f"{self._name}: no usable feedback for more than {self._max_stale_cycles} cycles"
+            if feedback.is_fresh:
+                return FaultCode.POSITION_JUMPS.append_to(
+                    f"{text}: its position jumps further than limits.velocity allows, now to "
+                    f"{feedback.position:.4g} {self._unit}"
+                )
         return FaultCode.FEEDBACK_MISSING.append_to(f"{text}: {feedback.missing}" if feedback.missing else text)
 
     def _find_motion_fault(self, feedback: Feedback, velocity: float, position_demand: float) -> str | None:

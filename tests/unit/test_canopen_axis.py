@@ -616,6 +616,24 @@ def test_a_drive_that_is_not_heard_any_more_is_stopped_by_sdo_too():
     assert not bench.cycle(after_ms=300).is_reachable
 
 
+@pytest.mark.parametrize("is_restarted", [False, True])
+def test_a_node_that_answers_no_sdo_is_started_unless_it_restarted(is_restarted):
+    """A node without heartbeat does not say that another master has stopped it: then it has no SDO either."""
+    bench = Bench(Mode.CSV)
+    bench.heard(mode=9)
+    if is_restarted:
+        bench.axis.handlers[HEARTBEAT](BOOT_UP)
+    sent = []
+    for _ in range(150):
+        bench.cycle()
+        sent += bench.axis.other_frames(Request.QUICK_STOP, bench.now_ns)
+    asked = [frame for frame in sent if frame != NMT_START]
+    assert asked == [QUICK_STOP_BY_SDO] * len(asked)
+    assert (NMT_START in sent) is not is_restarted
+    if not is_restarted:
+        assert sent.index(NMT_START) == 2, "after two requests without an answer"
+
+
 def test_the_error_code_of_a_fault_without_emergency_is_read():
     bench = Bench()
     bench.heard()

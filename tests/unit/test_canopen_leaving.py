@@ -346,6 +346,23 @@ def test_a_value_that_somebody_changed_after_a_kill_is_his(bench, folder):
     assert bench.read(0x6060, 0, "b") == 9
 
 
+def test_a_drive_in_the_nmt_state_stopped_is_disabled_all_the_same(folder):
+    """A stopped node has no SDO; without a heartbeat nothing says so, and many drives go on with their set-point."""
+    bench = Bench(missing=(0x1016, 0x1017, 0x100C, 0x100D), manners={"nmt_stops_drive": False})
+    drives = make(BenchBus(bench))
+    drives.connect()
+    drives.start()
+    feedback, command = Feedback(), Command(Request.ENABLE)
+    for _ in range(10):
+        drives.receive([feedback], 0)
+        drives.send([command])
+    assert feedback.state is DriveState.OPERATION_ENABLED
+    bench.nmt(0x02)
+    assert drives.close() == [DriveState.SWITCH_ON_DISABLED]
+    assert bench.read(0x6041, 0, "H") & 0x6F == 0x40
+    assert not [text for text in drives.leftovers if "FH-222" in text]
+
+
 def test_what_cannot_be_restored_is_told_one_by_one(bench, folder):
     class Stubborn(Others):
         is_stubborn = False

@@ -88,6 +88,19 @@ def test_feedback_may_be_missing_for_some_cycles_and_no_longer_in_any_state(stat
     assert one.find_fault(missing, state, 0.0, 0.0) == f"x: no usable feedback for more than {limit} cycles [FH-103]"
 
 
+@pytest.mark.parametrize("state", [LoopState.ENABLING, LoopState.FIRST_MOTION, LoopState.RUNNING, LoopState.STOPPING])
+def test_a_drive_out_of_reach_is_a_fault_that_does_not_tell_a_state_of_the_drive(state):
+    """Cycles that were missed or long: the time is over before the number of cycles is."""
+    one, missing = supervisor(), heard(is_fresh=False, missing="TPDO 1 did not arrive in time")
+    missing.is_reachable, missing.state = False, DriveState.UNKNOWN
+    one.take(missing)
+    text = "x: commands do not reach the drive any more: TPDO 1 did not arrive in time [FH-103]"
+    assert one.find_fault(missing, state, 0.0, 0.0) == text
+    for _ in range(2 * MAX_STALE_CYCLES):
+        one.take(missing)
+        assert one.find_fault(missing, state, 0.0, 0.0) == text, "one gap is one fault"
+
+
 def test_feedback_that_stays_away_is_one_fault_however_its_reasons_change():
     """On a line full of noise each cycle has other bytes to tell of."""
     one, said = supervisor(), []

@@ -393,18 +393,28 @@ class CanopenAxis:
         """Return what is to be sent beside the RPDO: the stop of a drive that RPDOs do not reach, reading of 603Fh."""
         frames: list[Frame] = []
         is_blind_stop = self._missed > _BLIND_CYCLES and request in (Request.QUICK_STOP, Request.DISABLE)
-        if not self.is_reachable or is_blind_stop:
+        is_out_of_reach = not self.is_reachable or is_blind_stop
+        if is_out_of_reach:
             if not self._sdo.is_stopping:
                 self._sdo.begin_stop(now_ns)
-            if self._monitor.condition is NodeCondition.NOT_OPERATIONAL and now_ns >= self._nmt_start_ns:
-                self._nmt_start_ns = now_ns + _NMT_START_NS
-                # its configuration is in force: RPDOs reach it again, and a stopped node has no SDO
-                frames.append((objects.NMT_ID, bytes((objects.NmtCommand.START, self.node))))
         elif self._sdo.is_stopping and not self._missed:
             self._sdo.end_stop()
-        if (frame := self._sdo.next(now_ns)) is not None:
+        frame = self._sdo.next(now_ns)
+        if is_out_of_reach and self._needs_nmt_start and now_ns >= self._nmt_start_ns:
+            self._nmt_start_ns = now_ns + _NMT_START_NS
+            # its configuration is in force: RPDOs reach it again, and a stopped node has no SDO
+            frames.append((objects.NMT_ID, bytes((objects.NmtCommand.START, self.node))))
+        if frame is not None:
             frames.append(frame)
         return frames
+
+    @property
+    def _needs_nmt_start(self) -> bool:
+        """True if the node has left Operational, or, where no heartbeat tells, answers as if it were Stopped."""
+        condition = self._monitor.condition
+        if condition is NodeCondition.NOT_OPERATIONAL:
+            return True
+        return condition is not NodeCondition.RESTARTED and self._sdo.is_stopping and self._sdo.stop.is_unanswered
 
     def note_unsent(self, error: str) -> None:
         """Note that the bus takes no frames any more."""

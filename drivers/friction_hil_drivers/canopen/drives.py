@@ -487,6 +487,9 @@ class CanopenDrives:
                 failure = error  # the other drives first
             if frames is not None:
                 frames.left_operational(node)
+        if unanswered := [axis for axis in axes if self._states[axis[0]] is DriveState.UNKNOWN]:
+            # where the node was in the NMT state Stopped, it has SDO again
+            self._states |= disable(self._bus, unanswered, meanwhile)
         if frames is not None:
             for name, state in self._states.items():
                 frames.note(name, is_unpowered=has_no_power(state))

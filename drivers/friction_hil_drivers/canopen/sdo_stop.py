@@ -23,6 +23,7 @@ _BLIND_NS = 500 * _MS  # the same where 606Ch does not answer, or nothing does
 _STANDSTILL_NS = 50 * _MS
 _VERIFY_NS = 100 * _MS  # between two readings of a drive without power
 _ERROR_CODE_ATTEMPTS = 5
+_MOST_UNANSWERED = 2  # requests in a row; then the node may be in NMT state Stopped, which has no SDO
 
 
 class Request(NamedTuple):
@@ -77,6 +78,7 @@ class SdoStop:
         "_standing_since_ns",
         "_standstill",
         "_step",
+        "_unanswered",
         "_wait_until_ns",
         "is_proved",
         "state",
@@ -93,7 +95,13 @@ class SdoStop:
         self._began_ns = self._wait_until_ns = now_ns
         self._standing_since_ns: int | None = None
         self._is_disabling = self._is_heard = False
+        self._unanswered = 0
         self._step = _Step.COMMAND
+
+    @property
+    def is_unanswered(self) -> bool:
+        """True if the last requests were not answered."""
+        return self._unanswered >= _MOST_UNANSWERED
 
     def request(self, now_ns: int) -> Request | None:
         """Return the request that is due."""
@@ -116,8 +124,9 @@ class SdoStop:
         if answer is None:
             self.state, self.is_proved = DriveState.UNKNOWN, False
             self._step = _Step.COMMAND
+            self._unanswered += 1
             return
-        self._is_heard = True
+        self._is_heard, self._unanswered = True, 0
         value = answer.value(request.entry)
         if request.entry is objects.STATUSWORD:
             self._take_state(value, now_ns)
