@@ -1,5 +1,6 @@
 """One axis in the loop: feedback and set-point in, command and a row of the recording out. No bus, no clock."""
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
 _STANDSTILL_RATIO = 1e-3  # of the velocity limit: slower counts as standing
 _HELD_S = 0.5 * STANDSTILL_S  # a cycle without usable feedback tells nothing about standstill, for so long
+_MOST_MISSED = 1000  # periods: longer is a fault of the loop
 _MOST_HELD = 10  # cycles
 
 
@@ -66,6 +68,7 @@ class AxisLoop:
         "_is_broken",
         "_is_compensation_enabled",
         "_is_standing",
+        "_last_cycle",
         "_most_held",
         "_notices",
         "_period_s",
@@ -135,6 +138,7 @@ class AxisLoop:
         self._is_broken = False
         self._is_standing = False  # in the last cycle with usable feedback
         self._held = 0  # cycles since then
+        self._last_cycle = -1
         self._most_held = min(_MOST_HELD, max(1, int(_HELD_S / period_s)))
         self._states = [one.state for one in (self.compensator, *self.shadows.values())]
         self.state_width = sum(state.size for state in self._states)
@@ -193,6 +197,11 @@ class AxisLoop:
         except TypeError:
             return False
 
+    def _count_missed(self, cycle: int) -> int:
+        """Return the number of periods between the cycle before and this one."""
+        missed, self._last_cycle = cycle - self._last_cycle - 1, cycle
+        return min(missed, _MOST_MISSED)
+
     def compute(
         self, cycle: int, state: LoopState, running_s: float, feedback: Feedback, command: Command, row: AxisRow
     ) -> AxisUpdate:
@@ -212,7 +221,8 @@ class AxisLoop:
             Filled with the columns of the recording and the states before this cycle.
         """
         time_s, compensator, supervisor = cycle * self._period_s, self.compensator, self.supervisor
-        is_usable = supervisor.take(feedback)
+        missed = self._count_missed(cycle)
+        is_usable = supervisor.take(feedback, missed)
         self.stale_cycles += not is_usable
         position = supervisor.position
         velocity = feedback.velocity if is_usable else compensator.velocity_estimate
@@ -230,6 +240,8 @@ class AxisLoop:
         is_operation_enabled = feedback.state is DriveState.OPERATION_ENABLED
         self._command.write(command, state, time_s, position, estimate, setpoint, compensation, is_operation_enabled)
         if state is LoopState.FIRST_MOTION and self._first_motion is not None:
+            for _ in range(missed):
+                self._first_motion.take(math.nan, math.nan, is_usable=False)
             fault = self._first_motion.take(position, velocity, is_usable=is_usable) or fault
             command.velocity = self._first_motion.target
         if setpoint is not None and is_usable and state is LoopState.RUNNING:

@@ -110,6 +110,7 @@ class FirstMotion:
         "_steps",
         "_tau_s",
         "_total",
+        "_unheard",
         "_unit",
         "_velocity_step",
         "bound",
@@ -144,6 +145,7 @@ class FirstMotion:
         self._phase = Phase.REST
         self._cycles = 0  # in this phase
         self._total = 0  # cycles since the axis began to rest
+        self._unheard = 0  # cycles without feedback before this one
         self._start = math.nan  # position at the beginning
         self._mark = math.nan  # position at the beginning of the phase
         self._integral = 0.0  # of the reported velocity, in the window
@@ -166,17 +168,19 @@ class FirstMotion:
         position, velocity : float
             As the drive reports them, SI.
         is_usable : bool
-            False for a cycle without feedback.
+            False for a cycle without feedback, and for a period that was missed.
         """
         if self._phase is Phase.DONE:
             return None
         self._cycles += 1
         self._total += 1
         if not is_usable:
+            self._unheard += 1
             return None
         if math.isnan(self._mark):
             self._mark = position
         fault = self._advance(position, velocity)
+        self._unheard = 0
         self.target = 0.0 if fault else self._direction * self._steps * self._velocity_step
         return fault
 
@@ -189,7 +193,7 @@ class FirstMotion:
         if moved <= -self._distance:
             return self._wrong_direction(moved)
         if self._phase is Phase.WINDOW:
-            self._integral += self._direction * velocity * self._period_s
+            self._integral += self._direction * velocity * self._period_s * (1 + self._unheard)
         if moved >= self.bound:
             return self._judge(position, moved)
         if self._phase is Phase.RAMP:

@@ -58,11 +58,11 @@ class FollowerSupervisor(Supervisor):
 
     is_operating: bool
 
-    def take(self, feedback: Feedback) -> bool:
+    def take(self, feedback: Feedback, missed: int = 0) -> bool:
         """Take one cycle's feedback; return True if it is fresh, finite and, while the drive operates, plausible."""
         if not self.is_operating and feedback.is_fresh and math.isfinite(feedback.position):
             self._last_position = feedback.position
-        return super().take(feedback)
+        return super().take(feedback, missed)
 
     def find_fault(self, feedback: Feedback, state: LoopState, velocity: float, position_demand: float) -> str | None:
         """Return the fault of the axis as a message, or None: a fault of the drive is its master's business."""
@@ -123,7 +123,7 @@ class FollowerAxis(AxisLoop):
         time_s, compensator, supervisor = cycle * self._period_s, self.compensator, self.supervisor
         is_powered = feedback.state is DriveState.OPERATION_ENABLED
         supervisor.is_operating = is_operating = is_powered and feedback.is_offset_wanted
-        is_usable = supervisor.take(feedback)
+        is_usable = supervisor.take(feedback, self._count_missed(cycle))
         self.stale_cycles += not is_usable
         position = supervisor.position
         velocity = feedback.velocity if is_usable else compensator.velocity_estimate

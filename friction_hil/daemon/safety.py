@@ -94,6 +94,8 @@ class Supervisor:
         "_last_position",
         "_limits",
         "_max_stale_cycles",
+        "_missed",
+        "_missed_since_position",
         "_missing",
         "_name",
         "_slack",
@@ -122,6 +124,8 @@ class Supervisor:
         self._max_stale_cycles = max_stale_cycles
         self._velocity_check = VelocityCheck(period_s, limits.velocity, position_resolution, velocity_resolution)
         self._fast_cycles = 0  # in a row in which the drive reported more than the velocity limit
+        self._missed = 0  # periods without a cycle before this one
+        self._missed_since_position = 0  # the same since the last usable position
         self._missing = ""  # message about the feedback that is missing now
 
     @property
@@ -139,12 +143,16 @@ class Supervisor:
         """True if the position is that of the last cycle."""
         return self._stale_cycles == 0
 
-    def take(self, feedback: Feedback) -> bool:
+    def take(self, feedback: Feedback, missed: int = 0) -> bool:
         """Take one cycle's feedback; return True if it is fresh, finite and plausible.
+
+        ``missed`` is the number of periods since the cycle before that had none.
 
         A position that jumps further than twice the velocity limit allows is a glitch, for as many cycles as
         feedback may be missing.
         """
+        self._missed = missed
+        self._missed_since_position += missed
         usable = (
             feedback.is_fresh
             and math.isfinite(feedback.position)
@@ -152,11 +160,12 @@ class Supervisor:
             and math.isfinite(feedback.torque)
         )
         if usable and math.isfinite(self._last_position):
-            reach = self._jump * (self._stale_cycles + 1) + self._slack
+            periods = self._stale_cycles + self._missed_since_position + 1
+            reach = self._jump * periods + self._slack
             usable = abs(feedback.position - self._last_position) <= reach
         if usable:
             self._last_position = feedback.position
-            self._stale_cycles = 0
+            self._stale_cycles = self._missed_since_position = 0
         else:
             self._stale_cycles += 1
         return usable
@@ -236,6 +245,8 @@ class Supervisor:
                     f"{self._name}: the drive reports a velocity of {velocity:.4g} {unit}/s, beyond the limit of "
                     f"{self._limits.velocity:g} {unit}/s"
                 )
+        for _ in range(self._missed):
+            self._velocity_check.take(math.nan, math.nan, is_usable=False)
         window = self._velocity_check.take(feedback.position, velocity, is_usable=is_usable)
         if window is None or not self._velocity_check.is_lasting:
             return None

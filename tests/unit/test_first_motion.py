@@ -139,6 +139,23 @@ def test_missing_feedback_holds_everything():
     assert motion.is_done
 
 
+@pytest.mark.parametrize("is_known", [False, True])
+def test_periods_that_the_daemon_missed_are_no_wrong_unit(is_known):
+    """Every third period is a cycle; the drive is as it should be. Without its time, the axis seems to be too fast."""
+    axis, said = Axis(), None
+    motion = FirstMotion("x", "rad", LIMITS, PERIOD_S, COUNT, COUNT)
+    for cycle in range(12000):
+        position, velocity = axis.step(motion.target, PERIOD_S, COUNT)
+        if cycle % 3 == 0:
+            said = motion.take(position, velocity) or said
+        elif is_known:
+            motion.take(math.nan, math.nan, is_usable=False)
+        if motion.is_done or said:
+            break
+    assert motion.is_done is is_known
+    assert said is None if is_known else said.endswith("[FH-123]")
+
+
 def test_an_increment_beyond_the_velocity_limit_never_leaves():
     axis = Axis()
     _, fault = examine(axis, 11.0)

@@ -10,6 +10,8 @@ from friction_hil.daemon.axis import AxisLoop
 from friction_hil.daemon.pacing import CacheWarmer, ExchangeTimes, Pacer
 from friction_hil.daemon.realtime import SteppedClock
 from friction_hil.daemon.row import AxisRow
+from friction_hil.daemon.safety import LoopState
+from friction_hil.drive import Command, Feedback
 from friction_hil.motion.trajectory import PathTime
 from tests.servo_drives import PERIOD_S, ServoDrives, configuration
 
@@ -90,6 +92,16 @@ def made():
     drives = ServoDrives(config)
     axis = AxisLoop("x", config.axes["x"], drives.connect()[0], PERIOD_S, PathTime(0.25))
     return drives, axis, AxisRow(np.full(axis.row_width, math.nan), [])
+
+
+def test_a_position_after_missed_periods_is_no_jump():
+    """At two thirds of the velocity limit an axis goes further in four periods than it may in one."""
+    _, axis, row = made()
+    feedback, velocity = Feedback(is_fresh=True), 20.0
+    for cycle in (0, 1, 2, 6, 7, 11):
+        feedback.position, feedback.velocity = velocity * PERIOD_S * cycle, velocity
+        assert axis.update(cycle, LoopState.IDLE, math.nan, feedback, Command(), row).fault is None
+    assert axis.stale_cycles == 0
 
 
 def test_warming_changes_nothing_of_the_real_axis():

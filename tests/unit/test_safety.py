@@ -116,6 +116,17 @@ def test_feedback_that_stays_away_is_one_fault_however_its_reasons_change():
     assert said == [f"{text}: a [FH-103]"] * 3 + [f"{text}: d [FH-103]"] * 2
 
 
+@pytest.mark.parametrize("is_told", [False, True])
+def test_missed_periods_are_no_contradiction_of_velocity_and_position(is_told):
+    """Of four periods three had no cycle. Without that the position changes four times as fast as is reported."""
+    one, faults = supervisor(position=-0.9), set()
+    for cycle in range(56):
+        feedback = heard(8.0 * 4 * PERIOD_S * cycle - 0.9, velocity=8.0)
+        one.take(feedback, 3 if is_told else 0)
+        faults.add(one.find_fault(feedback, LoopState.RUNNING, 8.0, math.nan))
+    assert ([text for text in faults if text] == []) is is_told
+
+
 def test_a_position_that_goes_on_jumping_is_told_as_such():
     """As with the words of a counter in the wrong order."""
     one = supervisor()
