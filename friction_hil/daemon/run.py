@@ -127,27 +127,37 @@ class RunControl:
             self._idle_exchanges.add(exchange_us)
         if self.running_s(time_s) >= self._settings.duration_s:
             self._stop.is_requested = True
-        reached = [heard.state for heard in feedback if heard.is_reachable]
-        lost = [heard.state for heard in feedback if not heard.is_reachable]
-        is_standing = [update.is_standing for update in updates]
-        inputs = RunInputs(
-            is_stop_requested=self._stop.is_requested,
-            has_fault=bool(self._log.result.faults),
-            is_enabled=not lost and all(state is DriveState.OPERATION_ENABLED for state in reached),
-            is_powered=any(state.is_powered for state in reached),
-            is_lost_powered=any(state.is_powered for state in lost),
-            is_lost_unknown=DriveState.UNKNOWN in lost,
-            is_setpoint_standing=self._path_time.is_standing(time_s - self._settings.period_s),
-            is_standing=all(s or not heard.is_reachable for s, heard in zip(is_standing, feedback, strict=True)),
-            is_faded_out=all(update.is_faded_out for update in updates),
-            is_first_motion_due=any(axis.is_first_motion_due for axis in self._axes),
-        )
-        if not self._machine.advance(time_s, inputs):
+        if not self._machine.advance(time_s, self._inputs(time_s, feedback, updates)):
             return
         if (timeout := self._machine.take_timeout()) is not None:
+            is_standing = [update.is_standing for update in updates]
             for text in timeout_faults(timeout, left, [axis.name for axis in self._axes], feedback, is_standing):
                 self._log.fault(cycle, text)
         self._enter(self._machine.state, cycle, time_s)
+
+    def _inputs(self, time_s: float, feedback: Sequence[Feedback], updates: Sequence[AxisUpdate]) -> RunInputs:
+        """Return what the next state depends on."""
+        inputs = RunInputs(is_enabled=True, is_standing=True, is_faded_out=True)
+        inputs.is_stop_requested = self._stop.is_requested
+        inputs.has_fault = bool(self._log.result.faults)
+        inputs.is_setpoint_standing = self._path_time.is_standing(time_s - self._settings.period_s)
+        # one loop: each generator would be several calls, in every cycle
+        for axis, heard, update in zip(self._axes, feedback, updates, strict=True):
+            state = heard.state
+            if not heard.is_reachable:
+                inputs.is_enabled = False
+                inputs.is_lost_powered = inputs.is_lost_powered or state.is_powered
+                inputs.is_lost_unknown = inputs.is_lost_unknown or state is DriveState.UNKNOWN
+            else:
+                if state is DriveState.OPERATION_ENABLED:
+                    inputs.is_powered = True
+                else:
+                    inputs.is_enabled = False
+                    inputs.is_powered = inputs.is_powered or state.is_powered
+                inputs.is_standing = inputs.is_standing and update.is_standing
+            inputs.is_faded_out = inputs.is_faded_out and update.is_faded_out
+            inputs.is_first_motion_due = inputs.is_first_motion_due or axis.is_first_motion_due
+        return inputs
 
     def _enter(self, state: LoopState, cycle: int, time_s: float) -> None:
         """Do what the new state asks for."""

@@ -4,6 +4,9 @@ Time is what the tests say; the exchange takes it for real.
 """
 
 import errno
+import sys
+from collections import Counter
+from pathlib import Path
 
 import can
 import pytest
@@ -247,6 +250,26 @@ def test_a_node_that_another_master_took_out_of_operational_is_brought_back_and_
     assert driven.feedback.state is DriveState.QUICK_STOP_ACTIVE
     driven.cycles(5, Request.DISABLE)
     assert driven.feedback.state is DriveState.SWITCH_ON_DISABLED
+
+
+def test_an_ordinary_cycle_makes_few_calls(driven):
+    """Each is some 50 ns of a period; what only a disturbance needs must not be computed in every cycle."""
+    of_a_cycle = {"axis", "codec", "exchange", "monitor", "notices", "sdo_stop", "sync_answers", "units", "watchdogs"}
+    calls, cycles = Counter(), 100
+
+    def count(frame, event, argument):
+        path = Path(frame.f_code.co_filename)
+        if event == "call" and path.parent.name == "canopen" and path.stem in of_a_cycle:
+            calls[f"{path.stem}.{frame.f_code.co_name}"] += 1
+
+    driven.cycles(60, Request.ENABLE)  # long enough for a probe to be due
+    sys.setprofile(count)
+    try:
+        fresh, _ = driven.cycles(cycles, Request.ENABLE)
+    finally:
+        sys.setprofile(None)
+    assert fresh == cycles
+    assert calls.total() <= 22 * cycles, calls.most_common()
 
 
 def message(can_id, data):

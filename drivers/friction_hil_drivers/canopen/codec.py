@@ -6,7 +6,6 @@ from operator import itemgetter
 from typing import Any, NamedTuple
 
 from friction_hil.drive import Command, DriveState, Mode, Request
-from friction_hil.drive.encoder import unwrap
 from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.mapping import TARGETS, MappedPdo
 from friction_hil_drivers.canopen.objects import Object
@@ -14,6 +13,7 @@ from friction_hil_drivers.canopen.units import COUNTER_BITS, PER_MILLE, CanopenU
 from friction_hil_drivers.cia402 import profile
 from friction_hil_drivers.cia402.profile import drive_state
 
+_HALF, _MASK = 1 << (COUNTER_BITS - 1), (1 << COUNTER_BITS) - 1
 _make = tuple.__new__  # what the constructor of a named tuple calls
 _COMMANDED = 3  # values of a command: controlword, target, torque
 
@@ -113,7 +113,8 @@ class FeedbackDecoder:
         values = self._unpack_all(data) if len(data) == self._size else self._unpack_longer(frames)
         statusword, raw, increments, torque, mode = self._pick(self._without + values)
         counts = before.counts
-        counts = raw if counts is None else unwrap(counts, raw, COUNTER_BITS)
+        # as `friction_hil.drive.encoder.unwrap`, without the call
+        counts = raw if counts is None else counts + ((raw - counts + _HALF) & _MASK) - _HALF
         position = counts / self._counts_per_unit
         if self._has_velocity:
             velocity = increments / self._velocity_per_unit
@@ -154,10 +155,10 @@ class CommandEncoder:
     units : CanopenUnits
     """
 
-    __slots__ = ("_carried", "_mode", "_pdos", "_units")
+    __slots__ = ("_carried", "_cob_id", "_is_csp", "_is_csv", "_pack", "_pdos", "_units")
 
     def __init__(self, rpdos: Sequence[MappedPdo], mode: Mode, units: CanopenUnits) -> None:
-        self._mode = mode
+        self._is_csp, self._is_csv = mode is Mode.CSP, mode is Mode.CSV
         self._units = units
         slots = {objects.CONTROLWORD: 0, TARGETS[mode]: 1}
         if mode is not Mode.CST:
@@ -165,6 +166,8 @@ class CommandEncoder:
         # the values of each PDO are picked out of the commanded ones and, behind them, the constant ones of all PDOs
         constants: list[bytes] = []
         self._pdos = []
+        # the usual mapping: one RPDO with the commanded values in their order
+        self._cob_id, self._pack = 0, None
         for pdo in rpdos:
             picked = []
             for entry in pdo.entries:
@@ -174,6 +177,8 @@ class CommandEncoder:
                     picked.append(_COMMANDED + len(constants))
                     constants.append(pdo.carried[entry])
             self._pdos.append((pdo.cob_id, pdo.layout.pack, _picker(picked)))
+            if len(rpdos) == 1 and picked == list(range(_COMMANDED)):
+                self._cob_id, self._pack = pdo.cob_id, pdo.layout.pack
         self._carried = tuple(constants)
 
     def encode(self, controlword: int, command: Command) -> list[Frame]:
@@ -184,18 +189,17 @@ class CommandEncoder:
         ValueError
             A value is not finite.
         """
-        units, mode = self._units, self._mode
+        units = self._units
         torque = units.torque_per_mille(command.torque)
-        if mode is Mode.CSP:
+        if self._is_csp:
             target = units.position_counts(command.position)
-        elif mode is Mode.CSV:
+        elif self._is_csv:
             target = units.velocity_increments(command.velocity)
         else:
             target = torque
-        values = (controlword, target, torque) + self._carried  # noqa: RUF005 (unpacking takes twice as long)
-        if len(self._pdos) == 1:
-            cob_id, pack, pick = self._pdos[0]
-            return [(cob_id, pack(*pick(values)))]
+        if self._pack is not None:
+            return [(self._cob_id, self._pack(controlword, target, torque))]
+        values = (controlword, target, torque, *self._carried)
         return [(cob_id, pack(*pick(values))) for cob_id, pack, pick in self._pdos]
 
 

@@ -14,6 +14,7 @@ from friction_hil_drivers.canopen.queue_full import QueueFullError
 from friction_hil_drivers.canopen.watchdogs import Guard, feeders
 
 if TYPE_CHECKING:
+    from friction_hil_drivers.canopen.codec import Frame
     from friction_hil_drivers.canopen.frames import FrameBus
 
 _COMMAND_FRACTION = 0.25  # of the period, kept for computing and sending what acts from the next SYNC on
@@ -141,7 +142,9 @@ class CyclicExchange:
         end_ns : int
             Time of the next SYNC.
         """
-        self._take_waiting_frames()
+        frame = self._bus.receive(0.0)
+        if frame is not None:
+            self._take_waiting_frames(frame)
         now = self._sampled_ns = self._clock.now_ns()
         self._cycles_since_probe += 1
         why_no_sync = _PROBE if not self._is_complete and self._is_probe_due() else self._send_sync()
@@ -214,7 +217,9 @@ class CyclicExchange:
                 continue
             if axis.is_reachable:
                 frames = axis.encode(command)
-                if feeder.can_id and (word := feeder.next()) is not None:
+                if feeder.left > 1:
+                    feeder.left -= 1
+                elif feeder.can_id and (word := feeder.next()) is not None:
                     send(feeder.can_id, word)
                 for can_id, data in frames:
                     send(can_id, data)
@@ -268,12 +273,14 @@ class CyclicExchange:
         if not self._dry_run:
             axis.encode(self._spare_command)
 
-    def _take_waiting_frames(self) -> None:
+    def _take_waiting_frames(self, frame: "Frame | None") -> None:
         """Take emergencies, heartbeats and late feedback that arrived since the last cycle."""
-        while (frame := self._bus.receive(0.0)) is not None:
-            handler = self._handlers.get(frame[0])
+        while frame is not None:
+            can_id, data = frame
+            handler = self._handlers.get(can_id)
             if handler is not None:
-                handler(frame[1])
+                handler(data)
+            frame = self._bus.receive(0.0)
 
     def _collect(self, deadline_ns: int) -> bool:
         """Take frames until every axis is complete; return False if it is too late for that.

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 PER_MILLE = 1000.0
 COUNTER_BITS = 32
 _RANGE = 1 << COUNTER_BITS
+_HALF = _RANGE >> 1
 _is_finite = math.isfinite
 _ROUNDING = 1e-12  # relative error of the conversions
 
@@ -33,7 +34,7 @@ class CanopenUnits:
         counts = position * self.counts_per_unit
         if not _is_finite(counts):
             raise _not_finite(counts)
-        return wrap(round(counts))
+        return (round(counts) + _HALF) % _RANGE - _HALF
 
     def velocity_increments(self, velocity: float) -> int:
         """Return the increments of a velocity, saturated at 32 bits."""
@@ -47,9 +48,10 @@ class CanopenUnits:
         value = torque / self.rated_torque * PER_MILLE
         if not _is_finite(value):
             raise _not_finite(value)
-        nearest = round(value)
+        per_mille, nearest = int(value), round(value)
         # 500 per mille and back may come out as 499.9999999999999
-        per_mille = nearest if abs(value - nearest) <= _ROUNDING * abs(value) else int(value)
+        if nearest != per_mille and abs(value - nearest) <= _ROUNDING * abs(value):
+            per_mille = nearest
         return per_mille if -0x8000 <= per_mille <= 0x7FFF else _saturate(per_mille, 16)
 
     def torque(self, per_mille: int) -> float:

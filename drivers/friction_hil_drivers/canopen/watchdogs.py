@@ -90,16 +90,18 @@ class Feeder:
     ----------
     can_id : int
         Identifier of the watchdog RPDO, 0 for none.
+    left : int
+        It is due once `next` was called so many times.
     sent : int
         Controlword that the synchronous RPDO carried last.
     """
 
-    __slots__ = ("_cycles", "_in_force", "_left", "can_id", "sent")
+    __slots__ = ("_cycles", "_in_force", "can_id", "left", "sent")
 
     def __init__(self, watch: Watch, offset: int) -> None:
         self.can_id = watch.rpdo_id
         self._cycles = watch.feed_cycles
-        self._left = offset + 1
+        self.left = offset + 1
         self._in_force = self.sent = 0
 
     def taken_over(self) -> None:
@@ -112,10 +114,10 @@ class Feeder:
 
     def next(self) -> bytes | None:
         """Return the RPDO's content if it is due in this cycle; it changes nothing in the drive."""
-        self._left -= 1
-        if self._left > 0:
+        self.left -= 1
+        if self.left > 0:
             return None
-        self._left = self._cycles
+        self.left = self._cycles
         return _WORD.pack(self._in_force)
 
 
