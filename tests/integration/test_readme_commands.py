@@ -1,5 +1,6 @@
 """Every command that a page shows is one that there is, and a test runs it with each option that the page shows."""
 
+import json
 import shlex
 import shutil
 import subprocess
@@ -31,6 +32,9 @@ WITHOUT_DRIVES = (
     ("friction-hil train --from-model coulomb:coulomb=0.1 --speed 1 --samples 1000 --hidden 2 --output net.yaml", 0),
 )
 WITH_DRIVES = (
+    "friction-hil drives scan machine.yaml --json",
+    "friction-hil drives show machine.yaml 1 --json",
+    "friction-hil drives stop machine.yaml --json",
     "friction-hil run machine.yaml --pace sync --duration 3 --record run.mcap --json",
     "friction-hil run machine.yaml --pace sync --duration 0.2 --record listen.mcap --dry-run --reset-fault --force",
 )
@@ -61,6 +65,10 @@ ELSEWHERE = (
         "test_limits_hold_in_every_cycle_and_nothing_is_left_at_the_end",
     ),
     ("friction-hil simulate --master", "test_compensation_beside_a_master_reduces_its_following_error"),
+    ("friction-hil drives scan --bus", "test_scan_finds_the_nodes_and_writes_nothing"),
+    ("friction-hil drives show --bus", "test_show_tells_units_mapping_watchdogs_and_the_way_of_the_compensation"),
+    ("friction-hil drives stop --bus", "test_stop_says_that_another_master_is_there_and_stops_all_the_same"),
+    ("friction-hil doctor --try-watchdog", "test_doctor_tries_the_watchdogs_of_simulated_drives"),
     ("friction-hil tune --output --json --yes --pace", "test_an_axis_learns_its_friction_on_its_drive"),
     ("friction-hil tune --models --axis", "test_mistakes_are_reported_before_anything_moves"),
     ("friction-hil tune --reset-fault", "test_a_drive_in_fault_is_tuned_only_if_its_fault_may_be_reset"),
@@ -165,6 +173,15 @@ def test_commands_that_run_drives_and_look_at_the_recording(folder, capfd):
     assert yaml.safe_load((folder / "axis.yaml").read_text())["friction"]["model"] == "coulomb"
     for made in ("compared.png", "axis.html"):
         assert (folder / made).stat().st_size > 10_000
+
+
+def test_doctor_tries_the_watchdogs_of_simulated_drives(folder):
+    with simulated_drives(folder / "machine.yaml", pace="real"):
+        done = run("doctor", "machine.yaml", "--try-watchdog", "--json")
+    results = {one["check"]: one["result"] for one in json.loads(done.stdout)}
+    tried = {name: result for name, result in results.items() if "heartbeat" in name or "RPDO" in name}
+    assert len(tried) >= 2, results
+    assert "fail" not in tried.values(), tried
 
 
 @pytest.mark.skipif(shutil.which("bash") is None, reason="there is no bash here")
