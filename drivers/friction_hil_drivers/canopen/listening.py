@@ -101,6 +101,11 @@ class OtherMasters:
         """Return the NMT state in the last heartbeat of one of our nodes, None where none was heard."""
         return self._states.get(node)
 
+    @property
+    def heard_nodes(self) -> list[int]:
+        """Our nodes whose heartbeats were heard."""
+        return sorted(self._states)
+
     def has_heard(self, can_id: int) -> bool:
         """Return True if a frame with an identifier was heard."""
         return can_id in self._identifiers
