@@ -3,7 +3,6 @@
 import pytest
 from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.dialogue import Download, Transfer, Upload
-from friction_hil_drivers.canopen.traffic import Traffic
 
 
 def give(transfer: Transfer, *answers: str) -> list[str]:
@@ -66,14 +65,3 @@ def test_a_download_and_its_abort() -> None:
     assert download.is_done
     assert not download.is_accepted
     assert download.abort_code == 0x08000022
-
-
-def test_traffic_of_other_masters_is_named() -> None:
-    traffic = Traffic()
-    assert list(traffic.notes()) == []
-    for can_id, data in ((0x080, b""), (0x205, b"\x0f\0"), (0x000, b"\x01\0"), (0x60A, bytes(8)), (0x705, b"\x05")):
-        traffic.take(can_id, data)
-    text = "; ".join(traffic.notes())
-    assert all(word in text for word in ("SYNC", "RPDOs", "node 5", "NMT", "node 10 by SDO"))
-    assert traffic.nmt_of(5) == "operational"
-    assert traffic.nmt_of(6) == ""

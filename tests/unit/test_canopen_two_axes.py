@@ -4,7 +4,10 @@ import struct
 
 import can
 import pytest
+from friction_hil_drivers.canopen.conversation import Conversation
 from friction_hil_drivers.canopen.drives import CanopenDrives
+from friction_hil_drivers.canopen.frames import FrameBus
+from friction_hil_drivers.canopen.stopping import stop_drive
 
 from friction_hil.daemon.realtime import SteppedClock
 from friction_hil.drive import Command, DriveState, Feedback, Request
@@ -108,3 +111,21 @@ def test_each_axis_of_a_node_is_configured_once():
     keys = {"node": NODE, "mode": "csp"}
     with pytest.raises(Exception, match=r"node 5 \(axis_number 1\) is axis 'x' already"):
         configuration(x=axis_dict(**keys, axis_number=1), y=axis_dict(**keys, axis_number=1))
+
+
+def test_stopping_a_node_stops_both_of_its_axes(bus):
+    """As ``friction-hil drives stop`` does: by SDO, the second axis by its own controlword 6840h."""
+    for bench in (bus.bench, bus.second):
+        bench.nmt(0x01)
+        bench.enable(9)
+        bench.write(0x60FF, 0, "i", 20_000)
+        bench.sync(50)
+    talk = Conversation(FrameBus(bus, "two axes"), answer_s=0.5, attempts=2)
+    first, second = talk.hold({NODE: stop_drive(NODE)})[NODE]
+    assert (first.result, first.detail) == ("stopped", "")
+    assert second.result == "stopped"
+    assert second.detail.startswith("axis 2")
+    for bench in (bus.bench, bus.second):
+        assert bench.statusword & 0x6F == 0x40
+    written = {struct.unpack_from("<H", data, 1)[0] for _, data in bus.sent if data[0] >> 5 == 1}
+    assert written == {0x6040, 0x6840}

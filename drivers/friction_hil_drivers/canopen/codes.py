@@ -19,13 +19,13 @@ PERIOD_NOT_EXPRESSIBLE = "FH-216"
 NO_WATCHDOG = "FH-217"
 BUS_OVERLOAD = "FH-218"
 MAPPING_NOT_KEPT = "FH-219"
-NO_MAPPING = "FH-227"
-UNKNOWN_ENTRY = "FH-228"
-NO_TORQUE_OFFSET = "FH-229"
 MASTER_APPEARED = "FH-220"
 NOTHING_TO_HEAR = "FH-221"
 NOT_RESTORED = "FH-222"
 JOURNAL_FILE = "FH-223"
+NO_MAPPING = "FH-227"
+UNKNOWN_ENTRY = "FH-228"
+NO_TORQUE_OFFSET = "FH-229"
 HEARTBEAT_LOST = "FH-230"
 NODE_RESTARTED = "FH-231"
 NOT_OPERATIONAL = "FH-232"
@@ -61,13 +61,13 @@ TITLES = {
     NO_WATCHDOG: "The drive cannot watch the daemon",
     BUS_OVERLOAD: "A cycle does not fit on the bus",
     MAPPING_NOT_KEPT: "The drive keeps another PDO mapping than was written",
-    NO_MAPPING: "No PDO of a drive carries an object that is needed",
-    UNKNOWN_ENTRY: "A fixed PDO mapping carries an object whose value is not known",
-    NO_TORQUE_OFFSET: "A drive cannot be given a compensation in this mode",
     MASTER_APPEARED: "Another master appears during a run",
     NOTHING_TO_HEAR: "A dry run beside another master gets no feedback",
     NOT_RESTORED: "A drive is not left as it was found",
     JOURNAL_FILE: "The values found in a drive cannot be kept on disk",
+    NO_MAPPING: "No PDO of a drive carries an object that is needed",
+    UNKNOWN_ENTRY: "A fixed PDO mapping carries an object whose value is not known",
+    NO_TORQUE_OFFSET: "A drive cannot be given a compensation in this mode",
     HEARTBEAT_LOST: "The heartbeat of a node is missing",
     NODE_RESTARTED: "A node restarted during the run",
     NOT_OPERATIONAL: "A node left the state Operational",

@@ -13,7 +13,7 @@ from friction_hil_drivers.canopen.mapping import COMMANDS, FEEDBACK, MappedPdo, 
 from friction_hil_drivers.canopen.negotiation import FoundPdo, PdoNegotiator
 from friction_hil_drivers.canopen.objects import Object
 from friction_hil_drivers.canopen.options import CanopenOptions, canopen_options
-from friction_hil_drivers.canopen.scales import read_scales, require_agreement
+from friction_hil_drivers.canopen.scales import read_scales, require_agreement, require_velocity_unit
 from friction_hil_drivers.canopen.unit_table import resolution_notes, unit_rows
 from friction_hil_drivers.canopen.units import PER_MILLE, CanopenUnits
 from friction_hil_drivers.canopen.watchdog_times import WatchdogTimes
@@ -98,6 +98,8 @@ def configure(
         _check_eds(options, access, (*feedback, *commands))
     scales = read_scales(access, options, axis.model.axis)
     require_agreement(access, options, scales)
+    if mode is Mode.CSV:
+        require_velocity_unit(access, options)
     units = scales.units(is_inverted=options.is_inverted)
     notes += resolution_notes(scales, axis)
     state = profile.drive_state(access.read(objects.STATUSWORD))
@@ -241,8 +243,8 @@ def _check_eds(options: CanopenOptions, access: "SdoClient", entries: Sequence[O
 def _require_unpowered(access: "SdoClient", state: DriveState) -> None:
     if state.is_powered:
         text = (
-            f"{access.axis}: {access.where} is in state {state.words} already: "
-            "another master is driving it, or a former one left it enabled; disable it first"
+            f"{access.axis}: {access.where} is in state {state.words} already: another master is driving it, or a "
+            "former one left it enabled; stop that master, or disable the drive with friction-hil drives stop"
         )
         raise DriveError(text, code=codes.ALREADY_POWERED)
 

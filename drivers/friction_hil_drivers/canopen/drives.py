@@ -427,8 +427,7 @@ class CanopenDrives:
 
     def _leave(self, network: "SdoNetwork") -> None:
         frames = self._exchange.last_frames() if isinstance(self._exchange, CyclicExchange) else None
-        if frames is not None:
-            assert self._bus is not None
+        if frames is not None and self._bus is not None:
             network.meanwhile = watchdog_frames(self._bus, frames, self._clock)
         with network.reading():
             if self._dry_run:
@@ -450,11 +449,8 @@ class CanopenDrives:
 
     def _is_unpowered(self, node: int) -> bool:
         """Return True if every axis of a node says that it has no power; one that did not answer is not asked again."""
-        if self._obstacle(node) is not None:
-            return False
-        return all(
-            has_no_power(read_state(client)) for name, client in self._clients.items() if self._node_of(name) == node
-        )
+        clients = [client for name, client in self._clients.items() if self._node_of(name) == node]
+        return self._obstacle(node) is None and all(has_no_power(read_state(client)) for client in clients)
 
     def _obstacle(self, node: int) -> DriveState | None:
         """Return the state of an axis of a node that was not read back without power, None for none."""

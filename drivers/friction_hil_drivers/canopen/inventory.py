@@ -16,19 +16,20 @@ from friction_hil_drivers.canopen.description import describe, mode_name, mode_n
 from friction_hil_drivers.canopen.dialogue import Upload
 from friction_hil_drivers.canopen.exclusive import AxisLock
 from friction_hil_drivers.canopen.interfaces import bus_name
+from friction_hil_drivers.canopen.listening import LISTEN_S, OtherMasters, heard_by
 from friction_hil_drivers.canopen.stopping import stop_drive
-from friction_hil_drivers.canopen.traffic import Traffic
 from friction_hil_drivers.cia402 import profile
 
 if TYPE_CHECKING:
     from friction_hil.config import BusConfig
     from friction_hil_drivers.canopen.frames import FrameBus
 
-_LISTEN_S = 0.3
 _FIRST_ANSWER_S = 0.8  # of a node that may not exist: asked once
 _ANSWER_S = 0.5
 _ATTEMPTS = 2
 _NODES = range(1, 128)
+_NO_MASTER = 0  # no heartbeat is ours
+_NMT_WORDS = {state.value: state.name.lower().replace("_", "-") for state in objects.NmtState}
 
 
 class CanopenInventory:
@@ -44,8 +45,12 @@ class CanopenInventory:
     def __init__(self, config: "BusConfig", bus: "FrameBus") -> None:
         self._config = config
         self._bus = bus
-        self._traffic = self._listen()
-        self.notes = tuple(self._traffic.notes())
+        self._others = OtherMasters(_NODES, _NO_MASTER)
+        heard_by(bus, self._others, time.monotonic() + LISTEN_S, time.monotonic)
+        heard = self._others.words
+        self.notes = (
+            (f"another master is at work: {heard}; it may enable a drive again that is stopped",) if heard else ()
+        )
 
     def close(self) -> None:
         """See `friction_hil.drive.inventory.Inventory`."""
@@ -55,11 +60,11 @@ class CanopenInventory:
         """Read identity, state and modes of every node; see `friction_hil.drive.inventory.Inventory`."""
         found = self._find(_NODES)
         asked = Conversation(self._bus, answer_s=_ANSWER_S, attempts=_ATTEMPTS).hold(
-            {node: _identify(node, device, self._traffic.nmt_of(node)) for node, device in found.items()}
+            {node: _identify(node, device, self._nmt_of(node)) for node, device in found.items()}
         )
         silent = [
-            DriveEntry(node, answers=False, nmt=self._traffic.nmt_of(node))
-            for node in sorted(self._traffic.heard)
+            DriveEntry(node, answers=False, nmt=self._nmt_of(node))
+            for node in self._others.heard_nodes
             if node not in found
         ]
         return Scan(tuple(sorted([*asked.values(), *silent], key=lambda entry: entry.node)), self.notes)
@@ -76,7 +81,7 @@ class CanopenInventory:
         if node not in found:
             raise DriveError(self._silence(node), "friction-hil drives scan lists those that do", codes.NODE_SILENT)
         talk = Conversation(self._bus, answer_s=_ANSWER_S, attempts=_ATTEMPTS)
-        return talk.hold({node: describe(node, self._traffic.nmt_of(node))})[node]
+        return talk.hold({node: describe(node, self._nmt_of(node))})[node]
 
     def stop(self, nodes: Sequence[int]) -> list[Stop]:
         """Stop drives at once and side by side; see `friction_hil.drive.inventory.Inventory`.
@@ -95,14 +100,10 @@ class CanopenInventory:
         talk = Conversation(self._bus, answer_s=_ANSWER_S, attempts=_ATTEMPTS)
         return [stop for stops in talk.hold({node: stop_drive(node) for node in asked}).values() for stop in stops]
 
-    def _listen(self) -> Traffic:
-        traffic = Traffic()
-        end = time.monotonic() + _LISTEN_S
-        while (left := end - time.monotonic()) > 0.0:
-            frame = self._bus.receive(left)
-            if frame is not None:
-                traffic.take(*frame)
-        return traffic
+    def _nmt_of(self, node: int) -> str:
+        """Return the state of a node in words, "" where no heartbeat was heard."""
+        state = self._others.state_of(node)
+        return "" if state is None else _NMT_WORDS.get(state, str(state))
 
     def _find(self, nodes: Sequence[int]) -> dict[int, int | None]:
         """Return the device type (None: it has none) of each node that answers."""
@@ -121,7 +122,7 @@ class CanopenInventory:
         return ""
 
     def _silence(self, node: int) -> str:
-        heard = f", though its heartbeat says {self._traffic.nmt_of(node)}" if node in self._traffic.heard else ""
+        heard = f", though its heartbeat says {self._nmt_of(node)}" if node in self._others.heard_nodes else ""
         return f"node {node} on {bus_name(self._config)} answers no SDO request{heard}"
 
 

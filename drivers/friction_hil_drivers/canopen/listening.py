@@ -101,6 +101,11 @@ class OtherMasters:
         """Return the NMT state in the last heartbeat of one of our nodes, None where none was heard."""
         return self._states.get(node)
 
+    @property
+    def heard_nodes(self) -> list[int]:
+        """Our nodes whose heartbeats were heard."""
+        return sorted(self._states)
+
     def has_heard(self, can_id: int) -> bool:
         """Return True if a frame with an identifier was heard."""
         return can_id in self._identifiers
@@ -195,7 +200,7 @@ class Look:
         if self.state.is_powered:
             return (
                 f"is in state {self.state.words} already: another master is driving it, or a former one left it "
-                "enabled; disable it first"
+                "enabled; stop that master, or disable the drive with friction-hil drives stop"
             )
         if self.state is DriveState.UNKNOWN:
             return f"reports statusword {self.statusword:04X}h, which does not say whether it has power"

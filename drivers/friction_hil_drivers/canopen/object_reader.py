@@ -35,6 +35,10 @@ class ObjectReader(ABC):
         """Return why an object counts as absent, as the verb of a sentence: ``lacks``."""
         return "lacks"
 
+    def why_hidden(self, entry: Object) -> str:
+        """Return why an object that the drive has could not be read, "" for another."""
+        return ""
+
     def width(self, entry: Object) -> int | None:
         """Return the width in bits that the drive gives an object, None where it has no such object."""
         data = self.bytes_of(entry)

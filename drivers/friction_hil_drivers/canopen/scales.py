@@ -105,6 +105,23 @@ def read_scales(access: ObjectReader, options: CanopenOptions, kind: Kind) -> Sc
     return Scales(position, _velocity(access, options, kind, position.value), _torque(access, options, kind))
 
 
+def require_velocity_unit(access: ObjectReader, options: CanopenOptions) -> None:
+    """Refuse to assume a unit for velocity targets where the drive has one, but does not show it.
+
+    Raises
+    ------
+    DriveError
+        60A9h could not be read, and the configuration does not give the unit.
+    """
+    hidden = access.why_hidden(objects.VELOCITY_UNIT)
+    if hidden and options.velocity_unit is None:
+        text = (
+            f"{access.axis}: {access.where} has a unit for velocities ({objects.VELOCITY_UNIT}), but does not show it "
+            f"({hidden}): start again, or give velocity_unit (counts/s, rpm, 0.1 rpm, deg/s ...)"
+        )
+        raise DriveError(text, code=codes.UNIT_UNKNOWN)
+
+
 def require_agreement(access: ObjectReader, options: CanopenOptions, scales: Scales) -> None:
     """Refuse a configuration that contradicts the drive, unless `CanopenOptions.trust` names the key.
 
@@ -213,7 +230,8 @@ def _velocity(access: ObjectReader, options: CanopenOptions, kind: Kind, counts:
         value = reported[0].value
         return Scale(value, f"{unit.text}, {value:.7g} increments per {per}", "60A9h", NOTHING_CONFIRMS)
     factor = _ratio(access, *_VELOCITY_FACTOR) or 1.0
-    source = "the assumption counts/s, as there is no 60A9h"
+    hidden = access.why_hidden(objects.VELOCITY_UNIT)
+    source = f"the assumption counts/s, as {f'60A9h was not read ({hidden})' if hidden else 'there is no 60A9h'}"
     if factor != 1.0:
         source = f"6096h, {factor:.7g} times counts/s"
     value = factor * counts

@@ -22,7 +22,16 @@ from friction_hil_drivers.canopen.frames import FrameBus
 from friction_hil_drivers.canopen.journal import Journal
 from friction_hil_drivers.canopen.object_reader import ObjectReader
 from friction_hil_drivers.canopen.objects import Object
-from friction_hil_drivers.canopen.sdo_answers import ABSENT, SEGMENT, Address, Request, abort_code, address_of, describe
+from friction_hil_drivers.canopen.sdo_answers import (
+    ABSENT,
+    HIDDEN,
+    SEGMENT,
+    Address,
+    Request,
+    abort_code,
+    address_of,
+    describe,
+)
 
 PATIENCE_S = 3.0  # storing parameters and a change of mapping take some drives more than a second
 SHORT_PATIENCE_S = 0.5
@@ -194,6 +203,7 @@ class SdoClient(ObjectReader):
         self.axis_number = 0
         self.notes: list[str] = []
         self.refusals: dict[Address, str] = {}
+        self._hidden: set[Address] = set()
         self.journal: Journal | None = None
         self.is_read_only = False
         self._has_answered = False
@@ -221,6 +231,8 @@ class SdoClient(ObjectReader):
         except canopen.SdoAbortedError as error:
             if error.code not in ABSENT:
                 self.refusals[entry.address] = str(error)
+                if error.code in HIDDEN:
+                    self._hidden.add(entry.address)
                 self._note(f"the drive does not show {entry} ({error}): taken as absent")
             return None
 
@@ -228,6 +240,11 @@ class SdoClient(ObjectReader):
         """See `ObjectReader.why_absent`."""
         reason = self.refusals.get(entry.of_axis(self.axis_number).address)
         return f"does not show ({reason})" if reason else super().why_absent(entry)
+
+    def why_hidden(self, entry: Object) -> str:
+        """See `ObjectReader.why_hidden`."""
+        address = entry.of_axis(self.axis_number).address
+        return self.refusals[address] if address in self._hidden else ""
 
     def _upload(self, entry: Object) -> bytes:
         try:
