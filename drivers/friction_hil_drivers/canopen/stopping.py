@@ -14,6 +14,7 @@ from friction_hil_drivers.cia402 import profile
 _POLL_S = 0.02
 _STANDSTILL_POLLS = 100  # 2 s
 _READ_BACK_POLLS = 50  # 1 s
+_RELAPSE_S = 0.3  # in which a master that commands the drive still would have enabled it again
 _STANDSTILL_COUNTS = 2  # between two polls: noise of an encoder
 _AXES = 8  # of a multi-axis node (CiA 402-3: the objects of axis k are those of axis 0 plus k * 800h)
 _AXIS_OFFSET = 0x800
@@ -53,6 +54,9 @@ def _stop_axis(node: int, axis: int, status: Upload) -> "Script[Stop]":
     yield from _await_standstill(axis)
     refused = (yield from _command(axis, profile.DISABLE_VOLTAGE)) or refused
     after = yield from _read_back(axis)
+    if after in _RESTING:
+        yield Pause(_RELAPSE_S)
+        after = yield from _read_state(axis)
     result = "unknown" if after is DriveState.UNKNOWN else "powered" if after.is_powered else "stopped"
     return Stop(node, before, after, result, name + _reason(result, refused))
 
@@ -109,6 +113,12 @@ _RESTING = (
     DriveState.SWITCHED_ON,
     DriveState.FAULT,
 )
+
+
+def _read_state(axis: int) -> "Script[DriveState]":
+    status = Upload(_of_axis(objects.STATUSWORD, axis))
+    yield status
+    return _state(status)
 
 
 def _read_back(axis: int) -> "Script[DriveState]":
