@@ -125,19 +125,18 @@ def test_an_axis_whose_node_is_taken_out_of_operational_is_stopped_for_certain(
         result = rig.result()
         assert result["exit"] == 1
         name = "pre-operational" if command == PRE_OPERATIONAL else "stopped"
-        assert result["faults"] == [
-            f"x: another master has appeared on the bus: NMT {COMMANDS[command]} to node 1 [FH-220]",
-            f"x: node 1 left Operational: it is {name} [FH-232]",
-        ]
+        cause = f"x: node 1 left Operational: it is {name} [FH-232]"
+        assert "NMT" in result["faults"][0]
+        assert result["faults"][0].endswith("[FH-220]")
+        assert result["faults"][1:] in ([cause], [])  # none where it stood before the next heartbeat
         assert result["drive_states"] == {"x": "switch on disabled"}
         # the report is true: no power, no motion, and not far from where it was
         assert rig.read(STATUSWORD, "H") & 0x6F == 0x40
         assert abs(rig.read(VELOCITY, "i")) < 0.01 * COUNTS_PER_RAD
         assert abs(rig.read(POSITION, "i")) < 4.0 * COUNTS_PER_RAD
         # at once: quick stop by SDO, or by RPDO once NMT start has brought the node back
-        told = next(frame for frame in rig.after(0x701, before_s) if frame.data[0] in (0x7F, 0x04))
         stops = [frame for frame in rig.frames if frame.timestamp > before_s and is_quick_stop(frame)]
-        assert stops[0].timestamp - told.timestamp < 0.1
+        assert stops[0].timestamp - before_s < HEARTBEAT_S + 0.1
         words = [struct.unpack_from("<H", frame.data)[0] for frame in rig.after(RPDO1, stops[0].timestamp)]
         assert 0x0F not in words
 
@@ -150,9 +149,9 @@ def test_a_restarted_node_gets_no_rpdo_and_the_other_axis_is_disabled_in_its_own
         boot = rig.listen(lambda message: message.arbitration_id == 0x701 and message.data[0] == 0)
         result = rig.result()
         assert result["exit"] == 1
-        told = result["faults"] + result["notices"]
-        assert any("another master has appeared on the bus: NMT reset" in text for text in told)
+        told = [*result["faults"], *result["notices"]]
         assert "x: node 1 restarted (boot-up message) [FH-231]" in told
+        assert "x: another master has appeared on the bus: NMT reset node to node 1 [FH-220]" in told
         assert result["drive_states"] == {"x": "switch on disabled", "y": "switch on disabled"}
         assert not [fault for fault in result["faults"] if "standstill" in fault or "powered" in fault]
         late = [frame for frame in rig.after(RPDO1, boot.timestamp + 0.1) if len(frame.data)]

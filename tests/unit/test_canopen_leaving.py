@@ -187,6 +187,27 @@ def test_a_master_that_appears_in_mid_run_is_a_fault_of_the_run(bench):
     drives.close()
 
 
+def test_a_master_that_restarts_a_node_is_told_beside_the_restart(bench):
+    bus = Others(bench)
+    drives = make(bus)
+    drives.connect()
+    drives.start()
+    feedback = Feedback()
+    for _ in range(5):
+        drives.receive([feedback], 0)
+        drives.send([Command(Request.ENABLE)])
+    bus.hear(0x000, bytes([0x81, NODE]))
+    bus.hear(0x700 + NODE, b"\0")
+    drives.receive([feedback], 0)
+    assert feedback.message == f"node {NODE} restarted (boot-up message) [FH-231]"
+    told = f"another master has appeared on the bus: NMT reset node to node {NODE} [FH-220]"
+    assert feedback.notices == [told]
+    feedback.notices.clear()
+    drives.receive([feedback], 0)
+    assert feedback.notices == []
+    drives.close()
+
+
 def test_frames_that_come_back_are_not_another_masters(bench):
     """As on udp_multicast; one more of a kind than was sent is."""
 

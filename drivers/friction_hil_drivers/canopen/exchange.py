@@ -69,6 +69,7 @@ class CyclicExchange:
         "_has_new_words",
         "_heartbeat_id",
         "_heartbeat_ns",
+        "_is_alarm_told",
         "_is_commanding",
         "_is_complete",
         "_lost_since_ns",
@@ -105,6 +106,7 @@ class CyclicExchange:
         self._reserve_ns = round(_COMMAND_FRACTION * period_s * 1e9)
         self._handlers = _join_handlers(axes)
         self._alarm = alarm or MasterAlarm()
+        self._is_alarm_told = False
         self._handlers |= self._alarm.handlers
         self._heartbeat_id = objects.HEARTBEAT_BASE + master_node
         self._heartbeat_ns = round(heartbeat_s * 1e9)
@@ -156,8 +158,11 @@ class CyclicExchange:
         alarm = self._alarm.message
         for axis, target in zip(self._axes, feedback, strict=True):
             axis.report(target, now)
-            if alarm:
-                target.message = target.message or alarm
+            if alarm and not target.message:
+                target.message = alarm
+            elif alarm and not self._is_alarm_told:  # beside what it may have caused, e.g. a restart
+                target.notices.append(alarm)
+        self._is_alarm_told = bool(alarm)
 
     def _send_sync(self) -> str:
         """Send SYNC, at which drives take over what their RPDOs carried; return why it was not sent, "" if it was."""
