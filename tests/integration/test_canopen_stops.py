@@ -17,7 +17,6 @@ from tests.processes import listening, write_configuration
 PERIOD_S = 5e-3  # long, for a machine that is busy with other tests
 HEARTBEAT_S = 0.2
 PRE_OPERATIONAL, STOP, RESET_NODE = 0x80, 0x02, 0x81
-COMMANDS = {PRE_OPERATIONAL: "enter pre operational", STOP: "stop"}
 SDO_REQUEST, SDO_ANSWER, RPDO1 = 0x601, 0x581, 0x201
 CONTROLWORD, STATUSWORD, POSITION, VELOCITY = 0x6040, 0x6041, 0x6064, 0x606C
 COUNTS_PER_RAD = 2**20 / 6.283185307179586
