@@ -12,6 +12,7 @@ import yaml
 
 from tests.durand_process import durand_configuration, durand_drives
 from tests.launcher import start
+from tests.peers.plc_master import PlcMaster
 from tests.processes import listening, run, simulated_drives, write_configuration
 
 WITHOUT_WATCHDOG = ("--missing", "1016", "--missing", "6007")
@@ -114,6 +115,15 @@ def test_stop_says_that_another_master_is_there_and_stops_all_the_same(tmp_path:
         assert drives.is_free
     assert [each["result"] for each in answer["drives"]] == ["stopped"]
     assert any("SYNC" in note for note in answer["notes"])
+
+
+def test_stop_does_not_say_stopped_where_another_master_enables_the_drive_again(tmp_path: Path) -> None:
+    configuration = durand_configuration(tmp_path)
+    bus = yaml.safe_load(configuration.read_text())["bus"]
+    with durand_drives(configuration), PlcMaster(bus, 1):
+        done = run("drives", "stop", configuration, "--json", check=False)
+    assert done.returncode == 1
+    assert [each["result"] for each in json.loads(done.stdout)["drives"]] == ["powered"]
 
 
 @pytest.mark.parametrize("is_ours", [False, True], ids=["durand", "simulated"])

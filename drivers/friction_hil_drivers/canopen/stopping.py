@@ -15,6 +15,7 @@ from friction_hil_drivers.cia402 import profile
 _POLL_S = 0.02
 _STANDSTILL_POLLS = 100  # 2 s
 _READ_BACK_POLLS = 50  # 1 s
+_RELAPSE_S = 0.3  # in which a master that commands the drive still would have enabled it again
 _STANDSTILL_COUNTS = 2  # between two polls: noise of an encoder
 _AXES = 8  # of a multi-axis node (CiA 402-3: the objects of axis k are those of axis 0 plus k * 800h)
 
@@ -58,6 +59,9 @@ def _stop_axis(node: int, axis: int, status: Upload) -> "Script[Stop]":
     yield from _await_standstill(axis)
     refused = (yield from _command(axis, profile.DISABLE_VOLTAGE)) or refused
     after = yield from _read_back(axis)
+    if has_no_power(after):
+        yield Pause(_RELAPSE_S)
+        after = yield from _read_state(axis)
     result = "unknown" if after is DriveState.UNKNOWN else "powered" if after.is_powered else "stopped"
     return Stop(node, before, after, result, name + _reason(result, refused))
 
@@ -110,6 +114,12 @@ def _await_standstill(axis: int) -> "Script[None]":
             return
         position = found.value
         yield Pause(_POLL_S)
+
+
+def _read_state(axis: int) -> "Script[DriveState]":
+    status = Upload(objects.STATUSWORD.of_axis(axis))
+    yield status
+    return _state(status)
 
 
 def _read_back(axis: int) -> "Script[DriveState]":

@@ -226,7 +226,8 @@ def _watchdog_line(found: dict[str, Any]) -> str:
         trap = ", which some drives look at only when a SYNC comes" if timer["needs_sync"] else ""
         words.append(f"{timer['pdo']} within {timer['ms']} ms{trap}")
     words.append(f"reaction 6007h: {_cell('', found['reaction'])}")
-    words.append(f"own heartbeat every {_cell('', found['heartbeat_producer_ms'])} ms")
+    own_ms = found["heartbeat_producer_ms"]
+    words.append(f"own heartbeat every {own_ms} ms" if own_ms else "own heartbeat 1017h off")
     return "; ".join(words)
 
 
@@ -245,4 +246,4 @@ def _cell(name: str, value: Any) -> str:
         return "yes" if value else "no"
     if isinstance(value, list):
         return " ".join(_cell("", each) for each in value) or "none"
-    return f"{value:#x}" if name in _HEX else f"{value:g}" if isinstance(value, float) else str(value)
+    return f"{value:#x}" if name in _HEX else f"{value:.10g}" if isinstance(value, float) else str(value)
