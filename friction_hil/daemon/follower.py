@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from friction_hil.config import AxisConfig
 
 _FAULTS = (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE)
+_IDLE_S = 0.5  # without compensation, before it is told why
 
 
 class FollowerStateMachine(RunStateMachine):
@@ -104,7 +105,7 @@ class FollowerAxis(AxisLoop):
         self._baseline_left_s = config.compensation.baseline_s
         self._fade_s = config.compensation.fade_s
         self._faded_s = 0.0  # time for which the compensation has been enabled
-        self._drive_notice = _DriveNotice(name)
+        self._drive_notice = _DriveNotice(name, period_s)
 
     def enter_path(self) -> None:
         """Do nothing: the path is another controller's."""
@@ -169,18 +170,21 @@ class FollowerAxis(AxisLoop):
 
 
 class _DriveNotice:
-    """Tells, once for each change, that the drive does not operate, or does again."""
+    """Tells, once for each change, that the drive does not operate, or does again, and why nothing is compensated."""
 
-    __slots__ = ("_is_operating", "_name", "_told")
+    __slots__ = ("_idle_cycles", "_is_operating", "_name", "_patience_cycles", "_told")
 
-    def __init__(self, name: str) -> None:
+    def __init__(self, name: str, period_s: float) -> None:
         self._name = name
+        self._patience_cycles = max(1, round(_IDLE_S / period_s))
+        self._idle_cycles = 0
         self._is_operating: bool | None = None
         self._told = ""
 
     def next(self, feedback: Feedback) -> str | None:
         """Return the notice of this cycle; None in most cycles."""
         is_powered = feedback.state is DriveState.OPERATION_ENABLED
+        self._idle_cycles = 0 if is_powered and feedback.is_offset_wanted else self._idle_cycles + 1
         if is_powered and self._is_operating is False:
             self._is_operating, self._told = True, ""
             return f"{self._name}: its master has enabled the drive again"
@@ -188,6 +192,22 @@ class _DriveNotice:
             self._is_operating = True
         elif self._is_operating and feedback.state.words != self._told:
             self._is_operating, self._told = False, feedback.state.words
-            error = f" ({feedback.error})" if feedback.error else ""
-            return f"{self._name}: the drive left Operation enabled, its master's business: {self._told}{error}"
+            return (
+                f"{self._name}: the drive left Operation enabled, its master's business: {self._told}{_why(feedback)}"
+            )
+        if self._idle_cycles == self._patience_cycles:
+            return self._why_idle(feedback)
         return None
+
+    def _why_idle(self, feedback: Feedback) -> str | None:
+        if self._is_operating is None:
+            state = f"the drive is in state {feedback.state.words}{_why(feedback)}, and its master has not enabled it"
+            return f"{self._name}: not compensated so far: {state}"
+        if self._is_operating:
+            reason = "it is in another mode than the configured one, or its master does not command operation (6040h)"
+            return f"{self._name}: not compensated, although the drive is in Operation enabled: {reason}"
+        return None
+
+
+def _why(feedback: Feedback) -> str:
+    return f" ({feedback.error})" if feedback.error else ""

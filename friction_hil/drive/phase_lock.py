@@ -91,7 +91,8 @@ class PhaseLock:
             is_kept = residuals <= 4.0 * middle + 1.0
         if middle > _CAPTURE * self._nominal_ns:
             shortest, longest = steps.min() * 1e-6, steps.max() * 1e-6
-            return f"it comes unevenly, after {shortest:.3g} to {longest:.3g} ms: do two controllers send it?"
+            causes = "do two controllers send it, or is this computer too busy?"
+            return f"it comes unevenly, after {shortest:.3g} to {longest:.3g} ms: {causes}"
         if abs(period / self._nominal_ns - 1.0) > _LARGEST_DEVIATION:
             return f"it comes every {period * 1e-6:.5g} ms and not every {self._nominal_ns * 1e-6:.4g} ms (period_s)"
         self._period_ns = float(period)

@@ -167,6 +167,30 @@ def test_a_drive_that_its_master_disables_gets_no_offset_and_is_compensated_agai
     assert states_of(sink) == ["running", "stopping", "done"]
 
 
+def test_a_run_in_which_nothing_is_compensated_says_why():
+    machine = Machine(state=lambda cycle: DriveState.FAULT)
+
+    def disturb(cycle, heard):
+        heard.error = "8611h following error"
+
+    machine.disturb = disturb
+    result, _, _ = run(machine)
+    state = "the drive is in state fault (8611h following error), and its master has not enabled it"
+    assert result.warnings == [f"x: not compensated so far: {state}"]
+
+
+def test_a_drive_in_another_mode_is_told_once():
+    machine = Machine()
+
+    def disturb(cycle, heard):
+        heard.is_offset_wanted = False
+
+    machine.disturb = disturb
+    result, _, _ = run(machine, duration_s=2.0)
+    (warning,) = result.warnings
+    assert "although the drive is in Operation enabled: it is in another mode" in warning
+
+
 @pytest.mark.parametrize("state", [DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE, DriveState.QUICK_STOP_ACTIVE])
 def test_a_fault_of_the_drive_is_its_masters_business(state):
     machine = Machine(state=lambda cycle: state if cycle >= 400 else ENABLED)

@@ -127,6 +127,14 @@ class SidecarDrives:
         assert self._exchange is not None, "start first"
         self._exchange.warm_caches()
 
+    def _sending(self, options: SidecarOptions) -> list[str]:
+        """Return a note on what goes out."""
+        if not self._dry_run:
+            heartbeat = "nothing else" if options.heartbeat_s is None else "its heartbeat"
+            return [f"sidecar: sends {objects.TORQUE_OFFSET} as {options.offset.cob_id:03X}h and {heartbeat}"]
+        waiting = "; a stand-in master with --pace sync waits in vain for the offset: use --pace real"
+        return [f"sidecar: sends nothing in a dry run{'' if self._clock.is_real else waiting}"]
+
     def close(self) -> list[DriveState]:
         """Send a last torque offset of zero and leave the bus.
 
@@ -166,7 +174,7 @@ class SidecarDrives:
             torque_resolution=abs(units.rated_torque) / PER_MILLE,
             setpoint_delay_s=delay_cycles * period_s,
             actuation_delay_s=actuation_cycles * period_s,
-            notes=(*_notes(options.sidecar), *_frozen(config)),
+            notes=(*self._sending(options.sidecar), *_notes(options.sidecar), *_frozen(config)),
             torque_delay_s=0.0 if _has(options.sidecar, objects.TORQUE_ACTUAL) else None,
         )
         return SidecarAxis(facts, options.node, mode, units, period_s, options.sidecar)
@@ -267,9 +275,7 @@ def _has(options: SidecarOptions, entry: objects.Object) -> bool:
 
 def _notes(options: SidecarOptions) -> list[str]:
     """Return notes on what the stated PDOs do not have."""
-    notes = [
-        f"sidecar: sends the torque offset {objects.TORQUE_OFFSET} as {options.offset.cob_id:03X}h and nothing else"
-    ]
+    notes = []
     demand = demand_object(options)
     if demand is None:
         notes.append("no demand in the stated PDOs (607Ah, 6062h): compensates by the measured velocity alone")
