@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.drives import CanopenDrives
-from friction_hil_drivers.canopen.eds import load_eds
+from friction_hil_drivers.canopen.eds import SIMULATED_SERVO, load_eds
 from friction_hil_drivers.canopen.eds_check import compare_eds
 from friction_hil_drivers.canopen.options import CanopenOptions
 
@@ -34,6 +34,12 @@ def reasons(drive: VendorDrive, mode: str, folder: Path, *, is_compensated=True,
 def test_an_eds_is_compared_with_the_mode(tmp_path, name, mode):
     found = reasons(DRIVES[name], mode, tmp_path)
     assert (found == []) == DRIVES[name].works[mode], found
+
+
+def test_an_eds_may_begin_with_a_byte_order_mark(tmp_path):
+    path = tmp_path / "windows.eds"
+    path.write_bytes(b"\xef\xbb\xbf" + SIMULATED_SERVO.read_bytes())
+    assert 0x6040 in load_eds(path, 1)
 
 
 def test_the_reasons_are_named(tmp_path):

@@ -242,7 +242,7 @@ def _require_unpowered(access: "SdoClient", state: DriveState) -> None:
     if state.is_powered:
         text = (
             f"{access.axis}: {access.where} is in state {state.words} already: "
-            "another master is driving it, or a former one left it enabled; disable it first"
+            "another master is driving it, or a former one left it enabled; disable it first (friction-hil drives stop)"
         )
         raise DriveError(text, code=codes.ALREADY_POWERED)
 

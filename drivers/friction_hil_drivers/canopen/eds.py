@@ -32,7 +32,7 @@ def load_eds(path: Path, node: int) -> "ObjectDictionary":
     if path.suffix.lower() not in (".eds", ".dcf"):
         raise UsageError(f"{path} is not an EDS: its name should end in .eds or .dcf")
     try:
-        text = path.read_text(encoding="utf-8", errors="replace")
+        text = path.read_text(encoding="utf-8-sig", errors="replace")  # Windows tools begin files with a mark
     except OSError as error:
         raise UsageError(f"the EDS {path} cannot be read: {error.strerror or error}") from error
     source = io.StringIO(_COMMENTS.sub("", text))

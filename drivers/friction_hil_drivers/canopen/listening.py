@@ -195,7 +195,7 @@ class Look:
         if self.state.is_powered:
             return (
                 f"is in state {self.state.words} already: another master is driving it, or a former one left it "
-                "enabled; disable it first"
+                "enabled; disable it first (friction-hil drives stop)"
             )
         if self.state is DriveState.UNKNOWN:
             return f"reports statusword {self.statusword:04X}h, which does not say whether it has power"
