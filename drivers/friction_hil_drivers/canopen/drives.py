@@ -300,13 +300,7 @@ class CanopenDrives:
         return CanopenAxis(drive, options.node, self._heartbeat_s(name, options))
 
     def _prepare_nmt(self, client: "SdoClient", node: int) -> None:
-        """Find out the NMT state of a node, and take it out of Operational, in which it may refuse new mappings.
-
-        Raises
-        ------
-        DriveError
-            Another master was heard since the drives were looked at.
-        """
+        """Find out the NMT state of a node, and take it out of Operational, in which it may refuse new mappings."""
         self._refuse_other_masters()
         if self._is_passive or node in self._nmt_states:
             return

@@ -199,7 +199,7 @@ class StandInMaster:
         self._bus: FrameBus | None = None
         self._now_ns = 0  # in simulated time
         self._next_heartbeat_ns = 0
-        self._is_joined = False
+        self._is_joined = self._has_ever_joined = False
         self._moving_since_s: float | None = None
         self._enabled_since_s: float | None = None
         self._stopping_since_s: float | None = None
@@ -232,8 +232,10 @@ class StandInMaster:
         self._collect(lambda: not any(slave.missing for slave in self._slaves), 0.5 * self._period_s, _ANSWER_S)
         time_s = self._now_s()
         self._advance(time_s)
+        # in simulated time all is as it was until the sidecar joins, however long that takes
+        request = self.request if self._is_real or self._has_ever_joined else Request.DISABLE
         for slave in self._slaves:
-            for frame in slave.command(self.request, time_s, self._moving_since_s is not None):
+            for frame in slave.command(request, time_s, self._moving_since_s is not None):
                 bus.send(*frame)
         if self._now() >= self._next_heartbeat_ns:
             bus.send(objects.HEARTBEAT_BASE + MASTER_NODE, bytes([NmtState.OPERATIONAL]))
@@ -317,6 +319,7 @@ class StandInMaster:
             lambda: all(slave.has_offset for slave in self._slaves), 0.0, _LOCKSTEP_S if self._is_joined else _JOIN_S
         )
         self._is_joined = all(slave.has_offset for slave in self._slaves)
+        self._has_ever_joined |= self._is_joined
 
     def _clear_old_offsets(self) -> None:
         """Set a torque offset to zero whose sender has fallen silent."""
