@@ -26,7 +26,7 @@ from friction_hil.daemon.realtime import RealClock, punctuality
 from friction_hil.daemon.run import LoopSettings
 from friction_hil.daemon.safety import LoopState
 from friction_hil.daemon.stop import StopRequest
-from friction_hil.drive import Command, Feedback
+from friction_hil.drive import Command, DriveState, Feedback
 from friction_hil.drive.finding import complaints
 from friction_hil.errors import FrictionHilError
 from friction_hil.motion.trajectory import PathTime
@@ -134,9 +134,22 @@ class SharedClock(RealClock):
 
 
 class TimedDrives(CanopenDrives):
-    """The driver, with the time of its part of a cycle."""
+    """The driver, with the time of its part of a cycle.
+
+    Attributes
+    ----------
+    commissioning_bus : FrameBus or None
+        Bus whose drives reply at once, over which they are left.
+    """
 
     receive_ns = send_ns = 0
+    commissioning_bus: FrameBus | None = None
+
+    def close(self) -> list[DriveState]:
+        """Leave the drives as outside of the cyclic phase; see `CanopenDrives.close`."""
+        if self.commissioning_bus is not None:
+            self._bus, self.commissioning_bus = self.commissioning_bus, None
+        return super().close()
 
     def receive(self, feedback: Sequence[Feedback], end_ns: int) -> None:
         """Send SYNC; receive and decode the TPDOs."""
@@ -198,7 +211,7 @@ def run() -> list[Row]:
     clock = SharedClock(configuration.realtime.spin_us, frames)
     drives = TimedDrives(configuration, configuration.axes, clock, dry_run=False, bus=frames.bus)
     (facts,) = drives.connect()
-    drives._bus = frames  # from here on only the cycle is measured
+    drives.commissioning_bus, drives._bus = drives._bus, frames  # from here on only the cycle is measured
     drives._exchange = drives._make_exchange(frames)
     path_time = PathTime(1.0)
     axis = AxisLoop(facts.name, configuration.axes[facts.name], facts, configuration.period_s, path_time)
