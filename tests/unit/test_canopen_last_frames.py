@@ -8,6 +8,7 @@ from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.drives import CanopenDrives
 
 from friction_hil.drive import Command, DriveState, Feedback, Request
+from friction_hil.errors import BusError
 from tests.canopen_bench import Bench
 from tests.servo_drives import axis_dict, configuration
 
@@ -28,7 +29,7 @@ class TimedBus(can.BusABC):
     def __init__(self, benches, answer_ms):
         super().__init__(channel="timed")
         self.benches, self.answer_ms, self.now_ms = benches, answer_ms, 0.0
-        self.waiting, self.sent, self.gone = [], [], set()
+        self.waiting, self.sent, self.gone, self.refused = [], [], set(), []
 
     def put(self, frames):
         for can_id, data in frames:
@@ -38,6 +39,8 @@ class TimedBus(can.BusABC):
         self.waiting.sort(key=lambda one: one[0])
 
     def send(self, msg, timeout=None):
+        if (msg.arbitration_id, bytes(msg.data)) in self.refused:
+            raise can.CanOperationError("the interface is down")
         self.sent.append((self.now_ms, msg.arbitration_id, bytes(msg.data)))
         for bench in self.benches:
             if bench.node.number in self.gone:
@@ -150,6 +153,18 @@ def test_a_drive_that_may_have_power_is_not_kept_alive(machine, request_at_last)
     assert [now for now in machine.heartbeats(began) if now > left] == [], "it has not answered"
     if request_at_last is Request.ENABLE:
         assert machine.heartbeats(began) == [], "the drives had power when they were heard last"
+
+
+def test_a_command_that_cannot_be_sent_does_not_keep_drives_from_being_restored(machine):
+    machine.cycle(Request.ENABLE, 20)
+    machine.cycle(Request.DISABLE, 20)
+    machine.bus.refused = [(0, bytes([objects.NmtCommand.ENTER_PRE_OPERATIONAL, FIRST]))]
+    with pytest.raises(BusError, match="the interface is down"):
+        machine.drives.close()
+    assert machine.drives.leftovers == []
+    for bench in machine.benches:
+        assert bench.node.drive.state is DriveState.SWITCH_ON_DISABLED
+        assert bench.node._consumer.nodes == []
 
 
 def test_the_watch_begins_with_the_first_command(machine):

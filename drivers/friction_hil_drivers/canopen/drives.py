@@ -6,7 +6,7 @@ writes the bus.
 """
 
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,8 +22,7 @@ from friction_hil_drivers.canopen.exchange import CyclicExchange
 from friction_hil_drivers.canopen.exclusive import AxisLock, state_path
 from friction_hil_drivers.canopen.interfaces import bus_name
 from friction_hil_drivers.canopen.journal import Journal
-from friction_hil_drivers.canopen.last_frames import LastFrames
-from friction_hil_drivers.canopen.leaving import disable, read_state, restore, watchdog_frames
+from friction_hil_drivers.canopen.leaving import read_state, restore, send_nmt, switch_off, watchdog_frames
 from friction_hil_drivers.canopen.listening import (
     LISTEN_S,
     Look,
@@ -423,11 +422,14 @@ class CanopenDrives:
         frames = self._exchange.last_frames() if isinstance(self._exchange, CyclicExchange) else None
         if frames is not None and self._bus is not None:
             network.meanwhile = watchdog_frames(self._bus, frames, self._clock)
+        failure: BusError | None = None
         with network.reading():
             if self._dry_run:
                 self._stop_listening()
             elif self._is_started:
-                self._switch_off(network.meanwhile, frames)
+                assert self._bus is not None
+                axes = [(name, self._node_of(name), client.axis_number) for name, client in self._clients.items()]
+                self._states, failure = switch_off(self._bus, axes, network.meanwhile, frames)
             for name, client in self._clients.items():
                 self.leftovers += restore(client, self._obstacle(self._node_of(name)))
                 if frames is not None:
@@ -437,6 +439,8 @@ class CanopenDrives:
                     self._write_nmt(objects.NmtCommand.START, node)
                 elif found is None and self._clock.is_real:
                     self.leftovers.append(unknown_nmt_state(node))
+        if failure is not None:
+            raise failure
 
     def _node_of(self, name: str) -> int:
         return canopen_options(self._configs[name]).node
@@ -459,33 +463,6 @@ class CanopenDrives:
             else:
                 self._write_nmt(objects.NmtCommand.ENTER_PRE_OPERATIONAL, node)
 
-    def _switch_off(self, meanwhile: Callable[[], float] | None, frames: LastFrames | None) -> None:
-        """Disable every drive, and stop the exchange of PDOs.
-
-        A drive that does not answer, or keeps its power, goes on watching: it trips when the daemon is silent. In
-        Pre-operational it would react as to a lost connection, so it is disabled first.
-        """
-        assert self._bus is not None
-        axes = [(name, self._node_of(name), client.axis_number) for name, client in self._clients.items()]
-        # the last RPDO would take effect at the next SYNC, which is not sent any more; this does at once
-        self._states = disable(self._bus, axes, meanwhile)
-        failure: BusError | None = None
-        for node in dict.fromkeys(node for _, node, _ in axes):
-            try:
-                self._write_nmt(objects.NmtCommand.ENTER_PRE_OPERATIONAL, node)
-            except BusError as error:
-                failure = error  # the other drives first
-            if frames is not None:
-                frames.left_operational(node)
-        if unanswered := [axis for axis in axes if self._states[axis[0]] is DriveState.UNKNOWN]:
-            # where the node was in the NMT state Stopped, it has SDO again
-            self._states |= disable(self._bus, unanswered, meanwhile)
-        if frames is not None:
-            for name, state in self._states.items():
-                frames.note(name, is_unpowered=has_no_power(state))
-        if failure is not None:
-            raise failure
-
     def _set_nmt(self, command: objects.NmtCommand, node: int) -> None:
         """Change the NMT state of a node, and keep the one that it was found in."""
         self._nmt_states.setdefault(node, self._others.state_of(node))
@@ -494,4 +471,4 @@ class CanopenDrives:
     def _write_nmt(self, command: objects.NmtCommand, node: int) -> None:
         if self._bus is None:
             raise BusError("the bus is not open: connect first")
-        self._bus.send(objects.NMT_ID, bytes((command, node)))
+        send_nmt(self._bus, command, node)

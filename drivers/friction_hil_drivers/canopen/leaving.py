@@ -1,7 +1,7 @@
 """Leaving drives: without power, and as they were found."""
 
 import contextlib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING
 
 from friction_hil.drive import Clock, DriveState
@@ -37,6 +37,62 @@ def watchdog_frames(bus: "FrameBus", frames: "LastFrames", clock: Clock) -> Call
         return frames.wait_s(now)
 
     return send
+
+
+def switch_off(
+    bus: "FrameBus",
+    axes: Sequence[tuple[str, int, int]],
+    meanwhile: Callable[[], float] | None,
+    frames: "LastFrames | None",
+) -> tuple[dict[str, DriveState], BusError | None]:
+    """Disable every drive, and stop the exchange of PDOs.
+
+    A drive that does not answer, or keeps its power, goes on watching: it trips when the daemon is silent. In
+    Pre-operational it would react as to a lost connection, so it is disabled first.
+
+    Parameters
+    ----------
+    bus, axes, meanwhile
+        See `disable`.
+    frames : LastFrames or None
+        What the drives wait for meanwhile.
+
+    Returns
+    -------
+    states : dict of str to DriveState
+        State of each axis as read back, UNKNOWN where it was not.
+    failure : BusError or None
+        Why a node could not be sent to Pre-operational: the other drives come first.
+    """
+    # the last RPDO would take effect at the next SYNC, which is not sent any more; this does at once
+    states = disable(bus, axes, meanwhile)
+    failure: BusError | None = None
+    for node in dict.fromkeys(node for _, node, _ in axes):
+        try:
+            send_nmt(bus, objects.NmtCommand.ENTER_PRE_OPERATIONAL, node)
+        except BusError as error:
+            failure = error  # the node goes on waiting for RPDOs
+        else:
+            if frames is not None:
+                frames.left_operational(node)
+    _note(frames, states)
+    if unanswered := [axis for axis in axes if states[axis[0]] is DriveState.UNKNOWN]:
+        # where the node was in the NMT state Stopped, it has SDO again
+        states |= disable(bus, unanswered, meanwhile)
+        _note(frames, states)
+    return states, failure
+
+
+def _note(frames: "LastFrames | None", states: dict[str, DriveState]) -> None:
+    """Let the watchdogs trip where a drive was not read back without power."""
+    if frames is not None:
+        for name, state in states.items():
+            frames.note(name, is_unpowered=has_no_power(state))
+
+
+def send_nmt(bus: "FrameBus", command: objects.NmtCommand, node: int) -> None:
+    """Send an NMT command to one node."""
+    bus.send(objects.NMT_ID, bytes((command, node)))
 
 
 def disable(
