@@ -57,5 +57,16 @@ def copied(name: str, target: Path) -> dict[Path, str]:
     text = source.read_text(encoding="utf-8")
     models = {axis["model"] for axis in yaml_text.read(source).value["axes"].values() if isinstance(axis["model"], str)}
     copies = {target.parent / model: (source.parent / model).read_text(encoding="utf-8") for model in sorted(models)}
-    text = text.replace(f"config/{source.name}", str(target)).replace("$schema=schema.json", f"$schema={SCHEMA_FILE}")
+    text = _renamed(text, f"config/{source.name}", str(target))
+    text = text.replace("$schema=schema.json", f"$schema={SCHEMA_FILE}")
     return {target: text, **copies}
+
+
+def _renamed(text: str, old: str, new: str) -> str:
+    """Replace a file name in commands; the explanations after them stay in their column if there is room."""
+
+    def command(found: re.Match[str]) -> str:
+        words = new + found[1]
+        return words if not found[2] else f"{words}{'':{max(2, len(found[0]) - len(words))}}"
+
+    return re.sub(re.escape(old) + r"((?: ?[^ \n])*)( {2,})?", command, text)
