@@ -5,6 +5,7 @@ Meanings, units and defaults are those of the sections; a driver adds its own ke
 """
 
 import math
+import shlex
 import textwrap
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -161,7 +162,13 @@ def new_configuration(wanted: Wanted) -> str:
 
 
 def parse_bus(wanted: Wanted) -> dict[str, Any]:
-    """Return the section ``bus`` of a CAN bus given as ``can0`` or ``INTERFACE:CHANNEL[:PORT]``."""
+    """Return the section ``bus`` of a CAN bus given as ``can0`` or ``INTERFACE:CHANNEL[:PORT]``.
+
+    Raises
+    ------
+    UsageError
+        The interface or the channel is empty.
+    """
     if wanted.bus is None and wanted.is_simulated:
         return {"interface": "udp_multicast", "channel": "239.74.163.2", "port": wanted.port}
     if wanted.bus is None:
@@ -169,6 +176,8 @@ def parse_bus(wanted: Wanted) -> dict[str, Any]:
     interface, colon, channel = wanted.bus.partition(":")
     if not colon:
         interface, channel = "socketcan", wanted.bus
+    if not interface or not channel:
+        raise UsageError(f"--bus {wanted.bus}: must be a CAN interface such as can0, or INTERFACE:CHANNEL[:PORT]")
     section: dict[str, Any] = {"interface": interface, "channel": channel}
     if interface == "udp_multicast" and ":" in channel:
         section["channel"], _, port = channel.rpartition(":")
@@ -189,7 +198,7 @@ def _required_keys(options: type[BaseModel]) -> DriverKeys:
 
 
 def _header(wanted: Wanted) -> list[str]:
-    file = wanted.path.name
+    file = shlex.quote(wanted.path.name)
     steps = {
         f"config check {file}": "mistakes, and what is left to fill in",
         f"doctor {file}": "what stands between this machine and the drive",

@@ -136,6 +136,7 @@ CASES = [
     ("          sigma0: 2000", "          sigma: 1", "axes.x.model.friction.parameters.sigma", "sigma0"),
     ("        inertia: 2e-4", "        inertia: [2e-4]", "axes.x.model.mechanics.inertia", "not a list"),
     ("        inertia: 2e-4", "        inertia: -1", "axes.x.model.mechanics.inertia", "kg m^2 or kg"),
+    ("        inertia: 2e-4", "        inertia: 1e300", "axes.x.model.mechanics.inertia", "at most 1e+09"),
     ("      gain: 0.8", "      gain: 1.6", "axes.x.compensation.gain", "at least 0 and at most 1.5, not 1.6"),
     ("      gain: 0.8", "      gain: 90%", "axes.x.compensation.gain", "write 0.9"),
     ("      gain: 0.8", "      gain: 12.5 %", "axes.x.compensation.gain", "write 0.125"),

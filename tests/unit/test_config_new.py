@@ -155,6 +155,7 @@ def test_files_in_two_folders_have_buses_of_their_own(folder):
         (("--example", "demoo"), "did you mean 'demo'?"),
         (("--example", "demo", "--node", "3"), "leave --node out"),
         (("machine.json",), "ends in .yaml"),
+        (("--bus", ":"), "must be a CAN interface such as can0"),
         (("--torque", "nan"), "--torque"),
         (("--travel", "-1"), "--travel"),
     ],

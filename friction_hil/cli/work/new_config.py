@@ -2,6 +2,7 @@
 
 import json
 import os
+import shlex
 import zlib
 from pathlib import Path
 from typing import Any
@@ -28,12 +29,11 @@ def write_new(*, file: str | None, example: str | None, force: bool, **given: An
     else:
         port = _FIRST_PORT + zlib.crc32(os.fsencode(target.absolute())) % _PORTS
         texts = {target: new_configuration(Wanted(path=target, port=port, **options))}
-    taken = [path for path in texts if os.path.lexists(path) and (path == target or path.read_text() != texts[path])]
+    taken = [path for path in texts if os.path.lexists(path) and (path == target or _differs(path, texts[path]))]
     if taken and not force:
         raise UsageError(f"{', '.join(map(str, taken))} exists already; --force overwrites it, another name keeps it")
     for path, text in texts.items():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text, encoding="utf-8")
+        _write(path, text)
         click.echo(f"written: {path}")
     _write_schema(target.parent / SCHEMA_FILE)
     _print_rest(target)
@@ -63,6 +63,21 @@ def _refuse_options(options: dict[str, Any]) -> None:
         raise UsageError(f"--example copies a file as it is: leave {', '.join(given)} out, and edit the copy")
 
 
+def _differs(path: Path, text: str) -> bool:
+    try:
+        return path.read_text(encoding="utf-8") != text
+    except (OSError, UnicodeDecodeError):
+        return True
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be written: {error.strerror}") from None
+
+
 def _write_schema(path: Path) -> None:
     """Write the schema for editors; a broken driver of another package is no reason to have no configuration."""
     try:
@@ -70,7 +85,7 @@ def _write_schema(path: Path) -> None:
     except UsageError as error:
         click.echo(f"no schema for editors: {error}", err=True)
         return
-    path.write_text(json.dumps(schema) + "\n", encoding="utf-8")
+    _write(path, json.dumps(schema) + "\n")
     click.echo(f"written: {path} (for editors)")
 
 
@@ -96,4 +111,4 @@ def _print_rest(target: Path) -> None:
         click.echo(text)
     for note in notes:
         click.echo(f"note: {note}")
-    click.echo(f"\nNext: friction-hil config check {target}")
+    click.echo(f"\nNext: friction-hil config check {shlex.quote(str(target))}")
