@@ -6,16 +6,13 @@ Meanings, units and defaults are those of the sections; a driver adds its own ke
 
 import math
 import shlex
-import textwrap
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel
 
-from friction_hil.checked_yaml.section import Section
-from friction_hil.checked_yaml.text import dump
+from friction_hil.config.annotated import FILL_IN, Page
 from friction_hil.config.axis import AxisConfig, AxisLimits, Compensation, Controller
 from friction_hil.config.bus import BusConfig
 from friction_hil.config.drivers import load_driver
@@ -25,24 +22,11 @@ from friction_hil.errors import UsageError, choices
 from friction_hil.friction import describe
 
 SCHEMA_FILE = "friction_hil.schema.json"
-FILL_IN = object()  # value of a key that only the user can know
-FILL_IN_MARK = "FILL IN"  # of its comment
-
-_WIDTH = 120
-_COMMENT_COLUMN = 34
 _MODES = ("csp", "csv", "cst")
 _SPEED_FRACTION = 0.5  # of the velocity limit, reached by the trajectory
 _EXPERIMENT_FRACTION = 0.6  # of the velocity limit, reached by `tune`
 _HIGHEST_HZ = 0.5
 _LOWER, _ASSUMED = ("coulomb", "static"), 0.9  # of the simulated friction, in the model of a simulated axis
-_UNITS = (  # rotary or linear, rotary, linear
-    ("N m or N per s", "N m/s", "N/s"),
-    ("N m or N", "N m", "N"),
-    ("N m s/rad or N s/m", "N m s/rad", "N s/m"),
-    ("rad/s or m/s per s", "rad/s^2", "m/s^2"),
-    ("rad/s or m/s", "rad/s", "m/s"),
-    ("rad or m", "rad", "m"),
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +118,7 @@ def new_configuration(wanted: Wanted) -> str:
     if wanted.mode is not None and wanted.mode not in given.modes:
         raise UsageError(f"--mode: this drive has no mode {wanted.mode!r}; {choices(wanted.mode, given.modes)}")
     mode = wanted.mode or given.modes[0]
-    page = _Page(is_linear=wanted.is_linear)
+    page = Page(is_linear=wanted.is_linear)
     page.lines += _header(wanted)
     page.key(0, "version", 1, "version of this format")
     page.of(0, Configuration, "period_s", given.period_s)
@@ -182,7 +166,9 @@ def parse_bus(wanted: Wanted) -> dict[str, Any]:
     if interface == "udp_multicast" and ":" in channel:
         section["channel"], _, port = channel.rpartition(":")
         section["port"] = int(port) if port.isdecimal() else port
-    return section if interface == "udp_multicast" else section | {"bitrate": wanted.bitrate}
+    if wanted.bitrate is not None or interface != "udp_multicast":
+        section["bitrate"] = wanted.bitrate
+    return section
 
 
 def as_address(node: str | None, *, is_simulated: bool) -> Any:
@@ -227,7 +213,7 @@ def _header(wanted: Wanted) -> list[str]:
     ]
 
 
-def _motion(page: "_Page", wanted: Wanted, mode: str) -> None:
+def _motion(page: Page, wanted: Wanted, mode: str) -> None:
     """Write what says how far and how fast the axis may move, and what compensates its friction."""
     chosen = (0.3, 10.0, 1.0) if wanted.is_simulated else (None, None, None)
     asked = (wanted.torque, wanted.velocity, wanted.travel)
@@ -273,7 +259,7 @@ def _motion(page: "_Page", wanted: Wanted, mode: str) -> None:
         page.of(3, AxisExperiment, "axis", "linear")
 
 
-def _simulated_model(page: "_Page") -> None:
+def _simulated_model(page: Page) -> None:
     """Write a model whose friction is lower than that of the simulated drive."""
     percent = f"{1.0 - _ASSUMED:.0%}".replace("%", " %")
     page.key(
@@ -299,68 +285,3 @@ def _or_fill_in(value: Any) -> Any:
 def _rounded(value: float) -> float:
     """Return a number with two digits."""
     return float(f"{value:.2g}")
-
-
-class _Page:
-    """Lines of a configuration, with comments in one column."""
-
-    def __init__(self, *, is_linear: bool) -> None:
-        self.lines: list[str] = []
-        self._is_linear = is_linear
-
-    def blank(self) -> None:
-        self.lines.append("")
-
-    def key(self, level: int, name: str, value: Any, comment: str = "") -> None:
-        """Write a key; a group, whose keys follow, has the value None."""
-        self._write(f"{'  ' * level}{name}:" + ("" if value is None else f" {_yaml(value)}"), comment)
-
-    def of(self, level: int, section: type[BaseModel], name: str, value: Any, further: str = "") -> None:
-        """Write a key of a section with its unit and meaning; None is null."""
-        self._explained(level, name, value, self._meaning(section, name) + further)
-
-    def group(self, level: int, section: type[BaseModel], keys: Mapping[str, Any], notes: Mapping[str, str]) -> None:
-        """Write keys of a driver, also in groups."""
-        for name, value in keys.items():
-            if isinstance(value, dict):
-                self.key(level, name, None)
-                inner = section.model_fields[name].annotation
-                assert isinstance(inner, type)
-                own = {key.partition(".")[2]: text for key, text in notes.items() if key.startswith(f"{name}.")}
-                self.group(level + 1, inner, value, own)
-            else:
-                self._explained(level, name, value, notes.get(name) or self._meaning(section, name))
-
-    def _explained(self, level: int, name: str, value: Any, meaning: str) -> None:
-        indent = "  " * level
-        if value is FILL_IN:
-            self._write(f"{indent}{name}:", f"{FILL_IN_MARK}: {meaning}")
-        else:
-            self._write(f"{indent}{name}: {_yaml(value)}", meaning)
-
-    def _meaning(self, section: type[BaseModel], name: str) -> str:
-        info = section.model_fields[name]
-        meaning, extra = info.description or "", info.json_schema_extra
-        unit = str(extra.get("unit", "")) if isinstance(extra, dict) else ""
-        if issubclass(section, Section) and unit not in ("", "1"):
-            meaning = f"{unit}; {meaning.removesuffix(f' [{unit}]')}"
-        for either, rotary, linear in _UNITS:
-            meaning = meaning.replace(either, linear if self._is_linear else rotary)
-        return meaning
-
-    def _write(self, code: str, comment: str) -> None:
-        if not comment:
-            self.lines.append(code)
-            return
-        column = max(_COMMENT_COLUMN, len(code) + 2)
-        first, *rest = textwrap.wrap(comment, _WIDTH - column - 2, break_long_words=False, break_on_hyphens=False)
-        self.lines.append(f"{code:{column}}# {first}")
-        self.lines += [f"{'':{column}}# {line}" for line in rest]
-
-
-def _yaml(value: Any) -> str:
-    """Write a value on one line."""
-    if isinstance(value, Path):
-        value = str(value)
-    text = dump([value]).strip()
-    return " ".join(text.removeprefix("- ").removeprefix("[").removesuffix("]").split()) if text[0] == "[" else text[2:]

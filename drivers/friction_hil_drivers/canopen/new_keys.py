@@ -1,6 +1,7 @@
 """Keys of the CANopen driver in a new configuration."""
 
-from friction_hil.config.new_file import FILL_IN, DriverKeys, Wanted, as_address, parse_bus
+from friction_hil.config.annotated import FILL_IN
+from friction_hil.config.new_file import DriverKeys, Wanted, as_address, parse_bus
 from friction_hil.errors import UsageError
 
 

@@ -4,7 +4,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from friction_hil.config.new_file import FILL_IN, DriverKeys, Wanted, as_address
+from friction_hil.config.annotated import FILL_IN
+from friction_hil.config.new_file import DriverKeys, Wanted, as_address
 from friction_hil_drivers.serial_line.axis import unit_mistakes
 from friction_hil_drivers.serial_line.description import Description, load_description, ready
 from friction_hil_drivers.serial_line.units import NEEDS, AxisUnits

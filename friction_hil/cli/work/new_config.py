@@ -11,8 +11,9 @@ import click
 
 from friction_hil.cli.work.tables import new_table, print_table
 from friction_hil.config import file_problems, json_schema, load, missing_models
+from friction_hil.config.annotated import FILL_IN_MARK
 from friction_hil.config.examples import copied, examples, summary
-from friction_hil.config.new_file import FILL_IN_MARK, SCHEMA_FILE, Wanted, new_configuration
+from friction_hil.config.new_file import SCHEMA_FILE, Wanted, new_configuration
 from friction_hil.errors import ConfigurationError, UsageError
 
 _SUFFIXES = (".yaml", ".yml")
