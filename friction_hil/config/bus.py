@@ -20,7 +20,7 @@ _BUS_KEYS = {
     "slcan": ("bitrate",),
 }
 _SYNC_COB_ID = 0x80
-_MULTICAST = "239.74.163.2"
+MULTICAST = "239.74.163.2"  # of the examples
 
 
 class BusConfig(Section):
@@ -94,7 +94,7 @@ def _channel_mistakes(bus: BusConfig) -> Iterator[Mistake]:
     except ValueError:
         address = None
     if bus.interface == "udp_multicast" and (address is None or not address.is_multicast):
-        text = f"must be a multicast address such as {_MULTICAST}, not {show(bus.channel)}"
+        text = f"must be a multicast address such as {MULTICAST}, not {show(bus.channel)}"
         is_can = isinstance(bus.channel, str) and re.fullmatch(r"v?s?l?can[0-9]+", bus.channel)
         yield ("channel",), f"{text}; {bus.channel} is a channel of interface: socketcan" if is_can else text
     elif bus.interface == "socketcan" and address is not None:

@@ -14,7 +14,7 @@ from pydantic import BaseModel
 
 from friction_hil.config.annotated import FILL_IN, Page
 from friction_hil.config.axis import AxisConfig, AxisLimits, Compensation, Controller
-from friction_hil.config.bus import BusConfig
+from friction_hil.config.bus import MULTICAST, BusConfig
 from friction_hil.config.drivers import load_driver
 from friction_hil.config.schema import Configuration, RecordingConfig
 from friction_hil.config.trajectories import AxisExperiment, Sine
@@ -154,7 +154,7 @@ def parse_bus(wanted: Wanted) -> dict[str, Any]:
         The interface or the channel is empty.
     """
     if wanted.bus is None and wanted.is_simulated:
-        return {"interface": "udp_multicast", "channel": "239.74.163.2", "port": wanted.port}
+        return {"interface": "udp_multicast", "channel": MULTICAST, "port": wanted.port}
     if wanted.bus is None:
         return {"interface": "socketcan", "channel": FILL_IN, "bitrate": wanted.bitrate}
     interface, colon, channel = wanted.bus.partition(":")
