@@ -34,6 +34,8 @@ _WANTED = {
 }
 _TRUTH = {"on": "true", "yes": "true", "y": "true", "off": "false", "no": "false", "n": "false"}
 _BOUNDS = {"gt": "above", "ge": "at least", "lt": "below", "le": "at most"}
+_FAR = 1e6  # bounds from here on only keep numbers from overflowing
+_LONGEST_NUMBER = 60  # characters of a text that could be meant as a number
 
 
 def validate(model: type[Model], value: Any, known: Collection[str] = ()) -> Model:
@@ -122,13 +124,16 @@ def _describe(
     unit = _unit(field)
     if kind in _WANTED:
         wanted = _WANTED[kind] + (f" [{unit}]" if unit and "number" in _WANTED[kind] else "")
+        if given is None and field is not None and field.is_required() and field.description and not holders:
+            meaning = field.description.removesuffix(f" [{unit}]")
+            return f"must be {wanted}, not empty: fill in the {meaning}"
         if wanted == "a group of keys" and holders:
             wanted += f" ({', '.join(dict.fromkeys(name for holder in holders for name in keys(holder)))})"
-        return f"must be {wanted}, not {show(given)}{_advice(kind, given)}"
+        return f"must be {wanted}, not {show(given)}{_advice(kind, given, unit)}"
     if kind == "finite_number":
         return f"must be a finite number, not {show(given)}"
     if kind in ("greater_than", "greater_than_equal", "less_than", "less_than_equal"):
-        return f"must be {_bounds(field, context)}{f' {unit}' if unit else ''}, not {show(given)}"
+        return f"must be {_bounds(field, context, given)}{f' {unit}' if unit else ''}, not {show(given)}"
     if kind in ("literal_error", "enum"):
         return f"must be {context['expected']}, not {show(given)}"
     if kind == "union_tag_not_found":
@@ -160,13 +165,15 @@ def show(value: Any) -> str:
     return f"{value!r}"
 
 
-def _advice(kind: str, given: Any) -> str:
+def _advice(kind: str, given: Any, unit: str) -> str:
     """Suggest what the author of a text most likely meant where a number, true or false is expected."""
     if not isinstance(given, str):
         if kind.startswith("int") and isinstance(given, float) and given.is_integer():
             return f"; write {int(given)}"
         return ""
     text = given.strip()
+    if len(text) > _LONGEST_NUMBER:  # some of the patterns below take quadratic time
+        return ""
     if kind == "bool_type":
         meant = _TRUTH.get(text.lower())
         return f" (it is text in YAML 1.2; write {meant})" if meant else ""
@@ -192,20 +199,24 @@ def _advice(kind: str, given: Any) -> str:
             return " (without quotes it would be a number)"
     except OverflowError:
         return ""
+    if match := re.fullmatch(r"([-+]?[0-9]+(?:\.[0-9]*)?)\s*%", text):
+        fraction = float(match[1]) / 100.0
+        return f" (a percentage; give the value in {unit})" if unit else f" (as a fraction: write {fraction:.12g})"
     if match := re.fullmatch(r"([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*[A-Za-zµ°%].*", text):
         return f" (write the number alone, {match[1]}, in the unit of the key)"
     return ""
 
 
-def _bounds(field: FieldInfo | None, context: dict[str, Any]) -> str:
-    """Describe all bounds of a number, those of the key and those of its type."""
+def _bounds(field: FieldInfo | None, context: dict[str, Any], given: Any) -> str:
+    """Describe the bounds of a number, those of the key and those of its type; not those far beyond ``given``."""
     found: dict[str, list[float]] = {name: [context[name]] if name in context else [] for name in _BOUNDS}
     for item in () if field is None else (*field.metadata, *_constraints(field.annotation)):
         for name, bounds in found.items():
             if (bound := getattr(item, name, None)) is not None:
                 bounds.append(bound)
     narrowest = {name: max(bounds) if name in ("gt", "ge") else min(bounds) for name, bounds in found.items() if bounds}
-    return " and ".join(f"{_BOUNDS[name]} {bound:g}" for name, bound in narrowest.items())
+    near = {name: bound for name, bound in narrowest.items() if abs(bound) < _FAR or abs(given) >= abs(bound)}
+    return " and ".join(f"{_BOUNDS[name]} {bound:g}" for name, bound in (near or narrowest).items())
 
 
 def _constraints(annotation: Any) -> list[Any]:

@@ -9,6 +9,16 @@ TORQUE = "N m or N"
 POSITION = "rad or m"
 VELOCITY = "rad/s or m/s"
 
+# Bounds far beyond any servo axis. A number outside is a slip of the pen, and its products could overflow.
+MOST_TORQUE = 1e7
+MOST_TORQUE_SLEW = 1e12
+MOST_POSITION = 1e9
+MOST_VELOCITY = 1e6
+MOST_ACCELERATION = 1e10
+MOST_FREQUENCY_HZ = 5e3  # half of the highest rate of the loop
+LEAST_FREQUENCY_HZ = 1e-5  # a period of a day
+MOST_S = 86_400.0
+
 
 class Section(BaseModel):
     """A group of keys: immutable, without unknown keys, with finite numbers."""

@@ -34,7 +34,7 @@ COMMANDS = {
     "models": "List the friction models, or describe one.",
     "doctor": "Check machine, configuration and connection before a run.",
     "drives": "Find, show or stop the drives on a CAN bus.",
-    "config": "Check, show and describe configurations.",
+    "config": "Make, check, show and describe configurations.",
 }
 
 

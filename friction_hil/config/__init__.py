@@ -3,7 +3,7 @@
 from friction_hil.config.axis import AxisConfig, AxisLimits, Compensation, Controller, Shadow
 from friction_hil.config.bus import BusConfig
 from friction_hil.config.json_schema import json_schema
-from friction_hil.config.load import file_problems, from_dict, load, located, self_contained
+from friction_hil.config.load import file_problems, from_dict, load, located, missing_models, self_contained
 from friction_hil.config.schema import Configuration, Realtime, RecordingConfig
 from friction_hil.config.trajectories import (
     AxisExperiment,
@@ -41,5 +41,6 @@ __all__ = [
     "json_schema",
     "load",
     "located",
+    "missing_models",
     "self_contained",
 ]

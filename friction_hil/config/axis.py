@@ -17,7 +17,20 @@ from pydantic import (
 )
 
 from friction_hil.checked_yaml.messages import Mistake, refuse, validate
-from friction_hil.checked_yaml.section import POSITION, TORQUE, VELOCITY, Section, key, keys
+from friction_hil.checked_yaml.section import (
+    MOST_ACCELERATION,
+    MOST_POSITION,
+    MOST_S,
+    MOST_TORQUE,
+    MOST_TORQUE_SLEW,
+    MOST_VELOCITY,
+    POSITION,
+    TORQUE,
+    VELOCITY,
+    Section,
+    key,
+    keys,
+)
 from friction_hil.compensator import Compensator, CompensatorSettings
 from friction_hil.config.drivers import DRIVERS, SIMULATED_DRIVES, driver_names, load_driver
 from friction_hil.config.trajectories import AxisExperiment, Trajectory, peak_speed
@@ -25,23 +38,32 @@ from friction_hil.errors import UsageError
 from friction_hil.models.model_file import ModelFile
 
 NAME_PATTERN = "^[a-z][a-z0-9_]*$"
+Position = Annotated[float, Field(ge=-MOST_POSITION, le=MOST_POSITION)]
 Name = Annotated[str, StringConstraints(pattern=NAME_PATTERN)]
 
 
 class AxisLimits(Section):
     """Limits checked in every cycle. Torque and slew rate are clipped; exceeding another limit is a fault."""
 
-    torque: float = key("limit of abs(compensation) in csp and csv, of the whole torque in cst", TORQUE, gt=0)
-    torque_slew: float | None = key("limit of the slew rate of the torque", f"{TORQUE} per s", default=None, gt=0)
-    velocity: float = key("limit of abs(velocity)", VELOCITY, gt=0)
-    following_error: float | None = key("limit of abs(position demand - position)", POSITION, default=None, gt=0)
-    position: tuple[float, float] | None = key("lowest and highest position", POSITION, default=None)
+    torque: float = key(
+        "limit of abs(compensation) in csp and csv, of the whole torque in cst", TORQUE, gt=0, le=MOST_TORQUE
+    )
+    torque_slew: float | None = key(
+        "limit of the slew rate of the torque", f"{TORQUE} per s", default=None, gt=0, le=MOST_TORQUE_SLEW
+    )
+    velocity: float = key("limit of abs(velocity)", VELOCITY, gt=0, le=MOST_VELOCITY)
+    following_error: float | None = key(
+        "limit of abs(position demand - position)", POSITION, default=None, gt=0, le=MOST_POSITION
+    )
+    position: tuple[Position, Position] | None = key("lowest and highest position", POSITION, default=None)
 
 
 class Adaptation(Section):
     """Slow, bounded adaptation of the friction level to the measured torque, separately for each direction."""
 
-    time_s: float = key("time constant of the adaptation, in time of steady sliding", "s", default=20.0, ge=0.1)
+    time_s: float = key(
+        "time constant of the adaptation, in time of steady sliding", "s", default=20.0, ge=0.1, le=MOST_S
+    )
     bound: float = key("largest relative change of the level", "1", default=0.3, gt=0, lt=1)
 
 
@@ -56,9 +78,9 @@ class Compensation(Section):
     source: Literal["auto", "measured", "demand"] = key(
         "velocity for the model: measured, demanded, or a safe combination of both (auto)", default="auto"
     )
-    fade_s: float = key("time to fade the compensation in and out", "s", default=0.5, gt=0)
+    fade_s: float = key("time to fade the compensation in and out", "s", default=0.5, gt=0, le=MOST_S)
     baseline_s: float = key(
-        "duration of motion without compensation at the start, as a reference", "s", default=0.0, ge=0
+        "duration of motion without compensation at the start, as a reference", "s", default=0.0, ge=0, le=MOST_S
     )
     velocity: Literal["difference", "tracking", "kalman", "drive"] = key(
         "velocity estimate: encoder difference, tracking loop, Kalman filter with the torque, or the drive's velocity",
@@ -72,16 +94,25 @@ class Compensation(Section):
         le=1,
     )
     acceleration: float | None = key(
-        "largest acceleration that the tracking loop follows", f"{VELOCITY} per s", default=None, gt=0
+        "largest acceleration that the tracking loop follows",
+        f"{VELOCITY} per s",
+        default=None,
+        gt=0,
+        le=MOST_ACCELERATION,
     )
     max_acceleration: float | None = key(
         "acceleration above which a measured position is rejected as a glitch",
         f"{VELOCITY} per s",
         default=None,
         gt=0,
+        le=MOST_ACCELERATION,
     )
     dead_band: float = key(
-        "velocity below which the compensation is reduced in proportion", VELOCITY, default=0.0, ge=0
+        "velocity below which the compensation is reduced in proportion",
+        VELOCITY,
+        default=0.0,
+        ge=0,
+        le=MOST_VELOCITY,
     )
     adaptation: Adaptation | None = key("slow adaptation of the friction level; by default off", default=None)
 
@@ -95,11 +126,13 @@ class Compensation(Section):
 class Controller(Section):
     """Control loops of the daemon: position P and velocity PI in cst, position P in csv."""
 
-    position_gain: float = key("gain of the position loop, velocity per position error", "1/s", ge=0)
+    position_gain: float = key("gain of the position loop, velocity per position error", "1/s", ge=0, le=1e6)
     velocity_gain: float = key(
-        "gain of the velocity loop, torque per velocity error (cst)", "N m s/rad or N s/m", default=0.0, ge=0
+        "gain of the velocity loop, torque per velocity error (cst)", "N m s/rad or N s/m", default=0.0, ge=0, le=1e9
     )
-    integral_hz: float = key("corner frequency of the velocity loop's integral part (cst)", "Hz", default=0.0, ge=0)
+    integral_hz: float = key(
+        "corner frequency of the velocity loop's integral part (cst)", "Hz", default=0.0, ge=0, le=5e3
+    )
 
 
 class Shadow(Section):
@@ -242,11 +275,30 @@ def _limit_mistakes(axis: AxisConfig, has_setpoint: bool) -> Iterator[Mistake]:
     if speed > limits.velocity:
         message = f"is {limits.velocity:g}, but the trajectory moves at up to {speed:.4g} (rad/s or m/s)"
         yield ("limits", "velocity"), message
+    yield from _travel_mistakes(axis)
     if axis.experiment is not None:
         if axis.experiment.velocity > limits.velocity:
             yield ("experiment", "velocity"), f"is above limits.velocity, {limits.velocity:g}"
         if axis.experiment.axis not in (None, axis.model.axis):
             yield ("experiment", "axis"), f"is {axis.experiment.axis}, but the model is for a {axis.model.axis} axis"
+
+
+def _travel_mistakes(axis: AxisConfig) -> Iterator[Mistake]:
+    """Check that the motions fit between the position limits from one start at least."""
+    if axis.limits.position is None:
+        return
+    low, high = axis.limits.position
+    motions = [
+        (("trajectory", name), reach)
+        for name in ("radius", "amplitude", "travel")
+        if (reach := getattr(axis.trajectory, name, None)) is not None
+    ]
+    if axis.experiment is not None:
+        motions.append((("experiment", "travel"), axis.experiment.travel))
+    for steps, reach in motions:
+        if 2.0 * reach > high - low > 0.0:
+            text = f"is {reach:g} to either side, but limits.position [{low:g}, {high:g}] leaves room for"
+            yield steps, f"{text} {0.5 * (high - low):g} at most, from its middle"
 
 
 def _compensation_mistakes(axis: AxisConfig) -> Iterator[Mistake]:

@@ -1,6 +1,8 @@
 """Configuration of the CAN bus."""
 
+import ipaddress
 import math
+import re
 from collections.abc import Iterator
 from typing import Any, Literal, Self
 
@@ -12,12 +14,13 @@ from friction_hil.errors import choices
 
 # Interfaces whose keys are all known, with their keys besides interface and channel.
 _BUS_KEYS = {
-    "udp_multicast": ("port", "hop_limit"),
-    "virtual": (),
+    "udp_multicast": ("port", "hop_limit", "bitrate"),
+    "virtual": ("bitrate",),
     "socketcan": ("bitrate",),
     "slcan": ("bitrate",),
 }
 _SYNC_COB_ID = 0x80
+MULTICAST = "239.74.163.2"  # of the examples
 
 
 class BusConfig(Section):
@@ -35,10 +38,11 @@ class BusConfig(Section):
     )
     sync_cob_id: int = key("identifier of SYNC (1005h), to which a sidecar locks", default=0x80, ge=1, le=0x7FF)
     bitrate: int | None = key(
-        "bit rate; for socketcan the rate set by 'ip link', used to compute the bus load",
+        "bit rate, used to compute the bus load; for socketcan the rate set by 'ip link'",
         "bit/s",
         default=None,
-        gt=0,
+        ge=1_000,
+        le=20_000_000,
     )
     port: int | None = key("UDP port of udp_multicast", default=None, ge=1, le=65535)
     hop_limit: int | None = key(
@@ -72,6 +76,7 @@ def _mistakes(bus: BusConfig) -> Iterator[Mistake]:
             yield (name,), f"must be a finite number, not {show(value)}"
     if bus.role == "master" and bus.sync_cob_id != _SYNC_COB_ID:
         yield ("sync_cob_id",), "is only for role: sidecar; as master the daemon sends SYNC as 080h"
+    yield from _channel_mistakes(bus)
     allowed = _BUS_KEYS.get(bus.interface)
     if allowed is None:
         return
@@ -80,3 +85,19 @@ def _mistakes(bus: BusConfig) -> Iterator[Mistake]:
     for name in ("bitrate", "port", "hop_limit"):
         if getattr(bus, name) is not None and name not in allowed:
             yield (name,), f"has no meaning for the interface {bus.interface}: remove it"
+
+
+def _channel_mistakes(bus: BusConfig) -> Iterator[Mistake]:
+    """Check that the channel is of the kind that the interface has."""
+    try:
+        address = ipaddress.ip_address(bus.channel) if isinstance(bus.channel, str) else None
+    except ValueError:
+        address = None
+    if bus.interface == "udp_multicast" and (address is None or not address.is_multicast):
+        text = f"must be a multicast address such as {MULTICAST}, not {show(bus.channel)}"
+        is_can = isinstance(bus.channel, str) and re.fullmatch(r"v?s?l?can[0-9]+", bus.channel)
+        yield ("channel",), f"{text}; {bus.channel} is a channel of interface: socketcan" if is_can else text
+    elif bus.interface == "socketcan" and address is not None:
+        yield ("channel",), f"must be a CAN interface such as can0; {bus.channel} is one for interface: udp_multicast"
+    elif bus.interface == "socketcan" and not isinstance(bus.channel, str):
+        yield ("channel",), f"must be the name of a CAN interface such as can0, not {show(bus.channel)}"

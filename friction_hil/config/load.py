@@ -1,5 +1,6 @@
 """Loading of a configuration from a file or from plain values, with all mistakes reported at once."""
 
+import difflib
 import os
 import re
 import sys
@@ -15,7 +16,7 @@ from friction_hil.checked_yaml.text import Document, FieldPath
 from friction_hil.config.axis import NAME_PATTERN, AxisConfig, split_options
 from friction_hil.config.drivers import load_driver
 from friction_hil.config.schema import Configuration
-from friction_hil.errors import ConfigurationError, OptionError, Problem, choices
+from friction_hil.errors import ConfigurationError, OptionError, Problem
 
 # Model of an axis whose model file does not exist yet. The tiny inertia has no effect; it satisfies the options that
 # need an inertia above zero.
@@ -23,6 +24,8 @@ _WITHOUT_FRICTION = {
     "friction": {"model": "coulomb", "parameters": {"coulomb": 0.0}},
     "mechanics": {"inertia": sys.float_info.min},
 }
+_MOST_SIBLINGS = 100  # files of a folder that are looked at for one that may be meant
+_HEAD_BYTES = 65536  # of a file, in which a model file has its key `friction`
 
 
 def load(path: str | Path, *, needs_models: bool = True) -> Configuration:
@@ -82,6 +85,9 @@ def file_problems(path: str | Path, configuration: Configuration) -> list[Proble
         found.append(origins.at_option(mixed))
     for driver in dict.fromkeys(axis.driver for axis in configuration.axes.values()):
         check = getattr(load_driver(driver), "check_files", None)
+        check_bus = getattr(load_driver(driver), "check_bus", None)
+        if check_bus is not None and configuration.bus is not None:
+            found += [origins.locate(("bus", key), text) for key, text in check_bus(configuration.bus)]
         axes = {name: axis for name, axis in configuration.axes.items() if axis.driver == driver}
         for name, key, error in () if check is None else check(configuration, axes):
             if isinstance(error, ConfigurationError):
@@ -89,6 +95,22 @@ def file_problems(path: str | Path, configuration: Configuration) -> list[Proble
             else:
                 found.append(origins.locate(("axes", name, *key.split(".")), str(error)))
     return list(dict.fromkeys(found))
+
+
+def missing_models(path: str | Path, configuration: Configuration) -> list[Problem]:
+    """Return a note for each model file that ``configuration``, read from ``path``, names and that is not there yet.
+
+    See `load` with ``needs_models=False``.
+    """
+    document = yaml_text.read(path)
+    origins = _Origins(document)
+    notes = []
+    for name, axis in configuration.axes.items():
+        file = axis.model.source_path
+        if file is not None and not os.path.lexists(file):
+            given = document.value["axes"][name]["model"]
+            notes.append(origins.locate(("axes", name, "model"), no_model_file(file, given)))
+    return notes
 
 
 def only_driver(configuration: Configuration) -> str:
@@ -190,7 +212,7 @@ class _ModelReader:
         if isinstance(axis.get("model"), str):
             steps: FieldPath = ("axes", name, "model")
             path = self._directory / axis["model"]
-            if self._needs_models or os.path.isfile(path):
+            if self._needs_models or os.path.lexists(path) or "\0" in axis["model"]:
                 inlined["model"] = self._read(axis["model"], steps)
             else:
                 self._files[steps] = path
@@ -215,9 +237,7 @@ class _ModelReader:
     def _read(self, name: str, steps: FieldPath) -> Any:
         path = self._directory / name
         if not os.path.isfile(path):  # unlike Path.is_file it returns False for a name that is too long
-            siblings = [str(Path(name).parent / item.name) for item in path.parent.glob("*.y*ml")]
-            message = f"there is no model file {path} ('friction-hil tune' makes one); {choices(name, siblings)}"
-            self._problems.append(self._origins.locate(steps, message))
+            self._problems.append(self._origins.locate(steps, no_model_file(path, name)))
             self._origins.broken.append(steps)
             return None
         try:
@@ -230,6 +250,34 @@ class _ModelReader:
         self._origins.add(steps, document)
         self._files[steps] = path
         return document.value
+
+
+def no_model_file(path: Path, name: str) -> str:
+    """Say that a model file is not there, how it is made, and which one in its folder may be meant.
+
+    Parameters
+    ----------
+    path : Path
+    name : str
+        The path as the configuration gives it.
+    """
+    text = f"there is no model file {path}; 'friction-hil tune' identifies the friction of the axis and writes it"
+    try:
+        siblings = sorted(path.parent.glob("*.y*ml"))[:_MOST_SIBLINGS]
+        models = [str(Path(name).parent / each.name) for each in siblings if _is_model_file(each)]
+    except (OSError, ValueError):  # the name is not that of any file
+        return text
+    close = difflib.get_close_matches(name, models, n=1, cutoff=0.6)
+    return f"{text}; did you mean {close[0]!r}?" if close else text
+
+
+def _is_model_file(path: Path) -> bool:
+    """True for a file that looks like a model file, so that no other one is suggested in the place of one."""
+    try:
+        with open(path, "rb") as file:
+            return re.search(rb"^friction:", file.read(_HEAD_BYTES), re.MULTILINE) is not None
+    except OSError:
+        return False
 
 
 def _kind(axis: dict[str, Any]) -> str:

@@ -24,7 +24,10 @@ class Realtime(Section):
     priority: int = key("SCHED_FIFO priority; 0: ordinary scheduling", default=80, ge=0, le=99)
     spin_us: int = key("busy waiting before each deadline, to reduce the wake-up latency", "us", default=200, ge=0)
     max_missed: int = key(
-        "number of consecutive periods, missed or without feedback, that are bridged before a fault", default=10, ge=1
+        "number of consecutive periods, missed or without feedback, that are bridged before a fault",
+        default=10,
+        ge=1,
+        le=1_000_000,
     )
 
 
@@ -74,6 +77,10 @@ def _mistakes(configuration: Configuration) -> Iterator[Mistake]:
         elif axis.trajectory.kind == "master" and not is_sidecar:
             text = "'master' needs bus.role: sidecar; without it the daemon itself moves the axis"
             yield ("axes", name, "trajectory", "kind"), text
+        frequency, highest = getattr(axis.trajectory, "frequency", 0.0), 0.5 / configuration.period_s
+        if frequency >= highest:
+            text = f"must be below half of the set-points per second, {highest:g} Hz, not {frequency:g}"
+            yield ("axes", name, "trajectory", "frequency"), text
     by_driver: dict[str, dict[str, AxisConfig]] = {}
     for name, axis in configuration.axes.items():
         by_driver.setdefault(axis.driver, {})[name] = axis

@@ -5,18 +5,29 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from friction_hil.checked_yaml.section import POSITION, VELOCITY, Section, key
+from friction_hil.checked_yaml.section import (
+    LEAST_FREQUENCY_HZ,
+    MOST_ACCELERATION,
+    MOST_FREQUENCY_HZ,
+    MOST_POSITION,
+    MOST_VELOCITY,
+    POSITION,
+    VELOCITY,
+    Section,
+    key,
+)
 
-_RAMP = key("time from rest to full speed, and from full speed to rest", "s", default=1.0, gt=0)
+LONGEST_EXPERIMENT_S = 600.0  # 60 s are usual, and the whole path is examined before the first motion
+_RAMP = key("time from rest to full speed, and from full speed to rest", "s", default=1.0, gt=0, le=3600)
 
 
 class Circle(Section):
     """x = radius cos(2 pi frequency t + phase). A circle needs a second axis with a phase of -pi/2."""
 
     kind: Literal["circle"]
-    radius: float = key("amplitude of this axis", POSITION, gt=0)
-    frequency: float = key("laps per second", "Hz", gt=0)
-    phase: float = key("phase of this axis", "rad", default=0.0)
+    radius: float = key("amplitude of this axis", POSITION, gt=0, le=MOST_POSITION)
+    frequency: float = key("laps per second", "Hz", ge=LEAST_FREQUENCY_HZ, le=MOST_FREQUENCY_HZ)
+    phase: float = key("phase of this axis", "rad", default=0.0, ge=-1e3, le=1e3)
     ramp_s: float = _RAMP
 
 
@@ -24,9 +35,9 @@ class Sine(Section):
     """x = amplitude sin(2 pi frequency t + phase)."""
 
     kind: Literal["sine"]
-    amplitude: float = key("amplitude", POSITION, gt=0)
-    frequency: float = key("periods per second", "Hz", gt=0)
-    phase: float = key("phase", "rad", default=0.0)
+    amplitude: float = key("amplitude", POSITION, gt=0, le=MOST_POSITION)
+    frequency: float = key("periods per second", "Hz", ge=LEAST_FREQUENCY_HZ, le=MOST_FREQUENCY_HZ)
+    phase: float = key("phase", "rad", default=0.0, ge=-1e3, le=1e3)
     ramp_s: float = _RAMP
 
 
@@ -34,8 +45,8 @@ class Triangle(Section):
     """Motion to and fro at constant speed, with rounded corners."""
 
     kind: Literal["triangle"]
-    amplitude: float = key("amplitude", POSITION, gt=0)
-    frequency: float = key("periods per second", "Hz", gt=0)
+    amplitude: float = key("amplitude", POSITION, gt=0, le=MOST_POSITION)
+    frequency: float = key("periods per second", "Hz", ge=LEAST_FREQUENCY_HZ, le=MOST_FREQUENCY_HZ)
     rounding: float = key(
         "duration of the rounding of a corner, as a fraction of a quarter period", "1", default=0.1, gt=0, le=0.5
     )
@@ -44,10 +55,12 @@ class Triangle(Section):
 class ExperimentBounds(Section):
     """Bounds of the motion of an identification experiment."""
 
-    velocity: float = key("highest speed, reached if travel permits", VELOCITY, gt=0)
-    travel: float = key("largest distance from the start, to either side", POSITION, gt=0)
-    acceleration: float | None = key("highest acceleration", f"{VELOCITY} per s", default=None, gt=0)
-    duration_s: float = key("duration", "s", default=60.0, ge=10)
+    velocity: float = key("highest speed, reached if travel permits", VELOCITY, gt=0, le=MOST_VELOCITY)
+    travel: float = key("largest distance from the start, to either side", POSITION, gt=0, le=MOST_POSITION)
+    acceleration: float | None = key(
+        "highest acceleration", f"{VELOCITY} per s", default=None, gt=0, le=MOST_ACCELERATION
+    )
+    duration_s: float = key("duration", "s", default=60.0, ge=10, le=LONGEST_EXPERIMENT_S)
     ramp_s: float = _RAMP
 
 

@@ -1,5 +1,6 @@
 """All checks of a machine and a configuration before a run; no drive receives a byte unless watchdogs are tried."""
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -82,7 +83,7 @@ def _load(path: Path) -> tuple[Configuration | None, list[Problem]]:
 def _missing_models(configuration: Configuration) -> Iterator[Finding]:
     for name, axis in configuration.axes.items():
         file = axis.model.source_path
-        if file is not None and not file.exists():
+        if file is not None and not os.path.lexists(file):
             yield Finding(
                 f"{name}: model", "warn", f"{file} does not exist yet", "friction-hil tune makes it", "FH-403"
             )

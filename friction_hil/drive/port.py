@@ -226,6 +226,10 @@ class Driver(Protocol):
 
     ``check_files(configuration, axes)``
         Yields the errors in the files named by its keys as (axis, key, error); no port or bus is opened.
+    ``check_bus(bus)``
+        Yields what is wrong with the section ``bus`` of a configuration as (key, message); nothing is opened.
+    ``new_keys(wanted)``
+        Returns its keys in a new configuration; see `friction_hil.config.new_file.Wanted`.
     ``check_machine(root)``
         Yields a `friction_hil.drive.Finding` for everything that its kind of drive needs of the machine, from the files
         below ``root`` (a Path; ``/`` of a real machine). Drivers that need the same yield equal findings.

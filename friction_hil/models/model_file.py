@@ -9,12 +9,13 @@ from pydantic import PrivateAttr, model_validator
 
 from friction_hil import friction
 from friction_hil.checked_yaml.messages import Mistake, refuse
-from friction_hil.checked_yaml.section import Section, key
+from friction_hil.checked_yaml.section import MOST_TORQUE, Section, key
 from friction_hil.errors import UsageError
 from friction_hil.friction import Axis, FrictionModel, InvalidParameterError, Network, NetworkStructure
 from friction_hil.friction.modifiers import check_modifiers
 from friction_hil.friction.parameters import check_all
 
+_TORQUE = {"ge": -MOST_TORQUE, "le": MOST_TORQUE}
 NETWORK = "network"  # a trained network, the only model without a family in the registry
 
 
@@ -142,19 +143,19 @@ class Friction(Section):
 class Gravity(Section):
     """Torque of gravity over position q: constant + sine sin(q) + cosine cos(q)."""
 
-    constant: float = key("constant part", "N m or N", default=0.0)
-    sine: float = key("factor of sin(position)", "N m or N", default=0.0)
-    cosine: float = key("factor of cos(position)", "N m or N", default=0.0)
+    constant: float = key("constant part", "N m or N", default=0.0, **_TORQUE)
+    sine: float = key("factor of sin(position)", "N m or N", default=0.0, **_TORQUE)
+    cosine: float = key("factor of cos(position)", "N m or N", default=0.0, **_TORQUE)
 
 
 class Mechanics(Section):
     """Mechanics of the axis apart from friction."""
 
-    inertia: float = key("inertia or mass of motor and load, at the axis", "kg m^2 or kg", default=0.0, ge=0)
-    offset: float = key("constant torque that is not friction", "N m or N", default=0.0)
+    inertia: float = key("inertia or mass of motor and load, at the axis", "kg m^2 or kg", default=0.0, ge=0, le=1e9)
+    offset: float = key("constant torque that is not friction", "N m or N", default=0.0, **_TORQUE)
     gravity: Gravity = key("torque of gravity", default=Gravity())
-    delay_s: float = key("time from the command of a torque to its start", "s", default=0.0, ge=0)
-    torque_lag_s: float = key("time constant of the torque", "s", default=0.0, ge=0)
+    delay_s: float = key("time from the command of a torque to its start", "s", default=0.0, ge=0, le=10)
+    torque_lag_s: float = key("time constant of the torque", "s", default=0.0, ge=0, le=10)
 
 
 class ModelFile(Section):

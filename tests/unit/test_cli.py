@@ -239,7 +239,7 @@ def test_check_reports_every_mistake_of_every_file(tmp_path, capsys):
     out, err = capsys.readouterr()
     bad, good = json.loads(out)["files"]
     assert err == ""
-    assert good == {"path": DEMO, "problems": []}
+    assert good == {"path": DEMO, "problems": [], "notes": []}
     assert len(bad["problems"]) == 3
     assert bad["problems"][0] == {
         "path": str(path),

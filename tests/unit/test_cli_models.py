@@ -131,6 +131,14 @@ def test_example_can_be_pasted_into_a_model_file(name, columns, folder, capsys, 
 
 
 @pytest.mark.parametrize("name", NAMES)
+def test_example_is_a_whole_model_file(name, folder, capsys):
+    out = output_of(capsys, name)
+    text = out[out.index("version: 1\n") :].partition("\n\n")[0]
+    (folder / "made.yaml").write_text(text)
+    assert load_model_file("made.yaml").friction_model.parameters == example(name).parameters
+
+
+@pytest.mark.parametrize("name", NAMES)
 def test_description(name, capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "160")
     out = output_of(capsys, name)

@@ -4,6 +4,7 @@ import copy
 import json
 import math
 import re
+import time
 
 import pytest
 import yaml
@@ -11,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from friction_hil.checked_yaml.text import dump
-from friction_hil.config import from_dict, json_schema, load, self_contained
+from friction_hil.config import from_dict, json_schema, load, missing_models, self_contained
 from friction_hil.errors import ConfigurationError, UsageError
 from friction_hil.models.files import load_model_file, model_from_argument
 from tests.fake_drivers import GOOD, changed, good, install
@@ -92,7 +93,15 @@ CASES = [
     ("  port: 43113", "  port: 43_113", "bus.port", "write 43113"),
     ("  port: 43113", "  port: 70000", "bus.port", "at most 65535"),
     ("  port: 43113", "  port: 1.0", "bus.port", "write 1"),
-    ("  port: 43113", "  bitrate: 1000", "bus.bitrate", "no meaning for the interface udp_multicast"),
+    ("  port: 43113", "  bitrate: 10", "bus.bitrate", "must be at least 1000"),
+    (
+        "  channel: 239.74.163.2",
+        "  channel: can0",
+        "bus.channel",
+        "multicast address such as 239.74.163.2, not the text",
+    ),
+    ("  channel: 239.74.163.2", "  channel: can0", "bus.channel", "can0 is a channel of interface: socketcan"),
+    ("  channel: 239.74.163.2", "  channel: 10.0.0.1", "bus.channel", "multicast address"),
     ("  port: 43113", "  prot: 43113", "bus.prot", "did you mean 'port'?"),
     ("  channel: 239.74.163.2", "  channel: [1]", "bus.channel", "must be a whole number, not a list; or"),
     ("  x:", "  X:", "axes.X", "small letters"),
@@ -110,6 +119,11 @@ CASES = [
     ("    limits:", "    limit:", "axes.x.limit", "did you mean 'limits'?"),
     ("      torque: 0.3", "      torque: -0.3", "axes.x.limits.torque", "must be above 0 N m"),
     ("      torque: 0.3", "      torque: 0.3 Nm", "axes.x.limits.torque", "write the number alone, 0.3"),
+    ("      torque: 0.3", "      torque: 1e300", "axes.x.limits.torque", "at most 1e+07 N m or N, not 1e+300"),
+    ("      torque: 0.3", "      torque: 30%", "axes.x.limits.torque", "a percentage; give the value in N m or N"),
+    ("      torque: 0.3", "      torque:", "axes.x.limits.torque", "not empty: fill in the limit of abs(compensation)"),
+    ("      velocity: 30.0", "      velocity: 1e300", "axes.x.limits.velocity", "at most 1e+06"),
+    ("      position: [-10.0, 10]", "      position: [-1e300, 10]", "axes.x.limits.position[0]", "at least -1e+09"),
     ("      torque: 0.3", "      torqe: 0.3", "axes.x.limits.torqe", "did you mean 'torque'?"),
     ("      position: [-10.0, 10]", "      position: [1, 1]", "axes.x.limits.position", "[lowest, highest]"),
     ("      position: [-10.0, 10]", "      position: [1]", "axes.x.limits.position", "at least 2 values"),
@@ -122,7 +136,10 @@ CASES = [
     ("          sigma0: 2000", "          sigma: 1", "axes.x.model.friction.parameters.sigma", "sigma0"),
     ("        inertia: 2e-4", "        inertia: [2e-4]", "axes.x.model.mechanics.inertia", "not a list"),
     ("        inertia: 2e-4", "        inertia: -1", "axes.x.model.mechanics.inertia", "kg m^2 or kg"),
+    ("        inertia: 2e-4", "        inertia: 1e300", "axes.x.model.mechanics.inertia", "at most 1e+09"),
     ("      gain: 0.8", "      gain: 1.6", "axes.x.compensation.gain", "at least 0 and at most 1.5, not 1.6"),
+    ("      gain: 0.8", "      gain: 90%", "axes.x.compensation.gain", "write 0.9"),
+    ("      gain: 0.8", "      gain: 12.5 %", "axes.x.compensation.gain", "write 0.125"),
     ("      gain: 0.8", "      enabled: yes", "axes.x.compensation.enabled", "write true"),
     ("      gain: 0.8", "      enabled: 1", "axes.x.compensation.enabled", "must be true or false, not 1"),
     ("      gain: 0.8", "      smoothing: 0.05", "axes.x.compensation.smoothing", "cycles"),
@@ -130,6 +147,7 @@ CASES = [
     ("      kind: circle", "      kind: circel", "axes.x.trajectory.kind", "one of 'circle', 'sine'"),
     ("      radius: 1.0", "      radus: 1.0", "axes.x.trajectory.radus", "did you mean 'radius'?"),
     ("      kind: circle", "", "axes.x.trajectory", "needs the key 'kind'"),
+    ("      frequency: 0.5", "      frequency: 5e-324", "axes.x.trajectory.frequency", "at least 1e-05"),
     ("      radius: 1.0", "      radius: 0", "axes.x.trajectory.radius", "must be above 0 rad or m"),
     ("      rate_hz: 4000.0", "      rate: 1", "axes.x.simulation.rate", "did you mean 'rate_hz'?"),
     ("  path: out/run.mcap", "  path: 3", "recording.path", "3"),
@@ -167,6 +185,37 @@ def test_a_driver_without_simulated_drive(path):
     assert problem.message.startswith(
         "there are simulated drives for ascii, canopen, dynamixel, fake, modbus: no driver is called"
     )
+
+
+@pytest.mark.parametrize("text", ["9" * 32_000 + "x", "0" * 32_000 + "x", "1" + ":00" * 10_000, "9" * 32_000 + ":00"])
+def test_a_very_long_number_is_refused_without_a_long_search(path, text):
+    started = time.process_time()
+    [problem] = problems_in(path, GOOD.replace("period_s: 1e-3", f"period_s: {text}"))
+    assert time.process_time() - started < 1.0  # a search in quadratic time takes several
+    assert (problem.line, problem.field) == (2, "period_s")
+    assert len(problem.message) < 200
+
+
+def test_only_model_files_are_suggested_for_a_missing_one(tmp_path, path):
+    text = re.sub(r"    model:\n(?:      .*\n)+", "    model: axes.yaml\n", GOOD, count=1)
+    [problem] = problems_in(path, text)  # in axis.yaml itself, which is no model file
+    assert problem.message.startswith("there is no model file")
+    assert "'friction-hil tune'" in problem.message
+    assert "did you mean" not in problem.message
+    (tmp_path / "axes1.yaml").write_text("axis: rotary\nfriction: {model: coulomb, parameters: {coulomb: 0.1}}\n")
+    [problem] = problems_in(path, text)
+    assert problem.message.endswith("did you mean 'axes1.yaml'?")
+
+
+def test_a_model_file_that_is_not_there_yet_is_a_note(path):
+    path.write_text(re.sub(r"    model:\n(?:      .*\n)+", "    model: later.yaml\n", GOOD, count=1))
+    configuration = load(path, needs_models=False)
+    [note] = missing_models(path, configuration)
+    assert (note.line, note.field) == (18, "axes.x.model")
+    assert str(path.parent / "later.yaml") in note.message
+    (path.parent / "later.yaml").mkdir()  # a folder is no file that tune could write
+    with pytest.raises(ConfigurationError, match="there is no model file"):
+        load(path, needs_models=False)
 
 
 def test_all_mistakes_are_reported_at_once(path):
@@ -227,6 +276,28 @@ def test_all_mistakes_are_reported_at_once(path):
         ({"bus__interface": "socketcan", "bus__channel": "can0"}, "bus.port", "no meaning"),
         ({"bus": {"interface": "pcan", "channel": "PCAN_USBBUS1", "timing": [1]}}, "bus.timing", "single value"),
         ({"bus": {"interface": "pcan", "channel": "PCAN_USBBUS1", "delay": math.nan}}, "bus.delay", "finite"),
+        ({"bus": {"interface": "socketcan", "channel": "239.74.163.2"}}, "bus.channel", "for interface: udp_multicast"),
+        ({"axes__x__limits__position": [-0.9, 0.9]}, "axes.x.trajectory.radius", "room for 0.9 at most"),
+        (
+            {"axes__x__trajectory": {"kind": "sine", "amplitude": 1e-3, "frequency": 500.0}},
+            "axes.x.trajectory.frequency",
+            "must be below half of the set-points per second, 500 Hz, not 500",
+        ),
+        (
+            {"axes__x__experiment": {"velocity": 3.0, "travel": 100.0}},
+            "axes.x.experiment.travel",
+            "is 100 to either side, but limits.position [-10, 10] leaves room for 10 at most",
+        ),
+        (
+            {"axes__x__experiment": {"velocity": 3.0, "travel": 1.0, "duration_s": 36000.0}},
+            "axes.x.experiment.duration_s",
+            "at most 600 s",
+        ),
+        (
+            {"axes__x__trajectory": {"kind": "experiment", "velocity": 3.0, "travel": 1.0, "duration_s": 36000.0}},
+            "axes.x.trajectory.duration_s",
+            "at most 600 s",
+        ),
         ({"axes__x__model": "x" * 300}, "axes.x.model", "there is no model file"),
         ({"axes__x__model": "no\0where/x"}, "axes.x.model", "there is no model file"),
     ],

@@ -315,13 +315,26 @@ def test_a_bus_that_opens(look):
         ({"interface": "socketcan", "channel": "can77"}, "fail", "there is no interface can77; CAN interfaces of"),
         ({"interface": "slcan", "channel": "/dev/none"}, "fail", "/dev/none: there is no such device"),
         ({"interface": "slcan", "channel": "/dev/null"}, "warn", "slcan /dev/null is not opened here"),
-        ({"interface": "pcam", "channel": "x"}, "fail", "python-can has no interface 'pcam'"),
     ],
 )
 def test_a_bus_that_does_not_open_or_is_not_opened(look, bus, result, text):
     found, status = look(NODE, bus=bus)
     assert (found["bus"]["result"], status) == (result, int(result == "fail"))
     assert text in found["bus"]["detail"]
+
+
+def test_an_interface_that_python_can_does_not_have_is_a_mistake_of_the_configuration(look, write, capsys):
+    found, status = look(NODE, bus={"interface": "pcam", "channel": "x"})
+    assert "bus" not in found
+    assert status == 2
+    text = "bus.interface: python-can has no interface 'pcam'; did you mean 'pcan'? There are: "
+    assert found["configuration"]["detail"].startswith(text)
+    path = write(NODE, bus={"interface": "foo", "channel": "x"})
+    assert main(["config", "check", str(path)]) == 2
+    err = capsys.readouterr().err
+    line = path.read_text().splitlines().index("  interface: foo") + 1
+    assert err.startswith(f"{path}:{line}: bus.interface: python-can has no interface 'foo'; There are: ")
+    assert ", socketcan, " in err
 
 
 @pytest.mark.parametrize(("bitrate", "result"), [(1_000_000, "pass"), (125_000, "fail")])

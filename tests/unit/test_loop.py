@@ -252,7 +252,7 @@ def test_a_dry_run_listens_computes_and_sends_nothing():
 
 
 def test_a_dry_run_needs_no_room_for_the_path():
-    run = Run(axis(limits=LIMITS | {"position": [-0.01, 0.01]}), dry_run=True, duration_s=0.1)
+    run = Run(axis(limits=LIMITS | {"position": [-0.01, 10.0]}), dry_run=True, duration_s=0.1)
     assert run.result.faults == []
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, ClassVar
 
 from friction_hil.errors import UsageError
 from friction_hil_drivers.ascii import DESCRIPTIONS
@@ -150,3 +151,10 @@ class AsciiDrives(SerialDrives):
     description_type = AsciiDescription
     descriptions = DESCRIPTIONS
     protocol = AsciiLine
+    address_key = "axis"
+    simulated: ClassVar[Mapping[str, Any]] = {
+        "description": "odrive",
+        "torque_constant": 0.06,
+        "baud": 921600,
+        "period_s": 4e-3,
+    }

@@ -78,11 +78,15 @@ def require_known(config: "BusConfig") -> None:
     UsageError
         It has not; the message lists those that it has.
     """
-    if config.interface not in VALID_INTERFACES:
-        raise UsageError(
-            f"bus.interface: python-can has no interface {config.interface!r}",
-            choices(config.interface, VALID_INTERFACES),
-        )
+    if text := unknown_interface(config.interface):
+        raise UsageError(f"bus.interface: {text}")
+
+
+def unknown_interface(name: str) -> str:
+    """Return a message that lists python-can's interfaces if it has none of this name, else ""."""
+    if name in VALID_INTERFACES:
+        return ""
+    return f"python-can has no interface {name!r}; {choices(name, VALID_INTERFACES)}"
 
 
 def _require_route(group: str, port: int) -> None:

@@ -20,15 +20,30 @@ if TYPE_CHECKING:
     from friction_hil.config import AxisConfig, BusConfig, Configuration
 
 _SILENT = ("socketcan", "udp_multicast", "virtual")  # opening one of these disturbs no other node
+_USUAL = (*_SILENT, "slcan", "pcan", "kvaser")
+
+
+def check_bus(config: "BusConfig") -> Iterator[tuple[str, str]]:
+    """Check that python-can has the interface; see `friction_hil.drive.Driver`."""
+    if config.interface in _USUAL:
+        return
+    # imported here: python-can takes 0.5 s, and the usual interfaces are known
+    from friction_hil_drivers.canopen.bus import unknown_interface
+
+    if text := unknown_interface(config.interface):
+        yield "interface", text
 
 
 def check_connection(configuration: "Configuration", axes: "Mapping[str, AxisConfig]") -> Iterator[Finding]:
     """Yield the state of the bus, its load and the owner of each drive; see `friction_hil.drive.Driver`."""
     config = configuration.bus
     assert config is not None  # the driver's options have checked it
-    opened = _opened(config)
-    yield opened
-    if config.interface == "socketcan" and opened.result == "pass":
+    is_open = False
+    if not any(check_bus(config)):  # else that is a mistake of the configuration, which has been reported
+        opened = _opened(config)
+        is_open = opened.result == "pass"
+        yield opened
+    if config.interface == "socketcan" and is_open:
         name = str(config.channel)
         yield interfaces.check_interface(name, interfaces.ask_ip(name), config.bitrate)
     if config.bitrate is not None:
@@ -40,11 +55,10 @@ def check_connection(configuration: "Configuration", axes: "Mapping[str, AxisCon
 
 def _opened(config: "BusConfig") -> Finding:
     # imported here: python-can takes 0.5 s, and reading a configuration does not need it
-    from friction_hil_drivers.canopen.bus import open_bus, require_known
+    from friction_hil_drivers.canopen.bus import open_bus
 
     check = "bus"
     try:
-        require_known(config)
         if config.interface in _SILENT:
             open_bus(config).shutdown()
             return Finding(check, "pass", f"{bus_name(config)} can be opened")

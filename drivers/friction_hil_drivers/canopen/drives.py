@@ -15,7 +15,7 @@ from friction_hil.drive.finding import Finding, failure
 from friction_hil.errors import BusError, DriveError, FrictionHilError, UsageError
 from friction_hil_drivers.canopen import codes, interfaces, objects
 from friction_hil_drivers.canopen.axis import CanopenAxis
-from friction_hil_drivers.canopen.checks import check_connection
+from friction_hil_drivers.canopen.checks import check_bus, check_connection
 from friction_hil_drivers.canopen.configure import configure, with_notes
 from friction_hil_drivers.canopen.eds_check import compare_axis, read_eds
 from friction_hil_drivers.canopen.exchange import CyclicExchange
@@ -34,6 +34,7 @@ from friction_hil_drivers.canopen.listening import (
     look,
 )
 from friction_hil_drivers.canopen.mapping import check_bus_load
+from friction_hil_drivers.canopen.new_keys import new_keys
 from friction_hil_drivers.canopen.nmt_state import ask_nmt_state, unknown_nmt_state
 from friction_hil_drivers.canopen.options import CanopenOptions, canopen_options
 from friction_hil_drivers.canopen.passive import PassiveAxis, PassiveExchange
@@ -74,7 +75,9 @@ class CanopenDrives:
 
     Options = CanopenOptions
     check_machine = staticmethod(interfaces.check_machine)
+    check_bus = staticmethod(check_bus)
     check_connection = staticmethod(check_connection)
+    new_keys = staticmethod(new_keys)
 
     @classmethod
     def check_files(

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from friction_hil.config import AxisConfig, BusConfig
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+_MOST_COUNTS = 1e15  # per rad or m; with the next one far beyond any drive
+_MOST_TORQUE = 1e7  # N m or N
 
 
 class Identity(BaseModel):
@@ -38,10 +40,13 @@ class CanopenOptions(BaseModel):
     eds: Path | None = Field(None, description="EDS or DCF of the drive; widths of mapped objects are checked")
     counts_per_unit: Positive | None = Field(
         None,
+        le=_MOST_COUNTS,
         description="encoder counts per rad of the motor (per m on a linear axis); from 608Fh when not given",
     )
     rated_torque: Positive | None = Field(
-        None, description="torque at 1000 per mille, N m (N on a linear axis); from 6076h when not given"
+        None,
+        le=_MOST_TORQUE,
+        description="torque at 1000 per mille, N m (N on a linear axis); from 6076h when not given",
     )
     velocity_unit: str | None = Field(
         None,

@@ -1,6 +1,7 @@
 """Driver for Dynamixel Protocol 2.0: exchanges of a cycle on one line, and the drive port."""
 
 from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
 
 from friction_hil_drivers.dynamixel.codec import Member, Order, Read, SyncWrite, Write, alike, read_exchange
 from friction_hil_drivers.dynamixel.description import DESCRIPTIONS, DynamixelDescription
@@ -90,3 +91,10 @@ class DynamixelDrives(SerialDrives):
     description_type = DynamixelDescription
     descriptions = DESCRIPTIONS
     protocol = DynamixelLine
+    address_key = "id"
+    simulated: ClassVar[Mapping[str, Any]] = {
+        "description": "xl330",
+        "counts_per_unit": 651.9,
+        "torque_constant": 0.146,
+        "baud": 1_000_000,
+    }

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from itertools import zip_longest
+from typing import Any, ClassVar
 
 from friction_hil_drivers.modbus.codec import ModbusExchange
 from friction_hil_drivers.modbus.description import DESCRIPTIONS, ModbusDescription
@@ -115,3 +116,9 @@ class ModbusDrives(SerialDrives):
     description_type = ModbusDescription
     descriptions = DESCRIPTIONS
     protocol = ModbusLine
+    address_key = "unit"
+    simulated: ClassVar[Mapping[str, Any]] = {
+        "description": "generic_cia402",
+        "counts_per_unit": 166886.05,
+        "rated_torque": 0.64,
+    }

@@ -14,7 +14,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from friction_hil.drive import AxisFacts, Clock, Command, DriveState, Feedback, Request
 from friction_hil.drive.codes import coded
@@ -26,12 +26,15 @@ from friction_hil_drivers.serial_line.bus import SerialBus
 from friction_hil_drivers.serial_line.commissioning import Commissioning, by_port, descriptions_of, options_of
 from friction_hil_drivers.serial_line.description import Description
 from friction_hil_drivers.serial_line.line import Line, taken
+from friction_hil_drivers.serial_line.new_keys import new_keys
+from friction_hil_drivers.serial_line.options import SerialOptions
 from friction_hil_drivers.serial_line.protocol import Exchange, ProtocolFactory
 from friction_hil_drivers.serial_line.scheduler import BusScheduler
 from friction_hil_drivers.serial_line.waiting import LineSelector, run_schedulers
 
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig, Configuration
+    from friction_hil.config.new_file import DriverKeys, Wanted
 
 _COMPUTATION_S = 3e-4  # kept free in each period after the feedback, at most a tenth of the period
 _SIMULATED_TIMEOUT_NS = 10_000_000_000
@@ -45,9 +48,24 @@ _MAX_REFUSALS = 10  # successive refused commands that are a fault
 class SerialDrives:
     """Drives of some axes on serial lines; see `friction_hil.drive.Drives`. A protocol sets the class attributes."""
 
+    Options: ClassVar[type[SerialOptions]]
     description_type: ClassVar[type[Description]]
     descriptions: ClassVar[Path]  # directory of the descriptions that come with the driver
     protocol: ClassVar[ProtocolFactory]
+    address_key: ClassVar[str]  # key of the drive's address on its line
+    simulated: ClassVar[Mapping[str, Any]]  # what a new configuration of a simulated drive has, see `new_keys`
+
+    @classmethod
+    def new_keys(cls, wanted: "Wanted") -> "DriverKeys":
+        """Return the keys of a new configuration; see `friction_hil.drive.Driver`."""
+        return new_keys(
+            wanted,
+            address_key=cls.address_key,
+            is_address_needed=cls.Options.model_fields[cls.address_key].is_required(),
+            directory=cls.descriptions,
+            kind=cls.description_type,
+            simulated=cls.simulated,
+        )
 
     @classmethod
     def check_files(

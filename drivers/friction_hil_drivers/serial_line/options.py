@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     from friction_hil.config import AxisConfig, BusConfig
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+_MOST_COUNTS = 1e15  # per rad or m; with the next one far beyond any drive
+_MOST_TORQUE = 1e7  # N m or N
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 TCP = "tcp://"
 
@@ -79,10 +81,14 @@ class SerialOptions(BaseModel):
     description: str = Field(
         min_length=1, description="name of a description that comes with the driver, or path of a YAML file"
     )
-    counts_per_unit: Positive | None = Field(None, description="position counts per rad of the motor (per m)")
-    rated_torque: Positive | None = Field(None, description="torque at 100 %, N m (N on a linear axis)")
+    counts_per_unit: Positive | None = Field(
+        None, le=_MOST_COUNTS, description="position counts per rad of the motor (per m)"
+    )
+    rated_torque: Positive | None = Field(
+        None, le=_MOST_TORQUE, description="torque at 100 %, N m (N on a linear axis)"
+    )
     torque_constant: Positive | None = Field(
-        None, description="N m (N) per ampere, if the drive uses current instead of torque"
+        None, le=_MOST_TORQUE, description="N m (N) per ampere, if the drive uses current instead of torque"
     )
     is_inverted: bool = Field(False, description="true to reverse the sign of position, velocity and torque")
     setpoint_delay_cycles: NotNegative | None = Field(

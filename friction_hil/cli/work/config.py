@@ -7,35 +7,47 @@ import click
 
 from friction_hil.checked_yaml.text import dump
 from friction_hil.cli.output import print_json
-from friction_hil.config import file_problems, json_schema, load, self_contained
+from friction_hil.config import file_problems, json_schema, load, missing_models, self_contained
 from friction_hil.errors import ConfigurationError, Problem
 
 
 def check_files(files: Sequence[str], as_json: bool) -> int:
     """Print the mistakes of each configuration; return 2 if there is any."""
     reports: dict[str, tuple[Problem, ...]] = {}
+    notes: dict[str, list[Problem]] = {}
     for file in files:
         try:
-            reports[file] = tuple(file_problems(file, load(file)))
+            configuration = load(file, needs_models=False)
+            reports[file] = tuple(file_problems(file, configuration))
+            notes[file] = missing_models(file, configuration)
         except ConfigurationError as error:
             reports[file] = error.problems
     if as_json:
         found = [
-            {"path": file, "problems": [asdict(problem) for problem in problems]} for file, problems in reports.items()
+            {"path": file, "problems": list(map(asdict, problems)), "notes": list(map(asdict, notes.get(file, ())))}
+            for file, problems in reports.items()
         ]
         print_json({"files": found})
-    else:
-        for file, problems in reports.items():
-            for problem in problems:
-                click.echo(str(problem), err=True)
-            if not problems:
-                click.echo(f"{file}: ok")
+        return 2 if any(reports.values()) else 0
+    for file, problems in reports.items():
+        for problem in problems:
+            click.echo(str(problem), err=True)
+        if not problems:
+            click.echo(f"{file}: ok")
+            for note in notes[file]:
+                click.echo(f"note: {note}")
     return 2 if any(reports.values()) else 0
 
 
 def show_file(file: str) -> None:
-    """Print a configuration with its defaults and models, as YAML."""
-    click.echo(dump(self_contained(load(file))), nl=False)
+    """Print a configuration with its defaults and models, as YAML; a model file that is not there yet by its path."""
+    configuration = load(file, needs_models=False)
+    values = self_contained(configuration)
+    for note in missing_models(file, configuration):
+        click.echo(f"note: {note}", err=True)
+        name = note.field.split(".")[1]
+        values["axes"][name]["model"] = str(configuration.axes[name].model.source_path)
+    click.echo(dump(values), nl=False)
 
 
 def print_schema() -> None:

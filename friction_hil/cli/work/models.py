@@ -120,12 +120,16 @@ def _print(family: Family, own: ModelFile | None, name: str) -> None:
     _print_remarks(page, family, model)
     if not family.parameters or (model is not None and model.network is not None):
         return  # the weights of a network are not for reading
-    content: dict[str, Any] = {"model": family.name, "parameters": dict(family.example)}
+    friction: dict[str, Any] = {"model": family.name, "parameters": dict(family.example)}
+    content: dict[str, Any] = {"version": 1, "axis": "rotary", "friction": friction}
     if own is not None:  # the values as they were given: a default may be that of a direction
-        content["parameters"] = own.friction.parameters
-        content |= {"modifiers": own.friction.modifiers} if own.friction.modifiers else {}
-    click.echo(f"\n{'Example' if own is None else name}, as in a model file:\n")
-    page.write_yaml({"friction": content})
+        friction["parameters"] = own.friction.parameters
+        friction |= {"modifiers": own.friction.modifiers} if own.friction.modifiers else {}
+        content["axis"] = own.axis
+    mechanics = {} if own is None else own.mechanics.model_dump(exclude_defaults=True)
+    content |= {"mechanics": mechanics} if mechanics else {}
+    click.echo("\nExample of a model file:\n" if own is None else f"\n{name}, as a model file:\n")
+    page.write_yaml(content)
     if own is None:
         click.echo()
         page.write(f"Modifiers may follow the parameters: {', '.join(NAMES)}; 'friction-hil models' describes them.")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from friction_hil.cli.output import print_json
-from friction_hil.config import load, located
+from friction_hil.config import load, located, missing_models
 from friction_hil.daemon.stop import stop_on_signals
 from friction_hil.errors import OptionError
 
@@ -32,7 +32,9 @@ def run(
         raise click.BadParameter("must be a number of seconds above zero", param_hint="--duration")
     if force and record is None:
         raise click.UsageError("--force goes with --record FILE")
-    configuration = load(config)
+    configuration = load(config, needs_models=not dry_run)
+    for note in missing_models(config, configuration) if dry_run else ():
+        click.echo(f"note: {note}; until then its friction counts as zero", err=True)
     with stop_on_signals() as stop:
         # imported here: a signal during this import, too, ends the run in order
         from friction_hil.daemon.session import SessionSettings, run_session

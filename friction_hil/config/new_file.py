@@ -1,0 +1,287 @@
+"""Text of a new configuration: the keys that a newcomer needs, each with its meaning; all others have defaults.
+
+Meanings, units and defaults are those of the sections; a driver adds its own keys by the classmethod ``new_keys``, see
+`friction_hil.drive.Driver`.
+"""
+
+import math
+import shlex
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel
+
+from friction_hil.config.annotated import FILL_IN, Page
+from friction_hil.config.axis import AxisConfig, AxisLimits, Compensation, Controller
+from friction_hil.config.bus import MULTICAST, BusConfig
+from friction_hil.config.drivers import load_driver
+from friction_hil.config.schema import Configuration, RecordingConfig
+from friction_hil.config.trajectories import AxisExperiment, Sine
+from friction_hil.errors import UsageError, choices
+from friction_hil.friction import describe
+
+SCHEMA_FILE = "friction_hil.schema.json"
+_MODES = ("csp", "csv", "cst")
+_SPEED_FRACTION = 0.5  # of the velocity limit, reached by the trajectory
+_EXPERIMENT_FRACTION = 0.6  # of the velocity limit, reached by `tune`
+_HIGHEST_HZ = 0.5
+_LOWER, _ASSUMED = ("coulomb", "static"), 0.9  # of the simulated friction, in the model of a simulated axis
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """What is known about a machine whose configuration is to be written; None where it is not known.
+
+    Attributes
+    ----------
+    driver : str
+    bus : str, optional
+        CAN bus as ``can0`` or ``INTERFACE:CHANNEL[:PORT]``; of a serial driver the port.
+    bitrate : int, optional
+        Bit rate of the CAN bus or baud rate of the line.
+    node : str, optional
+        Address of the drive on the bus or line.
+    description : str, optional
+        Description of a serial drive.
+    mode : str, optional
+    torque, velocity : float, optional
+        Limits, N m and rad/s (N and m/s).
+    travel : float, optional
+        Distance from the present position that the axis may move to either side, rad (m).
+    is_linear : bool
+    is_simulated : bool
+        The drive is to be simulated on this machine: what is not known is chosen.
+    port : int
+        UDP port of a simulated CAN bus.
+    path : Path
+        Path of the configuration; those in it are relative to its folder.
+    """
+
+    driver: str = "canopen"
+    bus: str | None = None
+    bitrate: int | None = None
+    node: str | None = None
+    description: str | None = None
+    mode: str | None = None
+    torque: float | None = None
+    velocity: float | None = None
+    travel: float | None = None
+    is_linear: bool = False
+    is_simulated: bool = False
+    port: int = 43113
+    path: Path = Path("machine.yaml")
+
+    @property
+    def name(self) -> str:
+        """Name of the configuration without suffix, for files that belong to it."""
+        return self.path.stem
+
+
+@dataclass(frozen=True, slots=True)
+class DriverKeys:
+    """Keys of a driver in a new configuration.
+
+    Attributes
+    ----------
+    keys : dict
+        Values by name, also in groups; `FILL_IN` where only the user can know it.
+    notes : dict
+        Comments that replace the meaning of a key, by its name; of a key in a group ``line.port``.
+    modes : tuple of str
+        Modes that the drive has, the best first.
+    period_s : float
+    bus : dict, optional
+        Section ``bus``.
+    """
+
+    keys: dict[str, Any]
+    notes: dict[str, str] = field(default_factory=dict)
+    modes: tuple[str, ...] = _MODES
+    period_s: float = 1e-3
+    bus: dict[str, Any] | None = None
+
+
+def new_configuration(wanted: Wanted) -> str:
+    """Return the text of a configuration of one axis.
+
+    Raises
+    ------
+    UsageError
+        There is no such driver, mode or description, or the driver has no such option.
+    """
+    if wanted.is_simulated and wanted.is_linear:
+        raise UsageError("--simulated: the simulated drive is rotary; leave --linear out")
+    driver = load_driver(wanted.driver)
+    hook = getattr(driver, "new_keys", None)
+    given = _required_keys(driver.Options) if hook is None else hook(wanted)
+    if wanted.mode is not None and wanted.mode not in given.modes:
+        raise UsageError(f"--mode: this drive has no mode {wanted.mode!r}; {choices(wanted.mode, given.modes)}")
+    mode = wanted.mode or given.modes[0]
+    page = Page(is_linear=wanted.is_linear)
+    page.lines += _header(wanted)
+    page.key(0, "version", 1, "version of this format")
+    page.of(0, Configuration, "period_s", given.period_s)
+    page.blank()
+    if given.bus is not None:
+        page.key(0, "bus", None)
+        for name, value in given.bus.items():
+            page.of(1, BusConfig, name, value)
+        page.blank()
+    page.key(0, "axes", None)
+    page.key(1, "x", None, "name of the axis: small letters, digits and _")
+    page.of(2, AxisConfig, "driver", wanted.driver)
+    page.group(2, driver.Options, given.keys, given.notes)
+    page.blank()
+    page.of(2, AxisConfig, "mode", mode)
+    page.blank()
+    _motion(page, wanted, mode)
+    if wanted.is_simulated:
+        page.blank()
+        page.key(2, "simulation", {}, "the simulated drive, all at its defaults; remove it for a real drive")
+    page.blank()
+    page.key(0, "recording", None)
+    page.of(1, RecordingConfig, "path", f"out/{wanted.name}.mcap")
+    return "\n".join(page.lines) + "\n"
+
+
+def parse_bus(wanted: Wanted) -> dict[str, Any]:
+    """Return the section ``bus`` of a CAN bus given as ``can0`` or ``INTERFACE:CHANNEL[:PORT]``.
+
+    Raises
+    ------
+    UsageError
+        The interface or the channel is empty.
+    """
+    if wanted.bus is None and wanted.is_simulated:
+        return {"interface": "udp_multicast", "channel": MULTICAST, "port": wanted.port}
+    if wanted.bus is None:
+        return {"interface": "socketcan", "channel": FILL_IN, "bitrate": wanted.bitrate}
+    interface, colon, channel = wanted.bus.partition(":")
+    if not colon:
+        interface, channel = "socketcan", wanted.bus
+    if not interface or not channel:
+        raise UsageError(f"--bus {wanted.bus}: must be a CAN interface such as can0, or INTERFACE:CHANNEL[:PORT]")
+    section: dict[str, Any] = {"interface": interface, "channel": channel}
+    if interface == "udp_multicast" and ":" in channel:
+        section["channel"], _, port = channel.rpartition(":")
+        section["port"] = int(port) if port.isdecimal() else port
+    if wanted.bitrate is not None or interface != "udp_multicast":
+        section["bitrate"] = wanted.bitrate
+    return section
+
+
+def as_address(node: str | None, *, is_simulated: bool) -> Any:
+    """Return the address of a drive as a value of YAML."""
+    if node is None:
+        return 1 if is_simulated else FILL_IN
+    return int(node) if node.isdecimal() else node
+
+
+def _required_keys(options: type[BaseModel]) -> DriverKeys:
+    """Return the keys of a driver that does not say which a new file needs."""
+    return DriverKeys({name: FILL_IN for name, info in options.model_fields.items() if info.is_required()})
+
+
+def _header(wanted: Wanted) -> list[str]:
+    file = shlex.quote(wanted.path.name)
+    steps = {
+        f"config check {file}": "mistakes, and what is left to fill in",
+        f"doctor {file}": "what stands between this machine and the drive",
+    }
+    if wanted.is_simulated:
+        steps[f"simulate {file}"] = "the simulated drive, in a terminal of its own"
+    steps[f"run {file} --dry-run --duration 5"] = "listen and compute, without commanding the drive"
+    if not wanted.is_simulated:
+        steps[f"tune {file}"] = "identify the friction; writes the file that `model` names"
+    steps[f"run {file} --duration 20"] = "compensate"
+    width = max(map(len, steps)) + 2
+    what = (
+        "One simulated drive."
+        if wanted.is_simulated
+        else "One drive. The axis moves! Choose limits and motion accordingly."
+    )
+    return [
+        f"# yaml-language-server: $schema={SCHEMA_FILE}",
+        "#",
+        f"# {what}",
+        "#",
+        *(f"#   friction-hil {words:{width}}{purpose}" for words, purpose in steps.items()),
+        "#",
+        f"# Other keys have defaults: 'friction-hil config show {file}' prints them all. null: not given.",
+        "",
+    ]
+
+
+def _motion(page: Page, wanted: Wanted, mode: str) -> None:
+    """Write what says how far and how fast the axis may move, and what compensates its friction."""
+    chosen = (0.3, 10.0, 1.0) if wanted.is_simulated else (None, None, None)
+    asked = (wanted.torque, wanted.velocity, wanted.travel)
+    torque, velocity, travel = (b if a is None else a for a, b in zip(asked, chosen, strict=True))
+    page.key(2, "limits", None, "checked in every cycle")
+    page.of(3, AxisLimits, "torque", _or_fill_in(torque))
+    page.of(3, AxisLimits, "torque_slew", None if torque is None else _rounded(1e3 * torque))
+    page.of(3, AxisLimits, "velocity", _or_fill_in(velocity), "; a higher one is a fault")
+    error = None if travel is None else _rounded(0.1 * travel)
+    page.of(3, AxisLimits, "following_error", error, "; a larger one is a fault")
+    page.of(3, AxisLimits, "position", None, ", as [-2.0, 2.0]; a position outside is a fault")
+    page.blank()
+    if wanted.is_simulated:
+        _simulated_model(page)
+    else:
+        note = "friction model: a file beside this one; 'friction-hil tune' makes it"
+        page.key(2, "model", f"{wanted.name}_x.yaml", note)
+    page.blank()
+    page.key(2, "compensation", None)
+    page.of(3, Compensation, "gain", 0.9)
+    page.of(3, Compensation, "baseline_s", 4.0)
+    if mode == "cst":
+        gains = (20.0, 0.03, 1.0) if wanted.is_simulated else (FILL_IN, FILL_IN, 0.0)
+        page.blank()
+        page.key(2, "controller", None, "the daemon closes the loops; softer than a drive could: the bus delays them")
+        for name, gain in zip(("position_gain", "velocity_gain", "integral_hz"), gains, strict=True):
+            page.of(3, Controller, name, gain)
+    amplitude = None if travel is None else _rounded(0.5 * travel)
+    frequency: Any = FILL_IN
+    if amplitude is not None and velocity is not None:
+        frequency = _rounded(min(_HIGHEST_HZ, _SPEED_FRACTION * velocity / (math.tau * amplitude)))
+    page.blank()
+    page.key(2, "trajectory", None, "motion of 'friction-hil run'; it begins at the present position")
+    page.key(3, "kind", "sine", "or circle, triangle, experiment, hold; none (only in cst): the axis is moved by hand")
+    page.of(3, Sine, "amplitude", _or_fill_in(amplitude))
+    page.of(3, Sine, "frequency", frequency)
+    page.blank()
+    page.key(2, "experiment", None, "bounds of the motion of 'friction-hil tune'")
+    speed = None if velocity is None else _rounded(_EXPERIMENT_FRACTION * velocity)
+    page.of(3, AxisExperiment, "velocity", _or_fill_in(speed))
+    page.of(3, AxisExperiment, "travel", _or_fill_in(travel))
+    if wanted.is_linear:
+        page.of(3, AxisExperiment, "axis", "linear")
+
+
+def _simulated_model(page: Page) -> None:
+    """Write a model whose friction is lower than that of the simulated drive."""
+    percent = f"{1.0 - _ASSUMED:.0%}".replace("%", " %")
+    page.key(
+        2, "model", None, f"friction that the compensation assumes: {percent} lower than that of the simulated drive"
+    )
+    page.key(3, "axis", "rotary")
+    page.key(3, "friction", None)
+    page.key(4, "model", "lugre", "'friction-hil models' lists them all")
+    page.key(4, "parameters", None)
+    lugre = describe("lugre")
+    for parameter in lugre.parameters:
+        value = lugre.example[parameter.name]
+        if parameter.name in _LOWER:
+            value = _rounded(_ASSUMED * value)
+        page.key(5, parameter.name, value, f"{parameter.unit}; {parameter.meaning}")
+    page.key(3, "mechanics", {"inertia": 2e-4}, "kg m^2")
+
+
+def _or_fill_in(value: Any) -> Any:
+    return FILL_IN if value is None else value
+
+
+def _rounded(value: float) -> float:
+    """Return a number with two digits."""
+    return float(f"{value:.2g}")
