@@ -8,7 +8,7 @@ from friction_hil.daemon.axis import AxisLoop, AxisUpdate
 from friction_hil.daemon.follower import FollowerStateMachine
 from friction_hil.daemon.log import RunLog
 from friction_hil.daemon.pacing import ExchangeTimes
-from friction_hil.daemon.safety import LoopState
+from friction_hil.daemon.safety import MOVING, LoopState
 from friction_hil.daemon.sequence import ENABLE_TIMEOUT_S, RunInputs, RunStateMachine, timeout_faults
 from friction_hil.daemon.stop import StopRequest
 from friction_hil.drive import DriveState, Feedback
@@ -75,6 +75,7 @@ class RunControl:
         self._machine = machine(is_listening=settings.dry_run, enable_timeout_s=settings.enable_timeout_s)
         self._idle_exchanges = ExchangeTimes(settings.period_s)
         self._has_begun = False
+        self._setpoint_delay_s = max(axis.setpoint_delay_s for axis in axes)
         self._running_since_s = 0.0 if settings.dry_run else math.nan
         if settings.is_fault_reset_wanted:
             for axis in axes:
@@ -93,6 +94,18 @@ class RunControl:
     def running_s(self, time_s: float) -> float:
         """Return the time since the motion began, or in a dry run since its start, s; NaN before."""
         return time_s - self._running_since_s
+
+    def hold_path(self, cycle: int, missed: int) -> None:
+        """Let the path go on in ``cycle`` from where it was ``missed`` periods before, in which nothing was sent."""
+        if self._machine.state in MOVING and not self._settings.is_follower:
+            time_s, missed_s = cycle * self._settings.period_s, missed * self._settings.period_s
+            self._path_time.hold(time_s, missed_s, time_s + self._setpoint_delay_s)
+
+    def path_lag_s(self, time_s: float) -> float:
+        """Return by how much the path is behind after missed periods, s; NaN while the daemon moves nothing."""
+        if self._machine.state not in MOVING or self._settings.is_follower:
+            return math.nan
+        return self._path_time.lag_s(time_s)
 
     def begin(self, feedback: Sequence[Feedback], time_s: float) -> bool:
         """Return True once every axis has reported its position and its path has been checked from there.
@@ -162,7 +175,7 @@ class RunControl:
     def _enter(self, state: LoopState, cycle: int, time_s: float) -> None:
         """Do what the new state asks for."""
         # set-points are sent ahead of time: those already sent stay valid
-        later_s = time_s + self._settings.period_s + max(axis.setpoint_delay_s for axis in self._axes)
+        later_s = time_s + self._settings.period_s + self._setpoint_delay_s
         if state is LoopState.ENABLING and (warning := self._idle_exchanges.warning()):
             self._log.warn(cycle, warning)
         elif state is LoopState.RUNNING:

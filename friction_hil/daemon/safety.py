@@ -16,7 +16,7 @@ from friction_hil.drive.codes import FaultCode
 MAX_STALE_CYCLES = 10
 _JUMP_MARGIN = 2.0
 _FAULT_RESET_S = 1.0
-_MOST_FAST_CYCLES = 3  # beyond the velocity limit by the drive's own report: fewer may be noise
+_MOST_FAST_CYCLES = 3  # beyond the velocity limit by the drive's report or the estimate alone: fewer may be noise
 
 
 class LoopState(IntEnum):
@@ -90,6 +90,7 @@ class Supervisor:
 
     __slots__ = (
         "_fast_cycles",
+        "_fast_estimates",
         "_jump",
         "_last_position",
         "_limits",
@@ -124,6 +125,7 @@ class Supervisor:
         self._max_stale_cycles = max_stale_cycles
         self._velocity_check = VelocityCheck(period_s, limits.velocity, position_resolution, velocity_resolution)
         self._fast_cycles = 0  # in a row in which the drive reported more than the velocity limit
+        self._fast_estimates = 0  # in a row beyond the limit: if the drive reports less, a frame may have been late
         self._missed = 0  # periods without a cycle before this one
         self._missed_since_position = 0  # the same since the last usable position
         self._missing = ""  # message about the feedback that is missing now
@@ -217,7 +219,7 @@ class Supervisor:
             return FaultCode.DRIVE_LEFT_OPERATION.append_to(
                 f"{name}: the drive left Operation enabled: {feedback.state.words}"
             )
-        if not abs(velocity) <= limits.velocity:
+        if self._is_too_fast(feedback, velocity):
             return FaultCode.VELOCITY_LIMIT.append_to(
                 f"{name}: velocity {velocity:.4g} is beyond its limit of {limits.velocity:g} {unit}/s"
             )
@@ -234,6 +236,19 @@ class Supervisor:
                 f"{limits.following_error:g} {unit}"
             )
         return None
+
+    def _is_too_fast(self, feedback: Feedback, velocity: float) -> bool:
+        """Return True if the axis is beyond its velocity limit.
+
+        At once if the drive reports that too; by the estimate from its position alone in the third cycle in a row.
+        """
+        limit = self._limits.velocity
+        if abs(velocity) <= limit:
+            self._fast_estimates = 0
+            return False
+        self._fast_estimates += 1
+        is_confirmed = self._stale_cycles == 0 and abs(feedback.velocity) > limit
+        return is_confirmed or not math.isfinite(velocity) or self._fast_estimates >= _MOST_FAST_CYCLES
 
     def _find_velocity_fault(self, feedback: Feedback) -> str | None:
         """Return the fault of the velocity that the drive reports: too high, or not that of its position."""
