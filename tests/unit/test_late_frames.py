@@ -8,12 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from friction_hil.daemon.axis import AxisLoop
-from friction_hil.daemon.realtime import SteppedClock
 from friction_hil.daemon.row import AxisRow
 from friction_hil.daemon.safety import LoopState
 from friction_hil.drive import Command, DriveState, Feedback
 from friction_hil.motion.trajectory import PathTime
-from tests.loop_run import LIMITS, MODES, Run, axis
+from tests.loop_run import LIMITS, MODES, LateClock, Run, axis
 from tests.servo_drives import PERIOD_S, ServoDrives, configuration
 
 SINE = {"kind": "sine", "amplitude": 0.5, "frequency": 0.5, "ramp_s": 0.1}  # 1.57 rad/s
@@ -141,18 +140,6 @@ def test_a_single_sample_beyond_the_limit_is_no_fault_where_the_drive_reports_le
 
 
 # --- missed periods
-
-
-class LateClock(SteppedClock):
-    """Oversleeps: by so many nanoseconds at the n-th call."""
-
-    def __init__(self, late):
-        super().__init__()
-        self.late, self.calls = late, -1
-
-    def sleep_until(self, deadline_ns):
-        self.calls += 1
-        super().sleep_until(deadline_ns + self.late.get(self.calls, 0))
 
 
 def stalled(late, *axes, **settings):
