@@ -71,7 +71,7 @@ class HeldTime:
     >>> time = HeldTime(excess=0.1, change=1.0)
     >>> time.hold(now_s=2.0, missed_s=0.005, later_s=2.0)
     >>> [round(time.lag_s(t), 5) for t in (2.0, 2.1, 3.0)]
-    [0.005, 0.00231, 0.0]
+    [0.005, 0.00174, 0.0]
     """
 
     __slots__ = ("_bumps", "_change", "_excess", "_remaining_s")

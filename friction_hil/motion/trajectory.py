@@ -216,14 +216,12 @@ class PathTime:
     def at(self, time_s: float) -> tuple[float, float, float]:
         """Return path time, its rate and the derivative of the rate at ``time_s``."""
         if self._held is None:
-            return self._at(time_s)
+            return self._running(time_s) if time_s < self._stop_s else self._stopping(time_s)
         motion_s, pace, bend = self._held.at(time_s)
-        s, rate, change = self._at(motion_s)
+        s, rate, change = self._running(motion_s) if motion_s < self._stop_s else self._stopping(motion_s)
         return s, rate * pace, change * pace * pace + rate * bend
 
-    def _at(self, time_s: float) -> tuple[float, float, float]:
-        if time_s < self._stop_s:
-            return self._running(time_s)
+    def _stopping(self, time_s: float) -> tuple[float, float, float]:
         x = (time_s - self._stop_s) / self._stop_duration
         if x >= 1.0:
             return self._stop_path + 0.5 * self._stop_rate * self._stop_duration, 0.0, 0.0
