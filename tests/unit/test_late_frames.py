@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from friction_hil.daemon.axis import AxisLoop
+from friction_hil.daemon.realtime import SteppedClock
 from friction_hil.daemon.row import AxisRow
 from friction_hil.daemon.safety import LoopState
 from friction_hil.drive import Command, DriveState, Feedback
@@ -194,6 +195,29 @@ def test_two_axes_stay_on_their_circle_over_missed_periods():
     start = [run.column("position", name)[moving][0] for name in "xy"]
     radius = np.hypot(x - start[0] + 0.3, y - start[1])
     assert np.abs(radius - 0.3).max() < 1e-4  # of the encoders, by which the path's beginning is set
+
+
+def test_a_loop_that_is_too_slow_for_its_period_does_not_slow_the_motion_down():
+    """Every cycle takes one and a half periods."""
+    clock = SteppedClock()
+
+    def slow(drives):
+        if drives.cycle > 60:
+            clock.sleep_until(clock.now_ns() + 3 * MS // 2)
+
+    run = Run(clock=clock, before=slow, duration_s=2.0)
+    assert run.result.faults == []
+    (warning,) = (text for text in run.result.warnings if "regularly" in text)
+    assert warning.startswith("periods are missed regularly, 10 times in ")
+    moving = run.column("state") == LoopState.RUNNING
+    lag = run.column("path_lag_s")[moving]
+    assert lag.max() <= 10 * PERIOD_S
+    assert lag[-1] == 0.0
+    prompt, path = Run(duration_s=2.0), {}
+    for one in (prompt, run):
+        is_on_time = one.column("path_lag_s") == 0.0
+        path[one] = one.column("time_s")[is_on_time], one.column("position_demand")[is_on_time]
+    np.testing.assert_allclose(path[run][1], np.interp(path[run][0], *path[prompt]), atol=2e-2)
 
 
 def test_a_fault_names_the_periods_that_were_missed_shortly_before():
