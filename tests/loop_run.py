@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from friction_hil.daemon.realtime import SteppedClock
 from friction_hil.daemon.safety import LoopState
 from friction_hil.daemon.stop import StopRequest
 from friction_hil.drive import DriveState, Request
@@ -27,6 +28,18 @@ def axis(mode="csp", **changes):
 def model(**parameters):
     friction = {"model": "lugre", "parameters": TRUE_FRICTION | parameters}
     return {"axis": "rotary", "friction": friction, "mechanics": {"inertia": 2e-4, "torque_lag_s": 3e-4}}
+
+
+class LateClock(SteppedClock):
+    """Oversleeps: by so many nanoseconds at the n-th call."""
+
+    def __init__(self, late):
+        super().__init__()
+        self.late, self.calls = late, -1
+
+    def sleep_until(self, deadline_ns):
+        self.calls += 1
+        super().sleep_until(deadline_ns + self.late.get(self.calls, 0))
 
 
 class Drives(ServoDrives):

@@ -81,7 +81,8 @@ class CompensatorSettings:
     acceleration : float
         Acceleration that ``tracking`` has to follow, SI.
     max_acceleration : float
-        A position that would need more acceleration than this is ignored as a glitch, SI.
+        A position that would need more acceleration than this is ignored as a glitch, SI; infinity: none is, and none
+        is taken for late.
     dead_band : float
         Velocity below which the compensation is reduced in proportion, SI; 0 for none.
     adaptation_s : float

@@ -13,7 +13,10 @@ and corrected by gains times the innovation, measured minus predicted position. 
   too: after a gap the gains of the steady state would not be stable.
 
 Positions are kept as differences from the last sample, so that a great distance costs no precision. A single sample
-that no possible motion explains is ignored, as if it were missing.
+that no possible motion explains is ignored, as if it were missing. So is one that may be late: a frame of the cycle
+before puts the axis back by the way of a cycle, and the frame after it counts as double speed. Such a sample lies off
+the line through the ones before, and off the way by the velocity that the drive itself reports. Two such samples in a
+row are taken as they are.
 """
 
 import math
@@ -32,6 +35,10 @@ MAX_GAP_CYCLES = 10  # after a longer gap the estimate starts anew
 # Error of a valid sample
 _SAMPLE_ERROR_COUNTS = 1.5  # half a count of rounding and one of flicker
 _SAMPLE_ERROR_CYCLES = 0.1  # taken early or late, on a jittery bus
+
+# A sample may be late where it is off by more than these
+_LATE_CYCLES = 0.5  # of the way in a cycle
+_LATE_FRACTION = 0.05  # of the largest acceleration's way in a cycle
 
 SETTINGS = np.dtype(
     [
@@ -58,6 +65,7 @@ STATE = np.dtype(
         ("velocity", "f8"),
         ("torque", "f8"),  # estimate of the unknown torque
         ("covariance", "f8", (6,)),  # xx, xv, xa, vv, va, aa; in cycles and rounding errors of the position
+        ("drive_velocity", "f8"),  # reported with the last position used; 0 before the first finite one
         ("slope", "f8"),  # between the last two positions used, per cycle
         ("slope_cycles", "f8"),  # between these two; 0 if there is only one
         ("has_suspect", "f8"),  # the last sample was ignored
@@ -76,10 +84,18 @@ def _take(r: Any, cycle: float, position: float, offset: float, v: float, d: flo
 
 
 @inlined
+def _keep_drive_velocity(r: Any, drive_velocity: float) -> None:
+    if math.isfinite(drive_velocity):
+        r.drive_velocity = drive_velocity
+
+
+@inlined
 def begin(c: Any, r: Any, cycle: float, position: float, drive_velocity: float) -> None:
     """Start anew at a finite position, with the drive's velocity, or at rest if that is not finite."""
     r.is_running = 1.0
     r.cycle = cycle
+    r.drive_velocity = 0.0
+    _keep_drive_velocity(r, drive_velocity)
     _take(r, cycle, position, 0.0, drive_velocity if math.isfinite(drive_velocity) else 0.0, 0.0, 0.0, 0.0)
     for k in range(6):
         r.covariance[k] = c.covariance[k]
@@ -146,6 +162,22 @@ def _is_explained(c: Any, r: Any, position: float, cycles: float) -> bool:
 
 
 @inlined
+def _may_be_late(c: Any, r: Any, position: float, drive_velocity: float, cycles: float) -> bool:
+    """Return True if a position seems to be of an earlier cycle, or to follow one that was.
+
+    It lies off the line through the last two positions, and off the way by the velocity that the drive reports. An
+    axis that really changes its velocity reports that.
+    """
+    if r.slope_cycles == 0.0 or not (math.isfinite(drive_velocity) and math.isfinite(c.acceleration_step)):
+        return False
+    way = position - r.position
+    allowance = _LATE_CYCLES * abs(r.slope) + _LATE_FRACTION * c.acceleration_step + 2.0 * c.sample_error
+    way_of_drive = 0.5 * (r.drive_velocity + drive_velocity) * c.period_s * cycles
+    is_off_line = abs(way - r.slope * cycles) > allowance + 2.0 * c.sample_error * cycles / r.slope_cycles
+    return bool(is_off_line and abs(way - way_of_drive) > allowance)
+
+
+@inlined
 def _correct(c: Any, r: Any, cycle: float, position: float, cycles: float) -> None:
     """Correct the state with a position that a possible motion explains."""
     innovation = position - r.position - r.offset
@@ -201,10 +233,12 @@ def update(c: Any, r: Any, cycle: float, position: float, drive_velocity: float,
         _take(r, cycle, position, 0.0, velocity, 0.0, 0.0, 0.0)
     else:
         predict(c, r, cycle, net_torque)
-        if _is_explained(c, r, position, cycles):
+        if _is_explained(c, r, position, cycles) and not _may_be_late(c, r, position, drive_velocity, cycles):
             _correct(c, r, cycle, position, cycles)
+            _keep_drive_velocity(r, drive_velocity)
         elif r.has_suspect > 0.0:
             _jump(c, r, cycle, position)  # two in a row are no glitch: a new position, or an impact
+            _keep_drive_velocity(r, drive_velocity)
         else:
             r.has_suspect, r.suspect, r.suspect_cycle = 1.0, position, cycle
             r.glitches += 1.0
@@ -233,7 +267,8 @@ class VelocityEstimator:
     drive_delay_cycles, drive_noise : float
         ``drive``: age and rms noise of the drive's own velocity; by default noisy as an encoder difference.
     max_acceleration : float
-        Largest possible acceleration, torque / inertia: a position beyond it is a glitch; infinity disables the check.
+        Largest possible acceleration, torque / inertia: a position beyond it is a glitch, and one off by more than a
+        twentieth of it may be late; infinity disables both checks.
     """
 
     kind: str

@@ -101,7 +101,7 @@ class Compensation(Section):
         le=MOST_ACCELERATION,
     )
     max_acceleration: float | None = key(
-        "acceleration above which a measured position is rejected as a glitch",
+        "acceleration above which a measured position is rejected as a glitch; by default limits.velocity / period_s",
         f"{VELOCITY} per s",
         default=None,
         gt=0,

@@ -39,12 +39,21 @@ def make_compensator(config: "AxisConfig", model: "ModelFile", facts: AxisFacts,
         velocity=given.velocity,
         smoothing=given.smoothing,
         acceleration=math.nan if given.acceleration is None else given.acceleration,
-        max_acceleration=math.inf if given.max_acceleration is None else given.max_acceleration,
+        max_acceleration=max_acceleration(config, period_s),
         dead_band=given.dead_band,
         adaptation_s=0.0 if given.adaptation is None else given.adaptation.time_s,
         adaptation_bound=0.0 if given.adaptation is None else given.adaptation.bound,
     )
     return Compensator(model.friction_model, settings)
+
+
+def max_acceleration(config: "AxisConfig", period_s: float) -> float:
+    """Return the acceleration above which a position is rejected as a glitch, SI.
+
+    By default ``limits.velocity / period_s``: no axis gets from rest to its velocity limit within a period.
+    """
+    given = config.compensation.max_acceleration
+    return config.limits.velocity / period_s if given is None else given
 
 
 def make_shadows(config: "AxisConfig", facts: AxisFacts, period_s: float) -> dict[str, Compensator]:

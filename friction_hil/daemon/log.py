@@ -11,6 +11,7 @@ from friction_hil.numerics.jit import Array
 
 _MOST_FAULTS = 20
 _MOST_NOTICES = 100
+_NAMED_S = 1.0  # after missed periods, in which a fault names them: it may be their consequence
 
 
 class Sink(Protocol):
@@ -54,20 +55,43 @@ class LoopResult:
 class RunLog:
     """Keep faults and warnings, and hand them to the sink.
 
+    Parameters
+    ----------
+    sink : Sink
+    period_s : float
+        Period of the loop, s.
+
     Attributes
     ----------
     result : LoopResult
     """
 
-    def __init__(self, sink: Sink) -> None:
+    def __init__(self, sink: Sink, period_s: float) -> None:
         self._sink = sink
+        self._period_s = period_s
+        self._said: set[str] = set()  # faults, as they came
+        self._missed = 0  # periods
+        self._missed_cycle = -1  # that followed them
         self.result = LoopResult()
 
     def fault(self, cycle: int, text: str) -> None:
-        """Keep a fault; the same text counts once."""
-        if text not in self.result.faults and len(self.result.faults) < _MOST_FAULTS:
+        """Keep a fault, with the periods that were missed shortly before; the same text counts once."""
+        if text not in self._said and len(self.result.faults) < _MOST_FAULTS:
+            self._said.add(text)
+            text = self._with_missed(cycle, text)
             self.result.faults.append(text)
             self._sink.event(cycle, "fault", text)
+
+    def _with_missed(self, cycle: int, text: str) -> str:
+        """Return the text of a fault with the missed periods before it, ahead of its code."""
+        ago_s = (cycle - self._missed_cycle) * self._period_s
+        if not self._missed or ago_s < 0.0 or ago_s > _NAMED_S or self.result.faults:
+            return text
+        periods = "1 period was" if self._missed == 1 else f"{self._missed} periods were"
+        when = "right" if ago_s == 0.0 else f"{1e3 * ago_s:.3g} ms"
+        said = f"; {periods} missed {when} before"
+        words, bracket, code = text.rpartition(" [FH-")
+        return f"{words}{said}{bracket}{code}" if bracket else text + said
 
     def notice(self, cycle: int, text: str) -> None:
         """Keep what a drive said; the same text counts once."""
@@ -94,6 +118,7 @@ class RunLog:
     def missed(self, cycle: int, skipped: int, overslept_ns: int, max_missed: int) -> None:
         """Count the periods missed before ``cycle``; ``max_missed`` of them in a row are a fault."""
         self.result.missed += skipped
+        self._missed, self._missed_cycle = skipped, cycle
         if skipped >= max_missed:
             text = f"the loop was late by {overslept_ns / 1000:.0f} us ({skipped} periods)"
             self.fault(cycle - skipped, FaultCode.LOOP_LATE.append_to(text))

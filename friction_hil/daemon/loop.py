@@ -54,7 +54,7 @@ class Loop:
         self._row = np.full(len(axes) * width, math.nan)
         parts = self._row.reshape(len(axes), width)
         self._parts = [AxisRow(part, axis.shadow_names) for part, axis in zip(parts, axes, strict=True)]
-        self._log = RunLog(sink)
+        self._log = RunLog(sink, settings.period_s)
         self._run = RunControl(axes, path_time, settings, stop, self._log)
         self._warmer = CacheWarmer(drives, axes[0], self._parts[0])
         self._pacer = make_pacer(drives, clock, settings.period_s, self._warm_caches)
@@ -72,6 +72,7 @@ class Loop:
                 cycle = self._pacer.wait(cycle)
                 if self._pacer.skipped and not self._run.is_idle:
                     self._log.missed(cycle, self._pacer.skipped, self._pacer.overslept_ns, self._settings.max_missed)
+                    self._run.hold_path(cycle, self._pacer.skipped)
                 self._cycle(cycle)
                 cycle += 1
         except FrictionHilError as error:
@@ -90,8 +91,9 @@ class Loop:
         updates = self._update_axes(cycle, self._run.state, self._run.running_s(time_s))
         self._drives.send(self._commands)
         exchange_us = (self._clock.now_ns() - began_ns) * 1e-3
+        path_lag_s = self._run.path_lag_s(time_s)
         for part in self._parts:
-            part.write_timing(self._pacer.late_us, exchange_us)
+            part.write_timing(self._pacer.late_us, exchange_us, path_lag_s)
         self._sink.push(self._row)
         self._log.result.cycles += 1
         self._run.advance(cycle, self._feedback, updates, exchange_us)

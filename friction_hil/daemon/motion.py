@@ -8,7 +8,7 @@ from friction_hil.daemon.safety import MOVING, LoopState, SafetyLimits
 from friction_hil.drive import AxisFacts
 from friction_hil.drive.codes import FaultCode
 from friction_hil.errors import UsageError
-from friction_hil.motion.trajectory import PathTime, Setpoint, Trajectory, extent
+from friction_hil.motion.trajectory import PathTime, Setpoint, Trajectory, extent, largest_acceleration
 
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig
@@ -80,9 +80,12 @@ class AxisMotion:
         except UsageError as error:
             raise UsageError(f"{name}: {error}") from None
         if given.kind == "experiment":
-            self._extent = extent(path, given.duration_s, round(_EXTENT_HZ * given.duration_s))
+            duration_s = given.duration_s
+            self._extent = extent(path, duration_s, round(_EXTENT_HZ * duration_s))
         else:
-            self._extent = extent(path, 1.0 / getattr(given, "frequency", 1.0))
+            duration_s = 1.0 / getattr(given, "frequency", 1.0)
+            self._extent = extent(path, duration_s)
+        path_time.keep_within(limits.velocity, self._extent[2], largest_acceleration(path, duration_s))
         self._trajectory = Trajectory(path, path_time)
 
     @property

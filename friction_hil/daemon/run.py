@@ -1,6 +1,7 @@
 """The run around the cycles: when it begins, which state it is in, and what a change of state brings about."""
 
 import math
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -8,7 +9,7 @@ from friction_hil.daemon.axis import AxisLoop, AxisUpdate
 from friction_hil.daemon.follower import FollowerStateMachine
 from friction_hil.daemon.log import RunLog
 from friction_hil.daemon.pacing import ExchangeTimes
-from friction_hil.daemon.safety import LoopState
+from friction_hil.daemon.safety import MOVING, LoopState
 from friction_hil.daemon.sequence import ENABLE_TIMEOUT_S, RunInputs, RunStateMachine, timeout_faults
 from friction_hil.daemon.stop import StopRequest
 from friction_hil.drive import DriveState, Feedback
@@ -17,6 +18,7 @@ from friction_hil.errors import DriveError
 from friction_hil.motion.trajectory import PathTime
 
 _FIRST_FEEDBACK_S = 1.0
+_REGULAR_TIMES, _REGULAR_PERIODS = 10, 200  # so often in so many: the loop is too slow for its period
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +77,9 @@ class RunControl:
         self._machine = machine(is_listening=settings.dry_run, enable_timeout_s=settings.enable_timeout_s)
         self._idle_exchanges = ExchangeTimes(settings.period_s)
         self._has_begun = False
+        self._setpoint_delay_s = max(axis.setpoint_delay_s for axis in axes)
+        self._missed_before: deque[tuple[int, int]] = deque(maxlen=_REGULAR_TIMES)  # cycle, and periods missed before
+        self._is_slowness_told = False
         self._running_since_s = 0.0 if settings.dry_run else math.nan
         if settings.is_fault_reset_wanted:
             for axis in axes:
@@ -93,6 +98,34 @@ class RunControl:
     def running_s(self, time_s: float) -> float:
         """Return the time since the motion began, or in a dry run since its start, s; NaN before."""
         return time_s - self._running_since_s
+
+    def hold_path(self, cycle: int, missed: int) -> None:
+        """Let the path go on in ``cycle`` from where it was ``missed`` periods before, in which nothing was sent.
+
+        A loop that misses periods regularly has a longer period in truth: the path waits for what exceeds that.
+        """
+        if self._machine.state not in MOVING or self._settings.is_follower:
+            return
+        before = self._missed_before
+        before.append((cycle, missed))
+        if len(before) == _REGULAR_TIMES and cycle - before[0][0] < _REGULAR_PERIODS:
+            missed -= min(periods for _, periods in before)
+            if not self._is_slowness_told:
+                self._is_slowness_told = True
+                text = (
+                    f"periods are missed regularly, {_REGULAR_TIMES} times in {cycle - before[0][0] + 1}: set-points "
+                    "do not wait for them any more; take a longer period_s"
+                )
+                self._log.warn(cycle, text)
+        if missed > 0:
+            time_s, missed_s = cycle * self._settings.period_s, missed * self._settings.period_s
+            self._path_time.hold(time_s, missed_s, time_s + self._setpoint_delay_s)
+
+    def path_lag_s(self, time_s: float) -> float:
+        """Return by how much the path is behind after missed periods, s; NaN while the daemon moves nothing."""
+        if self._machine.state not in MOVING or self._settings.is_follower:
+            return math.nan
+        return self._path_time.lag_s(time_s)
 
     def begin(self, feedback: Sequence[Feedback], time_s: float) -> bool:
         """Return True once every axis has reported its position and its path has been checked from there.
@@ -162,7 +195,7 @@ class RunControl:
     def _enter(self, state: LoopState, cycle: int, time_s: float) -> None:
         """Do what the new state asks for."""
         # set-points are sent ahead of time: those already sent stay valid
-        later_s = time_s + self._settings.period_s + max(axis.setpoint_delay_s for axis in self._axes)
+        later_s = time_s + self._settings.period_s + self._setpoint_delay_s
         if state is LoopState.ENABLING and (warning := self._idle_exchanges.warning()):
             self._log.warn(cycle, warning)
         elif state is LoopState.RUNNING:

@@ -9,6 +9,7 @@ import math
 from dataclasses import dataclass
 from enum import IntEnum
 
+from friction_hil.daemon.fast_steps import MOST_FAST_CYCLES, FastSteps
 from friction_hil.daemon.velocity_check import VelocityCheck
 from friction_hil.drive import DriveState, Feedback, Request
 from friction_hil.drive.codes import FaultCode
@@ -16,7 +17,6 @@ from friction_hil.drive.codes import FaultCode
 MAX_STALE_CYCLES = 10
 _JUMP_MARGIN = 2.0
 _FAULT_RESET_S = 1.0
-_MOST_FAST_CYCLES = 3  # beyond the velocity limit by the drive's own report: fewer may be noise
 
 
 class LoopState(IntEnum):
@@ -90,6 +90,7 @@ class Supervisor:
 
     __slots__ = (
         "_fast_cycles",
+        "_fast_estimates",
         "_jump",
         "_last_position",
         "_limits",
@@ -100,6 +101,7 @@ class Supervisor:
         "_name",
         "_slack",
         "_stale_cycles",
+        "_steps",
         "_unit",
         "_velocity_check",
     )
@@ -124,6 +126,8 @@ class Supervisor:
         self._max_stale_cycles = max_stale_cycles
         self._velocity_check = VelocityCheck(period_s, limits.velocity, position_resolution, velocity_resolution)
         self._fast_cycles = 0  # in a row in which the drive reported more than the velocity limit
+        self._fast_estimates = 0  # in a row beyond the limit: if the drive reports less, a frame may have been late
+        self._steps = FastSteps(limits.velocity * period_s, position_resolution)
         self._missed = 0  # periods without a cycle before this one
         self._missed_since_position = 0  # the same since the last usable position
         self._missing = ""  # message about the feedback that is missing now
@@ -159,6 +163,7 @@ class Supervisor:
             and math.isfinite(feedback.velocity)
             and math.isfinite(feedback.torque)
         )
+        self._steps.take(feedback.position if usable else math.nan, missed + 1)
         if usable and math.isfinite(self._last_position):
             periods = self._stale_cycles + self._missed_since_position + 1
             reach = self._jump * periods + self._slack
@@ -217,9 +222,14 @@ class Supervisor:
             return FaultCode.DRIVE_LEFT_OPERATION.append_to(
                 f"{name}: the drive left Operation enabled: {feedback.state.words}"
             )
-        if not abs(velocity) <= limits.velocity:
+        if self._is_too_fast(feedback, velocity):
             return FaultCode.VELOCITY_LIMIT.append_to(
                 f"{name}: velocity {velocity:.4g} is beyond its limit of {limits.velocity:g} {unit}/s"
+            )
+        if self._steps.is_too_fast:
+            return FaultCode.VELOCITY_LIMIT.append_to(
+                f"{name}: velocity {limits.velocity * self._steps.ratio:.4g} by its positions is beyond its limit of "
+                f"{limits.velocity:g} {unit}/s"
             )
         if fault := self._find_velocity_fault(feedback):
             return fault
@@ -235,12 +245,25 @@ class Supervisor:
             )
         return None
 
+    def _is_too_fast(self, feedback: Feedback, velocity: float) -> bool:
+        """Return True if the axis is beyond its velocity limit.
+
+        At once if the drive reports that too; by the estimate from its position alone in the third cycle in a row.
+        """
+        limit = self._limits.velocity
+        if abs(velocity) <= limit:
+            self._fast_estimates = 0
+            return False
+        self._fast_estimates += 1
+        is_confirmed = self._stale_cycles == 0 and abs(feedback.velocity) > limit
+        return is_confirmed or not math.isfinite(velocity) or self._fast_estimates >= MOST_FAST_CYCLES
+
     def _find_velocity_fault(self, feedback: Feedback) -> str | None:
         """Return the fault of the velocity that the drive reports: too high, or not that of its position."""
         is_usable, velocity, unit = self._stale_cycles == 0, feedback.velocity, self._unit
         if is_usable:
             self._fast_cycles = 0 if abs(velocity) <= self._limits.velocity else self._fast_cycles + 1
-            if self._fast_cycles >= _MOST_FAST_CYCLES:
+            if self._fast_cycles >= MOST_FAST_CYCLES:
                 return FaultCode.VELOCITY_LIMIT.append_to(
                     f"{self._name}: the drive reports a velocity of {velocity:.4g} {unit}/s, beyond the limit of "
                     f"{self._limits.velocity:g} {unit}/s"

@@ -6,11 +6,19 @@ from collections.abc import Callable, Sequence
 from itertools import accumulate
 from typing import NamedTuple
 
+from friction_hil.motion.catch_up import HeldTime, smooth_step
+
 TWO_PI = 2.0 * math.pi
 
 Path = Callable[[float], tuple[float, float, float]]
 
 _LEAST_FADE_S = 0.5
+
+# Catching up after missed periods
+_MOST_EXCESS = 0.1  # of the rate of path time over 1
+_HEADROOM = 0.5  # part of the way from the speed of a path to the velocity limit of its axis
+_EXTRA_ACCELERATION = 0.2  # part of a path's own largest acceleration, for changes of the rate
+_STEEPEST = 1.5  # largest derivative of the rate while path time starts, times ramp_s
 
 
 def sine_path(amplitude: float, frequency: float, phase: float) -> Path:
@@ -124,16 +132,45 @@ class PathTime:
 
     The rate follows 3 x^2 - 2 x^3, so that velocity and acceleration of the axis are continuous (in a stop during the
     start, only the velocity). All axes of a machine share one, so that they stay on their common path while they
-    start and stop.
+    start, stop, and catch up after missed periods (`friction_hil.motion.catch_up`).
     """
 
-    __slots__ = ("_ramp_s", "_start_s", "_stop_duration", "_stop_path", "_stop_rate", "_stop_s")
+    __slots__ = (
+        "_change",
+        "_excess",
+        "_held",
+        "_ramp_s",
+        "_start_s",
+        "_stop_duration",
+        "_stop_path",
+        "_stop_rate",
+        "_stop_s",
+    )
 
     def __init__(self, ramp_s: float) -> None:
         self._ramp_s = ramp_s
         self._start_s = math.inf
         self._stop_s = math.inf
         self._stop_path = self._stop_rate = self._stop_duration = 0.0
+        self._held: HeldTime | None = None  # only after missed periods: else time is time, to the bit
+        self._excess, self._change = _MOST_EXCESS, _STEEPEST / ramp_s
+
+    def keep_within(self, velocity_limit: float, speed: float, acceleration: float) -> None:
+        """Bound the catching up after missed periods by the limits of one more axis.
+
+        The rate of path time exceeds 1 by at most a tenth, and so little that the axis stays at least half as far
+        below its velocity limit as on its path. The rate changes no faster than while the axis starts, and so slowly
+        that this adds no more than a fifth to the largest acceleration of the path.
+
+        Parameters
+        ----------
+        velocity_limit : float
+        speed, acceleration : float
+            Largest ones of the path at a rate of 1, SI; 0 for an axis that stands.
+        """
+        if speed > 0.0 and acceleration > 0.0:
+            self._excess = min(self._excess, max(_HEADROOM * (velocity_limit / speed - 1.0), 0.0))
+            self._change = min(self._change, _EXTRA_ACCELERATION * acceleration / speed)
 
     def start(self, time_s: float) -> None:
         """Start at ``time_s``."""
@@ -142,18 +179,49 @@ class PathTime:
     def stop(self, time_s: float) -> None:
         """Begin to stop at ``time_s``; a second call has no effect."""
         if math.isinf(self._stop_s):
+            if self._held is not None:
+                time_s = self._held.at(time_s)[0]
             self._stop_path, self._stop_rate, _ = self._running(time_s)
             self._stop_duration = self._ramp_s * max(self._stop_rate, 0.1)
             self._stop_s = time_s
 
+    def hold(self, now_s: float, missed_s: float, later_s: float) -> None:
+        """Go on at ``now_s`` from where path time was ``missed_s`` before, and catch up from ``later_s`` on.
+
+        Before the start there is nothing to hold.
+
+        Parameters
+        ----------
+        now_s, missed_s : float
+            Present time, and time of the periods that were missed before it, s.
+        later_s : float
+            Set-points up to this time were sent already.
+        """
+        if self._start_s >= later_s:
+            return
+        if self._held is None:
+            self._held = HeldTime(self._excess, self._change)
+        self._held.hold(now_s, missed_s, later_s)
+
+    def lag_s(self, time_s: float) -> float:
+        """Return by how much missed periods have put path time behind at ``time_s``, s."""
+        return 0.0 if self._held is None else self._held.lag_s(time_s)
+
     def is_standing(self, time_s: float) -> bool:
         """Return True if the path time has stopped for good by ``time_s``."""
+        if self._held is not None:
+            time_s = self._held.at(time_s)[0]
         return time_s >= self._stop_s + self._stop_duration
 
     def at(self, time_s: float) -> tuple[float, float, float]:
         """Return path time, its rate and the derivative of the rate at ``time_s``."""
-        if time_s < self._stop_s:
-            return self._running(time_s)
+        if self._held is None:
+            return self._running(time_s) if time_s < self._stop_s else self._stopping(time_s)
+        motion_s, pace, bend = self._held.at(time_s)
+        s, rate, change = self._running(motion_s) if motion_s < self._stop_s else self._stopping(motion_s)
+        return s, rate * pace, change * pace * pace + rate * bend
+
+    def _stopping(self, time_s: float) -> tuple[float, float, float]:
         x = (time_s - self._stop_s) / self._stop_duration
         if x >= 1.0:
             return self._stop_path + 0.5 * self._stop_rate * self._stop_duration, 0.0, 0.0
@@ -167,7 +235,8 @@ class PathTime:
         x = (time_s - self._start_s) / self._ramp_s
         if x >= 1.0:
             return time_s - self._start_s - 0.5 * self._ramp_s, 1.0, 0.0
-        return self._ramp_s * (x**3 - 0.5 * x**4), x * x * (3.0 - 2.0 * x), 6.0 * x * (1.0 - x) / self._ramp_s
+        travelled, rate, change = smooth_step(x)
+        return self._ramp_s * travelled, rate, change / self._ramp_s
 
 
 class Trajectory:
@@ -205,3 +274,8 @@ def extent(path: Path, duration_s: float, count: int = 2048) -> tuple[float, flo
     start = samples[0][0]
     positions = [sample[0] - start for sample in samples]
     return min(positions), max(positions), max(abs(sample[1]) for sample in samples)
+
+
+def largest_acceleration(path: Path, duration_s: float, count: int = 2048) -> float:
+    """Return the largest of ``count`` samples of the acceleration within ``duration_s``, without its sign."""
+    return max(abs(path(duration_s * (k + 0.5) / count)[2]) for k in range(count))

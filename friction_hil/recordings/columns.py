@@ -47,6 +47,9 @@ COLUMNS = (
     ),
     ColumnMeaning("late_us", "us", "how late the cycle began"),
     ColumnMeaning("exchange_us", "us", "duration of the exchange with the drives"),
+    ColumnMeaning(
+        "path_lag_s", "s", "time by which missed periods have put the motion behind; it catches up", is_sparse=True
+    ),
 )
 
 NAMES = tuple(column.name for column in COLUMNS)

@@ -9,7 +9,7 @@ from friction_hil.motion.controller import cascade
 from friction_hil.numerics.jit import StructuredArray, compiled
 
 _BALANCE = 1e-12  # relative difference of torque and friction below which they balance
-BRIDGED_PERIODS = 10.0  # of missing targets that are extrapolated
+BRIDGED_PERIODS = 1.5  # for which a missing target is extrapolated: one that was lost, or comes a period late
 OFF, QUICK_STOP, CSP, CSV, CST = 0, 2, 8, 9, 10
 
 PLANT = np.dtype(

@@ -127,14 +127,17 @@ class Servo:
         if mode != get(_MODE):
             self._change_mode(mode)
         elif mode == plant.CSP:
-            # missing targets are placed on the straight line that the demand followed in the meantime
             missed = round(get(_PHASE) / get(_PERIOD_STEPS)) - 1
-            for _ in range(min(missed, round(plant.BRIDGED_PERIODS))):
+            if missed == 1:  # it is placed on the straight line that the demand followed in the meantime
                 s[_TARGET0], s[_TARGET1], s[_TARGET2] = (
                     get(_TARGET1),
                     get(_TARGET2),
                     2.0 * get(_TARGET2) - get(_TARGET1),
                 )
+            elif missed > 1:  # the demand stands, and starts from there
+                standing = 0.5 * (get(_TARGET1) + get(_TARGET2))
+                standing += plant.BRIDGED_PERIODS * (get(_TARGET2) - get(_TARGET1))
+                s[_TARGET1] = s[_TARGET2] = standing
         s[_PHASE] = 0.0
         s[_VELOCITY_OFFSET], s[_TORQUE_OFFSET] = velocity_offset, torque_offset
         s[_TARGET0], s[_TARGET1], s[_TARGET2] = get(_TARGET1), get(_TARGET2), target

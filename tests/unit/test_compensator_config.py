@@ -43,8 +43,12 @@ def test_the_defaults():
 def test_what_is_not_given_is_off():
     settings = made().settings
     assert settings.gain_negative is None
-    assert (settings.dead_band, settings.adaptation_s, settings.max_acceleration) == (0.0, 0.0, math.inf)
+    assert (settings.dead_band, settings.adaptation_s) == (0.0, 0.0)
     assert (settings.velocity, settings.smoothing, settings.inertia) == ("difference", 1.0, 2e-4)
+
+
+def test_by_default_no_position_needs_to_reach_the_velocity_limit_within_a_period():
+    assert made().settings.max_acceleration == pytest.approx(axis_dict()["limits"]["velocity"] / PERIOD_S)
 
 
 @pytest.mark.parametrize(

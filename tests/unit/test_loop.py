@@ -11,7 +11,18 @@ from friction_hil.daemon.realtime import SteppedClock
 from friction_hil.daemon.safety import LoopState
 from friction_hil.drive import DriveState, Request
 from friction_hil.servo.config import ServoConfig
-from tests.loop_run import BELIEVED, LIMITS, MODES, ORDINARY, SINE, STOPPED_BY_FAULT, Run, axis, model
+from tests.loop_run import (
+    BELIEVED,
+    LIMITS,
+    MODES,
+    ORDINARY,
+    SINE,
+    STOPPED_BY_FAULT,
+    LateClock,
+    Run,
+    axis,
+    model,
+)
 from tests.servo_drives import PERIOD_S
 
 # --- physics
@@ -171,18 +182,6 @@ def test_no_disturbance_of_the_feedback_breaks_a_limit_or_leaves_a_drive_enabled
 
 
 # --- time
-
-
-class LateClock(SteppedClock):
-    """Oversleeps: by so many nanoseconds at the n-th call."""
-
-    def __init__(self, late):
-        super().__init__()
-        self.late, self.calls = late, -1
-
-    def sleep_until(self, deadline_ns):
-        self.calls += 1
-        super().sleep_until(deadline_ns + self.late.get(self.calls, 0))
 
 
 @pytest.mark.parametrize(("exchange_us", "is_told"), [(600, False), (1400, True)])

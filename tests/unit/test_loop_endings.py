@@ -92,8 +92,8 @@ def freezes(cycle, feedback):
 @pytest.mark.parametrize(
     ("limits", "disturb", "words"),
     [
-        ({"velocity": 6.0}, slips(8e-3), "x: velocity"),
-        ({"velocity": 6.0}, slips(-8e-3), "x: velocity"),
+        ({"velocity": 6.0}, slips(8e-3), "[FH-107]"),
+        ({"velocity": 6.0}, slips(-8e-3), "[FH-107]"),
         ({"following_error": 0.05}, freezes, "x: following error"),
         ({"position": [-0.5, 0.5], "following_error": 10.0}, carried, "is outside [-0.5, 0.5] rad"),
         ({"velocity": 6.0}, jumps, "x: no usable feedback for more than 10 cycles"),

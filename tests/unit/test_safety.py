@@ -186,8 +186,24 @@ def test_a_drive_that_leaves_operation_enabled_in_motion_is_a_fault(state, drive
     ],
 )
 def test_each_limit_trips_just_beyond_it(state, position, velocity, demand, words):
-    text = supervisor(position=position).find_fault(heard(position), state, velocity, demand)
+    reported = velocity if math.isfinite(velocity) else 0.0
+    text = supervisor(position=position).find_fault(heard(position, reported), state, velocity, demand)
     assert (text is None) if words is None else str(text).startswith(words)
+
+
+@pytest.mark.parametrize("is_fresh", [True, False])
+def test_a_velocity_that_the_drive_does_not_confirm_is_a_fault_in_the_third_cycle_in_a_row(is_fresh):
+    one = supervisor()
+
+    def find(velocity, is_fresh=True):
+        feedback = heard(0.0, 9.0, is_fresh=is_fresh)
+        one.take(feedback)
+        return one.find_fault(feedback, LoopState.RUNNING, velocity, 0.0)
+
+    for velocity in (10.5, 12.0, 10.0, -11.0, 11.0, 9.0):
+        assert find(velocity) is None
+    assert [find(velocity, is_fresh) for velocity in (10.5, 10.5)] == [None, None]
+    assert "velocity 10.5 is beyond its limit of 10 rad/s" in str(find(10.5, is_fresh))
 
 
 @given(
@@ -209,7 +225,7 @@ def test_limits_of_motion_do_not_count_while_nothing_is_commanded_to_move(state)
 def test_an_axis_without_the_optional_limits_has_none_and_a_linear_one_its_unit():
     one = supervisor(SafetyLimits(torque=1.0, velocity=2.0), unit="m")
     assert one.find_fault(heard(), LoopState.RUNNING, 1.0, 1e6) is None
-    assert "2.5 is beyond its limit of 2 m/s" in str(one.find_fault(heard(), LoopState.RUNNING, 2.5, 0.0))
+    assert "2.5 is beyond its limit of 2 m/s" in str(one.find_fault(heard(0.0, 2.4), LoopState.RUNNING, 2.5, 0.0))
 
 
 # --- what the states ask of the drives

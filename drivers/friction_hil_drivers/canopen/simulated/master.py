@@ -215,7 +215,9 @@ class StandInMaster:
             start_ns = time.monotonic_ns()
             cycle = 0
             while not self._is_done(is_stopping()):
-                cycle = self._wait(start_ns, cycle)
+                due, cycle = cycle, self._wait(start_ns, cycle)
+                if cycle > due:
+                    self._hold(cycle - due)
                 self.cycle()
                 cycle += 1
         finally:
@@ -262,6 +264,11 @@ class StandInMaster:
             for slave in self._slaves:
                 slave.begin_motion()
             self._path_time.start(time_s)
+
+    def _hold(self, missed: int) -> None:
+        """Let the motion go on from where it was ``missed`` periods before: the drives have stood in the meantime."""
+        now_s = self._now_s()
+        self._path_time.hold(now_s, missed * self._period_s, now_s + self._period_s)
 
     def _is_done(self, is_stopping: bool) -> bool:
         """Return True once a stop that was asked for is complete: at rest, and disabled."""
