@@ -7,6 +7,7 @@ import numpy as np
 
 from friction_hil.errors import RecordingError
 from friction_hil.identification.fits import Fit
+from friction_hil.identification.inference import is_doubtful
 from friction_hil.identification.refine import is_dynamic
 
 
@@ -62,7 +63,12 @@ def choose(fits: Sequence[Fit], blocks: str = "blocks") -> tuple[Fit, str]:
         where = f"{blocks} held out in turn"
     if len(usable) == 1:
         return chosen, f"{chosen.label} is the only candidate; it predicts {where} with an error of {_percent(chosen)}"
-    shown = "whose parameters the data determine" if sound else "though the data do not determine its parameters"
+    if not sound:
+        shown = "though the data do not determine its parameters"
+    elif is_doubtful(chosen.flags):  # the flags follow the reason, and must not contradict it
+        shown = "whose nonlinear parameters all exceed their standard errors"
+    else:
+        shown = "whose parameters the data determine"
     first = f"of {len(usable)} candidates {lowest.label} predicts {where} best, with an error of {_percent(lowest)}"
     if chosen is lowest:
         return chosen, f"{first}, and no simpler one within one standard error of it does as well"

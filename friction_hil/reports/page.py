@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from friction_hil.errors import FrictionHilError, UsageError
+from friction_hil.reports.figures import apply_style
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -34,6 +35,7 @@ def picture(figure: "Figure", caption: str, kind: str = "") -> str:
     """Return a figure as HTML: SVG with a caption. ``kind`` is its CSS class; ``wide`` fills the width of the page."""
     from matplotlib import rc_context  # imported here: matplotlib is optional, and takes 0.3 s
 
+    apply_style(figure)
     text = io.StringIO()
     with rc_context({"svg.hashsalt": "friction-hil"}):  # equal pictures become equal text
         figure.savefig(text, format="svg", metadata={"Date": None})
