@@ -193,7 +193,7 @@ def _refine(fitter: CandidateFitter, fits: list[Fit], again: list[Fit]) -> tuple
     """Refine some of the fits; return all fits with these replaced, the choice among the refined, and its reason."""
     refined = [fitter.refine(each) for each in again]
     fits = [each for each in fits if each.label not in {other.label for other in refined}] + refined
-    best, further = choose(refined)
+    best, further = choose(refined, kind="refined ")
     return (
         fits,
         best,

@@ -154,7 +154,9 @@ def _shown(fits: Sequence[Fit]) -> list[Fit]:
 
 
 def _print_parameters(best: Fit) -> None:
-    table = new_table("parameter", "value", "standard error")
+    table = new_table("parameter")
+    for heading in ("value", "standard error"):
+        table.add_column(heading, justify="right")
     for name, value in best.values.items():
         error = best.inference.standard_errors.get(name, math.nan)
         table.add_row(Text(name), f"{value:.6g}", f"{error:.2g}" if math.isfinite(error) else "-")

@@ -57,7 +57,9 @@ function reduced(time, values, from, to, most) {
 
 const MOST_POINTS = 3000;
 const FONT = {family: "system-ui, sans-serif", size: 13, color: "#222222"};
-const SETTINGS = {responsive: true, displaylogo: false, scrollZoom: true};
+// Exactly these buttons: by default there is one that sends the data to a server.
+const BUTTONS = [["zoom2d", "pan2d"], ["zoomIn2d", "zoomOut2d", "resetScale2d"], ["toImage"]];
+const SETTINGS = {responsive: true, displaylogo: false, scrollZoom: true, modeBarButtons: BUTTONS};
 const GRID = {gridcolor: "#e6e6e6", zerolinecolor: "#c8c8c8", showline: true, linecolor: "#888888", ticks: "outside"};
 
 function timeTraces(view) {

@@ -28,7 +28,7 @@ body { max-width: 100rem }
 # The browser itself refuses whatever this page might load.
 _POLICY = (
     "<meta http-equiv=\"Content-Security-Policy\" content=\"default-src 'none'; script-src 'unsafe-inline'; "
-    "style-src 'unsafe-inline'; img-src data: blob:\">"
+    "style-src 'unsafe-inline'; img-src data: blob:; form-action 'none'; base-uri 'none'\">"
 )
 _HELP = (
     "Drag to zoom, double-click to see everything again; all times move together. Drag an axis to pan it; a click in a "

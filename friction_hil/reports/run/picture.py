@@ -1,9 +1,11 @@
 """The picture of one axis of a run: signals over time, and beside them the comparison and friction over velocity."""
 
 import textwrap
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from friction_hil.numerics.jit import Array
 from friction_hil.reports.decimation import bucket_size, decimated, decimated_time
 from friction_hil.reports.figures import FAULT, GREY, INK, MEASURED, WITH, WITHOUT, new_figure_for, save
 from friction_hil.reports.run.view import Panel, RunView, broken_at_gaps
@@ -37,8 +39,11 @@ def draw_run(view: RunView, path: Path) -> None:
         cells = grid[0].subgridspec(rows, 1)
         first = figure.add_subplot(cells[0])
         panels = [first, *(figure.add_subplot(cells[k], sharex=first) for k in range(1, rows))]
+        time, values = broken_at_gaps(view)
         for k, axes in enumerate(panels):
-            _draw_panel(axes, view, k, view.panels[k])
+            _draw_panel(axes, view, view.panels[k], time, values[k])
+            _draw_marks(axes, view, "missed periods" if k == rows - 1 else None)
+            axes.legend(loc="upper right", ncols=6)
             axes.tick_params(labelbottom=k == rows - 1)
         panels[-1].set_xlabel("time [s]")
         _name_events(first, view)
@@ -65,11 +70,10 @@ def comparison_text(view: RunView) -> str:
     )
 
 
-def _draw_panel(axes: "Axes", view: RunView, k: int, panel: Panel) -> None:
-    time, lines = broken_at_gaps(view)
+def _draw_panel(axes: "Axes", view: RunView, panel: Panel, time: Array, lines: Sequence[Array]) -> None:
     size = bucket_size(len(time), _MOST_POINTS)
     shown = decimated_time(time, size)
-    for line, values in zip(panel.lines, lines[k], strict=True):
+    for line, values in zip(panel.lines, lines, strict=True):
         style = "--" if line.is_dashed else "-"
         axes.plot(
             shown, decimated(values, size), style, color=line.color, linewidth=line.width, label=line.name, zorder=2
@@ -78,18 +82,19 @@ def _draw_panel(axes: "Axes", view: RunView, k: int, panel: Panel) -> None:
         for phase, color in zip(view.phases, (WITHOUT, WITH), strict=True):
             if phase is not None:
                 axes.axvspan(*phase.interval_s, color=color, alpha=0.09, linewidth=0.0, zorder=0)
+    axes.set_ylabel(panel.label)
+    axes.set_xlim(view.time_s[0], view.time_s[-1])
+    axes.margins(y=0.2)
+
+
+def _draw_marks(axes: "Axes", view: RunView, label: str | None) -> None:
+    """Draw missed periods, with a label in the legend if there is to be one, and events."""
     if view.missed_s.size:
-        label = "missed periods" if k == len(view.panels) - 1 else None
         base = axes.get_xaxis_transform()
         axes.plot(view.missed_s, 0.0 * view.missed_s, "|", color=FAULT, markersize=14.0, transform=base, label=label)
     for mark in view.marks:
         color, style = (FAULT, "-") if mark.is_fault else (GREY, ":" if mark.kind in _STATES else "--")
         axes.axvline(mark.time_s, color=color, linestyle=style, linewidth=1.0, zorder=1)
-    axes.set_ylabel(panel.label)
-    axes.set_xlim(view.time_s[0], view.time_s[-1])
-    if len(panel.lines) > 1 or panel.lines[0].name != "":
-        axes.legend(loc="upper right", ncols=6)
-        axes.margins(y=0.2)
 
 
 def _name_events(axes: "Axes", view: RunView) -> None:
