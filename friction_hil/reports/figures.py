@@ -26,7 +26,7 @@ SERIES = (
     "#7f7f7f",
 )  # of lines that have no colour of their own
 
-_TITLE, _TEXT, _TICKS = 11.0, 10.0, 9.0  # points
+_HEADING, _TITLE, _TEXT, _TICKS = 13.0, 11.0, 10.0, 9.0  # points
 
 
 def require_matplotlib() -> None:
@@ -79,13 +79,14 @@ def apply_style(figure: "Figure") -> None:
 
     Axes that are switched off, and those that show an image, keep their own grid.
     """
-    if figure.get_suptitle():
-        figure._suptitle.set(fontsize=13.0, fontweight="bold", color=INK)
+    if title := figure.get_suptitle():
+        figure.suptitle(title, fontsize=_HEADING, fontweight="bold", color=INK)
     for axes in figure.axes:
         if not axes.axison:
             continue
-        for title in (axes.title, axes._left_title):
-            title.set(fontsize=_TITLE, color=INK)
+        for side in ("left", "center"):
+            if title := axes.get_title(side):
+                axes.set_title(title, loc=side, fontsize=_TITLE, color=INK)
         for label in (axes.xaxis.label, axes.yaxis.label):
             label.set(fontsize=_TEXT, color=INK)
         axes.tick_params(labelsize=_TICKS, color=INK, labelcolor=INK)

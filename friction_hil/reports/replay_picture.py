@@ -1,6 +1,7 @@
 """The picture of a replay: predicted and measured torque, the residual, and friction over velocity."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -38,7 +39,7 @@ def draw(replay: Replay, path: Path) -> None:
     axes = figure.subplot_mosaic([["torque", "friction"], ["residual", "friction"]], width_ratios=[3, 2])
     axes["residual"].sharex(axes["torque"])
     axes["torque"].plot(time, line(measured), color=MEASURED, linewidth=1.2, label="measured")
-    points = {"marker": ".", "linestyle": "", "markersize": 2.0, "rasterized": True}
+    points: dict[str, Any] = {"marker": ".", "linestyle": "", "markersize": 2.0, "rasterized": True}
     axes["friction"].plot(replay.velocity[every], (measured - first.mechanics)[every], color=MEASURED, **points)
     for i, prediction in enumerate(replay.predictions):
         color = SERIES[i % len(SERIES)]

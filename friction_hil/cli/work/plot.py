@@ -93,7 +93,12 @@ def _inside(found: dict[str, Recording], notes: dict[str, list[str]]) -> Configu
 
 def _write(views: dict[str, RunView], target: Path) -> list[Path]:
     if target.suffix.lower() in _PAGES:
-        write_run_page(target, list(views.values()))
+        size = write_run_page(target, list(views.values()))
+        if size > 1:
+            click.echo(
+                f"{target} holds minimum and maximum of each {size} rows; --from and --to draw a part with every row",
+                err=True,
+            )
         return [target]
     is_only = len(views) == 1
     files = {name: target if is_only else target.with_stem(f"{target.stem}_{name}") for name in views}

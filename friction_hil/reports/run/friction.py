@@ -16,6 +16,8 @@ from friction_hil.replay.comparison import mechanics_torque
 from friction_hil.replay.preparation import replay_segments
 
 _MOST_POINTS = 6000
+_BINS = 200
+_GOLDEN = 0.6180339887498949
 _CURVE_POINTS = 300  # on each side
 _SLOWEST = 1e-4  # of the largest speed: where a curve begins beside rest
 
@@ -108,15 +110,19 @@ def _compensation(recording: Recording, fade_s: float) -> tuple[Array, Array] | 
 
 
 def _thinned(velocity: Array, torque: Array) -> tuple[Array, Array] | None:
-    """Return the points of the largest and the smallest torque in each of many short intervals; None without any."""
+    """Return a fair sample of the points, and the extremes of the torque at each velocity; None without any point.
+
+    The sample is spread by the golden ratio: even steps might meet the same points of each period of the motion.
+    """
     known = np.isfinite(velocity) & np.isfinite(torque)
     velocity, torque = velocity[known], torque[known]
-    if not velocity.size:
-        return None
-    size = -(-2 * velocity.size // _MOST_POINTS)
-    if size < 3:
-        return velocity, torque
-    starts = np.arange(0, velocity.size - size + 1, size)
-    index = starts[:, None] + np.arange(size)
-    rows = np.sort(np.concatenate([starts + torque[index].argmin(axis=1), starts + torque[index].argmax(axis=1)]))
+    count = velocity.size
+    if count <= _MOST_POINTS:
+        return (velocity, torque) if count else None
+    sample = (np.arange(_MOST_POINTS) * _GOLDEN % 1.0 * count).astype(np.intp)
+    low, high = float(velocity.min()), float(velocity.max())
+    bins = ((velocity - low) * (_BINS / ((high - low) or 1.0))).astype(np.intp)
+    order = np.lexsort((torque, bins))
+    ends = np.flatnonzero(np.diff(bins[order], append=_BINS + 1))
+    rows = np.unique(np.concatenate([sample, order[ends], order[np.concatenate([[0], ends[:-1] + 1])]]))
     return velocity[rows], torque[rows]

@@ -173,7 +173,7 @@ def _comparison(view: RunView) -> dict[str, Any] | None:
             size = bucket_size(len(phase.time_s), _PAIR_POINTS)
             error = decimated(phase.error * factor, size)
             lines.append(_line(name, color, decimated_time(phase.time_s, size), error, is_line=True))
-    labels = {"x": "time within a period of the motion [s]", "y": f"following error [{unit}]"}
+    labels = {"x": view.comparison_label, "y": f"following error [{unit}]"}
     return {"lines": lines, "labels": labels} if lines else None
 
 

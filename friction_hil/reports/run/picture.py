@@ -135,7 +135,7 @@ def _draw_comparison(axes: "Axes", view: RunView) -> None:
             size = bucket_size(len(phase.time_s), _MOST_POINTS)
             time, error = decimated_time(phase.time_s, size), decimated(phase.error * factor, size)
             axes.plot(time, error, color=color, linewidth=1.2, label=label)
-    axes.set(xlabel="time within a period of the motion [s]", ylabel=f"following error [{unit}]")
+    axes.set(xlabel=view.comparison_label, ylabel=f"following error [{unit}]")
     axes.set_title(comparison_text(view), loc="left", family="monospace")
     axes.legend(loc="upper right", ncols=2)
     axes.margins(y=0.15)

@@ -74,6 +74,8 @@ class RunView:
     marks : tuple of Mark
     phases : (Phase or None, Phase or None)
         Without and with compensation, of the whole run.
+    is_periodic : bool
+        True if they are whole periods of the motion, False if they are only equally long.
     rows : tuple of tuple of str
         Their figures: name with unit, without, with, times lower.
     friction : FrictionOverVelocity or None
@@ -91,6 +93,7 @@ class RunView:
     missed: Array
     marks: tuple[Mark, ...]
     phases: tuple[Phase | None, Phase | None]
+    is_periodic: bool
     rows: tuple[tuple[str, ...], ...]
     friction: FrictionOverVelocity | None
     units: tuple[str, str]
@@ -100,6 +103,11 @@ class RunView:
     def speed_unit(self) -> str:
         """Unit of the velocity."""
         return "/s or ".join(self.units[0].split(" or ")) + "/s"
+
+    @property
+    def comparison_label(self) -> str:
+        """Label of the time of both phases."""
+        return f"time within {'a period of the motion' if self.is_periodic else 'the last part of each'} [s]"
 
     @property
     def error_unit(self) -> tuple[float, str]:
@@ -154,6 +162,7 @@ def make_view(
         missed=missed,
         marks=marks,
         phases=phases,
+        is_periodic=_motion_s(config) is not None,
         rows=figures,
         friction=friction,
         units=units,
@@ -227,12 +236,11 @@ def _phases(
     if configuration is None or config is None:
         notes.append("no figures of the following error: they take the configuration; name one with --config")
         return None, None
-    frequency = getattr(config.trajectory, "frequency", None)
     try:
         phases = without_and_with(
             recording,
             cycle_s=configuration.period_s,
-            motion_s=None if frequency is None else 1.0 / frequency,
+            motion_s=_motion_s(config),
             start_s=ramp_s(configuration.axes.values()),
             fade_s=config.compensation.fade_s,
         )
@@ -242,6 +250,12 @@ def _phases(
     if phases == (None, None):
         notes.append("no figures of the following error: there is no whole period of settled motion")
     return phases
+
+
+def _motion_s(config: AxisConfig | None) -> float | None:
+    """Return the period of the configured motion, s; None if it has none, or another controller moves the axis."""
+    frequency = None if config is None else getattr(config.trajectory, "frequency", None)
+    return None if frequency is None else 1.0 / float(frequency)
 
 
 def _motion(recording: Recording, unit: str, notes: list[str]) -> list[Panel]:
