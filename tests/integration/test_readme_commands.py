@@ -42,12 +42,12 @@ ON_THE_RECORDING = (
     ("friction-hil convert run.mcap run.csv", 0),
     ("friction-hil convert run.mcap run.csv --axis x --where is_fresh --force", 0),
     ("friction-hil convert --info run.csv --column torque=torque*1 --json", 0),
+    ("friction-hil replay run.mcap --verify", 0),
+    (f"friction-hil replay 'run.*' --model {LUGRE} --json", 0),
     ("friction-hil plot run.mcap", 0),
     ("friction-hil plot run.mcap --output run.html --json", 0),
     ("friction-hil plot run.mcap --from 1 --to 2 --axis x", 0),
     ("friction-hil plot run.csv --config machine.yaml --column torque=torque*1 --output part.png", 0),
-    ("friction-hil replay run.mcap --verify", 0),
-    (f"friction-hil replay 'run.*' --model {LUGRE} --json", 0),
     (
         f"friction-hil replay run.csv --axis x --where is_fresh --model {LUGRE} --column position=position "
         "--column torque=torque --scale torque=1.0 --lowpass 100 --decimate 2 --output compared.png",
