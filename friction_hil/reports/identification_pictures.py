@@ -1,6 +1,5 @@
 """Pictures of an identification: torque over time, friction over velocity, residuals, hysteresis loops."""
 
-import itertools
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +9,7 @@ from friction_hil.identification.fits import Curves
 from friction_hil.numerics.jit import Array
 from friction_hil.reports.decimation import bucket_size, decimated, decimated_time
 from friction_hil.reports.figures import MEASURED, PREDICTED, RESIDUAL, new_figure
+from friction_hil.reports.hysteresis_loops import find_loops
 from friction_hil.reports.numbers import digits, readable
 
 if TYPE_CHECKING:
@@ -21,12 +21,6 @@ _BINS = 24
 _LEAST_IN_BIN = 5
 _LOOPS = 6  # hysteresis loops, each from one reversal to the next but one
 _LOOPS_IN_A_ROW = 3
-_SCALES = 16  # of travel at which a loop is looked for
-_SMALLEST_LOOP = 1e-5  # of the whole travel
-_UNEQUAL = 1.5  # ratio of the two strokes from which on they are no loop
-_WIDEST = 3.0  # stroke in units of the scale
-_DETOUR = 1.2  # path over the two strokes: more has smaller loops within
-_LEAST_ROWS = 12  # fewer are a polygon
 
 
 def draw_time(curves: Curves, unit: str) -> "Figure":
@@ -84,7 +78,7 @@ def draw_residuals(curves: Curves, unit: str, speed_unit: str, position_unit: st
 def draw_loops(curves: Curves, unit: str, position_unit: str) -> "Figure":
     """Draw friction over position, from one reversal to the next but one, each loop with its own scale of position."""
     measured = curves.friction + curves.residual
-    loops = _loops(curves)
+    loops = find_loops(curves.position, curves.recording, _LOOPS)
     columns = min(max(len(loops), 1), _LOOPS_IN_A_ROW)
     rows = max(-(-len(loops) // columns), 1)
     figure = new_figure(11.0, 3.5 * rows)
@@ -133,48 +127,3 @@ def _means(values: Array, residual: Array) -> tuple[Array, Array]:
     sums = np.bincount(index, residual, _BINS)
     centres = low + (np.arange(_BINS) + 0.5) * (high - low) / _BINS
     return centres[is_known], sums[is_known] / count[is_known]
-
-
-def _loops(curves: Curves) -> list[slice]:
-    """Return parts of the recordings that move back and forth, from small to large travel.
-
-    For each of several scales, the best resolved loop whose two strokes are both about as long as the scale.
-    """
-    ends = np.flatnonzero(np.diff(curves.recording)) + 1
-    bounds = [0, *ends.tolist(), len(curves.position)]
-    span = max(float(np.ptp(curves.position[a:b])) for a, b in itertools.pairwise(bounds))
-    found: dict[int, tuple[float, slice]] = {}
-    for scale in np.geomspace(_SMALLEST_LOOP * span, 0.9 * span, _SCALES) if span > 0.0 else ():
-        best = None
-        for a, b in itertools.pairwise(bounds):
-            turns = [a + turn for turn in turning_points(curves.position[a:b], float(scale))]
-            for first, middle, last in zip(turns, turns[1:], turns[2:], strict=False):
-                there, back = (abs(curves.position[middle] - curves.position[each]) for each in (first, last))
-                is_loop = max(there, back) < min(_UNEQUAL * min(there, back), _WIDEST * scale)
-                path = float(np.sum(np.abs(np.diff(curves.position[first : last + 1]))))
-                is_loop &= path < _DETOUR * (there + back)
-                if is_loop and last - first >= _LEAST_ROWS and (best is None or last - first > best.stop - best.start):
-                    best = slice(first, last + 1)
-        if best is not None:
-            found.setdefault(best.start, (float(np.ptp(curves.position[best])), best))
-    loops = [loop for _, loop in sorted(found.values(), key=lambda each: each[0])]
-    chosen = sorted({round(k) for k in np.linspace(0, len(loops) - 1, _LOOPS)}) if loops else []
-    return [loops[k] for k in chosen]
-
-
-def turning_points(position: Array, least: float) -> list[int]:
-    """Return the rows at which a position (n,) turns round, where it then comes back by ``least`` or more."""
-    turns: list[int] = []
-    direction, extreme, at = 0, float(position[0]), 0
-    low = high = extreme
-    for row, here in enumerate(position.tolist()):
-        low, high = min(low, here), max(high, here)
-        if direction == 0:
-            if high - low >= least:
-                direction, extreme, at = (1 if here == high else -1), here, row
-        elif direction * (here - extreme) > 0.0:
-            extreme, at = here, row
-        elif direction * (extreme - here) >= least:
-            turns.append(at)
-            direction, extreme, at = -direction, here, row
-    return turns
