@@ -77,18 +77,19 @@ def new_figure_for(path: Path, width: float, height: float) -> "Figure":
 def apply_style(figure: "Figure") -> None:
     """Give a finished figure the style of all pictures: sizes and colour of text, faint grid, no frame, open legends.
 
-    Axes that are switched off, and those that show an image, keep their own grid.
+    Axes that are switched off, and those that show an image, keep their own grid. Titles and labels are not taken for
+    formulas: they may hold the name of a file.
     """
     if title := figure.get_suptitle():
-        figure.suptitle(title, fontsize=_HEADING, fontweight="bold", color=INK)
+        figure.suptitle(title, fontsize=_HEADING, fontweight="bold", color=INK, parse_math=False)
     for axes in figure.axes:
         if not axes.axison:
             continue
         for side in ("left", "center"):
             if title := axes.get_title(side):
-                axes.set_title(title, loc=side, fontsize=_TITLE, color=INK)
+                axes.set_title(title, loc=side, fontsize=_TITLE, color=INK, parse_math=False)
         for label in (axes.xaxis.label, axes.yaxis.label):
-            label.set(fontsize=_TEXT, color=INK)
+            label.set(fontsize=_TEXT, color=INK, parse_math=False)
         axes.tick_params(labelsize=_TICKS, color=INK, labelcolor=INK)
         for side in ("top", "right"):
             axes.spines[side].set_visible(False)
@@ -98,7 +99,7 @@ def apply_style(figure: "Figure") -> None:
         if legend is not None:
             legend.set_frame_on(False)
             for text in legend.get_texts():
-                text.set(fontsize=_TICKS, color=INK)
+                text.set(fontsize=_TICKS, color=INK, parse_math=False)
 
 
 def save(figure: "Figure", path: Path) -> None:

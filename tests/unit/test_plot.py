@@ -187,6 +187,33 @@ def test_axes_get_a_picture_each_and_share_a_page(runs, tmp_path, capsys):
     assert len(Page(tmp_path / "run.html").data) == 2
 
 
+@pytest.mark.parametrize("suffix", ["png", "html"])
+@pytest.mark.parametrize(
+    "rows",
+    [
+        ["0,1,2"],
+        ["0,1,2", "0,2,3", "0,3,4"],
+        ["0,1,2", "0.001,2,3", "0.0005,3,4", "0.003,3,4"],
+        ["0,0,0", "0.001,0,0", "0.002,0,0"],
+        ["0,nan,inf", "0.001,-inf,2", "0.002,1,nan"],
+    ],
+    ids=["one row", "time stands still", "time goes back", "zeros", "not finite"],
+)
+def test_odd_tables_are_drawn(rows, suffix, tmp_path, capsys):
+    path = tmp_path / "$odd_$name.csv"  # to matplotlib, what is between two of these is a formula
+    path.write_text("\n".join(["time_s,position,torque", *rows, ""]))
+    plotted(capsys, path, "--output", tmp_path / f"odd.{suffix}")
+
+
+def test_a_value_that_no_picture_can_show_is_named(tmp_path, capsys):
+    (tmp_path / "huge.csv").write_text("time_s,position,torque\n0,1,2\n0.001,-1e300,2\n0.002,1,2\n0.003,1,2\n")
+    assert main(["plot", str(tmp_path / "huge.csv")]) == 1
+    assert "position reaches 1e+300 at 0.001 s" in capsys.readouterr().err
+    plotted(capsys, tmp_path / "huge.csv", "--from", "0.0015")
+    assert main(["plot", str(tmp_path)]) == 2
+    assert "is a folder" in capsys.readouterr().err
+
+
 class Page(HTMLParser):
     """What a page loads, says about loading, and holds as data."""
 
@@ -263,6 +290,8 @@ def test_a_part_is_drawn_and_the_figures_stay_those_of_the_run(csp, tmp_path, ca
         (("--output", "run.xyz"), 2, "no picture format has the suffix"),
         (("--output", "run.mcap"), 2, "is the recording itself"),
         (("--axis", "z"), 2, "no axis 'z'"),
+        (("--output", "no/where.png"), 1, "cannot be written"),
+        (("--output", "no/where.html"), 1, "cannot be written"),
     ],
 )
 def test_mistakes_are_answered(words, status, said, csp, monkeypatch, capsys):

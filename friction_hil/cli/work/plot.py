@@ -37,6 +37,8 @@ def plot(
 ) -> None:
     """Draw a recording into a file for each axis, or all axes into one page, and print the figures."""
     window = _window(begin, end)
+    if source.is_dir():
+        raise UsageError(f"{source} is a folder; name a recording in it")
     target = source.with_suffix(".png") if output is None else output
     _check_target(source, target)
     configuration = None if config is None else load(config)

@@ -53,7 +53,7 @@ def draw_run(view: RunView, path: Path) -> None:
             draw(figure.add_subplot(cells[k]), view)
     figure.suptitle(f"{view.title}: {view.facts}")
     if lines := _listed(view):
-        figure.supxlabel("\n".join(lines), x=0.01, ha="left", fontsize=8.5, color=INK)
+        figure.supxlabel("\n".join(lines), x=0.01, ha="left", fontsize=8.5, color=INK, parse_math=False)
     save(figure, path)
 
 
@@ -83,7 +83,8 @@ def _draw_panel(axes: "Axes", view: RunView, panel: Panel, time: Array, lines: S
             if phase is not None:
                 axes.axvspan(*phase.interval_s, color=color, alpha=0.09, linewidth=0.0, zorder=0)
     axes.set_ylabel(panel.label)
-    axes.set_xlim(view.time_s[0], view.time_s[-1])
+    if view.time_s[-1] > view.time_s[0]:
+        axes.set_xlim(view.time_s[0], view.time_s[-1])
     axes.margins(y=0.2)
 
 
@@ -105,7 +106,9 @@ def _name_events(axes: "Axes", view: RunView) -> None:
     ends = [*(mark.time_s for mark in states), view.time_s[-1]][1:]
     for mark, end in zip(states, ends, strict=True):
         if end - mark.time_s > 0.012 * len(mark.text) * span:
-            axes.text(mark.time_s, 1.02, f" {mark.text}", transform=top, fontsize=8.0, color="#666666")
+            axes.text(
+                mark.time_s, 1.02, f" {mark.text}", transform=top, fontsize=8.0, color="#666666", parse_math=False
+            )
     for number, mark in enumerate(_events(view)[:_LISTED], start=1):
         color = FAULT if mark.is_fault else INK
         axes.text(mark.time_s, 1.14, str(number), transform=top, fontsize=9.0, color=color, ha="center")
@@ -125,7 +128,7 @@ def _listed(view: RunView) -> list[str]:
         lines += textwrap.wrap(text, _LINE, subsequent_indent="      ")[:2]
     if len(events) > _LISTED:
         lines.append(f"and {len(events) - _LISTED} more events: friction-hil convert {view.title.split(',')[0]} --info")
-    return [line.replace("$", r"\$") for line in lines]  # a pair of them is a formula to matplotlib
+    return lines
 
 
 def _draw_comparison(axes: "Axes", view: RunView) -> None:

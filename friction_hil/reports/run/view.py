@@ -15,11 +15,12 @@ from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
 from friction_hil.recordings.columns import CYCLE, SHADOW_PREFIX, TIME
 from friction_hil.recordings.quality import time_facts
-from friction_hil.reports.figures import BLUE, GREEN, GREY, INK, SERIES, WITH, WITHOUT
+from friction_hil.reports.figures import BLUE, GREEN, GREY, INK, ORANGE, SERIES, WITH, WITHOUT
 from friction_hil.reports.numbers import comparison_rows, prefix_of
 from friction_hil.reports.run.friction import FrictionOverVelocity, friction_over_velocity
 
 FAULTS = ("fault", "abandoned")
+_LARGEST = 1e30  # of a value: neither picture nor page can draw much larger ones
 _UNITS = {"rotary": ("rad", "N m"), "linear": ("m", "N"), None: ("rad or m", "N m or N")}
 
 
@@ -132,13 +133,16 @@ def make_view(
     Raises
     ------
     RecordingError
-        There is nothing to draw in it.
+        There is nothing to draw in it, or a value is too large to be drawn.
+    UsageError
+        The configuration has several axes, and none of this name.
     """
     notes: list[str] = []
     config = None if configuration is None else _config_of(recording, configuration)
     recording = _in_order(recording)
     phases = _phases(recording, configuration, config, notes)
     part = recording if window is None else _cut(recording, window)
+    _refuse_huge(part)
     units = _UNITS[_kind(recording, config)]
     time = part[TIME]
     panels = [*_motion(part, units[0], notes), *_error(part, units[0], configuration, phases, notes)]
@@ -211,6 +215,16 @@ def _cut(recording: Recording, window: tuple[float, float]) -> Recording:
             f"{time[0]:g} s to {time[-1]:g} s"
         )
     return _rows(recording, rows)
+
+
+def _refuse_huge(recording: Recording) -> None:
+    for name, values in recording.columns.items():
+        if (largest := _largest(values)) > _LARGEST:
+            at = float(recording[TIME][np.nanargmax(np.where(np.isfinite(values), np.abs(values), np.nan))])
+            raise RecordingError(
+                f"{recording.path}: {name} reaches {largest:.3g} at {at:g} s, too large to be drawn; --from and --to "
+                "leave it out"
+            )
 
 
 def _rows(recording: Recording, rows: "np.typing.NDArray[np.intp]") -> Recording:
@@ -330,15 +344,21 @@ def _torques(recording: Recording, unit: str, notes: list[str]) -> list[Panel]:
 
 
 def _timing(recording: Recording, notes: list[str]) -> list[Panel]:
-    known = (("exchange_us", "exchange with the drives", GREY, 0.8), ("late_us", "late", INK, 0.8))
-    lines = [Line(label, color, recording[name], width) for name, label, color, width in known if name in recording]
+    known = (
+        ("exchange_us", "exchange with the drives", GREY, 1.0),
+        ("late_us", "late", INK, 1.0),
+        ("path_lag_s", "motion behind", ORANGE, 1e6),
+    )
+    lines = [Line(label, color, recording[name] * factor) for name, label, color, factor in known if name in recording]
     if not lines:
         notes.append("no timing of the loop: no column late_us")
         return []
-    if not any(np.any(line.values) for line in lines):
+    if not any(_largest(line.values) for line in lines):
         notes.append("no timing of the loop: nothing is late in simulated time")
         return []
-    return [Panel("timing", "time\n[µs]", tuple(lines))]
+    return [
+        Panel("timing", "time\n[µs]", tuple(line for line in lines if line.name == "late" or _largest(line.values)))
+    ]
 
 
 def _panel(
