@@ -165,6 +165,18 @@ def test_a_recording_without_model_says_how_to_name_one(runs, csp, tmp_path, cap
     assert again["axes"]["run"]["following_error"] == plotted(capsys, csp)["axes"]["x"]["following_error"]
 
 
+@pytest.mark.parametrize("content", [5, {"version": 1}, {"version": 1, "axes": {"x": {"driver": "no such driver"}}}])
+def test_a_configuration_inside_that_cannot_be_used_is_reported(content, tmp_path, capsys):
+    time = np.arange(50) * 1e-3
+    writer = McapWriter(
+        tmp_path / "r.mcap", ["x"], ("time_s", "cycle", "position"), metadata={"configuration": content}
+    )
+    writer.write(np.stack([time, np.arange(50.0), np.sin(time)], axis=1))
+    writer.close()
+    assert main(["plot", str(tmp_path / "r.mcap")]) == 0
+    assert "x: the configuration inside cannot be used; name one with --config" in capsys.readouterr().err
+
+
 def test_a_table_of_foreign_columns_has_what_they_allow(tmp_path, capsys):
     time = np.arange(500) * 1e-3
     lines = [f"{t:.3f},{np.sin(9 * t):.6f},{0.1 * np.cos(9 * t):.6f}" for t in time]

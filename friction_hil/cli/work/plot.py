@@ -1,6 +1,7 @@
 """The work of ``friction-hil plot``."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,7 @@ from friction_hil.cli.output import print_json
 from friction_hil.cli.work.progress import status_line
 from friction_hil.cli.work.tables import new_table, print_table
 from friction_hil.config import Configuration, from_dict, load
-from friction_hil.errors import ConfigurationError, UsageError
+from friction_hil.errors import ConfigurationError, FrictionHilError, Problem, UsageError
 from friction_hil.recordings import Recording
 from friction_hil.reports.figures import new_figure_for
 from friction_hil.reports.run.page import require_plotly, write_run_page
@@ -84,12 +85,16 @@ def _check_target(source: Path, target: Path) -> None:
 def _inside(found: dict[str, Recording], notes: dict[str, list[str]]) -> Configuration | None:
     """Return the configuration in a recording; a note says if it cannot be used."""
     for name, recording in found.items():
-        if "configuration" in recording.metadata:
-            try:
-                return from_dict(recording.metadata["configuration"], f"{recording.path} (configuration inside)")
-            except ConfigurationError as error:
-                notes[name].append(f"the configuration inside cannot be used: {error}")
-                return None
+        content = recording.metadata.get("configuration")
+        if content is None:
+            continue
+        try:
+            if not isinstance(content, Mapping):
+                raise ConfigurationError([Problem(str(recording.path), None, "configuration", "is no mapping")])
+            return from_dict(content, f"{recording.path} (configuration inside)")
+        except FrictionHilError as error:
+            notes[name].append(f"the configuration inside cannot be used; name one with --config: {error}")
+            return None
     return None
 
 

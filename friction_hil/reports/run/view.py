@@ -159,7 +159,7 @@ def make_view(
     figures = tuple(comparison_rows(units[0], *(None if each is None else each.figures for each in phases)))
     return RunView(
         title=f"{Path(recording.path).name}, axis {recording.axis}",
-        facts=_facts(part, config, missed, marks),
+        facts=_facts(recording, part, config, missed, marks),
         time_s=time,
         panels=tuple(panels),
         missed_s=missed_s,
@@ -401,12 +401,14 @@ def _marks(part: Recording, whole: Recording) -> tuple[Mark, ...]:
     return tuple(mark for mark in marks if first <= mark.time_s <= last)
 
 
-def _facts(recording: Recording, config: AxisConfig | None, missed: Array, marks: Sequence[Mark]) -> str:
-    words = [f"{recording.duration_s:.4g} s"]
+def _facts(whole: Recording, part: Recording, config: AxisConfig | None, missed: Array, marks: Sequence[Mark]) -> str:
+    words = [f"{whole.duration_s:.4g} s"]
+    if len(part) < len(whole):
+        words = [f"{part[TIME][0]:.6g} to {part[TIME][-1]:.6g} s of {words[0]}"]
     if config is not None:
         words += [f"mode {config.mode}", f"model {config.model.friction.model}, gain {config.compensation.gain:g}"]
     if missed.size:
-        words.append(f"{int(missed.sum())} periods missed" if CYCLE in recording else f"{missed.size} gaps")
+        words.append(f"{int(missed.sum())} periods missed" if CYCLE in whole else f"{missed.size} gaps")
     faults = sum(mark.is_fault for mark in marks)
     if faults:
         words.append(f"{faults} fault{'s' * (faults > 1)}")
