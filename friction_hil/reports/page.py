@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from friction_hil.errors import FrictionHilError, UsageError
-from friction_hil.reports.figures import apply_style
+from friction_hil.reports.figures import REPRODUCIBLE, apply_style
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -37,7 +37,7 @@ def picture(figure: "Figure", caption: str, kind: str = "") -> str:
 
     apply_style(figure)
     text = io.StringIO()
-    with rc_context({"svg.hashsalt": "friction-hil"}):  # equal pictures become equal text
+    with rc_context(REPRODUCIBLE):
         figure.savefig(text, format="svg", metadata={"Date": None})
     data = base64.b64encode(text.getvalue().encode()).decode()
     escaped = html.escape(caption)

@@ -3,6 +3,8 @@
 import base64
 import json
 import re
+import shutil
+import subprocess
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -22,6 +24,7 @@ from tests.loop_run import BELIEVED, Run, axis, model
 
 pytest.importorskip("matplotlib", reason="the extra 'report' is not installed")
 
+BROWSER = shutil.which("chromium") or shutil.which("google-chrome")
 BASELINE_S, DURATION_S, FADE_S, RAMP_S = 1.8, 4.2, 0.1, 0.25  # of motion; 1 Hz
 COMPENSATION = {"fade_s": FADE_S, "baseline_s": BASELINE_S, "gain": 0.9}
 LIMITS = {"torque": 0.6, "velocity": 30.0}
@@ -113,10 +116,11 @@ def test_the_table_of_the_picture_holds_the_recomputed_numbers(csp, runs):
 
 
 def test_the_same_recording_gives_the_same_bytes(csp, tmp_path, capsys):
-    for name in ("a.png", "b.png", "a.html", "b.html"):
-        plotted(capsys, csp, "--output", tmp_path / name)
-    for suffix in ("png", "html"):
-        assert (tmp_path / f"a.{suffix}").read_bytes() == (tmp_path / f"b.{suffix}").read_bytes()
+    for suffix in ("png", "svg", "html"):
+        names = tmp_path / f"a.{suffix}", tmp_path / f"b.{suffix}"
+        for name in names:
+            plotted(capsys, csp, "--from", 1.7, "--to", 2.1, "--output", name)
+        assert names[0].read_bytes() == names[1].read_bytes(), suffix
 
 
 def test_missed_periods_and_a_fault_are_marked(tmp_path, capsys):
@@ -269,6 +273,51 @@ def test_the_page_loads_nothing_and_holds_every_row(csp, tmp_path, capsys):
     assert position["unit"] == "mrad"
     (measured,) = (line for line in position["lines"] if line["name"] == "measured")
     np.testing.assert_allclose(unpacked(measured["data"], "<f4"), 1e3 * recording["position"], rtol=1e-6, atol=1e-6)
+
+
+_ZOOM = """<script>
+new MutationObserver(async (_, watching) => {
+  if (document.body.dataset.drawn !== "yes") return;
+  watching.disconnect();
+  const place = document.getElementById("time-0");
+  const before = place.data[0].x.length;
+  await Plotly.relayout(place, {"xaxis.range": [1.0, 1.1]});
+  await new Promise((resolve) => setTimeout(resolve, 500));
+  document.body.dataset.zoomed = [before, place.data[0].x.length, ...place.layout.xaxis.range].join(" ");
+  document.body.dataset.buttons = [...document.querySelectorAll(".modebar-btn")].map((each) => each.dataset.title);
+}).observe(document.body, {attributes: true});
+</script><script>"use strict";"""
+
+
+@pytest.mark.skipif(BROWSER is None, reason="there is no Chromium here to open the page")
+def test_a_browser_draws_the_page_and_zooms_to_single_rows(csp, tmp_path, capsys):
+    plotted(capsys, csp, "--output", tmp_path / "run.html")
+    text = (tmp_path / "run.html").read_text(encoding="utf-8")
+    head, mark, tail = text.rpartition('<script>"use strict";')
+    (tmp_path / "zoom.html").write_text(head + _ZOOM + tail, encoding="utf-8")
+    assert mark
+    words = (
+        "--headless=new",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--virtual-time-budget=20000",
+        "--enable-logging=stderr",
+    )
+    done = subprocess.run(
+        [BROWSER, *words, f"--user-data-dir={tmp_path / 'browser'}", "--dump-dom", f"file://{tmp_path / 'zoom.html'}"],
+        capture_output=True,
+        text=True,
+        timeout=240,
+    )
+    assert "CONSOLE" not in done.stderr
+    assert 'data-drawn="yes"' in done.stdout
+    (zoomed,) = re.findall(r'data-zoomed="([^"]*)"', done.stdout)
+    before, after, low, high = map(float, zoomed.split())
+    assert 2000 < before <= 3000  # of more than 4000 rows
+    assert (after, low, high) == (103, 1.0, 1.1)  # each row of 0.1 s, and one more at either end
+    (buttons,) = re.findall(r'data-buttons="([^"]*)"', done.stdout)
+    assert "Zoom" in buttons
+    assert not re.search("cloud|share|chart studio", buttons, re.IGNORECASE), buttons
 
 
 def test_names_of_a_file_are_no_html(runs, tmp_path, capsys):
