@@ -26,7 +26,7 @@ SERIES = (
     "#7f7f7f",
 )  # of lines that have no colour of their own
 
-REPRODUCIBLE = {"svg.hashsalt": "friction-hil"}  # settings with which equal pictures become equal files
+REPRODUCIBLE: Any = {"svg.hashsalt": "friction-hil"}  # settings with which equal pictures become equal files
 _WITHOUT_DATE: dict[str, Any] = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
 _HEADING, _TITLE, _TEXT, _TICKS = 13.0, 11.0, 10.0, 9.0  # points
 

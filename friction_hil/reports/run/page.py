@@ -16,7 +16,8 @@ from friction_hil.numerics.jit import Array
 from friction_hil.reports.decimation import bucket_size, decimated, decimated_time
 from friction_hil.reports.figures import FAULT, GREY, INK, MEASURED, WITH, WITHOUT
 from friction_hil.reports.page import generator, page, table, unordered_list, write_page
-from friction_hil.reports.run.view import Panel, RunView, broken_at_gaps
+from friction_hil.reports.run.panels import Panel
+from friction_hil.reports.run.view import RunView, broken_at_gaps
 
 MOST_POINTS = 120_000  # of a signal in the page; a longer recording is thinned by minimum and maximum
 _PAIR_POINTS = 4000

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any
 from friction_hil.numerics.jit import Array
 from friction_hil.reports.decimation import bucket_size, decimated, decimated_time
 from friction_hil.reports.figures import FAULT, GREY, INK, MEASURED, WITH, WITHOUT, new_figure_for, save
-from friction_hil.reports.run.view import Panel, RunView, broken_at_gaps
+from friction_hil.reports.run.panels import Panel
+from friction_hil.reports.run.view import RunView, broken_at_gaps
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -13,35 +13,15 @@ from friction_hil.daemon.assembly import ramp_s
 from friction_hil.errors import RecordingError, UsageError, choices
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
-from friction_hil.recordings.columns import CYCLE, SHADOW_PREFIX, TIME
+from friction_hil.recordings.columns import CYCLE, TIME
 from friction_hil.recordings.quality import time_facts
-from friction_hil.reports.figures import BLUE, GREEN, GREY, INK, ORANGE, SERIES, WITH, WITHOUT
 from friction_hil.reports.numbers import comparison_rows, prefix_of
 from friction_hil.reports.run.friction import FrictionOverVelocity, friction_over_velocity
+from friction_hil.reports.run.panels import Panel, following_error, largest, motion, per_second, timing, torques
 
 FAULTS = ("fault", "abandoned")
 _LARGEST = 1e30  # of a value: neither picture nor page can draw much larger ones
 _UNITS = {"rotary": ("rad", "N m"), "linear": ("m", "N"), None: ("rad or m", "N m or N")}
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Line:
-    """One signal over time: name, colour, values (n,) in the unit of its panel, and how it is drawn."""
-
-    name: str
-    color: str
-    values: Array
-    width: float = 1.0
-    is_dashed: bool = False
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Panel:
-    """Signals of one quantity over time; ``label`` ends with the unit."""
-
-    name: str
-    label: str
-    lines: tuple[Line, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +83,7 @@ class RunView:
     @property
     def speed_unit(self) -> str:
         """Unit of the velocity."""
-        return "/s or ".join(self.units[0].split(" or ")) + "/s"
+        return per_second(self.units[0])
 
     @property
     def comparison_label(self) -> str:
@@ -145,8 +125,9 @@ def make_view(
     _refuse_huge(part)
     units = _UNITS[_kind(recording, config)]
     time = part[TIME]
-    panels = [*_motion(part, units[0], notes), *_error(part, units[0], configuration, phases, notes)]
-    panels += [*_torques(part, units[1], notes), *_timing(part, notes)]
+    period_s = None if configuration is None else configuration.period_s
+    panels = [*motion(part, units[0], notes), *following_error(part, units[0], period_s, phases, notes)]
+    panels += [*torques(part, units[1], notes), *timing(part, notes)]
     friction = friction_over_velocity(part, config, notes)
     if not panels and friction is None:
         raise RecordingError(
@@ -219,10 +200,10 @@ def _cut(recording: Recording, window: tuple[float, float]) -> Recording:
 
 def _refuse_huge(recording: Recording) -> None:
     for name, values in recording.columns.items():
-        if (largest := _largest(values)) > _LARGEST:
+        if (reached := largest(values)) > _LARGEST:
             at = float(recording[TIME][np.nanargmax(np.where(np.isfinite(values), np.abs(values), np.nan))])
             raise RecordingError(
-                f"{recording.path}: {name} reaches {largest:.3g} at {at:g} s, too large to be drawn; --from and --to "
+                f"{recording.path}: {name} reaches {reached:.3g} at {at:g} s, too large to be drawn; --from and --to "
                 "leave it out"
             )
 
@@ -270,115 +251,6 @@ def _motion_s(config: AxisConfig | None) -> float | None:
     """Return the period of the configured motion, s; None if it has none, or another controller moves the axis."""
     frequency = None if config is None else getattr(config.trajectory, "frequency", None)
     return None if frequency is None else 1.0 / float(frequency)
-
-
-def _motion(recording: Recording, unit: str, notes: list[str]) -> list[Panel]:
-    position = _panel(
-        recording,
-        ("position", "position", unit),
-        (("position_demand", "demand", INK, 1.4, True), ("position", "measured", BLUE, 1.0, False)),
-    )
-    velocity = _panel(
-        recording,
-        ("velocity", "velocity", "/s or ".join(unit.split(" or ")) + "/s"),
-        (
-            ("velocity", "of the drive", GREY, 0.8, False),
-            ("velocity_estimate", "estimate", BLUE, 1.0, False),
-            ("velocity_demand", "demand", INK, 1.4, True),
-        ),
-    )
-    for name, found in (("position", position), ("velocity", velocity)):
-        if not found:
-            notes.append(f"no {name}: there is no such column, nor its demand")
-    return position + velocity
-
-
-def _error(
-    recording: Recording,
-    unit: str,
-    configuration: Configuration | None,
-    phases: Sequence[Phase | None],
-    notes: list[str],
-) -> list[Panel]:
-    missing = [name for name in ("position_demand", "position") if name not in recording]
-    if missing:
-        notes.append(f"no following error: no column {', '.join(missing)}")
-        return []
-    columns = {name: recording[name] for name in ("position_demand", "position")}
-    is_fresh = recording["is_fresh"] if "is_fresh" in recording else np.ones(len(recording))
-    error = following.error({**columns, "is_fresh": is_fresh})
-    known = [each.figures.peak for each in phases if each] or [_largest(error)]
-    factor, shown = prefix_of(unit, known)
-    error = error * factor
-    if configuration is None or "is_enabled" not in recording or CYCLE not in recording:
-        lines = [Line("demand minus measured position", INK, error)]
-    else:
-        late = following.is_recovering(recording[CYCLE], [{"is_fresh": is_fresh}], configuration.period_s)
-        is_on = recording["is_enabled"] == 1.0
-        choice = (
-            ("without compensation", WITHOUT, ~is_on & ~late),
-            ("with compensation", WITH, is_on & ~late),
-            ("after a missed period", GREY, late),
-        )
-        lines = [Line(name, color, np.where(rows, error, np.nan)) for name, color, rows in choice if rows.any()]
-    return [Panel("error", f"following error\n[{shown}]", tuple(lines))]
-
-
-def _torques(recording: Recording, unit: str, notes: list[str]) -> list[Panel]:
-    shadows = [name for name in recording.columns if name.startswith(SHADOW_PREFIX)]
-    known = (
-        ("torque", "actual", GREY, 0.8, False),
-        ("torque_demand", "demand of the drive", INK, 0.8, False),
-        ("command", "command", GREEN, 1.4, False),
-        ("compensation", "compensation", BLUE, 1.0, True),
-        *(
-            (name, f"shadow {name.removeprefix(SHADOW_PREFIX)}", SERIES[3 + k % 3], 0.8, False)
-            for k, name in enumerate(shadows)
-        ),
-    )
-    what = "force" if unit == "N" else "torque"
-    found = _panel(recording, ("torque", what, unit), known)
-    if not found:
-        notes.append("no torques: no column torque, command or compensation")
-    return found
-
-
-def _timing(recording: Recording, notes: list[str]) -> list[Panel]:
-    known = (
-        ("exchange_us", "exchange with the drives", GREY, 1.0),
-        ("late_us", "late", INK, 1.0),
-        ("path_lag_s", "motion behind", ORANGE, 1e6),
-    )
-    lines = [Line(label, color, recording[name] * factor) for name, label, color, factor in known if name in recording]
-    if not lines:
-        notes.append("no timing of the loop: no column late_us")
-        return []
-    if not any(_largest(line.values) for line in lines):
-        notes.append("no timing of the loop: nothing is late in simulated time")
-        return []
-    return [
-        Panel("timing", "time\n[µs]", tuple(line for line in lines if line.name == "late" or _largest(line.values)))
-    ]
-
-
-def _panel(
-    recording: Recording, naming: tuple[str, str, str], known: Sequence[tuple[str, str, str, float, bool]]
-) -> list[Panel]:
-    """Return a panel of those of the ``known`` columns that have values; none if there is no such column."""
-    present = [each for each in known if each[0] in recording]
-    if not present:
-        return []
-    name, words, unit = naming
-    factor, shown = prefix_of(unit, [max(_largest(recording[each[0]]) for each in present)])
-    lines = tuple(
-        Line(label, color, recording[column] * factor, width, is_dashed)
-        for column, label, color, width, is_dashed in present
-    )
-    return [Panel(name, f"{words}\n[{shown}]", lines)]
-
-
-def _largest(values: Array) -> float:
-    return float(np.max(np.abs(values[np.isfinite(values)]), initial=0.0))
 
 
 def _missed(recording: Recording) -> tuple[Array, Array]:
