@@ -77,7 +77,7 @@ def new_figure_for(path: Path, width: float, height: float) -> "Figure":
 
 
 def apply_style(figure: "Figure") -> None:
-    """Give a finished figure the style of all pictures: sizes and colour of text, faint grid, no frame, open legends.
+    """Give a finished figure the style of all pictures: sizes and colour of text, faint grid, no frame.
 
     Axes that are switched off, and those that show an image, keep their own grid. Titles and labels are not taken for
     formulas: they may hold the name of a file.
@@ -99,7 +99,8 @@ def apply_style(figure: "Figure") -> None:
             axes.grid(alpha=0.3)
     for legend in (*figure.legends, *(axes.get_legend() for axes in figure.axes)):
         if legend is not None:
-            legend.set_frame_on(False)
+            legend.set_frame_on(True)  # white, so that lines below do not cross the words
+            legend.get_frame().set(facecolor="white", edgecolor="none", alpha=0.85)
             for text in legend.get_texts():
                 text.set(fontsize=_TICKS, color=INK, parse_math=False)
 

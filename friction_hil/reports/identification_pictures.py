@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+_ROOM = 0.2  # of the height, above and below the lines: for the legend
 _MOST_POINTS = 20_000  # of a picture: more than it can resolve
 _BINS = 24
 _LEAST_IN_BIN = 5
@@ -37,6 +38,7 @@ def draw_time(curves: Curves, unit: str) -> "Figure":
     upper.set(ylabel=f"torque [{unit}]")
     lower.set(ylabel=f"residual [{unit}]", xlabel="time [s]")
     upper.legend(loc="upper right", ncols=2)
+    upper.margins(y=_ROOM)
     return figure
 
 

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 MARK = f'<meta name="generator" content="friction-hil train {__version__}">'
 _TRUE, _LEARNED, _ERROR = GREY, BLUE, ORANGE
+_ROOM = 0.2  # of the height, above and below the lines: for the legend
 _MOST_POINTS = 6000  # of a drawn signal
 
 
@@ -120,6 +121,7 @@ def _draw_signal(samples: Samples, torque: Array, unit: str, speed: str) -> "Fig
     middle.set(ylabel=f"torque [{unit}]")
     below.set(ylabel=f"error [{unit}]", xlabel="time [s]")
     middle.legend(loc="upper right", ncols=2)
+    middle.margins(y=_ROOM)
     return figure
 
 

@@ -90,5 +90,6 @@ def _draw(axis: "AxisTuning") -> "Figure":
     ):
         axes.plot(best.time_s, error * factor, color=color, linewidth=1.2, label=label)
     axes.set(xlabel="time [s]", ylabel=f"following error [{shown}]")
-    axes.legend(loc="upper right")
+    axes.legend(loc="upper right", ncols=2)
+    axes.margins(y=0.2)  # room for the legend
     return figure

@@ -52,7 +52,10 @@ def styles(monkeypatch, tmp_path):
             *(("label", axes.yaxis.label.get_fontsize()) for axes in shown),
             *(("ticks", label.get_fontsize()) for axes in shown for label in axes.get_yticklabels()),
             *(("title", axes.title.get_fontsize()) for axes in shown if axes.get_title()),
-            *(("legend", legend.get_frame_on(), legend.get_texts()[0].get_fontsize()) for legend in legends),
+            *(
+                ("legend", legend.get_frame().get_edgecolor()[3], legend.get_texts()[0].get_fontsize())
+                for legend in legends
+            ),
         }
 
     apply = figures.apply_style
@@ -85,7 +88,7 @@ def test_all_pictures_have_one_style(styles, tmp_path):
         ("label", 10.0),
         ("ticks", 9.0),
         ("title", 11.0),
-        ("legend", False, 9.0),
+        ("legend", 0.0, 9.0),
     }
 
 
