@@ -44,7 +44,7 @@ def draw_run(view: RunView, path: Path) -> None:
         for k, axes in enumerate(panels):
             _draw_panel(axes, view, view.panels[k], time, values[k])
             _draw_marks(axes, view, "missed periods" if k == rows - 1 else None)
-            axes.legend(loc="upper right", ncols=6)
+            axes.legend(loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.0, ncols=6)
             axes.tick_params(labelbottom=k == rows - 1)
         panels[-1].set_xlabel("time [s]")
         _name_events(first, view)
@@ -86,7 +86,6 @@ def _draw_panel(axes: "Axes", view: RunView, panel: Panel, time: Array, lines: S
     axes.set_ylabel(panel.label)
     if view.time_s[-1] > view.time_s[0]:
         axes.set_xlim(view.time_s[0], view.time_s[-1])
-    axes.margins(y=0.2)
 
 
 def _draw_marks(axes: "Axes", view: RunView, label: str | None) -> None:
@@ -112,7 +111,7 @@ def _name_events(axes: "Axes", view: RunView) -> None:
             )
     for number, mark in enumerate(_events(view)[:_LISTED], start=1):
         color = FAULT if mark.is_fault else INK
-        axes.text(mark.time_s, 1.14, str(number), transform=top, fontsize=9.0, color=color, ha="center")
+        axes.text(mark.time_s, 1.16, str(number), transform=top, fontsize=9.0, color=color, ha="center")
 
 
 def _events(view: RunView) -> list[Any]:
@@ -141,8 +140,7 @@ def _draw_comparison(axes: "Axes", view: RunView) -> None:
             axes.plot(time, error, color=color, linewidth=1.2, label=label)
     axes.set(xlabel=view.comparison_label, ylabel=f"following error [{unit}]")
     axes.set_title(comparison_text(view), loc="left", family="monospace")
-    axes.legend(loc="upper right", ncols=2)
-    axes.margins(y=0.15)
+    axes.legend(loc="best")
 
 
 def _draw_friction(axes: "Axes", view: RunView) -> None:
@@ -150,7 +148,7 @@ def _draw_friction(axes: "Axes", view: RunView) -> None:
     assert found is not None
     points: dict[str, Any] = {"linestyle": "", "marker": ".", "markersize": 2.0, "rasterized": True}
     if found.measured is not None:
-        label = "measured, less the mechanics of the model" if found.is_friction else "measured torque"
+        label = "measured, less mechanics" if found.is_friction else "measured torque"
         axes.plot(*found.measured, color=MEASURED, label=label, **points)
     if found.compensation is not None:
         axes.plot(*found.compensation, color=WITH, label="compensation as applied", **points)
@@ -158,5 +156,5 @@ def _draw_friction(axes: "Axes", view: RunView) -> None:
         axes.plot(*found.curve, color=INK, linewidth=1.6, label="model at constant velocity")
     what = "friction" if found.is_friction or found.measured is None else "torque"
     axes.set(xlabel=f"velocity [{view.speed_unit}]", ylabel=f"{what} [{view.units[1]}]", title="Friction over velocity")
-    axes.legend(loc="upper left", markerscale=4.0)
-    axes.margins(y=0.2)
+    axes.legend(loc="upper left", markerscale=4.0, handlelength=1.0)
+    axes.margins(y=0.15)
