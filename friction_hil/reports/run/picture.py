@@ -125,7 +125,7 @@ def _listed(view: RunView) -> list[str]:
     lines: list[str] = []
     for number, mark in enumerate(events[:_LISTED], start=1):
         text = f"{number}   {mark.time_s:.3f} s   {mark.kind}: {mark.text}"
-        lines += textwrap.wrap(text, _LINE, subsequent_indent="      ")[:2]
+        lines += textwrap.wrap(text, _LINE, subsequent_indent="      ", max_lines=2, placeholder=" ...")
     if len(events) > _LISTED:
         lines.append(f"and {len(events) - _LISTED} more events: friction-hil convert {view.title.split(',')[0]} --info")
     return lines
