@@ -1,5 +1,6 @@
 """Following error of a recorded run: the rows of steady motion that are used, and its figures. Pure."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -24,6 +25,17 @@ class Figures:
 
     rms: float
     peak: float
+
+    def times(self, other: "Figures") -> "Figures":
+        """Return the ratios of these figures to ``other``: how many times lower the others are."""
+        return Figures(_ratio(self.rms, other.rms), _ratio(self.peak, other.peak))
+
+
+def _ratio(before: float, after: float) -> float:
+    """Compute before / after, where an error below the encoder's resolution is zero."""
+    if after == 0.0:
+        return math.inf if before > 0.0 else 1.0
+    return before / after
 
 
 def error(columns: Mapping[str, Array]) -> Array:

@@ -25,6 +25,7 @@ COMMANDS = {
     "demo": "Show compensation with two simulated axes that draw a circle.",
     "run": "Run the daemon with the drives of a configuration.",
     "simulate": "Simulate the drives of a configuration on its bus.",
+    "plot": "Draw a recording, as a picture or an interactive page.",
     "replay": "Compare recordings with friction models, or verify them.",
     "identify": "Identify friction model and mechanics from recordings.",
     "tune": "Identify friction on the machine, and test the compensation.",

@@ -7,6 +7,7 @@ import numpy as np
 
 from friction_hil.errors import RecordingError
 from friction_hil.identification.fits import Fit
+from friction_hil.identification.inference import is_doubtful
 from friction_hil.identification.refine import is_dynamic
 
 
@@ -32,12 +33,12 @@ def is_determined(fit: Fit) -> bool:
     )
 
 
-def choose(fits: Sequence[Fit], blocks: str = "blocks") -> tuple[Fit, str]:
+def choose(fits: Sequence[Fit], blocks: str = "blocks", kind: str = "") -> tuple[Fit, str]:
     """Return the simplest fit within one standard error of the best one, and the reason for the choice.
 
     The simplest fit has the fewest parameters. Fits whose parameters the data determine are preferred: a parameter that
     any value fits here may matter elsewhere. ``blocks`` names, in the reason, what was held out
-    (`friction_hil.identification.prediction_errors.blocks`).
+    (`friction_hil.identification.prediction_errors.blocks`), and ``kind`` what distinguishes these candidates.
 
     Raises
     ------
@@ -61,9 +62,19 @@ def choose(fits: Sequence[Fit], blocks: str = "blocks") -> tuple[Fit, str]:
     else:
         where = f"{blocks} held out in turn"
     if len(usable) == 1:
-        return chosen, f"{chosen.label} is the only candidate; it predicts {where} with an error of {_percent(chosen)}"
-    shown = "whose parameters the data determine" if sound else "though the data do not determine its parameters"
-    first = f"of {len(usable)} candidates {lowest.label} predicts {where} best, with an error of {_percent(lowest)}"
+        return (
+            chosen,
+            f"{chosen.label} is the only {kind}candidate; it predicts {where} with an error of {_percent(chosen)}",
+        )
+    if not sound:
+        shown = "though the data do not determine its parameters"
+    elif is_doubtful(chosen.flags):  # the flags follow the reason, and must not contradict it
+        shown = "whose nonlinear parameters all exceed their standard errors"
+    else:
+        shown = "whose parameters the data determine"
+    first = (
+        f"of {len(usable)} {kind}candidates {lowest.label} predicts {where} best, with an error of {_percent(lowest)}"
+    )
     if chosen is lowest:
         return chosen, f"{first}, and no simpler one within one standard error of it does as well"
     return chosen, (

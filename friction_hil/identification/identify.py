@@ -19,6 +19,8 @@ from friction_hil.recordings import Recording
 _EXTENDED = 2  # families that are tried with further modifiers
 _ROUNDS = 3  # of adding one more modifier
 _DISPENSABLE = ("sigma1", "viscous.quadratic")  # parameters that may as well be zero
+_REFINED = "Fitted once more at the resolution of the encoder; the chosen one is among these"
+_NOT_REFINED = "Fitted to the low-passed recordings only; these errors do not compare with those above"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,7 +30,8 @@ class Identification:
     Attributes
     ----------
     fits : tuple of Fit
-        The chosen one first, then the others by their error on held-out data.
+        The chosen one first, then the other refined ones, then the rest, each by their error on held-out data. Errors
+        of refined and of other fits refer to different rows and do not compare.
     reason : str
         One sentence.
     records, validation : tuple of RegressionSegment
@@ -49,6 +52,14 @@ class Identification:
     def best(self) -> Fit:
         """Chosen candidate."""
         return self.fits[0]
+
+    @property
+    def groups(self) -> tuple[tuple[str, tuple[Fit, ...]], ...]:
+        """Fits whose errors compare with each other, that of the chosen one first, each group with its heading."""
+        refined = tuple(each for each in self.fits if each.is_refined)
+        others = tuple(each for each in self.fits if not each.is_refined)
+        known = ((_REFINED if others else "", refined), (_NOT_REFINED if refined else "", others))
+        return tuple((heading, fits) for heading, fits in known if fits)
 
 
 def identify(
@@ -85,7 +96,9 @@ def identify(
     again = to_refine(best, fits) if not fitter.known else []
     if again and shows_presliding(fitter.data.records, fitter.settings.refine):
         fits, best, reason = _refine(fitter, fits, again)
-    others = sorted((each for each in fits if each is not best), key=lambda each: each.held_out.rmse)
+    others = sorted(
+        (each for each in fits if each is not best), key=lambda each: (not each.is_refined, each.held_out.rmse)
+    )
     if fitter.known:  # after sorting: each fit has a gain of its own, so that torques do not compare but signals do
         best, *others = (unknown_gain.in_torque(each, fitter.data.parts) for each in (best, *others))
     kept = () if fitter.validation is None else fitter.validation.records
@@ -180,7 +193,7 @@ def _refine(fitter: CandidateFitter, fits: list[Fit], again: list[Fit]) -> tuple
     """Refine some of the fits; return all fits with these replaced, the choice among the refined, and its reason."""
     refined = [fitter.refine(each) for each in again]
     fits = [each for each in fits if each.label not in {other.label for other in refined}] + refined
-    best, further = choose(refined)
+    best, further = choose(refined, kind="refined ")
     return (
         fits,
         best,

@@ -17,6 +17,7 @@ from friction_hil.numerics.jit import Array
 COLLINEAR = 0.98  # correlation above which two parameters are reported as collinear
 VAGUE = 0.5  # standard error over value above which a parameter is reported as not excited
 REPORTED_CORRELATION = 0.9
+AT_BOUND, COLLINEAR_FLAG, NOT_EXCITED = "at bound: ", "collinear: ", "not excited: "  # beginnings of flags
 _LEAST_COMPONENT = 0.1  # of a parameter in an undetermined direction, for it to belong to the collinear group
 _RANK = 1e-7  # of the largest singular value: directions below are undetermined
 
@@ -175,22 +176,22 @@ def advice(names: Sequence[str]) -> str:
 def flags(estimate: Estimate, inference: Inference) -> list[str]:
     """Return sentences on parameters at a bound, not excited or collinear, each with the motion that would help."""
     found = [
-        f"at bound: {name} = {estimate.values[name]:.6g}; the search would go beyond: {experiment(name)}"
+        f"{AT_BOUND}{name} = {estimate.values[name]:.6g}; the search would go beyond: {experiment(name)}"
         for name in estimate.at_bound
     ]
     found += [
-        f"collinear: {name} cannot be told from the others and was held at 0: {experiment(name)}"
+        f"{COLLINEAR_FLAG}{name} cannot be told from the others and was held at 0: {experiment(name)}"
         for name in estimate.dependent
     ]
     found += [
-        f"collinear: {' and '.join(group)} have the same effect here: {advice(group)}"
+        f"{COLLINEAR_FLAG}{' and '.join(group)} have the same effect here: {advice(group)}"
         for group in inference.same
         if len(group) > 1
     ]
     for first, second, correlation in inference.pairs(COLLINEAR):
         if any(first in group and second in group for group in inference.same):
             continue
-        found.append(f"collinear: {first} and {second} (correlation {correlation:.3f}): {advice((first, second))}")
+        found.append(f"{COLLINEAR_FLAG}{first} and {second} (correlation {correlation:.3f}): {advice((first, second))}")
     for name in inference.names:
         error, value = inference.standard_errors[name], abs(estimate.values[name])
         if name in ("offset", "gravity.constant") and math.isfinite(error):
@@ -199,7 +200,12 @@ def flags(estimate: Estimate, inference: Inference) -> list[str]:
             relative = (
                 f"{100.0 * error / value:.0f} % of it" if value > 0.0 and math.isfinite(error) else "without bound"
             )
-            found.append(f"not excited: {name} = {value:.4g}, its standard error {relative}: {experiment(name)}")
+            found.append(f"{NOT_EXCITED}{name} = {value:.4g}, its standard error {relative}: {experiment(name)}")
     if not estimate.is_converged:
         found.append("not converged: the search ended before the error stopped falling")
     return found
+
+
+def is_doubtful(flags_of_fit: Sequence[str]) -> bool:
+    """Return True if a flag says that the data do not determine a parameter."""
+    return any(flag.startswith((AT_BOUND, COLLINEAR_FLAG, NOT_EXCITED)) for flag in flags_of_fit)

@@ -134,9 +134,7 @@ def predict(model: ModelFile, segment: Segment) -> tuple[Array, Array]:
     friction, mechanics : (n,) array
         N m or N.
     """
-    mechanics = model.mechanics
-    gravity = mechanics.gravity
-    static = gravity.sine * np.sin(segment.position) + gravity.cosine * np.cos(segment.position) + gravity.constant
+    static = _gravity(model, segment)
     friction = model.friction_model.simulate(
         segment.velocity,
         segment.dt,
@@ -144,8 +142,24 @@ def predict(model: ModelFile, segment: Segment) -> tuple[Array, Array]:
         load_torque=static if segment.load_torque is None else segment.load_torque,
         temperature=segment.temperature,
     )
-    static = static + mechanics.offset
-    return segment.lowpass(friction), mechanics.inertia * segment.acceleration + segment.lowpass(static)
+    return segment.lowpass(friction), mechanics_torque(model, segment)
+
+
+def mechanics_torque(model: ModelFile, segment: Segment) -> Array:
+    """Compute the torque of inertia, offset and gravity (n,) that a motion takes, low-passed as the segment is.
+
+    What is left of a measured torque is friction. Parameters are those of `predict`.
+    """
+    static = _gravity(model, segment) + model.mechanics.offset
+    return model.mechanics.inertia * segment.acceleration + segment.lowpass(static)
+
+
+def _gravity(model: ModelFile, segment: Segment) -> Array:
+    gravity = model.mechanics.gravity
+    torque: Array = (
+        gravity.sine * np.sin(segment.position) + gravity.cosine * np.cos(segment.position) + gravity.constant
+    )
+    return torque
 
 
 def _prediction(name: str, model: ModelFile, measured: Array, friction: Array, mechanics: Array) -> Prediction:

@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from friction_hil.analysis.circularity import Circularity, Laps
-from friction_hil.reports.figures import INK, WITH, WITHOUT, new_figure, remove_frame
+from friction_hil.reports.figures import INK, WITH, WITHOUT, new_figure
 from friction_hil.reports.numbers import digits, readable, unit_of_figures
+from friction_hil.reports.run.friction import steady_curve
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -90,9 +91,8 @@ def draw_error(circularity: Circularity) -> "Figure":
             )
         axes.set_ylabel(f"{axis} [{unit}]")
         axes.margins(x=0.01, y=0.35)
-        remove_frame(axes)
     panels[-1].set_xlabel("time [s]")
-    figure.suptitle("Following error: demanded minus measured position", fontsize=13, fontweight="bold", color=INK)
+    figure.suptitle("Following error: demanded minus measured position")
     return figure
 
 
@@ -110,16 +110,13 @@ def draw_friction(circularity: Circularity) -> "Figure":
         applied = columns["compensation"][rows]
         fastest = float(np.nanmax(np.abs(columns["velocity_estimate"][rows])))
         plant: Any = config.simulation
-        side = np.geomspace(1e-4, 1.0, 300) * fastest
-        velocity = np.concatenate([-side[::-1], [0.0], side])
         assumed = config.model.friction_model
         curves = [
             (plant.friction_model, "true friction of the simulated axis", "-", INK),
             (assumed, "model of the compensator", "--", "#777777"),
         ]
         for model, label, style, color in curves:
-            level = np.where(velocity == 0.0, np.nan, model.steady_state(velocity))
-            axes.plot(velocity, level, style, color=color, linewidth=1.6, label=label)
+            axes.plot(*steady_curve(model, fastest), style, color=color, linewidth=1.6, label=label)
         axes.plot(
             columns["velocity_estimate"][rows],
             applied,
@@ -130,9 +127,8 @@ def draw_friction(circularity: Circularity) -> "Figure":
         axes.set(xlabel=f"velocity of {axis} [{angle}/s]", ylabel=f"torque [{torque}]")
         axes.axhline(0.0, color=_FAINT, linewidth=0.8, zorder=0)
         axes.axvline(0.0, color=_FAINT, linewidth=0.8, zorder=0)
-        remove_frame(axes)
-    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, frameon=False)
-    figure.suptitle("Friction over velocity, steady state", fontsize=13, fontweight="bold", color=INK)
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    figure.suptitle("Friction over velocity, steady state")
     return figure
 
 

@@ -1,35 +1,45 @@
 """Pictures of an identification: torque over time, friction over velocity, residuals, hysteresis loops."""
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from friction_hil.identification.fits import Curves
 from friction_hil.numerics.jit import Array
-from friction_hil.reports.figures import MEASURED, PREDICTED, RESIDUAL, add_grid, new_figure
+from friction_hil.reports.decimation import bucket_size, decimated, decimated_time
+from friction_hil.reports.figures import MEASURED, PREDICTED, RESIDUAL, new_figure
+from friction_hil.reports.hysteresis_loops import find_loops
+from friction_hil.reports.numbers import digits, readable
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
+_ROOM = 0.2  # of the height, above and below the lines: for the legend
 _MOST_POINTS = 20_000  # of a picture: more than it can resolve
 _BINS = 24
 _LEAST_IN_BIN = 5
 _LOOPS = 6  # hysteresis loops, each from one reversal to the next but one
+_LOOPS_IN_A_ROW = 3
 
 
 def draw_time(curves: Curves, unit: str) -> "Figure":
     """Draw measured and predicted torque over time, with the residual below."""
     figure = new_figure(11.0, 5.5)
     upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=[2, 1])
-    time, measured, predicted = (_broken(curves, each) for each in (curves.time_s, curves.measured, curves.predicted))
+    time = _broken(curves, curves.time_s, decimated_time)
+    measured, predicted, residual = (
+        _broken(curves, each) for each in (curves.measured, curves.predicted, curves.residual)
+    )
     upper.plot(time, measured, color=MEASURED, linewidth=1.6, label="measured")
     upper.plot(time, predicted, color=PREDICTED, linewidth=0.9, label="predicted")
-    lower.plot(time, measured - predicted, color=RESIDUAL, linewidth=0.8)
+    lower.plot(time, residual, color=RESIDUAL, linewidth=0.8)
     upper.set(ylabel=f"torque [{unit}]")
     lower.set(ylabel=f"residual [{unit}]", xlabel="time [s]")
     upper.legend(loc="upper right", ncols=2)
-    return add_grid(figure)
+    upper.margins(y=_ROOM)
+    return figure
 
 
 def draw_velocity(curves: Curves, unit: str, speed_unit: str) -> "Figure":
@@ -46,7 +56,7 @@ def draw_velocity(curves: Curves, unit: str, speed_unit: str) -> "Figure":
         if limit:
             axes.set_xlim(-limit, limit)
             axes.set_title("the slowest quarter")
-    return add_grid(figure)
+    return figure
 
 
 def draw_residuals(curves: Curves, unit: str, speed_unit: str, position_unit: str) -> "Figure":
@@ -64,22 +74,33 @@ def draw_residuals(curves: Curves, unit: str, speed_unit: str, position_unit: st
         axes.plot(*_means(values, curves.residual), color=RESIDUAL, marker="o", markersize=3.0)
         axes.set(xlabel=label)
     all_axes[0].set(ylabel=f"residual [{unit}]")
-    return add_grid(figure)
+    return figure
 
 
 def draw_loops(curves: Curves, unit: str, position_unit: str) -> "Figure":
-    """Draw friction over position, from one reversal to the next but one."""
-    figure = new_figure(11.0, 4.6)
+    """Draw friction over position, from one reversal to the next but one, each loop with its own scale of position."""
     measured = curves.friction + curves.residual
-    loops = _loops(curves)
-    all_axes: Any = figure.subplots(1, max(len(loops), 1), sharey=True, squeeze=False)[0]
-    for axes, part in zip(all_axes, loops, strict=False):
-        axes.plot(curves.position[part], measured[part], color=MEASURED, linewidth=1.4)
-        axes.plot(curves.position[part], curves.friction[part], color=PREDICTED, linewidth=1.0)
-        axes.set(xlabel=f"position [{position_unit}]")
-        axes.tick_params(axis="x", labelrotation=45)
-    all_axes[0].set(ylabel=f"friction [{unit}]")
-    return add_grid(figure)
+    loops = find_loops(curves.position, curves.recording, _LOOPS)
+    columns = min(max(len(loops), 1), _LOOPS_IN_A_ROW)
+    rows = max(-(-len(loops) // columns), 1)
+    figure = new_figure(11.0, 3.5 * rows)
+    all_axes: Any = figure.subplots(rows, columns, sharey=True, squeeze=False)
+    for axes, part in zip(all_axes.flat, loops, strict=False):
+        position = curves.position[part]
+        travel = float(np.ptp(position))
+        factor, shown = readable(position_unit, travel)
+        from_middle = (position - 0.5 * (position.min() + position.max())) * factor
+        axes.plot(from_middle, measured[part], color=MEASURED, linewidth=1.8)
+        axes.plot(from_middle, curves.friction[part], color=PREDICTED, linewidth=1.2)
+        axes.set(xlabel=f"position [{shown}]", title=f"travel {digits(travel * factor)} {shown}")
+        axes.locator_params(axis="x", nbins=5)
+    for axes in all_axes.flat[len(loops) :]:
+        axes.set_axis_off()
+    for axes in all_axes[:, 0]:
+        axes.set_ylabel(f"friction [{unit}]")
+    if not loops:
+        figure.text(0.5, 0.5, "no motion back and forth", ha="center")
+    return figure
 
 
 def _points(axes: "Axes", x: Array, y: Array, color: str) -> None:
@@ -92,12 +113,11 @@ def _every(curves: Curves) -> slice:
     return slice(None, None, 1 + len(curves.time_s) // _MOST_POINTS)
 
 
-def _broken(curves: Curves, values: Array) -> Array:
+def _broken(curves: Curves, values: Array, decimate: Callable[[Array, int], Array] = decimated) -> Array:
     """Return the points of a line, with gaps between recordings."""
-    every = 1 + len(values) // _MOST_POINTS
+    size = bucket_size(len(values), _MOST_POINTS)
     ends = np.flatnonzero(np.diff(curves.recording)) + 1
-    pieces = [np.append(piece[::every], np.nan) for piece in np.split(values, ends)]
-    return np.concatenate(pieces)
+    return np.concatenate([np.append(decimate(piece, size), np.nan) for piece in np.split(values, ends)])
 
 
 def _means(values: Array, residual: Array) -> tuple[Array, Array]:
@@ -109,15 +129,3 @@ def _means(values: Array, residual: Array) -> tuple[Array, Array]:
     sums = np.bincount(index, residual, _BINS)
     centres = low + (np.arange(_BINS) + 0.5) * (high - low) / _BINS
     return centres[is_known], sums[is_known] / count[is_known]
-
-
-def _loops(curves: Curves) -> list[slice]:
-    """Return parts of the recording that move back and forth, from small to large travel."""
-    moving = np.abs(curves.velocity) > 1e-3 * np.max(np.abs(curves.velocity))
-    rows = np.flatnonzero(moving)
-    reversals = rows[np.flatnonzero(np.diff(np.sign(curves.velocity[rows])) != 0) + 1]
-    parts = [slice(int(a), int(b) + 1) for a, b in zip(reversals, reversals[2:], strict=False)]
-    parts = [part for part in parts if curves.recording[part.start] == curves.recording[part.stop - 1]]
-    parts.sort(key=lambda part: float(np.ptp(curves.position[part])))
-    chosen = sorted({round(k) for k in np.linspace(0, len(parts) - 1, _LOOPS)}) if parts else []
-    return [parts[k] for k in chosen]

@@ -3,6 +3,7 @@
 import html
 import itertools
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -82,7 +83,8 @@ _RESIDUAL_CAPTION = (
     "model cannot describe; on the position, cogging or gravity; on time, temperature."
 )
 _LOOP_CAPTION = (
-    "Friction from one reversal to the next but one, from small to large travel. Grey: measured; blue: the model."
+    "Friction from one reversal to the next but one, over the position from the middle of the travel, from small to "
+    "large travel. Grey: measured; blue: the model."
 )
 
 
@@ -152,6 +154,13 @@ def _correlations(best: Fit) -> str:
 
 
 def _candidates(result: Identification) -> str:
+    parts = []
+    for heading, fits in result.groups:
+        parts.append((f"<h3>{html.escape(heading)}</h3>" if heading else "") + _table_of(fits))
+    return "".join(parts)
+
+
+def _table_of(fits: Sequence[Fit]) -> str:
     rows: list[tuple[str, ...]] = [
         (
             html.escape(each.label),
@@ -162,7 +171,7 @@ def _candidates(result: Identification) -> str:
             _percent(each.across_speeds),
             _percent(each.validation),
         )
-        for each in result.fits[:_SHOWN]
+        for each in fits[:_SHOWN]
     ]
     header: tuple[str, ...] = (
         "",
@@ -174,7 +183,8 @@ def _candidates(result: Identification) -> str:
         "validation",
     )
     is_shown = [not rows or any(row[k] for row in rows) for k in range(len(header))]
-    more = len(result.fits) - _SHOWN
+    is_shown[0] = True
+    more = len(fits) - _SHOWN
     note = f'<p class="note">{more} more in the output of <code>--json</code>.</p>' if more > 0 else ""
     shown = [tuple(itertools.compress(row, is_shown)) for row in rows]
     return table(tuple(itertools.compress(header, is_shown)), shown) + note

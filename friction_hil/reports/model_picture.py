@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from friction_hil import friction as models
 from friction_hil.friction import FrictionModel
 from friction_hil.numerics.jit import Array
-from friction_hil.reports.figures import BLUE, GREEN, INK, ORANGE, new_figure_for, remove_frame, save
+from friction_hil.reports.figures import BLUE, GREEN, INK, ORANGE, new_figure_for, save
 from friction_hil.reports.numbers import readable
 
 if TYPE_CHECKING:
@@ -77,8 +77,7 @@ def draw(model: FrictionModel, path: Path, title: str) -> None:
         paint(axes, model)
         axes.axhline(0.0, color=_FAINT, linewidth=0.6, zorder=0)
         axes.set_ylabel(_words(model, "friction torque [N m]"))
-        remove_frame(axes)
-    figure.suptitle(title, fontsize=12, fontweight="bold", color=INK)
+    figure.suptitle(title)
     figure.supxlabel("\n".join(textwrap.wrap(_caption(model), 78 * len(painters))[:4]), fontsize=8.5, color=INK)
     save(figure, path)
 
@@ -250,7 +249,7 @@ def _draw_ripple(axes: "Axes", model: FrictionModel) -> None:
 
 def _legend(axes: "Axes", columns: int) -> None:
     """Put the legend below the panel, where it hides nothing."""
-    axes.legend(frameon=False, fontsize=9, ncols=columns, loc="upper center", bbox_to_anchor=(0.5, -0.13))
+    axes.legend(ncols=columns, loc="upper center", bbox_to_anchor=(0.5, -0.13))
 
 
 def _words(model: FrictionModel, text: str) -> str:

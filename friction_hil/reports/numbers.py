@@ -1,20 +1,32 @@
 """Numbers with readable units and digits."""
 
 import math
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 from friction_hil.analysis.circularity import Circularity
+from friction_hil.analysis.following import Figures
 
 
 def readable(unit: str, values: Any) -> tuple[float, str]:
-    """Return factor and unit in which the smallest of ``values`` (SI) is at least 1: ``(1e6, "µrad")``."""
-    smallest = float(np.min(np.abs(values)))
+    """Return factor and unit in which the smallest of ``values`` (SI) is at least 1: ``(1e6, "µrad")``.
+
+    Zeros and what is not finite do not count; without any other value the unit has no prefix.
+    """
+    sizes = np.abs(np.asarray(values, dtype=np.float64))
+    smallest = float(np.min(sizes[np.isfinite(sizes) & (sizes > 0.0)], initial=math.inf))
     for factor, prefix in ((1.0, ""), (1e3, "m"), (1e6, "µ")):
         if smallest * factor >= 1.0:
             return factor, prefix + unit
     return 1e9, "n" + unit
+
+
+def prefix_of(unit: str, values: Any) -> tuple[float, str]:
+    """Return `readable` of a unit that may not be known exactly: ``(1e3, "mrad or mm")``."""
+    factor, prefix = readable("", values)
+    return factor, " or ".join(prefix + each for each in unit.split(" or "))
 
 
 def unit_of_figures(circularity: Circularity) -> tuple[float, str]:
@@ -23,7 +35,28 @@ def unit_of_figures(circularity: Circularity) -> tuple[float, str]:
     return readable(circularity.unit, [figures.rms for each in laps for figures in each.figures.values()])
 
 
+def comparison_rows(unit: str, without: Figures | None, compensated: Figures | None) -> Iterator[tuple[str, ...]]:
+    """Yield RMS and peak of the following error: name with unit, without, with compensation, times lower.
+
+    Parameters
+    ----------
+    unit : str
+        Unit of the position: rad or m.
+    without, compensated : Figures or None
+        None if there was no such phase: its cells are dashes.
+    """
+    known = [each for each in (without, compensated) if each is not None]
+    if not known:
+        return
+    factor, shown = prefix_of(unit, [each.rms for each in known])
+    times = without.times(compensated) if without is not None and compensated is not None else None
+    for name in ("rms", "peak"):
+        cells = ["-" if each is None else digits(getattr(each, name) * factor) for each in (without, compensated)]
+        ratio = math.inf if times is None else getattr(times, name)
+        yield f"{name} [{shown}]", *cells, digits(ratio, 2) if math.isfinite(ratio) else "-"
+
+
 def digits(value: float, significant: int = 3) -> str:
-    """Format a number with at least ``significant`` digits and no exponent."""
+    """Format a number with at least ``significant`` digits, no exponent, and no sign of zero."""
     decimals = max(significant - 1 - math.floor(math.log10(abs(value))), 0) if value else 0
-    return f"{value:.{decimals}f}"
+    return f"{value:z.{decimals}f}"

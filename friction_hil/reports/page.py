@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from friction_hil.errors import FrictionHilError, UsageError
+from friction_hil.reports.figures import REPRODUCIBLE, apply_style
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -34,8 +35,9 @@ def picture(figure: "Figure", caption: str, kind: str = "") -> str:
     """Return a figure as HTML: SVG with a caption. ``kind`` is its CSS class; ``wide`` fills the width of the page."""
     from matplotlib import rc_context  # imported here: matplotlib is optional, and takes 0.3 s
 
+    apply_style(figure)
     text = io.StringIO()
-    with rc_context({"svg.hashsalt": "friction-hil"}):  # equal pictures become equal text
+    with rc_context(REPRODUCIBLE):
         figure.savefig(text, format="svg", metadata={"Date": None})
     data = base64.b64encode(text.getvalue().encode()).decode()
     escaped = html.escape(caption)

@@ -1,14 +1,16 @@
 """The picture of a replay: predicted and measured torque, the residual, and friction over velocity."""
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from friction_hil.numerics.jit import Array
 from friction_hil.replay.comparison import Replay
-from friction_hil.reports.figures import new_figure_for, save
+from friction_hil.reports.decimation import bucket_size, decimated, decimated_time
+from friction_hil.reports.figures import MEASURED, SERIES, new_figure_for, save
 
-_MOST_POINTS = 100_000  # of a line: more than a picture can resolve
+_MOST_POINTS = 20_000  # of a line: more than a picture can resolve
 
 
 def draw(replay: Replay, path: Path) -> None:
@@ -25,24 +27,26 @@ def draw(replay: Replay, path: Path) -> None:
     first = replay.predictions[0]
     what, speed = ("torque", "rad/s") if first.unit == "N m" else ("force", "m/s")
 
-    def line(values: Array) -> Array:
-        """Return the points of a line, with gaps between the parts of the recording."""
-        pieces = [np.append(values[part][::every], np.nan) for part in replay.segments]
-        return np.concatenate(pieces)
+    size = bucket_size(len(replay.time_s), _MOST_POINTS)
 
-    every = 1 + len(replay.time_s) // _MOST_POINTS
-    time, velocity, measured = map(line, (replay.time_s, replay.velocity, replay.measured))
+    def line(values: Array) -> Array:
+        """Return the points of a line over time, with gaps between the parts of the recording."""
+        return np.concatenate([np.append(decimated(values[part], size), np.nan) for part in replay.segments])
+
+    time = np.concatenate([np.append(decimated_time(replay.time_s[part], size), np.nan) for part in replay.segments])
+    every = slice(None, None, 1 + len(replay.time_s) // _MOST_POINTS)
+    measured = replay.measured
     axes = figure.subplot_mosaic([["torque", "friction"], ["residual", "friction"]], width_ratios=[3, 2])
     axes["residual"].sharex(axes["torque"])
-    axes["torque"].plot(time, measured, color="0.6", linewidth=1.2, label="measured")
-    axes["friction"].plot(velocity, measured - line(first.mechanics), ".", color="0.6", markersize=2.0)
+    axes["torque"].plot(time, line(measured), color=MEASURED, linewidth=1.2, label="measured")
+    points: dict[str, Any] = {"marker": ".", "linestyle": "", "markersize": 2.0, "rasterized": True}
+    axes["friction"].plot(replay.velocity[every], (measured - first.mechanics)[every], color=MEASURED, **points)
     for i, prediction in enumerate(replay.predictions):
-        color = f"C{i}"
+        color = SERIES[i % len(SERIES)]
         label = f"{prediction.model}: relative error {100.0 * prediction.relative_error:.2f} %"
-        torque = line(prediction.torque)
-        axes["torque"].plot(time, torque, color=color, linewidth=0.8, label=label)
-        axes["residual"].plot(time, measured - torque, color=color, linewidth=0.8)
-        axes["friction"].plot(velocity, line(prediction.friction), ".", color=color, markersize=2.0)
+        axes["torque"].plot(time, line(prediction.torque), color=color, linewidth=0.8, label=label)
+        axes["residual"].plot(time, line(measured - prediction.torque), color=color, linewidth=0.8)
+        axes["friction"].plot(replay.velocity[every], prediction.friction[every], color=color, **points)
     axes["torque"].set(ylabel=f"{what} [{first.unit}]")
     axes["residual"].set(ylabel=f"measured - predicted [{first.unit}]", xlabel="time [s]")
     axes["friction"].set(
@@ -50,8 +54,6 @@ def draw(replay: Replay, path: Path) -> None:
         ylabel=f"friction [{first.unit}]",
         title="friction; grey: measured, less the mechanics\nof the first model",
     )
-    for each in axes.values():
-        each.grid(alpha=0.3)
     figure.suptitle(f"{Path(replay.path).name}, axis {replay.axis}")
     figure.legend(*axes["torque"].get_legend_handles_labels(), loc="outside lower left")
     save(figure, path)

@@ -8,7 +8,7 @@ import numpy as np
 
 from friction_hil import __version__
 from friction_hil.numerics.jit import Array
-from friction_hil.reports.figures import BLUE, GREY, INK, ORANGE, add_grid, new_figure
+from friction_hil.reports.figures import BLUE, GREY, INK, ORANGE, SERIES, new_figure
 from friction_hil.reports.page import page, picture, table, unordered_list, write_page
 from friction_hil.training import Samples, TrainedModel
 
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 MARK = f'<meta name="generator" content="friction-hil train {__version__}">'
 _TRUE, _LEARNED, _ERROR = GREY, BLUE, ORANGE
+_ROOM = 0.2  # of the height, above and below the lines: for the legend
 _MOST_POINTS = 6000  # of a drawn signal
 
 
@@ -120,7 +121,8 @@ def _draw_signal(samples: Samples, torque: Array, unit: str, speed: str) -> "Fig
     middle.set(ylabel=f"torque [{unit}]")
     below.set(ylabel=f"error [{unit}]", xlabel="time [s]")
     middle.legend(loc="upper right", ncols=2)
-    return add_grid(figure)
+    middle.margins(y=_ROOM)
+    return figure
 
 
 def _draw_errors(runs: list[tuple[Samples, Array]], unit: str, speed: str) -> "Figure":
@@ -135,7 +137,7 @@ def _draw_errors(runs: list[tuple[Samples, Array]], unit: str, speed: str) -> "F
     left.set(xlabel=f"velocity [{speed}]", ylabel=f"error [{unit}]")
     right.set(xlabel=f"rate of the velocity [{speed}²]")
     right.set_xscale("symlog", linthresh=1.0)
-    return add_grid(figure)
+    return figure
 
 
 def _draw_curve(candidate: TrainedModel, unit: str, speed: str) -> "Figure":
@@ -152,7 +154,7 @@ def _draw_curve(candidate: TrainedModel, unit: str, speed: str) -> "Figure":
     for side in (-1.0, 1.0):
         axes.axvspan(side * limit, 1.4 * side * limit, color="#eeeeee", zorder=0)
     axes.set(xlabel=f"velocity [{speed}]", ylabel=f"torque [{unit}]")
-    return add_grid(figure)
+    return figure
 
 
 def _draw_course(candidate: TrainedModel) -> "Figure":
@@ -161,10 +163,10 @@ def _draw_course(candidate: TrainedModel) -> "Figure":
     history = candidate.trained.history
     for start in sorted({step.start for step in history}):
         own = [step for step in history if step.start == start]
-        iterations = [step.iteration for step in own]
-        left.plot(iterations, [step.error for step in own], color=f"C{start % 10}", linewidth=0.8, linestyle=":")
-        left.plot(iterations, [step.validation_error for step in own], color=f"C{start % 10}", linewidth=1.2)
-        right.plot(iterations, [step.damping for step in own], color=f"C{start % 10}", linewidth=1.0)
+        iterations, color = [step.iteration for step in own], SERIES[start % len(SERIES)]
+        left.plot(iterations, [step.error for step in own], color=color, linewidth=0.8, linestyle=":")
+        left.plot(iterations, [step.validation_error for step in own], color=color, linewidth=1.2)
+        right.plot(iterations, [step.damping for step in own], color=color, linewidth=1.0)
     left.set(xlabel="iteration", ylabel="NRMSE (dotted: training)", yscale="log")
     right.set(xlabel="iteration", ylabel="damping", yscale="log")
-    return add_grid(figure)
+    return figure

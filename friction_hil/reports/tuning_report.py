@@ -1,15 +1,14 @@
 """The report of a tuning: the effect of each model on the machine, with a page on each identification."""
 
 import html
-import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from friction_hil import __version__
-from friction_hil.reports.figures import WITH, WITHOUT, add_grid, new_figure
+from friction_hil.reports.figures import WITH, WITHOUT, new_figure
 from friction_hil.reports.identification_report import write_report
-from friction_hil.reports.numbers import digits, readable
+from friction_hil.reports.numbers import comparison_rows, readable
 from friction_hil.reports.page import page, picture, table, unordered_list, write_page
 
 if TYPE_CHECKING:
@@ -45,13 +44,8 @@ def write_reports(folder: Path, tuning: "Tuning") -> Path:
 
 def figures(axis: "AxisTuning", candidate: "TriedModel") -> Iterator[tuple[str, ...]]:
     """Yield RMS and peak of the following error: name with unit, without, with compensation, reduction factor."""
-    trial = candidate.trial
     unit = "rad" if axis.best.identification.settings.axis == "rotary" else "m"
-    factor, shown = readable(unit, [trial.uncompensated.rms, trial.compensated.rms])
-    for name in ("rms", "peak"):
-        values = (getattr(part, name) * factor for part in (trial.uncompensated, trial.compensated))
-        reduction = getattr(trial.reduction, name)
-        yield f"{name} [{shown}]", *map(digits, values), digits(reduction, 2) if math.isfinite(reduction) else "-"
+    yield from comparison_rows(unit, candidate.trial.uncompensated, candidate.trial.compensated)
 
 
 def _identifications(name: str, axis: "AxisTuning") -> Iterator[tuple[str, "TriedModel"]]:
@@ -96,5 +90,6 @@ def _draw(axis: "AxisTuning") -> "Figure":
     ):
         axes.plot(best.time_s, error * factor, color=color, linewidth=1.2, label=label)
     axes.set(xlabel="time [s]", ylabel=f"following error [{shown}]")
-    axes.legend(loc="upper right")
-    return add_grid(figure)
+    axes.legend(loc="upper right", ncols=2)
+    axes.margins(y=0.2)  # room for the legend
+    return figure

@@ -1,14 +1,10 @@
 """Trial of a model on the machine: following error of a recorded run without and with compensation. Pure."""
 
-import math
 from dataclasses import asdict, dataclass
 
-import numpy as np
-
-from friction_hil.analysis import following
-from friction_hil.analysis.following import SETTLE_S, Figures
+from friction_hil.analysis.baseline import without_and_with
+from friction_hil.analysis.following import Figures
 from friction_hil.config import AxisConfig
-from friction_hil.daemon.safety import LoopState
 from friction_hil.errors import RecordingError
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
@@ -39,8 +35,7 @@ class Trial:
     @property
     def reduction(self) -> Figures:
         """Ratios of the following error without to with compensation."""
-        before, after = self.uncompensated, self.compensated
-        return Figures(_ratio(before.rms, after.rms), _ratio(before.peak, after.peak))
+        return self.uncompensated.times(self.compensated)
 
     @property
     def figures(self) -> dict[str, dict[str, float]]:
@@ -51,13 +46,6 @@ class Trial:
     def has_helped(self) -> bool:
         """True if the RMS following error is clearly smaller with compensation, and its peak is not larger."""
         return self.reduction.rms >= LEAST_REDUCTION and self.reduction.peak >= 1.0
-
-
-def _ratio(before: float, after: float) -> float:
-    """Compute before / after, where an error below the encoder's resolution is zero."""
-    if after == 0.0:
-        return math.inf if before > 0.0 else 1.0
-    return before / after
 
 
 def judge(recording: Recording, axis: AxisConfig, cycle_s: float, start_s: float) -> Trial:
@@ -79,33 +67,12 @@ def judge(recording: Recording, axis: AxisConfig, cycle_s: float, start_s: float
     RecordingError
         The run was too short, or too many of its cycles were missed.
     """
-    recording.require("cycle", *following.COLUMNS)
-    cycle, columns = recording["cycle"], {name: recording[name] for name in following.COLUMNS}
-    error = following.error(columns)
-    is_running, is_enabled = columns["state"] == LoopState.RUNNING, columns["is_enabled"] == 1.0
-    is_usable = ~following.is_recovering(cycle, [columns], cycle_s)
-    phases = (
-        following.settled(cycle, is_running & ~is_enabled, (start_s + SETTLE_S) / cycle_s),
-        following.settled(cycle, is_running & is_enabled, (axis.compensation.fade_s + SETTLE_S) / cycle_s),
+    motion_s = period_s(axis)
+    before, after = without_and_with(
+        recording, cycle_s=cycle_s, motion_s=motion_s, start_s=start_s, fade_s=axis.compensation.fade_s
     )
-    length = period_s(axis) / cycle_s
-    count = min(int((stop - start) / length + 1e-6) for start, stop in phases)
-    if count < 1:
+    if before is None or after is None:
         raise RecordingError(
-            f"{recording.path}: {recording.axis}: no whole period of {period_s(axis):g} s without and with compensation"
+            f"{recording.path}: {recording.axis}: no whole period of {motion_s:g} s without and with compensation"
         )
-    figures, errors = [], []
-    grid = np.arange(int(length))
-    for _, stop in phases:
-        rows = (cycle >= stop - count * length - 1e-6) & (cycle < stop - 1e-6) & is_usable
-        following.refuse_too_few(recording.path, int(np.count_nonzero(rows)), round(count * length))
-        figures.append(Figures(float(np.sqrt(np.mean(error[rows] ** 2))), float(np.max(np.abs(error[rows])))))
-        errors.append(_on_grid(cycle[rows] % length, error[rows], len(grid)))
-    return Trial(figures[0], figures[1], np.asarray(grid * cycle_s, dtype=np.float64), (errors[0], errors[1]))
-
-
-def _on_grid(index: Array, error: Array, count: int) -> Array:
-    """Return the last known error at each of ``count`` cycles of a period; NaN where there is none."""
-    values = np.full(count, np.nan)
-    values[np.minimum(np.floor(index + 1e-6).astype(np.intp), count - 1)] = error
-    return values
+    return Trial(before.figures, after.figures, before.time_s, (before.error, after.error))

@@ -44,6 +44,10 @@ ON_THE_RECORDING = (
     ("friction-hil convert --info run.csv --column torque=torque*1 --json", 0),
     ("friction-hil replay run.mcap --verify", 0),
     (f"friction-hil replay 'run.*' --model {LUGRE} --json", 0),
+    ("friction-hil plot run.mcap", 0),
+    ("friction-hil plot run.mcap --output run.html --json", 0),
+    ("friction-hil plot run.mcap --from 1 --to 2 --axis x", 0),
+    ("friction-hil plot run.csv --config machine.yaml --column torque=torque*1 --output part.png", 0),
     (
         f"friction-hil replay run.csv --axis x --where is_fresh --model {LUGRE} --column position=position "
         "--column torque=torque --scale torque=1.0 --lowpass 100 --decimate 2 --output compared.png",
@@ -181,7 +185,7 @@ def test_commands_that_run_drives_and_look_at_the_recording(folder, capfd):
     for text, status in ON_THE_RECORDING:
         assert called(text) == status, f"{text}: {capfd.readouterr().err}"
     assert yaml.safe_load((folder / "axis.yaml").read_text())["friction"]["model"] == "coulomb"
-    for made in ("compared.png", "axis.html"):
+    for made in ("compared.png", "axis.html", "run.png", "run.html", "part.png"):
         assert (folder / made).stat().st_size > 10_000
 
 

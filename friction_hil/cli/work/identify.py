@@ -125,20 +125,23 @@ def _print(result: Identification, free: dict[str, Any]) -> None:
 
 def _print_candidates(result: Identification) -> None:
     is_grouped = len({record.group for record in result.records}) > 1
-    table = new_table()
-    table.add_column("model", overflow="fold")
-    for heading in ("free", "error", "groups" if is_grouped else "blocks", "speeds", "others"):
-        table.add_column(heading, no_wrap=True)
-    for each in _shown(result.fits):
-        given = (each.train, each.cross_validation, each.across_speeds, each.validation)
-        errors = ["-" if error is None else f"{100.0 * error.relative_error:.3f} %" for error in given]
-        table.add_row(Text(each.label), str(each.count), *errors)
     groups = f"the recordings of each {result.settings.group_by}" if is_grouped else "blocks of time"
     click.echo(
         "Number of free parameters; relative error of the torque on the fitted data, on "
         f"{groups} held out, on speeds held out, on other recordings."
     )
-    print_table(table)
+    for heading, fits in result.groups:
+        if heading:
+            click.echo(f"\n{heading}:")
+        table = new_table()
+        table.add_column("model", overflow="fold")
+        for name in ("free", "error", "groups" if is_grouped else "blocks", "speeds", "others"):
+            table.add_column(name, no_wrap=True, justify="right")
+        for each in _shown(fits):
+            given = (each.train, each.cross_validation, each.across_speeds, each.validation)
+            errors = ["-" if error is None else f"{100.0 * error.relative_error:.3f} %" for error in given]
+            table.add_row(Text(each.label), str(each.count), *errors)
+        print_table(table)
 
 
 def _shown(fits: Sequence[Fit]) -> list[Fit]:
@@ -151,7 +154,9 @@ def _shown(fits: Sequence[Fit]) -> list[Fit]:
 
 
 def _print_parameters(best: Fit) -> None:
-    table = new_table("parameter", "value", "standard error")
+    table = new_table("parameter")
+    for heading in ("value", "standard error"):
+        table.add_column(heading, justify="right")
     for name, value in best.values.items():
         error = best.inference.standard_errors.get(name, math.nan)
         table.add_row(Text(name), f"{value:.6g}", f"{error:.2g}" if math.isfinite(error) else "-")

@@ -7,14 +7,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from friction_hil.numerics.jit import Array
-from friction_hil.reports.figures import INK, new_figure, remove_frame
+from friction_hil.reports.figures import INK, SERIES, new_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Okabe and Ito's colours: distinguishable with any colour vision.
-COLORS = ("#000000", "#d55e00", "#0072b2", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f7f7f")
 FAINT = "#bbbbbb"
 _DASHES = ("-", "--", "-.", ":")
 _SAME = 0.01  # of the largest value: curves closer than this are drawn as one
@@ -51,8 +49,7 @@ def panels(
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     for axes, name in zip(grid.flat, names, strict=False):
         draw(axes, name)
-        remove_frame(axes)
-        axes.set_title(title(name), fontsize=10, color=INK)
+        axes.set_title(title(name))
     for axes in grid.flat[len(names) :]:
         axes.set_axis_off()
     for column in range(columns):
@@ -62,7 +59,7 @@ def panels(
     figure.supylabel(labels[1], fontsize=10)
     if legend:
         handles = grid[0, 0].get_legend_handles_labels()
-        figure.legend(*handles, loc="outside upper center", ncols=len(handles[0]), frameon=False, fontsize=10)
+        figure.legend(*handles, loc="outside upper center", ncols=len(handles[0]))
     return figure
 
 
@@ -74,7 +71,7 @@ def together(
     axes = figure.subplots()
     for k, (names, (x, y)) in enumerate(groups(lines)):
         style: dict[str, Any] = {
-            "color": COLORS[k % len(COLORS)],
+            "color": SERIES[k % len(SERIES)],
             "linestyle": _DASHES[k % len(_DASHES)],
             "linewidth": 1.8,
         }
@@ -82,8 +79,7 @@ def together(
     if log:
         axes.set_xscale("log")
     axes.set(xlabel=labels[0], ylabel=labels[1])
-    remove_frame(axes)
-    figure.legend(loc="outside right upper", frameon=False, fontsize=10)
+    figure.legend(loc="outside right upper")
     return figure
 
 

@@ -143,11 +143,10 @@ def draw_circle(study: Study, name: str) -> "Figure":
         axes.plot(drawn * np.cos(angle), drawn * np.sin(angle), color=color, linewidth=1.4, label=label)
     axes.set_aspect("equal")
     axes.set(xlabel="first axis [rad]", ylabel="second axis [rad]")
-    axes.set_title(f"{name}: radius error magnified {magnification:g} times", fontsize=11, color=INK)
-    axes.legend(loc="center", frameon=False, fontsize=10)
+    axes.set_title(f"{name}: radius error magnified {magnification:g} times")
+    axes.legend(loc="center")
     for side in axes.spines.values():
         side.set_visible(False)
-    axes.grid(alpha=0.3)
     return figure
 
 

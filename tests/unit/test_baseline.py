@@ -1,0 +1,106 @@
+"""The rows that count without and with compensation, on recordings whose error is known exactly."""
+
+import numpy as np
+import pytest
+
+from friction_hil.analysis.baseline import without_and_with
+from friction_hil.analysis.following import RECOVERY_S, SETTLE_S
+from friction_hil.daemon.safety import LoopState
+from friction_hil.errors import RecordingError
+from friction_hil.recordings import Recording
+from friction_hil.reports.run import friction
+
+CYCLE_S, MOTION_S, START_S, FADE_S = 1e-3, 0.5, 0.2, 0.1
+IDLE, RUNNING = 100, 6000  # cycles
+ON = 3000  # cycle of the run in which the compensation begins
+
+
+def recorded(*, on=(ON, RUNNING), known_from=0, dropped=()):
+    """A sine whose error is 2e-3 without and 5e-4 with compensation, and wild where no row may count."""
+    cycle = np.arange(IDLE + RUNNING, dtype=float)
+    moving = cycle - IDLE
+    is_on = (moving >= on[0]) & (moving < on[1])
+    error = np.where(is_on, 5e-4, 2e-3)
+    error[moving < (START_S + SETTLE_S) / CYCLE_S] = 1.0
+    error[is_on & (moving < on[0] + (FADE_S + SETTLE_S) / CYCLE_S)] = 1.0
+    error[moving >= on[1]] = 1.0
+    demand = np.sin(2.0 * np.pi * cycle * CYCLE_S / MOTION_S)
+    columns = {
+        "time_s": cycle * CYCLE_S,
+        "cycle": cycle,
+        "position": demand - error,
+        "position_demand": np.where(moving >= known_from, demand, np.nan),
+        "is_fresh": np.ones_like(cycle),
+        "is_enabled": is_on.astype(float),
+        "state": np.where(moving >= 0, float(LoopState.RUNNING), float(LoopState.IDLE)),
+    }
+    return Recording("made.mcap", "x", {name: np.delete(values, dropped) for name, values in columns.items()})
+
+
+def phases(recording, motion_s=MOTION_S):
+    return without_and_with(recording, cycle_s=CYCLE_S, motion_s=motion_s, start_s=START_S, fade_s=FADE_S)
+
+
+def test_whole_periods_of_settled_motion_count_as_many_without_as_with():
+    before, after = phases(recorded())
+    assert (before.figures.rms, before.figures.peak) == pytest.approx((2e-3, 2e-3))
+    assert (after.figures.rms, after.figures.peak) == pytest.approx((5e-4, 5e-4))
+    assert before.interval_s == pytest.approx((1.1, 3.1))  # of 2.3 s that have settled, 2 s are whole periods
+    assert after.interval_s == pytest.approx((4.1, 6.1))
+    assert len(before.time_s) == len(before.error) == 500
+    assert before.figures.times(after.figures).rms == pytest.approx(4.0)
+
+
+def test_a_motion_without_period_counts_equally_long():
+    before, after = phases(recorded(), motion_s=None)
+    lengths = [stop - start for start, stop in (before.interval_s, after.interval_s)]
+    assert lengths == pytest.approx([2.3, 2.3])
+    assert (before.figures.rms, after.figures.rms) == pytest.approx((2e-3, 5e-4))
+    assert not np.isnan(before.error).any()
+
+
+def test_a_drive_that_its_master_switches_off_again_does_not_stretch_the_first_part():
+    before, after = phases(recorded(on=(ON, 5500)))
+    assert before.interval_s[1] == pytest.approx(3.1)
+    assert after.interval_s[1] == pytest.approx(5.6)
+    assert before.figures.peak == pytest.approx(2e-3)
+
+
+def test_rows_before_the_master_gives_a_demand_do_not_count():
+    before, _ = phases(recorded(known_from=1000))
+    assert before.interval_s == pytest.approx((2.1, 3.1))
+    assert before.figures.peak == pytest.approx(2e-3)
+
+
+def test_a_part_that_is_missing_is_none():
+    before, after = phases(recorded(on=(RUNNING, RUNNING)))
+    assert before.interval_s[1] == pytest.approx(6.1)
+    assert after is None
+    assert phases(recorded(on=(0, RUNNING)))[0] is None
+
+
+def test_rows_after_a_missed_period_do_not_count():
+    made = recorded(dropped=[IDLE + 2000])
+    made.columns["position"][IDLE + 2000 : IDLE + 2000 + round(RECOVERY_S / CYCLE_S)] += 0.3
+    before, _ = phases(made)
+    assert before.figures.peak == pytest.approx(2e-3)
+
+
+def test_too_few_rows_are_refused():
+    with pytest.raises(RecordingError, match="the computer was too busy"):
+        phases(recorded(dropped=range(IDLE + 1000, IDLE + 3000, 20)))
+    bare = recorded()
+    del bare.columns["state"]
+    with pytest.raises(RecordingError, match="no column state"):
+        phases(bare)
+
+
+def test_friction_over_velocity_is_thinned_evenly_and_keeps_its_extremes():
+    turn = np.arange(200_000) * 2.0 * np.pi / 200.0  # even steps of 100 rows would meet two points again and again
+    velocity, torque = np.sin(turn), np.sign(np.sin(turn))
+    torque[123_456], torque[77] = 9.0, -9.0
+    shown, friction_torque = friction._thinned(velocity, torque)
+    assert 5000 < len(shown) < 7000
+    assert friction_torque.max() == 9.0
+    assert friction_torque.min() == -9.0
+    assert len(np.unique(np.round(shown, 6))) > 90
