@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from friction_hil.config import self_contained
 from friction_hil.config.drivers import load_driver
@@ -54,7 +54,7 @@ class SessionResult:
     """Result of a run."""
 
     loop: LoopResult
-    axes: dict[str, dict[str, float]] = field(default_factory=dict)
+    axes: dict[str, dict[str, Any]] = field(default_factory=dict)
     report: CompanionReport | None = None
 
 
@@ -135,6 +135,8 @@ def run_session(
             "rms": axis.following_error.rms,
             "peak": axis.following_error.peak,
             "stale": axis.stale_cycles,
+            "bridged": axis.gaps.bridged,
+            "bridged_reasons": axis.gaps.reasons,
             **_baseline(axis),
         }
         for axis in axes

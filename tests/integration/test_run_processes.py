@@ -52,7 +52,13 @@ def test_a_run_whose_companion_is_killed_goes_on_and_names_all_its_files(tmp_pat
 def test_a_signal_ends_a_run_that_connects_at_once(tmp_path: Path, number: int, status: int) -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:  # accepts, and never answers
         line = {"port": f"tcp://127.0.0.1:{listener.getsockname()[1]}"}
-        axis = axis_dict() | {"driver": "modbus", "unit": 1, "description": "generic_cia402", "mode": "csp", "line": line}
+        axis = axis_dict() | {
+            "driver": "modbus",
+            "unit": 1,
+            "description": "generic_cia402",
+            "mode": "csp",
+            "line": line,
+        }
         axis |= {"counts_per_unit": 1e5, "rated_torque": 0.64, "torque_constant": 0.1}
         del axis["node"]
         configuration = tmp_path / "axes.yaml"

@@ -151,6 +151,8 @@ class SerialDrives:
         """Begin the cyclic phase."""
         for axis in self._axes:
             axis.image.fresh.clear()  # what was read before
+        for scheduler in self._schedulers:
+            scheduler.notices.clear()
         if self._clock.is_real:
             self._selector = LineSelector(round(self._configuration.period_s * 1e9))
         self._is_started = True
@@ -182,6 +184,9 @@ class SerialDrives:
             if scheduler.refusals.count >= _MAX_REFUSALS:
                 text = f"the drive refuses its commands: {scheduler.last_error}"
                 each.message = coded(text, codes.COMMANDS_REFUSED)
+            if scheduler.notices:  # of all drives on the line; the texts say which
+                each.notices += (f"a command is refused: {text}" for text in scheduler.notices)
+                scheduler.notices.clear()
 
     def _note_timeout(self) -> None:
         self._timeouts += 1

@@ -16,6 +16,8 @@ from friction_hil.interrupts import Interrupted
 if TYPE_CHECKING:
     from friction_hil.daemon.session import SessionResult
 
+_SHOWN_REASONS = 3
+
 
 def run(
     *,
@@ -107,7 +109,9 @@ def _print(result: "SessionResult", period_s: float, dry_run: bool) -> None:
         if not dry_run and math.isfinite(error.get("baseline_rms", math.nan)):
             rms, peak = error["baseline_rms"], error["baseline_peak"]
             click.echo(f"{name}: without compensation {rms:.3g} rms, {peak:.3g} peak")
-        if error["stale"]:
-            click.echo(f"{name}: {error['stale']} cycles without usable feedback were bridged")
+        if error["bridged"]:
+            click.echo(f"{name}: {error['bridged']} cycles without usable feedback were bridged")
+            for reason, count in sorted(error["bridged_reasons"].items(), key=lambda item: -item[1])[:_SHOWN_REASONS]:
+                click.echo(f"   {count} of them: {reason}")
     for path in result.report.recording if result.report else ():
         click.echo(f"recorded: {path}")
