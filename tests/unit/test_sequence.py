@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from friction_hil.daemon.safety import REQUESTS, LoopState
 from friction_hil.daemon.sequence import (
     DISABLE_TIMEOUT_S,
-    LOST_POWERED_TIMEOUT_S,
     ENABLE_TIMEOUT_S,
+    LOST_POWERED_TIMEOUT_S,
     QUICK_STOP_TIMEOUT_S,
     SETTLE_S,
     STANDSTILL_S,

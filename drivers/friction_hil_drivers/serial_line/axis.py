@@ -116,7 +116,7 @@ class SerialAxis:
         self._position_s = math.nan
         self._state_s = self._filled_s = math.nan
         self._state_numbers: list[float | None] = []  # that the state was derived from
-        self._why = ""  # of a fault without a number of its own
+        self._why = ""  # meaning of the number that shows a fault
         self.state_signals = state_signals(description)
 
     def fill(self, feedback: Feedback, time_s: float, last_error: str) -> None:
@@ -157,7 +157,9 @@ class SerialAxis:
         feedback.state = self.state
         feedback.is_fresh = is_fresh
         number = values.get("error", 0.0)
-        feedback.error = self._error(number) if number else self._why
+        feedback.error = self._why
+        if number:
+            feedback.error = f"{self._why}; {self._error(number)}" if self._why else self._error(number)
         feedback.missing = "" if is_fresh else last_error
         feedback.message = coded(self.sequencer.problem, codes.SEQUENCE_STUCK) if self.sequencer.problem else ""
         if self._position_s - self._state_s > _STATUS_LOSS_S:

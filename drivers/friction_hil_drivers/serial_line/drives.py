@@ -257,10 +257,12 @@ class SerialDrives:
         """Return the state of a drive, once it has no power or its time is over; UNKNOWN if it does not answer."""
         exchanges = [bus.protocol.read(axis.name, (name,)) for name in axis.state_signals]
         end_s = time.monotonic() + _POWER_OFF_S
-        while exchanges and all(self._try(bus, axis.name, exchange) for exchange in exchanges):
-            state = axis.read_state()
-            if not state.is_powered or time.monotonic() > end_s:
+        while exchanges and bus.scheduler.line.is_open:
+            is_read = all(self._try(bus, axis.name, exchange) for exchange in exchanges)
+            if is_read and not (state := axis.read_state()).is_powered:
                 return state
+            if time.monotonic() > end_s:  # a single reply that is lost says nothing
+                return state if is_read else DriveState.UNKNOWN
         return DriveState.UNKNOWN
 
     def _try(self, bus: SerialBus, axis: str, exchange: Exchange) -> bool:

@@ -31,11 +31,9 @@ def state_of(description: Description, values: Mapping[str, float]) -> DriveStat
 
 
 def meaning_of(description: Description, values: Mapping[str, float]) -> str:
-    """Return why the drive is in the state that `state_of` returns, as far as its description tells."""
+    """Return why the drive is in the state that `state_of` returns; empty if its description does not say it."""
     rule = None if description.state_machine == "cia402" else _rule(description, values)
-    if rule is None:
-        return ""
-    return rule.meaning or f"its {rule.signal} is {values[rule.signal]:g}"
+    return "" if rule is None else rule.meaning
 
 
 def _rule(description: Description, values: Mapping[str, float]) -> Rule | None:
