@@ -19,6 +19,7 @@ import click
 
 from friction_hil import __version__
 from friction_hil.errors import ConfigurationError, FrictionHilError, choices
+from friction_hil.interrupts import interruptible
 
 # The short help stands here, so that the overview imports no command.
 COMMANDS = {
@@ -104,7 +105,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def exit_status(command: click.Command, arguments: Sequence[str] | None, program: str) -> int:
     """Run a click command as ``program``, print its error on stderr, and return its exit status."""
     try:
-        result = command.main(arguments, prog_name=program, standalone_mode=False)
+        with interruptible():
+            result = command.main(arguments, prog_name=program, standalone_mode=False)
         sys.stdout.flush()
     except ConfigurationError as error:
         click.echo(str(error), err=True)  # each line already begins with file:line
@@ -115,8 +117,8 @@ def exit_status(command: click.Command, arguments: Sequence[str] | None, program
     except click.ClickException as error:
         error.show()
         return error.exit_code
-    except (click.Abort, KeyboardInterrupt):
-        return 130
+    except (click.Abort, KeyboardInterrupt) as error:
+        return getattr(error.__cause__ or error, "exit_status", 130)
     except BrokenPipeError:
         # The reader of stdout has gone. Python flushes once more at exit, which must not fail.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

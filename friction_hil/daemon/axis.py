@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, NamedTuple
 from friction_hil.compensator import CompensatorInputs
 from friction_hil.daemon.assembly import lead_s, make_compensator, make_limits, make_shadows
 from friction_hil.daemon.command import CommandWriter
-from friction_hil.daemon.figures import CompensationNotices, FollowingError
+from friction_hil.daemon.figures import CompensationNotices, FeedbackGaps, FollowingError
 from friction_hil.daemon.first_motion import FirstMotion
 from friction_hil.daemon.follow_check import FollowCheck
 from friction_hil.daemon.motion import AxisMotion
 from friction_hil.daemon.row import AxisRow, row_width
-from friction_hil.daemon.safety import MAX_STALE_CYCLES, FaultReset, LoopState, Supervisor
+from friction_hil.daemon.safety import ENDING, MAX_STALE_CYCLES, FaultReset, LoopState, Supervisor
 from friction_hil.daemon.sequence import STANDSTILL_S
 from friction_hil.drive import AxisFacts, Command, DriveState, Feedback
 from friction_hil.drive.codes import FaultCode
@@ -76,6 +76,7 @@ class AxisLoop:
         "_states",
         "compensator",
         "following_error",
+        "gaps",
         "lead_s",
         "motion",
         "name",
@@ -111,7 +112,8 @@ class AxisLoop:
         )
         self.motion = AxisMotion(name, unit, config, limits, facts, period_s, self.lead_s, path_time)
         self.following_error = FollowingError()
-        self.stale_cycles = 0  # without usable feedback, bridged by prediction
+        self.stale_cycles = 0  # without usable feedback
+        self.gaps = FeedbackGaps()
         self._period_s = period_s
         self._is_compensation_enabled = config.compensation.enabled
         self._baseline_s = config.compensation.baseline_s
@@ -197,6 +199,15 @@ class AxisLoop:
         except TypeError:
             return False
 
+    def _note_gap(self, feedback: Feedback, state: LoopState, *, is_usable: bool) -> None:
+        """Count a cycle without usable feedback, or the end of a gap."""
+        self.stale_cycles += not is_usable
+        if is_usable or state in ENDING:
+            self.gaps.close(is_bridged=state not in ENDING)
+        elif self.supervisor.has_position:  # before the first one nothing is bridged
+            reason = "its position jumps further than limits.velocity allows" if feedback.is_fresh else ""
+            self.gaps.miss(feedback.missing or reason or "no reason is known")
+
     def _count_missed(self, cycle: int) -> int:
         """Return the number of periods between the cycle before and this one."""
         missed, self._last_cycle = cycle - self._last_cycle - 1, cycle
@@ -223,7 +234,8 @@ class AxisLoop:
         time_s, compensator, supervisor = cycle * self._period_s, self.compensator, self.supervisor
         missed = self._count_missed(cycle)
         is_usable = supervisor.take(feedback, missed)
-        self.stale_cycles += not is_usable
+        if not is_usable or self.gaps.is_open:
+            self._note_gap(feedback, state, is_usable=is_usable)
         position = supervisor.position
         velocity = feedback.velocity if is_usable else compensator.velocity_estimate
         setpoint, demand = self.motion.demand(time_s, state)

@@ -1,8 +1,12 @@
-"""Figures of an axis in a run: its following error, and warnings about its compensation."""
+"""Figures of an axis in a run: its following error, its feedback, and warnings about its compensation."""
 
 import math
 
 from friction_hil.compensator import Compensator
+
+_LONGEST_GAP = 10_000  # cycles; a longer one is a fault in any configuration
+_MOST_REASONS = 20
+_OTHERS = "other reasons"
 
 
 class FollowingError:
@@ -25,6 +29,46 @@ class FollowingError:
     def rms(self) -> float:
         """Root mean square; NaN without any cycle."""
         return math.sqrt(self._sum / self._count) if self._count else math.nan
+
+
+class FeedbackGaps:
+    """Cycles without usable feedback that were bridged by prediction, and why there was none.
+
+    A gap counts when feedback is there again; one that ends the run, and what is missing after that, was not bridged.
+
+    Attributes
+    ----------
+    bridged : int
+        Number of cycles.
+    reasons : dict of str to int
+        Number of these cycles by the reason that the driver gave.
+    """
+
+    __slots__ = ("_gap", "bridged", "reasons")
+
+    def __init__(self) -> None:
+        self.bridged = 0
+        self.reasons: dict[str, int] = {}
+        self._gap: list[str] = []  # reasons of the cycles since the last usable feedback
+
+    @property
+    def is_open(self) -> bool:
+        """True while feedback is missing."""
+        return bool(self._gap)
+
+    def miss(self, reason: str) -> None:
+        """Take a cycle without usable feedback."""
+        if len(self._gap) < _LONGEST_GAP:
+            self._gap.append(reason)
+
+    def close(self, *, is_bridged: bool) -> None:
+        """End the gap: feedback is there again, or the run is ending."""
+        if is_bridged:
+            self.bridged += len(self._gap)
+            for reason in self._gap:
+                known = reason if reason in self.reasons or len(self.reasons) < _MOST_REASONS else _OTHERS
+                self.reasons[known] = self.reasons.get(known, 0) + 1
+        self._gap.clear()
 
 
 class CompensationNotices:

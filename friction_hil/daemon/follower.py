@@ -125,7 +125,8 @@ class FollowerAxis(AxisLoop):
         is_powered = feedback.state is DriveState.OPERATION_ENABLED
         supervisor.is_operating = is_operating = is_powered and feedback.is_offset_wanted
         is_usable = supervisor.take(feedback, self._count_missed(cycle))
-        self.stale_cycles += not is_usable
+        if not is_usable or self.gaps.is_open:
+            self._note_gap(feedback, state, is_usable=is_usable)
         position = supervisor.position
         velocity = feedback.velocity if is_usable else compensator.velocity_estimate
         demand = self._demand.take(cycle, feedback.position_demand if is_operating else math.nan)

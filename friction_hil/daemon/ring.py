@@ -54,6 +54,16 @@ class _Ring:
         return self._header[_ROWS_DONE] - self._header[_LOST]
 
     @property
+    def rows_done(self) -> int:
+        """Number of rows that are safe or lost: no reader needs them any more."""
+        return self._header[_ROWS_DONE]
+
+    @property
+    def rows_lost(self) -> int:
+        """Number of rows that readers have counted as lost."""
+        return self._header[_LOST]
+
+    @property
     def is_closed(self) -> bool:
         """True once the writer has closed the ring."""
         return bool(self._header[_CLOSED])

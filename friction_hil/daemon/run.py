@@ -164,7 +164,9 @@ class RunControl:
             return
         if (timeout := self._machine.take_timeout()) is not None:
             is_standing = [update.is_standing for update in updates]
-            for text in timeout_faults(timeout, left, [axis.name for axis in self._axes], feedback, is_standing):
+            is_silent = [axis.supervisor.is_silent for axis in self._axes]
+            names = [axis.name for axis in self._axes]
+            for text in timeout_faults(timeout, left, names, feedback, is_standing, is_silent):
                 self._log.fault(cycle, text)
         self._enter(self._machine.state, cycle, time_s)
 

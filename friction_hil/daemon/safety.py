@@ -35,7 +35,7 @@ class LoopState(IntEnum):
 MOVING = (LoopState.RUNNING, LoopState.STOPPING)
 _LIMITED = (LoopState.FIRST_MOTION, *MOVING)
 _NOT_YET_ENABLED = (LoopState.IDLE, LoopState.ENABLING)
-_ENDING = (LoopState.FAULT_STOPPING, LoopState.DISABLING, LoopState.DONE)
+ENDING = (LoopState.FAULT_STOPPING, LoopState.DISABLING, LoopState.DONE)
 
 REQUESTS = {
     LoopState.IDLE: Request.LISTEN,
@@ -147,6 +147,11 @@ class Supervisor:
         """True if the position is that of the last cycle."""
         return self._stale_cycles == 0
 
+    @property
+    def is_silent(self) -> bool:
+        """True if feedback has been missing for longer than is bridged."""
+        return self._stale_cycles > self._max_stale_cycles
+
     def take(self, feedback: Feedback, missed: int = 0) -> bool:
         """Take one cycle's feedback; return True if it is fresh, finite and plausible.
 
@@ -191,7 +196,7 @@ class Supervisor:
         """
         if feedback.message:
             return FaultCode.DRIVER_MESSAGE.append_to(f"{self._name}: {feedback.message}")
-        is_lost = not feedback.is_reachable and state not in _ENDING
+        is_lost = not feedback.is_reachable and state not in ENDING
         if is_lost or self._stale_cycles > self._max_stale_cycles:
             # one message for the whole gap, though the reason may change with each byte received
             self._missing = self._missing or self._missing_feedback(feedback)

@@ -150,25 +150,33 @@ class RunStateMachine:
 
 
 def timeout_faults(
-    timeout: Timeout, state: LoopState, names: Sequence[str], feedback: Sequence[Feedback], is_standing: Sequence[bool]
+    timeout: Timeout,
+    state: LoopState,
+    names: Sequence[str],
+    feedback: Sequence[Feedback],
+    is_standing: Sequence[bool],
+    is_silent: Sequence[bool],
 ) -> Iterator[str]:
     """Yield the message of a timeout for each axis that kept the run in ``state``.
+
+    Of a drive that has been silent for too long nothing is known: its missing feedback is a fault already, and the
+    state in which it is left is read back after the stop, or is unknown then.
 
     Parameters
     ----------
     timeout : Timeout
     state : LoopState
         State that the run has just left.
-    names, feedback, is_standing : sequence
+    names, feedback, is_standing, is_silent : sequence
         Of each axis.
     """
     is_any = False
-    for name, heard, stands in zip(names, feedback, is_standing, strict=True):
+    for name, heard, stands, silent in zip(names, feedback, is_standing, is_silent, strict=True):
         if heard.is_reachable and _is_awaited(state, heard.state, stands):
             is_any = True
-            error = f" ({heard.error})" if heard.error else ""
-            text = f"{name}: {timeout.text}: {_known(heard)}{error}"
-            yield timeout.code.append_to(text)
+            if not silent:
+                error = f" ({heard.error})" if heard.error else ""
+                yield timeout.code.append_to(f"{name}: {timeout.text}: {_known(heard)}{error}")
     if not is_any:  # an axis that comes to rest now and then may stand in this very cycle
         yield timeout.code.append_to(timeout.text)
 

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from friction_hil.config import self_contained
 from friction_hil.config.drivers import load_driver
@@ -31,6 +31,9 @@ if TYPE_CHECKING:
     from friction_hil.config import Configuration
 
 _PASSIVE_STALE_S = 1.0
+_LOOK_S = 0.05
+_ROOM_S = 10.0
+_CYCLE = columns.NAMES.index(columns.CYCLE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,24 +54,46 @@ class SessionResult:
     """Result of a run."""
 
     loop: LoopResult
-    axes: dict[str, dict[str, float]] = field(default_factory=dict)
+    axes: dict[str, dict[str, Any]] = field(default_factory=dict)
     report: CompanionReport | None = None
 
 
 class _CompanionSink:
-    """Sink that hands rows to the companion; in simulated time it waits for room, so that no row is lost."""
+    """Sink that hands rows to the companion, and looks after it; in simulated time it waits for room for a row."""
 
-    def __init__(self, companion: Companion, is_real: bool) -> None:
+    def __init__(self, companion: Companion, period_s: float, *, is_real: bool) -> None:
         self._companion = companion
-        self.push = companion.push if is_real else self._push_when_free
+        self._is_real = is_real
+        self._looks = max(1, round(_LOOK_S / period_s))  # rows between two looks at the companion
+        self._left = self._looks
+        self._is_patient = True
 
-    def _push_when_free(self, row: Array) -> None:
-        while self._companion.free_slots() == 0 and self._companion.is_alive:
-            time.sleep(0.001)
+    def push(self, row: Array) -> None:
+        if not (self._is_real or self._companion.free_slots()):
+            self._wait_for_room(row)
         self._companion.push(row)
+        self._left -= 1
+        if not self._left:
+            self._look(row)
 
     def event(self, cycle: int, name: str, text: str) -> None:
         self._companion.push_event(cycle, name, text)
+
+    def _look(self, row: Array) -> None:
+        """Start the companion again if it has died; what has happened to it belongs in the recording too."""
+        self._left = self._looks
+        for problem in self._companion.tend():
+            self._companion.push_event(row[_CYCLE], "warning", f"recording: {problem}")
+
+    def _wait_for_room(self, row: Array) -> None:
+        """Wait until a row would not be lost, but not forever: the axes have to come to rest all the same."""
+        end_s = time.monotonic() + (_ROOM_S if self._is_patient else 0.0)
+        while not (room := self._companion.free_slots()) and time.monotonic() < end_s:
+            self._look(row)
+            if self._companion.is_given_up:
+                break
+            time.sleep(0.001)
+        self._is_patient = room > 0
 
 
 def run_session(
@@ -93,60 +118,16 @@ def run_session(
     FrictionHilError
         Before anything has moved: the bus, a drive or the recording is not usable. Later faults are in the
         result.
+    Interrupted
+        A signal came before anything was enabled.
     """
-    realtime = configuration.realtime
-    clock: Clock = SteppedClock() if settings.is_paced_by_sync else RealClock(realtime.spin_us)
-    driver = only_driver(configuration)
-    started_ns = 0 if settings.is_paced_by_sync else time.time_ns()
-    path = _recording_path(configuration, settings, started_ns)
-    if path is not None:
-        prepare(path, overwrite=settings.is_overwrite_allowed)  # report a wrong path before any drive is touched
+    clock: Clock = SteppedClock() if settings.is_paced_by_sync else RealClock(configuration.realtime.spin_us)
     with contextlib.ExitStack() as stack:
-        drives: Drives = load_driver(driver)(configuration, configuration.axes, clock, dry_run=settings.dry_run)
-        stack.callback(_close, drives, report)
-        facts = drives.connect()
-        for fact in facts:
-            report(f"{fact.name}: {fact.identity}")
-            for line in unit_table(fact.name, fact.units):
-                report(line)
-            for note in (*fact.notes, *configuration.axes[fact.name].model.friction_model.notes):
-                report(f"{fact.name}: {note}")
-        path_time = PathTime(ramp_s(configuration.axes.values()))
-        shadows = sorted({shadow.name for axis in configuration.axes.values() for shadow in axis.shadows})
-        max_stale = realtime.max_missed
-        if getattr(drives, "is_passive", False):  # the feedback comes when another master asks for it
-            max_stale = max(max_stale, math.ceil(_PASSIVE_STALE_S / configuration.period_s))
-        is_follower = bool(getattr(drives, "is_follower", False))
-        make_axis = FollowerAxis if is_follower else AxisLoop
-        axes = [
-            make_axis(
-                fact.name,
-                configuration.axes[fact.name],
-                fact,
-                configuration.period_s,
-                path_time,
-                shadows,
-                max_stale,
-            )
-            for fact in facts
-        ]
-        companion = Companion.start(_job(configuration, settings, path, started_ns, facts, axes, shadows))
+        with stop.raised():
+            prepared = _prepare(configuration, settings, clock, stack, report)
+        axes, companion = prepared.axes, prepared.companion
         try:
-            with punctuality(0 if settings.is_paced_by_sync else realtime.priority) as findings:
-                for line in complaints(findings):
-                    report(line)
-                loop_settings = LoopSettings(
-                    period_s=configuration.period_s,
-                    duration_s=settings.duration_s,
-                    max_missed=realtime.max_missed,
-                    enable_timeout_s=configuration.enable_timeout_s,
-                    dry_run=settings.dry_run,
-                    is_fault_reset_wanted=settings.is_fault_reset_wanted,
-                    is_follower=is_follower,
-                )
-                sink = _CompanionSink(companion, clock.is_real)
-                loop = Loop(drives, axes, path_time, clock, sink, loop_settings, stop)
-                result = loop.run()
+            result = _run(prepared, configuration, settings, clock, stop, report)
         finally:
             recorded = companion.close()
     errors = {
@@ -154,11 +135,99 @@ def run_session(
             "rms": axis.following_error.rms,
             "peak": axis.following_error.peak,
             "stale": axis.stale_cycles,
+            "bridged": axis.gaps.bridged,
+            "bridged_reasons": axis.gaps.reasons,
             **_baseline(axis),
         }
         for axis in axes
     }
     return SessionResult(result, errors, recorded)
+
+
+@dataclass(frozen=True, slots=True)
+class _Prepared:
+    """What a run needs, before anything is enabled."""
+
+    drives: Drives
+    axes: list[AxisLoop]
+    path_time: PathTime
+    companion: Companion
+
+
+def _prepare(
+    configuration: "Configuration",
+    settings: SessionSettings,
+    clock: Clock,
+    stack: contextlib.ExitStack,
+    report: Callable[[str], None],
+) -> _Prepared:
+    """Connect the drives, compile the axes, start the companion; ``stack`` closes what was opened."""
+    realtime = configuration.realtime
+    started_ns = 0 if settings.is_paced_by_sync else time.time_ns()
+    path = _recording_path(configuration, settings, started_ns)
+    if path is not None:
+        prepare(path, overwrite=settings.is_overwrite_allowed)  # report a wrong path before any drive is touched
+    make_drives = load_driver(only_driver(configuration))
+    drives: Drives = make_drives(configuration, configuration.axes, clock, dry_run=settings.dry_run)
+    stack.callback(_close, drives, report)
+    facts = drives.connect()
+    for fact in facts:
+        report(f"{fact.name}: {fact.identity}")
+        for line in unit_table(fact.name, fact.units):
+            report(line)
+        for note in (*fact.notes, *configuration.axes[fact.name].model.friction_model.notes):
+            report(f"{fact.name}: {note}")
+    path_time = PathTime(ramp_s(configuration.axes.values()))
+    shadows = sorted({shadow.name for axis in configuration.axes.values() for shadow in axis.shadows})
+    max_stale = realtime.max_missed
+    if getattr(drives, "is_passive", False):  # the feedback comes when another master asks for it
+        max_stale = max(max_stale, math.ceil(_PASSIVE_STALE_S / configuration.period_s))
+    make_axis = FollowerAxis if _is_follower(drives) else AxisLoop
+    axes = [
+        make_axis(
+            fact.name,
+            configuration.axes[fact.name],
+            fact,
+            configuration.period_s,
+            path_time,
+            shadows,
+            max_stale,
+        )
+        for fact in facts
+    ]
+    companion = Companion.start(_job(configuration, settings, path, started_ns, facts, axes, shadows))
+    stack.callback(companion.close)
+    return _Prepared(drives, axes, path_time, companion)
+
+
+def _is_follower(drives: Drives) -> bool:
+    return bool(getattr(drives, "is_follower", False))
+
+
+def _run(
+    prepared: _Prepared,
+    configuration: "Configuration",
+    settings: SessionSettings,
+    clock: Clock,
+    stop: StopRequest,
+    report: Callable[[str], None],
+) -> LoopResult:
+    """Run the loop, from enabling the drives to disabling them."""
+    realtime = configuration.realtime
+    with punctuality(0 if settings.is_paced_by_sync else realtime.priority) as findings:
+        for line in complaints(findings):
+            report(line)
+        loop_settings = LoopSettings(
+            period_s=configuration.period_s,
+            duration_s=settings.duration_s,
+            max_missed=realtime.max_missed,
+            enable_timeout_s=configuration.enable_timeout_s,
+            dry_run=settings.dry_run,
+            is_fault_reset_wanted=settings.is_fault_reset_wanted,
+            is_follower=_is_follower(prepared.drives),
+        )
+        sink = _CompanionSink(prepared.companion, configuration.period_s, is_real=clock.is_real)
+        return Loop(prepared.drives, prepared.axes, prepared.path_time, clock, sink, loop_settings, stop).run()
 
 
 def _close(drives: Drives, report: Callable[[str], None]) -> None:

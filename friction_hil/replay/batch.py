@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -56,7 +57,8 @@ def _map(tasks: Sequence[ReplayTask]) -> Iterator[tuple[int, list[ReplayOutcome]
     # not fork: numerical libraries may have started threads, whose locks a forked process would copy
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["friction_hil.replay.task"])
-    with ProcessPoolExecutor(workers, mp_context=context) as pool:
+    # Ctrl-C ends the workers without a word: this process says what is to be said
+    with ProcessPoolExecutor(workers, context, signal.signal, (signal.SIGINT, signal.SIG_DFL)) as pool:
         indices = {pool.submit(run, task): index for index, task in enumerate(tasks)}
         try:
             for future in as_completed(indices):

@@ -61,14 +61,14 @@ class TuningRuns:
         report = result.report
         self.warnings += [each for each in result.loop.warnings if each not in self.warnings]
         if report is not None and report.recording:
-            self.recordings.append(path)
+            self.recordings += map(Path, report.recording)
         if result.loop.faults:
             where = f"; the run is in {path}"
             if not _has_run(path):
                 path.unlink(missing_ok=True)
                 where = "; nothing has moved"
             raise TuningError("; ".join(result.loop.faults) + where)
-        if report is None or report.lost or not report.recording:
+        if report is None or report.lost or report.pending or not report.recording:
             problems = "; ".join(report.problems) if report is not None and report.problems else "rows were lost"
             raise TuningError(f"{path}: the recording is not complete: {problems}")
 

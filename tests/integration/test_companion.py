@@ -1,10 +1,12 @@
 """The companion as a real process: what it records, and what happens when something dies."""
 
+import contextlib
 import os
 import resource
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -13,8 +15,10 @@ import numpy as np
 import pytest
 
 import friction_hil as fh
-from friction_hil.daemon.companion import Companion, CompanionReport, Job, free_path
+from friction_hil.daemon.companion import Companion, CompanionReport, Job, client, free_path
+from friction_hil.daemon.stop import stop_on_signals
 from friction_hil.errors import RecordingError, UsageError
+from friction_hil.interrupts import Interrupted
 from friction_hil.recordings.columns import NAMES
 
 COLUMNS = ["time_s", "cycle", "position"]
@@ -140,20 +144,142 @@ def test_the_death_of_the_supervisor_stops_nothing(companion: Companion) -> None
     companion._process.kill()
     companion._process.wait()
     push(companion, 100, 200)
+    assert companion.next_message() == {"problem": "the supervisor of the companion died; its worker goes on"}
     report = companion.close()
     assert cycles(report.recording) == list(range(200))
 
 
-def test_rows_that_died_with_the_companion_are_explained(companion: Companion) -> None:
-    companion._process.kill()
+def kill_both(companion: Companion) -> None:
+    """Kill supervisor and worker, as ``pkill -9 -f companion`` does."""
+    os.kill(companion._process.pid, signal.SIGKILL)
     os.kill(companion.worker_pid, signal.SIGKILL)
-    companion._process.wait()
-    while companion.next_message() is not None:
-        pass
+
+
+def tend(companion: Companion) -> list[str]:
+    """Look after the companion until it has something to say."""
+    while not (problems := companion.tend()):
+        os.sched_yield()
+    return problems
+
+
+def test_a_dead_companion_is_told_at_once_and_started_again(
+    companion: Companion, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    push(companion, 0, 9500)
+    kill_both(companion)
+    told = "the companion process died (signal SIGKILL); the next one takes over"
+    assert tend(companion) == [told]
+    assert told in capfd.readouterr().err
+    push(companion, 9500, 12_000)
+    report = companion.close()
+    assert report.recording == (str(tmp_path / "run.mcap"), str(tmp_path / "run-2.mcap"))
+    assert (report.rows, report.lost, report.pending, report.problems) == (12_000, 0, 0, (told,))
+    assert sorted(set(cycles(report.recording))) == list(range(12_000))
+
+
+def test_a_companion_that_dies_at_the_end_is_started_once_more(companion: Companion) -> None:
+    kill_both(companion)
     companion.push(row(0))
     report = companion.close()
-    assert report.lost == 1
-    assert report.problems == ("the companion process was killed (signal SIGKILL): nothing more was recorded",)
+    assert (report.rows, report.lost) == (1, 0)
+    assert cycles(report.recording[1:]) == [0.0]
+
+
+def test_a_companion_that_is_killed_again_and_again_is_given_up(companion: Companion) -> None:
+    for _ in range(2):
+        kill_both(companion)
+        tend(companion)
+        while not companion.worker_pid:  # the next worker is ready
+            companion.tend()
+    kill_both(companion)
+    problem = "3 companion processes were killed at once (signal SIGKILL): nothing more is recorded"
+    assert tend(companion)[-1] == problem
+    assert companion.is_given_up
+    companion.push(row(0))
+    report = companion.close()
+    assert (report.rows, report.lost, report.problems[-1]) == (0, 1, problem)
+
+
+def stop(companion: Companion) -> None:
+    """Stop supervisor and worker (SIGSTOP)."""
+    for pid in (companion._process.pid, companion.worker_pid):
+        os.kill(pid, signal.SIGSTOP)
+        while Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "T":
+            os.sched_yield()
+
+
+def test_a_stopped_companion_neither_holds_the_end_nor_loses_rows(companion: Companion) -> None:
+    push(companion, 0, 1500)
+    stop(companion)
+    for cycle in range(1500, 3000):
+        companion.push(row(cycle))
+    report = companion.close()
+    assert (report.rows, report.lost, report.pending, report.problems) == (3000, 0, 0, ())
+    assert cycles(report.recording) == list(range(3000))
+
+
+def test_a_companion_stopped_during_the_run_is_continued_before_rows_are_lost(companion: Companion) -> None:
+    stop(companion)
+    for cycle in range(5000):  # 8000 fit
+        companion.push(row(cycle))
+    companion.tend()
+    push(companion, 5000, 20_000)
+    report = companion.close()
+    assert (report.rows, report.lost) == (20_000, 0)
+
+
+def test_rows_that_are_still_to_be_written_are_neither_safe_nor_lost(
+    companion: Companion, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(companion, "_wake", lambda: None)  # as if it waited for a disk that does not answer
+    worker = companion.worker_pid
+    push(companion, 0, 100)
+    stop(companion)
+    companion.push(row(100))
+    report = companion.close(patience_s=0.2)
+    assert (report.rows + report.pending, report.lost) == (101, 0)
+    assert report.pending >= 1
+    assert report.problems[-1].startswith(f"the recording is not finished: process {worker} made no progress for 0.2 s")
+    for pid in (worker, companion._process.pid):
+        os.kill(pid, signal.SIGCONT)
+    companion._process.wait()
+    assert cycles(report.recording) == list(range(101))
+
+
+def members(group: int) -> list[str]:
+    """Living processes of a process group."""
+    found = []
+    for file in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            state, _, its_group = file.read_text().rpartition(")")[2].split()[:3]
+            found += [file.parent.name] if state not in "ZX" and int(its_group) == group else []
+    return found
+
+
+def test_a_signal_ends_the_wait_for_a_file_that_does_not_open(job: Job, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = Path(str(job.path))
+    os.mkfifo(path)
+    with pytest.raises(UsageError, match=r"run\.mcap is a pipe: a recording needs a file"):
+        Companion.start(job)
+    monkeypatch.setattr(client, "prepare", lambda *_, **__: None)  # as if the server of the folder did not answer
+    started = []
+    launch = Companion._launch
+    monkeypatch.setattr(Companion, "_launch", lambda self, *args: (launch(self, *args), started.append(self)))
+
+    def is_opening() -> bool:
+        return len(members(started[0]._process.pid)) == 2 if started else False
+
+    def end() -> None:
+        while not is_opening():
+            os.sched_yield()
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    with stop_on_signals() as request, request.raised():
+        threading.Thread(target=end).start()
+        with pytest.raises(Interrupted, match="SIGTERM"):
+            Companion.start(replace(job, overwrite=True))
+    while members(started[0]._process.pid):  # nothing is left behind
+        os.sched_yield()
 
 
 def test_signals_of_the_terminal_are_left_to_the_control_process(companion: Companion) -> None:

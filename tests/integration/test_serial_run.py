@@ -259,7 +259,10 @@ def test_faults_on_the_line_are_bridged_and_counted(tmp_path, kind):
     recording = fh.recordings.read(tmp_path / "run.mcap")
     lost = int(np.count_nonzero(recording["is_fresh"] == 0.0))
     assert 5 <= lost <= 0.5 * len(recording)
-    assert result["axes"]["x"]["stale"] == lost
+    figures = result["axes"]["x"]
+    assert figures["stale"] == lost
+    assert 0 < figures["bridged"] <= lost
+    assert sum(figures["bridged_reasons"].values()) == figures["bridged"]
     moving = recording["state"] == LoopState.RUNNING
     assert np.abs(recording["position"][moving]).max() < 0.4  # no lie by a broken reply: of 0.3
     assert np.ptp(recording["position"][moving]) > 0.4
@@ -281,9 +284,10 @@ def test_more_silence_than_is_bridged_is_a_fault_that_says_why(tmp_path, kind):
 @pytest.mark.parametrize(
     ("kind", "faults", "reason"),
     [
-        ("modbus rtu", {"drop": 1.0}, "of unit 3: no reply in time"),
+        ("modbus rtu", {"drop": 1.0}, r"of unit 3: no reply in time \(5 attempts\)"),
         ("modbus rtu", {"corrupt": 1.0}, "CRC is wrong|no reply of unit 3 to function 3|unit [0-9]+ answered instead"),
-        ("odrive", {"drop": 1.0}, "read position and velocity of x: no reply in time"),
+        ("odrive", {"drop": 1.0}, r"read position and velocity of x: no reply in time \(5 attempts\)"),
+        ("odrive", {"corrupt": 1.0}, "came in reply to|no whole reply in time, only '|is no"),
     ],
 )
 def test_a_line_on_which_nothing_comes_right_is_told_with_its_reason(tmp_path, kind, faults, reason):
@@ -293,7 +297,14 @@ def test_a_line_on_which_nothing_comes_right_is_told_with_its_reason(tmp_path, k
     assert status == 1
     assert text.startswith("Error: x: read ")
     assert re.search(reason, text), text
-    assert "(5 attempts). Right address, port and baud rate (921600)?" in text
+    if "drop" in faults:
+        assert "Right address, port and baud rate (921600)?" in text
+    else:
+        form = "a reply begins with the unit and the function, and ends in a CRC-16"
+        if kind == "odrive":
+            form = r"by the description a reply ends in '\r\n', with a checksum (xor)"
+        right = "Right baud rate 921600, parity none, 1 stop bits, protocol and description?"
+        assert f"(5 attempts). Bytes arrive, but no valid reply ({form}). {right}" in text
 
 
 # What cannot be run at all

@@ -1,15 +1,18 @@
 """Connecting looks before it touches, and a drive is left as it was found."""
 
 import json
+import os
+import shutil
 import struct
 import tempfile
 import time
+from pathlib import Path
 
 import can
 import pytest
 from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.drives import CanopenDrives
-from friction_hil_drivers.canopen.journal import Found, restoration
+from friction_hil_drivers.canopen.journal import Found, Journal, restoration
 from friction_hil_drivers.canopen.objects import DataType, Object
 
 from friction_hil.daemon.realtime import SteppedClock
@@ -500,3 +503,41 @@ def test_commands_and_set_points_are_no_settings(bench):
     indices = {struct.unpack_from("<H", data, 1)[0] for data in downloads}
     assert indices
     assert not indices & {0x6040, 0x6071, 0x607A, 0x60B2, 0x60FF, objects.DEVICE_TYPE.index}
+
+
+class Shown:
+    """Access to a drive of which only the identity and one setting matter."""
+
+    axis, where = "x", "node 5 on can0"
+
+    def peek(self, entry):
+        return b"\x07\0\0\0"
+
+    def download(self, entry, data):
+        raise AssertionError("nothing is written here")
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
+def test_what_another_users_killed_run_has_kept_shuts_out_nobody(request):
+    folder = Path(tempfile.mkdtemp(dir="/tmp"))  # that of the test can be entered by nobody else
+    request.addfinalizer(lambda: shutil.rmtree(folder))
+    folder.chmod(0o1777)
+    entry = Object(0x1017, "heartbeat", DataType.UNSIGNED16)
+
+    def keep():
+        journal = Journal(Shown(), lambda identity: folder / f"can0-5-{identity}.json")
+        journal.before(entry, b"\x08\0")
+        return journal.notes
+
+    pid = os.fork()
+    if pid == 0:
+        os.setuid(65534)
+        keep()
+        os._exit(0)
+    assert os.waitpid(pid, 0)[1] == 0
+    (theirs,) = folder.iterdir()
+    (note,) = keep()
+    assert note.startswith(f"a run of another user ended without restoring the drive's settings ({theirs})")
+    (own,) = set(folder.iterdir()) - {theirs}
+    assert keep() != [note]  # this user's own is taken over
+    assert own.name.endswith("-0.json")

@@ -157,6 +157,47 @@ def test_notices_of_the_drives_are_recorded_once_each():
     assert run.result.notices == run.events("notice") == told
 
 
+# --- a drive that is silent
+
+
+class Unplugged(Drives):
+    """The line of a drive is gone: nothing is heard, and nothing can be read back."""
+
+    def receive(self, feedback, end_ns):
+        super().receive(feedback, end_ns)
+        if self.cycle > 400:
+            feedback[0].is_fresh, feedback[0].state = False, DriveState.OPERATION_ENABLED  # the last one reported
+            feedback[0].missing = "the line is gone"
+
+    def close(self):
+        super().close()
+        return (DriveState.UNKNOWN,)
+
+
+def test_a_drive_whose_line_is_gone_is_unknown_and_nothing_else():
+    loop, _, _ = make_loop(configuration(x=axis()), Unplugged(configuration(x=axis())), duration_s=2.0)
+    assert loop.run().faults == [
+        "x: no usable feedback for more than 10 cycles: the line is gone [FH-103]",
+        "x: the state of the drive after the stop is unknown: it may have power [FH-120]",
+    ]
+
+
+def test_only_gaps_that_ended_count_as_bridged_and_the_reasons_are_named():
+    busy = "unit 1 refuses: server device busy (exception 6)"
+    gaps = {100: (3, busy), 200: (10, "no reply in time"), 300: (1, busy), 400: (100_000, "the line is gone")}
+
+    def lose(cycle, feedback):
+        for begin, (length, reason) in gaps.items():
+            if begin <= cycle < begin + length:
+                feedback[0].is_fresh, feedback[0].missing = False, reason
+
+    run = Run(disturb=lose, duration_s=1.0)
+    assert "the line is gone" in run.result.faults[0]
+    (one,) = run.axes
+    assert (one.gaps.bridged, one.gaps.reasons) == (14, {busy: 4, "no reply in time": 10})
+    assert one.stale_cycles > 5000
+
+
 # --- a drive out of reach
 
 

@@ -8,6 +8,7 @@ from friction_hil.daemon.safety import REQUESTS, LoopState
 from friction_hil.daemon.sequence import (
     DISABLE_TIMEOUT_S,
     ENABLE_TIMEOUT_S,
+    LOST_POWERED_TIMEOUT_S,
     QUICK_STOP_TIMEOUT_S,
     SETTLE_S,
     STANDSTILL_S,
@@ -202,7 +203,8 @@ def test_every_run_ends_in_bounded_time(events, last, why):
     last.is_stop_requested = last.is_stop_requested or why == "stop"
     last.has_fault = last.has_fault or why == "fault"
     last.is_setpoint_standing = last.is_faded_out = True
-    bound = time_s + STANDSTILL_TIMEOUT_S + QUICK_STOP_TIMEOUT_S + DISABLE_TIMEOUT_S + 0.1
+    disabling_s = max(DISABLE_TIMEOUT_S, LOST_POWERED_TIMEOUT_S)
+    bound = time_s + STANDSTILL_TIMEOUT_S + QUICK_STOP_TIMEOUT_S + disabling_s + 0.1
     while machine.state is not LoopState.DONE:
         time_s += DT
         machine.advance(time_s, last)

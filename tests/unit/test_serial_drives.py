@@ -3,6 +3,7 @@
 The drives run in a thread and are paced by the driver's requests, so that nothing depends on the clock.
 """
 
+import itertools
 import os
 import select
 import time
@@ -11,6 +12,8 @@ import numpy as np
 import pytest
 from friction_hil_drivers.serial_line import drives
 from friction_hil_drivers.serial_line.bus import SerialBus
+from friction_hil_drivers.serial_line.simulated.port import PtyPort
+from pymodbus.framer import FramerRTU
 
 from friction_hil.drive import Command, DriveState, Feedback, Request
 from friction_hil.errors import DriveError, UsageError
@@ -81,7 +84,8 @@ def test_what_nobody_asked_for_is_dropped_before_the_drive_is_asked(tmp_path, ki
         wait_for(lambda: select.select([scheduler.line.descriptor], [], [], 0.0)[0])
         bench.cycle(Request.ENABLE)
         assert bench.feedback.is_fresh, bench.feedback
-        assert scheduler.last_error == "not asked for: 'noise\\r\\n'"
+        shown = "6e 6f 69 73 65 0d 0a" if kind == "rtu" else "'noise\\r\\n'"
+        assert scheduler.last_error == f"not asked for: {shown}"
 
 
 def test_after_closing_in_motion_no_drive_keeps_its_power(kind, tmp_path):
@@ -387,3 +391,35 @@ def test_how_old_a_torque_is_that_comes_in_turns_is_stated(kind, in_force, tmp_p
 def test_a_drive_that_tells_no_torque_says_so(tmp_path):
     with Bench("rtu", tmp_path).begin() as bench:
         assert bench.facts.torque_delay_s is None
+
+
+def test_a_command_that_a_drive_refuses_now_and_then_is_a_notice(tmp_path, monkeypatch):
+    """Modbus exceptions are named though the run goes on: 6 is a drive that is busy."""
+    with Bench("rtu", tmp_path).begin().enable() as bench:
+        bench.cycle(Request.ENABLE, count=5)
+        assert bench.feedback.notices == []
+        write, busy = PtyPort.write, itertools.count()
+
+        def refuse_sometimes(port, data):
+            """The reply to each third write of registers is exception 6."""
+            if data[1] in (6, 16) and next(busy) % 3 == 0:
+                pdu = bytes((data[0], data[1] | 0x80, 6))
+                data = pdu + FramerRTU.compute_CRC(pdu).to_bytes(2, "big")
+            write(port, data)
+
+        monkeypatch.setattr(PtyPort, "write", refuse_sometimes)
+        bench.cycle(Request.ENABLE, 0.1, count=20)
+        assert bench.feedback.is_fresh
+        assert bench.feedback.message == ""
+        text = bench.feedback.notices[0]
+        assert text.startswith("a command is refused: write ")
+        assert text.endswith("of unit 3: unit 3 refuses: server device busy (exception 6)")
+
+
+def test_a_tripped_bus_watchdog_says_that_it_is_one(tmp_path):
+    with Bench("dynamixel", tmp_path).begin().enable() as bench:
+        bench.simulated._lines[0]._drives[0].fail()
+        for _ in range(30):
+            bench.cycle(Request.ENABLE)
+        assert bench.feedback.state is DriveState.FAULT
+        assert bench.feedback.error.startswith("its bus watchdog has tripped, because it got no request in time")

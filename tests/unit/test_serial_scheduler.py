@@ -1,10 +1,12 @@
 """Scheduler of a serial line: requests one after the other, and no reply taken for that of another request."""
 
 import pytest
-from friction_hil_drivers.serial_line.protocol import Image
+from friction_hil_drivers.modbus.framing import RtuFraming
+from friction_hil_drivers.serial_line.protocol import Image, shown
 from friction_hil_drivers.serial_line.scheduler import BusScheduler
 from hypothesis import given
 from hypothesis import strategies as st
+from pymodbus.framer import FramerRTU
 
 from tests.serial_peers import MS, Ask, BenchLine, Push, Tell, Time, Word
 
@@ -17,12 +19,14 @@ REPLY_LIMIT_MS = 50.0
 class Bench:
     """A scheduler whose peer answers by a table."""
 
-    def __init__(self, *, reply_limit_ms=REPLY_LIMIT_MS, **answers):
+    def __init__(self, *, reply_limit_ms=REPLY_LIMIT_MS, show=shown, **answers):
         self.answers = answers
         self.time = Time()
         self.image = Image()
         self.line = BenchLine(lambda data: self.answers.get(data.decode(), b""))
-        self.scheduler = BusScheduler(self.line, [self.image], SILENCE_CHARS, reply_limit_ms * 1e-3, self.time)
+        self.scheduler = BusScheduler(
+            self.line, [self.image], SILENCE_CHARS, reply_limit_ms * 1e-3, self.time, show=show
+        )
 
     def ask(self, name="position", done=None):
         exchange = Ask(self.image, name)
@@ -242,6 +246,29 @@ def test_noise_before_a_request_is_dropped_and_told(noise):
     bench.line.arrived = noise
     assert bench.cycle() == 12.0
     assert bench.scheduler.last_error.startswith("not asked for") == bool(noise)
+
+
+def test_a_reply_that_comes_after_its_limit_is_told_with_its_request_and_its_times():
+    framing = RtuFraming()
+    bench = Bench(show=framing.show)
+    assert bench.cycle() is None
+    bench.go(REPLY_LIMIT_MS)
+    late = bytes.fromhex("01 17 02 00 07")
+    late += FramerRTU.compute_CRC(late).to_bytes(2, "big")
+    bench.line.arrived = late
+    bench.answers["position?"] = b"12;"
+    assert bench.cycle() == 12.0
+    assert bench.scheduler.last_error == (
+        f"not asked for: {late.hex(' ')} (unit 1, function 23), 55 ms after the request (reading position); "
+        "replies are awaited for 50 ms: set line.reply_limit_s above that, and find what delays the drive or "
+        "the adapter"
+    )
+
+
+def test_the_bytes_of_a_reply_that_does_not_end_are_told():
+    bench = Bench(**{"position?": b"12"})
+    assert bench.cycle() is None
+    assert bench.scheduler.last_error == "reading position: no whole reply in time, only '12'"
 
 
 def test_after_a_broken_reply_the_line_must_fall_silent():

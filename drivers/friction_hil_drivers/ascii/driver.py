@@ -12,7 +12,7 @@ from friction_hil_drivers.ascii.messages import CompiledMessage, Language
 from friction_hil_drivers.ascii.options import AsciiOptions
 from friction_hil_drivers.ascii.template import AXIS
 from friction_hil_drivers.serial_line.drives import SerialDrives
-from friction_hil_drivers.serial_line.protocol import CycleSignals, Exchange, Image, Plan
+from friction_hil_drivers.serial_line.protocol import CycleSignals, Exchange, Image, Plan, shown
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +52,14 @@ class _Axis:
         return chosen
 
 
+def _reply_form(description: AsciiDescription) -> str:
+    """Return what the lines of a drive end in, in words."""
+    checksum = (
+        "without a checksum" if description.checksum is None else f"with a checksum ({description.checksum.kind})"
+    )
+    return f"by the description a reply ends in {shown(description.reply_end.encode())}, {checksum}"
+
+
 class AsciiLine:
     """Exchanges with the axes on one line, in lines of text; see `LineProtocol`.
 
@@ -64,6 +72,7 @@ class AsciiLine:
     """
 
     numbers_replies = False
+    show = staticmethod(shown)
     silence_chars = 0.0  # lines are separated by line ends
 
     def __init__(
@@ -74,6 +83,7 @@ class AsciiLine:
     ) -> None:
         is_half_duplex = next(iter(options.values())).line.is_rs485  # a request sent ahead would collide with a reply
         self.ahead_chars = 0 if is_half_duplex else min(each.ahead_chars for each in descriptions.values())
+        self.reply_form = " or ".join(dict.fromkeys(map(_reply_form, descriptions.values())))
         are_named = all(f"{{{AXIS}}}" in form for each in descriptions.values() for form in each.all_replies)
         self.names_drives = are_named or len(descriptions) == 1
         self._axes = {

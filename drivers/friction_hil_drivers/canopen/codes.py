@@ -4,7 +4,7 @@ BUS_NOT_OPENED = "FH-201"
 BUS_FAILED = "FH-202"
 SECOND_MASTER = "FH-203"
 NODE_LOCKED = "FH-204"
-LOCK_FILE = "FH-205"
+LOCK_FAILED = "FH-205"
 NO_ANSWER = "FH-206"
 ANSWER_LOST = "FH-207"
 SDO_ABORT = "FH-208"
@@ -46,7 +46,7 @@ TITLES = {
     BUS_FAILED: "The CAN bus cannot send or receive any more",
     SECOND_MASTER: "Another master sends SYNC on the bus",
     NODE_LOCKED: "Another daemon of this machine drives the node",
-    LOCK_FILE: "The lock file of a node cannot be opened",
+    LOCK_FAILED: "The lock of a node cannot be taken",
     NO_ANSWER: "No node answers under the configured number",
     ANSWER_LOST: "A node stopped answering while it was being configured",
     SDO_ABORT: "A drive refuses to read or write an object",

@@ -1,8 +1,20 @@
-"""One daemon for each axis: a lock that the kernel releases when its owner ends, even by a crash."""
+"""One daemon for each axis: a lock that the kernel releases when its owner ends, even by a crash.
 
-import fcntl
+The lock is the name of a Unix-domain socket in Linux's abstract namespace. It is no file: nothing is left behind that
+another user could not open, no folder has to be shared, and no link can be placed in its way. Whoever runs owns it;
+others see the owner's process number through the socket. The name is seen in one network namespace, to which a CAN
+interface and the groups of udp_multicast belong as well: whoever reaches the bus sees the lock. An adapter that is
+a device file (slcan) can be passed to several containers, each with a network namespace of its own; these do not see
+each other's locks.
+"""
+
+import errno
+import hashlib
 import os
 import re
+import socket
+import stat
+import struct
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,6 +25,10 @@ from friction_hil_drivers.canopen.interfaces import bus_name
 
 if TYPE_CHECKING:
     from friction_hil.config import BusConfig
+
+_LONGEST_NAME = 107  # bytes behind the leading zero, unix(7)
+_CREDENTIALS = struct.Struct("3i")  # process, user, group
+_MULTICAST_PORT = 43113  # of python-can, where the configuration names none
 
 
 def state_path(bus: "BusConfig", node: int, suffix: str) -> Path:
@@ -26,45 +42,64 @@ class AxisLock:
     Raises
     ------
     DriveError
-        Another process holds it; the message names its process number.
+        Another process holds it; the message names its process number and user.
     """
 
     def __init__(self, bus: "BusConfig", node: int, axis: str) -> None:
-        self._path = state_path(bus, node, ".lock")
-        self._descriptor = self._open(axis)
+        name = _socket_name(bus, node)
+        self._socket: socket.socket | None = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
-            # the owner before may have removed the file after it was opened here and before it was locked
-            while not self._lock():
-                os.close(self._descriptor)
-                self._descriptor = self._open(axis)
-        except BlockingIOError:
-            owner = os.read(self._descriptor, 32).decode(errors="replace").strip() or "unknown"
-            os.close(self._descriptor)
-            text = f"{axis}: node {node} on {bus_name(bus)} belongs to another daemon already (process {owner})"
+            self._socket.bind(name)
+            self._socket.listen(socket.SOMAXCONN)  # nothing is accepted: whoever connects sees who listens
+        except OSError as error:
+            self.release()
+            if error.errno != errno.EADDRINUSE:
+                text = f"{axis}: the lock of node {node} on {bus_name(bus)} cannot be taken: {error.strerror}"
+                raise DriveError(text, code=codes.LOCK_FAILED) from error
+            text = f"{axis}: node {node} on {bus_name(bus)} belongs to another daemon already ({_owner(name)})"
             raise DriveError(text, "stop that one first", code=codes.NODE_LOCKED) from None
-        os.ftruncate(self._descriptor, 0)
-        os.pwrite(self._descriptor, f"{os.getpid()}\n".encode(), 0)
 
     def release(self) -> None:
         """Release the axis; safe to call twice."""
-        if self._descriptor >= 0:
-            self._path.unlink(missing_ok=True)
-            os.close(self._descriptor)
-            self._descriptor = -1
+        if self._socket is not None:
+            self._socket.close()
+            self._socket = None
 
-    def _open(self, axis: str) -> int:
-        # for all users, as the bus is; never through a link that another user may have placed there
-        flags = os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW
-        try:
-            return os.open(self._path, flags, 0o666)
-        except OSError as error:
-            text = f"{axis}: the lock file {self._path} cannot be opened: {error.strerror}"
-            raise DriveError(text, code=codes.LOCK_FILE) from error
 
-    def _lock(self) -> bool:
-        """Lock the open file; return True if it is still the one under its name."""
-        fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+def _socket_name(bus: "BusConfig", node: int) -> bytes:
+    """Return the name of the lock: the same for each way to write the same bus, another one for each other bus."""
+    text = f"friction_hil axis lock, {_bus_identity(bus)}, node {node}".encode()
+    if len(text) > _LONGEST_NAME:
+        text = b"friction_hil axis lock, " + hashlib.sha256(text).hexdigest().encode()
+    return b"\0" + text
+
+
+def _bus_identity(bus: "BusConfig") -> str:
+    if bus.interface == "udp_multicast":
+        return f"udp_multicast {bus.channel}:{bus.port or _MULTICAST_PORT}"
+    if bus.interface == "virtual":  # does not leave its process
+        return f"virtual {bus.channel} of process {os.getpid()}"
+    device = str(bus.channel).partition("@")[0]  # slcan: /dev/ttyACM0@115200
+    if os.path.isabs(device):
         try:
-            return os.path.samestat(os.fstat(self._descriptor), os.stat(self._path))
-        except FileNotFoundError:
-            return False
+            found = os.stat(device)  # /dev/serial/by-id/... is a link to it
+        except OSError:
+            return f"{bus.interface} {device}"
+        if stat.S_ISCHR(found.st_mode):
+            return f"device {os.major(found.st_rdev)}:{os.minor(found.st_rdev)}"
+    return f"{bus.interface} {bus.channel}"
+
+
+def _owner(name: bytes) -> str:
+    """Return the process that holds a lock, in words."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as asking:
+        asking.setblocking(False)
+        try:
+            asking.connect(name)
+            data = asking.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
+        except OSError:  # it has just ended, or has been asked thousands of times
+            return "process unknown"
+    process, user, _ = _CREDENTIALS.unpack(data)
+    if not process:  # it is in another container
+        return "process unknown"
+    return f"process {process}" + (f" of user {user}" if user != os.geteuid() else "")

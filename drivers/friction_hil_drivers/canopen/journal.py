@@ -148,7 +148,7 @@ class Journal:
     ----------
     access : Access
     path_of : callable
-        Returns the path of the file, given the identity of the drive in hexadecimal numbers.
+        Returns the path of the file, given the identity of the drive in hexadecimal numbers, and the user's number.
     """
 
     def __init__(self, access: Access, path_of: Callable[[str], Path]) -> None:
@@ -189,7 +189,8 @@ class Journal:
         if self._path is not None:
             return
         parts = [self._access.peek(entry) for entry in _IDENTITY]
-        self._path = self._path_of("-".join(f"{_number(part):x}" for part in parts))
+        identity = "-".join(f"{_number(part):x}" for part in parts)
+        self._path = self._path_of(f"{identity}-{os.geteuid()}")
         kept, problem = _load(self._path)
         if problem:
             self.notes.append(f"{self._path} is not used: {problem}")
@@ -201,6 +202,17 @@ class Journal:
                 f"a run before this one ended without restoring the drive's settings ({len(self._found)} objects, kept "
                 f"in {self._path}): they are restored at the end of this one"
             )
+
+        self.notes += self._of_other_users(self._path_of(f"{identity}-*"))
+
+    def _of_other_users(self, pattern: Path) -> Iterator[str]:
+        """Yield notes on what killed runs of other users have kept: who believes it, lets them write to the drive."""
+        for path in sorted(pattern.parent.glob(pattern.name)):
+            if path != self._path:
+                yield (
+                    f"a run of another user ended without restoring the drive's settings ({path}): they are not "
+                    "restored by this run, but by the next one of that user"
+                )
 
     def _concerned(self, entry: Object) -> Iterator[Object]:
         """Yield what has to be known to undo a write: of a mapping all of it, of every PDO its switch."""

@@ -8,7 +8,7 @@ from friction_hil_drivers.dynamixel.description import DESCRIPTIONS, DynamixelDe
 from friction_hil_drivers.dynamixel.options import DynamixelOptions
 from friction_hil_drivers.dynamixel.packets import Packets
 from friction_hil_drivers.serial_line.drives import SerialDrives
-from friction_hil_drivers.serial_line.protocol import CycleSignals, Image, Plan, only
+from friction_hil_drivers.serial_line.protocol import CycleSignals, Image, Plan, in_hex, only
 
 
 class DynamixelLine:
@@ -28,6 +28,8 @@ class DynamixelLine:
     numbers_replies = False
     names_drives = True
     ahead_chars = 0
+    reply_form = "a packet begins with ff ff fd 00 and ends in a CRC-16"
+    show = staticmethod(in_hex)
     silence_chars = 0.0  # packets begin with a header and need no silence between them
 
     def __init__(

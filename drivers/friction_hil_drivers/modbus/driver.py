@@ -39,6 +39,7 @@ class ModbusLine:
         silence_s = max(description.silence_s for description in descriptions.values())
         self.numbers_replies = line.is_tcp
         self.names_drives = True
+        self.reply_form, self.show = self._framing.reply_form, self._framing.show
         self.ahead_chars = 0
         self.silence_chars = 0.0 if line.is_tcp else max(_SILENCE_CHARS, silence_s / character_s(line))
 

@@ -9,20 +9,24 @@ from typing import Protocol
 from pymodbus.framer import FramerRTU, FramerSocket
 from pymodbus.pdu import DecodePDU
 
-from friction_hil_drivers.serial_line.protocol import ReplyError
+from friction_hil_drivers.serial_line.protocol import ReplyError, in_hex
 
 REFUSED = 0x80  # this bit of the function code marks an exception
 _CRC = 2
 _REFUSAL_SIZE = 5  # unit, function, code, CRC
 _HEADER = 7  # transaction, protocol, length, unit
 _LONGEST_BODY = 254  # of a TCP frame: unit and PDU
-_SHOWN = 24
 
 
 class Framing(Protocol):
     """Framing of requests and replies on a line."""
 
     overhead: int  # characters beside the PDU
+    reply_form: str  # see `LineProtocol`
+
+    def show(self, data: bytes | bytearray) -> str:
+        """Return bytes as messages show them."""
+        ...
 
     def frame(self, unit: int, pdu: bytes) -> bytes:
         """Return the frame of a request."""
@@ -54,6 +58,7 @@ class RtuFraming:
     """Frames on a serial line: unit, PDU, CRC."""
 
     overhead = 1 + _CRC
+    reply_form = "a reply begins with the unit and the function, and ends in a CRC-16"
 
     def __init__(self) -> None:
         self._framer = FramerRTU(DecodePDU(False))
@@ -95,6 +100,12 @@ class RtuFraming:
             raise _wrong(received, f"no reply of unit {unit} to function {head[0]} is in it")
         return None
 
+    def show(self, data: bytes | bytearray) -> str:
+        """Return bytes in hexadecimal numbers, and unit and function of a whole frame."""
+        if not _has_crc(data):
+            return in_hex(data)
+        return f"{in_hex(data)} (unit {data[0]}, function {data[1] & ~REFUSED})"
+
     def _stranger(self, frame: bytearray, unit: int, function: int) -> str:
         if frame == self._sent:
             return "that is the request itself: the line echoes what is sent; switch the echo of the adapter off"
@@ -109,6 +120,7 @@ class TcpFraming:
     """Frames on a TCP connection: a header with a transaction number and the unit, then the PDU."""
 
     overhead = _HEADER
+    reply_form = "a reply begins with the number of the request and 00 00"
 
     def __init__(self) -> None:
         self._framer = FramerSocket(DecodePDU(False))
@@ -136,12 +148,16 @@ class TcpFraming:
                 raise ReplyError(f"unit {frame[6]} answered instead of unit {unit}", is_complete=True)
             pdu = frame[_HEADER:]
             if not pdu[0] & REFUSED and (len(pdu) != size or not pdu.startswith(head)):
-                raise ReplyError(f"that is no reply to function {head[0]}: {_in_hex(frame)}", is_complete=True)
+                raise ReplyError(f"that is no reply to function {head[0]}: {in_hex(frame)}", is_complete=True)
             return pdu
         return None
 
+    def show(self, data: bytes | bytearray) -> str:
+        """Return bytes in hexadecimal numbers."""
+        return in_hex(data)
 
-def _has_crc(frame: bytearray) -> bool:
+
+def _has_crc(frame: bytes | bytearray) -> bool:
     """Return True if the frame has a correct CRC, whatever its contents."""
     if len(frame) < _REFUSAL_SIZE:
         return False
@@ -149,10 +165,6 @@ def _has_crc(frame: bytearray) -> bool:
 
 
 def _wrong(received: bytearray, why: str) -> ReplyError:
-    error = ReplyError(f"{why}: {_in_hex(received)}")
+    error = ReplyError(f"{why}: {in_hex(received)}")
     received.clear()
     return error
-
-
-def _in_hex(data: bytes | bytearray) -> str:
-    return data[:_SHOWN].hex(" ") + (" ..." if len(data) > _SHOWN else "")

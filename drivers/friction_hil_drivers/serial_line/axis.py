@@ -13,7 +13,7 @@ from friction_hil_drivers.cia402 import profile
 from friction_hil_drivers.serial_line import codes
 from friction_hil_drivers.serial_line.description import Description, Signal, Step
 from friction_hil_drivers.serial_line.protocol import COMMANDS, Image
-from friction_hil_drivers.serial_line.sequences import Sequencer, disable_writes, state_of, state_signals
+from friction_hil_drivers.serial_line.sequences import Sequencer, disable_writes, meaning_of, state_of, state_signals
 from friction_hil_drivers.serial_line.units import LINEAR, NEEDS, ROTARY, UNITS, AxisUnits
 
 _WANTED = {
@@ -116,6 +116,7 @@ class SerialAxis:
         self._position_s = math.nan
         self._state_s = self._filled_s = math.nan
         self._state_numbers: list[float | None] = []  # that the state was derived from
+        self._why = ""  # meaning of the number that shows a fault
         self.state_signals = state_signals(description)
 
     def fill(self, feedback: Feedback, time_s: float, last_error: str) -> None:
@@ -156,7 +157,9 @@ class SerialAxis:
         feedback.state = self.state
         feedback.is_fresh = is_fresh
         number = values.get("error", 0.0)
-        feedback.error = self._error(number) if number else ""
+        feedback.error = self._why
+        if number:
+            feedback.error = f"{self._why}; {self._error(number)}" if self._why else self._error(number)
         feedback.missing = "" if is_fresh else last_error
         feedback.message = coded(self.sequencer.problem, codes.SEQUENCE_STUCK) if self.sequencer.problem else ""
         if self._position_s - self._state_s > _STATUS_LOSS_S:
@@ -169,6 +172,7 @@ class SerialAxis:
         numbers = list(map(values.get, self.state_signals))
         if numbers != self._state_numbers:
             self._state_numbers, self.state = numbers, state_of(self._description, values)
+            self._why = meaning_of(self._description, values) if self.state is DriveState.FAULT else ""
         return self.state
 
     def disable_writes(self) -> list[Mapping[str, float]]:

@@ -9,6 +9,7 @@ from friction_hil.errors import BusError, DriveError
 from friction_hil_drivers.serial_line import codes
 from friction_hil_drivers.serial_line.axis import SerialAxis
 from friction_hil_drivers.serial_line.line import LineGoneError
+from friction_hil_drivers.serial_line.options import LineOptions
 from friction_hil_drivers.serial_line.protocol import Exchange, LineProtocol, Plan
 from friction_hil_drivers.serial_line.scheduler import BusScheduler
 from friction_hil_drivers.serial_line.waiting import LineSelector, run_schedulers
@@ -193,7 +194,7 @@ class SerialBus:
         BusError
             The line is gone.
         """
-        scheduler, is_done = self.scheduler, False
+        scheduler, is_done, began_ns = self.scheduler, False, time.monotonic_ns()
 
         def done() -> None:
             nonlocal is_done
@@ -212,5 +213,16 @@ class SerialBus:
         options, text = scheduler.line.options, scheduler.last_error or "no reply"
         if not any(exchange.label in text for exchange in exchanges):
             text = f"{' and '.join(exchange.label for exchange in exchanges)}: {text}"
-        right = "address and port" if options.is_tcp else f"address, port and baud rate ({options.baud})"
-        raise DriveError(f"{axis}: {text} ({attempts} attempts). Right {right}?", code=codes.NO_REPLY)
+        text = f"{axis}: {text} ({attempts} attempts)"
+        if scheduler.last_answer != scheduler.last_error or not scheduler.last_answer:  # an answer needs no question
+            text += f". {self._question(options, is_any_received=scheduler.received_ns >= began_ns)}"
+        raise DriveError(text, code=codes.NO_REPLY)
+
+    def _question(self, options: LineOptions, *, is_any_received: bool) -> str:
+        """Return what may be wrong where no valid reply came."""
+        if not is_any_received:
+            right = "address and port" if options.is_tcp else f"address, port and baud rate ({options.baud})"
+            return f"Right {right}?"
+        settings = f"baud rate {options.baud}, parity {options.parity}, {options.stop_bits:g} stop bits, "
+        right = "protocol and description" if options.is_tcp else f"{settings}protocol and description"
+        return f"Bytes arrive, but no valid reply ({self.protocol.reply_form}). Right {right}?"

@@ -110,6 +110,7 @@ class Commissioning:
             0.0 if protocol.numbers_replies else self._reply_limit_s(next(iter(options)), reply_s),
             ahead_chars=protocol.ahead_chars,
             anonymous_reply_s=0.0 if protocol.numbers_replies or protocol.names_drives else reply_s,
+            show=protocol.show,
         )
         bus = SerialBus(scheduler, protocol, axes, listening, plan)
         if not first.is_tcp:

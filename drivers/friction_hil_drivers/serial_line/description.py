@@ -112,6 +112,7 @@ class Rule(Part):
     mask: int | None = Field(None, ge=1, description="bits that are compared; all when not given")
     value: int | None = Field(None, description="number that they must equal")
     value_not: int | None = Field(None, description="number that they must not equal")
+    meaning: str = Field("", description="what the number means, for messages: why the drive is in fault")
 
     @model_validator(mode="after")
     def _has_one(self) -> Self:

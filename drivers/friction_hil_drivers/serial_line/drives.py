@@ -169,6 +169,8 @@ class SerialDrives:
         """Begin the cyclic phase."""
         for axis in self._axes:
             axis.image.fresh.clear()  # what was read before
+        for scheduler in self._schedulers:
+            scheduler.notices.clear()
         if self._clock.is_real:
             self._selector = LineSelector(round(self._configuration.period_s * 1e9))
         self._is_started = True
@@ -200,6 +202,9 @@ class SerialDrives:
             if scheduler.refusals.count >= _MAX_REFUSALS:
                 text = f"the drive refuses its commands: {scheduler.last_error}"
                 each.message = coded(text, codes.COMMANDS_REFUSED)
+            if scheduler.notices:  # of all drives on the line; the texts say which
+                each.notices += (f"a command is refused: {text}" for text in scheduler.notices)
+                scheduler.notices.clear()
 
     def _note_timeout(self) -> None:
         self._timeouts += 1
@@ -270,10 +275,12 @@ class SerialDrives:
         """Return the state of a drive, once it has no power or its time is over; UNKNOWN if it does not answer."""
         exchanges = [bus.protocol.read(axis.name, (name,)) for name in axis.state_signals]
         end_s = time.monotonic() + _POWER_OFF_S
-        while exchanges and all(self._try(bus, axis.name, exchange) for exchange in exchanges):
-            state = axis.read_state()
-            if not state.is_powered or time.monotonic() > end_s:
+        while exchanges and bus.scheduler.line.is_open:
+            is_read = all(self._try(bus, axis.name, exchange) for exchange in exchanges)
+            if is_read and not (state := axis.read_state()).is_powered:
                 return state
+            if time.monotonic() > end_s:  # a single reply that is lost says nothing
+                return state if is_read else DriveState.UNKNOWN
         return DriveState.UNKNOWN
 
     def _try(self, bus: SerialBus, axis: str, exchange: Exchange) -> bool:

@@ -10,6 +10,7 @@ FAST = ("position", "velocity")  # read in every cycle
 SLOW = ("torque", "status", "error")  # read in every cycle if that costs no request, else by background reads
 COMMANDS = ("position_command", "velocity_command", "torque_command")
 _SHOWN = 60  # characters
+_SHOWN_BYTES = 24
 
 
 class ReplyError(Exception):
@@ -146,6 +147,11 @@ def shown(data: bytes | bytearray) -> str:
     return f"'{text}'" + (" ..." if len(data) > _SHOWN else "")
 
 
+def in_hex(data: bytes | bytearray) -> str:
+    """Return received bytes in hexadecimal numbers, for messages."""
+    return data[:_SHOWN_BYTES].hex(" ") + (" ..." if len(data) > _SHOWN_BYTES else "")
+
+
 @dataclass(frozen=True, slots=True)
 class CycleSignals:
     """Signals of one axis that the cycles read and write, by name."""
@@ -171,6 +177,11 @@ class LineProtocol(Protocol):
     numbers_replies: bool  # each reply shows to which request it belongs
     names_drives: bool  # each reply shows which drive it is from
     ahead_chars: int  # characters of requests that a drive reads before it answers the first; 0: one request at a time
+    reply_form: str  # what a valid reply looks like, for messages: "a reply ends in a CRC-16"
+
+    def show(self, data: bytes | bytearray, /) -> str:
+        """Return received bytes as messages show them, with what they say of their sender."""
+        ...
 
     def plan(self, wanted: Mapping[str, CycleSignals]) -> Plan:
         """Plan a cycle with as few exchanges as possible, for the axes by name."""

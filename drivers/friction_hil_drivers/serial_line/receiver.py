@@ -9,10 +9,11 @@ from collections import deque
 from collections.abc import Callable, Sequence
 
 from friction_hil_drivers.serial_line.line_state import LineEvent, LineState
-from friction_hil_drivers.serial_line.protocol import Exchange, Image, ReplyError, shown
+from friction_hil_drivers.serial_line.protocol import Exchange, Image, ReplyError
 from friction_hil_drivers.serial_line.replies import LateReplies, Refusals
 
 _MIN_QUIET_NS = 2_000_000  # USB adapters pass bytes on once a millisecond
+_MOST_NOTICES = 10  # between two looks at them
 _MAX_DISCARD_NS = 20_000_000  # a line that is not quiet by then counts as noisy
 
 
@@ -31,6 +32,8 @@ class ReplyReceiver:
         Longest time that a reply takes if replies do not show which drive they are from; 0 on other lines.
     now_ns : callable
         Monotonic time, ns.
+    show : callable
+        Returns received bytes as text, for messages.
 
     Attributes
     ----------
@@ -41,6 +44,10 @@ class ReplyReceiver:
         Commands that drives on the line refused.
     last_error : str
         Last error on the line, as text.
+    last_answer : str
+        Last error that was a drive's answer, e.g. an exception of Modbus, as ``last_error`` had it.
+    notices : list of str
+        Commands that drives refused, as text.
     """
 
     def __init__(
@@ -51,7 +58,9 @@ class ReplyReceiver:
         reply_limit_ns: int,
         anonymous_reply_ns: int,
         now_ns: Callable[[], int],
+        show: Callable[[bytearray], str],
     ) -> None:
+        self._show = show
         self._images = tuple(images)
         self._now_ns = now_ns
         self._silence_ns = silence_ns
@@ -66,8 +75,14 @@ class ReplyReceiver:
         self._received = bytearray()
         self._unread_chars = 0  # sent since the last reply: the drive may not have read them yet
         self._sent_ns = self._received_ns = self._quiet_until_ns = 0
-        self.last_error = ""
+        self.last_error = self.last_answer = ""
+        self.notices: list[str] = []
         self.refusals = Refusals(is_of_one_drive=len(self._images) == 1)
+
+    @property
+    def received_ns(self) -> int:
+        """Monotonic time of the last received bytes, ns; 0 before the first ones."""
+        return self._received_ns
 
     def _take_replies(self) -> None:
         """Take the replies that are complete, in the order of the requests."""
@@ -98,10 +113,14 @@ class ReplyReceiver:
     def _note_error(self, exchange: Exchange, error: ReplyError) -> None:
         """Handle an error that came instead of the reply to the first outstanding request."""
         self._callbacks.pop(exchange, None)
-        if error.is_complete and exchange.writes:
-            self.refusals.note(exchange)
         self.last_error = f"{exchange.label}: {error}"
-        if not error.is_complete:
+        if error.is_complete:
+            self.last_answer = self.last_error
+            if exchange.writes:
+                self.refusals.note(exchange)
+                if len(self.notices) < _MOST_NOTICES:
+                    self.notices.append(self.last_error)
+        else:
             # the next reply, if there is one, is found after the rest of this one
             is_last = len(self.outstanding) == 1
             self._apply(LineEvent.LAST_REPLY_BROKEN if is_last else LineEvent.BROKEN_REPLY, self._min_discard_ns)
@@ -187,12 +206,13 @@ class ReplyReceiver:
                     continue
             break
         if self._received:
-            self.last_error = f"not asked for: {shown(self._received)}"
+            self.last_error = f"not asked for: {self._show(self._received)}{self._late.origin(self._received_ns)}"
             self._received.clear()
 
     def _expect_late(self) -> None:
         """Stop waiting for the outstanding replies, and expect them as late ones."""
         if self._reply_limit_ns and self.outstanding:
             self._late.expect(self.outstanding, self._sent_ns + self._reply_limit_ns)
+            self._late.limit_ns = self._reply_limit_ns
             self.state.apply(LineEvent.REPLY_OVERDUE)
         self.outstanding.clear()

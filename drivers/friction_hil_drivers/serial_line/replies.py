@@ -9,6 +9,7 @@ from collections.abc import Collection, Iterable, Sequence
 from friction_hil_drivers.serial_line.protocol import Exchange, ReplyError
 
 _MAX_UNCONFIRMED = 8
+_MOST_LATE = 20.0  # times the limit: bytes that come still later belong to something else
 
 
 class LateReplies:
@@ -20,11 +21,15 @@ class LateReplies:
         Exchanges whose reply may still come, in the order of their requests, each with its last moment (monotonic, ns).
     silent : frozenset of str
         Drives that did not answer the last request to them.
+    limit_ns : int
+        Time from a request until its reply is not expected any more, ns.
     """
 
     def __init__(self) -> None:
         self.expected: list[tuple[Exchange, int]] = []
         self.silent: frozenset[str] = frozenset()
+        self.limit_ns = 0
+        self._expired: tuple[Exchange, int] | None = None  # the last one, and when that was
 
     def expect(self, exchanges: Iterable[Exchange], until_ns: int) -> None:
         """Expect the replies to exchanges until ``until_ns``."""
@@ -42,8 +47,23 @@ class LateReplies:
         """Stop expecting replies whose time is over; return True if there were any."""
         left = [(exchange, until) for exchange, until in self.expected if now_ns < until]
         is_any_expired = len(left) < len(self.expected)
+        if is_any_expired:
+            self._expired = next(each for each in self.expected if now_ns >= each[1])
         self.expected = left
         return is_any_expired
+
+    def origin(self, received_ns: int) -> str:
+        """Return to which request bytes may be a reply that is not expected any more, and the remedy; "" for none."""
+        if self._expired is None:
+            return ""
+        exchange, expired_ns = self._expired
+        took_ms, limit_ms = ((t - expired_ns + self.limit_ns) * 1e-6 for t in (received_ns, expired_ns))
+        if took_ms > _MOST_LATE * limit_ms:
+            return ""
+        return (
+            f", {took_ms:.0f} ms after the request ({exchange.label}); replies are awaited for {limit_ms:.0f} ms: set "
+            "line.reply_limit_s above that, and find what delays the drive or the adapter"
+        )
 
     def permit(self, exchange: Exchange) -> bool:
         """Return True if no late reply could be taken for the reply to this request."""

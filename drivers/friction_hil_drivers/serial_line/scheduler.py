@@ -18,7 +18,7 @@ from enum import IntEnum
 
 from friction_hil_drivers.serial_line.line import Line, LineGoneError
 from friction_hil_drivers.serial_line.line_state import LineEvent, Timeliness
-from friction_hil_drivers.serial_line.protocol import Exchange, Image
+from friction_hil_drivers.serial_line.protocol import Exchange, Image, shown
 from friction_hil_drivers.serial_line.receiver import ReplyReceiver
 from friction_hil_drivers.serial_line.wire import Batch, character_s
 
@@ -56,6 +56,8 @@ class BusScheduler(ReplyReceiver):
     anonymous_reply_s : float
         Longest time that an undelayed reply takes, s, on a line on which replies do not show which of several drives
         they are from; 0 on other lines.
+    show : callable
+        Returns received bytes as text, for messages.
 
     Attributes
     ----------
@@ -75,6 +77,7 @@ class BusScheduler(ReplyReceiver):
         *,
         ahead_chars: int = 0,
         anonymous_reply_s: float = 0.0,
+        show: Callable[[bytearray], str] = shown,
     ) -> None:
         character_ns = character_s(line.options) * 1e9
         super().__init__(
@@ -83,6 +86,7 @@ class BusScheduler(ReplyReceiver):
             reply_limit_ns=round(reply_limit_s * 1e9),
             anonymous_reply_ns=round(anonymous_reply_s * 1e9),
             now_ns=now_ns,
+            show=show,
         )
         self.line = line
         self._character_ns = round(character_ns)
@@ -207,6 +211,10 @@ class BusScheduler(ReplyReceiver):
         self.deadline_ns = None
         if self.outstanding:
             self.last_error = f"{self.outstanding[0].label}: no reply in time"
+            if self._received:
+                self.last_error = (
+                    f"{self.outstanding[0].label}: no whole reply in time, only {self._show(self._received)}"
+                )
             self._late.note_silent(self.outstanding)
             if not self._reply_limit_ns:
                 self.state.apply(LineEvent.REPLY_MISSED)

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 from friction_hil.drive import DriveState, Request
 from friction_hil_drivers.cia402 import profile
-from friction_hil_drivers.serial_line.description import STATES, Description, Step
+from friction_hil_drivers.serial_line.description import STATES, Description, Rule, Step
 
 _OFF = (
     DriveState.NOT_READY,
@@ -26,12 +26,24 @@ def state_of(description: Description, values: Mapping[str, float]) -> DriveStat
     """Return the state that the drive's numbers show; unknown until the needed ones were read."""
     if description.state_machine == "cia402":
         return profile.drive_state(int(values["status"])) if "status" in values else DriveState.UNKNOWN
+    rule = _rule(description, values)
+    return DriveState.UNKNOWN if rule is None else STATES[rule.state]
+
+
+def meaning_of(description: Description, values: Mapping[str, float]) -> str:
+    """Return why the drive is in the state that `state_of` returns; empty if its description does not say it."""
+    rule = None if description.state_machine == "cia402" else _rule(description, values)
+    return "" if rule is None else rule.meaning
+
+
+def _rule(description: Description, values: Mapping[str, float]) -> Rule | None:
+    """Return the rule that gives the state; None if it needs a number that was not read, or none fits."""
     for rule in description.states:
         if rule.signal not in values:
-            return DriveState.UNKNOWN
+            return None
         if rule.fits(values[rule.signal]):
-            return STATES[rule.state]
-    return DriveState.UNKNOWN
+            return rule
+    return None
 
 
 class Sequencer:

@@ -11,9 +11,12 @@ from friction_hil.cli.output import print_json
 from friction_hil.config import load, located, missing_models
 from friction_hil.daemon.stop import stop_on_signals
 from friction_hil.errors import OptionError
+from friction_hil.interrupts import Interrupted
 
 if TYPE_CHECKING:
     from friction_hil.daemon.session import SessionResult
+
+_SHOWN_REASONS = 3
 
 
 def run(
@@ -36,8 +39,8 @@ def run(
     for note in missing_models(config, configuration) if dry_run else ():
         click.echo(f"note: {note}; until then its friction counts as zero", err=True)
     with stop_on_signals() as stop:
-        # imported here: a signal during this import, too, ends the run in order
-        from friction_hil.daemon.session import SessionSettings, run_session
+        with stop.raised():  # imported here: compiling takes a minute, and --help must not wait for it
+            from friction_hil.daemon.session import SessionSettings, run_session
 
         settings = SessionSettings(
             duration_s=math.inf if duration is None else duration,
@@ -52,6 +55,9 @@ def run(
             result = run_session(configuration, settings, stop, lambda line: click.echo(line, err=True))
         except OptionError as error:
             raise located(config, error) from None
+        except Interrupted as error:
+            click.echo(f"stopped ({error}) before anything was enabled", err=True)
+            raise
     if as_json:
         print_json(_summary(result))
     else:
@@ -72,6 +78,7 @@ def _summary(result: "SessionResult") -> dict[str, Any]:
         "drive_states": dict(zip(result.axes, (state.words for state in result.loop.drive_states), strict=False)),
         "axes": result.axes,
         "recording": paths[0] if paths else None,
+        "recordings": paths,
     }
 
 
@@ -80,9 +87,10 @@ def _report_problems(result: "SessionResult") -> int:
     report = result.report
     for problem in report.problems if report else ():
         click.echo(f"recording: {problem}", err=True)
-    is_incomplete = bool(report and report.lost and report.recording)
-    if report and is_incomplete:
-        click.echo(f"recording: {report.lost} of {report.rows + report.lost} rows were lost", err=True)
+    is_incomplete = bool(report and (report.lost or report.pending) and report.recording)
+    if report and is_incomplete and report.lost:
+        total = report.rows + report.lost + report.pending
+        click.echo(f"recording: {report.lost} of {total} rows were lost", err=True)
     for notice in result.loop.notices:
         click.echo(f"notice: {notice}", err=True)
     for warning in result.loop.warnings:
@@ -103,7 +111,9 @@ def _print(result: "SessionResult", period_s: float, dry_run: bool) -> None:
         if not dry_run and math.isfinite(error.get("baseline_rms", math.nan)):
             rms, peak = error["baseline_rms"], error["baseline_peak"]
             click.echo(f"{name}: without compensation {rms:.3g} rms, {peak:.3g} peak")
-        if error["stale"]:
-            click.echo(f"{name}: {error['stale']} cycles without usable feedback were bridged")
+        if error["bridged"]:
+            click.echo(f"{name}: {error['bridged']} cycles without usable feedback were bridged")
+            for reason, count in sorted(error["bridged_reasons"].items(), key=lambda item: -item[1])[:_SHOWN_REASONS]:
+                click.echo(f"   {count} of them: {reason}")
     for path in result.report.recording if result.report else ():
         click.echo(f"recorded: {path}")

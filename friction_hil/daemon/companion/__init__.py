@@ -5,24 +5,26 @@ There are three processes. The *control* process runs the loop and has a
 (``python -m friction_hil.daemon.companion``), which forks a *worker*, and another one when it dies. The worker
 drains the shared-memory ring, writes the recording and prints the status line.
 
-The supervisor gets the job through its standard input, a pipe that stays open: its end means that the control process
-is gone. Its standard output carries lines of JSON back (`friction_hil.daemon.companion.job`). Supervisor and worker
-ignore the signals of a terminal: the control process decides when a run is over.
+The supervisor inherits the job in memory without a name. Its standard input is a pipe that stays open: its end means
+that the control process is gone. Its standard output carries lines of JSON back (`friction_hil.daemon.companion.job`).
+Supervisor and worker ignore the signals of a terminal: the control process decides when a run is over. If both die, the
+control process starts another pair; what they had not released in the ring is still there.
 """
 
 import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from friction_hil.daemon.companion.client import Companion, CompanionReport, free_path, prepare
+    from friction_hil.daemon.companion.client import Companion, CompanionReport
     from friction_hil.daemon.companion.job import Job
+    from friction_hil.daemon.companion.paths import free_path, prepare
 
+_MODULES = {"Companion": "client", "CompanionReport": "client", "Job": "job", "free_path": "paths", "prepare": "paths"}
 __all__ = ["Companion", "CompanionReport", "Job", "free_path", "prepare"]
 
 
 def __getattr__(name: str) -> Any:
     # imported on use: the supervisor, which is in this package too, needs no numpy
     if name in __all__:
-        module = "job" if name == "Job" else "client"
-        return getattr(importlib.import_module(f"friction_hil.daemon.companion.{module}"), name)
+        return getattr(importlib.import_module(f"friction_hil.daemon.companion.{_MODULES[name]}"), name)
     raise AttributeError(f"module 'friction_hil.daemon.companion' has no attribute {name!r}")

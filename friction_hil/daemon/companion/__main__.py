@@ -6,30 +6,33 @@ It imports nothing heavy, so each fork starts clean.
 import os
 import signal
 import sys
-import time
 import traceback
 
-from friction_hil.daemon.companion.job import CANNOT_OPEN, Job, receive, warn
-
-_SHORT_LIFE_S = 5.0
-_SHORT_LIVES = 3
+from friction_hil.daemon.companion.job import CANNOT_OPEN, MOST_SHORT_LIVES, Job, Lives, die_with_parent, read_job, warn
 
 
-def main() -> int:
-    """Serve one job from standard input; return the exit status."""
+def main(ring_descriptor: int, job_descriptor: int, number: int, death: str) -> int:
+    """Serve the job; return the exit status.
+
+    Parameters
+    ----------
+    ring_descriptor, job_descriptor : int
+        Shared memory of the rows, and of the job.
+    number : int
+        Number of the first worker: 1 at the start of a run.
+    death : str
+        How the companion before this one has died; empty for the first one.
+    """
     for ignored in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         signal.signal(ignored, signal.SIG_IGN)
     if hasattr(os, "sched_setscheduler"):
         # the loop's real-time priority is not meant for writing files
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
-    try:
-        job, ring_descriptor = receive()
-    except EOFError:
-        return 1
-    number, short_lives = 0, 0
-    while short_lives < _SHORT_LIVES:
-        number += 1
-        born = time.monotonic()
+    if death:
+        warn(f"the companion process died ({death}); the next one takes over")
+    job, lives = read_job(job_descriptor), Lives()
+    while True:
+        lives.begin()
         _, status = os.waitpid(_fork_worker(job, ring_descriptor, number), 0)
         code = os.waitstatus_to_exitcode(status)
         if code == 0:
@@ -38,17 +41,21 @@ def main() -> int:
             return 1
         how = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit status {code}"
         warn(f"worker {number} of the companion died ({how}); the next one takes over")
-        short_lives = short_lives + 1 if time.monotonic() - born < _SHORT_LIFE_S else 0
-    warn(f"{_SHORT_LIVES} workers of the companion died at once: nothing more is recorded")
-    return 1
+        if lives.end():
+            warn(f"{MOST_SHORT_LIVES} workers of the companion died at once: nothing more is recorded")
+            return 1
+        number += 1
 
 
 def _fork_worker(job: Job, ring_descriptor: int, number: int) -> int:
-    pid = os.fork()
+    parent, pid = os.getpid(), os.fork()
     if pid:
         return pid
     status = 1
     try:
+        die_with_parent(is_wanted=True)
+        if os.getppid() != parent:  # it died before that
+            os._exit(status)
         # imported here: only the worker needs numpy
         from friction_hil.daemon.companion.worker import work
 
@@ -61,4 +68,5 @@ def _fork_worker(job: Job, ring_descriptor: int, number: int) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    _ring, _job, _number = map(int, sys.argv[1:4])
+    sys.exit(main(_ring, _job, _number, sys.argv[4]))

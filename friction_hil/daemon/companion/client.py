@@ -4,22 +4,24 @@ import contextlib
 import json
 import math
 import os
-import selectors
+import select
 import signal
 import subprocess
 import sys
 import time
 from dataclasses import dataclass
-from datetime import datetime
 from pathlib import Path
 from typing import Any
 
-from friction_hil.daemon.companion.job import Job, encode
+from friction_hil.daemon.companion.job import MOST_SHORT_LIVES, Job, Lives, job_memory
+from friction_hil.daemon.companion.paths import prepare
 from friction_hil.daemon.ring import RingWriter
-from friction_hil.errors import RecordingError, UsageError
+from friction_hil.errors import RecordingError
 
 _RING_S = 8.0  # of rows: what a restart of the worker may take, and an unfinished chunk
 _RING_ROWS_MIN = 1024
+_PATIENCE_S = 10.0  # without any progress, for the end of the recording
+_SLICE_S = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,12 +36,15 @@ class CompanionReport:
         Number of rows that are safe, and of those that are not.
     problems : tuple of str
         Problems during the run, one sentence each.
+    pending : int
+        Number of rows that a companion which does not end has yet to write; they are neither safe nor lost.
     """
 
     recording: tuple[str, ...]
     rows: int
     lost: int
     problems: tuple[str, ...]
+    pending: int = 0
 
 
 class Companion:
@@ -49,22 +54,28 @@ class Companion:
     ----------
     push, push_event, free_slots : callable
         Methods of `friction_hil.daemon.ring.RingWriter`. They never wait, and work on if the companion dies: rows that
-        it does not take in time are lost, and counted.
+        no companion takes in time are lost, and counted.
     worker_pid : int
         Process that writes the recording.
+    is_given_up : bool
+        True if no companion records any more: it ended by itself, or died again and again.
     """
 
-    def __init__(self, ring: RingWriter, process: "subprocess.Popen[bytes]") -> None:
-        self._ring = ring
-        self._process = process
+    def __init__(self, job: Job) -> None:
+        self._ring = RingWriter(job.row_width, max(_RING_ROWS_MIN, math.ceil(_RING_S / job.period_s)))
+        self._job_descriptor = job_memory(job)
+        self._lives = Lives()
         self._received = b""
         self._paths: list[str] = []
         self._problems: list[str] = []
         self._report: CompanionReport | None = None
-        self.push = ring.push
-        self.push_event = ring.push_event
-        self.free_slots = ring.free_slots
+        self._is_woken = False
+        self.push = self._ring.push
+        self.push_event = self._ring.push_event
+        self.free_slots = self._ring.free_slots
         self.worker_pid = 0
+        self.is_given_up = False
+        self._launch()
 
     @classmethod
     def start(cls, job: Job) -> "Companion":
@@ -81,50 +92,58 @@ class Companion:
         """
         if job.path is not None:
             prepare(Path(job.path), overwrite=job.overwrite)
-        capacity = max(_RING_ROWS_MIN, math.ceil(_RING_S / job.period_s))
-        ring = RingWriter(job.row_width, capacity)
-        # -P: do not import modules from the current directory, which may be the user's
-        command = [sys.executable, "-P", "-m", "friction_hil.daemon.companion"]
+        companion = cls(job)
         try:
-            line = encode(job, ring.descriptor)
-            process = subprocess.Popen(
-                command,
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                pass_fds=[ring.descriptor],
-                env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
-            )
-        finally:
-            os.close(ring.descriptor)
-        companion = cls(ring, process)
-        companion._begin(line)
+            companion._begin()
+        except BaseException:  # a signal too: opening a file may take forever
+            companion._process.kill()  # and with it a worker that is still opening its file
+            companion._process.wait()
+            companion._close_descriptors()
+            raise
         return companion
 
     @property
     def is_alive(self) -> bool:
-        """True while the process runs."""
+        """True while the supervisor runs."""
         return self._process.poll() is None
 
-    def close(self, timeout_s: float = 60.0) -> CompanionReport:
+    def tend(self) -> list[str]:
+        """Take the messages of the companion, and start another one where it has died; return new problems.
+
+        To be called several times a second during the run; it never waits for the companion. Starting a process takes
+        about a millisecond.
+        """
+        known = len(self._problems)
+        while not self.is_given_up and self._poll.poll(0):
+            if not self._read() and not self._restart():
+                break
+            while self._take_message() is not None:
+                pass
+        self._wake_if_late()
+        return self._problems[known:]
+
+    def close(self, patience_s: float = _PATIENCE_S) -> CompanionReport:
         """Mark the end of the rows, and wait until the recording is finished.
 
-        After ``timeout_s`` the report says that it is not, and the companion goes on in the background. A second
-        call returns the same report.
+        A companion that was stopped (SIGSTOP) is continued. One that makes no progress for ``patience_s`` goes on in
+        the background, and the report says so. A second call returns the same report.
         """
         if self._report is not None:
             return self._report
         self._ring.close_writing()
-        if not self._receive_all(timeout_s):
-            self._problems.append(f"the recording was not finished within {timeout_s:g} s; that goes on")
-        else:
+        is_finished = self._receive_all(patience_s)
+        rows, lost = self._ring.rows_kept, self._ring.rows_lost
+        pending = self._ring.rows_pushed - rows - lost
+        if is_finished:
             self._process.wait()
-        self._close_pipes()
-        rows = self._ring.rows_kept
-        lost = self._ring.rows_pushed - rows
-        if lost and (self._process.returncode or 0) < 0:
-            name = signal.Signals(-self._process.returncode).name
-            self._problems.append(f"the companion process was killed (signal {name}): nothing more was recorded")
-        self._report = CompanionReport(tuple(self._paths), rows, lost, tuple(self._problems))
+            lost, pending = lost + pending, 0
+        else:
+            self._problems.append(
+                f"the recording is not finished: process {self.worker_pid} made no progress for {patience_s:g} s; it "
+                f"has yet to write {pending} rows, and goes on in the background"
+            )
+        self._close_descriptors()
+        self._report = CompanionReport(tuple(self._paths), rows, lost, tuple(self._problems), pending)
         return self._report
 
     def __enter__(self) -> "Companion":
@@ -133,29 +152,84 @@ class Companion:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _begin(self, line: bytes) -> None:
-        assert self._process.stdin is not None
-        with contextlib.suppress(BrokenPipeError):  # the answer will then be missing
-            self._process.stdin.write(line)
-            self._process.stdin.flush()
-        answer = self.next_message()
-        if answer is not None and "failed" not in answer:
-            return
-        status = self._process.wait()
-        self._close_pipes()
-        raise RecordingError(
-            answer["failed"] if answer else f"the companion process did not start (exit status {status})"
+    def _launch(self, death: str = "") -> None:
+        """Start a supervisor, whose first worker writes the next segment of the recording."""
+        descriptors = [self._ring.descriptor, self._job_descriptor]
+        # -P: do not import modules from the current directory, which may be the user's
+        command = [sys.executable, "-P", "-m", "friction_hil.daemon.companion"]
+        command += map(str, (*descriptors, len(self._paths) + 1, death))
+        self._lives.begin()
+        self.worker_pid = 0
+        self._process = subprocess.Popen(
+            command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            pass_fds=descriptors,
+            env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
+            process_group=0,  # Ctrl-C is not meant for it, not even before it can ignore it
         )
+        assert self._process.stdout is not None
+        self._poll = select.poll()
+        self._poll.register(self._process.stdout, select.POLLIN)
+
+    def _begin(self) -> None:
+        answer = self.next_message()
+        if answer is None:
+            raise RecordingError(f"the companion process did not start (exit status {self._process.wait()})")
+        if "failed" in answer:
+            raise RecordingError(answer["failed"])
+
+    def _restart(self) -> bool:
+        """Start another companion after the death of supervisor and worker; return False if none records any more."""
+        status = self._process.wait()  # both have closed their output: the supervisor is dead or about to be
+        if status >= 0:
+            self.is_given_up = True  # it has said why, or has done its work
+            return False
+        death = f"signal {signal.Signals(-status).name}"
+        if self._lives.end():
+            self.is_given_up = True
+            self._problems.append(
+                f"{MOST_SHORT_LIVES} companion processes were killed at once ({death}): nothing more is recorded"
+            )
+            return False
+        self._close_pipes()
+        self._received = b""
+        self._launch(death)
+        return True
+
+    def _wake_if_late(self) -> None:
+        """Continue a companion that may have been stopped (SIGSTOP), once each time the ring is half full."""
+        is_late = self._ring.free_slots() < self._ring.capacity // 2
+        if is_late and not self._is_woken:
+            self._wake()
+        self._is_woken = is_late
+
+    def _wake(self) -> None:
+        self._process.send_signal(signal.SIGCONT)
+        if self.worker_pid:
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.kill(self.worker_pid, signal.SIGCONT)
 
     def next_message(self) -> dict[str, Any] | None:
         """Wait for the next message of the companion; None when it has ended."""
-        assert self._process.stdout is not None
-        while b"\n" not in self._received:
-            data = os.read(self._process.stdout.fileno(), 1 << 16)
-            if not data:
+        while (message := self._take_message()) is None:
+            if not self._read():
                 return None
-            self._received += data
-        line, _, self._received = self._received.partition(b"\n")
+        return message
+
+    def _read(self) -> bool:
+        """Read what the companion has sent; return False when it has ended."""
+        assert self._process.stdout is not None
+        data = os.read(self._process.stdout.fileno(), 1 << 16)
+        self._received += data
+        return bool(data)
+
+    def _take_message(self) -> dict[str, Any] | None:
+        """Take the next message that has been read as a whole; None if there is none."""
+        line, end, rest = self._received.partition(b"\n")
+        if not end:
+            return None
+        self._received = rest
         message: dict[str, Any] = json.loads(line)
         if message.get("opened"):
             self._paths.append(message["opened"])
@@ -164,15 +238,22 @@ class Companion:
         self.worker_pid = message.get("pid", self.worker_pid)
         return message
 
-    def _receive_all(self, timeout_s: float) -> bool:
-        deadline = time.monotonic() + timeout_s
-        with selectors.DefaultSelector() as selector:
-            assert self._process.stdout is not None
-            selector.register(self._process.stdout, selectors.EVENT_READ)
-            while selector.select(max(0.0, deadline - time.monotonic())):
-                if self.next_message() is None:
-                    return True
-        return False
+    def _receive_all(self, patience_s: float) -> bool:
+        """Take all messages until no companion works any more; return False after ``patience_s`` without progress."""
+        progress, since_s = -1, time.monotonic()
+        while True:
+            self._wake()
+            if not self._poll.poll(_SLICE_S * 1e3):
+                if (now_done := self._ring.rows_done) != progress:
+                    progress, since_s = now_done, time.monotonic()
+                elif time.monotonic() - since_s > patience_s:
+                    return False
+            elif self._read():
+                since_s = time.monotonic()
+            elif self._ring.rows_done == self._ring.rows_pushed or self.is_given_up or not self._restart():
+                return True
+            while self._take_message() is not None:
+                pass
 
     def _close_pipes(self) -> None:
         for pipe in (self._process.stdin, self._process.stdout):
@@ -180,46 +261,7 @@ class Companion:
                 with contextlib.suppress(BrokenPipeError):
                     pipe.close()
 
-
-def free_path(path: str | Path, started_unix_ns: int) -> Path:
-    """Return ``path``, or if it exists the same with the local time in its name: ``run-20260131-142530.mcap``.
-
-    This is for the path of a configuration, which is the same at every run; a path that the user gives for one run
-    is refused if it exists.
-
-    Parameters
-    ----------
-    path : path
-        File wanted.
-    started_unix_ns : int
-        Wall-clock time of the start, ns since 1970; 0 for now.
-    """
-    path = Path(path)
-    if not path.exists():
-        return path
-    started = datetime.fromtimestamp((started_unix_ns or time.time_ns()) * 1e-9).astimezone()
-    return path.with_stem(f"{path.stem}-{started:%Y%m%d-%H%M%S}")
-
-
-def prepare(path: Path, *, overwrite: bool) -> None:
-    """Create the folder of a recording, and check that the recording can be written.
-
-    Raises
-    ------
-    UsageError
-        The path does not end in ``.mcap``.
-    RecordingError
-        It is a folder, it exists already and must not be overwritten, or its folder cannot be created.
-    """
-    if path.is_dir():
-        raise UsageError(f"{path} is a folder: name the file in it, e.g. {path / 'run.mcap'}")
-    if path.suffix.lower() != ".mcap":
-        raise UsageError(f"{path}: recordings are written as .mcap; `friction-hil convert` makes other formats of one")
-    if path.exists() and not overwrite:
-        raise RecordingError(f"{path} exists already; --force replaces it")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        is_in_the_way = isinstance(error, FileExistsError | NotADirectoryError)
-        reason = "there is a file of that name" if is_in_the_way else error.strerror
-        raise RecordingError(f"the folder {path.parent} cannot be made: {reason}") from None
+    def _close_descriptors(self) -> None:
+        self._close_pipes()
+        os.close(self._ring.descriptor)
+        os.close(self._job_descriptor)

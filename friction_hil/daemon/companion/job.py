@@ -1,9 +1,12 @@
 """Messages between the control process and the companion."""
 
 import contextlib
+import ctypes
 import json
 import os
+import signal
 import sys
+import time
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,7 +15,10 @@ if TYPE_CHECKING:
     from friction_hil.recordings.columns import AxisKind
 
 CANNOT_OPEN = 2  # exit status of a first worker that could not open its file and has reported why
-_INPUT, _OUTPUT = 0, 1
+MOST_SHORT_LIVES = 3
+_SHORT_LIFE_S = 5.0
+_OUTPUT = 1
+_PR_SET_PDEATHSIG = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,27 +68,41 @@ class Job:
         return len(self.axes) * (len(self.columns) + self.state_width)
 
 
-def encode(job: Job, ring_descriptor: int) -> bytes:
-    """Return the job as one line for the companion's standard input."""
-    return json.dumps([ring_descriptor, asdict(job)]).encode() + b"\n"
+class Lives:
+    """Count of short lives in a row: what dies at once again and again is not started any more."""
+
+    def __init__(self) -> None:
+        self._born_s = 0.0
+        self._short = 0
+
+    def begin(self) -> None:
+        """Note a birth."""
+        self._born_s = time.monotonic()
+
+    def end(self) -> bool:
+        """Note a death; return True if it was one short life too many."""
+        self._short = self._short + 1 if time.monotonic() - self._born_s < _SHORT_LIFE_S else 0
+        return self._short >= MOST_SHORT_LIVES
 
 
-def receive() -> tuple[Job, int]:
-    """Read the job and the descriptor of the ring from standard input, which stays open.
+def job_memory(job: Job) -> int:
+    """Write the job to memory without a name; return its descriptor, which each supervisor gets."""
+    descriptor = os.memfd_create("friction_hil-job")
+    with os.fdopen(os.dup(descriptor), "wb") as file:
+        file.write(json.dumps(asdict(job)).encode())
+    return descriptor
 
-    Raises
-    ------
-    EOFError
-        The control process ended before it sent a job.
-    """
-    line = bytearray()
-    while not line.endswith(b"\n"):
-        data = os.read(_INPUT, 1 << 16)
-        if not data:
-            raise EOFError("no job came")
-        line += data
-    ring_descriptor, job = json.loads(line)
-    return Job(**job), ring_descriptor
+
+def read_job(descriptor: int) -> Job:
+    """Read the job from the memory that `job_memory` has made."""
+    with os.fdopen(os.dup(descriptor), "rb") as file:
+        file.seek(0)
+        return Job(**json.loads(file.read()))
+
+
+def die_with_parent(*, is_wanted: bool) -> None:
+    """Let the kernel kill this process when its parent dies, or not any more."""
+    ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL if is_wanted else 0)
 
 
 def say(**message: Any) -> None:

@@ -2,9 +2,10 @@
 
 import os
 import select
+import time
 from pathlib import Path
 
-from friction_hil.daemon.companion.job import CANNOT_OPEN, Job, say, segment_path, warn
+from friction_hil.daemon.companion.job import CANNOT_OPEN, Job, die_with_parent, say, segment_path, warn
 from friction_hil.daemon.companion.status import StatusLine
 from friction_hil.daemon.ring import RingReader
 from friction_hil.errors import RecordingError
@@ -14,6 +15,7 @@ from friction_hil.recordings.recording import Array
 
 _INPUT = 0
 _PAUSE_MS = 20
+_STANDSTILL_S = 2.0  # between two looks at the ring
 
 
 def work(job: Job, ring_descriptor: int, number: int) -> int:
@@ -46,11 +48,19 @@ def work(job: Job, ring_descriptor: int, number: int) -> int:
                 return CANNOT_OPEN
             warn(reason)
             path = None
+    die_with_parent(is_wanted=False)  # only while the file is being opened, which may take forever
     say(opened=path and str(path), pid=os.getpid())
     status = StatusLine(job) if job.status_line else None
     control = select.poll()
     control.register(_INPUT, 0)  # no event but the hang-up, which is always reported
+    parent, looked_s = os.getppid(), time.monotonic()
     while True:
+        if os.getppid() != parent:
+            parent = os.getppid()
+            warn("the supervisor of the companion died; its worker goes on")
+        stood_s, looked_s = time.monotonic() - looked_s, time.monotonic()
+        if stood_s > _STANDSTILL_S:
+            warn(f"the companion stood still for {stood_s:.1f} s (stopped, or held up by the disk); it goes on")
         is_gone = bool(control.poll(0))
         is_last = is_gone or ring.is_closed
         rows = ring.drain()

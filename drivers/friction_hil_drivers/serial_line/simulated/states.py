@@ -131,12 +131,14 @@ class DescribedStates:
         self.after_stop = self.disabled
 
         error = _error_number(d)
+        fault_rule = next((rule for rule in d.states if STATES[rule.state] is _FAULT), None)
+        is_told_by_rule = fault_rule is not None and bool(fault_rule.meaning)  # a lost master is no error then
         is_fault_shown_by_error = any(rule.signal == "error" and STATES[rule.state] is _FAULT for rule in d.states)
         needed = {self.disabled, self.fault, _ENABLED} | ({_STOPPING} & shown)
         needed |= {STATES[step.until] for steps in self._sequences.values() for step in steps if step.until}
         self._shown: dict[DriveState, Mapping[str, float]] = {}
         for state in sorted(needed):
-            preferred = {"error": (error,)} if state is _FAULT else {}
+            preferred = {"error": (error,)} if state is _FAULT and not is_told_by_rule else {}
             numbers = telling_numbers(d.states, state, preferred)
             if numbers is None:
                 raise UsageError(

@@ -1,0 +1,54 @@
+"""Path of a recording: a free name, and whether it can be written."""
+
+import stat
+import time
+from datetime import datetime
+from pathlib import Path
+
+from friction_hil.errors import RecordingError, UsageError
+
+
+def free_path(path: str | Path, started_unix_ns: int) -> Path:
+    """Return ``path``, or if it exists the same with the local time in its name: ``run-20260131-142530.mcap``.
+
+    This is for the path of a configuration, which is the same at every run; a path that the user gives for one run
+    is refused if it exists.
+
+    Parameters
+    ----------
+    path : path
+        File wanted.
+    started_unix_ns : int
+        Wall-clock time of the start, ns since 1970; 0 for now.
+    """
+    path = Path(path)
+    if not path.exists():
+        return path
+    started = datetime.fromtimestamp((started_unix_ns or time.time_ns()) * 1e-9).astimezone()
+    return path.with_stem(f"{path.stem}-{started:%Y%m%d-%H%M%S}")
+
+
+def prepare(path: Path, *, overwrite: bool) -> None:
+    """Create the folder of a recording, and check that the recording can be written.
+
+    Raises
+    ------
+    UsageError
+        The path does not end in ``.mcap``, or is a folder, a pipe or a socket.
+    RecordingError
+        It exists already and must not be overwritten, or its folder cannot be created.
+    """
+    if path.is_dir():
+        raise UsageError(f"{path} is a folder: name the file in it, e.g. {path / 'run.mcap'}")
+    if path.exists() and (stat.S_ISFIFO(mode := path.stat().st_mode) or stat.S_ISSOCK(mode)):
+        raise UsageError(f"{path} is a {'pipe' if stat.S_ISFIFO(mode) else 'socket'}: a recording needs a file")
+    if path.suffix.lower() != ".mcap":
+        raise UsageError(f"{path}: recordings are written as .mcap; `friction-hil convert` makes other formats of one")
+    if path.exists() and not overwrite:
+        raise RecordingError(f"{path} exists already; --force replaces it")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        is_in_the_way = isinstance(error, FileExistsError | NotADirectoryError)
+        reason = "there is a file of that name" if is_in_the_way else error.strerror
+        raise RecordingError(f"the folder {path.parent} cannot be made: {reason}") from None

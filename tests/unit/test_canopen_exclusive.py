@@ -1,0 +1,129 @@
+"""One daemon for each axis: the lock of a node belongs to the process that runs, whoever started it."""
+
+import os
+import signal
+import tempfile
+
+import pytest
+from friction_hil_drivers.canopen.exclusive import AxisLock
+
+from friction_hil.config.bus import BusConfig
+from friction_hil.errors import DriveError
+
+NOBODY = 65534
+
+
+@pytest.fixture
+def bus(tmp_path):
+    """A bus of this test alone."""
+    return BusConfig(interface="socketcan", channel=f"can-{os.getpid()}-{tmp_path.name}")
+
+
+def hold(bus, user=None):
+    """Take the lock of node 5 in another process; return its number."""
+    read_end, write_end = os.pipe()
+    pid = os.fork()
+    if pid == 0:
+        try:
+            if user is not None:
+                os.setuid(user)
+            lock = AxisLock(bus, 5, "x")
+            os.write(write_end, b"taken")
+            signal.pause()
+            lock.release()
+        finally:
+            os._exit(1)
+    os.close(write_end)
+    with os.fdopen(read_end, "rb") as answer:
+        assert answer.read(5) == b"taken"
+    return pid
+
+
+def kill(pid):
+    os.kill(pid, signal.SIGKILL)
+    os.waitpid(pid, 0)
+
+
+def refusal(bus, node=5):
+    """The message for whoever wants an axis that is taken."""
+    with pytest.raises(DriveError) as caught:
+        AxisLock(bus, node, "x")
+    return str(caught.value)
+
+
+def test_the_lock_belongs_to_who_runs_and_ends_with_it(bus):
+    pid = hold(bus)
+    assert f"node 5 on socketcan {bus.channel} belongs to another daemon already (process {pid});" in refusal(bus)
+    AxisLock(bus, 6, "y").release()
+    kill(pid)
+    lock = AxisLock(bus, 5, "x")
+    assert f"(process {os.getpid()})" in refusal(bus)
+    lock.release()
+    lock.release()
+    AxisLock(bus, 5, "x").release()
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
+def test_a_killed_daemon_of_one_user_shuts_out_nobody(bus):
+    pid = hold(bus, NOBODY)
+    assert f"(process {pid} of user {NOBODY})" in refusal(bus)
+    kill(pid)
+    kill(hold(bus))  # root
+    kill(hold(bus, NOBODY - 1))
+    kill(hold(bus, NOBODY))
+
+
+def test_the_folder_for_temporary_files_does_not_matter(bus, tmp_path, monkeypatch):
+    """Neither one of its own (TMPDIR, PrivateTmp of systemd) nor a link in the way."""
+    for name in ("lock", "pid"):
+        os.symlink(tmp_path / "victim", tmp_path / f"friction_hil-socketcan-{bus.channel}-5.{name}")
+    pid = hold(bus)
+    for folder in (tmp_path, tmp_path / "missing"):
+        monkeypatch.setattr(tempfile, "tempdir", str(folder))
+        assert f"process {pid}" in refusal(bus)
+    kill(pid)
+    AxisLock(bus, 5, "x").release()
+    assert not (tmp_path / "victim").exists()
+
+
+def test_the_same_bus_has_one_lock_however_it_is_written(tmp_path):
+    group = "239.74.163.177"
+    (tmp_path / "by-id").symlink_to("/dev/null")
+    for written, other in (
+        (
+            {"interface": "udp_multicast", "channel": group},
+            {"interface": "udp_multicast", "channel": group, "port": 43113},
+        ),
+        ({"interface": "slcan", "channel": "/dev/null"}, {"interface": "slcan", "channel": f"{tmp_path}/by-id@115200"}),
+    ):
+        lock = AxisLock(BusConfig(**written), 77, "x")
+        assert f"process {os.getpid()}" in refusal(BusConfig(**other), 77)
+        lock.release()
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        {"interface": "udp_multicast", "channel": "239.74.163.178", "port": 20001},
+        {"interface": "udp_multicast", "channel": "239.74.163.178", "port": 20002},
+        {"interface": "udp_multicast", "channel": "239.74.163.179", "port": 20001},
+        {"interface": "slcan", "channel": "/dev/zero"},
+        {"interface": "slcan", "channel": "/dev/" + 200 * "long"},
+        {"interface": "slcan", "channel": "/dev/" + 200 * "long" + "er"},
+        {"interface": "socketcan", "channel": "can-other"},
+    ],
+)
+def test_other_buses_have_other_locks(other, bus):
+    locks = [AxisLock(BusConfig(interface="slcan", channel=f"/dev/{200 * 'long'}est"), 78, "x"), AxisLock(bus, 78, "x")]
+    locks.append(AxisLock(BusConfig(**other), 78, "x"))
+    for lock in locks:
+        lock.release()
+
+
+def test_a_virtual_bus_does_not_leave_its_process():
+    virtual = BusConfig(interface="virtual", channel="test-lock")
+    pid = hold(virtual)
+    lock = AxisLock(virtual, 5, "x")
+    assert f"process {os.getpid()}" in refusal(virtual)
+    lock.release()
+    kill(pid)
