@@ -10,7 +10,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from friction_hil.checked_yaml import text as yaml_text
-from friction_hil.checked_yaml.files import Origins, validated
+from friction_hil.checked_yaml.files import Origins, read_kind, validated
 from friction_hil.checked_yaml.text import Document, FieldPath
 from friction_hil.config.axis import NAME_PATTERN, AxisConfig, split_options
 from friction_hil.config.drivers import load_driver
@@ -23,6 +23,7 @@ _WITHOUT_FRICTION = {
     "friction": {"model": "coulomb", "parameters": {"coulomb": 0.0}},
     "mechanics": {"inertia": sys.float_info.min},
 }
+_KEYS_OF_A_MODEL = ("friction", "axis", "mechanics")
 
 
 def load(path: str | Path, *, needs_models: bool = True) -> Configuration:
@@ -221,7 +222,7 @@ class _ModelReader:
             self._origins.broken.append(steps)
             return None
         try:
-            document = yaml_text.read(path)
+            document = read_kind(path, _KEYS_OF_A_MODEL)
         except ConfigurationError as error:
             self._problems.extend(error.problems)
             self._origins.broken.append(steps)
