@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from friction_hil.errors import RecordingError, UsageError, choices
 from friction_hil.recordings.columns import CYCLE, SPARSE, TIME
 from friction_hil.recordings.product import absent, product_of
-from friction_hil.recordings.quality import LARGEST, all_finite, rows_text, too_large, without_overflow
+from friction_hil.recordings.quality import LARGEST, all_finite, is_ordinary, rows_text, too_large, without_overflow
 from friction_hil.recordings.units import unit_problem
 
 Array = NDArray[np.float64]
@@ -218,13 +218,12 @@ def check(recording: Recording) -> None:
             if rows.any():
                 recording.problems.append(f"{TIME} {what} at {rows_text(np.flatnonzero(rows) + 1, len(time))}")
     for name, values in recording.columns.items():
-        if all_finite(values):
+        if is_ordinary(values):
             continue
         is_absent = name in SPARSE or bool(np.isnan(values).all())
         wrong = np.flatnonzero(np.isinf(values) if is_absent else ~np.isfinite(values))
         if wrong.size:
             recording.problems.append(f"{name} is not finite in {rows_text(wrong, len(values))}")
-    for name, values in recording.columns.items():
         large = too_large(values)
         if large.size:
             recording.problems.append(

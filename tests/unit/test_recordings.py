@@ -1,5 +1,6 @@
 """Recordings in CSV and .mat, the choice of axes and columns, and the checks that every format goes through."""
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from scipy.io import savemat
 import friction_hil as fh
 from friction_hil.errors import RecordingError, UsageError
 from friction_hil.recordings import columns
-from friction_hil.recordings.quality import LARGEST
+from friction_hil.recordings.quality import LARGEST, too_large, without_overflow
 from friction_hil.recordings.recording import Recording
 
 EMPS = Path(__file__).parents[3] / "shared" / "data" / "emps" / "DATA_EMPS.mat"
@@ -157,6 +158,18 @@ def test_csv_keeps_every_bit(tmp_path_factory: pytest.TempPathFactory, values: n
     read = fh.recordings.read(path)
     for name in names:
         assert read.columns[name].tobytes() == written.columns[name].tobytes()
+
+
+@given(arrays(np.float64, st.integers(0, 40), elements=st.floats()))
+def test_values_that_would_overflow_are_found(values: np.ndarray) -> None:
+    expected = [i for i, value in enumerate(values) if np.isfinite(value) and abs(value) > LARGEST]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert too_large(values).tolist() == expected
+        kept = without_overflow(values)
+    assert np.flatnonzero(np.isnan(kept) & ~np.isnan(values)).tolist() == expected
+    others = np.delete(np.arange(len(values)), expected)
+    assert kept[others].tobytes() == values[others].tobytes()
 
 
 def test_existing_file_is_kept(tmp_path: Path) -> None:
