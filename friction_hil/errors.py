@@ -8,6 +8,8 @@ import difflib
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+_MOST_CHOICES = 100  # that a message lists
+
 
 class FrictionHilError(Exception):
     """Base class of all errors raised deliberately. The message is a complete sentence for the user.
@@ -99,4 +101,5 @@ def choices(wrong: str, available: Iterable[str]) -> str:
     names = sorted(available)
     close = difflib.get_close_matches(wrong, names, n=1, cutoff=0.6)
     hint = f"did you mean {close[0]!r}? " if close else ""
-    return f"{hint}There are: {', '.join(names) if names else 'none'}"
+    more = f" and {len(names) - _MOST_CHOICES} more" if len(names) > _MOST_CHOICES else ""
+    return f"{hint}There are: {', '.join(names[:_MOST_CHOICES]) if names else 'none'}{more}"

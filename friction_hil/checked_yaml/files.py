@@ -1,5 +1,7 @@
 """Reading of a YAML file into a checked section, with all mistakes reported at once."""
 
+import re
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -7,6 +9,7 @@ from pydantic import BaseModel, ValidationError
 
 from friction_hil.checked_yaml import text
 from friction_hil.checked_yaml.messages import mistakes_of, validate
+from friction_hil.checked_yaml.section import keys
 from friction_hil.checked_yaml.text import Document, FieldPath
 from friction_hil.errors import ConfigurationError, Problem
 
@@ -21,8 +24,38 @@ def read_section(path: str | Path, model: type[Model]) -> Model:
     ConfigurationError
         The file cannot be read or has mistakes; ``problems`` lists them with their lines.
     """
-    document = text.read(path)
+    document = read_kind(path, keys(model))
     return validated(model, document.value, Origins(document), list(document.problems))
+
+
+def read_kind(path: str | Path, names: Collection[str]) -> Document:
+    """Read a YAML file that has at least one of the keys ``names``.
+
+    A message about any other file has nothing of its content: a configuration that somebody else wrote may name a file
+    that is nobody's business.
+
+    Raises
+    ------
+    ConfigurationError
+        The file cannot be read, is not YAML, or has none of these keys.
+    """
+    expected = f"is not the file that belongs here: it has none of the keys {', '.join(names)}"
+    other = ConfigurationError([Problem(str(path), None, "", expected)])
+    try:
+        document = text.read(path)
+    except ConfigurationError as error:
+        shows_content = any(problem.line is not None for problem in error.problems)
+        if shows_content and not re.search(_line_of(names), Path(path).read_bytes(), re.MULTILINE):
+            raise other from None
+        raise
+    if not isinstance(document.value, dict) or not set(names) & set(document.value):
+        raise other
+    return document
+
+
+def _line_of(names: Collection[str]) -> bytes:
+    """Return the pattern of a line that begins with one of the keys."""
+    return rf"^\s*[\"']?(?:{'|'.join(map(re.escape, names))})[\"']?\s*:".encode()
 
 
 class Origins:

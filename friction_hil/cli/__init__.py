@@ -9,17 +9,19 @@ found a fault), and raises a ``FrictionHilError`` for mistakes that the user can
 """
 
 import atexit
+import contextlib
 import gc
 import importlib
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import click
 
 from friction_hil import __version__
 from friction_hil.errors import ConfigurationError, FrictionHilError, choices
 from friction_hil.interrupts import interruptible
+from friction_hil.printable import PrintableStream
 
 # The short help stands here, so that the overview imports no command.
 COMMANDS = {
@@ -104,6 +106,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def exit_status(command: click.Command, arguments: Sequence[str] | None, program: str) -> int:
     """Run a click command as ``program``, print its error on stderr, and return its exit status."""
+    with _printable_streams():
+        return _exit_status(command, arguments, program)
+
+
+def _exit_status(command: click.Command, arguments: Sequence[str] | None, program: str) -> int:
     try:
         with interruptible():
             result = command.main(arguments, prog_name=program, standalone_mode=False)
@@ -132,6 +139,17 @@ def exit_status(command: click.Command, arguments: Sequence[str] | None, program
         click.echo(traceback.format_exc() + _REPORT, err=True)
         return 1
     return result if type(result) is int else 0
+
+
+@contextlib.contextmanager
+def _printable_streams() -> Iterator[None]:
+    """Make everything that is printed meanwhile printable, whoever prints it."""
+    before = sys.stdout, sys.stderr
+    sys.stdout, sys.stderr = (PrintableStream(stream) for stream in before)
+    try:
+        yield
+    finally:
+        sys.stdout, sys.stderr = before
 
 
 def _open_standard_streams() -> None:

@@ -11,7 +11,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from friction_hil.checked_yaml import text as yaml_text
-from friction_hil.checked_yaml.files import Origins, validated
+from friction_hil.checked_yaml.files import Origins, read_kind, validated
 from friction_hil.checked_yaml.text import Document, FieldPath
 from friction_hil.config.axis import NAME_PATTERN, AxisConfig, split_options
 from friction_hil.config.drivers import load_driver
@@ -26,6 +26,7 @@ _WITHOUT_FRICTION = {
 }
 _MOST_SIBLINGS = 100  # files of a folder that are looked at for one that may be meant
 _HEAD_BYTES = 65536  # of a file, in which a model file has its key `friction`
+_KEYS_OF_A_MODEL = ("friction", "axis", "mechanics")
 
 
 def load(path: str | Path, *, needs_models: bool = True) -> Configuration:
@@ -241,7 +242,7 @@ class _ModelReader:
             self._origins.broken.append(steps)
             return None
         try:
-            document = yaml_text.read(path)
+            document = read_kind(path, _KEYS_OF_A_MODEL)
         except ConfigurationError as error:
             self._problems.extend(error.problems)
             self._origins.broken.append(steps)

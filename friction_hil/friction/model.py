@@ -190,6 +190,8 @@ class FrictionModel:
         for side in SIDES:
             plain, stiffness = FrictionModel(self.family, self._side(side)), 1e12
             for _ in range(2):  # the first pass finds the distance over which a small part of the level builds up
+                if stiffness <= 0.0:  # too small beside the level for a double
+                    break
                 position = 1e-6 * plain.level / stiffness
                 velocity = np.full(1, position / time_s)
                 stiffness = float(kernel.run_any(plain.kind, plain.values, velocity, time_s)[0]) / position

@@ -7,6 +7,10 @@ from typing import Any
 
 from friction_hil.errors import ParameterError, choices
 
+# Bounds of all parameters, the smaller one of those that must be above zero, because the equations divide by them: no
+# product or ratio of parameters overflows.
+SMALLEST, LARGEST = 1e-50, 1e50
+
 
 class InvalidParameterError(ParameterError):
     """A parameter is invalid; ``parameter`` is its name, or None if several parameters are involved."""
@@ -66,6 +70,12 @@ class Parameter:
         is_finite = math.isfinite(number) or (self.is_infinity_allowed and number == math.inf)
         if not (is_finite and self._is_inside(number)):
             raise InvalidParameterError(f"{model}: {name} = {number:g} is not allowed ({wanted})", self.name)
+        if math.isfinite(number) and abs(number) > LARGEST:
+            message = f"{model}: {name} = {number:g} is not allowed: it is beyond {LARGEST:g} ({wanted})"
+            raise InvalidParameterError(message, self.name)
+        if self.lower == 0.0 and not self.is_lower_allowed and number < SMALLEST:
+            message = f"{model}: {name} = {number:g} is not allowed: it is below {SMALLEST:g} ({wanted})"
+            raise InvalidParameterError(message, self.name)
         return number
 
     def _is_inside(self, number: float) -> bool:
@@ -123,9 +133,10 @@ class PointList(Parameter):
         points = []
         for i, element in enumerate(elements):
             pair = [_as_number(each) for each in _as_list(element) or ()]
-            if len(pair) != 2 or any(each is None or not math.isfinite(each) for each in pair):
+            if len(pair) != 2 or any(each is None or not abs(each) <= LARGEST for each in pair):
                 raise InvalidParameterError(
-                    f"{model}: {self.name}[{i}] is {element!r}, not a pair of finite numbers ({wanted})", self.name
+                    f"{model}: {self.name}[{i}] is {element!r}, not a pair of numbers up to {LARGEST:g} ({wanted})",
+                    self.name,
                 )
             points.append(pair)
         return points

@@ -26,11 +26,14 @@ from friction_hil.recordings.quality import (
     stamps_are_coarse,
     time_facts,
     unwrap,
+    without_overflow,
 )
 from friction_hil.recordings.recording import Recording
 
-_POSITION = "position"
+_POSITION, _VELOCITY = "position", "velocity"
 _FEWEST_ROWS = 3
+_SHORTEST_PERIOD_S = 1e-12
+_MOST_PERIODS_PER_ROW = 20  # more than a gap: columns may have rates of their own
 
 Interval = tuple[float, float]
 
@@ -89,7 +92,10 @@ def even_grid(recording: Recording, names: Sequence[str], held: Sequence[str] = 
         No segment has three rows.
     """
     problems: list[str] = []
-    columns = {name: recording[name] for name in (*names, *held)}
+    columns = {name: without_overflow(recording[name]) for name in (*names, *held)}
+    for name in names:
+        if not np.isfinite(columns[name]).any():
+            raise RecordingError(f"{recording.path}: {'; '.join(recording.problems)}: no value of {name} can be used")
     _note_unknown(columns, held, problems)
     blocks = _ordered(recording[TIME], columns, problems)
     if all(len(block.time) < _FEWEST_ROWS for block in blocks):
@@ -98,6 +104,8 @@ def even_grid(recording: Recording, names: Sequence[str], held: Sequence[str] = 
     period = min(_spacing(blocks, name) for name in names)
     if not np.isfinite(period):
         raise RecordingError(f"{recording.path}: {', '.join(names)} have too few values in order of time")
+    if period < _SHORTEST_PERIOD_S:
+        raise RecordingError(f"{recording.path}: {TIME} stands still: it needs the time of each row, in s")
     parts = _parts(blocks, names, period, problems)
     if not parts:
         raise RecordingError(f"{recording.path}: no part without a gap has {_FEWEST_ROWS} rows")
@@ -117,10 +125,12 @@ def what_to_repair(recording: Recording) -> list[str]:
     problems: list[str] = []
     if _POSITION in recording:
         ignored: list[str] = []
-        _unwrap(_ordered(recording[TIME], {_POSITION: recording[_POSITION]}, ignored), problems)
-    velocity = "velocity"
-    if velocity in recording and is_coarse(recording[velocity]):
-        problems.append(f"{velocity} comes in steps of {resolution(recording[velocity]):.4g}, and mostly stands still")
+        position = without_overflow(recording[_POSITION])
+        _unwrap(_ordered(recording[TIME], {_POSITION: position}, ignored), problems)
+    if _VELOCITY in recording:
+        velocity = without_overflow(recording[_VELOCITY])
+        if is_coarse(velocity):
+            problems.append(f"{_VELOCITY} comes in steps of {resolution(velocity):.4g}, and mostly stands still")
     return problems
 
 
@@ -248,11 +258,14 @@ def _parts(
     blocks: Sequence[_Block], names: Sequence[str], period: float, problems: list[str]
 ) -> list[tuple[Array, dict[str, Array]]]:
     """Return time and columns of every segment; report gaps, uneven stamps and segments that are too short."""
-    parts, cuts, short, is_uneven = [], [], 0, False
+    parts, cuts, short, sparse, is_uneven = [], [], 0, 0, False
     for block in blocks:
         intervals = _intervals(block, names, period)
         cuts += [begin for begin, _ in intervals[1:]]
         for interval in intervals:
+            if _is_sparse(block, interval, period):
+                sparse += 1
+                continue
             time, values, was_uneven = _part(block, interval, period)
             if len(time) < _FEWEST_ROWS:
                 short += 1
@@ -261,8 +274,18 @@ def _parts(
             parts.append((time, values))
     if is_uneven:
         problems.append(f"the time stamps are uneven: interpolated at {1.0 / period:.6g} Hz")
+    if sparse:
+        what = f"{sparse} part{'s' * (sparse > 1)} with fewer than one row in {_MOST_PERIODS_PER_ROW} periods"
+        problems.append(f"{what} of {period:g} s: left out")
     _note_parts(parts, cuts, short, problems)
     return parts
+
+
+def _is_sparse(block: _Block, interval: Interval, period: float) -> bool:
+    """True if the rows between two times are so far apart that nearly all of the even grid would be invented."""
+    first, last = np.searchsorted(block.time, interval[0], "left"), np.searchsorted(block.time, interval[1], "right")
+    time = block.time[first:last]
+    return len(time) > 1 and float(time[-1] - time[0]) > _MOST_PERIODS_PER_ROW * len(time) * period
 
 
 def _part(block: _Block, interval: Interval, period: float) -> tuple[Array, dict[str, Array], bool]:

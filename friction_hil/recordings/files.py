@@ -151,6 +151,8 @@ def _read(source: Source, mapped: Mapped, where: str | None, only: Collection[st
         recordings: list[Recording] = module.read(source)
     except OSError as error:
         raise RecordingError(f"{source.path} cannot be read: {error.strerror or error}") from None
+    except MemoryError:
+        raise RecordingError(f"{source.path} does not fit into the memory: split it into shorter files") from None
     for recording in recordings:
         fitting = mapped.fitting({*recording.columns, *recording.others})
         before = recording.columns

@@ -23,6 +23,7 @@ from friction_hil.recordings.units import known_unit
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"
 _UNIT_ATTRIBUTES = ("unit", "units", "Unit", "Units")
 _MATLAB_INTERNAL = "#"
+_CHUNK_ROWS = 1 << 16
 
 
 def read(source: Source) -> list[Recording]:
@@ -52,7 +53,7 @@ def read(source: Source) -> list[Recording]:
 
 
 def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
-    """Write each column as a float64 dataset with its unit as attribute ``unit``.
+    """Write each column as a float64 dataset with checksums, and its unit as attribute ``unit``.
 
     Raises
     ------
@@ -69,7 +70,9 @@ def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
             raise RecordingError(f"{path}: HDF5 cannot hold a column {name!r}; rename with --column new_name='{name}'")
     with open_new(path, overwrite=overwrite) as opened, h5py.File(opened, "w", track_order=True) as file:
         for name, values in recording.columns.items():
-            dataset = file.create_dataset(name, data=values)
+            # only chunks have checksums, and an empty dataset has no chunks
+            chunks = {"chunks": (min(len(values), _CHUNK_ROWS),), "fletcher32": True} if len(values) else {}
+            dataset = file.create_dataset(name, data=values, **chunks)
             unit = known_unit(recording.units, name)
             if unit:
                 dataset.attrs["unit"] = unit
@@ -93,19 +96,28 @@ def _read(source: Source, h5py: Any, file: Any) -> Recording:
     if not sizes:
         raise RecordingError(f"{source.path}: there is no vector of numbers in it, which a column would be")
     wanted, recording.others = source.split(most_frequent_length(sizes, recording.problems))
+    source.memory.take(sum(sizes[name] for name in wanted) * 8)
     # One block for all columns: the system maps large blocks in large pages, which are the cheapest to touch first.
     block = np.empty((len(wanted), sizes[wanted[0]])) if wanted else ()
+    records: tuple[Any, Any] = None, None  # the compound dataset that was read last, and its content
     for name, room in zip(wanted, block, strict=True):
         dataset, field = found[names[name]]
-        if field is None and dataset.dtype == np.float64:
-            dataset.read(h5py.h5s.ALL, h5py.h5s.ALL, room)
-            recording.columns[name] = room
-        else:
-            values = h5py.Dataset(dataset)[field or ()]
-            if values.dtype.kind not in "fiub":
-                recording.problems.append(f"{name} holds {values.dtype}, no numbers: left out")
-                continue
-            recording.columns[name] = as_column(values)
+        kind = dataset.dtype if field is None else dataset.dtype[field]
+        if kind.kind not in "fiub":
+            recording.problems.append(f"{name} holds {kind}, no numbers: left out")
+            continue
+        try:
+            if field is None and kind == np.float64:
+                dataset.read(h5py.h5s.ALL, h5py.h5s.ALL, room)
+                recording.columns[name] = room
+            else:
+                if dataset is not records[0]:
+                    source.memory.take(math.prod(dataset.shape) * dataset.dtype.itemsize)
+                    records = dataset, h5py.Dataset(dataset)[()]
+                recording.columns[name] = as_column(records[1] if field is None else records[1][field])
+        except OSError as error:
+            recording.problems.append(f"{name} is damaged ({' '.join(str(error).split())}): left out")
+            continue
         if field is None and h5py.h5a.get_num_attrs(dataset):
             attributes = h5py.Dataset(dataset).attrs
             unit = next((_text(attributes[key]) for key in _UNIT_ATTRIBUTES if key in attributes), "")

@@ -1,18 +1,23 @@
 """Read and write JSON: a list of rows, each an object, or an object with such a list and metadata."""
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from friction_hil.errors import RecordingError
+from friction_hil.recordings import json_text
+from friction_hil.recordings.json_text import brief
 from friction_hil.recordings.recording import Recording
 from friction_hil.recordings.source import Source, open_new
 
 _CLOSINGS = ("]", "]}")
+_NUMBERS = {int, float, bool, type(None)}
 _ROWS_AT_ONCE = 10_000
+_OBJECTS = 10  # bytes that the objects of typical rows take for each byte of text
+_NAMED = 20  # keys that a message lists
 
 
 def read(source: Source) -> list[Recording]:
@@ -29,25 +34,29 @@ def read(source: Source) -> list[Recording]:
         The file cannot be opened.
     """
     path, problems = source.path, list[str]()
-    content = _parse(path, problems)
+    content = _parse(source, problems)
     metadata: dict[str, Any] = {}
     rows = content
     if isinstance(content, dict):
         lists = [key for key, value in content.items() if _is_rows(value)]
         if not lists:
-            raise RecordingError(f"{path}: {_EXPECTED}; this object has {', '.join(map(repr, content)) or 'nothing'}")
+            there = ", ".join(map(repr, list(content)[:_NAMED])) + ", ..." * (len(content) > _NAMED)
+            raise RecordingError(f"{path}: {_EXPECTED}; this object has {there or 'nothing'}")
         key = max(lists, key=lambda each: len(content[each]))
-        problems += [f"the list {other!r} is shorter than {key!r}: left out" for other in lists if other != key]
+        others = [repr(other) for other in lists if other != key]
+        problems += [f"the list {other} is shorter than {key!r}: left out" for other in others[:_NAMED]]
+        problems += [f"{len(others) - _NAMED} more lists are left out"] if len(others) > _NAMED else []
         metadata, rows = {name: value for name, value in content.items() if name not in lists}, content[key]
     if not _is_rows(rows):
         raise RecordingError(f"{path}: {_EXPECTED}")
     recording = Recording(str(path), source.name, {}, metadata, problems)
     for number, row in enumerate(rows):
         if not isinstance(row, dict):
-            raise RecordingError(f"{path}: row {number} is not an object of fields but {_brief(row)}")
+            raise RecordingError(f"{path}: row {number} is not an object of fields but {brief(row)}")
     names, recording.others = source.split(dict.fromkeys(name for row in rows for name in row))
-    for name in names:
-        _take(recording, rows, name)
+    source.memory.take(len(rows) * len(names) * 8)
+    for column in (_sparse if _is_sparse(rows, names) else _dense)(rows, names):
+        _take(recording, len(rows), *column)
     return [recording]
 
 
@@ -65,15 +74,15 @@ def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
         if np.isinf(values).any():
             raise RecordingError(f"{path}: {name} is infinite in row {int(np.argmax(np.isinf(values)))}: not in JSON")
     names = list(recording.columns)
-    values = np.stack(list(recording.columns.values()), axis=1)
     with open_new(path, overwrite=overwrite) as file:
         separator = b"[\n"
-        for start in range(0, len(values), _ROWS_AT_ONCE):
-            for row in values[start : start + _ROWS_AT_ONCE].tolist():
+        for start in range(0, len(recording), _ROWS_AT_ONCE):
+            block = [values[start : start + _ROWS_AT_ONCE] for values in recording.columns.values()]
+            for row in np.stack(block, axis=1).tolist():
                 fields = {name: None if value != value else value for name, value in zip(names, row, strict=True)}
                 file.write(separator + json.dumps(fields).encode())
                 separator = b",\n"
-        file.write(b"\n]\n" if len(values) else b"[]\n")
+        file.write(b"\n]\n" if len(recording) else b"[]\n")
 
 
 _EXPECTED = 'a list of rows belongs here, [{"time_s": 0.0, "torque": 1.5}, ...], or an object with such a list in it'
@@ -83,8 +92,10 @@ def _is_rows(value: Any) -> bool:
     return isinstance(value, list) and bool(value) and isinstance(value[0], dict)
 
 
-def _parse(path: Path, problems: list[str]) -> Any:
+def _parse(source: Source, problems: list[str]) -> Any:
+    path = source.path
     data = path.read_bytes()
+    source.memory.take(_OBJECTS * len(data))
     if not data:
         raise RecordingError(f"{path} is empty")
     try:
@@ -94,15 +105,15 @@ def _parse(path: Path, problems: list[str]) -> Any:
             raise RecordingError(f"{path} is not a UTF-8 text file (byte {error.start})") from None
         text = data[: error.start].decode("utf-8-sig")  # cut within a character
     try:
-        return json.loads(text)
+        return json_text.parse(text)
     except json.JSONDecodeError as error:
         repaired = _repaired(text)
         if repaired is None or error.pos < text.rstrip().rfind("}"):
             raise RecordingError(f"{path}:{error.lineno}: is no JSON: {error.msg} (column {error.colno})") from None
         problems.append(f"the file was cut off at byte {len(data)}: the rows after its last whole one are lost")
         return repaired
-    except RecursionError:
-        raise RecordingError(f"{path}: its lists and objects are nested too deeply") from None
+    except ValueError as error:
+        raise RecordingError(f"{path}: {error}") from None
 
 
 def _repaired(text: str) -> Any:
@@ -114,26 +125,45 @@ def _repaired(text: str) -> Any:
             return None
         for closing in _CLOSINGS:
             try:
-                return json.loads(text[: end + 1] + closing)
-            except (json.JSONDecodeError, RecursionError):
+                return json_text.parse(text[: end + 1] + closing)
+            except ValueError:
                 continue
     return None
 
 
-def _take(recording: Recording, rows: list[Mapping[str, Any]], name: str) -> None:
-    """Add one column; report a field that is not a number."""
-    values = [row.get(name) for row in rows]
-    try:
-        recording.columns[name] = np.array(values, dtype=np.float64)
-        if not any(isinstance(value, str) for value in values):
-            return
-    except (TypeError, ValueError, OverflowError):
-        pass
-    recording.columns.pop(name, None)
-    number, value = next((i, v) for i, v in enumerate(values) if not (v is None or isinstance(v, int | float)))
-    recording.problems.append(f"{name} is no number in row {number} but {_brief(value)}: left out")
+def _is_sparse(rows: list[dict[str, Any]], names: list[str]) -> bool:
+    """True if most fields are missing."""
+    return 4 * sum(map(len, rows)) < len(rows) * len(names)
 
 
-def _brief(value: Any) -> str:
-    text = json.dumps(value)
-    return text if len(text) <= 40 else text[:37] + "..."
+def _dense(rows: list[dict[str, Any]], names: list[str]) -> Iterator[tuple[str, list[Any], None]]:
+    """Yield name and values of each column."""
+    for name in names:
+        yield name, [row.get(name) for row in rows], None
+
+
+def _sparse(rows: list[dict[str, Any]], names: list[str]) -> Iterator[tuple[str, list[Any], list[int]]]:
+    """Yield name, values and their rows of each column, in a time proportional to the number of values."""
+    found: dict[str, tuple[list[Any], list[int]]] = {name: ([], []) for name in names}
+    for number, row in enumerate(rows):
+        for name, value in row.items():
+            if name in found:
+                found[name][0].append(value)
+                found[name][1].append(number)
+    for name, (values, numbers) in found.items():
+        yield name, values, numbers
+
+
+def _take(recording: Recording, length: int, name: str, values: list[Any], numbers: list[int] | None) -> None:
+    """Add one column of ``length`` rows; report a field that is not a number."""
+    if not set(map(type, values)) <= _NUMBERS:
+        place = next(i for i, value in enumerate(values) if type(value) not in _NUMBERS)
+        row = place if numbers is None else numbers[place]
+        recording.problems.append(f"{name} is no number in row {row} but {brief(values[place])}: left out")
+        return
+    known = np.array(values, dtype=np.float64)
+    if numbers is None:
+        recording.columns[name] = known
+    else:
+        recording.columns[name] = np.full(length, np.nan)
+        recording.columns[name][numbers] = known

@@ -5,7 +5,6 @@ messages of equal size are one numpy array, of which only the requested columns 
 """
 
 import io
-import json
 import os
 import struct
 from collections.abc import Callable, Iterator, Sequence
@@ -24,16 +23,25 @@ from mcap.writer import MCAP0_MAGIC
 from numpy.typing import NDArray
 
 from friction_hil.errors import RecordingError
+from friction_hil.recordings import json_text
 from friction_hil.recordings import mcap_format as layout
+from friction_hil.recordings.bounds import Memory
 
 _HEADER = struct.Struct("<BQ")  # opcode and length before each record
 _MESSAGE_HEADER = 22  # channel, sequence, two times
 _CHUNK_LIMIT = 1 << 30  # bytes; a larger size means damage, and must not be allocated
-_OPCODES = frozenset(Opcode) | frozenset(range(0x80, 0x100))  # the upper half is private and skipped
+_SMALL_CHUNK = 32 << 20  # bytes that any chunk may have
+_EXPANSION = 256  # times its compressed size that a larger chunk may have; LZ4 reaches 255
+_PRIVATE = frozenset(range(0x80, 0x100))  # skipped
+_OPCODES = frozenset(Opcode) | _PRIVATE
+_IN_CHUNK = frozenset({Opcode.SCHEMA, Opcode.CHANNEL}) | _PRIVATE  # beside messages
 _BAD_RECORD = (McapError, ValueError, OverflowError, struct.error)
 _CHUNK_HEADER = struct.Struct("<QQQII")  # two times, size and CRC of the content, length of the compression's name
 _ZSTD = zstandard.ZstdDecompressor()
-_FIRST_ROWS = 4096
+_PIECES = 500_000  # records other than rows, and runs of rows, that any file may have
+_BYTES_PER_PIECE = 4  # of the file, for each piece beyond that
+_NAMED_PROBLEMS = 20
+_FEWEST_ROWS = 64
 _MOST_GROWTH = 256
 _FEWEST_AHEAD = 16  # messages
 _MESSAGE = int(Opcode.MESSAGE)  # an int: numpy compares with an enumeration slowly
@@ -50,10 +58,11 @@ class ChannelRows:
         Number of messages of another width than the channel's schema states.
     """
 
-    def __init__(self, width: int, wanted: Sequence[int]) -> None:
+    def __init__(self, width: int, wanted: Sequence[int], memory: Memory) -> None:
         self._width = width
+        self._memory = memory
         self._wanted = None if len(wanted) == width else list(wanted)  # None: all of them
-        self._values = np.empty((len(wanted), _FIRST_ROWS))
+        self._values = np.empty((len(wanted), 0))
         self._count = 0
         self.others = 0
 
@@ -66,10 +75,11 @@ class ChannelRows:
         if width != self._width:
             self.others += rows
             return
+        self._memory.take(rows * len(self._values) * 8)
         end = self._count + rows
         if end > self._values.shape[1]:
             # rows that are never written to take no memory
-            room = int(end * min(max(1.2 / max(fraction, 1e-9), 1.25), _MOST_GROWTH))
+            room = max(int(end * min(max(1.2 / max(fraction, 1e-9), 1.25), _MOST_GROWTH)), _FEWEST_ROWS)
             larger = np.empty((len(self._values), room))
             larger[:, : self._count] = self._values[:, : self._count]
             self._values = larger
@@ -115,9 +125,13 @@ class McapContent:
         Messages about damaged parts and lost rows.
     """
 
-    def __init__(self, path: Path, choose: Choose) -> None:
+    def __init__(self, path: Path, choose: Choose, memory: Memory) -> None:
         self.path = path
         self._choose = choose
+        self._memory = memory
+        self._pieces_left = _PIECES
+        self._refused: set[int] = set()  # channels whose messages are no rows
+        self._damaged_records = 0
         self._fraction = 0.0  # of the file that has been read
         self.rows: dict[int, ChannelRows] = {}
         self.schemas: dict[int, Schema] = {}
@@ -131,6 +145,7 @@ class McapContent:
         self._first_log_time: int | None = None
         self._ahead: dict[int, int] = {}  # by length of message: how many to compare at once
         with path.open("rb") as file:
+            self._pieces_left += os.fstat(file.fileno()).st_size // _BYTES_PER_PIECE
             self._read(file)
         for channel in tuple(self.runs):
             self._rows_of(channel)
@@ -149,7 +164,11 @@ class McapContent:
             try:
                 self._take(opcode, body)
             except _BAD_RECORD as error:
-                self.problems.append(f"a {Opcode(opcode).name.lower()} record is damaged ({error}): left out")
+                self._damaged_records += 1
+                if self._damaged_records <= _NAMED_PROBLEMS:
+                    self.problems.append(f"a {Opcode(opcode).name.lower()} record is damaged ({error}): left out")
+        if self._damaged_records > _NAMED_PROBLEMS:
+            self.problems.append(f"{self._damaged_records - _NAMED_PROBLEMS} more records are damaged: left out")
 
     def _records(self, file: BinaryIO) -> Iterator[tuple[int, bytes, bytes]]:
         """Yield the records of the file up to its footer, or up to the first damage."""
@@ -200,7 +219,7 @@ class McapContent:
         elif opcode == Opcode.METADATA:
             record = Metadata.read(_stream(body))
             is_ours = set(record.metadata) == {layout.JSON_KEY}
-            content = json.loads(record.metadata[layout.JSON_KEY]) if is_ours else record.metadata
+            content = json_text.parse(record.metadata[layout.JSON_KEY]) if is_ours else record.metadata
             self.metadata[record.name] = content
         elif opcode == Opcode.MESSAGE:
             raise RecordingError(f"{self.path} is not chunked, which is needed; `mcap recover` rewrites it")
@@ -226,12 +245,18 @@ class McapContent:
             end = offset + _HEADER.size + length
             if end > len(data):
                 raise ValueError("a record extends beyond the end of its chunk")
-            if opcode != Opcode.MESSAGE:
+            self._pieces_left -= 1
+            if self._pieces_left < 0:
+                raise self._too_many_pieces()
+            if opcode != _MESSAGE:
+                if opcode not in _IN_CHUNK:
+                    raise ValueError(f"it holds a record of the kind {opcode}, which belongs into no chunk")
                 self._take(opcode, data[offset + _HEADER.size : end])
             elif (length - _MESSAGE_HEADER - 4) % 8 == 0 and length > _MESSAGE_HEADER + 4:
                 end = offset + self._take_run(data, offset, length)
             elif length >= _MESSAGE_HEADER:
                 (channel,) = struct.unpack_from("<H", data, offset + _HEADER.size)
+                self._memory.take(length)
                 self.odd.setdefault(channel, []).append(data[offset + _HEADER.size + _MESSAGE_HEADER : end])
             offset = end
 
@@ -248,9 +273,12 @@ class McapContent:
         if (records["encoding"] & 0xFFFF != layout.ENCODING_WORD).any():
             raise ValueError("its messages are not little-endian CDR")
         for channel, which in _by_channel(records["channel"]):
+            self._pieces_left -= 1
             rows = self._rows_of(channel)
             if rows is None:
-                self.runs.setdefault(channel, []).append(records["words"][which].copy())
+                run = records["words"][which].copy()
+                self._memory.take(run.nbytes)
+                self.runs.setdefault(channel, []).append(run)
             else:
                 rows.append(records["words"][which], self._fraction)
         return count * kind.itemsize
@@ -260,14 +288,23 @@ class McapContent:
 
         Channels are repeated at the end of the file: those of a damaged chunk become known there.
         """
-        if channel not in self.rows and channel in self.channels:
+        if channel not in self.rows and channel in self.channels and channel not in self._refused:
             about = self.channels[channel]
-            chosen = self._choose(about, self.schemas.get(about.schema_id))
+            schema = self.schemas.get(about.schema_id)
+            chosen = self._choose(about, schema)
+            if chosen is None and schema is not None:
+                self._refused.add(channel)
             if chosen is not None:
                 self.rows[channel] = chosen
                 for run in self.runs.pop(channel, []):
                     chosen.append(run, self._fraction)
         return self.rows.get(channel)
+
+    def _too_many_pieces(self) -> RecordingError:
+        return RecordingError(
+            f"{self.path}: its chunks hold more records than are read from a file of this size; the limit is "
+            f"{_PIECES} and one for each {_BYTES_PER_PIECE} bytes. `mcap filter` keeps the topics that are needed"
+        )
 
     def _span(self, start_ns: int, end_ns: int) -> str:
         about = self.metadata.get(layout.RECORDING_METADATA)
@@ -276,7 +313,7 @@ class McapContent:
         return f"from {(start_ns - origin) * 1e-9:.3f} s to {(end_ns - origin) * 1e-9:.3f} s"
 
 
-def _by_channel(channels: NDArray[np.uint16]) -> list[tuple[int, slice | NDArray[np.bool_]]]:
+def _by_channel(channels: NDArray[np.uint16]) -> list[tuple[int, slice | NDArray[np.intp]]]:
     """Return the messages of each channel; as slices, which copy nothing, if the channels alternate."""
     same = channels == channels[0]
     if same.all():
@@ -286,7 +323,9 @@ def _by_channel(channels: NDArray[np.uint16]) -> list[tuple[int, slice | NDArray
     first = channels[:turn].tolist()
     if len(set(first)) == turn and np.array_equal(channels[turn:], channels[:-turn]):
         return [(channel, slice(i, None, turn)) for i, channel in enumerate(first)]
-    return [(int(channel), channels == channel) for channel in np.unique(channels)]
+    order = np.argsort(channels, kind="stable")
+    numbers, begins = np.unique(channels[order], return_index=True)
+    return list(zip(numbers.tolist(), np.split(order, begins[1:]), strict=True))
 
 
 def _stream(body: bytes) -> ReadDataStream:
@@ -307,8 +346,8 @@ def _parse_chunk(body: bytes) -> _Chunk:
 
 def _decompress(chunk: _Chunk) -> bytes:
     size = chunk.size
-    if size > _CHUNK_LIMIT:
-        raise ValueError(f"it claims {size} bytes")
+    if size > min(max(_SMALL_CHUNK, _EXPANSION * len(chunk.data)), _CHUNK_LIMIT):
+        raise ValueError(f"it claims {size} bytes, compressed to {len(chunk.data)}")
     if chunk.compression == "zstd":
         try:
             claimed = zstandard.get_frame_parameters(chunk.data).content_size

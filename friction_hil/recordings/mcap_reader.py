@@ -6,12 +6,15 @@ import numpy as np
 from mcap.records import Channel, Schema
 from mcap.well_known import MessageEncoding, SchemaEncoding
 
-from friction_hil.errors import RecordingError, UsageError
+from friction_hil.errors import RecordingError, UsageError, choices
 from friction_hil.recordings import mcap_format as layout
+from friction_hil.recordings.bounds import MOST_AXES, check_columns
 from friction_hil.recordings.columns import CYCLE
 from friction_hil.recordings.mcap_chunks import ChannelRows, McapContent
 from friction_hil.recordings.recording import Array, Event, Recording
 from friction_hil.recordings.source import Source
+
+_NAMED_CHANNELS = 20
 
 
 def read(source: Source) -> list[Recording]:
@@ -28,26 +31,37 @@ def read(source: Source) -> list[Recording]:
         The file cannot be opened.
     """
 
+    known: dict[int, list[str] | None] = {}  # fields by schema, which many channels may share
+
     def choose(channel: Channel, schema: Schema | None) -> ChannelRows | None:
-        fields = _fields(channel, schema)
+        fields = _fields(channel, schema, known)
         if fields is None:
             return None
+        check_columns(source.path, fields)
         is_other = source.axis is not None and _axis(channel) != source.axis
-        return ChannelRows(len(fields), [] if is_other else [i for i, name in enumerate(fields) if source.wants(name)])
+        wanted = [] if is_other else [i for i, name in enumerate(fields) if source.wants(name)]
+        return ChannelRows(len(fields), wanted, source.memory)
 
-    content = McapContent(source.path, choose)
-    axes = _axes(content)
+    content = McapContent(source.path, choose, source.memory)
+    axes = _axes(content, known)
     if not axes:
         raise RecordingError(f"{source.path}: no channel holds flat float64 ROS 2 messages; {_what_is_there(content)}")
-    events = _events(content)
+    chosen = _select(content, list(axes), source.select)
+    if len(chosen) > MOST_AXES:
+        raise RecordingError(
+            f"{source.path} has {len(chosen)} axes; at most {MOST_AXES} are read at once: choose one with --axis. "
+            f"{choices('', chosen)}"
+        )
+    numbers = _numbers(content)
+    events = _events(content, numbers)
     recordings = []
-    for axis in _select(content, list(axes), source.select):
+    for axis in chosen:
         channel, fields = axes[axis]
         problems = list(content.problems)
         recording = Recording(str(source.path), axis, {}, dict(content.metadata), problems, events=events)
         names, recording.others = source.split(fields)
         recording.columns = _columns(content, channel, names, recording.problems)
-        recording.restarts = _restarts(content, channel, recording)
+        recording.restarts = _restarts(content, numbers, channel, recording)
         recordings.append(recording)
     return recordings
 
@@ -56,19 +70,21 @@ def _axis(channel: Channel) -> str:
     return str(channel.topic).strip("/")
 
 
-def _fields(channel: Channel, schema: Schema | None) -> list[str] | None:
+def _fields(channel: Channel, schema: Schema | None, known: dict[int, list[str] | None]) -> list[str] | None:
     """Return the fields of the rows on a channel; None if it carries other messages."""
     if schema is None or schema.encoding != SchemaEncoding.ROS2 or channel.message_encoding != MessageEncoding.CDR:
         return None
-    fields = layout.row_fields(schema.data.decode("utf-8", "replace"))
-    return fields if fields and len(set(fields)) == len(fields) else None
+    if schema.id not in known:
+        fields = layout.row_fields(schema.data.decode("utf-8", "replace"))
+        known[schema.id] = fields if fields and len(set(fields)) == len(fields) else None
+    return known[schema.id]
 
 
-def _axes(content: McapContent) -> dict[str, tuple[Channel, list[str]]]:
+def _axes(content: McapContent, known: dict[int, list[str] | None]) -> dict[str, tuple[Channel, list[str]]]:
     """Return channel and fields of each axis by name."""
     axes = {}
     for channel in content.channels.values():
-        fields = _fields(channel, content.schemas.get(channel.schema_id))
+        fields = _fields(channel, content.schemas.get(channel.schema_id), known)
         if fields is not None:
             axes[_axis(channel)] = channel, fields
     return axes
@@ -93,10 +109,11 @@ def _columns(content: McapContent, channel: Channel, names: list[str], problems:
     return dict(zip(names, rows.columns, strict=True))
 
 
-def _restarts(content: McapContent, channel: Channel, recording: Recording) -> list[tuple[int, Array]]:
-    topic = channel.topic + layout.STATE_SUFFIX
-    numbers = _numbers(content, topic, layout.STATE_SCHEMA)
-    runs = [run for number in numbers for run in content.runs.get(number, []) if run.shape[1] > 2]
+def _restarts(
+    content: McapContent, numbers: dict[tuple[str, str], list[int]], channel: Channel, recording: Recording
+) -> list[tuple[int, Array]]:
+    own = numbers.get((channel.topic + layout.STATE_SUFFIX, layout.STATE_SCHEMA), [])
+    runs = [run for number in own for run in content.runs.get(number, []) if run.shape[1] > 2]
     messages = [message for run in runs for message in run]
     if not messages or CYCLE not in recording.columns:
         return []
@@ -112,9 +129,9 @@ def _restarts(content: McapContent, channel: Channel, recording: Recording) -> l
     return sorted(restarts, key=lambda restart: restart[0])
 
 
-def _events(content: McapContent) -> list[Event]:
+def _events(content: McapContent, numbers: dict[tuple[str, str], list[int]]) -> list[Event]:
     messages = []
-    for number in _numbers(content, layout.EVENT_TOPIC, layout.EVENT_SCHEMA):
+    for number in numbers.get((layout.EVENT_TOPIC, layout.EVENT_SCHEMA), []):
         messages += content.odd.get(number, [])
         # An event whose size happens to be a multiple of 8 bytes is among the runs.
         whole = [message for run in content.runs.get(number, []) for message in run]
@@ -128,23 +145,23 @@ def _events(content: McapContent) -> list[Event]:
     return sorted(events, key=lambda event: event.cycle)
 
 
-def _numbers(content: McapContent, topic: str, schema: str) -> list[int]:
-    """Return the numbers of the channels of a topic whose messages have this ``schema``."""
-    return [
-        channel.id
-        for channel in content.channels.values()
-        if channel.topic == topic
-        and channel.schema_id in content.schemas
-        and content.schemas[channel.schema_id].name == schema
-    ]
+def _numbers(content: McapContent) -> dict[tuple[str, str], list[int]]:
+    """Return the numbers of the channels by topic and name of the schema."""
+    numbers: dict[tuple[str, str], list[int]] = {}
+    for channel in content.channels.values():
+        if channel.schema_id in content.schemas:
+            name = content.schemas[channel.schema_id].name
+            numbers.setdefault((channel.topic, name), []).append(channel.id)
+    return numbers
 
 
 def _what_is_there(content: McapContent) -> str:
     if not content.channels:
         return "; ".join(["there is no channel in it", *content.problems])
     kinds = []
-    for channel in content.channels.values():
+    for channel in list(content.channels.values())[:_NAMED_CHANNELS]:
         schema = content.schemas.get(channel.schema_id)
         name = schema.name if schema else "no schema"
         kinds.append(f"{channel.topic} ({name}, {channel.message_encoding})")
-    return f"there are: {', '.join(kinds)}"
+    more = len(content.channels) - len(kinds)
+    return f"there are: {', '.join(kinds)}{f' and {more} more' if more else ''}"

@@ -15,6 +15,7 @@ from friction_hil.errors import RecordingError
 from friction_hil.recordings import mcap_format as layout
 from friction_hil.recordings.columns import CYCLE, TIME
 from friction_hil.recordings.recording import Array, Recording
+from friction_hil.recordings.source import new_file
 
 CHUNK_S = 1.0
 _CHUNK_BYTES = 8 << 20
@@ -208,14 +209,15 @@ def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
     started = max(0, -math.floor(float(time.min()) * 1e9))
     if started + float(time.max()) * 1e9 >= 1 << 63:
         raise RecordingError(f"{path}: {TIME} spans {time.min():g} to {time.max():g}: is it in seconds?")
-    axis = recording.axis
-    writer = McapWriter(path, [axis], columns, started_unix_ns=started, overwrite=overwrite)
-    try:
-        for start in range(0, len(recording), _ROWS_AT_ONCE):
-            rows = slice(start, start + _ROWS_AT_ONCE)
-            writer.write(np.stack([values[rows] for values in recording.columns.values()], axis=1))
-    finally:
-        writer.close()
+    _check_names(path, columns)
+    with new_file(path, overwrite=overwrite) as part:
+        writer = McapWriter(part, [recording.axis], columns, started_unix_ns=started, overwrite=True)
+        try:
+            for start in range(0, len(recording), _ROWS_AT_ONCE):
+                rows = slice(start, start + _ROWS_AT_ONCE)
+                writer.write(np.stack([values[rows] for values in recording.columns.values()], axis=1))
+        finally:
+            writer.close()
 
 
 def _check_names(path: Path, columns: Sequence[str]) -> None:

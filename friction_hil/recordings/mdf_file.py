@@ -1,6 +1,9 @@
 """Read and write MDF 4 (ASAM) with asammdf, a channel with its unit for each column; read MDF 3."""
 
+import contextlib
 import gc
+import io
+import logging
 import sys
 from pathlib import Path
 from typing import Any
@@ -10,10 +13,11 @@ import numpy as np
 from friction_hil.errors import RecordingError
 from friction_hil.recordings.columns import TIME
 from friction_hil.recordings.recording import Array, Recording
-from friction_hil.recordings.source import Source, as_column, needs_extra
+from friction_hil.recordings.source import Source, as_column, needs_extra, new_file
 from friction_hil.recordings.units import known_unit
 
 _MAGIC = (b"MDF     ", b"UnFinMF ")
+_LONGEST_REASON = 200  # characters of the library's message
 _SMALLEST = 168  # bytes of identification and header of MDF 4; MDF 3 has more
 
 
@@ -44,12 +48,12 @@ def read(source: Source) -> list[Recording]:
     recording = Recording(str(source.path), source.name, {})
     failure = ""
     try:
-        with library.MDF(str(source.path)) as mdf:
+        with contextlib.redirect_stdout(io.StringIO()), library.MDF(str(source.path)) as mdf:  # it prints what it lacks
             _take(recording, source, mdf)
     except RecordingError:
         raise
     except Exception as error:  # noqa: BLE001 - the library raises whatever damaged bytes lead it to
-        failure = " ".join(str(error).split()) or type(error).__name__
+        failure = " ".join(str(error).split())[:_LONGEST_REASON] or type(error).__name__
     if failure:
         _collect_quietly()
         raise RecordingError(f"{source.path} was cut off, at byte {size}, or is damaged: its rows are lost ({failure})")
@@ -80,13 +84,14 @@ def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
         for name, values in recording.columns.items()
         if name != TIME
     ]
-    with path.open("ab" if overwrite else "xb"):
-        pass  # the library overwrites without asking, and does not say why it cannot write
-    with library.MDF(version="4.10") as mdf:
-        mdf.append(signals, common_timebase=True)
-        saved = Path(mdf.save(str(path), overwrite=True))
-    if saved != path:  # the library may change the suffix
-        saved.replace(path)
+    with new_file(path, overwrite=overwrite) as part:
+        with part.open("ab"):
+            pass  # the library overwrites without asking, and does not say why it cannot write
+        with library.MDF(version="4.10") as mdf:
+            mdf.append(signals, common_timebase=True)
+            saved = Path(mdf.save(str(part), overwrite=True))
+        if saved != part:  # the library may change the suffix
+            saved.replace(part)
 
 
 def _library(path: Path) -> Any:
@@ -94,6 +99,7 @@ def _library(path: Path) -> Any:
         import asammdf
     except ImportError:
         raise needs_extra(path, "asammdf") from None
+    logging.getLogger("asammdf").setLevel(logging.CRITICAL + 1)  # what it logs is reported in one sentence
     return asammdf
 
 
@@ -103,6 +109,11 @@ def _take(recording: Recording, source: Source, mdf: Any) -> None:
     if not there:
         raise RecordingError(f"{source.path}: there is no channel with samples in it")
     wanted, recording.others = source.split(there)
+    numbers = {there[name][0] for name in wanted}
+    source.memory.take(
+        sum(rows[there[name][0]] for name in wanted) * 8
+        + sum(rows[number] * int(mdf.groups[number].channel_group.samples_byte_nr) for number in numbers)
+    )
     signals = mdf.select([(None, *there[name]) for name in wanted], copy_master=False) if wanted else []
     times: dict[int, Array] = {}  # by group
     for name, signal in zip(wanted, signals, strict=True):

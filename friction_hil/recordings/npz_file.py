@@ -1,16 +1,20 @@
 """Read and write NPZ, numpy's archive of arrays: each vector is a column."""
 
 import io
+import math
 import zipfile
 from pathlib import Path
 
 import numpy as np
 
 from friction_hil.errors import RecordingError
+from friction_hil.recordings.bounds import Memory
 from friction_hil.recordings.recording import Recording
 from friction_hil.recordings.source import Source, as_column, damaged, is_column, most_frequent_length, open_new
 
 _LOCAL_MAGIC = b"PK\x03\x04"
+_COMPRESSIONS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # those of numpy; others expand without limit
+_HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 
 
 def read(source: Source) -> list[Recording]:
@@ -27,15 +31,17 @@ def read(source: Source) -> list[Recording]:
     with source.path.open("rb") as file:
         try:
             archive = zipfile.ZipFile(file)
-        except zipfile.BadZipFile as error:
+        except (zipfile.BadZipFile, ValueError, OSError, NotImplementedError) as error:
             raise _damaged(source.path, error) from None
         members = {name.removesuffix(".npy"): name for name in archive.namelist() if name.endswith(".npy")}
         columns = {}
         wanted, recording.others = source.split(members)
         for name in wanted:
             try:
-                values = _array(archive, members[name])
-            except (ValueError, OSError, EOFError, zipfile.BadZipFile, zipfile.error, NotImplementedError) as error:
+                values = _array(archive, archive.getinfo(members[name]), source.memory)
+            except RecordingError:
+                raise
+            except Exception as error:  # noqa: BLE001 - the libraries raise whatever damaged bytes lead them to
                 recording.problems.append(f"{name} is damaged ({' '.join(str(error).split())}): left out")
                 continue
             if is_column(values) and values.size > 1:
@@ -70,9 +76,25 @@ def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
                 np.lib.format.write_array(member, values, allow_pickle=False)
 
 
-def _array(archive: zipfile.ZipFile, member: str) -> np.ndarray:
-    # reads the whole member at once: numpy reads it in pieces, with a checksum for each
-    return np.lib.format.read_array(io.BytesIO(archive.read(member)), allow_pickle=False)
+def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo, memory: Memory) -> np.ndarray:
+    """Read an array; neither its size nor its shape is believed before the values are there."""
+    if member.compress_type not in _COMPRESSIONS:
+        raise ValueError(f"its compression {member.compress_type} is none that numpy writes")
+    memory.take(member.file_size)
+    with archive.open(member) as file:
+        # all of it at once, as numpy reads it in pieces with a checksum for each; with a size, which limits expansion
+        data = file.read(member.file_size)
+    start = io.BytesIO(data)
+    version = np.lib.format.read_magic(start)
+    if version not in _HEADERS:
+        raise ValueError(f"its version {version[0]}.{version[1]} is that of an array of records")
+    shape, is_fortran, kind = _HEADERS[version](start)
+    if kind.hasobject:
+        raise ValueError("it holds Python objects, which could execute code")
+    count, at = math.prod(shape), start.tell()
+    if min(shape, default=0) < 0 or count * kind.itemsize > len(data) - at:
+        raise ValueError(f"its header claims {count} values; {(len(data) - at) // max(kind.itemsize, 1)} are there")
+    return np.frombuffer(data, kind, count, at).reshape(shape, order="F" if is_fortran else "C").copy()
 
 
 def _damaged(path: Path, error: Exception) -> RecordingError:

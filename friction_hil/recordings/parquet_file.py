@@ -1,5 +1,6 @@
 """Read and write Parquet with pyarrow; units are in the metadata of the fields."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -30,17 +31,20 @@ def read(source: Source) -> list[Recording]:
     recording = Recording(str(source.path), source.name, {})
     with source.path.open("rb") as file:
         try:
-            content = parquet.ParquetFile(file)
+            content = parquet.ParquetFile(file, page_checksum_verification=True)
             schema = content.schema_arrow
             fields = {field.name: field for field in schema}
-            names, recording.others = source.split(fields)
-            table = content.read(columns=names)
-            for name in names:
-                values = _values(arrow, table.column(name))
-                if values is None:
+            wanted, recording.others = source.split(fields)
+            names = []
+            for name in wanted:
+                if _is_number(arrow.types, fields[name].type):
+                    names.append(name)
+                else:
                     recording.problems.append(f"{name} holds {fields[name].type}, no numbers: left out")
-                    continue
-                recording.columns[name] = values
+            groups = map(content.metadata.row_group, range(content.metadata.num_row_groups))
+            source.memory.take(sum(group.num_rows for group in groups) * len(names) * 8)
+            for name, column in _columns(arrow, content, names, recording.problems):
+                recording.columns[name] = _values(arrow, column)
                 metadata = fields[name].metadata or {}
                 unit = next((metadata[key] for key in _UNIT_KEYS if key in metadata), b"")
                 if unit:
@@ -51,7 +55,7 @@ def read(source: Source) -> list[Recording]:
 
 
 def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
-    """Write the columns as float64, with their units.
+    """Write the columns as float64, with their units, and a checksum for each page.
 
     Raises
     ------
@@ -67,7 +71,7 @@ def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
         fields.append(arrow.field(name, arrow.float64(), metadata={"unit": unit} if unit else None))
     table = arrow.table(list(recording.columns.values()), schema=arrow.schema(fields))
     with open_new(path, overwrite=overwrite) as file:
-        parquet.write_table(table, file)
+        parquet.write_table(table, file, write_page_checksum=True)
 
 
 def _library(path: Path) -> tuple[Any, Any]:
@@ -79,8 +83,33 @@ def _library(path: Path) -> tuple[Any, Any]:
     return pyarrow, pyarrow.parquet
 
 
+def _columns(arrow: Any, content: Any, names: list[str], problems: list[str]) -> Iterator[tuple[str, Any]]:
+    """Yield name and content of each column; a damaged column is reported and costs only itself."""
+    try:
+        table = content.read(columns=names)
+    except (arrow.ArrowException, OSError):
+        table = None
+    for name in names:
+        try:
+            yield name, (content.read(columns=[name]) if table is None else table).column(name)
+        except (arrow.ArrowException, OSError) as error:
+            problems.append(f"{name} is damaged ({' '.join(str(error).split())}): left out")
+
+
+def _is_number(types: Any, kind: Any) -> bool:
+    tests = (
+        types.is_integer,
+        types.is_floating,
+        types.is_decimal,
+        types.is_boolean,
+        types.is_timestamp,
+        types.is_duration,
+    )
+    return any(test(kind) for test in tests)
+
+
 def _values(arrow: Any, column: Any) -> Any:
-    """Return a column as float64; None if it holds no numbers."""
+    """Return a column of numbers as float64."""
     kind = column.type
     types = arrow.types
     if types.is_float64(kind) and column.null_count == 0:
@@ -94,8 +123,6 @@ def _values(arrow: Any, column: Any) -> Any:
         return np.where(valid, (ticks - origin) * _SECONDS[kind.unit], np.nan)
     if types.is_boolean(kind):
         column = column.cast(arrow.int8())
-    elif not (types.is_integer(kind) or types.is_floating(kind) or types.is_decimal(kind)):
-        return None
     return as_column(column.cast(arrow.float64(), safe=False).to_numpy())
 
 

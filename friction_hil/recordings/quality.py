@@ -12,6 +12,7 @@ RowIndices = NDArray[np.intp]
 
 GAP_PERIODS = 10.0  # longer gaps are not interpolated
 UNEVEN_RATIO = 0.1  # of the period: larger deviations of a time stamp make a record uneven
+LARGEST = 1e100  # larger values, which are no measurements, would overflow in computations
 _COARSE_FRACTION = 0.2  # of the steps being zero: above, the stamps are coarse and no row is a repetition
 _NAMED_ROWS = 5
 _SAMPLE = 50_000  # rows that suffice to find the steps of a quantised value
@@ -72,6 +73,29 @@ def all_finite(values: Array) -> bool:
     """True if there is neither NaN nor infinity; fast in that case."""
     with np.errstate(over="ignore", invalid="ignore"):
         return bool(np.isfinite(np.sum(values))) or bool(np.isfinite(values).all())
+
+
+def is_ordinary(values: Array) -> bool:
+    """True if all values are finite and none is near `LARGEST`, in one quick pass: the sum of squares shows it."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        return float(np.dot(values, values)) <= LARGEST**2
+
+
+def too_large(values: Array) -> RowIndices:
+    """Return the rows whose value is finite and above `LARGEST` in size."""
+    if is_ordinary(values):
+        return np.empty(0, np.intp)
+    return np.flatnonzero(np.isfinite(values) & (np.abs(values) > LARGEST))
+
+
+def without_overflow(values: Array) -> Array:
+    """Return the values (n,) with NaN for those that are `too_large`; the same array if there are none."""
+    rows = too_large(values)
+    if not rows.size:
+        return values
+    changed = values.copy()
+    changed[rows] = np.nan
+    return changed
 
 
 def time_facts(time: Array) -> TimeFacts:

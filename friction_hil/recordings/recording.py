@@ -10,10 +10,12 @@ from numpy.typing import NDArray
 from friction_hil.errors import RecordingError, UsageError, choices
 from friction_hil.recordings.columns import CYCLE, SPARSE, TIME
 from friction_hil.recordings.product import absent, product_of
-from friction_hil.recordings.quality import all_finite, rows_text
+from friction_hil.recordings.quality import LARGEST, all_finite, is_ordinary, rows_text, too_large, without_overflow
 from friction_hil.recordings.units import unit_problem
 
 Array = NDArray[np.float64]
+
+_MOST_NAMED = 100  # columns that a message lists
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,9 +92,11 @@ class Recording:
         missing = [name for name in names if name not in self]
         if not missing:
             return
-        there = ", ".join([*(name for name in self.columns if name in self), *self.others]) or "none"
+        known = [*(name for name in self.columns if name in self), *self.others]
+        more = f" and {len(known) - _MOST_NAMED} more" if len(known) > _MOST_NAMED else ""
+        there = ", ".join(known[:_MOST_NAMED]) or "none"
         raise RecordingError(
-            f"{self.path}: no column {', '.join(missing)}. There are: {there}. "
+            f"{self.path}: no column {', '.join(missing)}. There are: {there}{more}. "
             f"A column of another name is mapped with {' '.join(f'--column {name}=NAME' for name in missing)}"
         )
 
@@ -206,18 +210,25 @@ def check(recording: Recording) -> None:
     if not all_finite(time):
         wrong = np.flatnonzero(~np.isfinite(time))
         raise RecordingError(f"{recording.path}: {TIME} is not finite in {rows_text(wrong, len(time))}")
+    if too_large(time).size:
+        raise RecordingError(f"{recording.path}: {TIME} is {time.min():g} to {time.max():g}: is it in seconds?")
     if not bool((time[1:] > time[:-1]).all()):
         steps = np.diff(time)
         for what, rows in (("goes backward", steps < 0.0), ("stands still", steps == 0.0)):
             if rows.any():
                 recording.problems.append(f"{TIME} {what} at {rows_text(np.flatnonzero(rows) + 1, len(time))}")
     for name, values in recording.columns.items():
-        if all_finite(values):
+        if is_ordinary(values):
             continue
         is_absent = name in SPARSE or bool(np.isnan(values).all())
         wrong = np.flatnonzero(np.isinf(values) if is_absent else ~np.isfinite(values))
         if wrong.size:
             recording.problems.append(f"{name} is not finite in {rows_text(wrong, len(values))}")
+        large = too_large(values)
+        if large.size:
+            recording.problems.append(
+                f"{name} is beyond {LARGEST:g} in {rows_text(large, len(values))}: not used in computations"
+            )
     for name, unit in recording.units.items():
         problem = unit_problem(name, unit)
         if problem:
@@ -227,15 +238,15 @@ def check(recording: Recording) -> None:
 
 
 def _note_gaps(recording: Recording) -> None:
-    cycle = recording.columns[CYCLE]
+    cycle = without_overflow(recording.columns[CYCLE])
     if cycle[-1] - cycle[0] == len(cycle) - 1 and bool((cycle[1:] > cycle[:-1]).all()):
         return
     steps = np.diff(cycle)
     gaps = np.flatnonzero(steps > 1.0)
     if gaps.size:
-        missing = int(np.sum(steps[gaps] - 1.0))
+        missing = float(np.sum(steps[gaps] - 1.0))
         recording.problems.append(
-            f"{missing} cycles are missing in {gaps.size} gap{'s' * (gaps.size > 1)}, "
+            f"{missing:.15g} cycles are missing in {gaps.size} gap{'s' * (gaps.size > 1)}, "
             f"the first after cycle {cycle[gaps[0]]:.0f}"
         )
 

@@ -13,8 +13,10 @@ from friction_hil.errors import RecordingError, UsageError
 from friction_hil.numerics import filtering
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings.even import EvenGrid, even_grid
-from friction_hil.recordings.quality import is_coarse, resolution
+from friction_hil.recordings.quality import is_coarse, resolution, without_overflow
 from friction_hil.recordings.recording import Recording
+
+_LONGEST_DELAY_S = 1.0  # of a torque that a driver reads late
 
 DEFAULT_LOWPASS_RATIO = 0.1  # of the sampling rate, where the velocity is derived from the position
 LEAST_KNOWN_FRACTION = 0.9  # of the rows: a slow input with fewer values is not used
@@ -136,7 +138,7 @@ class EvenSignals:
 
 def known_fraction(recording: Recording, name: str) -> float:
     """Return the fraction of rows in which a column has a value; 0 if there is no such column."""
-    return float(np.mean(np.isfinite(recording[name]))) if name in recording else 0.0
+    return float(np.mean(np.isfinite(without_overflow(recording[name])))) if name in recording else 0.0
 
 
 def even_signals(
@@ -193,21 +195,23 @@ def _why_velocity_is_derived(recording: Recording) -> str:
     """Return the reason why the recorded velocity cannot be used; empty if it can."""
     if "velocity" not in recording:
         return "no velocity"
-    if is_coarse(recording["velocity"]):
-        return f"velocity comes in steps of {resolution(recording['velocity']):.4g}, and mostly stands still"
+    velocity = without_overflow(recording["velocity"])
+    if is_coarse(velocity):
+        return f"velocity comes in steps of {resolution(velocity):.4g}, and mostly stands still"
     return ""
 
 
 def _torque_delay_s(recording: Recording) -> float:
     """Return by how much the torque is older than the position in the same row, as the driver stated it, s."""
-    facts = [each for each in recording.metadata.get("facts", ()) if each["name"] == recording.axis]
-    delay_s = facts[0].get("torque_delay_s", 0.0) if facts else 0.0
+    facts = recording.metadata.get("facts")
+    own = [each for each in facts if isinstance(each, dict)] if isinstance(facts, list) else []
+    delay_s = next((each.get("torque_delay_s", 0.0) for each in own if each.get("name") == recording.axis), 0.0)
     if delay_s is None and not recording["torque"].any():
         raise RecordingError(
             f"{recording.path}: the drive of axis {recording.axis} does not report its torque; in mode cst the command "
             "is nearly that: --column torque=command"
         )
-    return float(delay_s or 0.0)
+    return float(delay_s) if isinstance(delay_s, int | float) and 0.0 <= delay_s <= _LONGEST_DELAY_S else 0.0
 
 
 def _move_torque_back(grid: EvenGrid, delay_s: float) -> None:

@@ -1,7 +1,11 @@
 """Request to a reader of files, and helpers that readers and writers share."""
 
+import contextlib
 import math
-from collections.abc import Callable, Iterable
+import os
+import secrets
+import shutil
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, TypeVar
@@ -9,6 +13,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO, TypeVar
 import numpy as np
 
 from friction_hil.errors import RecordingError, UsageError
+from friction_hil.recordings.bounds import Memory, check_columns
 from friction_hil.recordings.recording import Array
 
 if TYPE_CHECKING:
@@ -32,6 +37,8 @@ class Source:
         From the names of all axes in the file to those to read.
     configuration : Configuration or None
         Configuration of the machine, for formats that require it.
+    memory : Memory
+        Memory that the content of the file may take.
     """
 
     path: Path
@@ -39,6 +46,10 @@ class Source:
     wanted: frozenset[str] | None = None
     select: Callable[[list[str]], list[str]] = field(default=lambda names: names)
     configuration: "Configuration | None" = None
+    memory: Memory = field(init=False, compare=False, repr=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "memory", Memory(self.path))
 
     @property
     def name(self) -> str:
@@ -50,14 +61,68 @@ class Source:
         return self.wanted is None or column in self.wanted
 
     def split(self, names: Iterable[str]) -> tuple[list[str], tuple[str, ...]]:
-        """Split names into columns to read and others."""
+        """Split names into columns to read and others.
+
+        Raises
+        ------
+        RecordingError
+            There are more columns than a table may have.
+        """
         names = list(names)
+        check_columns(self.path, names)
         return [name for name in names if self.wants(name)], tuple(name for name in names if not self.wants(name))
 
 
-def open_new(path: Path, *, overwrite: bool) -> BinaryIO:
-    """Open a file to write; an existing one is an error unless ``overwrite``."""
-    return path.open("wb" if overwrite else "xb")
+@contextlib.contextmanager
+def new_file(path: Path, *, overwrite: bool) -> Iterator[Path]:
+    """Yield the name of a file to write beside ``path``; it becomes ``path`` only if all of it has been written.
+
+    What is no regular file, such as ``/dev/null`` or a pipe, is written to as it is.
+
+    Raises
+    ------
+    FileExistsError
+        ``path`` exists, unless ``overwrite``.
+    OSError
+        The file cannot be written.
+    """
+    if path.exists():
+        if not overwrite:
+            raise FileExistsError(path)
+        if not path.is_file():
+            yield path
+            return
+    final = Path(os.path.realpath(path))  # a link is kept, and what it points to is replaced
+    part = final.with_name(f".{secrets.token_hex(4)}.part{final.suffix}")
+    try:
+        yield part
+        if final.exists():
+            shutil.copymode(final, part)
+        _publish(part, final, overwrite=overwrite)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _publish(part: Path, final: Path, *, overwrite: bool) -> None:
+    """Give a complete file its final name; one that has appeared in the meantime is not replaced unasked."""
+    if not overwrite:
+        try:
+            os.link(part, final)
+        except FileExistsError:
+            raise
+        except OSError:  # a file system without links
+            if final.exists():
+                raise FileExistsError(final) from None
+        else:
+            return
+    os.replace(part, final)
+
+
+@contextlib.contextmanager
+def open_new(path: Path, *, overwrite: bool) -> Iterator[BinaryIO]:
+    """Open a `new_file` to write."""
+    with new_file(path, overwrite=overwrite) as part, part.open("wb") as file:
+        yield file
 
 
 def needs_extra(path: Path, package: str) -> UsageError:

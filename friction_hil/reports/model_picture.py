@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from friction_hil import friction as models
+from friction_hil.errors import UsageError
 from friction_hil.friction import FrictionModel
 from friction_hil.numerics.jit import Array
 from friction_hil.reports.figures import BLUE, GREEN, INK, ORANGE, new_figure_for, save
@@ -106,6 +107,8 @@ def slow_cycle(model: FrictionModel) -> SlowCycle:
     if model.family.is_static:
         band = max(float(side.get("stick_velocity", 0.0)) for side in _sides(model))
         return _move(model, max(velocity, 2.0 * band), [1.0, -1.0, 0.2, -0.4, 0.2, 1.0])
+    if not model.presliding_stiffness > 0.0:
+        raise UsageError(f"{model} cannot be drawn: its stiffness vanishes beside its level")
     deflection = model.level / model.presliding_stiffness
     velocity = min(velocity, deflection)  # at least one second for this distance
     position = deflection * np.geomspace(1e-2, 1e4, 2001)

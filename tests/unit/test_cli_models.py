@@ -12,6 +12,7 @@ from hypothesis import given, settings
 
 import friction_hil as fh
 from friction_hil.cli import main
+from friction_hil.errors import UsageError
 from friction_hil.models.files import load_model_file
 from friction_hil.reports.model_picture import ripple, slow_cycle, velocity_range
 from tests.friction_models import DYNAMIC, NAMES, STATIC_MAPS, models
@@ -237,6 +238,12 @@ def test_name_of_a_model_wins_over_a_file_of_that_name(folder, capsys):
     assert output_of(capsys, "dahl").startswith("dahl: ")
 
 
+STIFF = (
+    "armstrong:coulomb=0.08,static_released=0.1,static_rested=0.13,stribeck_velocity=0.2,lag_s=0.005,rise_s=1,"
+    "stiffness={}"
+)
+
+
 @pytest.mark.parametrize(
     ("words", "status", "message"),
     [
@@ -247,6 +254,15 @@ def test_name_of_a_model_wins_over_a_file_of_that_name(folder, capsys):
         ),
         (["lugre:sigma0=1"], 2, "lugre needs coulomb"),
         (["coulomb:coulomb=-1"], 2, "coulomb = -1 is not allowed"),
+        (["coulomb:coulomb=1e60"], 2, "coulomb = 1e+60 is not allowed: it is beyond 1e+50 (Coulomb level"),
+        (
+            ["lugre:sigma0=1e300,coulomb=1e-300,stribeck_velocity=1", "--draw", "a.png"],
+            2,
+            "sigma0 = 1e+300 is not allowed: it is beyond 1e+50",
+        ),
+        (["stribeck:coulomb=1,static=2,stribeck_velocity=1e160"], 2, "stribeck_velocity = 1e+160 is not allowed"),
+        ([STIFF.format("5e-324")], 2, "stiffness = 4.94066e-324 is not allowed: it is below 1e-50"),
+        (["table:points=[[0.1, 1e60]]"], 2, "points[0] is [0.1, 1e+60], not a pair of numbers up to 1e+50"),
         (["coulomb:coulomb={"], 2, "is not YAML"),
         (["nowhere.yaml"], 2, "nowhere.yaml: cannot be read"),
         (["broken.yaml"], 2, "broken.yaml:4: friction.parameters.coulomb: coulomb: coulomb = -1 is not allowed"),
@@ -327,6 +343,13 @@ def test_slow_cycle_of_a_static_map_jumps_where_it_stands(name):
     if name == "coulomb":  # it breaks away at 0.12 N m and slides at 0.08
         assert cycle.torque.max() == pytest.approx(0.12)
         assert sliding[0] == pytest.approx(0.08, rel=1e-3)
+
+
+def test_what_vanishes_beside_the_level_is_not_drawn():
+    values = {"coulomb": 0.08, "static_released": 0.1, "static_rested": 1e-50, "stribeck_velocity": 0.2}
+    model = fh.models.create("armstrong", **values, viscous=0.0, lag_s=1e-50, rise_s=1e-30, stiffness=1e-30)
+    with pytest.raises(UsageError, match="cannot be drawn: its stiffness vanishes beside its level"):
+        slow_cycle(model)
 
 
 @settings(deadline=None, max_examples=25)

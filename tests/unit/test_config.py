@@ -273,6 +273,7 @@ def test_all_mistakes_are_reported_at_once(path):
             "axes.x.limits.velocity",
             "32",
         ),
+        ({"axes__x__trajectory__frequency": 5e-324}, "axes.x.trajectory.frequency", "must be at least 1e-06 Hz"),
         ({"bus__interface": "socketcan", "bus__channel": "can0"}, "bus.port", "no meaning"),
         ({"bus": {"interface": "pcan", "channel": "PCAN_USBBUS1", "timing": [1]}}, "bus.timing", "single value"),
         ({"bus": {"interface": "pcan", "channel": "PCAN_USBBUS1", "delay": math.nan}}, "bus.delay", "finite"),
@@ -518,7 +519,7 @@ def test_model_file(tmp_path):
         load_model_file(path)
     assert [(problem.line, problem.field) for problem in caught.value.problems] == [(3, "fit"), (4, "foo")]
     path.write_text("- 3\n")
-    with pytest.raises(ConfigurationError, match="must be a group of keys"):
+    with pytest.raises(ConfigurationError, match="is not the file that belongs here: it has none of the keys"):
         load_model_file(path)
 
 
@@ -567,3 +568,43 @@ def test_the_good_values_stay_good():
     before = copy.deepcopy(values)
     from_dict(values, "test")
     assert values == before
+
+
+def naming(model):
+    """A configuration whose axis has this model file."""
+    lines = GOOD.splitlines()
+    start, end = lines.index("    model:"), lines.index("    compensation:")
+    return "\n".join([*lines[:start], f"    model: {model}", *lines[end:]])
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "root:secret:0:0:root:/root:/bin/sh\n",
+        "services: {web: {password: secret}}\n",
+        "- secret\n",
+        "secret\n",
+        "key: *secret\n",
+        "!secret {a: 1}\n",
+        "secret: 1\nsecret: 2\n",
+        "secret: [\n",
+        b"\xffsecret",
+        "",
+    ],
+)
+def test_a_file_that_is_no_model_is_not_shown(path, content):
+    """A configuration may name any file of the machine; what is in it is not for the terminal."""
+    other = path.with_name("other.yaml")
+    other.write_bytes(content if isinstance(content, bytes) else content.encode())
+    (problem,) = problems_in(path, naming("other.yaml"))
+    assert problem.path == str(other)
+    assert (
+        problem.message == "is not the file that belongs here: it has none of the keys friction, axis, mechanics"
+        or (content == "" and problem.message == "is empty")
+    )
+
+
+def test_a_mistake_in_a_model_has_its_line(path):
+    path.with_name("other.yaml").write_text("axis: rotary\nfriction: [\n")
+    (problem,) = problems_in(path, naming("other.yaml"))
+    assert (problem.path, problem.line) == (str(path.with_name("other.yaml")), 3)

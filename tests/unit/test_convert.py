@@ -8,6 +8,7 @@ import pytest
 
 import friction_hil as fh
 from friction_hil.cli import main
+from friction_hil.recordings import source
 from friction_hil.recordings.mcap_writer import McapWriter
 
 CSV = "time_s,position,torque\n0.0,0.1,1.5\n0.001,0.30000000000000004,-2.0\n"
@@ -149,3 +150,98 @@ def test_a_recording_that_was_cut_off_is_converted_as_far_as_it_goes(
     error = capsys.readouterr().err
     assert "Traceback" not in error
     assert "there is no channel in it; the file was cut off" in error
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".json", ".npz", ".mcap", ".mat", ".h5", ".parquet", ".mf4"])
+@pytest.mark.parametrize("force", [False, True])
+def test_a_conversion_that_fails_leaves_what_was_there(
+    table: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str, force: bool
+) -> None:
+    """The disk is full, for example: the file appears, or is replaced, only if it is complete."""
+    out = tmp_path / "out" / f"x{suffix}"
+    out.parent.mkdir()
+    if force:
+        out.write_bytes(b"precious")
+
+    def fail(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("friction_hil.recordings.source._publish", fail)
+    assert main(["convert", str(table), str(out), *(["--force"] if force else [])]) == 1
+    assert [path.name for path in out.parent.iterdir()] == ([out.name] if force else [])
+    assert not force or out.read_bytes() == b"precious"
+
+
+def test_rows_that_cannot_be_written_leave_no_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "x.csv").write_text("time_s,torque\n0,1\n1,inf\n")
+    assert main(["convert", str(tmp_path / "x.csv"), str(tmp_path / "x.json")]) == 1
+    assert "torque is infinite in row 1" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["x.csv"]
+
+
+def test_one_axis_that_cannot_be_written_leaves_no_other(
+    two_axes: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    publish, calls = source._publish, []
+
+    def fail_at_the_second(*words: Path, **options: bool) -> None:
+        calls.append(words)
+        if len(calls) == 2:
+            raise OSError(28, "No space left on device")
+        publish(*words, **options)
+
+    monkeypatch.setattr(source, "_publish", fail_at_the_second)
+    (tmp_path / "out").mkdir()
+    assert main(["convert", str(two_axes), str(tmp_path / "out" / "x.csv")]) == 1
+    assert list((tmp_path / "out").iterdir()) == []
+
+
+def test_a_link_stays_and_what_it_names_is_replaced(table: Path, tmp_path: Path) -> None:
+    (tmp_path / "kept.csv").write_text("old")
+    (tmp_path / "kept.csv").chmod(0o640)
+    (tmp_path / "link.csv").symlink_to("kept.csv")
+    assert main(["convert", str(table), str(tmp_path / "link.csv"), "--force"]) == 0
+    assert (tmp_path / "link.csv").is_symlink()
+    assert len(fh.recordings.read(tmp_path / "kept.csv")) == 2
+    assert (tmp_path / "kept.csv").stat().st_mode & 0o777 == 0o640
+
+
+def test_a_file_that_appears_meanwhile_is_kept(table: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    out = tmp_path / "x.csv"
+
+    def write(path: Path, *_: object, **__: object) -> None:
+        with source.new_file(path, overwrite=False) as part:
+            part.write_text("mine")
+            path.write_text("theirs")
+
+    monkeypatch.setattr("friction_hil.recordings.csv_file.write", write)
+    assert main(["convert", str(table), str(out)]) == 1
+    assert out.read_text() == "theirs"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["bench.csv", "x.csv"]
+
+
+def test_values_that_would_overflow_are_reported_and_not_used(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    rows = "".join(f"{i * 1e-3},{i * 0.1},{(-1) ** i * (1e308 if i == 7 else 1.0)},1e308\n" for i in range(900))
+    (tmp_path / "x.csv").write_text(f"time_s,position,torque,velocity\n{rows}")
+    assert main(["convert", str(tmp_path / "x.csv"), "--info"]) == 0
+    told = capfd.readouterr().err.splitlines()
+    assert [line.partition("x: ")[2] for line in told] == [
+        "torque is beyond 1e+100 in 1 of 900 rows (row 7): not used in computations",
+        "velocity is beyond 1e+100 in 900 of 900 rows (row 0, 1, 2, 3, 4, ...): not used in computations",
+    ]
+    assert main(["replay", str(tmp_path / "x.csv"), "--model", "coulomb:coulomb=1"]) == 1
+    assert "no value of velocity can be used" in capfd.readouterr().err
+    assert main(["replay", str(tmp_path / "x.csv"), "--column", "speed=velocity", "--model", "coulomb:coulomb=1"]) == 0
+    assert "Warning" not in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("command", ["replay", "identify"])
+def test_a_time_that_stands_still_has_no_rate(tmp_path: Path, capsys: pytest.CaptureFixture[str], command: str) -> None:
+    path = tmp_path / "x.csv"
+    path.write_text("time_s,position,velocity,torque\n" + "3,1,2,3\n" * 50)
+    assert main(["convert", str(path), "--info"]) == 0
+    assert "time_s stands still at 49 of 50 rows" in capsys.readouterr().err
+    assert main([command, str(path), *(["--model", "coulomb:coulomb=1"] if command == "replay" else [])]) == 1
+    assert "time_s stands still: it needs the time of each row" in capsys.readouterr().err

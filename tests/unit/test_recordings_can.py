@@ -1,13 +1,14 @@
 """Logs of raw CAN frames: written by python-can, from frames of the driver's own encoder, and read back."""
 
 import struct
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
 import can
 import numpy as np
 import pytest
-from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen import frame_log, objects
 from friction_hil_drivers.canopen.axis import CanopenAxis
 from friction_hil_drivers.canopen.configure import ConfiguredDrive
 from friction_hil_drivers.canopen.mapping import COMMANDS, FEEDBACK, MappedPdo, pdo_layout
@@ -159,6 +160,28 @@ def test_lines_that_are_no_frames_cost_only_themselves(tmp_path: Path) -> None:
     read = fh.recordings.read(path, configuration=configuration)
     assert len(read) == CYCLES
     assert read.problems == ["2 lines are no frames (line 21, 22): left out"]
+
+
+def test_very_many_lines_that_are_no_frames(tmp_path: Path) -> None:
+    """In a time proportional to their number: with its square, this would take minutes."""
+    path = write(tmp_path / "x.log", session(Mode.CSP)[0])
+    path.write_text("(1.0) can0 zzz#00\n" * 20_000 + path.read_text())
+    read = fh.recordings.read(path, configuration=load(machine(tmp_path, Mode.CSP)))
+    assert read.problems == ["20000 lines are no frames (line 1, 2, 3, 4, 5, ...): left out"]
+
+
+def test_a_blf_that_expands_without_end_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(frame_log, "_ANY_FILE", 10**5)
+    configuration = load(machine(tmp_path, Mode.CSP))
+    path = write(tmp_path / "x.blf", session(Mode.CSP)[0])
+    packed = zlib.compress(bytes(10**6))
+    container = struct.pack("<4sHHIIH6xI4x", b"LOBJ", 16, 1, 32 + len(packed), 10, 2, 10**6) + packed
+    path.write_bytes(path.read_bytes() + container)
+    with pytest.raises(RecordingError, match=r"compressed parts hold more than .* split it into shorter logs"):
+        fh.recordings.read(path, configuration=configuration)
+    path.write_bytes(path.read_bytes().replace(container, container[:8] + bytes(4) + container[12:]))
+    with pytest.raises(RecordingError, match=r"the object at byte \d+ claims 0 bytes"):
+        fh.recordings.read(path, configuration=configuration)
 
 
 def test_lost_frames_are_holes(tmp_path: Path) -> None:

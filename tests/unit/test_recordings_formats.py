@@ -1,12 +1,16 @@
 """What is peculiar to single formats, and files of other programs; tests/contract has what all formats promise."""
 
 import json
+import struct
+import sys
+import zlib
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import scipy.io
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -47,6 +51,104 @@ def test_csv_that_a_crash_left_behind(tmp_path: Path) -> None:
         "the file ends in 4 zero bytes, as a crash leaves them: left out",
         "line 4 has no line end, so the file may have been cut off in it: that row is left out",
     ]
+
+
+@pytest.mark.parametrize("is_arrow_here", [True, False])
+def test_the_last_row_needs_no_line_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_arrow_here: bool) -> None:
+    if not is_arrow_here:
+        monkeypatch.setitem(sys.modules, "pyarrow", None)
+    path = tmp_path / "x.csv"
+    path.write_bytes(b"time_s,torque\n0,1\n1,2")
+    read = fh.recordings.read(path)
+    assert read["torque"].tolist() == [1.0, 2.0]
+    assert read.problems == [
+        "line 3 has no line end: its row is read; if the file was cut off there, its last value is wrong"
+    ]
+    for cut in (b"1", b"1,2e", b"1,2,"):
+        path.write_bytes(b"time_s,torque\n0,1\n" + cut)
+        read = fh.recordings.read(path)
+        assert read["torque"].tolist() == [1.0]
+        assert read.problems == [
+            "line 3 has no line end, so the file may have been cut off in it: that row is left out"
+        ]
+
+
+@pytest.mark.parametrize("is_arrow_here", [True, False])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "time_s;torque\n0;1,5\n0,001;-2,25e-1\n",
+        "sep=;\n# 1.5 V; 2,5 V\ntime_s;torque\n0,0;1,50\n0,001;-,225",
+        "time_s\ttorque\r\n0\t1,5\r\n,001\t-0,225\r\n",
+        'time_s;torque\n"0,0";"1,5"\n"0,001";"-0,225"\n',
+    ],
+)
+def test_decimal_commas(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, is_arrow_here: bool) -> None:
+    if not is_arrow_here:
+        monkeypatch.setitem(sys.modules, "pyarrow", None)
+    (tmp_path / "x.csv").write_text(text, newline="")
+    read = fh.recordings.read(tmp_path / "x.csv")
+    assert read["time_s"].tolist() == [0.0, 0.001]
+    assert read["torque"].tolist() == [1.5, -0.225]
+
+
+@pytest.mark.parametrize("suffix", [".h5", ".parquet", ".npz"])
+def test_a_changed_value_is_found_by_its_checksum(tmp_path: Path, suffix: str) -> None:
+    """One bit of a value in the middle of a column; test_recordings_damage.py does the same to MCAP."""
+    path = tmp_path / f"x{suffix}"
+    torque = np.random.default_rng(3).normal(size=3000)
+    fh.recordings.write(path, Recording("", "x", {"time_s": np.arange(3000) * 1e-3, "torque": torque}))
+    data = bytearray(path.read_bytes())
+    at = data.find(torque[1500:1501].tobytes())
+    assert at > 0
+    data[at] ^= 1
+    path.write_bytes(data)
+    read = fh.recordings.read(path)
+    assert list(read.columns) == ["time_s"]
+    assert any(problem.startswith("torque is damaged (") for problem in read.problems), read.problems
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_mat_of_either_byte_order(tmp_path: Path, order: str) -> None:
+    """Version 5, written by hand: a vector of doubles stored as small integers, as MATLAB does."""
+
+    def element(kind: int, data: bytes) -> bytes:
+        if len(data) <= 4:
+            return struct.pack(f"{order}I", len(data) << 16 | kind) + data.ljust(4, b"\0")
+        return struct.pack(f"{order}II", kind, len(data)) + data + bytes(-len(data) % 8)
+
+    def vector(name: bytes, values: list[int]) -> bytes:
+        body = element(6, struct.pack(f"{order}II", 6, 0)) + element(5, struct.pack(f"{order}ii", len(values), 1))
+        body += element(1, name) + element(3, struct.pack(f"{order}{len(values)}h", *values))
+        return struct.pack(f"{order}II", 14, len(body)) + body
+
+    header = b"MATLAB 5.0".ljust(124) + struct.pack(f"{order}H", 0x100) + (b"IM" if order == "<" else b"MI")
+    path = tmp_path / "x.mat"
+    variables = vector(b"time_s", [0, 1, 2]) + vector(b"vir", [-3, 300, 7])
+    path.write_bytes(header + variables)
+    read = fh.recordings.read(path)
+    assert read["vir"].tolist() == [-3.0, 300.0, 7.0]
+    packed = zlib.compress(variables[: len(variables) // 2 + 3])
+    path.write_bytes(header + struct.pack(f"{order}II", 15, len(packed)) + packed + variables)
+    read = fh.recordings.read(path)
+    assert read["vir"].tolist() == [-3.0, 300.0, 7.0]
+
+
+def test_mat_of_version_4(tmp_path: Path) -> None:
+    path = tmp_path / "x.mat"
+    content = {
+        "time_s": np.arange(5.0),
+        "torque": np.array([0.0, 1.0, 4.0, 9.0, 16.0]),
+        "gain": 7.0,
+        "note": "hello",
+        "z": np.ones(5) * 1j,
+    }
+    scipy.io.savemat(path, content, format="4", oned_as="row")
+    read = fh.recordings.read(path)
+    assert list(read.columns) == ["time_s", "torque"]
+    assert read["torque"].tolist() == [0.0, 1.0, 4.0, 9.0, 16.0]
+    path.write_bytes(path.read_bytes()[:120])
+    assert "cut off in the variable at byte" in fh.recordings.read(path).problems[0]
 
 
 def test_mat_before_the_cut_is_read(tmp_path: Path) -> None:

@@ -1,13 +1,25 @@
 """Data frames of a log of raw CAN frames: candump .log, Vector .asc and .blf."""
 
+import contextlib
 import io
+import struct
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
+from typing import BinaryIO
 
 import can
 import numpy as np
 from numpy.typing import NDArray
 
+from friction_hil.errors import RecordingError
+from friction_hil.recordings.bounds import amount
+
+_EXPANSION = 64  # times its size that a compressed log may hold
+_ANY_FILE = 10**8  # bytes that even the smallest one may hold
+_CONTAINER = struct.Struct("<4sHHIIH14x")  # signature, header size and version, size, kind; compression and its header
+_LOG_CONTAINER, _DEFLATED = 10, 2
+_SMALLEST_OBJECT = 16  # bytes
 _LONGEST_LIST = 5  # of line numbers in a message
 
 
@@ -76,6 +88,8 @@ def _vector(path: Path, problems: list[str]) -> Iterator[can.Message]:
     try:
         with path.open("rb") as file:
             is_binary = path.suffix.lower() == ".blf"
+            if is_binary:
+                _check_expansion(path, file)
             reader = can.BLFReader(file) if is_binary else can.ASCReader(_whole_lines(path, problems))
             for message in reader:
                 count, last = count + 1, message.timestamp
@@ -86,7 +100,7 @@ def _vector(path: Path, problems: list[str]) -> Iterator[can.Message]:
                     f"the file was cut off: it has {path.stat().st_size} of {claimed} bytes; "
                     f"what followed frame {count} (at {last:.6f} s) is lost"
                 )
-    except OSError:
+    except (OSError, RecordingError):
         raise
     except Exception as error:  # noqa: BLE001 - damaged bytes make the parsers raise errors of any kind
         reason = " ".join(str(error).split()) or type(error).__name__
@@ -94,6 +108,38 @@ def _vector(path: Path, problems: list[str]) -> Iterator[can.Message]:
             f"the file was cut off or is damaged behind frame {count} (at {last:.6f} s): "
             f"what followed is lost ({reason})"
         )
+
+
+def _check_expansion(path: Path, file: BinaryIO) -> None:
+    """Refuse a .blf file whose compressed parts hold far more than its size; the parser expands them without limit.
+
+    Raises
+    ------
+    RecordingError
+        They hold more than `_EXPANSION` times the size of the file, and more than `_ANY_FILE` bytes.
+    """
+    limit = left = max(_ANY_FILE, _EXPANSION * path.stat().st_size)
+    at = struct.unpack("<4sI", file.read(8).ljust(8, b"\0"))[1]  # size of the header
+    while True:
+        file.seek(at)
+        start = file.read(_CONTAINER.size)
+        if len(start) < _CONTAINER.size:
+            break
+        signature, _, _, size, kind, method = _CONTAINER.unpack(start)
+        if signature != b"LOBJ":
+            break  # damaged: the parser reports it
+        if size < _SMALLEST_OBJECT:  # the parser would take all that follows for its content
+            raise ValueError(f"the object at byte {at} claims {size} bytes")
+        if (kind, method) == (_LOG_CONTAINER, _DEFLATED) and size >= _CONTAINER.size:
+            with contextlib.suppress(zlib.error):
+                left -= len(zlib.decompressobj().decompress(file.read(size - _CONTAINER.size), left + 1))
+            if left < 0:
+                raise RecordingError(
+                    f"{path}: its compressed parts hold more than {amount(limit)}, which is refused for a file of "
+                    f"{amount(path.stat().st_size)}: split it into shorter logs"
+                )
+        at += size + size % 4
+    file.seek(0)
 
 
 def _whole_lines(path: Path, problems: list[str]) -> io.StringIO:
@@ -117,6 +163,7 @@ def _candump(path: Path, problems: list[str]) -> Iterator[can.Message]:
         problems.append(f"the file was cut off in line {text.count(chr(10)) + 1}: that line is lost")
     lines = io.StringIO(text)
     wrong = []
+    line, counted = 0, 0  # number of the line that begins at the offset up to which line ends were counted
     while True:
         before = lines.tell()
         try:
@@ -125,7 +172,8 @@ def _candump(path: Path, problems: list[str]) -> Iterator[can.Message]:
         except Exception:  # noqa: BLE001 - a damaged line makes the parser raise any error; a new parser goes on after it
             if lines.tell() == before:
                 break
-            wrong.append(text.count("\n", 0, lines.tell()))
+            line, counted = line + text.count("\n", counted, lines.tell()), lines.tell()
+            wrong.append(line)
     if wrong:
         listed = ", ".join(map(str, wrong[:_LONGEST_LIST])) + (", ..." if len(wrong) > _LONGEST_LIST else "")
         problems.append(f"{len(wrong)} lines are no frames (line {listed}): left out")

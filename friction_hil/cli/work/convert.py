@@ -16,7 +16,8 @@ from friction_hil.models import onnx_file
 from friction_hil.recordings import Recording
 from friction_hil.recordings.columns import TIME, unit
 from friction_hil.recordings.even import what_to_repair
-from friction_hil.recordings.quality import resolution, time_facts
+from friction_hil.recordings.quality import resolution, time_facts, without_overflow
+from friction_hil.recordings.source import new_file
 
 if TYPE_CHECKING:
     from friction_hil.recordings.columns import AxisKind
@@ -45,8 +46,7 @@ def convert(
         _print_info(source, found, as_json)
         return
     files = _targets(source, target, list(found), force)
-    for name, recording in found.items():
-        recordings.write(files[name], recording, overwrite=force)
+    _write(found, files, force)
     for name, recording in found.items():
         for problem in recording.problems:
             click.echo(f"{recording.path}: {name}: {problem}", err=True)
@@ -79,11 +79,27 @@ def _targets(source: Path, target: Path, axes: list[str], force: bool) -> dict[s
     return files
 
 
+def _write(found: dict[str, Recording], files: dict[str, Path], force: bool) -> None:
+    """Write a file for each axis; if one cannot be written, those that did not exist before are removed again."""
+    written: list[Path] = []
+    try:
+        for name, recording in found.items():
+            is_new = not files[name].exists()
+            recordings.write(files[name], recording, overwrite=force)
+            if is_new:
+                written.append(files[name])
+    except BaseException:
+        for file in written:
+            file.unlink(missing_ok=True)
+        raise
+
+
 def _write_onnx(source: Path, target: Path, force: bool) -> None:
     model = models.load(source)
     if target.exists() and not force:
         raise UsageError(f"{target} exists already; --force replaces it")
-    onnx_file.write(model, target)
+    with new_file(target, overwrite=force) as part:
+        onnx_file.write(model, part)
 
 
 def _print_info(source: Path, found: dict[str, Recording], as_json: bool) -> None:
@@ -117,7 +133,8 @@ def _facts(recording: Recording) -> dict[str, Any]:
 def _column_facts(recording: Recording) -> dict[str, dict[str, Any]]:
     kinds = _kinds(recording)
     facts = {}
-    for name, values in recording.columns.items():
+    for name, all_values in recording.columns.items():
+        values = without_overflow(all_values)
         finite = values[np.isfinite(values)]
         expected = " or ".join(dict.fromkeys(filter(None, (unit(name, kind) for kind in kinds))))
         facts[name] = {

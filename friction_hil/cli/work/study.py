@@ -7,7 +7,6 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import click
-from rich.markup import escape
 
 from friction_hil import study
 from friction_hil.cli.output import print_json
@@ -57,7 +56,7 @@ def _print(result: Study, report: Path) -> None:
     columns = summary_columns()
     table = new_table("model")
     for column in columns:
-        table.add_column(escape(column.brief), justify="right", no_wrap=True)
+        table.add_column(column.brief, justify="right", no_wrap=True)
     remarks = new_table("model", "what to look at")
     for name, facts in result.facts.items():
         table.add_row(name, *(column.write(facts, name) for column in columns))

@@ -11,6 +11,8 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from friction_hil.printable import printable
+
 if TYPE_CHECKING:
     from friction_hil.recordings.columns import AxisKind
 
@@ -115,7 +117,7 @@ def say(**message: Any) -> None:
 def warn(problem: str) -> None:
     """Report a problem to the user now, and to the control process when it reads."""
     with contextlib.suppress(OSError):  # the terminal may be gone; the control process still gets the message
-        sys.stderr.write(f"\nfriction-hil: {problem}\n")
+        sys.stderr.write(f"\nfriction-hil: {printable(problem)}\n")
         sys.stderr.flush()
     say(problem=problem)
 

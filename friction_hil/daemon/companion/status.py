@@ -9,6 +9,7 @@ import numpy as np
 
 from friction_hil.daemon.companion.job import Job
 from friction_hil.daemon.safety import LoopState
+from friction_hil.printable import printable
 from friction_hil.recordings.columns import CYCLE, TIME, unit
 from friction_hil.recordings.recording import Array
 
@@ -92,7 +93,7 @@ class StatusLine:
         if not self._window or not self._is_visible:
             return
         try:
-            sys.stderr.write(f"\r{self.text(lost)[: _terminal_width()]}\x1b[K{end}")
+            sys.stderr.write(f"\r{printable(self.text(lost))[: _terminal_width()]}\x1b[K{end}")
             sys.stderr.flush()
         except OSError:
             self._is_visible = False  # the terminal is gone; the recording goes on

@@ -1,0 +1,100 @@
+"""Names and messages of other origin reach no terminal as control sequences."""
+
+import json
+import os
+import pty
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from friction_hil.cli import main
+from friction_hil.printable import printable
+
+EVIL = "\x1b]0;owned\x07\x1b[2J\r\x9b31m\u202e[/red]:boom:"
+SHOWN = r"\u001b]0;owned\u001b[2J\u009b31m\u202e[/red]:boom:"  # in a table; rich drops some of them
+
+
+@given(st.text(st.characters(codec=None)))
+def test_no_control_character_stays(text: str) -> None:
+    shown = printable(text)
+    assert not [each for each in shown if each not in "\n\t" and (ord(each) < 32 or 127 <= ord(each) < 160)]
+    assert not set(shown) & set("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069\u2028\u2029")
+    shown.encode()  # no half of a surrogate pair
+    assert printable(shown) == shown
+    # a JSON document stays the same document
+    assert json.loads(printable(json.dumps([text], ensure_ascii=False))) == [text]
+
+
+def test_words_stay_as_they_are() -> None:
+    text = "Geschwindigkeit [µm/s] → 速度 №1\tx\n"
+    assert printable(text) == text
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A recording whose columns, axis and file have such names."""
+    monkeypatch.chdir(tmp_path)
+    names = {"time_s": np.arange(20) * 1e-3, "position": np.arange(20.0), "torque": np.ones(20), EVIL: np.ones(20)}
+    np.savez("x.npz", **names)
+    (tmp_path / f"{EVIL.replace('/', '')}.csv").write_text("time_s,position,torque\n0,1,2\n1,2,2\n2,3,2\n")
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["convert", "x.npz", "--info"],
+        ["convert", "x.npz", "--info", "--json"],
+        ["convert", "x.npz", "y.mcap"],
+        ["convert", EVIL.replace("/", "") + ".csv", "--info"],
+        ["replay", EVIL.replace("/", "") + ".csv", "--model", "coulomb:coulomb=1"],
+        ["replay", "x.npz", "--model", f"coulomb:coulomb=1,{EVIL}=3"],
+        ["models", EVIL],
+        ["config", "check", EVIL],
+        [EVIL],
+    ],
+)
+def test_no_command_prints_them(folder: Path, words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    main(words)
+    printed = capsys.readouterr()
+    for text in printed:
+        assert not set(text) & {"\x1b", "\x07", "\r", "\x9b", "\u202e"}
+    assert "owned" in printed.out + printed.err
+    assert "Traceback" not in printed.err
+
+
+def test_a_terminal_gets_them_as_text(folder: Path) -> None:
+    """On a real terminal, where colours are sent, but nothing of the names."""
+    ours, theirs = pty.openpty()
+    command = [sys.executable, "-m", "friction_hil", "convert", "x.npz", "--info"]
+    with subprocess.Popen(command, stdout=theirs, stderr=theirs, stdin=theirs, env=os.environ | {"COLUMNS": "200"}):
+        os.close(theirs)
+        data = b""
+        while True:
+            try:
+                data += os.read(ours, 4096)
+            except OSError:  # Linux reports the end of a pseudo-terminal this way
+                break
+    os.close(ours)
+    assert SHOWN.encode() in data
+    assert b"\x1b]" not in data
+    assert b"\x07" not in data
+    assert b"\x1b[1m" in data  # the heading is bold
+
+
+def test_a_file_name_that_is_not_utf_8(tmp_path: Path, capsysbinary: pytest.CaptureFixture[bytes]) -> None:
+    name = os.fsdecode(bytes(tmp_path) + b"/\xff.csv")
+    Path(name).write_text("time_s,torque\n0,1\n1,2\n")
+    assert main(["convert", name, "--info"]) == 0
+    assert rb"\udcff: 2 rows" in capsysbinary.readouterr().out
+
+
+def test_the_streams_are_put_back() -> None:
+    before = sys.stdout, sys.stderr
+    main(["models", "none"])
+    assert (sys.stdout, sys.stderr) == before
