@@ -103,6 +103,6 @@ def resolve(words: tuple[str, ...], *, is_complete: bool = True) -> tuple[str, f
         name, command, rest = f"{name} {rest[0]}", found, rest[1:]
     known = {word for each in command.get_params(context) for word in (*each.opts, *each.secondary_opts)}
     assert options <= known, f"{name} has no {', '.join(options - known)}"
-    if is_complete and "--help" not in options:
+    if is_complete and not options & {"--help", "--version"}:
         command.make_context(name, rest)
     return name, options

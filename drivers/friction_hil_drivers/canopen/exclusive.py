@@ -1,6 +1,5 @@
 """One daemon for each axis: a lock that the kernel releases when its owner ends, even by a crash."""
 
-import fcntl
 import os
 import re
 import tempfile
@@ -63,6 +62,8 @@ class AxisLock:
 
     def _lock(self) -> bool:
         """Lock the open file; return True if it is still the one under its name."""
+        import fcntl  # imported here: Windows has none, and configurations are checked there too
+
         fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         try:
             return os.path.samestat(os.fstat(self._descriptor), os.stat(self._path))
