@@ -13,7 +13,8 @@ from tools.benchmarks.commands import command as benchmarks
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted(ROOT.glob("friction_hil/*/README.md")), ROOT / "drivers/README.md"]
-_BLOCK = re.compile(r"(^ *```.*?^ *```)", re.MULTILINE | re.DOTALL)
+_BLOCK = re.compile(r"^ *```sh\n(.*?)^ *```", re.MULTILINE | re.DOTALL)
+_PARTS = re.compile(r"(^ *```.*?^ *```)", re.MULTILINE | re.DOTALL)
 _CODE = re.compile(r"`([^`\n]+)`")
 _FIRST = re.compile(r"^(?:\.venv/bin/)?(friction-hil|\./tools/\w+)(?= |$)")
 _NUMBERS = {"S", "N", "V", "HZ", "SPEED"}  # placeholders for numbers
@@ -41,13 +42,12 @@ def shown_commands() -> Iterator[Shown]:
     """Find all commands in the shell blocks, tables and sentences of the pages, in the order of each page."""
     for page in PAGES:
         name, text = str(page.relative_to(ROOT)), page.read_text(encoding="utf-8")
-        for part in _BLOCK.split(text):
-            opening, *lines = part.replace("\\\n", " ").splitlines() or [""]
-            if opening.strip() == "```sh":
-                for line in lines:
+        for part in _PARTS.split(text):
+            if block := _BLOCK.match(part):
+                for line in block[1].replace("\\\n", " ").splitlines():
                     yield from _cut(name, line.split("  #")[0].strip(), is_complete=True)
-            elif not opening.strip().startswith("```"):
-                for line in (opening, *lines):
+            elif not _PARTS.match(part):
+                for line in part.splitlines():
                     yield from _in_line(name, line)
 
 

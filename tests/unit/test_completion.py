@@ -118,7 +118,7 @@ def test_the_line_of_the_page_defines_the_completion(shell, tmp_path):
         "zsh": "whence -w _friction_hil_completion",
         "fish": "complete -c friction-hil",
     }[shell]
-    before = "autoload -Uz compinit && compinit -u -d /dev/null\n" if shell == "zsh" else ""
+    before = "autoload -Uz compinit && compinit -u -D\n" if shell == "zsh" else ""
     path = f"{Path(sys.executable).parent}:/usr/bin:/bin"
     environment = {"PATH": path, "HOME": str(tmp_path), "ZDOTDIR": str(tmp_path)}
     script = before + line.replace("\\|", "|") + "\n" + shown
