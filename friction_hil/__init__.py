@@ -7,7 +7,7 @@ when first used, so that ``import friction_hil`` costs nothing.
 import importlib
 from types import ModuleType
 
-__version__ = "0.1.0"
+__version__ = "0.2.0.dev0"
 __all__ = ["models", "recordings"]
 
 

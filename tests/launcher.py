@@ -39,6 +39,20 @@ _PR_SET_CHILD_SUBREAPER = 36
 _MAX_JOB_BYTES = 65536
 
 
+_python = sys.executable  # interpreter that runs the commands; see installed_in
+
+
+@contextlib.contextmanager
+def installed_in(python: str) -> Iterator[None]:
+    """Start commands with another interpreter, which has a friction_hil of its own."""
+    global _python
+    before, _python = _python, python
+    try:
+        yield
+    finally:
+        _python = before
+
+
 def start(*arguments: object, **options: Any) -> "Command | subprocess.Popen[str]":
     """Start a command of friction-hil.
 
@@ -50,8 +64,8 @@ def start(*arguments: object, **options: Any) -> "Command | subprocess.Popen[str
         Those of Popen. With any other than ``stdin``, ``stdout`` and ``stderr``, or after a change of the
         environment, Popen starts an interpreter of its own.
     """
-    words = [*COMMAND, *map(str, arguments)]
-    if set(options) <= set(_STREAMS) and _environment() == _server().environment:
+    words = [_python, *COMMAND[1:], *map(str, arguments)]
+    if set(options) <= set(_STREAMS) and _environment() == _server(_python).environment:
         return Command(words, **options)
     return subprocess.Popen(words, text=True, **options)
 
@@ -63,10 +77,11 @@ def _environment() -> dict[str, str]:
 class _Server:
     """The process that forks, seen from the tests."""
 
-    def __init__(self) -> None:
+    def __init__(self, python: str) -> None:
         self.environment = _environment()
         self._control, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        words = [sys.executable, "-m", "tests.launcher", str(theirs.fileno())]
+        # -P: the modules beside this file are no modules of the commands
+        words = [python, "-P", __file__, str(theirs.fileno())]
         process = subprocess.Popen(words, pass_fds=[theirs.fileno()], stdin=subprocess.DEVNULL)
         theirs.close()
         atexit.register(process.wait)
@@ -84,8 +99,8 @@ class _Server:
 
 
 @cache
-def _server() -> _Server:
-    return _Server()
+def _server(python: str) -> _Server:
+    return _Server(python)
 
 
 class Command:
@@ -109,7 +124,7 @@ class Command:
         with contextlib.ExitStack() as opened:
             for name, wanted in zip(_STREAMS, (stdin, stdout, stderr), strict=True):
                 theirs.append(self._open(name, wanted, theirs, opened))
-            self.pid = _server().fork(args[len(COMMAND) :], theirs)
+            self.pid = _server(args[0]).fork(args[len(COMMAND) :], theirs)
         # only now, so that nothing is left behind when forking fails
         self._exit = os.pidfd_open(self.pid)
 

@@ -14,6 +14,7 @@ from tools.benchmarks.commands import command as benchmarks
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted(ROOT.glob("friction_hil/*/README.md")), ROOT / "drivers/README.md"]
 _BLOCK = re.compile(r"^ *```sh\n(.*?)^ *```", re.MULTILINE | re.DOTALL)
+_PARTS = re.compile(r"(^ *```.*?^ *```)", re.MULTILINE | re.DOTALL)
 _CODE = re.compile(r"`([^`\n]+)`")
 _FIRST = re.compile(r"^(?:\.venv/bin/)?(friction-hil|\./tools/\w+)(?= |$)")
 _NUMBERS = {"S", "N", "V", "HZ", "SPEED"}  # placeholders for numbers
@@ -31,20 +32,23 @@ class Shown:
     text: str
     words: tuple[str, ...]
     is_complete: bool
+    is_in_table: bool = False
 
     def __str__(self) -> str:
         return f"{self.page}: {self.text}"
 
 
 def shown_commands() -> Iterator[Shown]:
-    """Find all commands in the shell blocks, tables and sentences of the pages."""
+    """Find all commands in the shell blocks, tables and sentences of the pages, in the order of each page."""
     for page in PAGES:
         name, text = str(page.relative_to(ROOT)), page.read_text(encoding="utf-8")
-        for block in _BLOCK.findall(text):
-            for line in block.replace("\\\n", " ").splitlines():
-                yield from _cut(name, line.split("  #")[0].strip(), is_complete=True)
-        for line in re.sub(r"^ *```.*?^ *```", "", text, flags=re.MULTILINE | re.DOTALL).splitlines():
-            yield from _in_line(name, line)
+        for part in _PARTS.split(text):
+            if block := _BLOCK.match(part):
+                for line in block[1].replace("\\\n", " ").splitlines():
+                    yield from _cut(name, line.split("  #")[0].strip(), is_complete=True)
+            elif not _PARTS.match(part):
+                for line in part.splitlines():
+                    yield from _in_line(name, line)
 
 
 def first_steps() -> list[str]:
@@ -61,12 +65,12 @@ def _in_line(page: str, line: str) -> Iterator[Shown]:
     for code in _CODE.findall(line):
         if _FIRST.match(code):
             latest = code
-            yield from _cut(page, code)
+            yield from _cut(page, code, is_in_table=line.startswith("|"))
         elif latest and line.startswith("|") and re.match(r"--\w", code):
-            yield from _cut(page, f"{latest} {code}")
+            yield from _cut(page, f"{latest} {code}", is_in_table=True)
 
 
-def _cut(page: str, text: str, *, is_complete: bool = False) -> Iterator[Shown]:
+def _cut(page: str, text: str, *, is_complete: bool = False, is_in_table: bool = False) -> Iterator[Shown]:
     if not _FIRST.match(text):
         return
     words = shlex.split(text)
@@ -74,7 +78,7 @@ def _cut(page: str, text: str, *, is_complete: bool = False) -> Iterator[Shown]:
     alternatives = next((word for word in words if "|" in word), None)
     for each in (alternatives or "").replace("\\", "").split("|"):
         chosen = [each if word == alternatives else word for word in words]
-        yield Shown(page, text, tuple(filter(None, map(_filled, chosen))), is_complete)
+        yield Shown(page, text, tuple(filter(None, map(_filled, chosen))), is_complete, is_in_table)
 
 
 def _filled(word: str) -> str:
@@ -107,6 +111,6 @@ def resolve(words: tuple[str, ...], *, is_complete: bool = True) -> tuple[str, f
         name, command, rest = f"{name} {rest[0]}", found, rest[1:]
     known = {word for each in command.get_params(context) for word in (*each.opts, *each.secondary_opts)}
     assert options <= known, f"{name} has no {', '.join(options - known)}"
-    if is_complete and "--help" not in options:
+    if is_complete and not options & {"--help", "--version"}:
         command.make_context(name, rest)
     return name, options

@@ -12,6 +12,7 @@ import atexit
 import contextlib
 import gc
 import importlib
+import io
 import os
 import sys
 from collections.abc import Iterator, Sequence
@@ -41,6 +42,10 @@ COMMANDS = {
     "config": "Make, check, show and describe configurations.",
 }
 
+# Commands that connect to drives or simulate them. Their loop relies on Linux: real-time priority, shared memory
+# without a name, SocketCAN, pseudo-terminals. All others run wherever Python does.
+NEED_LINUX = ("demo", "run", "simulate", "tune", "drives")
+
 
 class Group(click.Group):
     """A group that answers an unknown command with a list of its commands."""
@@ -62,12 +67,24 @@ class LazyGroup(Group):
         """Return the names in the order of the table."""
         return list(COMMANDS)
 
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
+        """Find the command; raise a usage error if it needs Linux and this is another system."""
+        name, command, rest = super().resolve_command(ctx, args)
+        is_help = bool({"-h", "--help"} & set(rest)) or ctx.resilient_parsing
+        if name in NEED_LINUX and not sys.platform.startswith("linux") and not is_help:
+            others = ", ".join(each for each in COMMANDS if each not in NEED_LINUX)
+            raise click.UsageError(f"'{name}' needs Linux; on this system there are: {others}", ctx)
+        return name, command, rest
+
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """Import one command; return None for an unknown name."""
         if cmd_name not in COMMANDS:
             return None
         command = importlib.import_module(f"friction_hil.cli.{cmd_name}").command
         assert isinstance(command, click.Command)
+        command.short_help = COMMANDS[cmd_name]
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -94,6 +111,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Arguments after the program's name; those of the process if None.
     """
     _open_standard_streams()
+    _write_utf8()
     # Matrices here are tall and thin: a second BLAS thread makes them a hundred times slower, or occupies the core of
     # the loop. OpenBLAS reads this when numpy is imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -163,6 +181,13 @@ def _open_standard_streams() -> None:
         except OSError:
             os.set_inheritable(os.open(os.devnull, os.O_RDWR), True)  # gets the lowest free number: this one
             setattr(sys, name, open(descriptor, mode, encoding="utf-8", closefd=False))  # noqa: SIM115
+
+
+def _write_utf8() -> None:
+    """Write UTF-8 into files and pipes where the system would choose an encoding without Greek letters (Windows)."""
+    for stream in (sys.stdout, sys.stderr):
+        if sys.platform == "win32" and isinstance(stream, io.TextIOWrapper) and not stream.isatty():
+            stream.reconfigure(encoding="utf-8")
 
 
 _REPORT = (

@@ -77,7 +77,7 @@ def list_examples() -> None:
 
 
 @command.command()
-@click.argument("files", nargs=-1, required=True, metavar="FILE...")
+@click.argument("files", nargs=-1, required=True, metavar="FILE...", type=click.Path())
 @option_json
 def check(files: tuple[str, ...], as_json: bool) -> int:
     """Report all mistakes in configurations.
@@ -91,7 +91,7 @@ def check(files: tuple[str, ...], as_json: bool) -> int:
 
 
 @command.command()
-@click.argument("file", metavar="FILE")
+@click.argument("file", metavar="FILE", type=click.Path())
 def show(file: str) -> None:
     """Print a configuration with all defaults.
 

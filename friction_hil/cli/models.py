@@ -5,11 +5,12 @@ from typing import Any
 
 import click
 
+from friction_hil.cli.completion import complete_model
 from friction_hil.cli.options import option_json
 
 
 @click.command("models")
-@click.argument("name", required=False)
+@click.argument("name", required=False, shell_complete=complete_model)
 @click.option(
     "--draw",
     "picture",

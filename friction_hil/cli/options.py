@@ -6,6 +6,8 @@ from typing import Any, TypeVar
 
 import click
 
+from friction_hil.cli.completion import complete_models
+
 Command = TypeVar("Command", bound=Callable[..., Any])
 
 option_json = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout and nothing else.")
@@ -22,6 +24,7 @@ option_families = click.option(
     default="all",
     show_default=True,
     metavar="all|NAME,NAME",
+    shell_complete=complete_models,
     callback=lambda context, parameter, text: () if text == "all" else tuple(map(str.strip, text.split(","))),
     help="Families of friction models to try.",
 )

@@ -6,6 +6,7 @@ from typing import Any, TypeVar
 
 import click
 
+from friction_hil.cli.completion import complete_axis
 from friction_hil.errors import UsageError
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -60,7 +61,12 @@ def _pair(text: str, example: str) -> tuple[str, str]:
 
 # Eager options are processed first: --scale also takes the factors of --column.
 _OPTIONS = (
-    click.option("--axis", metavar="NAME", help="Axis to read from a recording that has several."),
+    click.option(
+        "--axis",
+        metavar="NAME",
+        shell_complete=complete_axis,
+        help="Axis to read from a recording that has several.",
+    ),
     click.option(
         "--column",
         "columns",

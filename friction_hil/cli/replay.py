@@ -5,6 +5,7 @@ from typing import Any
 
 import click
 
+from friction_hil.cli.completion import complete_model
 from friction_hil.cli.options import option_json, option_lowpass
 from friction_hil.cli.recording_options import recording_options
 
@@ -16,6 +17,7 @@ from friction_hil.cli.recording_options import recording_options
     "model_arguments",
     multiple=True,
     metavar="FILE_OR_NAME",
+    shell_complete=complete_model,
     help="Model file, pattern of model files, or NAME:coulomb=0.08,viscous=2e-3. May be repeated.",
 )
 @click.option(

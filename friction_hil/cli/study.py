@@ -4,11 +4,18 @@ from typing import Any
 
 import click
 
+from friction_hil.cli.completion import complete_models
 from friction_hil.cli.options import folder_option, option_json
 
 
 @click.command("study")
-@click.option("--models", "names", metavar="A,B,...", help="Friction models, separated by commas.  [default: all]")
+@click.option(
+    "--models",
+    "names",
+    metavar="A,B,...",
+    shell_complete=complete_models,
+    help="Friction models, separated by commas.  [default: all]",
+)
 @folder_option("out/study", "the report")
 @option_json
 def command(**options: Any) -> int:

@@ -5,6 +5,7 @@ from typing import Any
 
 import click
 
+from friction_hil.cli.completion import complete_model
 from friction_hil.cli.options import option_json, option_lowpass, option_validate, result_options
 from friction_hil.cli.recording_options import recording_options
 
@@ -50,6 +51,7 @@ def _names(context: click.Context, parameter: click.Parameter, text: str) -> tup
     "--from-model",
     "from_model",
     metavar="FILE_OR_NAME",
+    shell_complete=complete_model,
     help="Learn this model instead of recordings, along a designed excitation.",
 )
 @click.option(
@@ -78,6 +80,7 @@ def _names(context: click.Context, parameter: click.Parameter, text: str) -> tup
 @click.option(
     "--base",
     metavar="FILE",
+    type=click.Path(),
     help="Model file with the mechanics of the axis and, for a residual, its friction. Without it, both are identified "
     "first.",
 )

@@ -5,12 +5,20 @@ from typing import Any
 
 import click
 
+from friction_hil.cli.completion import complete_axis
 from friction_hil.cli.options import option_daemon_pace, option_families, option_json, option_reset_fault
 
 
 @click.command("tune")
 @click.argument("config", type=click.Path(path_type=Path))
-@click.option("--axis", "names", multiple=True, metavar="NAME", help="Axis to tune; all by default. May be repeated.")
+@click.option(
+    "--axis",
+    "names",
+    multiple=True,
+    metavar="NAME",
+    shell_complete=complete_axis,
+    help="Axis to tune; all by default. May be repeated.",
+)
 @option_families
 @click.option(
     "--output",

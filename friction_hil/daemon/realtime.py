@@ -5,7 +5,6 @@ import ctypes
 import gc
 import os
 import re
-import resource
 import struct
 import time
 from collections.abc import Iterator
@@ -92,6 +91,8 @@ def punctuality(priority: int) -> Iterator[list[Finding]]:
 
 
 def _lock_memory(stack: contextlib.ExitStack) -> Finding:
+    import resource  # imported here: Windows has none, and doctor is imported there too
+
     check, fix = "memory", "raise memlock in /etc/security/limits.conf (of a container: --ulimit memlock=-1)"
     libc = ctypes.CDLL(None, use_errno=True)
     if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) != 0:

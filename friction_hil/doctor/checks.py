@@ -1,6 +1,7 @@
 """All checks of a machine and a configuration before a run; no drive receives a byte unless watchdogs are tried."""
 
 import os
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -33,6 +34,12 @@ def examine(path: Path | None, root: Path = _ROOT, *, try_watchdog: bool = False
     Finding
         Findings in the order of the checks, each as soon as it is known.
     """
+    if not sys.platform.startswith("linux"):
+        yield machine.operating_system()
+        yield machine.compiled_kernels(cache_folder())
+        if path is not None:
+            yield from _findings(path, *_load(path))
+        return
     yield machine.preemption(root)
     yield machine.processor_clock(root)
     yield machine.compiled_kernels(cache_folder())
@@ -40,11 +47,7 @@ def examine(path: Path | None, root: Path = _ROOT, *, try_watchdog: bool = False
     problems: list[Problem] = []
     if path is not None:
         configuration, problems = _load(path)
-        yield from map(_mistake, problems)
-        if configuration is not None:
-            yield from _missing_models(configuration)
-        if not problems:
-            yield Finding(CONFIGURATION, "pass", f"{path}: no mistakes")
+        yield from _findings(path, configuration, problems)
     realtime = Realtime() if configuration is None else configuration.realtime
     yield from _punctuality(realtime.priority)
     if configuration is None:
@@ -78,6 +81,14 @@ def _load(path: Path) -> tuple[Configuration | None, list[Problem]]:
     except ConfigurationError as error:
         return None, list(error.problems)
     return configuration, file_problems(path, configuration)
+
+
+def _findings(path: Path, configuration: Configuration | None, problems: list[Problem]) -> Iterator[Finding]:
+    yield from map(_mistake, problems)
+    if configuration is not None:
+        yield from _missing_models(configuration)
+    if not problems:
+        yield Finding(CONFIGURATION, "pass", f"{path}: no mistakes")
 
 
 def _missing_models(configuration: Configuration) -> Iterator[Finding]:

@@ -15,6 +15,7 @@ CODES = {
     "FH-312": "no real-time priority",
     "FH-313": "real-time priority switched off",
     "FH-314": "processor sleep not restricted",
+    "FH-315": "daemon needs Linux",
     # the configuration and its drivers
     "FH-401": "configuration cannot be read",
     "FH-402": "mistake in the configuration",

@@ -4,14 +4,23 @@ Each function takes the root of the file system, so that a test can provide file
 """
 
 import os
+import platform
 import re
 import shutil
+import sys
 from collections import Counter
 from pathlib import Path
 
 from friction_hil.drive.finding import NOT_REPORTED, Finding, system_text
 
 _LEAST_FREE_BYTES = 1 << 30  # an hour of one axis at 1 kHz takes half of that, uncompressed
+
+
+def operating_system() -> Finding:
+    """Report that the daemon does not run on this system, which is not Linux."""
+    detail = f"the daemon and simulated drives need Linux, and this is {platform.system() or sys.platform}"
+    fix = "run them on a Linux machine; the commands that need no drive work here"
+    return Finding("operating system", "fail", detail, fix, "FH-315")
 
 
 def preemption(root: Path) -> Finding:

@@ -47,15 +47,23 @@ def replay_many(
     return outcomes
 
 
+def _processors() -> int:
+    """Return the number of processors that this process may use; where the system does not say that, of all."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 def _map(tasks: Sequence[ReplayTask]) -> Iterator[tuple[int, list[ReplayOutcome]]]:
-    workers = min(len(tasks), len(os.sched_getaffinity(0)))
+    workers = min(len(tasks), _processors())
     size = sum(os.path.getsize(task.source) for task in tasks if os.path.isfile(task.source))
     if workers < 2 or (len(tasks) < _MANY and size < _LARGE):
         for index, task in enumerate(tasks):
             yield index, run(task)
         return
     # not fork: numerical libraries may have started threads, whose locks a forked process would copy
-    context = multiprocessing.get_context("forkserver")
+    methods = multiprocessing.get_all_start_methods()
+    context = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")  # Windows has no fork
     context.set_forkserver_preload(["friction_hil.replay.task"])
     # Ctrl-C ends the workers without a word: this process says what is to be said
     with ProcessPoolExecutor(workers, context, signal.signal, (signal.SIGINT, signal.SIG_DFL)) as pool:

@@ -21,6 +21,7 @@ LUGRE = "lugre:sigma0=2000,sigma1=1,coulomb=0.08,static=0.12,stribeck_velocity=0
 # Run here, in this order, in one folder, with the exit statuses that are right.
 WITHOUT_DRIVES = (
     ("friction-hil --help", 0),
+    ("friction-hil --version", 0),
     ("friction-hil models", 0),
     ("friction-hil models lugre --draw lugre.png", 0),
     ("friction-hil config check machine.yaml", 0),

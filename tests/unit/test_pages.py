@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from friction_hil import __version__
+
 ROOT = Path(__file__).parents[2]
 PAGES = sorted(
     path
@@ -23,6 +25,21 @@ def test_every_link_leads_to_a_file(page: Path) -> None:
 
 def test_the_top_page_can_be_read_in_one_sitting() -> None:
     assert len((ROOT / "README.md").read_text().splitlines()) <= 200
+
+
+def test_the_changelog_begins_with_the_version_of_the_package() -> None:
+    headings = re.findall(r"^## (.+)$", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
+    released = [heading for heading in headings if heading != "Unreleased"]
+    assert all(re.fullmatch(r"\d+\.\d+\.\d+ - \d{4}-\d\d-\d\d", heading) for heading in released)
+    versions = [tuple(map(int, heading.split(" ")[0].split("."))) for heading in released]
+    assert versions == sorted(set(versions), reverse=True)
+    release, is_development, _ = __version__.partition(".dev")
+    own = tuple(map(int, release.split(".")))
+    if is_development:
+        assert headings[0] == "Unreleased"
+        assert own > versions[0]
+    else:
+        assert headings[0].startswith(f"{release} - ")
 
 
 def test_every_file_that_the_code_overview_names_exists() -> None:

@@ -126,8 +126,12 @@ def test_names_are_not_cut_short_where_nobody_watches(folder: Path, capsys: pyte
     assert f"{path.name} " in capsys.readouterr().out
 
 
-def test_the_pool_gives_what_one_process_gives(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("methods", [["fork", "spawn", "forkserver"], ["spawn"]], ids=["linux", "windows"])
+def test_the_pool_gives_what_one_process_gives(
+    methods: list[str], folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Two workers where there is only one core too; a broken file and order included."""
+    monkeypatch.setattr(farm.multiprocessing, "get_all_start_methods", lambda: methods)
     paths = [str(log(folder / f"{i}.csv", i)) for i in range(5)] + ["nothing.csv"]
     tasks = [farm.ReplayTask(path, ("coulomb:coulomb=0.3,viscous=0.01",)) for path in paths]
     alone = [farm.run(task) for task in tasks]

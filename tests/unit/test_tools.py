@@ -101,7 +101,7 @@ def test_first_call_installs_everything_and_the_second_nothing(copy: Copy) -> No
     assert "what pip says" not in first.stderr
     (call,) = copy.pip_calls.read_text().splitlines()
     assert call.startswith("install ")
-    assert call.endswith(" --editable .[all]")
+    assert call.endswith(" --editable .[all,dev]")
     second = copy.ensure()
     assert (second.returncode, second.stdout, second.stderr) == (0, "ready\n", "")
     assert copy.pip_calls.read_text().count("install") == 1

@@ -5,7 +5,6 @@ import errno
 import os
 import select
 import socket
-import termios
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -83,6 +82,8 @@ class Line:
             self._open_port()
 
     def _open_port(self) -> None:
+        import termios  # imported here: Windows has none, and configurations are checked there too
+
         options, link = self.options, _link(self.options.port)
         # a pseudo-terminal has no parity, and setting one for the second time fails
         has_parity = not _is_pseudo(options.port)

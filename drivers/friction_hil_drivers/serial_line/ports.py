@@ -4,7 +4,6 @@ Functions take the root of the file system, so that a test can give them another
 """
 
 import contextlib
-import grp
 import os
 import re
 from collections.abc import Iterator
@@ -57,6 +56,8 @@ def _timer(name: str, root: Path) -> Path:
 
 def permission_remedy(device: Path | None = None) -> str:
     """Return the remedy for a missing permission to open a port; it names the group of ``device``."""
+    import grp  # imported here: Windows has none, and configurations are checked there too
+
     group = _USUAL_GROUPS[0]
     with contextlib.suppress(OSError, KeyError):
         if device is not None:
@@ -90,6 +91,8 @@ def check_machine(root: Path) -> Iterator[Finding]:
 
 
 def _permission(devices: list[Path]) -> Finding:
+    import grp  # imported here: Windows has none, and configurations are checked there too
+
     check = "right to open serial ports"
     closed = [device for device in devices if not os.access(device, os.R_OK | os.W_OK)]
     if closed:

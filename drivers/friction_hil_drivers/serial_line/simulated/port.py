@@ -5,9 +5,7 @@ import hashlib
 import math
 import os
 import socket
-import termios
 import time
-import tty
 from pathlib import Path
 from typing import Protocol
 
@@ -72,6 +70,8 @@ class PtyPort:
     """
 
     def __init__(self, path: Path) -> None:
+        import tty  # imported here: Windows has none, and configurations are checked there too
+
         self._path = path
         self._owner = _own(path)
         try:
@@ -111,6 +111,8 @@ class PtyPort:
         """See `Port`."""
         # a serial port would lose the replies that a killed master has not read
         if time.monotonic() - self._heard_s > _FORGOTTEN_S:
+            import termios  # imported here, as in __init__
+
             self._heard_s = math.inf
             termios.tcflush(self._slave, termios.TCIFLUSH)
 
