@@ -198,7 +198,7 @@ def test_an_exchange_that_outlasts_the_period_is_told_before_anything_moves(exch
     assert len(told) == is_told
     assert run.events("warning") == run.result.warnings
     if is_told:
-        (cycle,) = (cycle for cycle, name, _ in run.sink.events if name == "warning")
+        (cycle,) = (cycle for cycle, name, text in run.sink.events if name == "warning" and text == told[0])
         assert cycle <= next(cycle for cycle, _, text in run.sink.events if text == "enabling")
 
 
