@@ -38,22 +38,26 @@ class FastSteps:
 
     def take(self, position: float, periods: int) -> None:
         """Take the position of a cycle, NaN if there is none, and the periods since the cycle before."""
-        self._elapsed += periods
-        if not math.isfinite(position):
-            return
-        step, elapsed = position - self._position, self._elapsed
-        self._position, self._elapsed = position, 0
-        is_fast = abs(step) > self._reach * elapsed
-        if not is_fast or step * self._way < 0.0:
-            self._way, self._periods, self._count = 0.0, 0, 0
-        if is_fast:
-            self._way, self._periods, self._count = self._way + step, self._periods + elapsed, self._count + 1
+        elapsed, step = self._elapsed + periods, position - self._position
+        reach = self._reach * elapsed
+        if -reach <= step <= reach:  # in most cycles
+            self._position, self._elapsed, self._count = position, 0, 0
+        elif math.isnan(position):
+            self._elapsed = elapsed
+        else:
+            is_fast = math.isfinite(step)  # else it is the first position
+            if not is_fast or not self._count or step * self._way < 0.0:
+                self._way, self._periods, self._count = 0.0, 0, 0
+            if is_fast:
+                self._way, self._periods, self._count = self._way + step, self._periods + elapsed, self._count + 1
+            self._position, self._elapsed = position, 0
 
     @property
     def is_too_fast(self) -> bool:
         """True if there are enough such steps, and together they are beyond the limit by more than rounding."""
-        least = self._reach * self._periods + 2.0 * self._resolution
-        return self._count >= MOST_FAST_CYCLES and abs(self._way) > least
+        if self._count < MOST_FAST_CYCLES:
+            return False
+        return abs(self._way) > self._reach * self._periods + 2.0 * self._resolution
 
     @property
     def ratio(self) -> float:
