@@ -15,6 +15,7 @@ from typing import Any
 
 from friction_hil.daemon.companion.job import MOST_SHORT_LIVES, Job, Lives, job_memory
 from friction_hil.daemon.companion.paths import prepare
+from friction_hil.daemon.realtime import prompt_children
 from friction_hil.daemon.ring import RingWriter
 from friction_hil.errors import RecordingError
 
@@ -160,14 +161,15 @@ class Companion:
         command += map(str, (*descriptors, len(self._paths) + 1, death))
         self._lives.begin()
         self.worker_pid = 0
-        self._process = subprocess.Popen(
-            command,
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            pass_fds=descriptors,
-            env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
-            process_group=0,  # Ctrl-C is not meant for it, not even before it can ignore it
-        )
+        with prompt_children():
+            self._process = subprocess.Popen(
+                command,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                pass_fds=descriptors,
+                env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
+                process_group=0,  # Ctrl-C is not meant for it, not even before it can ignore it
+            )
         assert self._process.stdout is not None
         self._poll = select.poll()
         self._poll.register(self._process.stdout, select.POLLIN)
