@@ -7,7 +7,6 @@ from pydantic import Field
 
 from friction_hil.checked_yaml.section import POSITION, VELOCITY, Section, key
 
-_SLOWEST_HZ = 1e-6  # a period of eleven days: slower ones are mistakes, whose periods overflow
 _RAMP = key("time from rest to full speed, and from full speed to rest", "s", default=1.0, gt=0)
 
 
@@ -16,7 +15,7 @@ class Circle(Section):
 
     kind: Literal["circle"]
     radius: float = key("amplitude of this axis", POSITION, gt=0)
-    frequency: float = key("laps per second", "Hz", ge=_SLOWEST_HZ)
+    frequency: float = key("laps per second", "Hz", gt=0)
     phase: float = key("phase of this axis", "rad", default=0.0)
     ramp_s: float = _RAMP
 
@@ -26,7 +25,7 @@ class Sine(Section):
 
     kind: Literal["sine"]
     amplitude: float = key("amplitude", POSITION, gt=0)
-    frequency: float = key("periods per second", "Hz", ge=_SLOWEST_HZ)
+    frequency: float = key("periods per second", "Hz", gt=0)
     phase: float = key("phase", "rad", default=0.0)
     ramp_s: float = _RAMP
 
@@ -36,7 +35,7 @@ class Triangle(Section):
 
     kind: Literal["triangle"]
     amplitude: float = key("amplitude", POSITION, gt=0)
-    frequency: float = key("periods per second", "Hz", ge=_SLOWEST_HZ)
+    frequency: float = key("periods per second", "Hz", gt=0)
     rounding: float = key(
         "duration of the rounding of a corner, as a fraction of a quarter period", "1", default=0.1, gt=0, le=0.5
     )
