@@ -9,6 +9,10 @@ import re
 from collections.abc import Iterable
 from typing import Any, TextIO
 
+# Stands for the escape character in colours and weights that a command itself chose: see `own_style`.
+_OWN_ESCAPE = "\U0010ff1b"
+_STYLE = r"(\[[0-9;]*m)"
+
 # Control characters except tab and line feed, marks that change the direction of the text or end a line, and halves of
 # surrogate pairs, which Python uses for bytes of a file name that are not UTF-8 and which no stream can encode.
 _UNPRINTABLE = re.compile(
@@ -25,8 +29,18 @@ def printable(text: str) -> str:
     return _UNPRINTABLE.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
 
 
+def own_style(text: str) -> str:
+    """Mark the colours and weights in ``text``, so that a `PrintableStream` sends them to a terminal.
+
+    For text in which everything else has been made printable before it was styled, e.g. by ``click.style``.
+    """
+    return re.sub(f"\x1b{_STYLE}", rf"{_OWN_ESCAPE}\1", text)
+
+
 class PrintableStream:
     """A text stream that makes all text `printable` before it writes it to ``stream``.
+
+    Styles that `own_style` has marked are kept on a terminal, and left out elsewhere.
 
     Attributes
     ----------
@@ -40,7 +54,11 @@ class PrintableStream:
 
     def write(self, text: str) -> int:
         """Write ``text``; return its length."""
-        self.rich_proxied_file.write(printable(text))
+        shown = printable(text)
+        if _OWN_ESCAPE in shown:
+            is_terminal = self.rich_proxied_file.isatty()
+            shown = re.sub(f"{_OWN_ESCAPE}{_STYLE}", "\x1b\\1" if is_terminal else "", shown)
+        self.rich_proxied_file.write(shown)
         return len(text)
 
     def writelines(self, lines: Iterable[str]) -> None:

@@ -273,7 +273,11 @@ def test_all_mistakes_are_reported_at_once(path):
             "axes.x.limits.velocity",
             "32",
         ),
-        ({"axes__x__trajectory__frequency": 5e-324}, "axes.x.trajectory.frequency", "must be at least 1e-05 and at most 5000 Hz"),
+        (
+            {"axes__x__trajectory__frequency": 5e-324},
+            "axes.x.trajectory.frequency",
+            "must be at least 1e-05 and at most 5000 Hz",
+        ),
         ({"bus__interface": "socketcan", "bus__channel": "can0"}, "bus.port", "no meaning"),
         ({"bus": {"interface": "pcan", "channel": "PCAN_USBBUS1", "timing": [1]}}, "bus.timing", "single value"),
         ({"bus": {"interface": "pcan", "channel": "PCAN_USBBUS1", "delay": math.nan}}, "bus.delay", "finite"),

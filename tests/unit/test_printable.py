@@ -1,5 +1,6 @@
 """Names and messages of other origin reach no terminal as control sequences."""
 
+import io
 import json
 import os
 import pty
@@ -7,13 +8,14 @@ import subprocess
 import sys
 from pathlib import Path
 
+import click
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from friction_hil.cli import main
-from friction_hil.printable import printable
+from friction_hil.printable import PrintableStream, own_style, printable
 
 EVIL = "\x1b]0;owned\x07\x1b[2J\r\x9b31m\u202e[/red]:boom:"
 SHOWN = r"\u001b]0;owned\u001b[2J\u009b31m\u202e[/red]:boom:"  # in a table; rich drops some of them
@@ -92,6 +94,18 @@ def test_a_file_name_that_is_not_utf_8(tmp_path: Path, capsysbinary: pytest.Capt
     Path(name).write_text("time_s,torque\n0,1\n1,2\n")
     assert main(["convert", name, "--info"]) == 0
     assert rb"\udcff: 2 rows" in capsysbinary.readouterr().out
+
+
+@pytest.mark.parametrize("is_terminal", [True, False])
+def test_styles_of_our_own_are_kept_on_a_terminal(is_terminal: bool) -> None:
+    class Stream(io.StringIO):
+        def isatty(self) -> bool:
+            return is_terminal
+
+    stream = Stream()
+    PrintableStream(stream).write(f"{own_style(click.style('Error:', fg='red', bold=True))} \x1b[31mred\x1b[0m")
+    label = "\x1b[31m\x1b[1mError:\x1b[0m" if is_terminal else "Error:"
+    assert stream.getvalue() == rf"{label} \u001b[31mred\u001b[0m"
 
 
 def test_the_streams_are_put_back() -> None:

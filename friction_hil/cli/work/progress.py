@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.text import Text
 
 from friction_hil.cli.work.tables import console
 
@@ -18,14 +17,14 @@ def status_line(text: str) -> Iterator[Callable[[str], None]]:
     While numba compiles, which takes seconds and happens once on a machine, the line says so.
     """
     shown = text
-    with console(stderr=True).status(Text(text)) as status:
+    with console(stderr=True).status(text) as status:
 
         def show(text: str) -> None:
             nonlocal shown
             shown = text
-            status.update(Text(text))
+            status.update(text)
 
-        with _compilation_reported(lambda: status.update(Text(f"{shown}: {_COMPILING}"))):
+        with _compilation_reported(lambda: status.update(f"{shown}: {_COMPILING}")):
             yield show
 
 
@@ -49,5 +48,5 @@ def progress_bar(*, is_threaded: bool = True) -> Progress:
 
     ``is_threaded=False``: it has no thread that refreshes it, which would take time from a real-time loop.
     """
-    columns = (BarColumn(), TextColumn("{task.description}", markup=False), TimeElapsedColumn())
+    columns = (BarColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
     return Progress(*columns, console=console(stderr=True), transient=True, auto_refresh=is_threaded)
