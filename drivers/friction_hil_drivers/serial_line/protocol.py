@@ -72,6 +72,7 @@ class Exchange(Protocol):
     request_size: int  # largest number of characters on the line
     reply_size: int  # largest number of characters on the line; 0: no reply comes
     reports_refusal: bool  # no reply comes unless the drive refuses the request
+    is_acknowledged: bool  # the drive replies that it has carried the request out
     constant: bytes  # the request if it is always the same; empty: `encode` has to be called
 
     @property
@@ -112,6 +113,7 @@ class Single:
     """Defaults of an `Exchange` that is sent singly and undivided, to drives that send no unsolicited errors."""
 
     reports_refusal = False
+    is_acknowledged = True
     constant = b""
 
     def may_follow(self, before: Exchange) -> bool:

@@ -151,6 +151,8 @@ class SimulatedDrive:
             return self.servo.velocity / self._si[name]
         if name == "torque":
             return self.servo.torque / self._si[name]
+        if name == self._watchdog and self.state is not self._states.fault:
+            return self._values.get(name, 0.0)  # some drives show in the same register that it has tripped
         shown = self._states.shown(self.state)
         return shown[name] if name in shown else self._values.get(name, 0.0)
 
