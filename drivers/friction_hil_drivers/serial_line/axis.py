@@ -99,8 +99,8 @@ class SerialAxis:
     Attributes
     ----------
     read_back : frozenset of str
-        Signals of the drive's watchdog that the drive lets be read: a step that writes one of them is done when the
-        drive reports what was written.
+        Signals of the drive's watchdog that the drive lets be read: on the way to power, a step that writes one of
+        them is done when the drive reports what was written.
     """
 
     def __init__(
@@ -198,9 +198,13 @@ class SerialAxis:
         self._counts = raw if self._counts is None else unwrap(self._counts, raw, self._position_bits)
         return float(self._counts)
 
+    def to_read_back(self, step: Mapping[str, float]) -> list[str]:
+        """Return the signals of a step that have to be read back: before the drive gets its power, never after."""
+        return sorted(self.read_back & step.keys()) if self.sequencer.is_enabling else []
+
     def acknowledge(self, step: Mapping[str, float]) -> None:
         """Note that the drive accepted a step, and reported the signals in `read_back` that it writes."""
-        differing = contradiction(self._description, step, self.image.values, self.read_back & step.keys())
+        differing = contradiction(self._description, step, self.image.values, self.to_read_back(step))
         self.sequencer.acknowledge(differing)
 
     def hold(self) -> None:

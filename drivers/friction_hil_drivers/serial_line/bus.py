@@ -129,7 +129,7 @@ class SerialBus:
         for axis in (*self.axes[self._first_axis :], *self.axes[: self._first_axis]):
             if step := steps.get(axis.name):
                 axis.image.values.update(step)
-                reads = [self.read_exchange(axis.name, name) for name in sorted(axis.read_back & step.keys())]
+                reads = [self.read_exchange(axis.name, name) for name in axis.to_read_back(step)]
                 self.scheduler.enqueue((self.write_exchange(axis.name, step), *reads), partial(axis.acknowledge, step))
                 self._first_axis = (self.axes.index(axis) + 1) % len(self.axes)
                 return True

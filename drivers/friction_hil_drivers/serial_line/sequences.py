@@ -63,6 +63,11 @@ class Sequencer:
         self._next_word = 0  # cia402: the one to write; it may have to wait on the line
         self.problem = ""
 
+    @property
+    def is_enabling(self) -> bool:
+        """True while the drive is taken to power."""
+        return self._request is Request.ENABLE
+
     def acknowledge(self, differing: str = "") -> None:
         """Note that the drive accepted the values of `next_write`.
 
