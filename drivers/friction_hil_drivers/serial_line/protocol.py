@@ -186,6 +186,10 @@ class LineProtocol(Protocol):
         """Return the exchange that writes some signals of an axis together (possible at least for each single one)."""
         ...
 
+    def reboot(self, axis: str) -> Exchange | None:
+        """Return the exchange that restarts the drive of an axis; None if the protocol has none."""
+        ...
+
 
 class ProtocolFactory(Protocol):
     """Class of a line's protocol; all mappings are by axis."""

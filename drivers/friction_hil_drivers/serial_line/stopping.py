@@ -26,7 +26,7 @@ from friction_hil_drivers.serial_line.commissioning import (
 )
 from friction_hil_drivers.serial_line.description import Description
 from friction_hil_drivers.serial_line.line import Line
-from friction_hil_drivers.serial_line.protocol import Image, Plan, ProtocolFactory
+from friction_hil_drivers.serial_line.protocol import Exchange, Image, Plan, ProtocolFactory
 from friction_hil_drivers.serial_line.scheduler import BusScheduler
 from friction_hil_drivers.serial_line.sequences import Sequencer, disable_writes, state_of, state_signals
 
@@ -35,9 +35,11 @@ if TYPE_CHECKING:
 
 _STANDSTILL_S = 2.0  # longest wait for it
 _REACTION_S = 2.0  # longest wait for the end of a drive's own reaction to a fault
+_RESTART_S = 3.0  # longest wait for a drive that restarts
 _RELAPSE_S = 0.3  # in which another master would have enabled the drive again, or the fault have come back
 _POLL_S = 0.02
 _PATIENCE_S = 5.0  # for a sequence as a whole; each step has its own time-out
+_REFUSALS = 3  # in succession: the drive does not take the step
 _ATTEMPTS = 2  # for a drive that may be gone
 _STANDSTILL_STEPS = 2.0  # between two polls: noise of an encoder
 _NOTHING = Plan((), (), ())
@@ -219,16 +221,34 @@ class ServicedDrive:
             detail = "it has no fault" if before.is_powered else ""
             return self._result(before, before, "powered" if before.is_powered else "unpowered", detail)
         fault = self._fault()
-        if not (self._description.reset_fault or self._description.state_machine == "cia402"):
+        has_steps = bool(self._description.reset_fault) or self._description.state_machine == "cia402"
+        reboot = self._bus.protocol.reboot(self._name)
+        if not has_steps and reboot is None:
             detail = "its description has no reset_fault: switch the drive off and on"
             return self._result(before, before, "fault", detail, fault)
         self._trouble = self._bus.scheduler.last_error = ""
-        self._take_to(Request.RESET_FAULT)
-        self._leave_unwatched()
-        after = self._settled()
+        after = before
+        if has_steps:
+            self._take_to(Request.RESET_FAULT)
+            self._leave_unwatched()
+            after = self._settled()
+        if after is DriveState.FAULT and reboot is not None:
+            self._trouble = ""
+            self._restart(reboot)
+            after = self._settled()
         if after is DriveState.FAULT:
             return self._result(before, after, "fault", self._trouble or f"it now reports {self._fault()}", fault)
         return self._result(before, after, "reset" if _has_no_power(after) else _lacking(after), self._trouble, fault)
+
+    def _restart(self, reboot: Exchange) -> None:
+        """Restart the drive, and wait until it answers again."""
+        try:
+            self._bus.transact(self._name, reboot, attempts=1)  # a second one would begin again
+        except DriveError as error:
+            self._trouble = error.detail.removeprefix(f"{self._name}: ")
+        end = time.monotonic() + _RESTART_S
+        while self._state() is DriveState.UNKNOWN and self._is_silent and time.monotonic() < end:
+            time.sleep(_POLL_S)
 
     def _result(self, before: DriveState, after: DriveState, result: str, detail: str = "", fault: str = "") -> Stop:
         detail = "" if result in ("stopped", "reset", "unpowered") else detail
@@ -245,14 +265,17 @@ class ServicedDrive:
     def _take_to(self, request: Request) -> None:
         """Write the steps of a request until none is left, or one is not followed; errors are kept as trouble."""
         sequencer = Sequencer(self._description)
-        end = time.monotonic() + _PATIENCE_S
-        while not sequencer.problem and time.monotonic() < end:
+        end, refusals = time.monotonic() + _PATIENCE_S, 0
+        while not sequencer.problem and refusals < _REFUSALS and time.monotonic() < end:
             state = self._state()
             step = sequencer.next_write(request, state, time.monotonic())
             if not step:
                 return
             if self._write(step):
+                refusals = 0
                 sequencer.acknowledge()
+            else:
+                refusals += 1
         if sequencer.problem and not self._trouble:
             said = self._bus.scheduler.last_error  # of a drive that refuses a request without a reply
             self._trouble = sequencer.problem + (f" ({said})" if said else "")
