@@ -248,8 +248,12 @@ class DrivesContract:
 class ServiceContract:
     """Promises of ``stop_axes`` and ``reset_axes`` of a driver. The fixture ``rig`` is an `InstalledRig`."""
 
-    def test_stop_takes_the_power_of_drives_that_were_left_enabled(self, rig: InstalledRig) -> None:
+    def test_stop_takes_the_power_of_drives_that_were_left_enabled_and_reset_does_not(self, rig: InstalledRig) -> None:
         rig.leave_enabled()
+        before = rig.count_commands()
+        assert [each.result for each in rig.reset_axes()] == ["powered"] * len(AXES)
+        assert rig.count_commands() == before
+        assert rig.has_power(0)
         stops = rig.stop_axes()
         assert [(each.axis, each.result, each.before) for each in stops] == [
             (name, "stopped", DriveState.OPERATION_ENABLED) for name in AXES
@@ -274,12 +278,9 @@ class ServiceContract:
         assert [each.result for each in rig.reset_axes()] == ["unpowered"] * len(AXES)
         assert not any(rig.has_power(k) for k in range(len(AXES)))
 
-    def test_reset_leaves_a_drive_with_power_alone(self, rig: InstalledRig) -> None:
-        rig.leave_enabled()
-        before = rig.count_commands()
-        assert [each.result for each in rig.reset_axes()] == ["powered"] * len(AXES)
-        assert rig.count_commands() == before
-        assert rig.has_power(0)
+
+class SilentServiceContract(ServiceContract):
+    """Also what is promised of drives that do not answer."""
 
     def test_a_drive_that_does_not_answer_is_unknown_and_is_told_to_stop(self, rig: InstalledRig) -> None:
         rig.leave_enabled()

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from tests.contract import rig as rigs
-from tests.contract.drives import DrivesContract, ServiceContract, SimulatedDrivesContract
+from tests.contract.drives import DrivesContract, ServiceContract, SilentServiceContract, SimulatedDrivesContract
 from tests.contract.rig import COUNTS, RATED_TORQUE, InstalledRig
 
 _numbers = itertools.count()
@@ -39,7 +39,7 @@ class _Both(DrivesContract, SimulatedDrivesContract):
             made.close()
 
 
-class TestCanopen(ServiceContract, _Both):
+class TestCanopen(SilentServiceContract, _Both):
     def make(self, folder: Path, patch: pytest.MonkeyPatch) -> InstalledRig:
         return rigs.CanRig(folder)
 
@@ -74,7 +74,7 @@ class TestModbusTcp(ServiceContract, TestModbusRtu):
             return f"tcp://127.0.0.1:{probe.getsockname()[1]}"
 
 
-class TestOdrive(ServiceContract, _Both):
+class TestOdrive(SilentServiceContract, _Both):
     def make(self, folder: Path, patch: pytest.MonkeyPatch) -> InstalledRig:
         folder.mkdir()
         keys = {"description": "odrive", "torque_constant": 0.1}

@@ -227,11 +227,10 @@ class ServicedDrive:
             detail = "its description has no reset_fault: switch the drive off and on"
             return self._result(before, before, "fault", detail, fault)
         self._trouble = self._bus.scheduler.last_error = ""
-        after = before
         if has_steps:
             self._take_to(Request.RESET_FAULT)
             self._leave_unwatched()
-            after = self._settled()
+        after = self._settled()
         if after is DriveState.FAULT and reboot is not None:
             self._trouble = ""
             self._restart(reboot)
