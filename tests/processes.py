@@ -8,6 +8,7 @@ from pathlib import Path
 
 import can
 import yaml
+from friction_hil_drivers.canopen.multicast import keep_to_group
 
 from tests.launcher import start
 from tests.servo_drives import axis_dict
@@ -80,15 +81,18 @@ def start_daemon(configuration: Path, *options) -> subprocess.Popen:
     return start(*words, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
 
+def multicast_bus(group, port) -> can.BusABC:
+    """A bus of python-can alone; without the last line it would also hear the other groups on its port."""
+    bus = can.Bus(interface="udp_multicast", channel=group, port=port, hop_limit=0, fd=False)
+    keep_to_group(bus.fileno(), group)
+    return bus
+
+
 @contextlib.contextmanager
 def listening(configuration: Path):
     """A python-can bus beside the processes."""
     config = yaml.safe_load(configuration.read_text())["bus"]
-    bus = can.Bus(
-        interface=config["interface"],
-        channel=config["channel"],
-        **{key: config[key] for key in ("port", "hop_limit") if key in config},
-    )
+    bus = multicast_bus(config["channel"], config["port"])
     try:
         yield bus
     finally:

@@ -38,6 +38,8 @@ COMMANDS = {
     "study": "Show the effect of each friction model on a servo.",
     "models": "List the friction models, or describe one.",
     "doctor": "Check machine, configuration and connection before a run.",
+    "stop": "Take the power of drives that were left enabled.",
+    "reset": "Reset the faults of drives, and leave them without power.",
     "drives": "Find, show or stop the drives on a CAN bus.",
     "config": "Make, check, show and describe configurations.",
 }

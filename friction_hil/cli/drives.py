@@ -65,7 +65,7 @@ def stop(**options: Any) -> int:
 
     The drives at NODE...; without these, those of CONFIG's axes, or with --bus all that answer. Writes quick stop and
     then disable voltage by SDO, which works in Pre-operational too. Exit status 1 unless every drive was read back
-    without power. CANopen only: no serial drive is stopped.
+    without power. CANopen only; friction-hil stop CONFIG stops drives of any driver.
     """
     from friction_hil.cli.work.drives import stop_drives  # imported here: --help must not wait for numba
 

@@ -33,6 +33,7 @@ CODES = {
     "FH-416": "line cannot be opened",
     "FH-418": "drive does not monitor the daemon",
     "FH-419": "drive description not verified against a manual",
+    "FH-420": "watchdog of the drive cannot be read back",
     # drives on CANopen
     "FH-431": "no CAN interface",
     "FH-432": "CAN interface down",

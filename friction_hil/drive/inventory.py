@@ -47,30 +47,47 @@ class DriveEntry:
 
 @dataclass(frozen=True, slots=True)
 class Stop:
-    """Result of stopping one drive.
+    """Result of stopping one drive, or of resetting its fault.
 
     Attributes
     ----------
-    node : int
+    node : int or None
+        Node number; None for a drive on a serial line.
     before, after : DriveState
         As read back; `DriveState.UNKNOWN` where it could not be read.
     result : str
-        ``stopped`` (it was powered, and is read back without power), ``unpowered`` (it was so already), ``powered``
-        or ``unknown``.
+        ``stopped`` (it was powered, and is read back without power), ``reset`` (it was in fault, and is read back
+        without the fault and without power), ``unpowered`` (there was nothing to do), ``powered``, ``fault`` (of a
+        reset: the fault is still there) or ``unknown``.
     detail : str
         Reason, "" for none.
+    axis, address : str
+        Name of the axis in the configuration, and where its drive is; "" without a configuration.
+    fault : str
+        What the drive reported as its fault before a reset, "" for none.
     """
 
-    node: int
+    node: int | None
     before: DriveState
     after: DriveState
     result: str
     detail: str = ""
+    axis: str = ""
+    address: str = ""
+    fault: str = ""
 
     @property
     def is_proved(self) -> bool:
-        """True if the drive has been read back without power."""
-        return self.result in ("stopped", "unpowered")
+        """True if the drive has been read back without power, and after a reset without a fault."""
+        return self.result in ("stopped", "reset", "unpowered")
+
+
+@dataclass(frozen=True, slots=True)
+class StopReport:
+    """Results for the axes of a configuration, in their order, and notes for the user."""
+
+    stops: tuple[Stop, ...]
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -242,6 +242,10 @@ class Driver(Protocol):
     ``open_inventory(bus)`` and ``inventory_node(axis)``
         Opens a bus (the section ``bus`` of a configuration) and returns a `friction_hil.drive.inventory.Inventory`, for
         ``friction-hil drives``; and returns the number under which that finds the drive of an axis.
+    ``stop_axes(configuration, axes)`` and ``reset_axes(configuration, axes)``
+        For ``friction-hil stop`` and ``reset``: takes the power of each drive, or resets its fault and leaves it
+        without power; returns a `friction_hil.drive.inventory.StopReport` of what was read back. Neither enables a
+        drive; one that does not answer does not keep the others from being stopped.
     """
 
     Options: "type[BaseModel]"  # keys of an axis that belong to the driver

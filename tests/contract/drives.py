@@ -245,6 +245,53 @@ class DrivesContract:
         assert rig.count_commands() == closed
 
 
+class ServiceContract:
+    """Promises of ``stop_axes`` and ``reset_axes`` of a driver. The fixture ``rig`` is an `InstalledRig`."""
+
+    def test_stop_takes_the_power_of_drives_that_were_left_enabled_and_reset_does_not(self, rig: InstalledRig) -> None:
+        rig.leave_enabled()
+        before = rig.count_commands()
+        assert [each.result for each in rig.reset_axes()] == ["powered"] * len(AXES)
+        assert rig.count_commands() == before
+        assert rig.has_power(0)
+        stops = rig.stop_axes()
+        assert [(each.axis, each.result, each.before) for each in stops] == [
+            (name, "stopped", DriveState.OPERATION_ENABLED) for name in AXES
+        ]
+        assert not any(each.after.is_powered or each.after is DriveState.UNKNOWN for each in stops)
+        assert not any(rig.has_power(k) for k in range(len(AXES)))
+        before = rig.count_commands()
+        assert [each.result for each in rig.stop_axes()] == ["unpowered"] * len(AXES)
+        assert rig.count_commands() == before, "there was nothing to do"
+        with Connection(rig) as connection:
+            connection.enable()
+
+    def test_reset_says_what_the_fault_was_and_leaves_no_power(self, rig: InstalledRig) -> None:
+        rig.trip()
+        left, _ = rig.stop_axes()
+        assert (left.result, left.after) == ("unpowered", DriveState.FAULT)
+        first, second = rig.reset_axes()
+        assert (first.result, first.before, second.result) == ("reset", DriveState.FAULT, "unpowered")
+        assert first.fault
+        assert not first.after.is_powered
+        assert first.after not in (DriveState.UNKNOWN, DriveState.FAULT)
+        assert [each.result for each in rig.reset_axes()] == ["unpowered"] * len(AXES)
+        assert not any(rig.has_power(k) for k in range(len(AXES)))
+
+
+class SilentServiceContract(ServiceContract):
+    """Also what is promised of drives that do not answer."""
+
+    def test_a_drive_that_does_not_answer_is_unknown_and_is_told_to_stop(self, rig: InstalledRig) -> None:
+        rig.leave_enabled()
+        rig.stop()
+        before = rig.count_commands()
+        stops = rig.stop_axes()
+        assert [(each.result, each.is_proved) for each in stops] == [("unknown", False)] * len(AXES)
+        assert all(each.detail for each in stops)
+        assert rig.count_commands() > before
+
+
 class SimulatedDrivesContract:
     """Promises of a counterpart at ``pace="sync"``. A subclass provides the fixture ``rig``, an `InstalledRig`."""
 

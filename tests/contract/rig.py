@@ -15,6 +15,7 @@ import can
 from friction_hil.config import Configuration, from_dict
 from friction_hil.config.drivers import DRIVERS, SIMULATED_DRIVES, load_driver
 from friction_hil.drive import AxisFacts, Command, Drives, DriveState, Feedback, Request
+from friction_hil.drive.inventory import Stop, StopReport
 
 PERIOD_S = 1e-3
 INERTIA, FRICTION = 2e-4, 0.01  # of the simulated axes, kg m^2 and N m
@@ -226,6 +227,16 @@ class InstalledRig(Rig):
         config = self.configuration
         drives: Drives = self._driver(config, config.axes, self.clock, dry_run=dry_run)
         return drives
+
+    def stop_axes(self) -> tuple[Stop, ...]:
+        """Stop all drives without a run."""
+        report: StopReport = self._driver.stop_axes(self.configuration, self.configuration.axes)
+        return report.stops
+
+    def reset_axes(self) -> tuple[Stop, ...]:
+        """Reset the faults of all drives without a run."""
+        report: StopReport = self._driver.reset_axes(self.configuration, self.configuration.axes)
+        return report.stops
 
     def silence(self) -> None:
         self.stop()

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from tests.contract import rig as rigs
-from tests.contract.drives import DrivesContract, SimulatedDrivesContract
+from tests.contract.drives import DrivesContract, ServiceContract, SilentServiceContract, SimulatedDrivesContract
 from tests.contract.rig import COUNTS, RATED_TORQUE, InstalledRig
 
 _numbers = itertools.count()
@@ -39,7 +39,7 @@ class _Both(DrivesContract, SimulatedDrivesContract):
             made.close()
 
 
-class TestCanopen(_Both):
+class TestCanopen(SilentServiceContract, _Both):
     def make(self, folder: Path, patch: pytest.MonkeyPatch) -> InstalledRig:
         return rigs.CanRig(folder)
 
@@ -65,7 +65,7 @@ class TestModbusRtuWithoutFunction23(TestModbusRtu):
         return {"description": "kinco_fd5p", "torque_constant": 0.1}
 
 
-class TestModbusTcp(TestModbusRtu):
+class TestModbusTcp(ServiceContract, TestModbusRtu):
     grammar = staticmethod(rigs.modbus_tcp)
 
     def port(self, folder: Path) -> str:
@@ -74,7 +74,7 @@ class TestModbusTcp(TestModbusRtu):
             return f"tcp://127.0.0.1:{probe.getsockname()[1]}"
 
 
-class TestOdrive(_Both):
+class TestOdrive(SilentServiceContract, _Both):
     def make(self, folder: Path, patch: pytest.MonkeyPatch) -> InstalledRig:
         folder.mkdir()
         keys = {"description": "odrive", "torque_constant": 0.1}
@@ -82,7 +82,7 @@ class TestOdrive(_Both):
         return rigs.SerialRig("ascii", str(folder / "line"), axes, rigs.odrive, patch)
 
 
-class TestDynamixel(_Both):
+class TestDynamixel(ServiceContract, _Both):
     def make(self, folder: Path, patch: pytest.MonkeyPatch) -> InstalledRig:
         folder.mkdir()
         keys = {"description": "xl330", "torque_constant": 0.2}

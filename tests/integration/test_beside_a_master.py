@@ -11,7 +11,7 @@ import can
 import pytest
 import yaml
 
-from tests.processes import run, simulated_drives, write_configuration
+from tests.processes import multicast_bus, run, simulated_drives, write_configuration
 
 NODE, PERIOD_S = 1, 0.01
 
@@ -90,9 +90,7 @@ def driven(folder):
     configuration = write_configuration(folder, x=axis)
     config = yaml.safe_load(configuration.read_text())["bus"]
     with simulated_drives(configuration, pace="real"):
-        bus = can.Bus(
-            interface=config["interface"], channel=config["channel"], port=config["port"], hop_limit=config["hop_limit"]
-        )
+        bus = multicast_bus(config["channel"], config["port"])
         master = Master(bus)
         master.start()
         try:

@@ -36,6 +36,8 @@ WITH_DRIVES = (
     "friction-hil drives scan machine.yaml --json",
     "friction-hil drives show machine.yaml 1 --json",
     "friction-hil drives stop machine.yaml --json",
+    "friction-hil stop machine.yaml --axis x --json",
+    "friction-hil reset machine.yaml --axis x --json",
     "friction-hil run machine.yaml --pace sync --duration 3 --record run.mcap --json",
     "friction-hil run machine.yaml --pace sync --duration 0.2 --record listen.mcap --dry-run --reset-fault --force",
 )

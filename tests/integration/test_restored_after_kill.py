@@ -72,7 +72,7 @@ def test_the_run_after_a_kill_leaves_the_drive_as_it_was_found(tmp_path: Path) -
         assert len(journals(configuration)) == 1
         # time stands still in this drive without SYNC, and its watchdogs with it
         refused = run("run", configuration, "--pace", "sync", "--duration", 0.1, check=False)
-        assert "friction-hil drives stop" in refused.stderr
+        assert "friction-hil stop" in refused.stderr
         stopped = json.loads(run("drives", "stop", configuration, "--json").stdout)
         assert [each["result"] for each in stopped["drives"]] == ["stopped"]
         result, done = run_daemon(configuration, "--duration", 0.1)

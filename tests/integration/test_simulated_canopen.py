@@ -16,6 +16,7 @@ import yaml
 
 from friction_hil.cli import main
 from tests.launcher import start
+from tests.processes import multicast_bus
 
 GROUP = "239.74.163.2"
 INERTIA, FRICTION, RATED = 2e-4, 0.02, 0.5
@@ -67,7 +68,7 @@ class Drives:
         port = free_port()
         path = folder / "axes.yaml"
         path.write_text(yaml.safe_dump(configuration(port)))
-        self.bus = can.Bus(interface="udp_multicast", channel=GROUP, port=port, hop_limit=0)
+        self.bus = multicast_bus(GROUP, port)
         self.process = start(
             *("simulate", path, "--pace", pace, "--exit-with-stdin"),
             stdin=subprocess.PIPE,

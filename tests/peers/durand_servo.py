@@ -30,6 +30,7 @@ from durand.network import NetworkABC
 from durand.object_dictionary import ObjectDictionary
 from durand.scheduler import AbstractScheduler
 from durand.services.nmt import StateEnum
+from friction_hil_drivers.canopen.multicast import keep_to_group
 
 from tests.peers.cia402_servo import Servo
 
@@ -483,6 +484,7 @@ def main() -> None:
         bus = opened.enter_context(
             can.Bus(interface="udp_multicast", channel=options.group, port=options.port, hop_limit=0, fd=False)
         )
+        keep_to_group(bus.fileno(), options.group)
         servos = []
         for node in options.node:
             servo = DurandServo(node, send, manners, _log(file, node))

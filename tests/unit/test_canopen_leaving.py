@@ -115,9 +115,7 @@ def test_a_powered_drive_is_not_touched(bench, dry_run):
         with pytest.raises(DriveError, match=r"its TPDOs as they are do not give the feedback: no TPDO .*FH-221"):
             drives.connect()  # they come only on a change
     else:
-        with pytest.raises(
-            DriveError, match=r"is in state operation enabled already.*friction-hil drives stop.*FH-215"
-        ):
+        with pytest.raises(DriveError, match=r"is in state operation enabled already.*friction-hil stop.*FH-215"):
             drives.connect()
     drives.close()
     assert writes(bus) == []

@@ -15,6 +15,9 @@ from tests.unit.test_dynamixel_codec import SIGNALS, described
 
 MODELS = {"xm430": (1020, 1030), "xm540": (1120, 1130), "xl330": (1190, 1200)}  # numbers that the vendor gave them
 ITEMS = {
+    "model_number": "Model Number",
+    "firmware": "Firmware Version",
+    "temperature": "Present Temperature",
     "return_delay": "Return Delay Time",
     "operating_mode": "Operating Mode",
     "status": "Torque Enable",
@@ -47,6 +50,16 @@ def test_addresses_are_those_of_the_vendors_control_tables(name: str) -> None:
         assert {key: (signals[key].address, signals[key].size) for key in signals} == {
             key: (table[item].address, table[item].size) for key, item in ITEMS.items()
         }
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_the_simulated_servo_has_a_number_that_the_vendor_gave_the_model(name: str) -> None:
+    description = load(name)
+    assert description.signals["model_number"].simulated in MODELS[name]
+    assert description.fast_sync_read is False
+    firmware = description.signals["firmware"].simulated
+    assert firmware is not None
+    assert 38 <= firmware < 46, "it has the bus watchdog, and no Fast Sync Read"
 
 
 @pytest.mark.parametrize("name", MODELS)

@@ -31,7 +31,7 @@ READ_POSITION = "FF FF FD 00 01 07 00 02 84 00 04 00 1D 15"  # ROBOTIS e-Manual,
 class Bench:
     """Servos on a line; an axis is called by its ID."""
 
-    def __init__(self, *ids: int, is_fast: bool = False, **changes: Any) -> None:
+    def __init__(self, *ids: int, is_fast: bool = False, pace: int | None = STEPS_PER_MS, **changes: Any) -> None:
         loaded = load_description("xm430", None, DESCRIPTIONS, DynamixelDescription)
         description = loaded.model_copy(update={"fast_sync_read": is_fast, **changes})
         axes = [f"{n}" for n in ids]
@@ -42,7 +42,7 @@ class Bench:
                 Servo(ServoConfig.model_validate(PLAIN)),
                 Mode.CST,
                 AxisUnits(torque_constant=1.78),
-                STEPS_PER_MS,
+                pace,
             )
             for axis in axes
         }
@@ -83,6 +83,12 @@ class _Port:
     """The line as the vendor's SDK sees it."""
 
     is_using = False
+    baudrate = 57600
+
+    def getBaudRate(self) -> int:  # noqa: N802
+        return self.baudrate
+
+    def setPacketTimeoutMillis(self, milliseconds: float) -> None: ...  # noqa: N802
 
     def __init__(self, bench: Bench) -> None:
         self._bench = bench
@@ -153,7 +159,7 @@ def test_fast_and_slow_reads_say_the_same() -> None:
 def test_the_vendors_sdk_understands_the_answers() -> None:
     bench = Bench(1, 2)
     sdk, port = PacketHandler(2.0), _Port(bench)
-    assert sdk.ping(port, 2) == (0, COMM_SUCCESS, 0)
+    assert sdk.ping(port, 2) == (1020, COMM_SUCCESS, 0)
     assert sdk.write1ByteTxRx(port, 1, 64, 1) == (COMM_SUCCESS, 0)
     assert sdk.read1ByteTxRx(port, 1, 64) == (1, COMM_SUCCESS, 0)
     assert sdk.write2ByteTxRx(port, 1, 102, 100) == (COMM_SUCCESS, 0)
@@ -170,13 +176,14 @@ def test_the_vendors_sdk_understands_the_answers() -> None:
 @pytest.mark.parametrize(
     ("call", "error"),
     [
-        (lambda sdk, port: sdk.read2ByteTxRx(port, 1, 0)[2], 7),  # no signal there
+        (lambda sdk, port: sdk.read2ByteTxRx(port, 1, 2)[2], 7),  # no signal there
         (lambda sdk, port: sdk.read4ByteTxRx(port, 1, 130)[2], 0),  # the end of one and the beginning of another
-        (lambda sdk, port: sdk.write2ByteTxRx(port, 1, 0, 1)[1], 7),
+        (lambda sdk, port: sdk.write2ByteTxRx(port, 1, 2, 1)[1], 7),
         (lambda sdk, port: sdk.write1ByteTxRx(port, 1, 102, 1)[1], 5),
         (lambda sdk, port: sdk.write1ByteTxRx(port, 1, 64, 2)[1], 4),
         (lambda sdk, port: sdk.write4ByteTxRx(port, 1, 132, 0)[1], 4),  # present position is not to be written
-        (lambda sdk, port: sdk.reboot(port, 1)[1], 2),
+        (lambda sdk, port: sdk.write2ByteTxRx(port, 1, 0, 1)[1], 4),  # nor is the model number
+        (lambda sdk, port: sdk.factoryReset(port, 1, 0xFF)[1], 2),
     ],
 )
 def test_refusals(call: Any, error: int) -> None:
@@ -311,3 +318,43 @@ def test_a_silent_servo_costs_its_neighbours_no_more_than_a_few_cycles(silent: s
             heard[axis] += cycle >= warm_up and {"position", "velocity"} <= image.fresh
     assert heard.pop(silent) == 0
     assert all(count > 0.8 * (cycles - warm_up) for count in heard.values()), heard
+
+
+def test_the_vendors_sdk_finds_identity_and_temperature() -> None:
+    bench = Bench(1, 2)
+    sdk, port = PacketHandler(2.0), _Port(bench)
+    servos, result = sdk.broadcastPing(port)
+    assert result == COMM_SUCCESS
+    assert {servo: list(found) for servo, found in servos.items()} == {1: [1020, 44], 2: [1020, 44]}
+    assert sdk.read2ByteTxRx(port, 1, 0) == (1020, COMM_SUCCESS, 0)
+    assert sdk.read1ByteTxRx(port, 1, 6) == (44, COMM_SUCCESS, 0)
+    celsius, result, error = sdk.read1ByteTxRx(port, 1, 146)
+    assert (result, error) == (COMM_SUCCESS, 0)
+    assert 0 < celsius < 80
+
+
+def test_a_reboot_ends_torque_and_errors_and_keeps_what_has_no_need_of_supply() -> None:
+    bench = Bench(1, 2)
+    sdk, port = PacketHandler(2.0), _Port(bench)
+    bench.write("1", return_delay=0)
+    bench.write("1", watchdog=100)
+    bench.write("1", status=1)
+    bench.write("2", status=1)
+    bench.drives["1"].fail()
+    assert bench.state("1") is DriveState.FAULT
+    assert sdk.reboot(port, 1)[0] == COMM_SUCCESS
+    assert bench.state("1") is DriveState.SWITCH_ON_DISABLED
+    assert bench.images["1"].values["watchdog"] == 0.0
+    assert bench.state("2") is DriveState.OPERATION_ENABLED
+    bench.drives["1"].write("operating_mode", 0.0)
+
+
+def test_a_servo_that_reboots_in_real_time_answers_nothing_until_it_is_up() -> None:
+    bench = Bench(1, 2, pace=None)
+    sdk, port = PacketHandler(2.0), _Port(bench)
+    assert sdk.reboot(port, 1)[0] == COMM_SUCCESS
+    for now_s, is_there in ((0.0, False), (0.2, False), (0.4, True)):
+        for drive in bench.drives.values():
+            drive.advance_to(round(now_s * 1e9))
+        assert (sdk.ping(port, 1)[1] == COMM_SUCCESS) is is_there
+        assert sdk.ping(port, 2)[1] == COMM_SUCCESS

@@ -54,6 +54,7 @@ class AsciiExchange:
             self.reply_size += language.sealed_size(max(form.size for form in replies), language.reply_end)
         self._words = frozenset(form.words for form in replies)
         self.reports_refusal = self.reply_size == 0 and language.has_error_replies
+        self.is_acknowledged = bool(replies)
 
     def may_follow(self, before: Exchange) -> bool:
         """Return True if the replies to this and to ``before`` differ in their number of words; see `Exchange`."""

@@ -122,6 +122,10 @@ class AsciiDescription(Description):
         """Return the signals by name."""
         return {**self.signals}
 
+    def can_be_read(self, signal: str) -> bool:
+        """Return True if a message reads the signal and writes nothing."""
+        return any(signal in message.reads for message in self.messages.values() if not message.writes)
+
     def replies(self, message: Message) -> tuple[str, ...]:
         """Return the templates of the replies to a message; none if no reply comes."""
         forms = (self.acknowledge,) if message.forms is None else message.forms

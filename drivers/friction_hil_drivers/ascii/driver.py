@@ -153,6 +153,9 @@ class AsciiLine:
             raise UsageError(f"{axis}: no message of its description writes just {' and '.join(names)}")
         return self._axes[axis].exchange(messages)
 
+    def reboot(self, axis: str) -> None:
+        """See `LineProtocol`: there is no request for it."""
+
 
 class AsciiDrives(SerialDrives):
     """Drives that exchange lines of text."""

@@ -37,6 +37,7 @@ COMMANDS_TOO_OLD = "FH-237"
 UNITS_CONTRADICT = "FH-240"
 UNIT_AMBIGUOUS = "FH-241"
 NODE_SILENT = "FH-244"
+NODE_TAKEN = "FH-245"
 SYNC_UNUSABLE = "FH-247"
 SYNC_LOST = "FH-248"
 PDO_NOT_AS_STATED = "FH-249"
@@ -79,6 +80,7 @@ TITLES = {
     UNITS_CONTRADICT: "The configuration contradicts a unit that the drive reports",
     UNIT_AMBIGUOUS: "The drive's objects leave open which unit its position has",
     NODE_SILENT: "A node to be shown or stopped does not answer",
+    NODE_TAKEN: "A node to be simulated is on the bus already",
     SYNC_UNUSABLE: "A sidecar hears no SYNC of its period",
     SYNC_LOST: "A sidecar has lost SYNC, or hears two of them",
     PDO_NOT_AS_STATED: "A PDO is not as the configuration of a sidecar says",

@@ -244,7 +244,7 @@ def _require_unpowered(access: "SdoClient", state: DriveState) -> None:
     if state.is_powered:
         text = (
             f"{access.axis}: {access.where} is in state {state.words} already: another master is driving it, or a "
-            "former one left it enabled; stop that master, or disable the drive with friction-hil drives stop"
+            "former one left it enabled; stop that master, or take the drive's power by friction-hil stop CONFIG"
         )
         raise DriveError(text, code=codes.ALREADY_POWERED)
 

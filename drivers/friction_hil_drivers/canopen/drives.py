@@ -7,7 +7,6 @@ writes the bus.
 
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from friction_hil.drive import AxisFacts, Clock, Command, DriveState, Feedback
@@ -38,6 +37,7 @@ from friction_hil_drivers.canopen.new_keys import new_keys
 from friction_hil_drivers.canopen.nmt_state import ask_nmt_state, unknown_nmt_state
 from friction_hil_drivers.canopen.options import CanopenOptions, canopen_options
 from friction_hil_drivers.canopen.passive import PassiveAxis, PassiveExchange
+from friction_hil_drivers.canopen.service import CanopenService
 from friction_hil_drivers.canopen.sidecar import SidecarDrives
 from friction_hil_drivers.canopen.stopping import has_no_power
 from friction_hil_drivers.canopen.watchdog_times import WatchdogTimes
@@ -46,10 +46,8 @@ from friction_hil_drivers.canopen.watchdogs import watchdog_pdos
 if TYPE_CHECKING:
     import can
 
-    from friction_hil.config import AxisConfig, BusConfig, Configuration
-    from friction_hil.recordings import Recording
+    from friction_hil.config import AxisConfig, Configuration
     from friction_hil_drivers.canopen.frames import FrameBus
-    from friction_hil_drivers.canopen.inventory import CanopenInventory
     from friction_hil_drivers.canopen.sdo import SdoClient, SdoNetwork
 
 _OF_MAPPING = (
@@ -64,7 +62,7 @@ _HEAR_S = 1.0  # for every TPDO to come once, where another master decides when
 _PRE_OPERATIONAL = (objects.NmtState.BOOT_UP, objects.NmtState.PRE_OPERATIONAL)  # a node boots into the latter
 
 
-class CanopenDrives:
+class CanopenDrives(CanopenService):
     """Drives of some axes on one bus; see `friction_hil.drive.Drives`.
 
     Attributes
@@ -93,28 +91,6 @@ class CanopenDrives:
                 continue
             for reason in reasons:
                 yield name, "eds", UsageError(f"{options.eds} {reason}")
-
-    @staticmethod
-    def open_inventory(config: "BusConfig") -> "CanopenInventory":
-        """Open a bus to find, show or stop its drives; see `friction_hil.drive.Driver`."""
-        # imported here: python-can takes 0.5 s, and reading a configuration does not need it
-        from friction_hil_drivers.canopen.bus import open_frame_bus
-        from friction_hil_drivers.canopen.inventory import CanopenInventory
-
-        return CanopenInventory(config, open_frame_bus(config))
-
-    @staticmethod
-    def inventory_node(axis: "AxisConfig") -> int:
-        """Return the number of an axis's node."""
-        return canopen_options(axis).node
-
-    @staticmethod
-    def read_bus_log(path: Path, axes: "Mapping[str, AxisConfig]") -> "list[Recording]":
-        """Decode a log of CAN frames; see `bus_log.read_bus_log`."""
-        # imported here: python-can takes 0.5 s, and only commands that read a log need it
-        from friction_hil_drivers.canopen.bus_log import read_bus_log
-
-        return read_bus_log(path, axes)
 
     @classmethod
     def try_watchdogs(

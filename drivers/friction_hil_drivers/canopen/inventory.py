@@ -4,11 +4,12 @@ Nothing here sends NMT, SYNC or a PDO, and nothing enables. `scan` and `show` on
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from friction_hil.drive import DriveState
-from friction_hil.drive.inventory import DriveEntry, Scan, Stop
+from friction_hil.drive.inventory import DriveEntry, Scan, Stop, StopReport
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes, objects
 from friction_hil_drivers.canopen.conversation import Conversation, Script
@@ -17,7 +18,7 @@ from friction_hil_drivers.canopen.dialogue import Upload
 from friction_hil_drivers.canopen.exclusive import AxisLock
 from friction_hil_drivers.canopen.interfaces import bus_name
 from friction_hil_drivers.canopen.listening import LISTEN_S, OtherMasters, heard_by
-from friction_hil_drivers.canopen.stopping import stop_drive
+from friction_hil_drivers.canopen.stopping import reset_axes, stop_axes, stop_drive
 from friction_hil_drivers.cia402 import profile
 
 if TYPE_CHECKING:
@@ -100,6 +101,48 @@ class CanopenInventory:
         talk = Conversation(self._bus, answer_s=_ANSWER_S, attempts=_ATTEMPTS)
         return [stop for stops in talk.hold({node: stop_drive(node) for node in asked}).values() for stop in stops]
 
+    def stop_axes(self, axes: Mapping[str, tuple[int, int]]) -> StopReport:
+        """Stop the drives of some axes at once and side by side.
+
+        Parameters
+        ----------
+        axes : mapping of str to (int, int)
+            Node, and number of the axis in it, by the name of the axis.
+        """
+        owners = [text for node in _nodes_of(axes) if (text := self._owner(node))]
+        return StopReport(self._carry_out(axes, stop_axes), (*self.notes, *owners))
+
+    def reset_axes(self, axes: Mapping[str, tuple[int, int]]) -> StopReport:
+        """Reset the faults of the drives of some axes; parameters as those of `stop_axes`.
+
+        Raises
+        ------
+        DriveError
+            Another master is at work: it could enable the drive as soon as it has no fault any more.
+        """
+        for node in _nodes_of(axes):
+            AxisLock(self._config, node, f"node {node}").release()
+        if self._others.words:
+            text = f"another master is at work on {bus_name(self._config)}: {self._others.words}"
+            raise DriveError(text, "let it reset the fault, or stop it first", codes.SECOND_MASTER)
+        return StopReport(self._carry_out(axes, reset_axes), self.notes)
+
+    def _carry_out(
+        self, axes: Mapping[str, tuple[int, int]], script: "Callable[[int, Sequence[int]], Script[list[Stop]]]"
+    ) -> tuple[Stop, ...]:
+        """Run a script with each node; return its results in the order of the axes."""
+        names: dict[int, dict[int, str]] = {}
+        for name, (node, number) in axes.items():
+            names.setdefault(node, {})[number] = name
+        talk = Conversation(self._bus, answer_s=_ANSWER_S, attempts=_ATTEMPTS)
+        answers = talk.hold({node: script(node, list(numbers)) for node, numbers in names.items()})
+        found = {}
+        for node, stops in answers.items():
+            for (number, name), stop in zip(names[node].items(), stops, strict=True):
+                which = f", axis {number + 1}" if number else ""
+                found[name] = replace(stop, axis=name, address=f"node {node}{which} on {bus_name(self._config)}")
+        return tuple(found[name] for name in axes)
+
     def _nmt_of(self, node: int) -> str:
         """Return the state of a node in words, "" where no heartbeat was heard."""
         state = self._others.state_of(node)
@@ -124,6 +167,10 @@ class CanopenInventory:
     def _silence(self, node: int) -> str:
         heard = f", though its heartbeat says {self._nmt_of(node)}" if node in self._others.heard_nodes else ""
         return f"node {node} on {bus_name(self._config)} answers no SDO request{heard}"
+
+
+def _nodes_of(axes: Mapping[str, tuple[int, int]]) -> list[int]:
+    return list(dict.fromkeys(node for node, _ in axes.values()))
 
 
 def _device_type() -> "Script[tuple[int | None] | None]":

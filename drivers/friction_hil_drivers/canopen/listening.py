@@ -200,7 +200,7 @@ class Look:
         if self.state.is_powered:
             return (
                 f"is in state {self.state.words} already: another master is driving it, or a former one left it "
-                "enabled; stop that master, or disable the drive with friction-hil drives stop"
+                "enabled; stop that master, or take the drive's power by friction-hil stop CONFIG"
             )
         if self.state is DriveState.UNKNOWN:
             return f"reports statusword {self.statusword:04X}h, which does not say whether it has power"

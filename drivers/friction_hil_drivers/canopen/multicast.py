@@ -106,6 +106,9 @@ def keep_to_group(descriptor: int, group: str) -> None:
                 sock.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)
             else:
                 sock.setsockopt(socket.IPPROTO_IPV6, _IPV6_MULTICAST_ALL, 0)
+        with contextlib.suppress(OSError):  # what came for another group since the socket was bound
+            while sock.recv(1, socket.MSG_DONTWAIT):
+                pass
 
 
 def _filter(family: socket.AddressFamily, group: str) -> bytes:

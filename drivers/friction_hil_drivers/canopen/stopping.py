@@ -1,9 +1,11 @@
 """Stopping a drive that was left enabled, by SDO alone: it works in Pre-operational too, and needs no RPDO.
 
-Quick stop, standstill or two seconds, disable voltage, and the statusword read back. Nothing here can enable a drive.
+Quick stop, standstill or two seconds, disable voltage, and the statusword read back. A fault is reset likewise, by the
+user's word alone. Nothing here can enable a drive.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from friction_hil.drive import DriveState
 from friction_hil.drive.inventory import Stop
@@ -28,9 +30,29 @@ def stop_drive(node: int) -> "Script[list[Stop]]":
         yield status
         if axis and status.value is None:
             break
-        stops.append((yield from _stop_axis(node, axis, status)))
+        stop = yield from _stop_axis(node, axis, status)
+        stops.append(replace(stop, detail=f"axis {axis + 1}: {stop.detail}".rstrip(": ")) if axis else stop)
         if status.is_silent or status.value is None:
             break
+    return stops
+
+
+def stop_axes(node: int, axes: Sequence[int]) -> "Script[list[Stop]]":
+    """Stop some axes of a node; return what was read back of each."""
+    stops: list[Stop] = []
+    for axis in axes:
+        status = Upload(objects.STATUSWORD.of_axis(axis))
+        yield status
+        stops.append((yield from _stop_axis(node, axis, status)))
+    return stops
+
+
+def reset_axes(node: int, axes: Sequence[int]) -> "Script[list[Stop]]":
+    """Reset the faults of some axes of a node, and leave them without power; return what was read back of each."""
+    stops: list[Stop] = []
+    for axis in axes:
+        stop = yield from _reset_axis(node, axis)
+        stops.append(stop)
     return stops
 
 
@@ -44,17 +66,16 @@ def disable_axes(axes: Sequence[int]) -> "Script[dict[int, DriveState]]":
 
 
 def _stop_axis(node: int, axis: int, status: Upload) -> "Script[Stop]":
-    name = f"axis {axis + 1}: " if axis else ""
     before = _state(status)
     if status.is_silent:
         # deaf one way is not deaf the other way: the commands go out all the same
         yield from _command(axis, profile.QUICK_STOP)
         yield from _command(axis, profile.DISABLE_VOLTAGE)
-        return Stop(node, before, DriveState.UNKNOWN, "unknown", f"{name}it answers no SDO request")
+        return _no_drive(node, status)
     if status.value is None:
-        return Stop(node, before, DriveState.UNKNOWN, "unknown", f"{name}it has no statusword 6041h: not a drive")
+        return _no_drive(node, status)
     if has_no_power(before):
-        return Stop(node, before, before, "unpowered", name.rstrip(": "))
+        return Stop(node, before, before, "unpowered")
     refused = yield from _command(axis, profile.QUICK_STOP)
     yield from _await_standstill(axis)
     refused = (yield from _command(axis, profile.DISABLE_VOLTAGE)) or refused
@@ -63,11 +84,58 @@ def _stop_axis(node: int, axis: int, status: Upload) -> "Script[Stop]":
         yield Pause(_RELAPSE_S)
         after = yield from _read_state(axis)
     result = "unknown" if after is DriveState.UNKNOWN else "powered" if after.is_powered else "stopped"
-    return Stop(node, before, after, result, name + _reason(result, refused))
+    return Stop(node, before, after, result, _reason(result, refused))
+
+
+def _reset_axis(node: int, axis: int) -> "Script[Stop]":
+    status = Upload(objects.STATUSWORD.of_axis(axis))
+    yield status
+    if status.value is None:
+        return _no_drive(node, status)
+    before = _state(status)
+    for _ in range(_READ_BACK_POLLS):  # it ends in a fault by itself
+        if before is not DriveState.FAULT_REACTION_ACTIVE:
+            break
+        yield Pause(_POLL_S)
+        before = yield from _read_state(axis)
+    if before is not DriveState.FAULT:
+        result = "unpowered" if has_no_power(before) else "powered" if before.is_powered else "unknown"
+        detail = {"powered": "it has no fault", "unknown": "its statusword shows no state"}.get(result, "")
+        return Stop(node, before, before, result, detail)
+    fault = yield from _fault(axis)
+    refused = yield from _command(axis, profile.DISABLE_VOLTAGE)  # the drive needs a rising edge
+    refused = (yield from _command(axis, profile.FAULT_RESET)) or refused
+    after = yield from _read_state(axis)
+    for _ in range(_READ_BACK_POLLS):
+        if after is not DriveState.FAULT:
+            break
+        yield Pause(_POLL_S)
+        after = yield from _read_state(axis)
+    refused = (yield from _command(axis, profile.DISABLE_VOLTAGE)) or refused
+    yield Pause(_RELAPSE_S)
+    after = yield from _read_state(axis)
+    if after is DriveState.FAULT:
+        now = yield from _fault(axis)
+        return Stop(node, before, after, "fault", refused or f"after the reset it reports {now}", fault=fault)
+    result = "unknown" if after is DriveState.UNKNOWN else "powered" if after.is_powered else "reset"
+    return Stop(node, before, after, result, _reason(result, refused), fault=fault)
+
+
+def _no_drive(node: int, status: Upload) -> Stop:
+    """Return the result for what answers no SDO request, or has no statusword."""
+    why = "it answers no SDO request" if status.is_silent else "it has no statusword 6041h: not a drive"
+    return Stop(node, DriveState.UNKNOWN, DriveState.UNKNOWN, "unknown", why)
+
+
+def _fault(axis: int) -> "Script[str]":
+    """Return the drive's error code in words."""
+    code = Upload(objects.ERROR_CODE.of_axis(axis))
+    yield code
+    return "a fault without an error code (603Fh)" if not code.value else profile.error_text(code.value)
 
 
 def _reason(result: str, refused: str) -> str:
-    if result == "stopped":
+    if result in ("stopped", "reset", "unpowered"):
         return ""
     if refused:
         return refused

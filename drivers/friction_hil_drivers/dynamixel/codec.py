@@ -10,6 +10,7 @@ from friction_hil_drivers.dynamixel.packets import (
     HEADER,
     PREFIX,
     READ,
+    REBOOT,
     REQUEST_SIZE,
     STATUS,
     STATUS_SIZE,
@@ -342,6 +343,21 @@ class Write(_Request):
         member = self._member
         data = _words(member.block.address) + _packed(member, self.label)
         return self._packets.pack(member.id, WRITE, data)
+
+
+class Reboot(_Request):
+    """Restart one servo, which acknowledges the request and then answers nothing for a moment."""
+
+    def __init__(self, packets: Packets, member: Member) -> None:
+        super().__init__(packets, "reboot", (member,), 0)
+        self.request_size = REQUEST_SIZE
+        self.reply_size = STATUS_SIZE
+
+    def encode(self) -> bytes:
+        """Return the request."""
+        self._begin()
+        (servo,) = self._members
+        return self._packets.pack(servo, REBOOT)
 
 
 class SyncWrite(_Request):

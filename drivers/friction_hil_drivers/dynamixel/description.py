@@ -27,6 +27,10 @@ class DynamixelSignal(Signal):
         None, description="greatest magnitude that the servo accepts; it would refuse a greater one and keep the last"
     )
 
+    simulated: int | None = Field(
+        None, description="number that the simulated servo reports; for signals that the driver does not use"
+    )
+
     @property
     def counter_bits(self) -> int | None:
         """Width of the servo's number, an integer that wraps."""

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
-from friction_hil_drivers.dynamixel.codec import Member, Order, Read, SyncWrite, Write, alike, read_exchange
+from friction_hil_drivers.dynamixel.codec import Member, Order, Read, Reboot, SyncWrite, Write, alike, read_exchange
 from friction_hil_drivers.dynamixel.description import DESCRIPTIONS, DynamixelDescription
 from friction_hil_drivers.dynamixel.options import DynamixelOptions
 from friction_hil_drivers.dynamixel.packets import Packets
@@ -80,6 +80,11 @@ class DynamixelLine:
             One request cannot write them all.
         """
         return Write(self._packets, only(self._members(axis, names), "write", names))
+
+    def reboot(self, axis: str) -> Reboot:
+        """Return the exchange that restarts the servo of an axis: it ends a hardware error."""
+        (member, *_) = self._members(axis, ("position",))
+        return Reboot(self._packets, member)
 
     def _members(self, axis: str, names: Sequence[str]) -> list[Member]:
         servo, image, description = self._options[axis].id, self._images[axis], self._descriptions[axis]

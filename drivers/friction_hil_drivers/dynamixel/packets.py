@@ -12,7 +12,8 @@ from typing import Any
 
 from friction_hil.errors import UsageError
 
-PING, READ, WRITE, STATUS, SYNC_READ, SYNC_WRITE, FAST_SYNC_READ = 0x01, 0x02, 0x03, 0x55, 0x82, 0x83, 0x8A
+PING, READ, WRITE, REBOOT, STATUS = 0x01, 0x02, 0x03, 0x08, 0x55
+SYNC_READ, SYNC_WRITE, FAST_SYNC_READ = 0x82, 0x83, 0x8A
 BROADCAST = 254
 HEADER = b"\xff\xff\xfd\x00"
 PREFIX = len(HEADER) + 3  # header, ID, length

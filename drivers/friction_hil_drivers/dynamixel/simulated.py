@@ -1,6 +1,7 @@
 """Simulated servos that answer Dynamixel requests."""
 
 import itertools
+import math
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
@@ -15,6 +16,7 @@ from friction_hil_drivers.dynamixel.packets import (
     HEADER,
     PING,
     READ,
+    REBOOT,
     STATUS,
     SYNC_READ,
     SYNC_WRITE,
@@ -24,13 +26,15 @@ from friction_hil_drivers.dynamixel.packets import (
 )
 from friction_hil_drivers.serial_line.simulated.drive import RefusedError, RequestError
 from friction_hil_drivers.serial_line.simulated.drives import SimulatedSerialDrives
+from friction_hil_drivers.serial_line.simulated.server import BOOT_S
 
 if TYPE_CHECKING:
     from friction_hil_drivers.serial_line.simulated.drive import SimulatedDrive
 
 INSTRUCTION_ERROR, RANGE_ERROR, LENGTH_ERROR, ACCESS_ERROR = 2, 4, 5, 7
 _LONGEST = 1017  # the vendor's SDK makes packets of at most 1024 bytes
-_IDENTITY = bytes(3)  # model number and firmware in the reply to a ping; no real servo has these
+_UNKNOWN_IDENTITY = bytes(3)  # model number and firmware in the reply to a ping; no real servo has these
+_FIRST_IN_RAM = 64  # items at lower addresses keep their numbers without supply
 
 
 class _Servo:
@@ -39,12 +43,39 @@ class _Servo:
     def __init__(self, drive: "SimulatedDrive", description: DynamixelDescription) -> None:
         self._drive = drive
         self._items = [item for block in description.blocks(description.signals) for item in block.items]
+        signals = description.signals
+        self._fixed = {
+            name: float(signal.simulated) for name, signal in signals.items() if signal.simulated is not None
+        }
+        self._kept = frozenset(item.name for item in self._items if item.address < _FIRST_IN_RAM)
+        self._up_at_s = -math.inf  # end of a reboot
 
     @property
     def alert(self) -> int:
         """Alert bit of the error field: set while the servo has an error."""
         has_error = any(item.name == "error" for item in self._items)
         return ALERT if has_error and self._drive.read("error") else 0
+
+    @property
+    def identity(self) -> bytes:
+        """Model number and firmware, as in the reply to a ping."""
+        if not {"model_number", "firmware"} <= self._fixed.keys():
+            return _UNKNOWN_IDENTITY
+        return b"".join(i.pack(self._fixed[i.name]) for i in self._items if i.name in ("model_number", "firmware"))
+
+    @property
+    def is_up(self) -> bool:
+        """True unless the servo is rebooting."""
+        if not self._drive.is_on and self._drive.time_s >= self._up_at_s > -math.inf:
+            self._drive.switch_on(self._kept)
+            self._up_at_s = -math.inf
+        return self._up_at_s == -math.inf
+
+    def reboot(self) -> None:
+        """Begin a reboot, which ends torque and errors; in the meantime the servo answers nothing."""
+        self._drive.switch_off()
+        # with pace sync no time would pass on a line whose only servo does not answer
+        self._up_at_s = self._drive.time_s + (0.0 if self._drive.is_paced_by_requests else BOOT_S)
 
     def fed(self) -> None:
         """Reset the bus watchdog, as any instruction does."""
@@ -64,9 +95,13 @@ class _Servo:
             raise RequestError(ACCESS_ERROR)
         if any(item.name == "position" for item in items):
             self._drive.sample()
-        data = b"".join(item.pack(self._drive.read(item.name)) for item in items)
+        data = b"".join(item.pack(self._number(item.name)) for item in items)
         skipped = address - items[0].address
         return data[skipped : skipped + size]
+
+    def _number(self, name: str) -> float:
+        fixed = self._fixed.get(name)
+        return self._drive.read(name) if fixed is None else fixed
 
     def write(self, address: int, data: bytes) -> None:
         """Write bytes of the table.
@@ -116,6 +151,7 @@ class DynamixelResponder:
     ) -> None:
         self._packets = Packets()
         self._servos = {options[axis].id: _Servo(drives[axis], descriptions[axis]) for axis in drives}
+        self._present = dict(self._servos)  # those that are not rebooting
         self._has_fast_read = {options[axis].id: descriptions[axis].fast_sync_read for axis in drives}
 
     def take(self, received: bytearray) -> bytes | None:
@@ -129,18 +165,23 @@ class DynamixelResponder:
         """Do nothing: the next request is recognised by its header."""
 
     def _answer(self, packet: Packet) -> bytes:
+        self._present = {servo: each for servo, each in self._servos.items() if each.is_up}
         if packet.id == BROADCAST:
-            for each in self._servos.values():
+            for each in self._present.values():
                 each.fed()
             return self._answer_all(packet)
-        servo = self._servos.get(packet.id)
+        servo = self._present.get(packet.id)
         if servo is None:
             return b""
         servo.fed()
         p = packet.parameters
         try:
             if packet.instruction == PING:
-                return self._status(packet.id, _IDENTITY)
+                return self._status(packet.id, servo.identity)
+            if packet.instruction == REBOOT:
+                reply = self._status(packet.id)
+                servo.reboot()
+                return reply
             if packet.instruction == READ:
                 if len(p) != 4:
                     raise RequestError(LENGTH_ERROR)
@@ -157,16 +198,19 @@ class DynamixelResponder:
     def _answer_all(self, packet: Packet) -> bytes:
         p = packet.parameters
         if packet.instruction == PING:
-            return b"".join(self._status(servo, _IDENTITY) for servo in sorted(self._servos))
+            return b"".join(self._status(servo, self._present[servo].identity) for servo in sorted(self._present))
+        if packet.instruction == REBOOT:
+            for each in self._present.values():
+                each.reboot()
         if packet.instruction == WRITE and len(p) > 2:
-            for servo in self._servos:
+            for servo in self._present:
                 self._write(servo, _word(p, 0), p[2:])
         if len(p) <= 4:
             return b""
         address, size, rest = _word(p, 0), _word(p, 2), p[4:]
         if packet.instruction == SYNC_READ:
             # each servo waits for the answer of the one before it: after one that is missing, none answers
-            answering = itertools.takewhile(self._servos.__contains__, rest)
+            answering = itertools.takewhile(self._present.__contains__, rest)
             return b"".join(self._read(servo, address, size) for servo in answering)
         if packet.instruction == FAST_SYNC_READ:
             return self._read_fast(address, size, rest)
@@ -188,7 +232,7 @@ class DynamixelResponder:
             return b""
         packet = bytearray(HEADER + bytes((BROADCAST,)) + length.to_bytes(2, "little") + bytes((STATUS,)))
         for k, servo in enumerate(servos):
-            if not self._has_fast_read.get(servo, False):
+            if servo not in self._present or not self._has_fast_read[servo]:
                 return bytes(packet) if k else b""
             error, data = 0, bytes(size)
             try:
@@ -201,7 +245,7 @@ class DynamixelResponder:
 
     def _write(self, servo: int, address: int, data: bytes) -> None:
         """Write bytes of a servo that does not answer, so that a refusal is not reported."""
-        if servo in self._servos:
+        if servo in self._present:
             try:
                 self._servos[servo].write(address, data)
             except RequestError:

@@ -87,6 +87,9 @@ class ModbusLine:
         """
         return self._request(axis, write=only(self._descriptions[axis].write_blocks(tuple(names)), "write", names))
 
+    def reboot(self, axis: str) -> None:
+        """See `LineProtocol`: there is no request for it."""
+
     def _request(
         self, axis: str, read: RegisterBlock | None = None, write: RegisterBlock | None = None
     ) -> ModbusExchange:

@@ -13,6 +13,7 @@ from friction_hil_drivers.cia402 import profile
 from friction_hil_drivers.serial_line import codes
 from friction_hil_drivers.serial_line.description import Description, Signal, Step
 from friction_hil_drivers.serial_line.protocol import COMMANDS, Image
+from friction_hil_drivers.serial_line.read_back import contradiction
 from friction_hil_drivers.serial_line.sequences import Sequencer, disable_writes, meaning_of, state_of, state_signals
 from friction_hil_drivers.serial_line.units import LINEAR, NEEDS, ROTARY, UNITS, AxisUnits
 
@@ -72,6 +73,14 @@ def make_scales(axis: str, description: Description, units: AxisUnits, *, kind: 
     return SignalScales(scales, description.units()["position"].counter_bits)
 
 
+def error_text(description: Description, number: float) -> str:
+    """Return the number of the signal ``error`` with its meaning: ``32 (20h) overload``."""
+    code = int(number)
+    if code in description.errors:
+        return f"{code} ({code:X}h) {description.errors[code]}"
+    return profile.error_text(code) if description.state_machine == "cia402" else f"error {code} ({code:X}h)"
+
+
 class SerialAxis:
     """Decodes and encodes the process image of one drive.
 
@@ -86,6 +95,12 @@ class SerialAxis:
         Signals that are written in each cycle.
     before : sequence of Step
         Steps written before the drive is enabled.
+
+    Attributes
+    ----------
+    read_back : frozenset of str
+        Signals of the drive's watchdog that the drive lets be read: on the way to power, a step that writes one of
+        them is done when the drive reports what was written.
     """
 
     def __init__(
@@ -101,6 +116,7 @@ class SerialAxis:
         self.image = image
         self.sequencer = Sequencer(description, before)
         self.state = DriveState.UNKNOWN
+        self.read_back: frozenset[str] = frozenset()
         self._description = description
         self.scales = scales
         self._scales = scales.of
@@ -159,7 +175,8 @@ class SerialAxis:
         number = values.get("error", 0.0)
         feedback.error = self._why
         if number:
-            feedback.error = f"{self._why}; {self._error(number)}" if self._why else self._error(number)
+            error = error_text(self._description, number)
+            feedback.error = f"{self._why}; {error}" if self._why else error
         feedback.missing = "" if is_fresh else last_error
         feedback.message = coded(self.sequencer.problem, codes.SEQUENCE_STUCK) if self.sequencer.problem else ""
         if self._position_s - self._state_s > _STATUS_LOSS_S:
@@ -186,11 +203,14 @@ class SerialAxis:
         self._counts = raw if self._counts is None else unwrap(self._counts, raw, self._position_bits)
         return float(self._counts)
 
-    def _error(self, number: float) -> str:
-        code = int(number)
-        if code in self._description.errors:
-            return f"{code} ({code:X}h) {self._description.errors[code]}"
-        return profile.error_text(code) if self._description.state_machine == "cia402" else f"error {code} ({code:X}h)"
+    def to_read_back(self, step: Mapping[str, float]) -> list[str]:
+        """Return the signals of a step that have to be read back: before the drive gets its power, never after."""
+        return sorted(self.read_back & step.keys()) if self.sequencer.is_enabling else []
+
+    def acknowledge(self, step: Mapping[str, float]) -> None:
+        """Note that the drive accepted a step, and reported the signals in `read_back` that it writes."""
+        differing = contradiction(self._description, step, self.image.values, self.to_read_back(step))
+        self.sequencer.acknowledge(differing)
 
     def hold(self) -> None:
         """Set commands that do not move the axis: zero, and the position that was read last."""

@@ -4,6 +4,7 @@ import select
 import time
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 
 from friction_hil.errors import BusError, DriveError
 from friction_hil_drivers.serial_line import codes
@@ -53,6 +54,7 @@ class SerialBus:
     _is_step_sent: bool = False  # the last cycle sent a step instead of a background read
     _first_axis: int = 0  # index of the axis that may send a step first
     _steps: dict[tuple[str, tuple[str, ...]], Exchange] = field(default_factory=dict)
+    _reads: dict[tuple[str, str], Exchange] = field(default_factory=dict)
     _listening: _CycleBatches = field(init=False)
     _commanding: _CycleBatches = field(init=False)
 
@@ -128,7 +130,8 @@ class SerialBus:
         for axis in (*self.axes[self._first_axis :], *self.axes[: self._first_axis]):
             if step := steps.get(axis.name):
                 axis.image.values.update(step)
-                self.scheduler.enqueue((self.write_exchange(axis.name, step),), axis.sequencer.acknowledge)
+                reads = [self.read_exchange(axis.name, name) for name in axis.to_read_back(step)]
+                self.scheduler.enqueue((self.write_exchange(axis.name, step), *reads), partial(axis.acknowledge, step))
                 self._first_axis = (self.axes.index(axis) + 1) % len(self.axes)
                 return True
         return False
@@ -162,6 +165,13 @@ class SerialBus:
         if key not in self._steps:
             self._steps[key] = self.protocol.write(*key)
         return self._steps[key]
+
+    def read_exchange(self, axis: str, name: str) -> Exchange:
+        """Return the exchange that reads one signal of an axis; each is made once."""
+        key = axis, name
+        if key not in self._reads:
+            self._reads[key] = self.protocol.read(axis, (name,))
+        return self._reads[key]
 
     def wire_s(self, *exchanges: Exchange) -> float:
         """Compute the least time that successive exchanges take, s."""

@@ -12,6 +12,7 @@ PACE_NOT_ANSWERED = "FH-258"
 STATE_NOT_REPORTED = "FH-260"
 COMMANDS_REFUSED = "FH-261"
 SEQUENCE_STUCK = "FH-262"
+WATCHDOG_NOT_HELD = "FH-263"
 
 TITLES = {
     LINE_NOT_OPENED: "The line does not open",
@@ -26,4 +27,5 @@ TITLES = {
     STATE_NOT_REPORTED: "The drive does not report its state any more",
     COMMANDS_REFUSED: "The drive refuses the daemon's commands",
     SEQUENCE_STUCK: "The drive does not follow a sequence of its description",
+    WATCHDOG_NOT_HELD: "The drive does not hold the watchdog that was written to it",
 }

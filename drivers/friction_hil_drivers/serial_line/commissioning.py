@@ -20,12 +20,13 @@ from friction_hil_drivers.serial_line.options import SerialOptions
 from friction_hil_drivers.serial_line.protocol import FAST, SLOW, CycleSignals, Exchange, Image, Plan, ProtocolFactory
 from friction_hil_drivers.serial_line.scheduler import BusScheduler
 from friction_hil_drivers.serial_line.sequences import state_signals, watchdog_steps
+from friction_hil_drivers.serial_line.set_up import arm_watchdog, write_step
 from friction_hil_drivers.serial_line.wire import character_s, check_rate, wire_s
 
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig, Configuration
 
-_REPLY_LIMIT_S, _REPLY_LIMIT_FRACTION = 0.05, 0.4
+REPLY_LIMIT_S, _REPLY_LIMIT_FRACTION = 0.05, 0.4
 _MEASURED_CYCLES = 25
 _WATCHDOG_PERIODS, _LEAST_WATCHDOG_PERIODS, _LEAST_WATCHDOG_S = 20, 3, 0.1
 _LATENESS_S = 2e-3  # margin for a reply, beside the adapter's latency
@@ -102,7 +103,7 @@ class Commissioning:
         listening = protocol.plan(listening_to)
         plan = listening if self._dry_run else protocol.plan(commanded)
         line = Line(first)
-        reply_s = _longest_reply_s(line, plan, protocol.silence_chars)
+        reply_s = longest_reply_s(line, plan, protocol.silence_chars)
         scheduler = BusScheduler(
             line,
             list(images.values()),
@@ -131,7 +132,7 @@ class Commissioning:
         """
         options = self._options[axis].line
         if options.reply_limit_s is None:
-            return max(least_s, min(_REPLY_LIMIT_S, _REPLY_LIMIT_FRACTION * self._max_missed * self._period_s))
+            return max(least_s, min(REPLY_LIMIT_S, _REPLY_LIMIT_FRACTION * self._max_missed * self._period_s))
         if options.reply_limit_s < least_s:
             raise OptionError(
                 axis,
@@ -188,7 +189,7 @@ class Commissioning:
             A drive does not answer, refuses, is powered already, or does not match its description.
         """
         if not bus.protocol.numbers_replies:
-            bus.discard_input(_REPLY_LIMIT_S)
+            bus.discard_input(REPLY_LIMIT_S)
         notes = {axis.name: self._prepare(bus, axis, descriptions[axis.name]) for axis in bus.axes}
         delay_s = _actuation_delay_s(bus, _poll_s(bus) if self._is_real else 0.0, self._period_s)
         return [self._facts(bus, axis, descriptions[axis.name], delay_s, notes[axis.name]) for axis in bus.axes]
@@ -208,13 +209,14 @@ class Commissioning:
         if state.is_powered and not self._dry_run:
             text = (
                 f"{axis.name}: the drive is in state {state.words} already: another master "
-                "is driving it, or a former one left it enabled; disable it first"
+                "is driving it, or a former one left it enabled"
             )
-            raise DriveError(text, code=codes.ALREADY_POWERED)
+            fix = "stop that master, or take the drive's power by friction-hil stop CONFIG"
+            raise DriveError(text, fix, codes.ALREADY_POWERED)
         if not self._dry_run:
             for step in (*description.prepare, *description.modes[self._configs[axis.name].mode].prepare):
-                _write(bus, axis, step)
-            notes += self._arm_watchdog(bus, axis, description)
+                write_step(bus, axis, description, step)
+            notes.append(self._arm_watchdog(bus, axis, description))
         axis.hold()
         return notes
 
@@ -261,14 +263,13 @@ class Commissioning:
             torque_delay_s=_torque_delay_s(bus.plan, self._period_s),
         )
 
-    def _arm_watchdog(self, bus: SerialBus, axis: SerialAxis, description: Description) -> list[str]:
-        if description.watchdog is not None:
-            for step in self._watchdog_steps(axis.name, description):
-                _write(bus, axis, step)
-        return [self._watchdog(axis.name, description).detail]
+    def _arm_watchdog(self, bus: SerialBus, axis: SerialAxis, description: Description) -> str:
+        if description.watchdog is None:
+            return self._watchdog(axis.name, description).detail
+        return arm_watchdog(bus, axis, description, self._watchdog_steps(axis.name, description))
 
     def _watchdog(self, axis: str, description: Description) -> Finding:
-        """Report whether the drive drops its torque when the daemon dies."""
+        """Report whether the drive is to drop its torque when the daemon dies; no drive is asked."""
         check = f"{axis}: watchdog"
         if description.watchdog is None:
             return Finding(
@@ -280,8 +281,12 @@ class Commissioning:
             )
         signal = description.watchdog.signal
         time_s = self._watchdog_steps(axis, description)[0].write[signal] * description.units()[signal].scale
-        detail = f"the drive watches the daemon: {time_s * 1e3:g} ms without a command end its torque"
-        return Finding(check, "pass", detail)
+        detail = f"{time_s * 1e3:g} ms without a command are to end the drive's torque"
+        unread = sorted(name for name in description.watchdog_signals if not description.can_be_read(name))
+        if unread:
+            detail += f"; nothing reads {' and '.join(unread)} of the drive: it cannot be read back"
+            return Finding(check, "warn", detail, "describe a request that reads it", "FH-420")
+        return Finding(check, "pass", f"{detail}; run writes it and reads it back")
 
     def _watchdog_steps(self, axis: str, description: Description) -> tuple[Step, ...]:
         try:
@@ -298,7 +303,7 @@ class Commissioning:
         return given or max(_WATCHDOG_PERIODS * self._period_s, _LEAST_WATCHDOG_S)
 
 
-def _longest_reply_s(line: Line, plan: Plan, silence_chars: float) -> float:
+def longest_reply_s(line: Line, plan: Plan, silence_chars: float) -> float:
     """Return the longest time from a request to the end of its reply, s."""
     longest_s = max(wire_s((each,), line.options, silence_chars) for each in (*plan.poll, *plan.background, *plan.push))
     return longest_s + _LATENESS_S + line.latency_s
@@ -325,42 +330,6 @@ def descriptions_of(
     return {
         name: load_description(options_of(axis).description, beside, directory, kind) for name, axis in axes.items()
     }
-
-
-def _write(bus: SerialBus, axis: SerialAxis, step: Step) -> None:
-    """Write one step of the preparation, and wait for the state that it leads to.
-
-    Raises
-    ------
-    DriveError
-        The drive refuses the step, or does not reach the state.
-    """
-    axis.image.values.update(step.write)
-    exchange = bus.write_exchange(axis.name, step.write)
-    bus.transact(axis.name, exchange)
-    refusals = bus.scheduler.refusals.count
-    if exchange.reports_refusal:  # a refusal comes before the reply to the next request
-        _read_state(bus, axis)
-    if bus.scheduler.refusals.count > refusals:
-        text = f"{axis.name}: the drive refuses its set-up: {bus.scheduler.last_error}"
-        raise DriveError(text, code=codes.SETUP_REFUSED)
-    end = time.monotonic() + step.timeout_s
-    while step.until is not None:
-        _read_state(bus, axis)
-        state = axis.read_state()
-        if state.name.lower() == step.until:
-            return
-        if time.monotonic() > end:
-            text = (
-                f"{axis.name}: {dict(step.write)} should lead to {step.until} within {step.timeout_s:g} s; "
-                f"the drive is in {state.name.lower()}"
-            )
-            raise DriveError(text, code=codes.SETUP_WITHOUT_EFFECT)
-
-
-def _read_state(bus: SerialBus, axis: SerialAxis) -> None:
-    for name in axis.state_signals:
-        bus.transact(axis.name, bus.protocol.read(axis.name, (name,)))
 
 
 def _torque_delay_s(plan: Plan, period_s: float) -> float | None:

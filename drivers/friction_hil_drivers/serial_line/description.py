@@ -151,6 +151,9 @@ class WatchdogDescription(Part):
 
     signal: str = Field(description="signal that sets the time")
     enable: tuple[Step, ...] = Field((), description="steps that are written after the time")
+    read_back: tuple[str, ...] = Field(
+        (), description="further signals on which it depends: each is read back whenever it has been written"
+    )
 
 
 class Description(Part):
@@ -178,6 +181,18 @@ class Description(Part):
     def units(self) -> dict[str, Signal]:
         """Return the signals by name; each protocol has its own."""
         raise NotImplementedError
+
+    def can_be_read(self, signal: str) -> bool:
+        """Return True if a request reads the signal; each protocol has its own rule."""
+        return signal in self.units()
+
+    @property
+    def watchdog_signals(self) -> frozenset[str]:
+        """Signals on which the drive's watchdog depends; empty without one."""
+        if self.watchdog is None:
+            return frozenset()
+        enabling = (name for step in self.watchdog.enable for name in step.write)
+        return frozenset((self.watchdog.signal, *enabling, *self.watchdog.read_back))
 
     @property
     def sequences(self) -> dict[tuple[str, ...], tuple[Step, ...]]:
@@ -225,6 +240,7 @@ class Description(Part):
         yield from ((("inferred", k), name) for k, name in enumerate(self.inferred))
         if self.watchdog is not None:
             yield ("watchdog",), self.watchdog.signal
+            yield from ((("watchdog", "read_back", k), name) for k, name in enumerate(self.watchdog.read_back))
 
     def _mistakes(self) -> Iterator[Mistake]:
         signals = self.units()
@@ -243,6 +259,10 @@ class Description(Part):
             if signal.unit != "s" or signal.scale <= 0.0:
                 text = f"the watchdog's signal {self.watchdog.signal} must be in s, with a positive scale"
                 yield ("signals", self.watchdog.signal), text
+        if self.watchdog is not None:
+            for k, name in enumerate(self.watchdog.read_back):
+                if name in signals and not self.can_be_read(name):
+                    yield ("watchdog", "read_back", k), f"nothing reads {name} without writing something"
         if "position" not in signals:
             yield ("signals",), "there is no signal position"
         for mode, part in self.modes.items():

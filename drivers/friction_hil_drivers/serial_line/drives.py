@@ -19,8 +19,9 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from friction_hil.drive import AxisFacts, Clock, Command, DriveState, Feedback, Request
 from friction_hil.drive.codes import coded
 from friction_hil.drive.finding import Finding, failure
+from friction_hil.drive.inventory import StopReport
 from friction_hil.errors import BusError, DriveError, FrictionHilError, OptionError, UsageError
-from friction_hil_drivers.serial_line import codes, ports
+from friction_hil_drivers.serial_line import codes, ports, stopping
 from friction_hil_drivers.serial_line.axis import SerialAxis, unit_mistakes
 from friction_hil_drivers.serial_line.bus import SerialBus
 from friction_hil_drivers.serial_line.commissioning import Commissioning, by_port, descriptions_of, options_of
@@ -117,6 +118,16 @@ class SerialDrives:
             for name, description in read.items():
                 with contextlib.suppress(UsageError):
                     yield from commissioning.drive_findings(name, description)
+
+    @classmethod
+    def stop_axes(cls, configuration: "Configuration", axes: "Mapping[str, AxisConfig]") -> StopReport:
+        """Take the power of the drives of some axes; see `friction_hil.drive.Driver`."""
+        return stopping.stop_axes(configuration, axes, cls.protocol, cls.descriptions, cls.description_type)
+
+    @classmethod
+    def reset_axes(cls, configuration: "Configuration", axes: "Mapping[str, AxisConfig]") -> StopReport:
+        """Reset the faults of the drives of some axes; see `friction_hil.drive.Driver`."""
+        return stopping.reset_axes(configuration, axes, cls.protocol, cls.descriptions, cls.description_type)
 
     def __init__(
         self, configuration: "Configuration", axes: "Mapping[str, AxisConfig]", clock: Clock, *, dry_run: bool

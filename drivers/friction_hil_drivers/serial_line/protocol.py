@@ -73,6 +73,7 @@ class Exchange(Protocol):
     request_size: int  # largest number of characters on the line
     reply_size: int  # largest number of characters on the line; 0: no reply comes
     reports_refusal: bool  # no reply comes unless the drive refuses the request
+    is_acknowledged: bool  # the drive replies that it has carried the request out
     constant: bytes  # the request if it is always the same; empty: `encode` has to be called
 
     @property
@@ -113,6 +114,7 @@ class Single:
     """Defaults of an `Exchange` that is sent singly and undivided, to drives that send no unsolicited errors."""
 
     reports_refusal = False
+    is_acknowledged = True
     constant = b""
 
     def may_follow(self, before: Exchange) -> bool:
@@ -193,6 +195,10 @@ class LineProtocol(Protocol):
 
     def write(self, axis: str, names: Sequence[str]) -> Exchange:
         """Return the exchange that writes some signals of an axis together (possible at least for each single one)."""
+        ...
+
+    def reboot(self, axis: str) -> Exchange | None:
+        """Return the exchange that restarts the drive of an axis; None if the protocol has none."""
         ...
 
 

@@ -204,6 +204,7 @@ class ReplyReceiver:
             except ReplyError as error:
                 if self._note_refusal(error):
                     continue
+                self.last_error = f"{unconfirmed[-1].label}: {error}"
             break
         if self._received:
             self.last_error = f"not asked for: {self._show(self._received)}{self._late.origin(self._received_ns)}"

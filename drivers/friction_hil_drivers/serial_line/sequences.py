@@ -69,14 +69,27 @@ class Sequencer:
         self._steps: tuple[Step, ...] = ()
         self._index = 0
         self._is_written = False  # the drive has acknowledged the present step
+        self._differing = ""  # what the drive holds instead of what this step wrote
         self._since_s = 0.0
         self._word = 0  # cia402: the controlword that the drive accepted last
         self._next_word = 0  # cia402: the one to write; it may have to wait on the line
         self.problem = ""
 
-    def acknowledge(self) -> None:
-        """Note that the drive accepted the values of `next_write`."""
-        self._is_written, self._word = True, self._next_word
+    @property
+    def is_enabling(self) -> bool:
+        """True while the drive is taken to power."""
+        return self._request is Request.ENABLE
+
+    def acknowledge(self, differing: str = "") -> None:
+        """Note that the drive accepted the values of `next_write`.
+
+        Parameters
+        ----------
+        differing : str
+            What the drive reports instead of these values, "" if nothing: the step is written again then.
+        """
+        self._differing = differing
+        self._is_written, self._word = not differing, self._next_word
 
     def next_write(self, request: Request, state: DriveState, time_s: float) -> Mapping[str, float]:
         """Return the values to write in this cycle, by signal; none if nothing is left to do.
@@ -93,13 +106,14 @@ class Sequencer:
         self._next_word = self._word
         if request is not self._request:
             self._request, self._index, self._is_written, self._since_s = request, 0, False, time_s
+            self._differing = ""
             self._steps, self.problem = self._sequence(request), ""
         while self._index < len(self._steps):
             step = self._steps[self._index]
             is_reached = step.until is None or state is STATES[step.until]
             if not (self._is_written and is_reached):
                 if time_s - self._since_s > step.timeout_s and not self.problem:
-                    self.problem = _not_followed(step, state)
+                    self.problem = _not_followed(step, state, self._differing)
                 # a step that waits for a state is repeated: some drives need it twice
                 return step.write
             self._index, self._is_written, self._since_s = self._index + 1, False, time_s
@@ -162,7 +176,9 @@ def disable_writes(description: Description) -> list[Mapping[str, float]]:
     return [step.write for step in description.disable]
 
 
-def _not_followed(step: Step, state: DriveState) -> str:
+def _not_followed(step: Step, state: DriveState, differing: str) -> str:
+    if differing:
+        return f"the drive does not hold what was written to it: {differing}"
     written = ", ".join(f"{name} = {value:g}" for name, value in step.write.items())
     wanted = "acknowledge it" if step.until is None else f"lead to {step.until.replace('_', ' ')}"
     return f"the drive does not follow: {written} should {wanted} within {step.timeout_s:g} s; it is in {state.words}"

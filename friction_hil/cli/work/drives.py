@@ -105,7 +105,10 @@ def _driver_of(path: str, configuration: Configuration) -> tuple[Any, list[int]]
             axes = [axis for axis in configuration.axes.values() if axis.driver == name]
             return driver, [driver.inventory_node(axis) for axis in axes]
         others.append(name)
-    raise UsageError(f"{path}: drives of {', '.join(others)} are not found, shown or stopped here; this is for CANopen")
+    raise UsageError(
+        f"{path}: drives of {', '.join(others)} are not found, shown or stopped here; this is for CANopen. "
+        f"friction-hil stop {path} stops drives of any driver"
+    )
 
 
 def _driver_for_buses() -> Any:
@@ -145,7 +148,8 @@ def _entry_json(entry: DriveEntry) -> dict[str, Any]:
 
 
 def _stop_json(stop: Stop) -> dict[str, Any]:
-    return {**asdict(stop), "before": stop.before.words, "after": stop.after.words}
+    before, after = stop.before.words, stop.after.words
+    return {"node": stop.node, "before": before, "after": after, "result": stop.result, "detail": stop.detail}
 
 
 def _print_scan(entries: Sequence[DriveEntry]) -> None:

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Any, Literal
 from friction_hil.errors import BusError
 from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.interfaces import bus_name
+from friction_hil_drivers.canopen.options import canopen_options
+from friction_hil_drivers.canopen.presence import Presence
 from friction_hil_drivers.canopen.simulated.options import SimulationOptions
 
 if TYPE_CHECKING:
@@ -51,6 +53,7 @@ class SimulatedCanopenDrives:
         self._is_real = pace == "real"
         self._given_bus = bus
         self._bus: FrameBus | None = None
+        self._presence: Presence | None = None
         self._nodes: list[SimulatedNode] = []
         self._start_ns = 0
 
@@ -75,7 +78,7 @@ class SimulatedCanopenDrives:
         Raises
         ------
         BusError
-            The bus does not open.
+            The bus does not open, or a node of the same number is on it.
         UsageError
             An EDS is invalid, or the period is not a whole number of integration steps.
         """
@@ -85,12 +88,18 @@ class SimulatedCanopenDrives:
 
         config = self._configuration.bus
         assert config is not None  # the driver's options have checked it
+        if self._given_bus is None and config.interface != "virtual":  # other processes are on it
+            self._presence = Presence(config, {canopen_options(axis).node for axis in self._axes.values()})
+        self._bus = open_frame_bus(config, self._given_bus)
+        if self._presence is not None:
+            self._presence.ask(self._bus)
         nodes = {
             name: make_node(self._configuration, axis, self._send, is_real=self._is_real)
             for name, axis in self._axes.items()
         }
         self._nodes = list(nodes.values())
-        self._bus = open_frame_bus(config, self._given_bus)
+        if self._presence is not None:
+            self._presence.require_silence(self._bus)
         self._bus.on_remote = self._take_remote
         for node in self._nodes:
             node.boot()
@@ -184,6 +193,9 @@ class SimulatedCanopenDrives:
         if self._bus is not None:
             self._bus.close()
             self._bus = None
+        if self._presence is not None:
+            self._presence.release()
+            self._presence = None
 
     def _send(self, can_id: int, data: bytes) -> None:
         self._open_bus.send(can_id, data)

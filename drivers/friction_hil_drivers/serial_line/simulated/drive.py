@@ -2,7 +2,7 @@
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import TYPE_CHECKING
 
 from friction_hil.drive import DriveState, Mode
@@ -94,6 +94,7 @@ class SimulatedDrive:
         self._piece = max(1, round(_PIECE_S * self._per_second))
         self._steps = 0  # integration steps done
         self._states = state_machine(description)
+        self._values: dict[str, float] = {}
         self.switch_on()
 
     # Time
@@ -102,6 +103,11 @@ class SimulatedDrive:
     def time_s(self) -> float:
         """Simulated time since the start, s."""
         return self._steps / self._per_second
+
+    @property
+    def is_paced_by_requests(self) -> bool:
+        """True with pace sync: without requests that read the position, time stands still."""
+        return self._sync_steps is not None
 
     def sample(self) -> None:
         """Note a request that reads the position; with pace sync, advance by one period.
@@ -151,6 +157,8 @@ class SimulatedDrive:
             return self.servo.velocity / self._si[name]
         if name == "torque":
             return self.servo.torque / self._si[name]
+        if name == self._watchdog and self.state is not self._states.fault:
+            return self._values.get(name, 0.0)  # some drives show in the same register that it has tripped
         shown = self._states.shown(self.state)
         return shown[name] if name in shown else self._values.get(name, 0.0)
 
@@ -200,10 +208,10 @@ class SimulatedDrive:
         self.is_on = False
         self._enter(_OFF)
 
-    def switch_on(self) -> None:
-        """Switch the supply on, and enter the state after power-on."""
+    def switch_on(self, kept: Collection[str] = ()) -> None:
+        """Switch the supply on, and enter the state after power-on; the signals ``kept`` have their last numbers."""
         self.is_on = True
-        self._values: dict[str, float] = {}
+        self._values = {name: number for name, number in self._values.items() if name in kept}
         self._targets: dict[str, float] = {}  # commands that came since the drive was enabled, SI
         self._pending: set[str] = set()  # commands that were not handed to the servo yet
         self._watchdog_steps = 0  # integration steps without a command that trip the watchdog; 0: it is off

@@ -1,7 +1,6 @@
 """Drives' end of a simulated line: a pseudo-terminal or a TCP connection. No call blocks."""
 
 import contextlib
-import hashlib
 import math
 import os
 import socket
@@ -11,6 +10,7 @@ from typing import Protocol
 
 from friction_hil.errors import BusError
 from friction_hil_drivers.serial_line.options import LineOptions, tcp_address
+from friction_hil_drivers.simulated_name import claim
 
 _MOST = 4096  # bytes at a time
 _FORGOTTEN_S = 0.3
@@ -221,7 +221,7 @@ class TcpPort:
 def _own(path: Path) -> socket.socket:
     """Check that a link may be made at ``path``; return a socket that keeps other simulations from it while open.
 
-    The kernel frees the socket's name when its process ends in any way, so that a link that is left behind is stale.
+    A link whose name can be claimed was left behind.
     """
     # the link itself, not its target
     link = os.path.join(os.path.realpath(path.parent), path.name)
@@ -233,10 +233,7 @@ def _own(path: Path) -> socket.socket:
                 f"{path} exists and is not replaced; set line.port to a path that does not exist, such as "
                 "/tmp/friction-hil-line"
             )
-    owner = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     try:
-        owner.bind(b"\0friction_hil-" + hashlib.sha256(os.fsencode(link)).hexdigest().encode())
+        return claim(os.fsencode(link))
     except OSError as error:
-        owner.close()
         raise BusError(f"{path}: another process simulates drives there ({error.strerror})") from error
-    return owner

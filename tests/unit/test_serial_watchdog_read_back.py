@@ -1,0 +1,156 @@
+"""A watchdog is claimed of what was read back, and what a drive says against its set-up is not passed over."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+from friction_hil_drivers.ascii import DESCRIPTIONS
+from friction_hil_drivers.ascii.description import AsciiDescription
+from friction_hil_drivers.modbus.simulated import _RegisterSpace
+from friction_hil_drivers.serial_line.description import Description
+from friction_hil_drivers.serial_line.read_back import contradiction
+from friction_hil_drivers.serial_line.simulated import RefusedError, SimulatedDrive
+from friction_hil_drivers.serial_line.simulated.drive import RequestError
+
+from friction_hil.drive import DriveState, Request
+from friction_hil.errors import DriveError
+from tests.serial_bench import OWN, TinyDescription
+from tests.serial_rig import Bench
+
+WATCHED = ("rtu, function 23", "tcp", "dynamixel", "odrive")
+
+
+def odrive(folder: Path, **changes: Any) -> str:
+    """A copy of the ODrive's description; a message of None is left out."""
+    data = yaml.safe_load((DESCRIPTIONS / "odrive.yaml").read_text())
+    messages = {**data["messages"], **changes.pop("messages", {})}
+    data |= {**changes, "messages": {name: each for name, each in messages.items() if each is not None}}
+    path = folder / "changed.yaml"
+    path.write_text(yaml.safe_dump(data))
+    return str(path)
+
+
+def treat(monkeypatch: pytest.MonkeyPatch, signal: str, treatment: Callable[[], None]) -> None:
+    """Let a drive do something else than to take a written signal."""
+    write = SimulatedDrive.write
+
+    def changed(drive: SimulatedDrive, name: str, number: float) -> None:
+        if name == signal and number != 0.0:
+            treatment()
+        else:
+            write(drive, name, number)
+
+    monkeypatch.setattr(SimulatedDrive, "write", changed)
+
+
+def refuse() -> None:
+    raise RefusedError("not this one")
+
+
+@pytest.mark.parametrize("kind", WATCHED)
+def test_what_is_said_of_a_watchdog_was_read_back(kind: str, tmp_path: Path) -> None:
+    with Bench(kind, tmp_path, is_watchdog_required=True).begin() as bench:
+        (note,) = [note for note in bench.facts.notes if "watches the daemon" in note]
+        assert "100 ms without a command end its torque (read back" in note
+        bench.enable()
+
+
+@pytest.mark.parametrize("kind", WATCHED)
+def test_a_drive_that_drops_its_watchdog_without_a_word_is_refused(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    treat(monkeypatch, "watchdog", lambda: None)
+    with Bench(kind, tmp_path) as bench, pytest.raises(DriveError, match=r"watchdog = .* was written, 0 is read back"):
+        bench.drives.connect()
+
+
+@pytest.mark.parametrize("error_replies", [{}, {"error [0-9]+": "something else"}])
+def test_a_refusal_that_the_description_does_not_list_is_a_refusal(
+    error_replies: dict[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without a line that reads the watchdog, the drive's unknown line is all that tells of it."""
+    messages = {"read_watchdog": None, "read_watchdog_enabled": None}
+    description = odrive(
+        tmp_path,
+        refusal="what do you mean?",
+        error_replies=error_replies,
+        messages=messages,
+        watchdog={"signal": "watchdog"},
+    )
+    treat(monkeypatch, "watchdog", refuse)
+    words = r"write watchdog of x was followed by .*what do you mean\?.*FH-256"
+    with Bench("odrive", tmp_path, description=description) as bench, pytest.raises(DriveError, match=words):
+        bench.drives.connect()
+
+
+def test_a_watchdog_that_cannot_be_read_is_not_claimed(tmp_path: Path) -> None:
+    description = odrive(
+        tmp_path,
+        messages={"read_watchdog": None, "read_watchdog_enabled": None},
+        watchdog={"signal": "watchdog"},
+    )
+    with Bench("odrive", tmp_path, description=description).begin() as bench:
+        (note,) = [note for note in bench.facts.notes if "without a command" in note]
+        assert "written, not read back" in note
+        assert "the drive watches the daemon:" not in note
+        bench.enable()
+
+
+def test_a_register_that_the_drive_lets_nobody_read_is_not_claimed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = _RegisterSpace._words
+
+    def secretive(space: _RegisterSpace, found: Any) -> list[int]:
+        if any(entry is not None and entry[0].name == "watchdog" for entry in found):
+            raise RequestError(2)
+        return words(space, found)
+
+    monkeypatch.setattr(_RegisterSpace, "_words", secretive)
+    with Bench("tcp", tmp_path) as bench:
+        bench.begin()
+        assert any("watchdog is written, not read back" in note for note in bench.facts.notes)
+        bench.enable()
+
+
+def test_a_drive_whose_watchdog_stays_off_gets_no_power(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The switch is written when the drive is enabled, and read back before it gets its power."""
+    treat(monkeypatch, "watchdog_enabled", lambda: None)
+    with Bench("odrive", tmp_path).begin() as bench:
+        for _ in range(1200):  # the step has one second
+            bench.cycle(Request.ENABLE)
+            assert not bench.feedback.state.is_powered
+        assert bench.feedback.state is DriveState.READY_TO_SWITCH_ON
+        assert "watchdog_enabled = 1 was written, 0 is read back [FH-262]" in bench.feedback.message
+
+
+@pytest.mark.parametrize(
+    ("name", "written", "read", "is_kept"),
+    [
+        ("lifetime", 0.1, 0.1, True),
+        ("lifetime", 0.1, 0.104, True),  # a drive that counts in steps of 8 ms
+        ("lifetime", 0.1, 0.2, False),
+        ("lifetime", 0.1, 0.0, False),
+        ("lifetime", 0.1, -1.0, False),
+        ("lifetime", 0.0, 0.0, True),
+        ("lifetime", 0.0, 0.1, False),
+        ("key", 1.0, 1.0, True),
+        ("key", 1.0, 0.0, False),
+        ("key", 100.0, 101.0, False),
+    ],
+)
+def test_a_time_is_kept_within_a_tenth_and_all_else_exactly(
+    name: str, written: float, read: float, is_kept: bool
+) -> None:
+    description: Description = TinyDescription.model_validate(OWN)
+    found = contradiction(description, {name: written}, {name: read}, (name,))
+    assert (found == "") is is_kept
+    assert is_kept or (name in found and f"{read:g} is read back" in found)
+
+
+def test_a_signal_that_nothing_reads_cannot_be_read_back(tmp_path: Path) -> None:
+    data = yaml.safe_load(Path(odrive(tmp_path, messages={"read_watchdog_enabled": None})).read_text())
+    with pytest.raises(ValueError, match="nothing reads watchdog_enabled without writing"):
+        AsciiDescription.model_validate(data)
