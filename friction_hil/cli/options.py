@@ -10,6 +10,12 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 option_json = click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout and nothing else.")
 option_reset_fault = click.option("--reset-fault", is_flag=True, help="Reset a fault of a drive before enabling it.")
+option_simulate = click.option(
+    "--simulate",
+    is_flag=True,
+    help="Use simulated drives in place of the real ones, on a bus or lines of their own. They start and end with the "
+    "command.",
+)
 option_daemon_pace = click.option(
     "--pace",
     type=click.Choice(["real", "sync"]),
