@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from friction_hil.compensator import CompensatorInputs
 from friction_hil.daemon.assembly import lead_s, make_compensator, make_limits, make_shadows
 from friction_hil.daemon.command import CommandWriter
-from friction_hil.daemon.figures import CompensationNotices, FollowingError
+from friction_hil.daemon.figures import CompensationNotices, Condition, FollowingErrors
 from friction_hil.daemon.first_motion import FirstMotion
 from friction_hil.daemon.follow_check import FollowCheck
 from friction_hil.daemon.motion import AxisMotion
@@ -61,6 +61,7 @@ class AxisLoop:
     __slots__ = (
         "_baseline_s",
         "_command",
+        "_faded_in_s",
         "_fault_reset",
         "_first_motion",
         "_follow_check",
@@ -75,7 +76,7 @@ class AxisLoop:
         "_standstill",
         "_states",
         "compensator",
-        "following_error",
+        "following_errors",
         "lead_s",
         "motion",
         "name",
@@ -110,11 +111,13 @@ class AxisLoop:
             name, limits, period_s, facts.position_resolution, unit, max_stale_cycles, facts.velocity_resolution
         )
         self.motion = AxisMotion(name, unit, config, limits, facts, period_s, self.lead_s, path_time)
-        self.following_error = FollowingError()
+        motion_s = 1.0 / config.trajectory.frequency if hasattr(config.trajectory, "frequency") else math.inf
+        self.following_errors = FollowingErrors(period_s, path_time.ramp_s, motion_s)
         self.stale_cycles = 0  # without usable feedback, bridged by prediction
         self._period_s = period_s
         self._is_compensation_enabled = config.compensation.enabled
-        self._baseline_s = config.compensation.baseline_s
+        self._baseline_s = config.compensation.baseline_s if config.compensation.enabled else math.inf
+        self._faded_in_s = self._baseline_s + config.compensation.fade_s
         self._standstill = max(_STANDSTILL_RATIO * limits.velocity, 2.0 * facts.position_resolution / period_s)
         self._command = CommandWriter(config, limits, self.motion, period_s)
         self._notices = CompensationNotices(name, unit, self.compensator)
@@ -244,9 +247,9 @@ class AxisLoop:
                 self._first_motion.take(math.nan, math.nan, is_usable=False)
             fault = self._first_motion.take(position, velocity, is_usable=is_usable) or fault
             command.velocity = self._first_motion.target
-        if setpoint is not None and is_usable and state is LoopState.RUNNING:
-            self.following_error.add(setpoint.position - position)
-            if self._follow_check is not None:
+        if setpoint is not None and state is LoopState.RUNNING:
+            self._count_error(setpoint.position - position, running_s, missed, is_usable)
+            if is_usable and self._follow_check is not None:
                 fault = self._follow_check.take(position, estimate, setpoint.position, command.torque) or fault
                 if self._follow_check.is_confirmed:
                     self._follow_check = None
@@ -258,6 +261,15 @@ class AxisLoop:
         fault = None if is_reset_due else fault  # what is to be reset does not end the run
         warning = self._notices.next(compensator, estimate) or self._take_first_warning()
         return AxisUpdate(fault, warning, is_reset_due, is_standing, compensator.is_faded_out)
+
+    def _count_error(self, error: float, running_s: float, missed: int, is_usable: bool) -> None:
+        """Count the following error of a cycle as one without, or one with full compensation."""
+        condition = Condition.FADING
+        if running_s < self._baseline_s:
+            condition = Condition.WITHOUT
+        elif running_s > self._faded_in_s:
+            condition = Condition.WITH
+        self.following_errors.take(condition, error, missed, is_usable)
 
     def _take_first_warning(self) -> str | None:
         """Return the warning of the first motion, once."""

@@ -95,7 +95,7 @@ class RunLog:
         """Count the periods missed before ``cycle``; ``max_missed`` of them in a row are a fault."""
         self.result.missed += skipped
         if skipped >= max_missed:
-            text = f"the loop was late by {overslept_ns / 1000:.0f} us ({skipped} periods)"
+            text = f"the loop was late by {overslept_ns / 1000:.0f} µs ({skipped} periods)"
             self.fault(cycle - skipped, FaultCode.LOOP_LATE.append_to(text))
 
     def state(self, cycle: int, state: LoopState) -> None:

@@ -135,6 +135,11 @@ class PathTime:
         self._stop_s = math.inf
         self._stop_path = self._stop_rate = self._stop_duration = 0.0
 
+    @property
+    def ramp_s(self) -> float:
+        """Time from rest to full speed, s."""
+        return self._ramp_s
+
     def start(self, time_s: float) -> None:
         """Start at ``time_s``."""
         self._start_s = time_s

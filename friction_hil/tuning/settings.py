@@ -21,6 +21,8 @@ class TuneSettings:
         Families of friction models to fit; empty for all.
     is_fault_reset_wanted, is_paced_by_sync, is_status_shown : bool
         As of `friction_hil.daemon.session.SessionSettings`.
+    is_simulated : bool
+        True if the drives are simulated: their friction is not written to the file that the configuration names.
     """
 
     folder: Path
@@ -29,6 +31,7 @@ class TuneSettings:
     is_fault_reset_wanted: bool = False
     is_paced_by_sync: bool = False
     is_status_shown: bool = False
+    is_simulated: bool = False
 
 
 class Dialog(Protocol):

@@ -1,6 +1,5 @@
 """Trial of a model on the machine: following error of a recorded run without and with compensation. Pure."""
 
-import math
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -8,6 +7,7 @@ import numpy as np
 from friction_hil.analysis import following
 from friction_hil.analysis.following import SETTLE_S, Figures
 from friction_hil.config import AxisConfig
+from friction_hil.daemon.figures import reduction
 from friction_hil.daemon.safety import LoopState
 from friction_hil.errors import RecordingError
 from friction_hil.numerics.jit import Array
@@ -39,8 +39,7 @@ class Trial:
     @property
     def reduction(self) -> Figures:
         """Ratios of the following error without to with compensation."""
-        before, after = self.uncompensated, self.compensated
-        return Figures(_ratio(before.rms, after.rms), _ratio(before.peak, after.peak))
+        return reduction(self.uncompensated, self.compensated)
 
     @property
     def figures(self) -> dict[str, dict[str, float]]:
@@ -51,13 +50,6 @@ class Trial:
     def has_helped(self) -> bool:
         """True if the RMS following error is clearly smaller with compensation, and its peak is not larger."""
         return self.reduction.rms >= LEAST_REDUCTION and self.reduction.peak >= 1.0
-
-
-def _ratio(before: float, after: float) -> float:
-    """Compute before / after, where an error below the encoder's resolution is zero."""
-    if after == 0.0:
-        return math.inf if before > 0.0 else 1.0
-    return before / after
 
 
 def judge(recording: Recording, axis: AxisConfig, cycle_s: float, start_s: float) -> Trial:

@@ -194,4 +194,4 @@ def test_a_cycle_that_does_not_fit_is_refused_with_the_arithmetic(drive):
         check_bus_load(1_000_000, 1e-3, pdos * 3)
     needed = 55 + 3 * (bits - 55)
     assert f"needs {needed} us on the bus at 1000000 bit/s (SYNC 55 + PDOs 135 +" in str(caught.value)
-    assert "more than 90 % of the period of 1000 us" in str(caught.value)
+    assert "more than 90 % of the period of 1000 µs" in str(caught.value)

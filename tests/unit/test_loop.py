@@ -195,7 +195,7 @@ def test_an_exchange_that_outlasts_the_period_is_told_before_anything_moves(exch
 
     run = Run(clock=clock, before=exchange, duration_s=0.2)
     assert run.result.faults == []
-    told = [text for text in run.result.warnings if "feedback and command take 1400 us, more than the period" in text]
+    told = [text for text in run.result.warnings if "feedback and command take 1400 µs, more than the period" in text]
     assert len(told) == is_told
     assert run.events("warning") == run.result.warnings
     if is_told:

@@ -6,14 +6,13 @@ from pathlib import Path
 from typing import Any
 
 import click
-from rich.text import Text
 
 from friction_hil.checked_yaml.text import dump
 from friction_hil.cli.output import print_json
 from friction_hil.cli.work.progress import status_line
 from friction_hil.cli.work.read import read_recordings
 from friction_hil.cli.work.result_files import check_result_files
-from friction_hil.cli.work.tables import new_table, print_files, print_table
+from friction_hil.cli.work.tables import new_table, number, print_files, print_table, prose
 from friction_hil.errors import UsageError
 from friction_hil.identification import Fit, Identification, IdentificationSettings, free_run, identify
 from friction_hil.identification.export import as_json as result_as_json
@@ -125,14 +124,12 @@ def _print(result: Identification, free: dict[str, Any]) -> None:
 
 def _print_candidates(result: Identification) -> None:
     is_grouped = len({record.group for record in result.records}) > 1
-    table = new_table()
-    table.add_column("model", overflow="fold")
-    for heading in ("free", "error", "groups" if is_grouped else "blocks", "speeds", "others"):
-        table.add_column(heading, no_wrap=True)
+    headings = ("free", "error", "groups" if is_grouped else "blocks", "speeds", "others")
+    table = new_table(prose("model"), *map(number, headings))
     for each in _shown(result.fits):
         given = (each.train, each.cross_validation, each.across_speeds, each.validation)
         errors = ["-" if error is None else f"{100.0 * error.relative_error:.3f} %" for error in given]
-        table.add_row(Text(each.label), str(each.count), *errors)
+        table.add_row(each.label, str(each.count), *errors)
     groups = f"the recordings of each {result.settings.group_by}" if is_grouped else "blocks of time"
     click.echo(
         "Number of free parameters; relative error of the torque on the fitted data, on "
@@ -151,8 +148,8 @@ def _shown(fits: Sequence[Fit]) -> list[Fit]:
 
 
 def _print_parameters(best: Fit) -> None:
-    table = new_table("parameter", "value", "standard error")
+    table = new_table("parameter", number("value"), number("standard error"))
     for name, value in best.values.items():
         error = best.inference.standard_errors.get(name, math.nan)
-        table.add_row(Text(name), f"{value:.6g}", f"{error:.2g}" if math.isfinite(error) else "-")
+        table.add_row(name, f"{value:.6g}", f"{error:.2g}" if math.isfinite(error) else "-")
     print_table(table)
