@@ -11,6 +11,7 @@ found a fault), and raises a ``FrictionHilError`` for mistakes that the user can
 import atexit
 import gc
 import importlib
+import io
 import os
 import sys
 from collections.abc import Sequence
@@ -18,6 +19,7 @@ from collections.abc import Sequence
 import click
 
 from friction_hil import __version__
+from friction_hil.cli.colour import problem_line, red
 from friction_hil.errors import ConfigurationError, FrictionHilError, choices
 
 # The short help stands here, so that the overview imports no command.
@@ -106,13 +108,14 @@ def exit_status(command: click.Command, arguments: Sequence[str] | None, program
         result = command.main(arguments, prog_name=program, standalone_mode=False)
         sys.stdout.flush()
     except ConfigurationError as error:
-        click.echo(str(error), err=True)  # each line already begins with file:line
+        for problem in error.problems:
+            click.echo(problem_line(problem), err=True)
         return error.exit_status
     except FrictionHilError as error:
-        click.echo(f"Error: {error}", err=True)
+        click.echo(f"{red('Error:')} {error}", err=True)
         return error.exit_status
     except click.ClickException as error:
-        error.show()
+        _show(error)
         return error.exit_code
     except (click.Abort, KeyboardInterrupt):
         return 130
@@ -121,7 +124,7 @@ def exit_status(command: click.Command, arguments: Sequence[str] | None, program
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except OSError as error:
-        click.echo(f"Error: {error}", err=True)
+        click.echo(f"{red('Error:')} {error}", err=True)
         return 1
     except Exception:  # noqa: BLE001 - the last resort: a traceback, and where to report it
         import traceback  # imported here: --help must not wait for it
@@ -129,6 +132,14 @@ def exit_status(command: click.Command, arguments: Sequence[str] | None, program
         click.echo(traceback.format_exc() + _REPORT, err=True)
         return 1
     return result if type(result) is int else 0
+
+
+def _show(error: click.ClickException) -> None:
+    """Print an error of click, with the usage of the command if it has any."""
+    text = io.StringIO()
+    error.show(text)
+    usage, label, message = text.getvalue().partition("Error:")
+    click.echo(f"{usage}{red(label)}{message}", err=True, nl=False)
 
 
 def _open_standard_streams() -> None:

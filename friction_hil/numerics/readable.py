@@ -57,6 +57,11 @@ def brief(value: float, significant: int = 5) -> str:
     return without_negative_zero(f"{value:.{significant}g}")
 
 
+def shortened(text: str, width: int) -> str:
+    """Return a text of at most ``width`` characters; its end is replaced by … if it is longer."""
+    return text if len(text) <= width else text[: max(width - 1, 0)] + "…"[:width]
+
+
 def without_negative_zero(text: str) -> str:
     """Return a formatted number, and for a zero with a sign the same without: ``-0.00`` becomes ``0.00``."""
     is_zero = text.startswith("-") and not any(digit in text for digit in "123456789")

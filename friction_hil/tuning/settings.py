@@ -1,6 +1,5 @@
 """Settings of a tuning, and the dialog with its user."""
 
-from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,6 +33,14 @@ class TuneSettings:
     is_simulated: bool = False
 
 
+class ShowStep(Protocol):
+    """Shows the current step of a long computation."""
+
+    def __call__(self, text: str, number: int = 0, count: int | None = None, /) -> None:
+        """Show that step ``number`` of ``count`` begins; 0 without a number, None if their number is not known."""
+        ...
+
+
 class Dialog(Protocol):
     """Messages to the user, and questions. While axes move, only `report` is called."""
 
@@ -45,6 +52,6 @@ class Dialog(Protocol):
         """Ask whether the axes may move now as described; raise ``click.Abort`` if not."""
         ...
 
-    def working(self, text: str) -> AbstractContextManager[Callable[[str], None]]:
+    def working(self, text: str) -> AbstractContextManager[ShowStep]:
         """Show that a long computation goes on; the function that is given shows its current step."""
         ...

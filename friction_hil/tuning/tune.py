@@ -139,7 +139,7 @@ class _Tuner:
                 recording,
                 self._configuration,
                 self._settings.families,
-                on_fit=lambda label: show(f"{name}: fitting {label}"),
+                on_fit=lambda step: show(f"{name}: {step.stage}: {step.label}", step.number, step.count),
                 on_problem=lambda problem: self._dialog.report(f"{name}: {problem}"),
             )
         chosen = [fit for _, fit in candidates(found)]

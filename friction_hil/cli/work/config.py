@@ -6,6 +6,7 @@ from dataclasses import asdict
 import click
 
 from friction_hil.checked_yaml.text import dump
+from friction_hil.cli.colour import problem_line
 from friction_hil.cli.output import print_json
 from friction_hil.config import file_problems, json_schema, load, self_contained
 from friction_hil.errors import ConfigurationError, Problem
@@ -27,7 +28,7 @@ def check_files(files: Sequence[str], as_json: bool) -> int:
     else:
         for file, problems in reports.items():
             for problem in problems:
-                click.echo(str(problem), err=True)
+                click.echo(problem_line(problem), err=True)
             if not problems:
                 click.echo(f"{file}: ok")
     return 2 if any(reports.values()) else 0

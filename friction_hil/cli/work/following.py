@@ -61,7 +61,8 @@ def following_table(headings: Sequence[str | Column], rows: Sequence[Compared]) 
     ]
     is_compared = any(row.reduction is not None for row in rows)
     last = [number("times\nlower")] if is_compared else []
-    table = new_table(*headings, "following\nerror", *(number(heading) for _, heading in columns), *last)
+    keys = len(headings) + 1
+    table = new_table(*headings, "following\nerror", *(number(heading) for _, heading in columns), *last, keys=keys)
     for row in rows:
         known = [error for error in (row.without, row.compensated) if error is not None]
         factor, unit = readable(row.unit, [error.rms for error in known])

@@ -46,7 +46,12 @@ def identify_axis(
     recordings = read_recordings(sources, axis, **reading)
     validation = read_recordings(kept_apart, axis, **reading)
     with status_line("reading") as show:
-        result = identify(recordings, settings, validation=validation, progress=lambda name: show(f"fitting {name}"))
+        result = identify(
+            recordings,
+            settings,
+            validation=validation,
+            progress=lambda step: show(f"{step.stage}: {step.label}", step.number, step.count),
+        )
     free = _free_run(result, controller)
     if output is not None:
         model_file(result)  # raises before a file that could not be read again is written

@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import click
-from rich.progress import Progress
 
+from friction_hil.cli.colour import red
 from friction_hil.cli.output import print_json
+from friction_hil.cli.work.progress import progress_bar
 from friction_hil.cli.work.read import expanded
 from friction_hil.cli.work.tables import console, new_table, number, print_table
 from friction_hil.config import load
@@ -65,7 +66,7 @@ def replay(
         _print(outcomes)
     for outcome in outcomes:
         if "error" in outcome.facts:
-            click.echo(f"Error: {outcome.facts['error']}", err=True)
+            click.echo(f"{red('Error:')} {outcome.facts['error']}", err=True)
     return max((outcome.exit_status for outcome in outcomes), default=0)
 
 
@@ -105,9 +106,16 @@ def _progress(files: int) -> Iterator[Callable[[], None]]:
     if files < 2 or not errors.is_terminal:
         yield lambda: None
         return
-    with Progress(console=errors, transient=True) as progress:
-        bar = progress.add_task("replay", total=files)
-        yield lambda: progress.advance(bar)
+    with progress_bar() as bar:
+        task = bar.add_task(f"0 of {files} recordings", total=files)
+        done = 0
+
+        def advance() -> None:
+            nonlocal done
+            done += 1
+            bar.update(task, completed=done, description=f"{done} of {files} recordings")
+
+        yield advance
 
 
 def _print(outcomes: Sequence[ReplayOutcome]) -> None:

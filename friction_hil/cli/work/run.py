@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from friction_hil.cli.colour import red, yellow
 from friction_hil.cli.output import print_json
 from friction_hil.cli.work.following import Compared, following_table
 from friction_hil.cli.work.simulated import report_missing_models, simulated_drives
@@ -113,16 +114,16 @@ def _report_problems(result: "SessionResult") -> int:
     """Print problems of the recording, warnings and faults on stderr; return the exit status."""
     report = result.report
     for problem in report.problems if report else ():
-        click.echo(f"recording: {problem}", err=True)
+        click.echo(f"{yellow('recording:')} {problem}", err=True)
     is_incomplete = bool(report and report.lost and report.recording)
     if report and is_incomplete:
-        click.echo(f"recording: {report.lost} of {report.rows + report.lost} rows were lost", err=True)
+        click.echo(f"{red('recording:')} {report.lost} of {report.rows + report.lost} rows were lost", err=True)
     for notice in result.loop.notices:
         click.echo(f"notice: {notice}", err=True)
     for warning in result.loop.warnings:
-        click.echo(f"warning: {warning}", err=True)
+        click.echo(f"{yellow('warning:')} {warning}", err=True)
     for fault in result.loop.faults:
-        click.echo(f"fault: {fault}", err=True)
+        click.echo(f"{red('fault:')} {fault}", err=True)
     return 1 if result.loop.faults or is_incomplete else 0
 
 

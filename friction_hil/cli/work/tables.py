@@ -1,7 +1,7 @@
 """Tables for the terminal: one style for every command.
 
 A table has no lines; its headings are bold, numbers stand to the right. Nothing is cut: columns that do not fit side by
-side go below the others, with the first column repeated; only prose, and names that are wider than the terminal, are
+side go below the others, with the first columns repeated; only prose, and names that are wider than the terminal, are
 wrapped.
 """
 
@@ -51,6 +51,7 @@ class Table:
     """Rows of text under headings; ``\\n`` breaks a cell."""
 
     columns: tuple[Column, ...]
+    keys: int = 1  # leading columns that are repeated where the others do not fit side by side
     rows: list[tuple[str, ...]] = field(default_factory=list)
 
     def add_row(self, *cells: str) -> None:
@@ -60,9 +61,9 @@ class Table:
         self.rows.append(cells)
 
 
-def new_table(*headings: str | Column) -> Table:
-    """Return an empty table."""
-    return Table(tuple(each if isinstance(each, Column) else Column(each) for each in headings))
+def new_table(*headings: str | Column, keys: int = 1) -> Table:
+    """Return an empty table, whose first ``keys`` columns say what a row is about."""
+    return Table(tuple(each if isinstance(each, Column) else Column(each) for each in headings), keys)
 
 
 def print_table(table: Table) -> None:
@@ -83,18 +84,22 @@ def lines(table: Table, out: Console) -> Iterator[str]:
 
 
 def _parts(table: Table, width: int) -> Iterator[RichTable]:
-    """Yield one table, or several with the first column repeated if the columns do not fit side by side."""
+    """Yield one table, or several with the first columns repeated if the columns do not fit side by side."""
     needed = [_needed(table, k) for k in range(len(table.columns))]
     natural = [_natural(table, k) for k in range(len(table.columns))]
-    key, *others = range(len(table.columns))
-    widest = max((needed[k] for k in others), default=0)
-    needed[key] = min(needed[key], max(width - widest - _GAP, _LEAST_KEY)) if others else min(needed[key], width)
-    part = [key]
+    keys, others = list(range(table.keys)), range(table.keys, len(table.columns))
+    widest = max((needed[k] for k in others), default=-_GAP)
+    while (excess := _total(needed, keys) - (width - widest - _GAP)) > 0:
+        longest = max(keys, key=lambda k: needed[k])
+        if needed[longest] <= _LEAST_KEY:
+            break
+        needed[longest] = max(needed[longest] - excess, _LEAST_KEY)
+    part = keys.copy()
     for k in others:
-        needed[k] = min(needed[k], max(width - needed[key] - _GAP, 1))
-        if len(part) > 1 and _total(needed, [*part, k]) > width:
+        needed[k] = min(needed[k], max(width - _total(needed, keys) - _GAP, 1))
+        if len(part) > len(keys) and _total(needed, [*part, k]) > width:
             yield _rich(table, part, _widths(table, part, needed, natural, width))
-            part = [key]
+            part = keys.copy()
         part.append(k)
     yield _rich(table, part, _widths(table, part, needed, natural, width))
 

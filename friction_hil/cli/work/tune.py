@@ -2,7 +2,7 @@
 
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, nullcontext
 from dataclasses import asdict
 from pathlib import Path
@@ -10,6 +10,7 @@ from typing import Any
 
 import click
 
+from friction_hil.cli.colour import yellow
 from friction_hil.cli.output import print_json
 from friction_hil.cli.work.following import Compared, following_table
 from friction_hil.cli.work.progress import status_line
@@ -21,6 +22,7 @@ from friction_hil.errors import ConfigurationError, FrictionHilError, OptionErro
 from friction_hil.reports.figures import require_matplotlib
 from friction_hil.reports.tuning_report import write_reports
 from friction_hil.tuning import AxisTuning, TuneSettings, Tuning, tune
+from friction_hil.tuning.settings import ShowStep
 
 _FOLDER = Path("out/tune")
 
@@ -65,7 +67,7 @@ def tune_machine(
     else:
         _print(tuning, config, is_simulated=simulate)
     for warning in tuning.warnings:
-        click.echo(f"warning: {warning}", err=True)
+        click.echo(f"{yellow('warning:')} {warning}", err=True)
     failed = [name for name, axis in tuning.axes.items() if not axis.best.trial.has_helped]
     for name in failed:
         click.echo(f"{name}: compensation did not help: its model is not used", err=True)
@@ -106,7 +108,7 @@ class _Terminal:
             click.confirm("Is the way clear?", default=False, abort=True, err=True)
 
     @contextmanager
-    def working(self, text: str) -> Iterator[Callable[[str], None]]:
+    def working(self, text: str) -> Iterator[ShowStep]:
         if not sys.stderr.isatty():
             self.report(f"{text} ...")
         with status_line(text) as show:

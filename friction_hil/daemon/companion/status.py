@@ -11,7 +11,7 @@ import numpy as np
 from friction_hil.daemon.companion.job import Job
 from friction_hil.daemon.safety import LoopState
 from friction_hil.drive import DriveState
-from friction_hil.numerics.readable import quantity
+from friction_hil.numerics.readable import quantity, shortened
 from friction_hil.recordings.columns import CYCLE, TIME, unit
 from friction_hil.recordings.recording import Array
 
@@ -158,11 +158,7 @@ def _aligned(table: Sequence[Sequence[str]], width: int) -> list[str]:
             sizes[kept[0]] = width - sizes[kept[1]] - len(_GAP)  # a long name is shortened before its figure goes
             break
         kept.pop()
-    return [_GAP.join(f"{_short(row[k], sizes[k]):<{sizes[k]}}" for k in kept).rstrip()[:width] for row in table]
-
-
-def _short(text: str, width: int) -> str:
-    return text if len(text) <= width else text[: max(width - 1, 0)] + "…"
+    return [_GAP.join(f"{shortened(row[k], sizes[k]):<{sizes[k]}}" for k in kept).rstrip()[:width] for row in table]
 
 
 def _terminal_size() -> os.terminal_size:
