@@ -26,6 +26,7 @@ _STANDSTILL_RATIO = 1e-3  # of the velocity limit: slower counts as standing
 _HELD_S = 0.5 * STANDSTILL_S  # a cycle without usable feedback tells nothing about standstill, for so long
 _MOST_MISSED = 1000  # periods: longer is a fault of the loop
 _MOST_HELD = 10  # cycles
+_FADING, _WITHOUT, _WITH = Condition.FADING, Condition.WITHOUT, Condition.WITH
 
 
 class AxisUpdate(NamedTuple):
@@ -248,7 +249,8 @@ class AxisLoop:
             fault = self._first_motion.take(position, velocity, is_usable=is_usable) or fault
             command.velocity = self._first_motion.target
         if setpoint is not None and state is LoopState.RUNNING:
-            self._count_error(setpoint.position - position, running_s, missed, is_usable)
+            condition = _WITHOUT if running_s < self._baseline_s else _WITH if running_s > self._faded_in_s else _FADING
+            self.following_errors.take(condition, setpoint.position - position, missed, is_usable)
             if is_usable and self._follow_check is not None:
                 fault = self._follow_check.take(position, estimate, setpoint.position, command.torque) or fault
                 if self._follow_check.is_confirmed:
@@ -261,15 +263,6 @@ class AxisLoop:
         fault = None if is_reset_due else fault  # what is to be reset does not end the run
         warning = self._notices.next(compensator, estimate) or self._take_first_warning()
         return AxisUpdate(fault, warning, is_reset_due, is_standing, compensator.is_faded_out)
-
-    def _count_error(self, error: float, running_s: float, missed: int, is_usable: bool) -> None:
-        """Count the following error of a cycle as one without, or one with full compensation."""
-        condition = Condition.FADING
-        if running_s < self._baseline_s:
-            condition = Condition.WITHOUT
-        elif running_s > self._faded_in_s:
-            condition = Condition.WITH
-        self.following_errors.take(condition, error, missed, is_usable)
 
     def _take_first_warning(self) -> str | None:
         """Return the warning of the first motion, once."""

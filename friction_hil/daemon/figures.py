@@ -90,24 +90,13 @@ class AxisFigures:
 
 
 class _Sum:
-    """Sum over some cycles; plain attributes, because a cycle of the loop adds to it."""
+    """Sum over the cycles of one condition."""
 
     __slots__ = ("count", "left_out", "peak", "square")
 
     def __init__(self) -> None:
-        self.clear()
-
-    def clear(self) -> None:
         self.count = self.left_out = 0
         self.square = self.peak = 0.0
-
-    def take(self, other: "_Sum") -> None:
-        """Add another sum, and clear it."""
-        self.count += other.count
-        self.left_out += other.left_out
-        self.square += other.square
-        self.peak = max(self.peak, other.peak)
-        other.clear()
 
     @property
     def figures(self) -> ConditionFigures | None:
@@ -137,14 +126,18 @@ class FollowingErrors:
     __slots__ = (
         "_begin",
         "_condition",
+        "_count",
         "_cycle",
         "_first",
+        "_left_out",
         "_length",
-        "_pending",
+        "_partial",
+        "_peak",
         "_period_end",
         "_recovered",
         "_recovery",
         "_settle",
+        "_square",
         "_whole",
     )
 
@@ -158,7 +151,10 @@ class FollowingErrors:
         self._begin = self._period_end = math.inf
         self._recovered = 0.0  # cycle from which on errors count again
         self._whole = [_Sum() for _ in Condition]
-        self._pending = [_Sum() for _ in Condition]  # of the period that has not ended yet
+        self._partial = [_Sum() for _ in Condition]  # of steady motion that was shorter than a period
+        # of the period that has not ended yet: plain numbers, because every cycle adds to them
+        self._count = self._left_out = 0
+        self._square = self._peak = 0.0
 
     def take(self, condition: Condition, error: float, missed: int, is_usable: bool) -> None:
         """Take one cycle of the motion.
@@ -174,42 +170,53 @@ class FollowingErrors:
             True if the feedback of this cycle is fresh.
         """
         self._cycle = cycle = self._cycle + 1 + missed
+        if condition is not self._condition:
+            self._enter(condition)
         if missed or not is_usable:
             wait = self._recovery + RECOVERY_OF_MISSED * missed if missed else 0.0
             self._recovered = max(self._recovered, cycle + (wait if is_usable else max(wait, RECOVERY_OF_LATE)))
-        if condition is not self._condition:
-            self._enter(condition)
-        if condition is Condition.FADING or cycle < self._begin:
+        if cycle < self._begin:
             return
-        pending = self._pending[condition]
         if cycle >= self._period_end:  # its last cycle was missed
-            self._end_period(condition)
+            self._end_period()
         if is_usable and cycle >= self._recovered:
-            pending.count += 1
-            pending.square += error * error
-            size = abs(error)
-            if size > pending.peak:
-                pending.peak = size
+            self._count += 1
+            self._square += error * error
+            if error > self._peak:
+                self._peak = error
+            elif -error > self._peak:
+                self._peak = -error
         else:
-            pending.left_out += 1
+            self._left_out += 1
         if cycle + 1 >= self._period_end:
-            self._end_period(condition)
+            self._end_period()
 
     def _enter(self, condition: Condition) -> None:
+        self._move_to(self._partial)
         self._condition = condition
-        self._begin = max(self._cycle + self._settle, self._first)
+        is_fading = condition is Condition.FADING
+        self._begin = math.inf if is_fading else max(self._cycle + self._settle, self._first)
         self._period_end = self._begin + self._length
-        if self._whole[condition].count:
-            self._pending[condition].clear()  # of a period that was interrupted
 
-    def _end_period(self, condition: Condition) -> None:
-        self._whole[condition].take(self._pending[condition])
+    def _end_period(self) -> None:
+        self._move_to(self._whole)
         while self._cycle + 1 >= self._period_end:
             self._period_end += self._length
 
+    def _move_to(self, sums: list[_Sum]) -> None:
+        """Add what has been counted since the last call to the sum of the present condition."""
+        target = sums[self._condition]
+        target.count += self._count
+        target.left_out += self._left_out
+        target.square += self._square
+        target.peak = max(target.peak, self._peak)
+        self._count = self._left_out = 0
+        self._square = self._peak = 0.0
+
     def figures(self, condition: Condition) -> ConditionFigures | None:
-        """Return the figures of a condition; None if no cycle of it counts."""
-        return self._whole[condition].figures or self._pending[condition].figures
+        """Return the figures of a condition, after the last cycle; None if no cycle of it counts."""
+        self._move_to(self._partial)
+        return self._whole[condition].figures or self._partial[condition].figures
 
 
 class CompensationNotices:

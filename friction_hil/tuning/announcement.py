@@ -7,6 +7,9 @@ from friction_hil.config.trajectories import peak_speed
 from friction_hil.daemon.assembly import make_path
 from friction_hil.daemon.safety import SPEED_MARGIN
 from friction_hil.motion.trajectory import extent
+from friction_hil.numerics.readable import brief
+
+_ROUNDING = 1e-6
 
 
 def allowed_speeds(run: Configuration, bounds: Mapping[str, ExperimentBounds]) -> dict[str, float]:
@@ -62,12 +65,17 @@ def trial_text(
         # none of these motions depends on the resolution of the encoder
         low, high, _ = extent(make_path(axis, 0.0, run.period_s), 1.0 / getattr(axis.trajectory, "frequency", 1.0))
         motions.append(
-            f"{name} moves between {low:.3g} and {high:.3g} {_unit(axis)} from where it stands "
+            f"{name} moves between {_distance(low, high)} and {_distance(high, low)} {_unit(axis)} from where it stands "
             f"({axis.trajectory.kind}), {_speed(axis, speeds[name])}, compensated by {label}"
         )
     return (
         f"{'; '.join(motions)}; all for {duration_s:.0f} s, the first half without compensation{_others(run, labels)}"
     )
+
+
+def _distance(end: float, other: float) -> str:
+    """Return one end of a motion; 0 for what is nothing but rounding beside the other end."""
+    return brief(end if abs(end) > _ROUNDING * abs(other) else 0.0, 3)
 
 
 def _speed(axis: AxisConfig, allowed: float) -> str:

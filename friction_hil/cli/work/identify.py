@@ -17,6 +17,7 @@ from friction_hil.errors import UsageError
 from friction_hil.identification import Fit, Identification, IdentificationSettings, free_run, identify
 from friction_hil.identification.export import as_json as result_as_json
 from friction_hil.identification.export import as_model_file, model_file
+from friction_hil.numerics.readable import brief
 from friction_hil.reports.identification_report import write_report
 
 _SHOWN = 12  # candidates in the table, besides the simplest; JSON has all
@@ -156,5 +157,5 @@ def _print_parameters(best: Fit) -> None:
     table = new_table("parameter", number("value"), number("standard error"))
     for name, value in best.values.items():
         error = best.inference.standard_errors.get(name, math.nan)
-        table.add_row(name, f"{value:.6g}", f"{error:.2g}" if math.isfinite(error) else "-")
+        table.add_row(name, brief(value, 6), brief(error, 2))
     print_table(table)
