@@ -65,8 +65,8 @@ def trial_text(
         # none of these motions depends on the resolution of the encoder
         low, high, _ = extent(make_path(axis, 0.0, run.period_s), 1.0 / getattr(axis.trajectory, "frequency", 1.0))
         motions.append(
-            f"{name} moves between {_distance(low, high)} and {_distance(high, low)} {_unit(axis)} from where it stands "
-            f"({axis.trajectory.kind}), {_speed(axis, speeds[name])}, compensated by {label}"
+            f"{name} moves between {_distance(low, high)} and {_distance(high, low)} {_unit(axis)} from where it "
+            f"stands ({axis.trajectory.kind}), {_speed(axis, speeds[name])}, compensated by {label}"
         )
     return (
         f"{'; '.join(motions)}; all for {duration_s:.0f} s, the first half without compensation{_others(run, labels)}"
