@@ -13,7 +13,7 @@ from friction_hil.cli.colour import red, yellow
 from friction_hil.cli.output import print_json
 from friction_hil.cli.work.following import Compared, following_table
 from friction_hil.cli.work.simulated import report_missing_models, simulated_drives
-from friction_hil.cli.work.tables import print_table
+from friction_hil.cli.work.tables import print_table, say
 from friction_hil.config import load, located
 from friction_hil.daemon.stop import stop_on_signals
 from friction_hil.errors import OptionError
@@ -47,8 +47,8 @@ def run(
     configuration = load(config, needs_models=not simulate)
     with stop_on_signals() as stop, ExitStack() as stack:
         if simulate:
-            report_missing_models(configuration, _say)
-            drives = simulated_drives(configuration, pace, _say, lambda: stop.is_requested)
+            report_missing_models(configuration, say)
+            drives = simulated_drives(configuration, pace, say, lambda: stop.is_requested)
             configuration = stack.enter_context(drives)
         # imported here: a signal during this import, too, ends the run in order
         from friction_hil.daemon.session import SessionSettings, run_session
@@ -63,7 +63,7 @@ def run(
             is_status_shown=not as_json and sys.stderr.isatty(),
         )
         try:
-            result = run_session(configuration, settings, stop, _say)
+            result = run_session(configuration, settings, stop, say)
         except OptionError as error:
             raise located(config, error) from None
     if as_json:
@@ -71,10 +71,6 @@ def run(
     else:
         _print(result, configuration, dry_run=dry_run, is_real=pace == "real")
     return _report_problems(result)
-
-
-def _say(line: str) -> None:
-    click.echo(line, err=True)
 
 
 def _summary(result: "SessionResult") -> dict[str, Any]:
@@ -155,9 +151,10 @@ def _print_errors(axes: "dict[str, AxisFigures]", configuration: "Configuration"
         counted = [each for each in (figures.without, figures.compensated) if each is not None]
         if left_out := sum(each.left_out for each in counted):
             of = left_out + sum(each.counted for each in counted)
-            click.echo(f"{name}: {left_out} of {of} cycles are left out: a period was missed or feedback was late")
+            reason = "a period was missed or feedback was late"
+            say(f"{name}: {left_out} of {of} cycles are left out: {reason}", stderr=False)
         if hint := _hint(figures, configuration.axes[name]):
-            click.echo(f"{name}: {hint}")
+            say(f"{name}: {hint}", stderr=False)
 
 
 def _hint(figures: "AxisFigures", axis: "AxisConfig") -> str:

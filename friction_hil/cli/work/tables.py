@@ -145,15 +145,15 @@ def _rich(table: Table, part: Sequence[int], widths: Mapping[int, int]) -> RichT
     return made
 
 
-def say(text: str) -> None:
-    """Print a sentence on stderr; on a terminal it is wrapped at words."""
-    errors = console(stderr=True)
-    if errors.is_terminal:
+def say(text: str, *, stderr: bool = True) -> None:
+    """Print a sentence; on a terminal it is wrapped at words."""
+    out = console(stderr=stderr)
+    if out.is_terminal:
         text = "\n".join(
-            textwrap.fill(line, errors.width, break_long_words=False, break_on_hyphens=False) if line else line
+            textwrap.fill(line, out.width, break_long_words=False, break_on_hyphens=False) if line else line
             for line in text.split("\n")
         )
-    click.echo(text, err=True)
+    click.echo(text, err=stderr)
 
 
 def print_files(files: Mapping[str, PurePath | None]) -> None:

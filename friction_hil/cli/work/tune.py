@@ -149,9 +149,9 @@ def _print(tuning: Tuning, config: Path, *, is_simulated: bool) -> None:
     print_table(_table(tuning))
     for name, axis in tuning.axes.items():
         for flag in axis.best.fit.flags:
-            click.echo(f"{name}: {flag}")
+            say(f"{name}: {flag}", stderr=False)
     for name, axis in tuning.axes.items():
-        click.echo(f"{name}: model file: {axis.file}; {_use(axis, config, is_simulated=is_simulated)}")
+        say(f"{name}: model file: {axis.file}; {_use(axis, config, is_simulated=is_simulated)}", stderr=False)
     if tuning.report is not None:
         click.echo(f"report: {tuning.report}")
 
