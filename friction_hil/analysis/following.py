@@ -1,41 +1,20 @@
 """Following error of a recorded run: the rows of steady motion that are used, and its figures. Pure."""
 
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from friction_hil.daemon.figures import RECOVERY_OF_LATE, RECOVERY_OF_MISSED
+from friction_hil.daemon.figures import RECOVERY_S as RECOVERY_S
+from friction_hil.daemon.figures import SETTLE_S as SETTLE_S
+from friction_hil.daemon.figures import Figures as Figures
 from friction_hil.errors import RecordingError
 from friction_hil.recordings.recording import Array
 
-SETTLE_S = 0.5  # time for the drive's loops to settle after a ramp or a fade
 COLUMNS = ("position", "position_demand", "is_fresh", "is_enabled", "state")  # required besides the cycle
 
-RECOVERY_S = 0.03  # after a missed period: several time constants of a position loop
-_RECOVERY_OF_MISSED = 5.0  # additional periods for each that was missed
-_RECOVERY_OF_LATE = 5.0  # periods; feedback that follows late feedback may belong to an earlier cycle
 _LEAST_FRACTION = 0.5
-
-
-@dataclass(frozen=True, slots=True)
-class Figures:
-    """Following error of one axis, rad or m: root mean square and largest absolute value."""
-
-    rms: float
-    peak: float
-
-    def times(self, other: "Figures") -> "Figures":
-        """Return the ratios of these figures to ``other``: how many times lower the others are."""
-        return Figures(_ratio(self.rms, other.rms), _ratio(self.peak, other.peak))
-
-
-def _ratio(before: float, after: float) -> float:
-    """Compute before / after, where an error below the encoder's resolution is zero."""
-    if after == 0.0:
-        return math.inf if before > 0.0 else 1.0
-    return before / after
 
 
 def error(columns: Mapping[str, Array]) -> Array:
@@ -62,8 +41,8 @@ def is_recovering(cycle: Array, axes: Sequence[Mapping[str, Array]], period_s: f
     """Return for each row if a period was missed, or feedback of an axis was late, in it or shortly before."""
     missed = np.diff(cycle, prepend=cycle[:1] - 1.0) - 1.0
     is_fresh = np.all([each["is_fresh"] == 1.0 for each in axes], axis=0)
-    after_missed = np.where(missed > 0.0, RECOVERY_S / period_s + _RECOVERY_OF_MISSED * missed, 0.0)
-    after_late = np.where(is_fresh, 0.0, _RECOVERY_OF_LATE)
+    after_missed = np.where(missed > 0.0, RECOVERY_S / period_s + RECOVERY_OF_MISSED * missed, 0.0)
+    after_late = np.where(is_fresh, 0.0, RECOVERY_OF_LATE)
     return cycle < np.maximum.accumulate(cycle + np.maximum(after_missed, after_late))
 
 

@@ -20,6 +20,7 @@ from collections.abc import Iterator, Sequence
 import click
 
 from friction_hil import __version__
+from friction_hil.cli.colour import problem_line, red
 from friction_hil.errors import ConfigurationError, FrictionHilError, choices
 from friction_hil.interrupts import interruptible
 from friction_hil.printable import PrintableStream
@@ -136,13 +137,14 @@ def _exit_status(command: click.Command, arguments: Sequence[str] | None, progra
             result = command.main(arguments, prog_name=program, standalone_mode=False)
         sys.stdout.flush()
     except ConfigurationError as error:
-        click.echo(str(error), err=True)  # each line already begins with file:line
+        for problem in error.problems:
+            click.echo(problem_line(problem), err=True)
         return error.exit_status
     except FrictionHilError as error:
-        click.echo(f"Error: {error}", err=True)
+        click.echo(f"{red('Error:')} {error}", err=True)
         return error.exit_status
     except click.ClickException as error:
-        error.show()
+        _show(error)
         return error.exit_code
     except (click.Abort, KeyboardInterrupt) as error:
         return getattr(error.__cause__ or error, "exit_status", 130)
@@ -151,7 +153,7 @@ def _exit_status(command: click.Command, arguments: Sequence[str] | None, progra
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except OSError as error:
-        click.echo(f"Error: {error}", err=True)
+        click.echo(f"{red('Error:')} {error}", err=True)
         return 1
     except Exception:  # noqa: BLE001 - the last resort: a traceback, and where to report it
         import traceback  # imported here: --help must not wait for it
@@ -170,6 +172,14 @@ def _printable_streams() -> Iterator[None]:
         yield
     finally:
         sys.stdout, sys.stderr = before
+
+
+def _show(error: click.ClickException) -> None:
+    """Print an error of click, with the usage of the command if it has any."""
+    text = io.StringIO()
+    error.show(text)
+    usage, label, message = text.getvalue().partition("Error:")
+    click.echo(f"{usage}{red(label)}{message}", err=True, nl=False)
 
 
 def _open_standard_streams() -> None:

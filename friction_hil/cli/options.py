@@ -15,6 +15,12 @@ option_reset_fault = click.option("--reset-fault", is_flag=True, help="Reset a f
 option_axes = click.option(
     "--axis", "axes", multiple=True, metavar="NAME", help="Only the axis NAME; may be repeated. Default: all axes."
 )
+option_simulate = click.option(
+    "--simulate",
+    is_flag=True,
+    help="Use simulated drives in place of the real ones, on a bus or lines of their own. They start and end with the "
+    "command.",
+)
 option_daemon_pace = click.option(
     "--pace",
     type=click.Choice(["real", "sync"]),

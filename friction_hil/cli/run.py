@@ -5,7 +5,7 @@ from typing import Any
 
 import click
 
-from friction_hil.cli.options import option_daemon_pace, option_json, option_reset_fault
+from friction_hil.cli.options import option_daemon_pace, option_json, option_reset_fault, option_simulate
 
 
 @click.command("run")
@@ -18,6 +18,7 @@ from friction_hil.cli.options import option_daemon_pace, option_json, option_res
     is_flag=True,
     help="Listen, compute and record, but never write a controlword, target or offset to a drive.",
 )
+@option_simulate
 @option_reset_fault
 @option_daemon_pace
 @option_json
@@ -25,7 +26,8 @@ def command(**options: Any) -> int:
     """Run the daemon with the drives of CONFIG.
 
     It moves the axes along their trajectories and compensates their friction. Ctrl-C brings them to rest, fades the
-    compensation out and disables the drives; so does every fault. Exit status 1 after a fault.
+    compensation out and disables the drives; so does every fault. At the end it prints the following error without
+    compensation (compensation.baseline_s) and with it. Exit status 1 after a fault.
     """
     from friction_hil.cli.work.run import run  # imported here: --help must not wait for numba
 

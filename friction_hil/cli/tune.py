@@ -6,7 +6,13 @@ from typing import Any
 import click
 
 from friction_hil.cli.completion import complete_axis
-from friction_hil.cli.options import option_daemon_pace, option_families, option_json, option_reset_fault
+from friction_hil.cli.options import (
+    option_daemon_pace,
+    option_families,
+    option_json,
+    option_reset_fault,
+    option_simulate,
+)
 
 
 @click.command("tune")
@@ -28,6 +34,7 @@ from friction_hil.cli.options import option_daemon_pace, option_families, option
     "name if it exists]",
 )
 @click.option("--yes", is_flag=True, help="Do not ask for confirmation before the axes move.")
+@option_simulate
 @option_reset_fault
 @option_daemon_pace
 @option_json

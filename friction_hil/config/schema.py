@@ -22,7 +22,7 @@ class Realtime(Section):
     """Scheduling of the loop."""
 
     priority: int = key("SCHED_FIFO priority; 0: ordinary scheduling", default=80, ge=0, le=99)
-    spin_us: int = key("busy waiting before each deadline, to reduce the wake-up latency", "us", default=200, ge=0)
+    spin_us: int = key("busy waiting before each deadline, to reduce the wake-up latency", "µs", default=200, ge=0)
     max_missed: int = key(
         "number of consecutive periods, missed or without feedback, that are bridged before a fault",
         default=10,
@@ -68,7 +68,7 @@ def _mistakes(configuration: Configuration) -> Iterator[Mistake]:
     """
     period_us = 1e6 * configuration.period_s
     if configuration.realtime.spin_us >= period_us:
-        yield ("realtime", "spin_us"), f"must be below the period, {period_us:g} us"
+        yield ("realtime", "spin_us"), f"must be below the period, {period_us:g} µs"
     is_sidecar = configuration.bus is not None and configuration.bus.role == "sidecar"
     for name, axis in configuration.axes.items():
         if is_sidecar and axis.trajectory.kind != "master":

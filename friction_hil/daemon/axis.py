@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from friction_hil.compensator import CompensatorInputs
 from friction_hil.daemon.assembly import lead_s, make_compensator, make_limits, make_shadows
 from friction_hil.daemon.command import CommandWriter
-from friction_hil.daemon.figures import CompensationNotices, FeedbackGaps, FollowingError
+from friction_hil.daemon.figures import CompensationNotices, Condition, FeedbackGaps, FollowingErrors
 from friction_hil.daemon.first_motion import FirstMotion
 from friction_hil.daemon.follow_check import FollowCheck
 from friction_hil.daemon.motion import AxisMotion
@@ -26,6 +26,7 @@ _STANDSTILL_RATIO = 1e-3  # of the velocity limit: slower counts as standing
 _HELD_S = 0.5 * STANDSTILL_S  # a cycle without usable feedback tells nothing about standstill, for so long
 _MOST_MISSED = 1000  # periods: longer is a fault of the loop
 _MOST_HELD = 10  # cycles
+_FADING, _WITHOUT, _WITH = Condition.FADING, Condition.WITHOUT, Condition.WITH
 
 
 class AxisUpdate(NamedTuple):
@@ -61,6 +62,7 @@ class AxisLoop:
     __slots__ = (
         "_baseline_s",
         "_command",
+        "_faded_in_s",
         "_fault_reset",
         "_first_motion",
         "_follow_check",
@@ -75,7 +77,7 @@ class AxisLoop:
         "_standstill",
         "_states",
         "compensator",
-        "following_error",
+        "following_errors",
         "gaps",
         "lead_s",
         "motion",
@@ -111,12 +113,14 @@ class AxisLoop:
             name, limits, period_s, facts.position_resolution, unit, max_stale_cycles, facts.velocity_resolution
         )
         self.motion = AxisMotion(name, unit, config, limits, facts, period_s, self.lead_s, path_time)
-        self.following_error = FollowingError()
+        motion_s = 1.0 / config.trajectory.frequency if hasattr(config.trajectory, "frequency") else math.inf
+        self.following_errors = FollowingErrors(period_s, path_time.ramp_s, motion_s)
         self.stale_cycles = 0  # without usable feedback
         self.gaps = FeedbackGaps()
         self._period_s = period_s
         self._is_compensation_enabled = config.compensation.enabled
-        self._baseline_s = config.compensation.baseline_s
+        self._baseline_s = config.compensation.baseline_s if config.compensation.enabled else math.inf
+        self._faded_in_s = self._baseline_s + config.compensation.fade_s
         self._standstill = max(_STANDSTILL_RATIO * limits.velocity, 2.0 * facts.position_resolution / period_s)
         self._command = CommandWriter(config, limits, self.motion, period_s)
         self._notices = CompensationNotices(name, unit, self.compensator)
@@ -256,9 +260,10 @@ class AxisLoop:
                 self._first_motion.take(math.nan, math.nan, is_usable=False)
             fault = self._first_motion.take(position, velocity, is_usable=is_usable) or fault
             command.velocity = self._first_motion.target
-        if setpoint is not None and is_usable and state is LoopState.RUNNING:
-            self.following_error.add(setpoint.position - position)
-            if self._follow_check is not None:
+        if setpoint is not None and state is LoopState.RUNNING:
+            condition = _WITHOUT if running_s < self._baseline_s else _WITH if running_s > self._faded_in_s else _FADING
+            self.following_errors.take(condition, setpoint.position - position, missed, is_usable)
+            if is_usable and self._follow_check is not None:
                 fault = self._follow_check.take(position, estimate, setpoint.position, command.torque) or fault
                 if self._follow_check.is_confirmed:
                     self._follow_check = None

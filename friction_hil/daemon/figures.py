@@ -1,6 +1,8 @@
-"""Figures of an axis in a run: its following error, its feedback, and warnings about its compensation."""
+"""Figures of an axis in a run: its following error without and with compensation, its feedback, and warnings."""
 
 import math
+from dataclasses import dataclass
+from enum import IntEnum
 
 from friction_hil.compensator import Compensator
 
@@ -8,27 +10,219 @@ _LONGEST_GAP = 10_000  # cycles; a longer one is a fault in any configuration
 _MOST_REASONS = 20
 _OTHERS = "other reasons"
 
+SETTLE_S = 0.5  # time for the drive's loops to settle after a ramp or a fade
+RECOVERY_S = 0.03  # after a missed period: several time constants of a position loop
+RECOVERY_OF_MISSED = 5.0  # additional periods for each that was missed
+RECOVERY_OF_LATE = 5.0  # periods; feedback that follows late feedback may belong to an earlier cycle
 
-class FollowingError:
-    """RMS and peak of the following error, accumulated cycle by cycle."""
 
-    __slots__ = ("_count", "_sum", "peak")
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """Following error of one axis, rad or m: root mean square and largest absolute value."""
 
-    def __init__(self) -> None:
-        self._count = 0
-        self._sum = 0.0
-        self.peak = 0.0
+    rms: float
+    peak: float
 
-    def add(self, error: float) -> None:
-        """Add one cycle's error."""
-        self._count += 1
-        self._sum += error * error
-        self.peak = max(self.peak, abs(error))
+    def times(self, other: "Figures") -> "Figures":
+        """Return the ratios of these figures to ``other``: how many times lower the others are."""
+        return Figures(_ratio(self.rms, other.rms), _ratio(self.peak, other.peak))
+
+
+def _ratio(before: float, after: float) -> float:
+    """Compute before / after, where an error below the encoder's resolution is zero."""
+    if after == 0.0:
+        return math.inf if before > 0.0 else 1.0
+    return before / after
+
+
+class Condition(IntEnum):
+    """State of the compensation in a cycle."""
+
+    FADING = 0  # or the axis does not move: the cycle does not count
+    WITHOUT = 1
+    WITH = 2
+
+
+@dataclass(frozen=True, slots=True)
+class ConditionFigures(Figures):
+    """Following error of one axis in one condition.
+
+    Attributes
+    ----------
+    rms, peak : float
+        rad or m.
+    counted, left_out : int
+        Cycles that count, and those that do not because a period was missed or feedback was late, in them or shortly
+        before.
+    """
+
+    counted: int
+    left_out: int
+
+
+@dataclass(frozen=True, slots=True)
+class AxisFigures:
+    """Figures of one axis in a run.
+
+    Attributes
+    ----------
+    unit : str
+        Unit of the position: rad or m.
+    without, compensated : ConditionFigures or None
+        Following error without and with compensation; None if no cycle of the condition counts.
+    is_comparable : bool
+        False if the motion differs from one moment to the next, as that of an experiment does: then the two conditions
+        do not compare.
+    stale, bridged : int
+        Cycles without usable feedback; those of them after which there was feedback again.
+    bridged_reasons : dict of str to int
+        Number of bridged cycles by the reason that the driver gave.
+    """
+
+    unit: str
+    without: ConditionFigures | None
+    compensated: ConditionFigures | None
+    is_comparable: bool
+    stale: int
+    bridged: int
+    bridged_reasons: dict[str, int]
 
     @property
-    def rms(self) -> float:
-        """Root mean square; NaN without any cycle."""
-        return math.sqrt(self._sum / self._count) if self._count else math.nan
+    def reduction(self) -> Figures | None:
+        """Ratios of the following error without to with compensation; None if there is nothing to compare."""
+        if self.without is None or self.compensated is None or not self.is_comparable:
+            return None
+        return self.without.times(self.compensated)
+
+
+class _Sum:
+    """Sum over the cycles of one condition."""
+
+    __slots__ = ("count", "left_out", "peak", "square")
+
+    def __init__(self) -> None:
+        self.count = self.left_out = 0
+        self.square = self.peak = 0.0
+
+    @property
+    def figures(self) -> ConditionFigures | None:
+        if not self.count:
+            return None
+        return ConditionFigures(math.sqrt(self.square / self.count), self.peak, self.count, self.left_out)
+
+
+class FollowingErrors:
+    """Following error of one axis without and with compensation, accumulated cycle by cycle.
+
+    What counts is steady motion: not the ramp at the start, not the fade of the compensation, not the `SETTLE_S` after
+    each of them, and not cycles in which or shortly before which a period was missed or feedback was late. Of a
+    periodic motion only whole periods count, so that both conditions are compared over the same parts of the path; if
+    a run is too short for one, the steady motion that there is.
+
+    Parameters
+    ----------
+    period_s : float
+        Period of the loop, s.
+    start_s : float
+        Time that the axes take to reach full speed, s.
+    motion_s : float
+        Period of the motion, s; infinity if it has none.
+    """
+
+    __slots__ = (
+        "_begin",
+        "_condition",
+        "_count",
+        "_cycle",
+        "_first",
+        "_left_out",
+        "_length",
+        "_partial",
+        "_peak",
+        "_period_end",
+        "_recovered",
+        "_recovery",
+        "_settle",
+        "_square",
+        "_whole",
+    )
+
+    def __init__(self, period_s: float, start_s: float, motion_s: float) -> None:
+        self._settle = SETTLE_S / period_s
+        self._recovery = RECOVERY_S / period_s
+        self._first = start_s / period_s + self._settle  # cycle of the motion from which on it is steady
+        self._length = motion_s / period_s
+        self._cycle = -1
+        self._condition = Condition.FADING
+        self._begin = self._period_end = math.inf
+        self._recovered = 0.0  # cycle from which on errors count again
+        self._whole = [_Sum() for _ in Condition]
+        self._partial = [_Sum() for _ in Condition]  # of steady motion that was shorter than a period
+        # of the period that has not ended yet: plain numbers, because every cycle adds to them
+        self._count = self._left_out = 0
+        self._square = self._peak = 0.0
+
+    def take(self, condition: Condition, error: float, missed: int, is_usable: bool) -> None:
+        """Take one cycle of the motion.
+
+        Parameters
+        ----------
+        condition : Condition
+        error : float
+            Demanded minus measured position, rad or m.
+        missed : int
+            Number of periods between the cycle before and this one.
+        is_usable : bool
+            True if the feedback of this cycle is fresh.
+        """
+        self._cycle = cycle = self._cycle + 1 + missed
+        if condition is not self._condition:
+            self._enter(condition)
+        if missed or not is_usable:
+            wait = self._recovery + RECOVERY_OF_MISSED * missed if missed else 0.0
+            self._recovered = max(self._recovered, cycle + (wait if is_usable else max(wait, RECOVERY_OF_LATE)))
+        if cycle < self._begin:
+            return
+        if cycle >= self._period_end:  # its last cycle was missed
+            self._end_period()
+        if is_usable and cycle >= self._recovered:
+            self._count += 1
+            self._square += error * error
+            if error > self._peak:
+                self._peak = error
+            elif -error > self._peak:
+                self._peak = -error
+        else:
+            self._left_out += 1
+        if cycle + 1 >= self._period_end:
+            self._end_period()
+
+    def _enter(self, condition: Condition) -> None:
+        self._move_to(self._partial)
+        self._condition = condition
+        is_fading = condition is Condition.FADING
+        self._begin = math.inf if is_fading else max(self._cycle + self._settle, self._first)
+        self._period_end = self._begin + self._length
+
+    def _end_period(self) -> None:
+        self._move_to(self._whole)
+        while self._cycle + 1 >= self._period_end:
+            self._period_end += self._length
+
+    def _move_to(self, sums: list[_Sum]) -> None:
+        """Add what has been counted since the last call to the sum of the present condition."""
+        target = sums[self._condition]
+        target.count += self._count
+        target.left_out += self._left_out
+        target.square += self._square
+        target.peak = max(target.peak, self._peak)
+        self._count = self._left_out = 0
+        self._square = self._peak = 0.0
+
+    def figures(self, condition: Condition) -> ConditionFigures | None:
+        """Return the figures of a condition, after the last cycle; None if no cycle of it counts."""
+        self._move_to(self._partial)
+        return self._whole[condition].figures or self._partial[condition].figures
 
 
 class FeedbackGaps:

@@ -12,7 +12,7 @@ from friction_hil.compensator import CompensatorInputs
 from friction_hil.daemon.assembly import make_limits
 from friction_hil.daemon.axis import AxisLoop, AxisUpdate
 from friction_hil.daemon.demand import DemandEstimator
-from friction_hil.daemon.figures import FollowingError
+from friction_hil.daemon.figures import Condition, FollowingErrors
 from friction_hil.daemon.row import AxisRow
 from friction_hil.daemon.safety import MAX_STALE_CYCLES, LoopState, Supervisor
 from friction_hil.daemon.sequence import SETTLE_S, RunInputs, RunStateMachine
@@ -76,13 +76,10 @@ class FollowerSupervisor(Supervisor):
 class FollowerAxis(AxisLoop):
     """Computation of one axis that another controller moves; see `friction_hil.daemon.axis.AxisLoop`.
 
-    Attributes
-    ----------
-    following_error, baseline_error : FollowingError
-        With the compensation fully faded in, and without any, while the drive operates.
+    Its following error counts while the drive operates. The motion is the other controller's: its period is not known.
     """
 
-    __slots__ = ("_baseline_left_s", "_demand", "_drive_notice", "_fade_s", "_faded_s", "baseline_error")
+    __slots__ = ("_baseline_left_s", "_demand", "_drive_notice", "_fade_s", "_faded_s")
 
     supervisor: FollowerSupervisor
 
@@ -100,7 +97,7 @@ class FollowerAxis(AxisLoop):
         unit, limits = ("rad" if config.model.axis == "rotary" else "m"), make_limits(config)
         self.supervisor = FollowerSupervisor(name, limits, period_s, facts.position_resolution, unit, max_stale_cycles)
         self.supervisor.is_operating = False
-        self.baseline_error = FollowingError()
+        self.following_errors = FollowingErrors(period_s, 0.0, math.inf)
         self._demand = DemandEstimator(period_s, facts.setpoint_delay_s, self.lead_s)
         self._baseline_left_s = config.compensation.baseline_s
         self._fade_s = config.compensation.fade_s
@@ -124,7 +121,8 @@ class FollowerAxis(AxisLoop):
         time_s, compensator, supervisor = cycle * self._period_s, self.compensator, self.supervisor
         is_powered = feedback.state is DriveState.OPERATION_ENABLED
         supervisor.is_operating = is_operating = is_powered and feedback.is_offset_wanted
-        is_usable = supervisor.take(feedback, self._count_missed(cycle))
+        missed = self._count_missed(cycle)
+        is_usable = supervisor.take(feedback, missed)
         if not is_usable or self.gaps.is_open:
             self._note_gap(feedback, state, is_usable=is_usable)
         position = supervisor.position
@@ -142,7 +140,8 @@ class FollowerAxis(AxisLoop):
         # without power no torque flows, and none may wait for the moment in which the master enables the drive again
         torque = compensation if is_powered else 0.0
         self._command.write(command, state, time_s, position, estimate, None, torque, is_powered)
-        self._judge(demand[0] - position, is_usable and is_operating and state is LoopState.RUNNING)
+        is_counted = is_operating and state is LoopState.RUNNING
+        self._count_follower_error(demand[0] - position, missed, is_counted=is_counted, is_usable=is_usable)
         row.write_cycle(time_s, inputs, estimate, compensation, command.torque, state, feedback.state)
         for name, shadow in self.shadows.items():
             row.write_shadow(name, shadow.step(*inputs))
@@ -160,14 +159,14 @@ class FollowerAxis(AxisLoop):
         self._faded_s = self._faded_s + self._period_s if is_enabled else 0.0
         return is_enabled
 
-    def _judge(self, error: float, is_counted: bool) -> None:
-        """Count the following error of a cycle with full compensation, or of one without."""
-        if not is_counted or not math.isfinite(error):
-            return
-        if self._faded_s > self._fade_s:
-            self.following_error.add(error)
-        elif self.compensator.is_faded_out:
-            self.baseline_error.add(error)
+    def _count_follower_error(self, error: float, missed: int, *, is_counted: bool, is_usable: bool) -> None:
+        """Count the following error of a cycle as one without, or one with full compensation."""
+        condition = Condition.FADING
+        if is_counted and self._faded_s > self._fade_s:
+            condition = Condition.WITH
+        elif is_counted and self.compensator.is_faded_out:
+            condition = Condition.WITHOUT
+        self.following_errors.take(condition, error, missed, is_usable and math.isfinite(error))
 
 
 class _DriveNotice:

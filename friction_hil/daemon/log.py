@@ -120,7 +120,7 @@ class RunLog:
         self.result.missed += skipped
         self._missed, self._missed_cycle = skipped, cycle
         if skipped >= max_missed:
-            text = f"the loop was late by {overslept_ns / 1000:.0f} us ({skipped} periods)"
+            text = f"the loop was late by {overslept_ns / 1000:.0f} µs ({skipped} periods)"
             self.fault(cycle - skipped, FaultCode.LOOP_LATE.append_to(text))
 
     def state(self, cycle: int, state: LoopState) -> None:

@@ -129,7 +129,7 @@ class ExchangeTimes:
         if not typical_us > self._period_us:
             return None
         return (
-            f"feedback and command take {typical_us:.0f} us, more than the period of {self._period_us:.0f} us: torques "
+            f"feedback and command take {typical_us:.0f} µs, more than the period of {self._period_us:.0f} µs: torques "
             "act whole periods later than they are computed for; take a longer period_s, a faster bus or fewer axes"
         )
 

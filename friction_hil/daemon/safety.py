@@ -15,8 +15,10 @@ from friction_hil.drive import DriveState, Feedback, Request
 from friction_hil.drive.codes import FaultCode
 
 MAX_STALE_CYCLES = 10
+SPEED_MARGIN = 1.5  # times the speed that a motion may reach: faster is a fault, overshoot is not
 _JUMP_MARGIN = 2.0
 _FAULT_RESET_S = 1.0
+_NOISE_STEPS = 2.0  # steps of the encoder by which the displacement over a period may be wrong
 
 
 class LoopState(IntEnum):
@@ -89,8 +91,10 @@ class Supervisor:
     """
 
     __slots__ = (
+        "_allowed",
         "_fast_cycles",
         "_fast_estimates",
+        "_fastest",
         "_jump",
         "_last_position",
         "_limits",
@@ -99,6 +103,7 @@ class Supervisor:
         "_missed_since_position",
         "_missing",
         "_name",
+        "_noise",
         "_slack",
         "_stale_cycles",
         "_steps",
@@ -121,6 +126,9 @@ class Supervisor:
         self._unit = unit
         self._jump = _JUMP_MARGIN * limits.velocity * period_s
         self._slack = 10.0 * position_resolution
+        self._noise = _NOISE_STEPS * position_resolution / period_s
+        self._allowed = math.nan  # speed of the motion that the user was told of
+        self._fastest = limits.velocity
         self._last_position = math.nan
         self._stale_cycles = 0
         self._max_stale_cycles = max_stale_cycles
@@ -131,6 +139,14 @@ class Supervisor:
         self._missed = 0  # periods without a cycle before this one
         self._missed_since_position = 0  # the same since the last usable position
         self._missing = ""  # message about the feedback that is missing now
+
+    def allow(self, speed: float) -> None:
+        """Allow the axis no more than the speed of a motion that the user was told of, SI, with a margin for overshoot.
+
+        The margin is `SPEED_MARGIN`, and the noise of a velocity from single steps of the encoder.
+        """
+        self._allowed = speed
+        self._fastest = min(self._limits.velocity, SPEED_MARGIN * speed + self._noise)
 
     @property
     def position(self) -> float:
@@ -229,7 +245,7 @@ class Supervisor:
             )
         if self._is_too_fast(feedback, velocity):
             return FaultCode.VELOCITY_LIMIT.append_to(
-                f"{name}: velocity {velocity:.4g} is beyond its limit of {limits.velocity:g} {unit}/s"
+                f"{name}: velocity {velocity:.4g} is beyond its limit of {self._speed_limit()}"
             )
         if self._steps.is_too_fast:
             return FaultCode.VELOCITY_LIMIT.append_to(
@@ -255,23 +271,30 @@ class Supervisor:
 
         At once if the drive reports that too; by the estimate from its position alone in the third cycle in a row.
         """
-        limit = self._limits.velocity
-        if abs(velocity) <= limit:
+        if abs(velocity) <= self._fastest:
             self._fast_estimates = 0
             return False
         self._fast_estimates += 1
-        is_confirmed = self._stale_cycles == 0 and abs(feedback.velocity) > limit
+        is_confirmed = self._stale_cycles == 0 and abs(feedback.velocity) > self._fastest
         return is_confirmed or not math.isfinite(velocity) or self._fast_estimates >= MOST_FAST_CYCLES
+
+    def _speed_limit(self) -> str:
+        """Return the limit of the velocity in words, with its reason if it is not the configured one."""
+        text = f"{self._fastest:g} {self._unit}/s"
+        if self._fastest == self._limits.velocity:
+            return text
+        text, allowed = f"{self._fastest:.3g} {self._unit}/s", f"{self._allowed:.3g} {self._unit}/s"
+        return f"{text}, {SPEED_MARGIN:g} times the {allowed} that it may reach in this motion"
 
     def _find_velocity_fault(self, feedback: Feedback) -> str | None:
         """Return the fault of the velocity that the drive reports: too high, or not that of its position."""
         is_usable, velocity, unit = self._stale_cycles == 0, feedback.velocity, self._unit
         if is_usable:
-            self._fast_cycles = 0 if abs(velocity) <= self._limits.velocity else self._fast_cycles + 1
+            self._fast_cycles = 0 if abs(velocity) <= self._fastest else self._fast_cycles + 1
             if self._fast_cycles >= MOST_FAST_CYCLES:
                 return FaultCode.VELOCITY_LIMIT.append_to(
                     f"{self._name}: the drive reports a velocity of {velocity:.4g} {unit}/s, beyond the limit of "
-                    f"{self._limits.velocity:g} {unit}/s"
+                    f"{self._speed_limit()}"
                 )
         for _ in range(self._missed):
             self._velocity_check.take(math.nan, math.nan, is_usable=False)

@@ -3,10 +3,10 @@
 import contextlib
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from friction_hil.config import self_contained
 from friction_hil.config.drivers import load_driver
@@ -14,6 +14,7 @@ from friction_hil.config.load import only_driver
 from friction_hil.daemon.assembly import ramp_s
 from friction_hil.daemon.axis import AxisLoop
 from friction_hil.daemon.companion import Companion, CompanionReport, Job, free_path, prepare
+from friction_hil.daemon.figures import AxisFigures, Condition
 from friction_hil.daemon.follower import FollowerAxis
 from friction_hil.daemon.log import LoopResult
 from friction_hil.daemon.loop import Loop
@@ -28,7 +29,7 @@ from friction_hil.recordings import columns
 from friction_hil.recordings.fingerprint import fingerprint
 
 if TYPE_CHECKING:
-    from friction_hil.config import Configuration
+    from friction_hil.config import AxisConfig, Configuration
 
 _PASSIVE_STALE_S = 1.0
 _LOOK_S = 0.05
@@ -38,7 +39,11 @@ _CYCLE = columns.NAMES.index(columns.CYCLE)
 
 @dataclass(frozen=True, slots=True)
 class SessionSettings:
-    """Settings that the command line adds to a configuration."""
+    """Settings that the command line adds to a configuration.
+
+    ``allowed_speeds`` are those of the motions that the user was told of, by axis, rad/s or m/s; see
+    `friction_hil.daemon.safety.Supervisor.allow`.
+    """
 
     duration_s: float = math.inf
     record: Path | None = None
@@ -47,6 +52,7 @@ class SessionSettings:
     is_fault_reset_wanted: bool = False
     is_paced_by_sync: bool = False
     is_status_shown: bool = False
+    allowed_speeds: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
@@ -54,7 +60,7 @@ class SessionResult:
     """Result of a run."""
 
     loop: LoopResult
-    axes: dict[str, dict[str, Any]] = field(default_factory=dict)
+    axes: dict[str, AxisFigures] = field(default_factory=dict)
     report: CompanionReport | None = None
 
 
@@ -130,18 +136,7 @@ def run_session(
             result = _run(prepared, configuration, settings, clock, stop, report)
         finally:
             recorded = companion.close()
-    errors = {
-        axis.name: {
-            "rms": axis.following_error.rms,
-            "peak": axis.following_error.peak,
-            "stale": axis.stale_cycles,
-            "bridged": axis.gaps.bridged,
-            "bridged_reasons": axis.gaps.reasons,
-            **_baseline(axis),
-        }
-        for axis in axes
-    }
-    return SessionResult(result, errors, recorded)
+    return SessionResult(result, {axis.name: _figures(axis, configuration.axes[axis.name]) for axis in axes}, recorded)
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,6 +190,9 @@ def _prepare(
         )
         for fact in facts
     ]
+    for axis in axes:
+        if axis.name in settings.allowed_speeds:
+            axis.supervisor.allow(settings.allowed_speeds[axis.name])
     companion = Companion.start(_job(configuration, settings, path, started_ns, facts, axes, shadows))
     stack.callback(companion.close)
     return _Prepared(drives, axes, path_time, companion)
@@ -237,11 +235,16 @@ def _close(drives: Drives, report: Callable[[str], None]) -> None:
         report(line)
 
 
-def _baseline(axis: AxisLoop) -> dict[str, float]:
-    """Return the following error without compensation of an axis that another controller moves."""
-    if not isinstance(axis, FollowerAxis):
-        return {}
-    return {"baseline_rms": axis.baseline_error.rms, "baseline_peak": axis.baseline_error.peak}
+def _figures(axis: AxisLoop, config: "AxisConfig") -> AxisFigures:
+    return AxisFigures(
+        unit="rad" if config.model.axis == "rotary" else "m",
+        without=axis.following_errors.figures(Condition.WITHOUT),
+        compensated=axis.following_errors.figures(Condition.WITH),
+        is_comparable=config.trajectory.kind != "experiment",
+        stale=axis.stale_cycles,
+        bridged=axis.gaps.bridged,
+        bridged_reasons=axis.gaps.reasons,
+    )
 
 
 def _recording_path(configuration: "Configuration", settings: SessionSettings, started_ns: int) -> Path | None:

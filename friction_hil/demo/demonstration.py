@@ -3,15 +3,12 @@
 This process imports numpy, numba and matplotlib while the drives start, so that the user does not wait for both.
 """
 
-import contextlib
 import json
 import os
 import socket
-import subprocess
-import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.resources import files
@@ -19,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from friction_hil.checked_yaml.text import dump, parse
+from friction_hil.daemon.child import Child
 from friction_hil.errors import FrictionHilError, RecordingError
 from friction_hil.reports.figures import require_matplotlib
 from friction_hil.reports.page import claim_folder, generator
@@ -29,7 +27,6 @@ if TYPE_CHECKING:
 
 REPORT, PICTURE, RECORDING = "report.html", "circularity.png", "recording.mcap"
 _LAPS = 2
-_END_TIMEOUT_S = 20.0  # for a process after SIGTERM
 _TICK_S = 0.2
 _STOPPING_S = 1.5  # from the end of the motion to the end of the daemon
 
@@ -140,7 +137,7 @@ def _record(work: Path, pace: str, show: ShowProgress) -> tuple["Circularity", d
 def _run_processes(path: Path, pace: str, show: ShowProgress) -> tuple[dict[str, Any], str]:
     """Run drives and daemon; return the daemon's summary and its messages."""
     show("starting the simulated drives", 0.0)
-    with _Child(["simulate", str(path), "--exit-with-stdin"], pace, path.parent) as drives:
+    with Child(["simulate", str(path), "--exit-with-stdin", "--pace", pace], path.parent) as drives:
         # imported here: while the drives start
         import_module("matplotlib.figure")
         from friction_hil.analysis.circularity import duration_s
@@ -150,10 +147,10 @@ def _run_processes(path: Path, pace: str, show: ShowProgress) -> tuple[dict[str,
         moving_s = duration_s(configuration, _LAPS)
         while not drives.printed:
             drives.wait(_TICK_S)
-            drives.refuse_failure()
+            drives.refuse_failure(DemoError)
         show("starting the daemon", 0.1)
         run = ["run", str(path), "--duration", f"{moving_s:g}", "--record", str(path.parent / RECORDING), "--json"]
-        with _Child(run, pace, path.parent) as daemon:
+        with Child([*run, "--pace", pace], path.parent) as daemon:
             if pace == "sync":
                 show("drawing the circle in simulated time", 0.15)
             began_s = 0.0
@@ -161,7 +158,7 @@ def _run_processes(path: Path, pace: str, show: ShowProgress) -> tuple[dict[str,
                 if pace == "real" and daemon.said:  # its first message comes when it has found its drives
                     began_s = began_s or time.monotonic()
                     show(*_progress(configuration, time.monotonic() - began_s, moving_s))
-            drives.refuse_failure()
+            drives.refuse_failure(DemoError)
             daemon.refuse_failure(LoopFaultError if daemon.printed else DemoError)
         return json.loads(daemon.printed), daemon.said
 
@@ -170,62 +167,3 @@ def _progress(configuration: "Configuration", elapsed_s: float, moving_s: float)
     baseline_s = max(axis.compensation.baseline_s for axis in configuration.axes.values())
     state = "without" if elapsed_s < baseline_s else "with"
     return f"drawing the circle {state} compensation", 0.15 + 0.75 * min(elapsed_s / (moving_s + _STOPPING_S), 1.0)
-
-
-class _Child:
-    """A command of friction-hil as a child process, which ends with this process in any case.
-
-    It has a session of its own, so that Ctrl-C reaches only this process, which ends its children in order. Its
-    standard input is closed when this process ends.
-    """
-
-    def __init__(self, arguments: Sequence[str], pace: str, folder: Path) -> None:
-        self._name = arguments[0]
-        self._out, self._err = folder / f"{self._name}.out", folder / f"{self._name}.err"
-        with open(self._out, "wb") as out, open(self._err, "wb") as err:
-            self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "friction_hil", *arguments, "--pace", pace],
-                stdin=subprocess.PIPE,
-                stdout=out,
-                stderr=err,
-                start_new_session=True,
-            )
-
-    def __enter__(self) -> "_Child":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        process = self._process
-        try:
-            if process.poll() is None:
-                process.terminate()  # the daemon brings the axes to rest, the drives leave the bus
-                process.wait(_END_TIMEOUT_S)
-        except subprocess.TimeoutExpired:
-            pass
-        finally:
-            process.kill()
-            process.wait()
-            assert process.stdin is not None
-            process.stdin.close()
-
-    def wait(self, timeout_s: float) -> bool:
-        """Wait for its end; return true if it has ended."""
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(timeout_s)
-        return self._process.returncode is not None
-
-    def refuse_failure(self, error: type[DemoError] = DemoError) -> None:
-        """Raise ``error`` with its messages if it has failed."""
-        if status := self._process.poll():
-            said = self.said.strip() or f"exit status {status}"
-            raise error(f"'friction-hil {self._name}' failed:\n{said}")
-
-    @property
-    def printed(self) -> str:
-        """Its standard output so far."""
-        return self._out.read_text(encoding="utf-8")
-
-    @property
-    def said(self) -> str:
-        """Its standard error so far."""
-        return self._err.read_text(encoding="utf-8", errors="replace")

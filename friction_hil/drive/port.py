@@ -258,7 +258,12 @@ class Driver(Protocol):
 
 
 class SimulatedDriver(Protocol):
-    """Class named by an entry point of ``friction_hil.simulated_drives``."""
+    """Class named by an entry point of ``friction_hil.simulated_drives``.
+
+    It may have the static methods ``make_master`` (see ``simulate --master``) and ``make_private(configuration,
+    folder)``, which returns the configuration on a bus or lines that nothing else uses, and the name of what it
+    replaces (see ``run --simulate``).
+    """
 
     Options: "type[BaseModel]"  # keys of ``simulation`` of an axis
 

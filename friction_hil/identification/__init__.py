@@ -10,6 +10,7 @@ A. Janot, M. Gautier, M. Brunot, Workshop on Nonlinear System Identification Ben
 
 from friction_hil.identification.fits import Curves, Fit
 from friction_hil.identification.identify import Identification, identify
+from friction_hil.identification.progress import FitStep
 from friction_hil.identification.settings import IdentificationSettings
 
-__all__ = ["Curves", "Fit", "Identification", "IdentificationSettings", "identify"]
+__all__ = ["Curves", "Fit", "FitStep", "Identification", "IdentificationSettings", "identify"]

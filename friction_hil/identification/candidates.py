@@ -13,6 +13,7 @@ from friction_hil.identification.choice import is_better
 from friction_hil.identification.data import LEAST_ROWS, Data, RegressionSegment, prepare
 from friction_hil.identification.fine import fine_data, is_fine
 from friction_hil.identification.fits import MECHANICS, Fit, fit, refined
+from friction_hil.identification.progress import FitStep
 from friction_hil.identification.regression import BACK_EMF, INVERSE_GAIN, Regression
 from friction_hil.identification.scales import estimate_scales
 from friction_hil.identification.settings import IdentificationSettings, chosen_families
@@ -34,7 +35,7 @@ class CandidateFitter:
         Recordings to fit to, and recordings that every candidate is judged on.
     settings : IdentificationSettings
     progress : callable
-        Called with the label of each candidate before it is fitted.
+        Called with a `FitStep` before each fit.
 
     Attributes
     ----------
@@ -59,10 +60,12 @@ class CandidateFitter:
         recordings: Sequence[Recording],
         validation: Sequence[Recording],
         settings: IdentificationSettings,
-        progress: Callable[[str], None],
+        progress: Callable[[FitStep], None],
     ) -> None:
         self.settings = settings
         self._progress = progress
+        self._stage, self._number = "", 0
+        self._count: int | None = None
         self.families = chosen_families(settings.families)
         self.known = unknown_gain.known_torque(settings.held) if settings.has_unknown_gain else {}
         self.data = Data(self._prepared(recordings), self.known)
@@ -136,9 +139,17 @@ class CandidateFitter:
 
     # --- fits
 
+    def begin(self, stage: str, count: int | None = None) -> None:
+        """Begin a stage of the identification, with ``count`` fits if that is known; see `FitStep`."""
+        self._stage, self._number, self._count = stage, 0, count
+
+    def _report(self, label: str) -> None:
+        self._number += 1
+        self._progress(FitStep(self._stage, self._number, self._count, label))
+
     def fit(self, structure: ModelStructure, warm: Mapping[str, float] | None = None) -> Fit:
         """Fit one candidate, starting from the values ``warm`` of a related one if given."""
-        self._progress(structure.label)
+        self._report(structure.label)
         mechanics, held, notes = self._mechanics(structure)
         if structure.family in EQUAL_IN_FEEDFORWARD:
             notes.append(
@@ -173,7 +184,7 @@ class CandidateFitter:
 
     def refine(self, base: Fit) -> Fit:
         """Fit the structure of ``base`` once more, on records at the full resolution of the encoder."""
-        self._progress(f"{base.label}, refined at the resolution of the encoder")
+        self._report(base.label)
         mechanics, held, notes = self._mechanics(base.structure)
 
         def regression(data: Data) -> Regression:

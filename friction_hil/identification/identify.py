@@ -12,6 +12,7 @@ from friction_hil.identification.fine import shows_presliding
 from friction_hil.identification.fits import Fit
 from friction_hil.identification.inference import VAGUE
 from friction_hil.identification.prediction_errors import is_grouped
+from friction_hil.identification.progress import FitStep
 from friction_hil.identification.settings import IdentificationSettings
 from friction_hil.identification.structures import EXTENDS
 from friction_hil.recordings import Recording
@@ -67,7 +68,7 @@ def identify(
     settings: IdentificationSettings | None = None,
     *,
     validation: Sequence[Recording] = (),
-    progress: Callable[[str], None] = lambda _: None,
+    progress: Callable[[FitStep], None] = lambda _: None,
 ) -> Identification:
     """Identify friction, inertia, offset and gravity of one axis.
 
@@ -79,7 +80,7 @@ def identify(
     validation : sequence of Recording
         Recordings that are not fitted to; every candidate is judged on them.
     progress : callable
-        Called with the label of each candidate before it is fitted.
+        Called with a `FitStep` before each fit.
 
     Raises
     ------
@@ -107,7 +108,9 @@ def identify(
 
 def _fit_all(fitter: CandidateFitter) -> list[Fit]:
     """Fit all families, the best ones with further modifiers, and these without parameters that do not show."""
+    fitter.begin("families", 2 * len(fitter.families))
     fits = _fit_families(fitter)
+    fitter.begin("modifiers")
     if fitter.settings.has_modifiers:
         fits += _fit_modified(fitter, fits)
     fits += _fit_pruned(fitter, fits)
@@ -191,6 +194,7 @@ def _fit_pruned(fitter: CandidateFitter, fits: list[Fit]) -> list[Fit]:
 
 def _refine(fitter: CandidateFitter, fits: list[Fit], again: list[Fit]) -> tuple[list[Fit], Fit, str]:
     """Refine some of the fits; return all fits with these replaced, the choice among the refined, and its reason."""
+    fitter.begin("refinement", len(again))
     refined = [fitter.refine(each) for each in again]
     fits = [each for each in fits if each.label not in {other.label for other in refined}] + refined
     best, further = choose(refined, kind="refined ")

@@ -172,6 +172,11 @@ class PathTime:
             self._excess = min(self._excess, max(_HEADROOM * (velocity_limit / speed - 1.0), 0.0))
             self._change = min(self._change, _EXTRA_ACCELERATION * acceleration / speed)
 
+    @property
+    def ramp_s(self) -> float:
+        """Time from rest to full speed, s."""
+        return self._ramp_s
+
     def start(self, time_s: float) -> None:
         """Start at ``time_s``."""
         self._start_s = time_s

@@ -1,4 +1,4 @@
-"""Numbers with readable units and digits."""
+"""Numbers and units of the figures in reports; the formats are those of the terminal."""
 
 import math
 from collections.abc import Iterator
@@ -8,19 +8,13 @@ import numpy as np
 
 from friction_hil.analysis.circularity import Circularity
 from friction_hil.analysis.following import Figures
+from friction_hil.numerics import readable as formats
+from friction_hil.numerics.readable import digits as digits
 
 
 def readable(unit: str, values: Any) -> tuple[float, str]:
-    """Return factor and unit in which the smallest of ``values`` (SI) is at least 1: ``(1e6, "µrad")``.
-
-    Zeros and what is not finite do not count; without any other value the unit has no prefix.
-    """
-    sizes = np.abs(np.asarray(values, dtype=np.float64))
-    smallest = float(np.min(sizes[np.isfinite(sizes) & (sizes > 0.0)], initial=math.inf))
-    for factor, prefix in ((1.0, ""), (1e3, "m"), (1e6, "µ")):
-        if smallest * factor >= 1.0:
-            return factor, prefix + unit
-    return 1e9, "n" + unit
+    """Return factor and unit in which the smallest of ``values`` (SI) is at least 1: ``(1e6, "µrad")``."""
+    return formats.readable(unit, np.ravel(values).tolist())
 
 
 def prefix_of(unit: str, values: Any) -> tuple[float, str]:
@@ -54,9 +48,3 @@ def comparison_rows(unit: str, without: Figures | None, compensated: Figures | N
         cells = ["-" if each is None else digits(getattr(each, name) * factor) for each in (without, compensated)]
         ratio = math.inf if times is None else getattr(times, name)
         yield f"{name} [{shown}]", *cells, digits(ratio, 2) if math.isfinite(ratio) else "-"
-
-
-def digits(value: float, significant: int = 3) -> str:
-    """Format a number with at least ``significant`` digits, no exponent, and no sign of zero."""
-    decimals = max(significant - 1 - math.floor(math.log10(abs(value))), 0) if value else 0
-    return f"{value:z.{decimals}f}"

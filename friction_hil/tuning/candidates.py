@@ -9,6 +9,7 @@ from friction_hil.config import Configuration
 from friction_hil.errors import RecordingError
 from friction_hil.identification import Fit, Identification, IdentificationSettings, identify
 from friction_hil.identification.choice import is_determined
+from friction_hil.identification.progress import FitStep
 from friction_hil.identification.refine import is_dynamic
 from friction_hil.identification.settings import chosen_families
 from friction_hil.motion.experiment import is_fast
@@ -26,7 +27,7 @@ def identified(
     configuration: Configuration,
     families: Sequence[str],
     *,
-    on_fit: Callable[[str], None],
+    on_fit: Callable[[FitStep], None],
     on_problem: Callable[[str], None],
 ) -> list[Identification]:
     """Identify dynamic models from all of an experiment, and static ones from where the axis slides.
@@ -40,7 +41,7 @@ def identified(
     families : sequence of str
         Families to fit; empty for all.
     on_fit : callable
-        Called with the label of each fit before it begins.
+        Called with a `FitStep` before each fit.
     on_problem : callable
         Called with a sentence if static models cannot be identified.
 

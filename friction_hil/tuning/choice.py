@@ -61,10 +61,13 @@ def model_content(found: Identification, fit: Fit, axis: AxisConfig) -> dict[str
     return model
 
 
-def keep_best(axis: AxisConfig, candidates: tuple[TriedModel, ...], file: Path) -> AxisTuning:
+def keep_best(
+    axis: AxisConfig, candidates: tuple[TriedModel, ...], file: Path, *, is_simulated: bool = False
+) -> AxisTuning:
     """Write the best model to ``file``, and to the file that the configuration names if it helped.
 
-    An existing file that the configuration names is left as it is.
+    An existing file that the configuration names is left as it is. So is a missing one if the drives are simulated:
+    the real axis has another friction.
 
     Raises
     ------
@@ -75,7 +78,7 @@ def keep_best(axis: AxisConfig, candidates: tuple[TriedModel, ...], file: Path) 
     model = {**best.model, "fit": {**best.model["fit"], "trial": best.trial.figures}}
     write_model(file, model)
     wanted = axis.model.source_path
-    is_in_place = wanted is not None and not wanted.exists() and best.trial.has_helped
+    is_in_place = wanted is not None and not wanted.exists() and best.trial.has_helped and not is_simulated
     if wanted is not None and is_in_place:
         file = wanted
         write_model(file, model)

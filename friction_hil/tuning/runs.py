@@ -1,5 +1,6 @@
 """Runs of the daemon that record experiments and trials."""
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -8,6 +9,7 @@ from friction_hil.config import Configuration
 from friction_hil.daemon.safety import LoopState
 from friction_hil.daemon.session import SessionResult, SessionSettings, run_session
 from friction_hil.daemon.stop import stop_on_signals
+from friction_hil.drive.codes import FaultCode
 from friction_hil.errors import FrictionHilError
 from friction_hil.recordings import read_all
 from friction_hil.tuning.motions import TuningError
@@ -31,8 +33,10 @@ class TuningRuns:
         self.recordings: list[Path] = []
         self.warnings: list[str] = []
 
-    def run(self, configuration: Configuration, duration_s: float, file: str) -> Path:
+    def run(self, configuration: Configuration, duration_s: float, file: str, speeds: Mapping[str, float]) -> Path:
         """Run the daemon once; return the path of the recording, which is complete.
+
+        ``speeds`` are those that the axes may reach, by axis: one that is clearly faster ends the run.
 
         Raises
         ------
@@ -48,6 +52,7 @@ class TuningRuns:
             is_fault_reset_wanted=self._settings.is_fault_reset_wanted,
             is_paced_by_sync=self._settings.is_paced_by_sync,
             is_status_shown=self._settings.is_status_shown,
+            allowed_speeds=speeds,
         )
         with stop_on_signals() as stop:
             result = run_session(configuration, session, stop, self._report_once)
@@ -67,7 +72,7 @@ class TuningRuns:
             if not _has_run(path):
                 path.unlink(missing_ok=True)
                 where = "; nothing has moved"
-            raise TuningError("; ".join(result.loop.faults) + where)
+            raise TuningError("; ".join(result.loop.faults) + _advice(result.loop.faults) + where)
         if report is None or report.lost or report.pending or not report.recording:
             problems = "; ".join(report.problems) if report is not None and report.problems else "rows were lost"
             raise TuningError(f"{path}: the recording is not complete: {problems}")
@@ -76,6 +81,16 @@ class TuningRuns:
         if line not in self._reported:
             self._reported.add(line)
             self._dialog.report(line)
+
+
+def _advice(faults: Sequence[str]) -> str:
+    """Return what may be done about an axis that was faster than announced."""
+    if not any(f"[{FaultCode.VELOCITY_LIMIT}]" in fault for fault in faults):
+        return ""
+    return (
+        "; a loop that swings needs a lower velocity_gain; one that is soft, so that the axis jumps where it breaks "
+        "away, needs a higher one, or a higher velocity in 'experiment'"
+    )
 
 
 def _has_run(path: Path) -> bool:

@@ -1,6 +1,5 @@
 """Settings of a tuning, and the dialog with its user."""
 
-from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +20,8 @@ class TuneSettings:
         Families of friction models to fit; empty for all.
     is_fault_reset_wanted, is_paced_by_sync, is_status_shown : bool
         As of `friction_hil.daemon.session.SessionSettings`.
+    is_simulated : bool
+        True if the drives are simulated: their friction is not written to the file that the configuration names.
     """
 
     folder: Path
@@ -29,6 +30,15 @@ class TuneSettings:
     is_fault_reset_wanted: bool = False
     is_paced_by_sync: bool = False
     is_status_shown: bool = False
+    is_simulated: bool = False
+
+
+class ShowStep(Protocol):
+    """Shows the current step of a long computation."""
+
+    def __call__(self, text: str, number: int = 0, count: int | None = None, /) -> None:
+        """Show that step ``number`` of ``count`` begins; 0 without a number, None if their number is not known."""
+        ...
 
 
 class Dialog(Protocol):
@@ -42,6 +52,6 @@ class Dialog(Protocol):
         """Ask whether the axes may move now as described; raise ``click.Abort`` if not."""
         ...
 
-    def working(self, text: str) -> AbstractContextManager[Callable[[str], None]]:
+    def working(self, text: str) -> AbstractContextManager[ShowStep]:
         """Show that a long computation goes on; the function that is given shows its current step."""
         ...

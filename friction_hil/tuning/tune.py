@@ -12,6 +12,7 @@ from friction_hil.identification import Identification
 from friction_hil.identification.settings import chosen_families
 from friction_hil.models.model_file import ModelFile
 from friction_hil.recordings import Recording, read, read_all
+from friction_hil.tuning.announcement import allowed_speeds, experiment_text, trial_text
 from friction_hil.tuning.candidates import CandidateFit, candidates, identified
 from friction_hil.tuning.choice import (
     AxisTuning,
@@ -84,7 +85,8 @@ def tune(configuration: Configuration, settings: TuneSettings, dialog: Dialog) -
     chosen_families(settings.families)
     for name in names:
         experiment_of(name, configuration.axes[name])
-        refuse_unwritable_model(name, configuration.axes[name])
+        if not settings.is_simulated:
+            refuse_unwritable_model(name, configuration.axes[name])
     _claim(settings.folder)
     try:
         return _Tuner(configuration, settings, names, dialog).tune()
@@ -106,21 +108,21 @@ class _Tuner:
         recorded = {name: self._experiment(name) for name in self._names}
         found = {name: self._identification(recorded.pop(name)) for name in self._names}
         tried = self._trials({name: candidates(each) for name, each in found.items()})
-        axes = {name: keep_best(self._configuration.axes[name], each, self._file(name)) for name, each in tried.items()}
+        is_simulated = self._settings.is_simulated
+        axes = {
+            name: keep_best(self._configuration.axes[name], each, self._file(name), is_simulated=is_simulated)
+            for name, each in tried.items()
+        }
         return Tuning(axes, self._runs.recordings, [*self._runs.warnings, *self._warnings])
 
     def _experiment(self, name: str) -> Recording:
         """Record the experiment of an axis."""
         bounds = experiment_of(name, self._configuration.axes[name])
         run, duration_s = experiment_run(self._configuration, name)
-        held = ", ".join(each for each in run.axes if each != name)
         unit = "rad" if self._configuration.axes[name].model.axis == "rotary" else "m"
-        self._dialog.confirm(
-            f"{name} moves by up to {bounds.travel:g} {unit} to either side of where it stands, at up to "
-            f"{bounds.velocity:g} {unit}/s, for {duration_s:.0f} s, without compensation"
-            + (f"; {held} held" if held else "")
-        )
-        recording = read(self._runs.run(run, duration_s, f"{name}_experiment.mcap"), name)
+        self._dialog.confirm(experiment_text(run, name, bounds, duration_s))
+        speeds = allowed_speeds(run, {name: bounds})
+        recording = read(self._runs.run(run, duration_s, f"{name}_experiment.mcap", speeds), name)
         if warning := refuse_limit_cycle(sliding_part(recording, self._configuration), bounds.velocity, unit):
             self._dialog.report(warning)
         return recording
@@ -137,7 +139,7 @@ class _Tuner:
                 recording,
                 self._configuration,
                 self._settings.families,
-                on_fit=lambda label: show(f"{name}: fitting {label}"),
+                on_fit=lambda step: show(f"{name}: {step.stage}: {step.label}", step.number, step.count),
                 on_problem=lambda problem: self._dialog.report(f"{name}: {problem}"),
             )
         chosen = [fit for _, fit in candidates(found)]
@@ -171,12 +173,11 @@ class _Tuner:
         run, duration_s = trial_run(
             self._configuration, {name: ModelFile.model_validate(model) for name, model in files.items()}
         )
-        labels = ", ".join(f"{name} by {fit.label}" for name, (_, fit) in fits.items())
-        motions = ", ".join(f"{name}: {run.axes[name].trajectory.kind}" for name in fits)
-        self._dialog.confirm(
-            f"the axes move ({motions}) for {duration_s:.0f} s, the first half without compensation, then {labels}"
-        )
-        recordings = read_all(self._runs.run(run, duration_s, f"trial_{number}.mcap"))
+        labels = {name: fit.label for name, (_, fit) in fits.items()}
+        bounds = {name: experiment_of(name, self._configuration.axes[name]) for name in fits}
+        self._dialog.confirm(trial_text(run, bounds, labels, duration_s))
+        speeds = allowed_speeds(run, bounds)
+        recordings = read_all(self._runs.run(run, duration_s, f"trial_{number}.mcap", speeds))
         start_s = ramp_s(run.axes.values())
         return {
             name: TriedModel(*each, files[name], judge(recordings[name], run.axes[name], run.period_s, start_s))

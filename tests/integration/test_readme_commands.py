@@ -40,6 +40,7 @@ WITH_DRIVES = (
     "friction-hil reset machine.yaml --axis x --json",
     "friction-hil run machine.yaml --pace sync --duration 3 --record run.mcap --json",
     "friction-hil run machine.yaml --pace sync --duration 0.2 --record listen.mcap --dry-run --reset-fault --force",
+    "friction-hil run --simulate machine.yaml --pace sync --duration 0.2",
 )
 ON_THE_RECORDING = (
     ("friction-hil convert run.mcap run.csv", 0),
@@ -77,6 +78,7 @@ ELSEWHERE = (
     ("friction-hil drives stop --bus", "test_stop_says_that_another_master_is_there_and_stops_all_the_same"),
     ("friction-hil doctor --try-watchdog", "test_doctor_tries_the_watchdogs_of_simulated_drives"),
     ("friction-hil tune --output --json --yes --pace", "test_an_axis_learns_its_friction_on_its_drive"),
+    ("friction-hil tune --simulate", "test_simulated_drives_are_tuned_and_the_model_of_the_machine_stays_as_it_is"),
     ("friction-hil tune --models --axis", "test_mistakes_are_reported_before_anything_moves"),
     ("friction-hil tune --reset-fault", "test_a_drive_in_fault_is_tuned_only_if_its_fault_may_be_reset"),
     (

@@ -188,10 +188,10 @@ def test_a_cycle_that_does_not_fit_is_refused_with_the_arithmetic(drive):
     pdos = [*drive.negotiate([*FEEDBACK[0], *FEEDBACK[1]]).pdos, drive.map(COMMANDS[Mode.CSP], is_receive=True)]
     bits = 55 + 135 + frame_bits(5) + 135
     two = 55 + 2 * (bits - 55)
-    assert check_bus_load(1_000_000, 1e-3, pdos * 2) == f"a cycle needs {two} us of 1000 us on the bus at 1000000 bit/s"
-    assert f"needs {2 * bits} us of {4 * bits} us" in check_bus_load(500_000, 2.0 * bits / 500_000, pdos)
+    assert check_bus_load(1_000_000, 1e-3, pdos * 2) == f"a cycle needs {two} µs of 1000 µs on the bus at 1000000 bit/s"
+    assert f"needs {2 * bits} µs of {4 * bits} µs" in check_bus_load(500_000, 2.0 * bits / 500_000, pdos)
     with pytest.raises(DriveError) as caught:
         check_bus_load(1_000_000, 1e-3, pdos * 3)
     needed = 55 + 3 * (bits - 55)
-    assert f"needs {needed} us on the bus at 1000000 bit/s (SYNC 55 + PDOs 135 +" in str(caught.value)
-    assert "more than 90 % of the period of 1000 us" in str(caught.value)
+    assert f"needs {needed} µs on the bus at 1000000 bit/s (SYNC 55 + PDOs 135 +" in str(caught.value)
+    assert "more than 90 % of the period of 1000 µs" in str(caught.value)

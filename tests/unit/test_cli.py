@@ -4,6 +4,7 @@ import importlib
 import json
 import math
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path, PurePosixPath
@@ -134,6 +135,32 @@ def test_an_error_ends_with_its_status(add_command, capsys, error, status, messa
     assert out == ""
     assert message in err
     assert "Traceback" not in err
+
+
+ERRORS = (
+    (UsageError("not so"), "\x1b[31m\x1b[1mError:\x1b[0m not so\n"),
+    (click.UsageError("no such thing"), "\x1b[31m\x1b[1mError:\x1b[0m no such thing\n"),
+    (PermissionError(13, "denied", "out.csv"), "\x1b[31m\x1b[1mError:\x1b[0m [Errno 13] denied: 'out.csv'\n"),
+    (ConfigurationError([Problem("a.yaml", 3, "b", "c")]), "\x1b[31m\x1b[1ma.yaml:3:\x1b[0m b: c\n"),
+)
+
+
+@pytest.mark.parametrize(("error", "coloured"), ERRORS)
+@pytest.mark.parametrize("given", [{}, {"NO_COLOR": "1"}, {"TERM": "dumb"}, {"NO_COLOR": "", "TERM": "xterm"}])
+def test_errors_are_red_on_a_terminal_and_only_there(add_command, capsys, monkeypatch, error, coloured, given):
+    for name in ("NO_COLOR", "TERM"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in given.items():
+        monkeypatch.setenv(name, value)
+    plain = re.sub(r"\x1b\[\d+m", "", coloured)
+    add_command(raising(error))
+    main(["probe"])
+    assert capsys.readouterr().err.endswith(plain)
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    main(["probe"])
+    wants_none = given.get("NO_COLOR") or given.get("TERM") == "dumb"
+    assert capsys.readouterr().err.endswith(plain if wants_none else coloured)
+    assert ("\x1b" in plain) is False
 
 
 def test_a_mistake_of_ours_shows_where_and_asks_to_report_it(add_command, capsys):

@@ -152,7 +152,7 @@ CASES = [
     ("      rate_hz: 4000.0", "      rate: 1", "axes.x.simulation.rate", "did you mean 'rate_hz'?"),
     ("  path: out/run.mcap", "  path: 3", "recording.path", "3"),
     ("  priority: 0", "  priority: 100", "realtime.priority", "at most 99"),
-    ("  priority: 0", "  spin_us: 1000", "realtime.spin_us", "below the period, 1000 us"),
+    ("  priority: 0", "  spin_us: 1000", "realtime.spin_us", "below the period, 1000 µs"),
 ]
 
 

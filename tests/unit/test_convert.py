@@ -118,7 +118,7 @@ def test_info_tells_what_is_in_a_recording(two_axes: Path, capsys: pytest.Captur
     assert main(["convert", str(two_axes), "--info"]) == 0
     output = capsys.readouterr()
     assert "x: 3 rows, 0.005 s at 400 Hz" in output.out
-    assert "1.66667" in output.out
+    assert "1.667" in output.out
     assert "2 restart points; metadata: fingerprint, recording" in output.out
     assert "cycle 5: fault: [red] x: too fast" in output.out
     assert "3 cycles are missing" in output.err

@@ -5,6 +5,7 @@ import math
 import pytest
 
 from friction_hil.config import from_dict
+from friction_hil.daemon.figures import SETTLE_S, Condition
 from friction_hil.daemon.follower import FollowerAxis
 from friction_hil.daemon.loop import Loop
 from friction_hil.daemon.realtime import SteppedClock
@@ -135,7 +136,11 @@ def test_compensation_reduces_the_following_error():
     config = configuration(compensation={"fade_s": 0.1, "baseline_s": 2.0})
     result, _, axis = run(machine, config=config, duration_s=5.0)
     assert result.faults == []
-    assert axis.following_error.rms < 0.4 * axis.baseline_error.rms
+    without, compensated = (axis.following_errors.figures(each) for each in (Condition.WITHOUT, Condition.WITH))
+    assert compensated.rms < 0.4 * without.rms
+    settled = SETTLE_S / PERIOD_S
+    assert without.counted == pytest.approx(2.0 / PERIOD_S - settled, abs=3)
+    assert compensated.counted == pytest.approx(2.9 / PERIOD_S - settled, abs=3)
 
 
 def test_a_dry_run_computes_and_its_drives_get_nothing_to_send():

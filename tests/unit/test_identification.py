@@ -7,7 +7,7 @@ import pytest
 
 import friction_hil as fh
 from friction_hil.errors import RecordingError, UsageError
-from friction_hil.identification import Identification, IdentificationSettings, identify
+from friction_hil.identification import FitStep, Identification, IdentificationSettings, identify
 from friction_hil.identification.choice import to_refine
 from friction_hil.identification.data import prepare
 from friction_hil.identification.export import as_json, as_model_file, model_file
@@ -153,6 +153,18 @@ def test_simple_truth_is_not_made_complicated() -> None:
     result = found(recorded("coulomb", noise=0.02), families=("coulomb", "stribeck", "dahl", "power_law", "table"))
     assert result.best.label == "coulomb"
     assert "coulomb" in result.reason
+
+
+def test_each_fit_is_reported_with_its_place_in_its_stage() -> None:
+    steps: list[FitStep] = []
+    settings = IdentificationSettings(gravity="none", families=("coulomb", "stribeck"))
+    result = identify([recorded("coulomb", noise=0.02)], settings, progress=steps.append)
+    families = [step for step in steps if step.stage == "families"]
+    assert [(step.number, step.count) for step in families] == [(k, 4) for k in range(1, 5)]
+    assert {step.label for step in families} <= {fit.label for fit in result.fits}
+    others = [step for step in steps if step.stage == "modifiers"]
+    assert steps == families + others
+    assert [(step.number, step.count) for step in others] == [(k, None) for k in range(1, len(others) + 1)]
 
 
 def test_stribeck_truth_beats_coulomb_and_says_why() -> None:

@@ -194,7 +194,7 @@ def test_an_exchange_that_outlasts_the_period_is_told_before_anything_moves(exch
 
     run = Run(clock=clock, before=exchange, duration_s=0.2)
     assert run.result.faults == []
-    told = [text for text in run.result.warnings if "feedback and command take 1400 us, more than the period" in text]
+    told = [text for text in run.result.warnings if "feedback and command take 1400 µs, more than the period" in text]
     assert len(told) == is_told
     assert run.events("warning") == run.result.warnings
     if is_told:
@@ -216,7 +216,7 @@ def test_missed_periods_are_counted_and_bridged():
 def test_too_many_missed_periods_in_a_row_are_a_fault():
     assert Run(clock=LateClock({300: 9_000_000}), duration_s=1.0).result.faults == []
     run = Run(clock=LateClock({300: 10_000_000}), duration_s=1.0)
-    assert run.result.faults == ["the loop was late by 10000 us (10 periods) [FH-113]"]
+    assert run.result.faults == ["the loop was late by 10000 µs (10 periods) [FH-113]"]
     assert run.requests() == STOPPED_BY_FAULT
     run.assert_left_disabled()
 

@@ -84,7 +84,7 @@ def test_an_exchange_longer_than_the_period_is_warned_of_by_its_median(times_us,
     text = one.warning()
     assert (text is not None) == is_too_long
     if text is not None:
-        assert text.startswith("feedback and command take 1400 us, more than the period of 1000 us")
+        assert text.startswith("feedback and command take 1400 µs, more than the period of 1000 µs")
 
 
 def made():

@@ -228,6 +228,29 @@ def test_an_axis_without_the_optional_limits_has_none_and_a_linear_one_its_unit(
     assert "2.5 is beyond its limit of 2 m/s" in str(one.find_fault(heard(0.0, 2.4), LoopState.RUNNING, 2.5, 0.0))
 
 
+@given(st.floats(0.1, 20.0), st.floats(-40.0, 40.0))
+def test_an_axis_with_an_announced_speed_may_exceed_it_by_a_margin_and_never_its_limit(speed, velocity):
+    one = supervisor()
+    one.allow(speed)
+    bound = min(10.0, 1.5 * speed + 2.0 * 1e-5 / PERIOD_S)
+    fault = one.find_fault(heard(), LoopState.RUNNING, velocity, 0.0)
+    assert (fault is None) is (abs(velocity) <= bound)
+    if fault is not None and bound < 10.0:
+        assert "1.5 times the" in fault
+        assert "that it may reach in this motion [FH-107]" in fault
+
+
+def test_the_velocity_that_a_drive_reports_is_held_to_the_announced_speed_too():
+    one = supervisor()
+    one.allow(2.0)
+    faults = []
+    for _ in range(4):
+        one.take(heard(velocity=5.0))
+        faults.append(one.find_fault(heard(velocity=5.0), LoopState.RUNNING, 0.0, 0.0))
+    assert faults[:2] == [None, None]
+    assert "the drive reports a velocity of 5 rad/s, beyond the limit of 3.02 rad/s, 1.5 times the 2" in faults[2]
+
+
 # --- what the states ask of the drives
 
 

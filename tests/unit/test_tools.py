@@ -442,5 +442,5 @@ def test_benchmark_as_json_has_null_for_what_is_no_number(capsys: pytest.Capture
 def test_benchmark_table_shows_every_row(capsys: pytest.CaptureFixture[str]) -> None:
     show([Row("a", 1.25, "us", 2.5, 0.5), Row("b", 3.0, "ms")], as_json=False)
     shown = capsys.readouterr().out
-    for cell in ("1.25 us", "2.5 us", "0.50", "3 ms"):
+    for cell in ("1.25 µs", "2.5 µs", "0.50", "3 ms"):
         assert cell in shown

@@ -23,6 +23,7 @@ from friction_hil.identification import IdentificationSettings, identify
 from friction_hil.motion.trajectory import PathTime, Trajectory, extent
 from friction_hil.recordings import Recording
 from friction_hil.tuning import AxisTuning, TriedModel, Tuning
+from friction_hil.tuning.announcement import allowed_speeds, experiment_text, trial_text
 from friction_hil.tuning.candidates import candidates
 from friction_hil.tuning.experiment import refuse_limit_cycle
 from friction_hil.tuning.motions import TuningError, experiment_of, experiment_run, period_s, sliding_part, trial_run
@@ -158,6 +159,50 @@ def test_what_tuning_needs_to_know_is_asked_for_by_its_key(changes, key) -> None
         experiment_of("x", machine(x=axis(**changes)).axes["x"])
 
     assert (caught.value.axis, caught.value.key) == ("x", key)
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    kind=st.sampled_from(["sine", "circle", "triangle", "hold"]),
+    size=st.floats(0.1, 1.0),
+    frequency=st.floats(0.1, 2.0),
+    phase=st.floats(0.0, 6.0),
+    velocity=st.floats(0.5, 12.0),
+)
+def test_the_announcement_of_a_trial_says_how_far_and_how_fast(kind, size, frequency, phase, velocity) -> None:
+    """The numbers in the sentence are those of the set-points that the daemon would send."""
+    sizes = {"circle": {"radius": size, "phase": phase}, "sine": {"amplitude": size, "phase": phase}}
+    motion = {"kind": kind, **(sizes.get(kind, {"amplitude": size}))}
+    motion = {"kind": "hold"} if kind == "hold" else {**motion, "frequency": frequency}
+    bounds = {"velocity": velocity, "travel": 0.7}
+    configuration = machine(x=axis(trajectory=motion, experiment=bounds), y=axis())
+    run, duration = trial_run(configuration, {"x": configuration.axes["x"].model})
+    limits = {"x": experiment_of("x", configuration.axes["x"])}
+
+    text = trial_text(run, limits, {"x": "dahl"}, duration)
+
+    path = make_path(run.axes["x"], COUNT, PERIOD_S)
+    samples = np.array([path(s) for s in np.linspace(0.0, 1.0 / run.axes["x"].trajectory.frequency, 4001).tolist()])
+    positions, speed = samples[:, 0] - samples[0, 0], np.abs(samples[:, 1]).max()
+    numbers = [float(each) for each in re.findall(r"(?<![a-z])-?\d+\.?\d*(?:e-?\d+)?", text)]
+    low, high, fastest, stopped, seconds = numbers
+    assert (low, high) == pytest.approx((positions.min(), positions.max()), rel=0.01, abs=1e-3)
+    assert (fastest, seconds) == (pytest.approx(speed, rel=0.01), round(duration))
+    assert stopped == pytest.approx(min(1.5 * max(speed, velocity), 30.0), rel=0.01)
+    assert allowed_speeds(run, limits) == {"x": pytest.approx(max(speed, velocity), rel=1e-3)}
+    assert text.endswith(f"compensated by dahl; all for {seconds:.0f} s, the first half without compensation; y held")
+
+
+def test_an_axis_that_is_moved_by_hand_is_not_said_to_be_held() -> None:
+    configuration = machine(x=axis(), y=axis(**BY_HAND))
+    run, duration = experiment_run(configuration, "x")
+
+    text = experiment_text(run, "x", experiment_of("x", configuration.axes["x"]), duration)
+
+    assert text == (
+        "x moves by up to 0.8 rad to either side of where it stands, at up to 5 rad/s (stopped above 7.5 rad/s), "
+        "for 21 s, without compensation; y free"
+    )
 
 
 FADE_S, RAMP_S, FREQUENCY, PERIODS = 0.1, 0.25, 1.0, 3

@@ -9,10 +9,9 @@ from dataclasses import asdict, dataclass
 from statistics import median
 
 import click
-from rich.table import Table
 
 from friction_hil.cli.output import print_json
-from friction_hil.cli.work.tables import console
+from friction_hil.cli.work.tables import new_table, number, print_table, prose
 from friction_hil.recordings.fingerprint import fingerprint
 
 
@@ -80,12 +79,11 @@ def show(rows: Sequence[Row], *, as_json: bool) -> None:
     if as_json:
         print_json({"machine": machine(), "rows": [asdict(row) for row in rows]})
         return
-    table = Table(caption=machine(), caption_justify="left")
-    table.add_column("measured")
-    for heading in ("value", "reference", "ratio"):
-        table.add_column(heading, justify="right")
+    table = new_table(prose("measured"), *map(number, ("value", "reference", "ratio")))
     for row in rows:
-        reference = "" if row.reference is None else f"{row.reference:.3g} {row.unit}"
+        unit = "µs" if row.unit == "us" else row.unit
+        reference = "" if row.reference is None else f"{row.reference:.3g} {unit}"
         ratio = "" if row.ratio is None else f"{row.ratio:.2f}"
-        table.add_row(row.name, f"{row.value:.3g} {row.unit}", reference, ratio)
-    console().print(table)
+        table.add_row(row.name, f"{row.value:.3g} {unit}", reference, ratio)
+    print_table(table)
+    click.echo(machine())

@@ -195,12 +195,12 @@ def check_bus_load(bitrate: int, period_s: float, pdos: Sequence[MappedPdo]) -> 
     if needed > _LARGEST_LOAD * period_s:
         sizes = " + ".join(f"{frame_bits(pdo.layout.size)}" for pdo in pdos)
         text = (
-            f"a cycle needs {needed * 1e6:.0f} us on the bus at {bitrate} bit/s (SYNC {frame_bits(0)} + PDOs {sizes} "
+            f"a cycle needs {needed * 1e6:.0f} µs on the bus at {bitrate} bit/s (SYNC {frame_bits(0)} + PDOs {sizes} "
             f"bits with worst-case stuffing), more than {100 * _LARGEST_LOAD:.0f} % of the period of "
-            f"{period_s * 1e6:.0f} us"
+            f"{period_s * 1e6:.0f} µs"
         )
         raise DriveError(text, "take a longer period_s, a higher bit rate, or fewer axes", code=codes.BUS_OVERLOAD)
-    return f"a cycle needs {needed * 1e6:.0f} us of {period_s * 1e6:.0f} us on the bus at {bitrate} bit/s"
+    return f"a cycle needs {needed * 1e6:.0f} µs of {period_s * 1e6:.0f} µs on the bus at {bitrate} bit/s"
 
 
 def expected_pdos(mode: Mode) -> list[MappedPdo]:

@@ -255,7 +255,7 @@ class SidecarDrives:
                 fix = "write the entries as the master has mapped them"
                 raise DriveError(text, fix, code=codes.PDO_NOT_AS_STATED)
         lock = self.phase_lock
-        notes = [f"locked to SYNC: {lock.deviation_ppm:+.0f} ppm, jitter {lock.jitter_ns * 1e-3:.0f} us"]
+        notes = [f"locked to SYNC: {lock.deviation_ppm:+.0f} ppm, jitter {lock.jitter_ns * 1e-3:.0f} µs"]
         if silent := sorted(axis.awaited - set(heard)):
             listed = ", ".join(f"{can_id:03X}h" for can_id in silent)
             notes.append(f"{listed} has not come yet: the drive may be off, or not Operational")

@@ -96,7 +96,7 @@ def check_rate(
     raise UsageError(
         f"a period of {period_s * 1e3:g} ms is too short for {line.port} at {line.baud} baud: a cycle takes "
         f"{needed * 1e3:.3g} ms, so {1.0 / needed:.0f} Hz at best. A character has {line.bits_per_character} bits "
-        f"({character_s(line) * 1e6:.4g} us), {silence_chars:g} of them are silence after each frame: {listed}. "
+        f"({character_s(line) * 1e6:.4g} µs), {silence_chars:g} of them are silence after each frame: {listed}. "
         "Take a longer period or a higher baud rate"
     )
 

@@ -6,6 +6,7 @@ from dataclasses import asdict
 import click
 
 from friction_hil.checked_yaml.text import dump
+from friction_hil.cli.colour import problem_line
 from friction_hil.cli.output import print_json
 from friction_hil.config import file_problems, json_schema, load, missing_models, self_contained
 from friction_hil.errors import ConfigurationError, Problem
@@ -28,14 +29,14 @@ def check_files(files: Sequence[str], as_json: bool) -> int:
             for file, problems in reports.items()
         ]
         print_json({"files": found})
-        return 2 if any(reports.values()) else 0
-    for file, problems in reports.items():
-        for problem in problems:
-            click.echo(str(problem), err=True)
-        if not problems:
-            click.echo(f"{file}: ok")
-            for note in notes[file]:
-                click.echo(f"note: {note}")
+    else:
+        for file, problems in reports.items():
+            for problem in problems:
+                click.echo(problem_line(problem), err=True)
+            if not problems:
+                click.echo(f"{file}: ok")
+                for note in notes[file]:
+                    click.echo(f"note: {note}")
     return 2 if any(reports.values()) else 0
 
 

@@ -5,14 +5,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 import numpy as np
-from rich.text import Text
 
 from friction_hil import models, recordings
 from friction_hil.cli.output import print_json
-from friction_hil.cli.work.tables import new_table, print_table
+from friction_hil.cli.work.tables import new_table, number, print_table
 from friction_hil.config import load
 from friction_hil.errors import RecordingError, UsageError
 from friction_hil.models import onnx_file
+from friction_hil.numerics.readable import brief
 from friction_hil.recordings import Recording
 from friction_hil.recordings.columns import TIME, unit
 from friction_hil.recordings.even import what_to_repair
@@ -21,6 +21,8 @@ from friction_hil.recordings.source import new_file
 
 if TYPE_CHECKING:
     from friction_hil.recordings.columns import AxisKind
+
+_SHOWN = {"us": "µs"}  # units that files spell in ASCII
 
 
 def convert(
@@ -162,13 +164,10 @@ def _print(name: str, facts: dict[str, Any]) -> None:
     gaps = f", {facts['gaps']} gaps up to {facts['longest_gap_s']:.6g} s" if facts["gaps"] else ""
     if facts["jitter_s"] > 0.0 or gaps:
         click.echo(f"time stamps deviate by up to {facts['jitter_s']:.3g} s{gaps}")
-    table = new_table("column", "unit", "values", "min", "max", "step")
-    for number in table.columns[2:]:
-        number.justify = "right"
+    table = new_table("column", "unit", *map(number, ("values", "min", "max", "step")))
     for column, fact in facts["columns"].items():
-        low, high = ("" if fact[key] is None else f"{fact[key]:.6g}" for key in ("min", "max"))
-        step = "" if fact["step"] is None else f"{fact['step']:.4g}"
-        table.add_row(Text(column), Text(fact["unit"]), str(fact["values"]), low, high, step)
+        low, high, step = ("" if fact[key] is None else brief(fact[key], 4) for key in ("min", "max", "step"))
+        table.add_row(column, _SHOWN.get(fact["unit"], fact["unit"]), str(fact["values"]), low, high, step)
     print_table(table)
     if facts["metadata"]:
         click.echo(f"{facts['restart_points']} restart points; metadata: {', '.join(facts['metadata'])}")

@@ -10,8 +10,9 @@ from typing import Any
 import click
 
 from friction_hil.cli.output import print_json
+from friction_hil.cli.work.following import Compared, following_table
 from friction_hil.cli.work.progress import progress_bar
-from friction_hil.cli.work.tables import new_table, print_files, print_table
+from friction_hil.cli.work.tables import print_files, print_table
 from friction_hil.demo import demonstration
 from friction_hil.demo.demonstration import Demo
 
@@ -81,25 +82,19 @@ def _as_dict(demo: Demo) -> dict[str, Any]:
 
 
 def _print(demo: Demo) -> None:
-    from friction_hil.reports.numbers import digits, unit_of_figures  # imported here: loaded while the drives start
-
     circularity, loop = demo.circularity, demo.loop
-    factor, unit = unit_of_figures(circularity)
     before, after = circularity.uncompensated, circularity.compensated
-    table = new_table(f"following error [{unit}]")
-    for name in ("without", "with compensation", "times lower"):
-        table.add_column(name, justify="right")
+    rows = []
     for axis in circularity.axes:
-        for name in ("rms", "peak"):
-            values = [digits(getattr(laps.figures[axis], name) * factor) for laps in (before, after)]
-            table.add_row(f"{axis} {name}", *values, digits(circularity.factor(axis, name), 2))
-    print_table(table)
+        without, compensated = before.figures[axis], after.figures[axis]
+        rows.append(Compared((axis,), circularity.unit, without, compensated, without.times(compensated)))
+    print_table(following_table(("axis",), rows))
     left_out = before.left_out + after.left_out
     click.echo(
         f"{before.count} laps each; {left_out} of {2 * before.rows} periods left out because the computer was late"
     )
     late = "in simulated time"
     if demo.pace == "real":
-        late = f"late p50 {loop['late_p50_us']:.0f} us, p99 {loop['late_p99_us']:.0f} us; {loop['missed']} missed"
+        late = f"late p50 {loop['late_p50_us']:.0f} µs, p99 {loop['late_p99_us']:.0f} µs; {loop['missed']} missed"
     click.echo(f"loop: {loop['cycles']} cycles of {circularity.configuration.period_s * 1e3:g} ms; {late}")
     print_files({name: getattr(demo, name) for name in ("report", "picture", "recording")})

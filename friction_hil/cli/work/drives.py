@@ -9,7 +9,7 @@ import click
 from pydantic import ValidationError
 
 from friction_hil.cli.output import print_json
-from friction_hil.cli.work.tables import new_table, print_table
+from friction_hil.cli.work.tables import new_table, number, print_table
 from friction_hil.config import BusConfig, Configuration, load
 from friction_hil.config.drivers import driver_names, load_driver
 from friction_hil.drive.inventory import DriveEntry, Inventory, Stop
@@ -156,7 +156,7 @@ def _print_scan(entries: Sequence[DriveEntry]) -> None:
     if not entries:
         click.echo("no node answers: is the bus the right one, with the right bit rate, and are the drives on?")
         return
-    table = new_table("node", "name", "identity", "profile", "NMT", "state", "mode", "modes")
+    table = new_table(number("node"), "name", "identity", "profile", "NMT", "state", "mode", "modes")
     for each in entries:
         numbers = (each.vendor_id, each.product_code, each.serial)
         identity = " ".join("-" if number is None else f"{number:#x}" for number in numbers)

@@ -6,18 +6,18 @@ from pathlib import Path
 from typing import Any
 
 import click
-from rich.text import Text
 
 from friction_hil.checked_yaml.text import dump
 from friction_hil.cli.output import print_json
 from friction_hil.cli.work.progress import status_line
 from friction_hil.cli.work.read import read_recordings
 from friction_hil.cli.work.result_files import check_result_files
-from friction_hil.cli.work.tables import new_table, print_files, print_table
+from friction_hil.cli.work.tables import new_table, number, print_files, print_table, prose
 from friction_hil.errors import UsageError
 from friction_hil.identification import Fit, Identification, IdentificationSettings, free_run, identify
 from friction_hil.identification.export import as_json as result_as_json
 from friction_hil.identification.export import as_model_file, model_file
+from friction_hil.numerics.readable import brief
 from friction_hil.reports.identification_report import write_report
 
 _SHOWN = 12  # candidates in the table, besides the simplest; JSON has all
@@ -47,7 +47,12 @@ def identify_axis(
     recordings = read_recordings(sources, axis, **reading)
     validation = read_recordings(kept_apart, axis, **reading)
     with status_line("reading") as show:
-        result = identify(recordings, settings, validation=validation, progress=lambda name: show(f"fitting {name}"))
+        result = identify(
+            recordings,
+            settings,
+            validation=validation,
+            progress=lambda step: show(f"{step.stage}: {step.label}", step.number, step.count),
+        )
     free = _free_run(result, controller)
     if output is not None:
         model_file(result)  # raises before a file that could not be read again is written
@@ -133,14 +138,12 @@ def _print_candidates(result: Identification) -> None:
     for heading, fits in result.groups:
         if heading:
             click.echo(f"\n{heading}:")
-        table = new_table()
-        table.add_column("model", overflow="fold")
-        for name in ("free", "error", "groups" if is_grouped else "blocks", "speeds", "others"):
-            table.add_column(name, no_wrap=True, justify="right")
+        columns = ("free", "error", "groups" if is_grouped else "blocks", "speeds", "others")
+        table = new_table(prose("model"), *map(number, columns))
         for each in _shown(fits):
             given = (each.train, each.cross_validation, each.across_speeds, each.validation)
             errors = ["-" if error is None else f"{100.0 * error.relative_error:.3f} %" for error in given]
-            table.add_row(Text(each.label), str(each.count), *errors)
+            table.add_row(each.label, str(each.count), *errors)
         print_table(table)
 
 
@@ -154,10 +157,8 @@ def _shown(fits: Sequence[Fit]) -> list[Fit]:
 
 
 def _print_parameters(best: Fit) -> None:
-    table = new_table("parameter")
-    for heading in ("value", "standard error"):
-        table.add_column(heading, justify="right")
+    table = new_table("parameter", number("value"), number("standard error"))
     for name, value in best.values.items():
         error = best.inference.standard_errors.get(name, math.nan)
-        table.add_row(Text(name), f"{value:.6g}", f"{error:.2g}" if math.isfinite(error) else "-")
+        table.add_row(name, brief(value, 6), brief(error, 2))
     print_table(table)

@@ -6,10 +6,9 @@ import textwrap
 from typing import Any
 
 import click
-from rich.table import Table
 
 from friction_hil.checked_yaml.text import dump
-from friction_hil.cli.work.tables import console
+from friction_hil.cli.work.tables import Table, console, lines
 from friction_hil.models import FrictionModel
 
 _PIPED_WIDTH = 100  # columns, if there is no terminal
@@ -35,10 +34,8 @@ class Page:
 
     def write_table(self, table: Table) -> None:
         """Print a table without the blanks at the ends of its lines."""
-        with self._console.capture() as text:
-            self._console.print(table)
-        for line in text.get().splitlines():
-            click.echo(line.replace(_GLUE, " ").rstrip())
+        for line in lines(table, self._console):
+            click.echo(line.replace(_GLUE, " "))
 
     def write_yaml(self, content: dict[str, Any], indent: int = 0) -> None:
         """Print YAML that can be copied: lines are broken only between the elements of a collection."""
@@ -54,14 +51,6 @@ class Page:
                 tabsize=1,
             )
         click.echo(textwrap.indent("\n".join(lines).replace(_GLUE, " "), " " * indent))
-
-
-def new_table(*headings: str, widths: tuple[int, ...] | None = None) -> Table:
-    """Return an empty table, its columns as wide as ``widths`` or as their content."""
-    table = Table(box=None, header_style="bold", pad_edge=False)
-    for i, heading in enumerate(headings):
-        table.add_column(heading, width=widths[i] if widths else None)
-    return table
 
 
 def value_text(value: Any) -> str:

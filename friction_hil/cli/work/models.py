@@ -5,12 +5,12 @@ from pathlib import Path
 from typing import Any
 
 import click
-from rich.table import Table
 
 from friction_hil import models
 from friction_hil.cli.output import print_json
 from friction_hil.cli.work.model_facts import describe_model, describe_modifier
-from friction_hil.cli.work.model_text import Page, default_text, in_units_of, new_table, unit_text, value_text
+from friction_hil.cli.work.model_text import Page, default_text, in_units_of, unit_text, value_text
+from friction_hil.cli.work.tables import Table, new_table, number, prose
 from friction_hil.errors import ConfigurationError, UsageError
 from friction_hil.friction.modifiers import NAMES
 from friction_hil.models import Family, FrictionModel
@@ -68,17 +68,15 @@ def _list(as_json: bool) -> None:
         print_json({"models": [describe_model(family) for family in families], "modifiers": modifiers})
         return
     page = Page()
-    room = page.width - 14 - 2 * 2
-    widths = 14, max(room * 2 // 5, 16), max(room - room * 2 // 5, 16)
     for title, is_static in (
         ("Static maps: friction is a function of the velocity", True),
         ("Dynamic models: friction has a memory", False),
     ):
         click.echo(f"{title}\n")
-        page.write_table(_family_table([each for each in families if each.is_static == is_static], widths))
+        page.write_table(_family_table([each for each in families if each.is_static == is_static]))
         click.echo()
     click.echo("Modifiers: they change the friction of any model, in the model file\n")
-    page.write_table(_modifier_table(modifiers, widths))
+    page.write_table(_modifier_table(modifiers))
     click.echo("\nFor example, under 'friction:' beside 'parameters:'\n")
     page.write_yaml({"modifiers": {modifier["name"]: modifier["example"] for modifier in modifiers}}, indent=2)
     click.echo()
@@ -87,16 +85,16 @@ def _list(as_json: bool) -> None:
     )
 
 
-def _family_table(families: list[Family], widths: tuple[int, ...]) -> Table:
-    table = new_table("model", "description", "parameters (=default)", widths=widths)
+def _family_table(families: list[Family]) -> Table:
+    table = new_table("model", prose("description"), prose("parameters (=default)"))
     for family in families:
         brief = [f"{each.name}{default_text(each.default)}" for each in family.parameters]
         table.add_row(family.name, family.summary, ", ".join(brief))
     return table
 
 
-def _modifier_table(modifiers: list[dict[str, Any]], widths: tuple[int, ...]) -> Table:
-    table = new_table("modifier", "description", "keys (=default) [unit]", widths=widths)
+def _modifier_table(modifiers: list[dict[str, Any]]) -> Table:
+    table = new_table("modifier", prose("description"), prose("keys (=default) [unit]"))
     for modifier in modifiers:
         keys = [
             f"{key['name']}{default_text(key['default'])}: {key['meaning']}{unit_text(key['unit'])}"
@@ -152,10 +150,8 @@ def _print_remarks(page: Page, family: Family, model: FrictionModel | None) -> N
 
 
 def _parameter_table(family: Family, model: FrictionModel | None) -> Table:
-    values = "default" if model is None else "value"
-    table = new_table("parameter", "symbol", "unit", "bounds", values, "meaning")
-    for column in (0, 1, 2):
-        table.columns[column].no_wrap = True
+    values = number("default" if model is None else "value")
+    table = new_table("parameter", "symbol", "unit", "bounds", values, prose("meaning"))
     for p in family.parameters:
         bounds = p.bounds.removeprefix("a list of ").replace(", .inf allowed", " or .inf")
         shown = value_text(p.default if model is None else model.parameters[p.name])

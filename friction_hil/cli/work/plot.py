@@ -7,13 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import click
-from rich.text import Text
 
 from friction_hil import recordings
 from friction_hil.analysis.baseline import Phase
 from friction_hil.cli.output import print_json
 from friction_hil.cli.work.progress import status_line
-from friction_hil.cli.work.tables import new_table, print_table
+from friction_hil.cli.work.tables import new_table, number, print_table
 from friction_hil.config import Configuration, from_dict, load
 from friction_hil.errors import ConfigurationError, FrictionHilError, Problem, UsageError
 from friction_hil.recordings import Recording
@@ -133,13 +132,12 @@ def _figures(phase: Phase | None) -> dict[str, Any] | None:
 
 
 def _print(views: dict[str, RunView], files: list[Path]) -> None:
-    table = new_table("axis", "following error")
-    for heading in ("without", "with compensation", "times lower"):
-        table.add_column(heading, justify="right")
+    figures = map(number, ("without", "with compensation", "times lower"))
+    table = new_table("axis", "following error", *figures)
     for name, view in views.items():
         for k, row in enumerate(view.rows):
-            table.add_row("" if k else Text(name), *map(Text, row))
-    if table.row_count:
+            table.add_row("" if k else name, *row)
+    if table.rows:
         print_table(table)
     for view in views.values():
         faults = [mark for mark in view.marks if mark.is_fault]

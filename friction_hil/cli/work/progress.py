@@ -1,31 +1,75 @@
 """Progress on stderr: a line that says what a command is doing, and bars."""
 
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
 
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Column
 
 from friction_hil.cli.work.tables import console
+from friction_hil.numerics.readable import shortened
+
+if TYPE_CHECKING:
+    from friction_hil.tuning.settings import ShowStep
 
 _COMPILING = "compiling, once on this machine"
+_BEFORE_TEXT = 11  # columns: spinner, time, gaps, and the last column, in which some terminals wrap
 
 
 @contextmanager
-def status_line(text: str) -> Iterator[Callable[[str], None]]:
-    """Show ``text`` beside a spinner, and yield a function that replaces it; nothing is shown without a terminal.
+def status_line(text: str) -> Iterator["ShowStep"]:
+    """Show ``text`` with a spinner and the time that has passed; yield a function that shows the next step.
 
-    While numba compiles, which takes seconds and happens once on a machine, the line says so.
+    The function takes the text, and the number of the step and of all steps if they are known: then they are shown, and
+    with the number of all steps the time that is left. Nothing is shown without a terminal. While numba compiles, which
+    takes seconds and happens once on a machine, the line says so.
     """
-    shown = text
-    with console(stderr=True).status(text) as status:
+    columns = (SpinnerColumn(), TimeElapsedColumn(), TextColumn("{task.description}", markup=False))
+    errors = console(stderr=True)
+    with Progress(*columns, console=errors, transient=True, disable=not errors.is_terminal) as bar:
+        task, steps, shown, count_text = bar.add_task(text, total=None), _Steps(time.monotonic), text, ""
 
-        def show(text: str) -> None:
-            nonlocal shown
-            shown = text
-            status.update(text)
+        def update(text: str) -> None:
+            line = f"{count_text}  {text}" if count_text else text
+            bar.update(task, description=shortened(line, errors.width - _BEFORE_TEXT))
 
-        with _compilation_reported(lambda: status.update(f"{shown}: {_COMPILING}")):
+        def show(text: str, number: int = 0, count: int | None = None, /) -> None:
+            nonlocal shown, count_text
+            shown, count_text = text, steps.text(number, count)
+            update(text)
+
+        with _compilation_reported(lambda: update(f"{_COMPILING}: {shown}")):
             yield show
+
+
+class _Steps:
+    """Count of the steps of a stage, with an estimate of the time that is left.
+
+    Parameters
+    ----------
+    clock : callable
+        Returns the time, s.
+    """
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self._clock = clock
+        self._began = clock()
+
+    def text(self, number: int, count: int | None) -> str:
+        """Return ``3 of 24, 0:40 left``; without a ``count`` the number alone, and without a number nothing."""
+        if number <= 1:
+            self._began = self._clock()
+        if not number:
+            return ""
+        if count is None:
+            return str(number)
+        left = ""
+        if number > 1:
+            left_s = (self._clock() - self._began) / (number - 1) * (count - number + 1)
+            left = f", {int(left_s) // 60}:{int(left_s) % 60:02d} left"
+        return f"{number} of {count}{left}"
 
 
 @contextmanager
@@ -43,10 +87,15 @@ def _compilation_reported(report: Callable[[], None]) -> Iterator[None]:
         yield
 
 
+def _text_column() -> TextColumn:
+    """Return the column of the text, which comes last and gets the room that is left."""
+    return TextColumn("{task.description}", markup=False, table_column=Column(no_wrap=True, overflow="ellipsis"))
+
+
 def progress_bar(*, is_threaded: bool = True) -> Progress:
-    """Return a bar with text and elapsed time, which vanishes at the end.
+    """Return a bar with text, the time that has passed and that is left; it vanishes at the end.
 
     ``is_threaded=False``: it has no thread that refreshes it, which would take time from a real-time loop.
     """
-    columns = (BarColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
+    columns = (BarColumn(bar_width=20), TimeElapsedColumn(), TimeRemainingColumn(), _text_column())
     return Progress(*columns, console=console(stderr=True), transient=True, auto_refresh=is_threaded)

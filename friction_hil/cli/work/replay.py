@@ -1,6 +1,7 @@
 """The work of ``friction-hil replay``."""
 
 import math
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -8,15 +9,16 @@ from pathlib import Path
 from typing import Any
 
 import click
-from rich.progress import Progress
-from rich.text import Text
 
+from friction_hil.cli.colour import red
 from friction_hil.cli.output import print_json
+from friction_hil.cli.work.progress import progress_bar
 from friction_hil.cli.work.read import expanded
-from friction_hil.cli.work.tables import console, new_table, print_table
+from friction_hil.cli.work.tables import console, new_table, number, print_table
 from friction_hil.config import load
 from friction_hil.errors import UsageError
 from friction_hil.models.files import model_from_argument
+from friction_hil.numerics.readable import digits, quantity, readable
 from friction_hil.replay.batch import replay_many
 from friction_hil.replay.task import ReplayOutcome, ReplayTask
 from friction_hil.reports.replay_picture import draw
@@ -64,7 +66,7 @@ def replay(
         _print(outcomes)
     for outcome in outcomes:
         if "error" in outcome.facts:
-            click.echo(f"Error: {outcome.facts['error']}", err=True)
+            click.echo(f"{red('Error:')} {outcome.facts['error']}", err=True)
     return max((outcome.exit_status for outcome in outcomes), default=0)
 
 
@@ -104,28 +106,55 @@ def _progress(files: int) -> Iterator[Callable[[], None]]:
     if files < 2 or not errors.is_terminal:
         yield lambda: None
         return
-    with Progress(console=errors, transient=True) as progress:
-        bar = progress.add_task("replay", total=files)
-        yield lambda: progress.advance(bar)
+    with progress_bar() as bar:
+        task = bar.add_task(f"0 of {files} recordings", total=files)
+        done = 0
+
+        def advance() -> None:
+            nonlocal done
+            done += 1
+            bar.update(task, completed=done, description=f"{done} of {files} recordings")
+
+        yield advance
 
 
 def _print(outcomes: Sequence[ReplayOutcome]) -> None:
-    table = new_table("recording", "axis", "model", "rmse", "relative error")
+    labels = _labels([each["model"] for outcome in outcomes for each in outcome.facts["models"]])
+    factor, unit = _common_unit(outcomes)
+    table = new_table("recording", "axis", "model", number(f"rmse{unit}"), number("relative error"))
     for outcome in outcomes:
         facts = outcome.facts
         name = Path(facts["path"]).name
         for problem in facts["problems"]:
             click.echo(f"{name}: {facts['axis']}: {problem}", err=True)
         for each in facts["models"]:
-            error = f"{each['rmse']:.4g} {each['unit']}", _percent(each["relative_error"])
-            table.add_row(Text(name), facts["axis"], Text(each["model"]), *error)
+            rmse = digits(each["rmse"] * factor, 4) if unit else quantity(each["rmse"], each["unit"])
+            error = rmse, _percent(each["relative_error"])
+            table.add_row(name, facts["axis"], labels[each["model"]], *error)
         if "verification" in facts:
             click.echo(_verdict(name, facts))
-    if table.row_count:
+    if table.rows:
         print_table(table)
     for outcome in outcomes:
         if outcome.picture is not None:
             click.echo(f"picture: {outcome.picture}")
+
+
+def _common_unit(outcomes: Sequence[ReplayOutcome]) -> tuple[float, str]:
+    """Return the factor and, in brackets, the unit that fits all errors; no unit if they are of several kinds."""
+    found = [each for outcome in outcomes for each in outcome.facts["models"]]
+    units = {each["unit"] for each in found}
+    if len(units) != 1:
+        return 1.0, ""
+    factor, unit = readable(units.pop(), [each["rmse"] for each in found])
+    return factor, f" [{unit}]"
+
+
+def _labels(models: Sequence[str]) -> dict[str, str]:
+    """Return a short label of each model, ``NAME:...`` for one with its parameters; in full where that is ambiguous."""
+    short = {model: f"{model.partition(':')[0]}:..." if "=" in model else model for model in dict.fromkeys(models)}
+    count = Counter(short.values())
+    return {model: label if count[label] == 1 else model for model, label in short.items()}
 
 
 def _percent(relative_error: float) -> str:

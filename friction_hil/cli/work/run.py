@@ -2,20 +2,30 @@
 
 import math
 import sys
+from contextlib import ExitStack
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
+from friction_hil.cli.colour import red, yellow
 from friction_hil.cli.output import print_json
+from friction_hil.cli.work.following import Compared, following_table
+from friction_hil.cli.work.simulated import report_missing_models, simulated_drives
+from friction_hil.cli.work.tables import print_table, say
 from friction_hil.config import load, located, missing_models
 from friction_hil.daemon.stop import stop_on_signals
 from friction_hil.errors import OptionError
 from friction_hil.interrupts import Interrupted
 
 if TYPE_CHECKING:
+    from friction_hil.config import AxisConfig, Configuration
+    from friction_hil.daemon.figures import AxisFigures, ConditionFigures
     from friction_hil.daemon.session import SessionResult
 
+_BASELINE_S = 4.0  # least duration of steady motion that is suggested
+_BASELINE_PERIODS = 2
 _SHOWN_REASONS = 3
 
 
@@ -26,6 +36,7 @@ def run(
     record: Path | None,
     force: bool,
     dry_run: bool,
+    simulate: bool,
     reset_fault: bool,
     pace: str,
     as_json: bool,
@@ -35,10 +46,14 @@ def run(
         raise click.BadParameter("must be a number of seconds above zero", param_hint="--duration")
     if force and record is None:
         raise click.UsageError("--force goes with --record FILE")
-    configuration = load(config, needs_models=not dry_run)
-    for note in missing_models(config, configuration) if dry_run else ():
-        click.echo(f"note: {note}; until then its friction counts as zero", err=True)
-    with stop_on_signals() as stop:
+    configuration = load(config, needs_models=not (dry_run or simulate))
+    for note in missing_models(config, configuration) if dry_run and not simulate else ():
+        say(f"note: {note}; until then its friction counts as zero")
+    with stop_on_signals() as stop, ExitStack() as stack:
+        if simulate:
+            report_missing_models(configuration, say)
+            drives = simulated_drives(configuration, pace, say, lambda: stop.is_requested)
+            configuration = stack.enter_context(drives)
         with stop.raised():  # imported here: compiling takes a minute, and --help must not wait for it
             from friction_hil.daemon.session import SessionSettings, run_session
 
@@ -52,7 +67,7 @@ def run(
             is_status_shown=not as_json and sys.stderr.isatty(),
         )
         try:
-            result = run_session(configuration, settings, stop, lambda line: click.echo(line, err=True))
+            result = run_session(configuration, settings, stop, say)
         except OptionError as error:
             raise located(config, error) from None
         except Interrupted as error:
@@ -61,7 +76,7 @@ def run(
     if as_json:
         print_json(_summary(result))
     else:
-        _print(result, configuration.period_s, dry_run)
+        _print(result, configuration, dry_run=dry_run, is_real=pace == "real")
     return _report_problems(result)
 
 
@@ -76,44 +91,100 @@ def _summary(result: "SessionResult") -> dict[str, Any]:
         "warnings": result.loop.warnings,
         "notices": result.loop.notices,
         "drive_states": dict(zip(result.axes, (state.words for state in result.loop.drive_states), strict=False)),
-        "axes": result.axes,
+        "axes": {name: _axis_summary(figures) for name, figures in result.axes.items()},
         "recording": paths[0] if paths else None,
         "recordings": paths,
     }
+
+
+def _axis_summary(figures: "AxisFigures") -> dict[str, Any]:
+    main = figures.compensated or figures.without
+    return {
+        "rms": None if main is None else main.rms,
+        "peak": None if main is None else main.peak,
+        "unit": figures.unit,
+        "baseline": _condition(figures.without),
+        "compensated": _condition(figures.compensated),
+        "reduction": None if figures.reduction is None else asdict(figures.reduction),
+        "stale": figures.stale,
+        "bridged": figures.bridged,
+        "bridged_reasons": figures.bridged_reasons,
+    }
+
+
+def _condition(figures: "ConditionFigures | None") -> dict[str, Any] | None:
+    return None if figures is None else asdict(figures)
 
 
 def _report_problems(result: "SessionResult") -> int:
     """Print problems of the recording, warnings and faults on stderr; return the exit status."""
     report = result.report
     for problem in report.problems if report else ():
-        click.echo(f"recording: {problem}", err=True)
+        click.echo(f"{yellow('recording:')} {problem}", err=True)
     is_incomplete = bool(report and (report.lost or report.pending) and report.recording)
     if report and is_incomplete and report.lost:
         total = report.rows + report.lost + report.pending
-        click.echo(f"recording: {report.lost} of {total} rows were lost", err=True)
+        click.echo(f"{red('recording:')} {report.lost} of {total} rows were lost", err=True)
     for notice in result.loop.notices:
         click.echo(f"notice: {notice}", err=True)
     for warning in result.loop.warnings:
-        click.echo(f"warning: {warning}", err=True)
+        click.echo(f"{yellow('warning:')} {warning}", err=True)
     for fault in result.loop.faults:
-        click.echo(f"fault: {fault}", err=True)
+        click.echo(f"{red('fault:')} {fault}", err=True)
     return 1 if result.loop.faults or is_incomplete else 0
 
 
-def _print(result: "SessionResult", period_s: float, dry_run: bool) -> None:
-    loop, late = result.loop, ""
-    if loop.cycles:
-        late = f"late p50 {loop.late_p50_us:.0f} us, p99 {loop.late_p99_us:.0f} us; "
-    click.echo(f"{loop.cycles} cycles of {period_s * 1e3:g} ms; {late}{loop.missed} missed")
-    for name, error in result.axes.items():
-        if not dry_run and math.isfinite(error["rms"]):
-            click.echo(f"{name}: following error {error['rms']:.3g} rms, {error['peak']:.3g} peak")
-        if not dry_run and math.isfinite(error.get("baseline_rms", math.nan)):
-            rms, peak = error["baseline_rms"], error["baseline_peak"]
-            click.echo(f"{name}: without compensation {rms:.3g} rms, {peak:.3g} peak")
-        if error["bridged"]:
-            click.echo(f"{name}: {error['bridged']} cycles without usable feedback were bridged")
-            for reason, count in sorted(error["bridged_reasons"].items(), key=lambda item: -item[1])[:_SHOWN_REASONS]:
+def _print(result: "SessionResult", configuration: "Configuration", *, dry_run: bool, is_real: bool) -> None:
+    loop, timing = result.loop, "in simulated time"
+    if is_real:
+        late = f"late p50 {loop.late_p50_us:.0f} µs, p99 {loop.late_p99_us:.0f} µs; " if loop.cycles else ""
+        timing = f"{late}{loop.missed} missed"
+    click.echo(f"{loop.cycles} cycles of {configuration.period_s * 1e3:g} ms; {timing}")
+    if not dry_run:
+        _print_errors(result.axes, configuration)
+    for name, figures in result.axes.items():
+        if figures.bridged:
+            click.echo(f"{name}: {figures.bridged} cycles without usable feedback were bridged")
+            for reason, count in sorted(figures.bridged_reasons.items(), key=lambda item: -item[1])[:_SHOWN_REASONS]:
                 click.echo(f"   {count} of them: {reason}")
     for path in result.report.recording if result.report else ():
         click.echo(f"recorded: {path}")
+
+
+def _print_errors(axes: "dict[str, AxisFigures]", configuration: "Configuration") -> None:
+    """Print the following error without and with compensation, and why one of them is missing."""
+    rows = [
+        Compared((name,), each.unit, each.without, each.compensated, each.reduction)
+        for name, each in axes.items()
+        if each.without is not None or each.compensated is not None
+    ]
+    if rows:
+        print_table(following_table(("axis",), rows))
+    for name, figures in axes.items():
+        counted = [each for each in (figures.without, figures.compensated) if each is not None]
+        if left_out := sum(each.left_out for each in counted):
+            of = left_out + sum(each.counted for each in counted)
+            reason = "a period was missed or feedback was late"
+            say(f"{name}: {left_out} of {of} cycles are left out: {reason}", stderr=False)
+        if hint := _hint(figures, configuration.axes[name]):
+            say(f"{name}: {hint}", stderr=False)
+
+
+def _hint(figures: "AxisFigures", axis: "AxisConfig") -> str:
+    """Say how to get what a comparison lacks; nothing if it is complete, or the axis has no set-point."""
+    from friction_hil.daemon.figures import SETTLE_S  # imported here: with the daemon
+
+    given, trajectory = axis.compensation, axis.trajectory
+    if trajectory.kind == "none" or figures.reduction is not None:
+        return ""
+    if figures.without is not None and figures.compensated is not None:
+        return "the motion of an experiment is never the same, so that the two do not compare"
+    if figures.without is None and figures.compensated is None:
+        return f"nothing to compare: the run ended before the motion was steady, {SETTLE_S:g} s after its ramp"
+    if not given.enabled:
+        return "compensation.enabled is false: nothing was compensated"
+    if figures.compensated is None:
+        return "the run ended before it was compensated long enough to compare: take a longer --duration"
+    ramp_s, period_s = getattr(trajectory, "ramp_s", 0.0), 1.0 / getattr(trajectory, "frequency", math.inf)
+    enough_s = math.ceil(ramp_s + SETTLE_S + max(_BASELINE_S, _BASELINE_PERIODS * period_s))
+    return f"compensation: {{baseline_s: {enough_s}}} makes the first {enough_s} s a comparison without compensation"

@@ -11,7 +11,7 @@ import click
 from friction_hil import study
 from friction_hil.cli.output import print_json
 from friction_hil.cli.work.progress import progress_bar
-from friction_hil.cli.work.tables import console, new_table
+from friction_hil.cli.work.tables import new_table, number, print_table, prose
 from friction_hil.reports.figures import require_matplotlib
 from friction_hil.reports.study.report import claim, write_report
 from friction_hil.reports.study.text import look, summary_columns
@@ -54,16 +54,13 @@ def _progress() -> Iterator[Callable[[str, float], None]]:
 
 def _print(result: Study, report: Path) -> None:
     columns = summary_columns()
-    table = new_table("model")
-    for column in columns:
-        table.add_column(column.brief, justify="right", no_wrap=True)
-    remarks = new_table("model", "what to look at")
+    table = new_table("model", *(number(column.brief) for column in columns))
+    remarks = new_table("model", prose("what to look at"))
     for name, facts in result.facts.items():
         table.add_row(name, *(column.write(facts, name) for column in columns))
         remarks.add_row(name, look(name))
-    out = console()
-    out.print(table)
+    print_table(table)
     click.echo("lag: width of the loop at 25 rad/s; break-away: slow → fast rise of the force;")
     click.echo("stuck, hunting, reversal: without → with compensation by the same model\n")
-    out.print(remarks)
+    print_table(remarks)
     click.echo(f"\nreport: {report}")

@@ -15,7 +15,7 @@ from friction_hil.cli.output import print_json
 from friction_hil.cli.work.progress import status_line
 from friction_hil.cli.work.read import read_recordings
 from friction_hil.cli.work.result_files import check_result_files
-from friction_hil.cli.work.tables import console, new_table, print_files, print_table
+from friction_hil.cli.work.tables import console, new_table, number, print_files, print_table
 from friction_hil.errors import UsageError
 from friction_hil.models.files import model_from_argument
 from friction_hil.reports.training_report import write_report
@@ -139,13 +139,13 @@ def _line_by_line() -> Callable[[Progress], None]:
 def _print(candidate: TrainedModel, seconds: float) -> None:
     trained = candidate.trained
     click.echo(f"{candidate.network}: {trained.iterations} iterations in {seconds:.1f} s")
-    table = new_table("NRMSE", "one step", "free run")
+    table = new_table("NRMSE", number("one step"), number("free run"))
     for name, errors in (("training", trained.train), ("validation", trained.validation)):
         table.add_row(name, f"{errors.one_step:.4f}", f"{errors.free_run:.4f}")
     print_table(table)
     if candidate.relative_errors:
         click.echo()
-        compared = new_table("relative error of the torque, held out", "")
+        compared = new_table("relative error of the torque, held out", number(""))
         for name, error in candidate.relative_errors.items():
             compared.add_row(name, f"{100.0 * error:.3f} %")
         print_table(compared)

@@ -2,25 +2,27 @@
 
 import os
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import click
-from rich.table import Table
-from rich.text import Text
 
+from friction_hil.cli.colour import yellow
 from friction_hil.cli.output import print_json
+from friction_hil.cli.work.following import Compared, following_table
 from friction_hil.cli.work.progress import status_line
-from friction_hil.cli.work.tables import new_table, print_table
+from friction_hil.cli.work.simulated import simulated_drives
+from friction_hil.cli.work.tables import Table, print_table, prose, say
 from friction_hil.config import Configuration, file_problems, load, located
 from friction_hil.daemon.companion import free_path
 from friction_hil.errors import ConfigurationError, FrictionHilError, OptionError
 from friction_hil.reports.figures import require_matplotlib
-from friction_hil.reports.tuning_report import figures, write_reports
+from friction_hil.reports.tuning_report import write_reports
 from friction_hil.tuning import AxisTuning, TuneSettings, Tuning, tune
+from friction_hil.tuning.settings import ShowStep
 
 _FOLDER = Path("out/tune")
 
@@ -32,6 +34,7 @@ def tune_machine(
     models: tuple[str, ...],
     output: Path | None,
     yes: bool,
+    simulate: bool,
     reset_fault: bool,
     pace: str,
     as_json: bool,
@@ -50,18 +53,21 @@ def tune_machine(
         is_fault_reset_wanted=reset_fault,
         is_paced_by_sync=pace == "sync",
         is_status_shown=not as_json and sys.stderr.isatty(),
+        is_simulated=simulate,
     )
+    terminal = _Terminal(is_asked=not yes)
     try:
-        tuning = tune(configuration, settings, _Terminal(is_asked=not yes))
+        with simulated_drives(configuration, pace, terminal.report) if simulate else nullcontext(configuration) as own:
+            tuning = tune(own, settings, terminal)
     except OptionError as error:
         raise located(config, error) from None
     tuning.report = _report(settings.folder, tuning)
     if as_json:
         print_json(_as_dict(tuning))
     else:
-        _print(tuning, config)
+        _print(tuning, config, is_simulated=simulate)
     for warning in tuning.warnings:
-        click.echo(f"warning: {warning}", err=True)
+        click.echo(f"{yellow('warning:')} {warning}", err=True)
     failed = [name for name, axis in tuning.axes.items() if not axis.best.trial.has_helped]
     for name in failed:
         click.echo(f"{name}: compensation did not help: its model is not used", err=True)
@@ -94,15 +100,15 @@ class _Terminal:
         self._is_asked = is_asked
 
     def report(self, line: str) -> None:
-        click.echo(line, err=True)
+        say(line)
 
     def confirm(self, motion: str) -> None:
         self.report(motion)
         if self._is_asked:
-            click.confirm("Is the way clear?", default=True, abort=True, err=True)
+            click.confirm("Is the way clear?", default=False, abort=True, err=True)
 
     @contextmanager
-    def working(self, text: str) -> Iterator[Callable[[str], None]]:
+    def working(self, text: str) -> Iterator[ShowStep]:
         if not sys.stderr.isatty():
             self.report(f"{text} ...")
         with status_line(text) as show:
@@ -139,31 +145,33 @@ def _axis(axis: AxisTuning) -> dict[str, Any]:
     }
 
 
-def _print(tuning: Tuning, config: Path) -> None:
+def _print(tuning: Tuning, config: Path, *, is_simulated: bool) -> None:
     print_table(_table(tuning))
     for name, axis in tuning.axes.items():
         for flag in axis.best.fit.flags:
-            click.echo(f"{name}: {flag}")
+            say(f"{name}: {flag}", stderr=False)
     for name, axis in tuning.axes.items():
-        click.echo(f"{name}: model file: {axis.file}; {_use(axis, config)}")
+        say(f"{name}: model file: {axis.file}; {_use(axis, config, is_simulated=is_simulated)}", stderr=False)
     if tuning.report is not None:
         click.echo(f"report: {tuning.report}")
 
 
 def _table(tuning: Tuning) -> Table:
-    table = new_table("axis", "model", "following error")
-    for heading in ("without", "with compensation", "times lower"):
-        table.add_column(heading, justify="right")
+    rows = []
     for name, axis in tuning.axes.items():
+        unit = "rad" if axis.best.identification.settings.axis == "rotary" else "m"
         for each in axis.candidates:
             kept = " (kept)" if each is axis.best and each.trial.has_helped else ""
-            for k, row in enumerate(figures(axis, each)):
-                table.add_row(*(("", "") if k else (name, Text(f"{each.fit.label}{kept}"))), *map(Text, row))
-    return table
+            trial = each.trial
+            labels = name, f"{each.fit.label}{kept}"
+            rows.append(Compared(labels, unit, trial.uncompensated, trial.compensated, trial.reduction))
+    return following_table(("axis", prose("model")), rows)
 
 
-def _use(axis: AxisTuning, config: Path) -> str:
+def _use(axis: AxisTuning, config: Path, *, is_simulated: bool) -> str:
     """Say what is to be done with the model file of an axis."""
+    if is_simulated:
+        return "the friction of the simulated drive, not that of the machine: the configuration is as it was"
     if axis.is_in_place:
         return "the configuration names it already"
     if axis.best.trial.has_helped:

@@ -5,10 +5,9 @@ from collections.abc import Iterable, Sequence
 from itertools import product
 from typing import Any
 
-from rich.markup import escape
-from rich.table import Table
+import click
 
-from friction_hil.cli.work.tables import console
+from friction_hil.cli.work.tables import new_table, number, print_table
 from tools.benchmarks.compensation.grid import Grid
 from tools.benchmarks.compensation.methods import METHODS, OURS
 from tools.benchmarks.compensation.simulation import CaseResult
@@ -56,33 +55,28 @@ def as_json(grid: Grid, source: str, results: Sequence[CaseResult]) -> dict[str,
 
 def show(grid: Grid, source: str, results: Sequence[CaseResult]) -> None:
     """Print the tables."""
-    out = console()
-    out.print(
-        f"{escape(source)}: factor by which compensation reduces the following error,\n"
-        "geometric mean of RMS/peak and \\[worst case]"
+    click.echo(
+        f"{source}: factor by which compensation reduces the following error,\n"
+        "geometric mean of RMS/peak and [worst case]\n"
     )
-    _print_groups(out, ("condition", "drive"), results)
+    _print_groups(("condition", "drive"), results)
     if len(grid.plants) > 1:
-        _print_groups(out, ("plant", "drive"), results)
-    _print_worst(out, grid, results)
-    out.print(machine())
+        _print_groups(("plant", "drive"), results)
+    _print_worst(grid, results)
+    click.echo(machine())
 
 
-def _print_groups(out: Any, headings: tuple[str, str], results: Sequence[CaseResult]) -> None:
+def _print_groups(headings: tuple[str, str], results: Sequence[CaseResult]) -> None:
     """Print a row for each combination of two fields of the cases, and one for all."""
-    table = Table()
-    for heading in headings:
-        table.add_column(heading, overflow="fold", min_width=len(heading))
-    for method in METHODS:
-        table.add_column(method.replace("_", "\n"), justify="right", no_wrap=True)
+    table = new_table(*headings, *(number(method.replace("_", "\n")) for method in METHODS), keys=2)
     values = [list(dict.fromkeys(getattr(each.case, name) for each in results)) for name in headings]
     for group in product(*values):
         members = [each for each in results if tuple(getattr(each.case, name) for name in headings) == group]
         if members:
             table.add_row(*group, *_cells(members))
-    table.add_section()
     table.add_row("all", "", *_cells(results))
-    out.print(table)
+    print_table(table)
+    click.echo()
 
 
 def _cells(results: Sequence[CaseResult]) -> list[str]:
@@ -90,16 +84,13 @@ def _cells(results: Sequence[CaseResult]) -> list[str]:
     for figures in summary(results).values():
         rms, peak = figures["rms"], figures["peak"]
         means, worst = (f"{_brief(rms[each])}/{_brief(peak[each])}" for each in ("geomean", "worst"))
-        cells.append(f"{means}\n\\[{worst}]")
+        cells.append(f"{means}\n[{worst}]")
     return cells
 
 
-def _print_worst(out: Any, grid: Grid, results: Sequence[CaseResult]) -> None:
-    table = Table(title=f"worst cases of {OURS}", title_justify="left")
-    for heading in ("plant", "drive", "motion", "condition"):
-        table.add_column(heading, overflow="fold", min_width=len(heading))
-    for heading in ("RMS", "peak", "true late"):
-        table.add_column(heading, justify="right", no_wrap=True)
+def _print_worst(grid: Grid, results: Sequence[CaseResult]) -> None:
+    click.echo(f"worst cases of {OURS}:\n")
+    table = new_table("plant", "drive", "motion", "condition", *map(number, ("RMS", "peak", "true late")), keys=4)
     for result in sorted(results, key=lambda each: min(each.reduction[OURS]))[:_WORST_SHOWN]:
         case, ours, late = result.case, result.reduction[OURS], result.reduction["true_late"]
         table.add_row(
@@ -111,7 +102,8 @@ def _print_worst(out: Any, grid: Grid, results: Sequence[CaseResult]) -> None:
             _brief(ours.peak),
             f"{_brief(late.rms)}/{_brief(late.peak)}",
         )
-    out.print(table)
+    print_table(table)
+    click.echo()
 
 
 def _brief(value: float) -> str:

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from friction_hil.errors import BusError
@@ -66,6 +67,13 @@ class SimulatedCanopenDrives:
         from friction_hil_drivers.canopen.simulated.master import StandInMaster
 
         return StandInMaster(configuration, axes, pace=pace)
+
+    @staticmethod
+    def make_private(configuration: "Configuration", folder: Path) -> "tuple[Configuration, str]":
+        """Return the configuration on a bus of its own, and the name of its former bus; ``folder`` is not used."""
+        from friction_hil_drivers.canopen.simulated.private import private_configuration
+
+        return private_configuration(configuration)
 
     def open(self) -> str:
         """Compile the servos, open the bus and let every node send its boot-up message.

@@ -56,6 +56,13 @@ class SimulatedSerialDrives(ABC):
         self._is_real = pace == "real"
         self._lines: list[SimulatedLine] = []
 
+    @staticmethod
+    def make_private(configuration: "Configuration", folder: Path) -> "tuple[Configuration, str]":
+        """Return the configuration on lines of its own in ``folder``, and the names of its former ports."""
+        from friction_hil_drivers.serial_line.simulated.private import private_configuration
+
+        return private_configuration(configuration, folder)
+
     def open(self) -> str:
         """Compile the simulation and open the ports.
 

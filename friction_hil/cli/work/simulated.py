@@ -1,0 +1,92 @@
+"""Simulated drives for a command that usually runs real ones (``--simulate``): on a bus or on lines of their own."""
+
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from friction_hil.checked_yaml.text import dump
+from friction_hil.config import Configuration, self_contained
+from friction_hil.config.drivers import SIMULATED_DRIVES, load_driver
+from friction_hil.config.load import only_driver
+from friction_hil.daemon.child import Child
+from friction_hil.errors import DriveError, UsageError
+
+_TICK_S = 0.02
+_READY = "ready: "
+
+
+@contextmanager
+def simulated_drives(
+    configuration: Configuration,
+    pace: str,
+    report: Callable[[str], None],
+    is_interrupted: Callable[[], bool] = lambda: False,
+) -> Iterator[Configuration]:
+    """Start the simulated drives of a configuration, and yield the configuration that reaches them.
+
+    They are another process, ``friction-hil simulate``, which ends with this one in any case. Bus or lines are used by
+    nothing else, so that no command can reach a real drive. A sidecar gets its stand-in master too.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        Axes without ``simulation`` get simulated drives with its defaults.
+    pace : str
+        real or sync.
+    report : callable
+        Called with lines for the user.
+    is_interrupted : callable
+        True once the user wants to stop.
+
+    Raises
+    ------
+    UsageError
+        The driver has no simulated drives that can be moved to a bus of their own.
+    DriveError
+        The simulated drives do not start.
+    KeyboardInterrupt
+        The user stopped before they were ready.
+    """
+    driver = only_driver(configuration)
+    make_private = getattr(load_driver(driver, SIMULATED_DRIVES), "make_private", None)
+    if make_private is None:
+        raise UsageError(
+            f"--simulate: simulated drives of the driver {driver} cannot have a bus of their own; start them with "
+            "'friction-hil simulate' in another terminal"
+        )
+    with tempfile.TemporaryDirectory(prefix="friction-hil-") as name:
+        folder = Path(name)
+        private, former = make_private(configuration, folder)
+        file = folder / "simulated.yaml"
+        file.write_text(dump(self_contained(private)), encoding="utf-8")
+        words = ["simulate", str(file), "--exit-with-stdin", "--pace", pace]
+        if private.bus is not None and private.bus.role == "sidecar":
+            words.append("--master")
+        with Child(words, folder) as drives:
+            where, *notes = _wait_until_ready(drives, is_interrupted)
+            report(f"simulated drives: {where}; {former} is not used")
+            for line in notes:
+                report(line)
+            yield private
+            if drives.wait(0.0):
+                report(f"the simulated drives ended before the run: {drives.said.strip() or 'no message'}")
+
+
+def _wait_until_ready(drives: Child, is_interrupted: Callable[[], bool]) -> list[str]:
+    """Return what they print when they are on the bus: nodes and bus, then notes."""
+    while not (printed := drives.printed).endswith("\n"):
+        if is_interrupted():
+            raise KeyboardInterrupt
+        if drives.wait(_TICK_S):
+            drives.refuse_failure(DriveError)
+            raise DriveError("the simulated drives ended before they were ready")
+    return printed.strip().removeprefix(_READY).splitlines()
+
+
+def report_missing_models(configuration: Configuration, report: Callable[[str], None]) -> None:
+    """Report the axes that are not compensated, because their model files do not exist yet."""
+    for name, axis in configuration.axes.items():
+        file = axis.model.source_path
+        if file is not None and not file.exists():
+            report(f"{name}: {file.name} does not exist yet: nothing is compensated ('friction-hil tune' makes it)")

@@ -1,0 +1,68 @@
+"""Numbers as people read them: with unit prefixes, few digits, and no minus before a zero. Pure."""
+
+import math
+from collections.abc import Iterable
+
+_PREFIXES = ((1.0, ""), (1e3, "m"), (1e6, "µ"))
+_SMALLEST = (1e9, "n")
+_LARGEST_PLAIN = 1e7  # larger numbers have an exponent
+
+
+def readable(unit: str, values: Iterable[float]) -> tuple[float, str]:
+    """Return factor and unit in which the smallest of ``values`` is at least 1: ``(1e6, "µrad")``.
+
+    Parameters
+    ----------
+    unit : str
+        SI unit of the values: rad, m, N m, ...
+    values : iterable of float
+        Zeros and values that are not finite do not count; without any other the unit has no prefix.
+    """
+    sizes = [abs(value) for value in values if math.isfinite(value) and value]
+    if not sizes:
+        return 1.0, unit
+    smallest = min(sizes)
+    for factor, prefix in _PREFIXES:
+        if smallest * factor >= 1.0:
+            return factor, prefix + unit
+    return _SMALLEST[0], _SMALLEST[1] + unit
+
+
+def digits(value: float, significant: int = 3) -> str:
+    """Format a number with at least ``significant`` digits and no exponent; ``-`` for one that is not finite."""
+    if not math.isfinite(value):
+        return "-"
+    decimals = max(significant - 1 - math.floor(math.log10(abs(value))), 0) if value else 0
+    return without_negative_zero(f"{value:.{decimals}f}")
+
+
+def quantity(value: float, unit: str) -> str:
+    """Format a value with prefix and unit, 3 digits: ``12.3 µrad``; ``-`` for one that is not finite."""
+    if not math.isfinite(value):
+        return "-"
+    factor, shown = readable(unit, [value])
+    return f"{digits(value * factor)} {shown}"
+
+
+def brief(value: float, significant: int = 5) -> str:
+    """Format a number of any size for a table: whole where it is large, with an exponent only if it must be.
+
+    ``-`` for one that is not finite.
+    """
+    if not math.isfinite(value):
+        return "-"
+    size = abs(value)
+    if 10.0 ** (significant - 1) <= size < _LARGEST_PLAIN:
+        return f"{value:.0f}"
+    return without_negative_zero(f"{value:.{significant}g}")
+
+
+def shortened(text: str, width: int) -> str:
+    """Return a text of at most ``width`` characters; its end is replaced by … if it is longer."""
+    return text if len(text) <= width else text[: max(width - 1, 0)] + "…"[:width]
+
+
+def without_negative_zero(text: str) -> str:
+    """Return a formatted number, and for a zero with a sign the same without: ``-0.00`` becomes ``0.00``."""
+    is_zero = text.startswith("-") and not any(digit in text for digit in "123456789")
+    return text.removeprefix("-") if is_zero else text

@@ -1,0 +1,135 @@
+"""Following error of a run: which cycles count, against a plain computation over whole arrays."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from friction_hil.daemon.figures import (
+    RECOVERY_OF_LATE,
+    RECOVERY_OF_MISSED,
+    RECOVERY_S,
+    SETTLE_S,
+    AxisFigures,
+    Condition,
+    ConditionFigures,
+    FollowingErrors,
+)
+from friction_hil.daemon.safety import LoopState
+from tests.loop_run import SINE, Run, axis
+
+T, RAMP_S, PERIOD_S, FADE_S = 2e-3, 0.2, 0.5, 0.1
+WITHOUT, WITH, FADING = Condition.WITHOUT, Condition.WITH, Condition.FADING
+
+
+def conditions(baseline_s, duration_s):
+    """The conditions of a run with a baseline, cycle by cycle."""
+    time = np.arange(round(duration_s / T)) * T
+    return np.select([time < baseline_s, time <= baseline_s + FADE_S], [WITHOUT, FADING], WITH)
+
+
+def taken(cycles, error, *, missing=(), late=(), motion_s=PERIOD_S, ramp_s=RAMP_S):
+    """Figures of a run in which some cycles are missed, and the feedback of others is late."""
+    errors, last = FollowingErrors(T, ramp_s, motion_s), -1
+    for k, condition in enumerate(cycles):
+        if k not in missing:
+            errors.take(Condition(condition), float(error[k]), k - last - 1, k not in late)
+            last = k
+    return errors.figures(WITHOUT), errors.figures(WITH)
+
+
+def expected(cycles, error, condition, missing=(), late=()):
+    """The same, over arrays: whole periods after the settling, without the cycles that recover."""
+    number = np.arange(len(cycles))
+    inside = number[cycles == condition]
+    begin = max(inside[0] + SETTLE_S / T, (RAMP_S + SETTLE_S) / T)
+    length = PERIOD_S / T
+    count = int((inside[-1] + 1 - begin) / length + 1e-9)
+    kept = (number >= begin) & (number < begin + count * length) & ~np.isin(number, [*missing, *late])
+    for k in number:
+        if k not in missing and k - 1 in missing:
+            gap = 1
+            while k - 1 - gap in missing:
+                gap += 1
+            kept &= ~((number >= k) & (number < k + RECOVERY_S / T + RECOVERY_OF_MISSED * gap))
+        if k in late:
+            kept &= ~((number >= k) & (number < k + RECOVERY_OF_LATE))
+    return math.sqrt(np.mean(error[kept] ** 2)), np.abs(error[kept]).max(), int(kept.sum())
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    baseline_s=st.floats(1.3, 2.5),
+    duration_s=st.floats(3.9, 5.0),
+    seed=st.integers(0, 1000),
+    missing=st.sets(st.integers(5, 1900), max_size=6),
+    late=st.sets(st.integers(5, 1900), max_size=6),
+)
+def test_what_counts_is_steady_motion_in_whole_periods(baseline_s, duration_s, seed, missing, late):
+    cycles = conditions(baseline_s, duration_s)
+    error = np.random.default_rng(seed).standard_normal(len(cycles))
+    late -= missing
+    found = taken(cycles, error, missing=missing, late=late)
+    for figures, condition in zip(found, (WITHOUT, WITH), strict=True):
+        rms, peak, count = expected(cycles, error, condition, missing, late)
+        assert (figures.rms, figures.peak) == (pytest.approx(rms), peak)
+        assert figures.counted == count
+
+
+@given(baseline_s=st.floats(1.25, 2.4), duration_s=st.floats(3.6, 5.0))
+@settings(max_examples=20, deadline=None)
+def test_of_a_periodic_error_the_figures_do_not_depend_on_the_duration(baseline_s, duration_s):
+    cycles = conditions(baseline_s, duration_s)
+    time = np.arange(len(cycles)) * T
+    error = np.where(cycles == WITHOUT, 4e-3, 1e-3) * np.sin(math.tau * time / PERIOD_S)
+    without, compensated = taken(cycles, error)
+    assert (without.rms, compensated.rms) == (pytest.approx(4e-3 / math.sqrt(2)), pytest.approx(1e-3 / math.sqrt(2)))
+    figures = AxisFigures("rad", without, compensated, is_comparable=True, stale=0)
+    assert figures.reduction.rms == pytest.approx(4.0)
+
+
+def test_without_a_whole_period_the_steady_motion_counts_that_there_is():
+    cycles = conditions(1.0, 1.9)
+    error = np.ones(len(cycles))
+    without, compensated = taken(cycles, error)
+    assert (without.counted, compensated.counted) == (round(0.3 / T), pytest.approx(0.3 / T, abs=1))
+    assert without.rms == compensated.rms == 1.0
+
+
+def test_a_run_that_ends_too_early_has_no_figures():
+    assert taken(conditions(9.0, RAMP_S + SETTLE_S), np.ones(5000)) == (None, None)
+    figures = AxisFigures("rad", None, ConditionFigures(1.0, 2.0, 3, 0), is_comparable=True, stale=0)
+    assert figures.reduction is None
+
+
+def test_an_interrupted_operation_settles_anew():
+    """As sidecar: the drive is disabled and enabled again, and jumps meanwhile."""
+    one, gap = round(2.0 / T), round(0.3 / T)
+    cycles = np.array([WITHOUT] * one + [FADING] * gap + [WITHOUT] * one)
+    error = np.ones(len(cycles))
+    error[one : one + gap + round(SETTLE_S / T)] = 100.0
+    without, _ = taken(cycles, error, motion_s=math.inf, ramp_s=0.0)
+    assert (without.peak, without.counted) == (1.0, 2 * round(1.5 / T))
+
+
+@pytest.mark.parametrize("mode", ["csp", "cst"])
+def test_a_run_has_the_figures_that_its_recording_shows(mode):
+    given = {"trajectory": SINE, "compensation": {"baseline_s": 2.0, "fade_s": 0.1}}
+    run = Run(axis(mode, **given), duration_s=5.0)
+    period_s = run.config.period_s
+    running = run.column("state") == LoopState.RUNNING
+    error = run.error()
+    enabled = run.column("is_enabled")[running] == 1.0
+    [one] = run.axes
+    start = round((SINE["ramp_s"] + SETTLE_S) / period_s)
+    lap = round(1.0 / period_s)
+    without = error[~enabled][start : start + lap]  # 1.25 s of steady motion: one period
+    settled = round((0.1 + SETTLE_S) / period_s)
+    compensated = error[enabled][settled + 1 : settled + 1 + 2 * lap]  # 2.4 s: two
+    for part, condition in ((without, WITHOUT), (compensated, WITH)):
+        figures = one.following_errors.figures(condition)
+        assert figures.counted == len(part)
+        assert figures.rms == pytest.approx(math.sqrt(np.mean(part**2)), rel=1e-3)
+        assert figures.peak == pytest.approx(np.abs(part).max(), rel=1e-3)
