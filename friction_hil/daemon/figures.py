@@ -236,22 +236,21 @@ class FeedbackGaps:
         Number of cycles.
     reasons : dict of str to int
         Number of these cycles by the reason that the driver gave.
+    is_open : bool
+        True while feedback is missing.
     """
 
-    __slots__ = ("_gap", "bridged", "reasons")
+    __slots__ = ("_gap", "bridged", "is_open", "reasons")
 
     def __init__(self) -> None:
         self.bridged = 0
         self.reasons: dict[str, int] = {}
+        self.is_open = False  # no property: it is read in every cycle
         self._gap: list[str] = []  # reasons of the cycles since the last usable feedback
-
-    @property
-    def is_open(self) -> bool:
-        """True while feedback is missing."""
-        return bool(self._gap)
 
     def miss(self, reason: str) -> None:
         """Take a cycle without usable feedback."""
+        self.is_open = True
         if len(self._gap) < _LONGEST_GAP:
             self._gap.append(reason)
 
@@ -263,6 +262,7 @@ class FeedbackGaps:
                 known = reason if reason in self.reasons or len(self.reasons) < _MOST_REASONS else _OTHERS
                 self.reasons[known] = self.reasons.get(known, 0) + 1
         self._gap.clear()
+        self.is_open = False
 
 
 class CompensationNotices:
