@@ -35,6 +35,8 @@ class Progress:
         Index of the start, from 0.
     iteration : int
         Number of iterations so far, of all starts together.
+    most_iterations : int
+        Largest number that there may be: a search ends earlier once it does not improve any more.
     error, validation_error : float
         NRMSE on the training set in the current stage, and in free run on the validation set.
     damping : float
@@ -43,6 +45,7 @@ class Progress:
     stage: str
     start: int
     iteration: int
+    most_iterations: int
     error: float
     validation_error: float
     damping: float
@@ -174,6 +177,10 @@ class _Training:
         self.seed, self.options, self._goes_on = seed, options, goes_on
         self.history: list[Progress] = []
         self._iterations = count(1)
+        trials = 2 if structure.kind == "narx" else 1
+        self._most_iterations = (
+            options.starts * trials * options.trial_iterations + options.survivors * options.iterations
+        )
 
     def search(self, start: _Start, stage: str, iterations: int, is_free: bool) -> None:
         """Continue the search of a start; keep the network with the best free run on validation."""
@@ -189,7 +196,8 @@ class _Training:
             if error < start.error:
                 start.error, start.best, stale = error, p, 0
             train_error = math.sqrt(reached.cost)
-            step = Progress(stage, start.number, next(self._iterations), train_error, error, reached.damping)
+            number = next(self._iterations)
+            step = Progress(stage, start.number, number, self._most_iterations, train_error, error, reached.damping)
             self.history.append(step)
             if not self._goes_on(step):
                 raise _StoppedError

@@ -1,12 +1,14 @@
 """Following error of a run: which cycles count, against a plain computation over whole arrays."""
 
 import math
+import re
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from friction_hil.cli.work.run import _hint
 from friction_hil.daemon.figures import (
     RECOVERY_OF_LATE,
     RECOVERY_OF_MISSED,
@@ -19,6 +21,7 @@ from friction_hil.daemon.figures import (
 )
 from friction_hil.daemon.safety import LoopState
 from tests.loop_run import SINE, Run, axis
+from tests.servo_drives import configuration
 
 T, RAMP_S, PERIOD_S, FADE_S = 2e-3, 0.2, 0.5, 0.1
 WITHOUT, WITH, FADING = Condition.WITHOUT, Condition.WITH, Condition.FADING
@@ -133,3 +136,35 @@ def test_a_run_has_the_figures_that_its_recording_shows(mode):
         assert figures.counted == len(part)
         assert figures.rms == pytest.approx(math.sqrt(np.mean(part**2)), rel=1e-3)
         assert figures.peak == pytest.approx(np.abs(part).max(), rel=1e-3)
+
+
+def hinted(figures, **changes):
+    """What `run` says about an axis of which it has these figures."""
+    configured = configuration(x=axis(**changes)).axes["x"]
+    return _hint(
+        AxisFigures("rad", *figures, is_comparable=configured.trajectory.kind != "experiment", stale=0), configured
+    )
+
+
+@given(frequency=st.sampled_from([0.2, 0.5, 1.0, 4.0]), ramp_s=st.floats(0.1, 3.0))
+@settings(max_examples=20, deadline=None)
+def test_the_baseline_that_is_suggested_is_long_enough(frequency, ramp_s):
+    some = ConditionFigures(1.0, 2.0, 3, 0)
+    text = hinted((None, some), trajectory={**SINE, "frequency": frequency, "ramp_s": ramp_s})
+    baseline_s = float(re.search(r"compensation: {baseline_s: (\d+)} makes the first \d+ s a comparison", text)[1])
+    errors = FollowingErrors(T, ramp_s, 1.0 / frequency)
+    for _ in range(round(baseline_s / T)):
+        errors.take(WITHOUT, 1.0, 0, True)
+    assert errors.figures(WITHOUT).counted >= 2.0 / frequency / T - 2
+
+
+def test_what_a_comparison_lacks_is_said():
+    some = ConditionFigures(1.0, 2.0, 3, 0)
+    experiment = {"kind": "experiment", "velocity": 3.0, "travel": 1.0}
+    by_hand = {"mode": "cst", "trajectory": {"kind": "none"}, "limits": {"torque": 0.3, "velocity": 30.0}}
+    assert hinted((some, some)) == ""
+    assert hinted((None, None), **by_hand, controller=None) == ""
+    assert "the two do not compare" in hinted((some, some), trajectory=experiment)
+    assert "before the motion was steady" in hinted((None, None))
+    assert "compensation.enabled is false" in hinted((some, None), compensation={"enabled": False})
+    assert "take a longer --duration" in hinted((some, None), compensation={"baseline_s": 3.0})

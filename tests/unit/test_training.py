@@ -103,6 +103,8 @@ def test_a_narx_learns_in_free_run():
     result = train(NetworkStructure("narx", (7,), 1, 1), training, validation, options=Options(starts=4, iterations=80))
     assert nrmse(result, multisine(0)) < 0.03
     assert {step.stage for step in result.history} == {"series-parallel", "trial", "parallel"}
+    last = result.history[-1]  # a search may end early, and none goes on for longer
+    assert last.iteration <= last.most_iterations == 4 * 2 * 25 + 2 * 80
     assert result.train.one_step < result.train.free_run
 
 

@@ -115,9 +115,12 @@ def _progress() -> Iterator[Callable[[Progress], None]]:
         yield _line_by_line()
         return
     with status_line("training") as show:
+        # the searches often end before their last iteration: the time that is left is the longest that it may take
         yield lambda progress: show(
-            f"iteration {progress.iteration}, start {progress.start + 1}, {progress.stage}: error "
-            f"{progress.error:.4f}, on validation {progress.validation_error:.4f}, damping {progress.damping:.1g}"
+            f"start {progress.start + 1}, {progress.stage}: on validation {progress.validation_error:.4f}, training "
+            f"{progress.error:.4f}, damping {progress.damping:.1g}",
+            progress.iteration,
+            progress.most_iterations,
         )
 
 
