@@ -17,6 +17,7 @@ from friction_hil.recordings.source import Source, as_column, needs_extra, new_f
 from friction_hil.recordings.units import known_unit
 
 _MAGIC = (b"MDF     ", b"UnFinMF ")
+_NAMED = 5  # channels that a message lists
 _LONGEST_REASON = 200  # characters of the library's message
 _SMALLEST = 168  # bytes of identification and header of MDF 4; MDF 3 has more
 
@@ -105,7 +106,7 @@ def _library(path: Path) -> Any:
 
 def _take(recording: Recording, source: Source, mdf: Any) -> None:
     """Fill the columns of a recording."""
-    there, rows = _channels(mdf)
+    there, rows = _channels(mdf, recording.problems)
     if not there:
         raise RecordingError(f"{source.path}: there is no channel with samples in it")
     wanted, recording.others = source.split(there)
@@ -134,18 +135,35 @@ def _take(recording: Recording, source: Source, mdf: Any) -> None:
         _take_signal(recording, name, signal, times[there[name][0]])
 
 
-def _channels(mdf: Any) -> tuple[dict[str, tuple[int, int]], dict[int, int]]:
+def _channels(mdf: Any, problems: list[str]) -> tuple[dict[str, tuple[int, int]], dict[int, int]]:
     """Return group and index of each channel with samples by its name, and the number of samples of each group."""
     there: dict[str, tuple[int, int]] = {}
     rows: dict[int, int] = {}
     for number, group in enumerate(mdf.groups):
         rows[number] = int(group.channel_group.cycles_nr)
         master = mdf.masters_db.get(number)
+        outside = {index for index, channel in enumerate(group.channels) if not _fits(channel, group.channel_group)}
+        if outside:
+            names = ", ".join(group.channels[index].name or "one without a name" for index in sorted(outside)[:_NAMED])
+            problems.append(
+                f"{names}: the file is damaged: {len(outside)} channels lie outside their records: left out"
+            )
+        if master in outside:
+            continue
         for index, channel in enumerate(group.channels):
-            if index != master and rows[number]:
+            if index != master and rows[number] and index not in outside:
                 name = channel.name
                 there[name if name not in there else f"{name}@{number}"] = number, index
     return there, rows
+
+
+def _fits(channel: Any, group: Any) -> bool:
+    """True if the bits of a channel lie within the record; elsewhere the library reads memory that is not its own."""
+    if hasattr(channel, "byte_offset"):  # MDF 4
+        begin = 8 * channel.byte_offset + channel.bit_offset
+    else:
+        begin = 8 * channel.additional_byte_offset + channel.start_offset
+    return bool(begin + channel.bit_count <= 8 * group.samples_byte_nr)
 
 
 def _merged_time(times: dict[int, Array], problems: list[str]) -> Array:

@@ -29,7 +29,9 @@ def read(source: Source) -> list[Recording]:
     """
     arrow, parquet = _library(source.path)
     recording = Recording(str(source.path), source.name, {})
-    with source.path.open("rb") as file:
+    source.path.open("rb").close()  # raises the usual error where the file cannot be opened
+    # arrow's own file: its threads may still hold it when an error is raised, and crash with one of Python's
+    with arrow.OSFile(str(source.path)) as file:
         try:
             content = parquet.ParquetFile(file, page_checksum_verification=True)
             schema = content.schema_arrow

@@ -1,5 +1,7 @@
 """What every format of recordings promises, as tests; a subclass names the format."""
 
+import contextlib
+import tracemalloc
 import warnings
 from pathlib import Path
 from typing import ClassVar
@@ -13,12 +15,18 @@ from hypothesis.extra.numpy import arrays
 import friction_hil as fh
 from friction_hil.errors import FrictionHilError, RecordingError, UsageError
 from friction_hil.recordings import Recording
+from friction_hil.recordings.even import even_grid
 
 ROWS = 40
 _names = st.lists(st.from_regex(r"[a-z](_?[a-z0-9]){1,9}", fullmatch=True), min_size=3, max_size=3, unique=True)
 _values = arrays(
     np.float64, st.tuples(st.integers(2, 6), st.just(3)), elements=st.floats(allow_infinity=False) | st.just(np.nan)
 )
+_claims = st.sampled_from(
+    [b"\xff" * 4, b"\xff" * 8, b"\x7f" + b"\xff" * 7, bytes(8), b"9" * 9, b"1e308", b"[[[[", b'"']
+)
+_patches = st.binary(min_size=1, max_size=9) | _claims
+_changes = st.lists(st.tuples(st.floats(0.0, 1.0, exclude_max=True), _patches), min_size=1, max_size=4)
 _quick = settings(  # one function serves all subclasses, and overwrites the file of its one fixture
     max_examples=15,
     suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.differing_executors],
@@ -203,3 +211,25 @@ class RecordingFormatContract:
         path.write_bytes(path.read_bytes()[:keep] + noise)
         read = read_or_reason(path)
         assert isinstance(read, Recording) or str(path) in read
+
+    @settings(_quick, derandomize=True)  # what a library does with damaged bytes must not decide about other work
+    @given(changes=_changes)
+    def test_overwritten_bytes_end_in_a_message(self, path: Path, changes: list[tuple[float, bytes]]) -> None:
+        """Sizes and shapes are bytes of the file, too: whatever they claim, little is allocated."""
+        fh.recordings.write(path, sample(8), overwrite=True)
+        data = bytearray(path.read_bytes())
+        for position, patch in changes:
+            at = int(position * len(data))
+            data[at : at + len(patch)] = patch
+        path.write_bytes(data)
+        tracemalloc.start()
+        read = read_or_reason(path)
+        _, peak = tracemalloc.get_traced_memory()
+        tracemalloc.stop()
+        assert peak < 3e7
+        if isinstance(read, str):
+            assert str(path) in read
+        else:
+            with warnings.catch_warnings(), contextlib.suppress(RecordingError):
+                warnings.simplefilter("error")
+                even_grid(read, ["position", "torque"])
