@@ -165,7 +165,8 @@ def drives(process: Drives) -> Drives:
 
 def test_ready_line_and_boot_up(process: Drives) -> None:
     assert process.ready == f"ready: x=node 1, y=node 2 on udp_multicast {GROUP}:{process.port}\n"
-    assert process.collect(0x702) == [(0x701, b"\0"), (0x702, b"\0")]
+    asked = bytes.fromhex("4000100000000000")  # is there somebody of this number?
+    assert process.collect(0x702) == [(0x601, asked), (0x602, asked), (0x701, b"\0"), (0x702, b"\0")]
 
 
 def test_identity_and_wrong_sizes(drives: Drives) -> None:

@@ -4,12 +4,14 @@ import json
 from pathlib import Path
 from typing import Any
 
+import can
 import pytest
 import yaml
 
+from friction_hil.cli import main
 from tests.launcher import start
 from tests.peers.serial_processes import wait_until, write_serial_configuration
-from tests.processes import run, run_daemon, simulated_drives, write_configuration
+from tests.processes import listening, run, run_daemon, simulated_drives, write_configuration
 
 PACED = ("--pace", "sync")
 
@@ -90,3 +92,25 @@ def test_what_is_not_read_back_is_unknown_and_keeps_no_other_axis_from_being_sto
     wrong = run("stop", every, "--axis", "y", check=False)
     assert wrong.returncode == 2
     assert "There are: gone, other, x" in wrong.stderr
+
+
+def test_a_driver_that_can_stop_nothing_leaves_its_drives_unknown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("friction_hil.cli.work.stop.load_driver", lambda name: object())
+    status = main(["stop", str(write_configuration(tmp_path)), "--json"])
+    (axis,) = json.loads(capsys.readouterr().out)["axes"]
+    assert (status, axis["result"], axis["after"]) == (1, "unknown", "unknown")
+    assert "the driver canopen can only stop drives within a run" in axis["detail"]
+
+
+def test_reset_leaves_the_drive_of_another_master_alone(tmp_path: Path) -> None:
+    """Without its fault the drive would be enabled again at once."""
+    configuration = write_configuration(tmp_path)
+    with simulated_drives(configuration), listening(configuration) as bus:
+        task = bus.send_periodic(can.Message(arbitration_id=0x80, is_extended_id=False), 0.02)
+        status, axis = told("reset", configuration)
+        task.stop()
+    assert (status, axis["result"]) == (1, "unknown")
+    assert "another master is at work" in axis["detail"]
+    assert "SYNC" in axis["detail"]

@@ -118,10 +118,12 @@ class CanopenInventory:
         Raises
         ------
         DriveError
-            Another master is at work: it could enable the drive as soon as it has no fault any more.
+            A daemon of this machine, or another master, is at work: it could enable the drive as soon as it has no
+            fault any more.
         """
         for node in _nodes_of(axes):
-            AxisLock(self._config, node, f"node {node}").release()
+            if owner := self._owner(node):
+                raise DriveError(owner, code=codes.NODE_LOCKED)
         if self._others.words:
             text = f"another master is at work on {bus_name(self._config)}: {self._others.words}"
             raise DriveError(text, "let it reset the fault, or stop it first", codes.SECOND_MASTER)

@@ -97,7 +97,7 @@ class SimulatedCanopenDrives:
         config = self._configuration.bus
         assert config is not None  # the driver's options have checked it
         if self._given_bus is None and config.interface != "virtual":  # other processes are on it
-            self._presence = Presence(config, {canopen_options(axis).node for axis in self._axes.values()})
+            self._presence = Presence(config, sorted({canopen_options(axis).node for axis in self._axes.values()}))
         self._bus = open_frame_bus(config, self._given_bus)
         if self._presence is not None:
             self._presence.ask(self._bus)
