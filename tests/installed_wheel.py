@@ -31,9 +31,14 @@ def install(wheel: Path, folder: Path) -> Path:
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", folder], check=True)
     pip = [sys.executable, "-m", "pip", "--python", folder, "install", "--quiet", "--no-deps", "--no-index"]
     subprocess.run([*pip, "--no-compile", wheel], check=True)
-    packages = Path(sysconfig.get_path("purelib", vars={"base": str(folder)}))
-    (packages / "packages_of_the_tests.pth").write_text(f"{sysconfig.get_path('purelib')}\n")
+    (site_packages(folder) / "packages_of_the_tests.pth").write_text(f"{sysconfig.get_path('purelib')}\n")
     return folder / "bin/python"
+
+
+def site_packages(environment: Path) -> Path:
+    """Return the folder for packages of an environment."""
+    (folder,) = environment.glob("lib/python*/site-packages")
+    return folder
 
 
 def share_compiled_code(python: Path, cache: Path) -> None:
@@ -45,7 +50,7 @@ def share_compiled_code(python: Path, cache: Path) -> None:
     kept = jit.cache_folder()
     if kept is None:
         return
-    installed = next(python.parents[1].glob("lib/python*/site-packages"))
+    installed = site_packages(python.parents[1])
     here = cache / "friction_hil" / Path(kept).name
     here.mkdir(parents=True)
     for source in jit.kernel_sources():

@@ -3,8 +3,8 @@
 import contextlib
 import re
 import shlex
+import shutil
 import subprocess
-import tarfile
 import zipfile
 from email import message_from_string
 from pathlib import Path
@@ -20,7 +20,7 @@ from friction_hil import __version__
 from friction_hil.errors import FrictionHilError
 from tests.installed_wheel import build, install, share_compiled_code
 from tests.launcher import installed_in
-from tests.processes import free_port, run, simulated_drives, write_configuration
+from tests.processes import GROUP, free_port, run, simulated_drives, write_configuration
 from tests.readme_commands import ROOT, resolve, shown_commands
 
 PACKAGES = {"friction_hil": ROOT / "friction_hil", "friction_hil_drivers": ROOT / "drivers/friction_hil_drivers"}
@@ -40,6 +40,7 @@ ADDED = {
     "friction-hil identify": ("--models", "coulomb"),
 }
 LONGEST_S = 2.0  # of a run, in simulated time
+PERIOD_S = 2e-3
 EXPERIMENT = {"velocity": 4.0, "travel": 1.0, "duration_s": 10.0, "ramp_s": 0.25}
 LIMITS = {"torque": 0.3, "torque_slew": 300.0, "velocity": 30.0, "following_error": 2.0}
 TRAJECTORY = {"kind": "sine", "amplitude": 0.5, "frequency": 0.5, "ramp_s": 0.25}
@@ -86,8 +87,7 @@ def test_the_wheel_has_every_file_of_the_packages_and_nothing_else(wheel):
 
 def test_a_wheel_from_the_source_archive_is_the_same(archives, wheel, tmp_path):
     (source,) = (path for path in archives if path.name.endswith(".tar.gz"))
-    with tarfile.open(source) as archive:
-        archive.extractall(tmp_path, filter="data")
+    shutil.unpack_archive(source, tmp_path)
     (project,) = tmp_path.iterdir()
     for needed in (
         "LICENSE",
@@ -165,10 +165,11 @@ def complete_commands():
                 yield resolve(shown.words)[0], list(shown.words[1:])
 
 
-def prepare(folder):
-    """What README's steps begin with: the two configurations, made for the simulation, and the public recording."""
-    axis = {"experiment": EXPERIMENT, "limits": LIMITS, "trajectory": TRAJECTORY}
-    write_configuration(folder, period_s=2e-3, x=axis).rename(folder / "machine.yaml")
+def prepare(folder, commands):
+    """What README takes as given: the configurations that no command of it writes, and the public recording."""
+    if not any(name == "friction-hil config new" and "machine.yaml" in words for name, words in commands):
+        axis = {"experiment": EXPERIMENT, "limits": LIMITS, "trajectory": TRAJECTORY}
+        write_configuration(folder, period_s=PERIOD_S, x=axis).rename(folder / "machine.yaml")
     values = yaml.safe_load((ROOT / "config/sidecar.yaml").read_text())
     values["bus"]["port"], values["realtime"]["priority"] = free_port(), 0
     (folder / "config").mkdir()
@@ -182,24 +183,41 @@ def prepare(folder):
     scipy.io.savemat(folder / "DATA_EMPS.mat", {name: values[:, None] for name, values in columns.items()})
 
 
+def as_run(name, words, bus):
+    """A command on a machine without CAN, in simulated time and less of it."""
+    words = [bus if word == "can0" else word for word in words]
+    if "--simulated" in words:
+        words += ["--bus", bus]
+    if "--duration" in words:
+        at = words.index("--duration") + 1
+        words[at] = str(min(float(words[at]), LONGEST_S))
+    return [*words, *ADDED.get(name, ())]
+
+
+def fill_in(path):
+    """What a user may change in a new file: a longer period and a shorter experiment take less time here."""
+    text = re.sub(r"(?<=duration_s: )[\d.]+", str(EXPERIMENT["duration_s"]), path.read_text())
+    path.write_text(re.sub(r"(?<=period_s: )\S+", str(PERIOD_S), text))
+
+
 def test_readmes_commands_in_their_order_in_an_empty_folder(installed, tmp_path, monkeypatch):
     """Each ends well, with the simulated drives that README has started by then in the background."""
-    prepare(tmp_path)
+    commands = list(complete_commands())
+    bus = f"udp_multicast:{GROUP}:{free_port()}"
+    prepare(tmp_path, commands)
     monkeypatch.chdir(tmp_path)
-    names = []
     with contextlib.ExitStack() as drives:
-        for name, words in complete_commands():
-            names.append(name)
+        for name, words in commands:
             if name == "friction-hil simulate":
                 drives.close()  # the user has stopped the ones before
                 path, options = words[-1], words[1:-1]
                 drives.enter_context(simulated_drives(Path(path), *options))
                 continue
-            if "--duration" in words:
-                at = words.index("--duration") + 1
-                words[at] = str(min(float(words[at]), LONGEST_S))
-            done = run(*words, *ADDED.get(name, ()), check=False)
+            done = run(*as_run(name, words, bus), check=False)
             assert done.returncode == 0, f"{shlex.join(words)}:\n{done.stderr}{done.stdout}"
-    assert {"friction-hil run", "friction-hil tune", "friction-hil simulate", "friction-hil config check"} <= set(names)
+            if name == "friction-hil config new":
+                fill_in(Path(words[2]))
+    used = {name for name, _ in commands}
+    assert {"friction-hil run", "friction-hil tune", "friction-hil config check"} <= used
     for made in ("listen.mcap", "run.mcap", "run.csv", "emps.yaml", "emps.html"):
         assert (tmp_path / made).stat().st_size > 100

@@ -1,5 +1,6 @@
 """On Windows and macOS: the commands that need no drive do their work, and the others say that they need Linux."""
 
+import io
 import json
 import re
 import shlex
@@ -59,6 +60,23 @@ def test_pages_name_the_commands_that_need_linux():
     for page in ("README.md", "friction_hil/cli/README.md"):
         (named,) = re.findall(r"((?:`\w+`(?:, | and )?)+) need Linux", " ".join((ROOT / page).read_text().split()))
         assert set(re.findall(r"\w+", named.replace(" and ", " "))) == set(NEED_LINUX)
+
+
+def test_the_page_of_the_command_line_lists_what_runs_elsewhere():
+    (row,) = re.findall(
+        r"^\| Windows, macOS \| (.+) \|$", (ROOT / "friction_hil/cli/README.md").read_text(), re.MULTILINE
+    )
+    assert set(re.findall(r"`(\w+)`", row)) == set(COMMANDS) - set(NEED_LINUX)
+
+
+@pytest.mark.parametrize(("platform", "encoding"), [("win32", "utf-8"), ("linux", "cp1252")])
+def test_windows_writes_utf8_into_pipes(platform, encoding, monkeypatch):
+    """Its own encodings lack letters of units and formulas; other systems have the one that their user has chosen."""
+    monkeypatch.setattr(sys, "platform", platform)
+    for name in ("stdout", "stderr"):
+        monkeypatch.setattr(sys, name, io.TextIOWrapper(io.BytesIO(), encoding="cp1252"))
+    assert main(["--version"]) == 0
+    assert (sys.stdout.encoding, sys.stderr.encoding) == (encoding, encoding)
 
 
 def test_doctor_elsewhere_checks_the_configuration_and_no_hardware(tmp_path, monkeypatch, capsys):

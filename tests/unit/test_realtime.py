@@ -115,7 +115,7 @@ class _Memory:
 def test_memory_that_may_run_out_is_told(monkeypatch, refusal, limit, is_capable, result, detail):
     """Locked memory within a limit is worse than it looks: what the loop asks for beyond it, it does not get."""
     monkeypatch.setattr(realtime.ctypes, "CDLL", lambda *_, **__: _Memory(refusal))
-    monkeypatch.setattr(realtime.resource, "getrlimit", lambda which: (limit, limit))
+    monkeypatch.setattr(resource, "getrlimit", lambda which: (limit, limit))
     status = f"Name:\tpython\nCapInh:\t{0:016x}\nCapEff:\t{is_capable << 14:016x}\n"
     monkeypatch.setattr(realtime, "system_text", lambda path: status)
     with punctuality(1) as findings:

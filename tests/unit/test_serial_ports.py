@@ -1,5 +1,6 @@
 """Serial ports as the kernel tells them: which there are, who may open them, who has them."""
 
+import grp
 import os
 import subprocess
 
@@ -57,7 +58,7 @@ def test_without_ports_the_group_tells_who_may_open_one(tmp_path, monkeypatch, g
     monkeypatch.setattr(os, "geteuid", lambda: 1000)
     monkeypatch.setattr(os, "getegid", lambda: 1000)
     monkeypatch.setattr(os, "getgroups", lambda: list(groups))
-    monkeypatch.setattr(ports.grp, "getgrall", lambda: [Dialout])
+    monkeypatch.setattr(grp, "getgrall", lambda: [Dialout])
     right = list(ports.check_machine(tmp_path))[1]
     assert right.result == result
     assert (right.fix == "add the user to the group dialout (and log in again)") == (result == "warn")
@@ -67,7 +68,7 @@ def test_a_port_that_the_user_may_not_open_is_told_with_its_group(port, monkeypa
     root = port()
     port("ttyACM0")
     monkeypatch.setattr(os, "access", lambda path, mode: path.name != "ttyUSB0")
-    monkeypatch.setattr(ports.grp, "getgrgid", lambda number: type("Group", (), {"gr_name": "plugdev"}))
+    monkeypatch.setattr(grp, "getgrgid", lambda number: type("Group", (), {"gr_name": "plugdev"}))
     right = list(ports.check_machine(root))[1]
     assert (right.result, right.detail) == ("warn", "permission denied: /dev/ttyUSB0")
     assert right.fix == "add the user to the group plugdev (and log in again)"
@@ -75,7 +76,7 @@ def test_a_port_that_the_user_may_not_open_is_told_with_its_group(port, monkeypa
 
 def test_nobody_is_told_to_join_the_group_of_root(port, monkeypatch):
     device = port() / "dev" / "ttyUSB0"
-    monkeypatch.setattr(ports.grp, "getgrgid", lambda number: type("Group", (), {"gr_name": "root"}))
+    monkeypatch.setattr(grp, "getgrgid", lambda number: type("Group", (), {"gr_name": "root"}))
     assert ports.permission_remedy(device).startswith(f"let a udev rule give {device} to the group dialout")
 
 
