@@ -14,7 +14,6 @@ from friction_hil.cli.work import convert, drives, identify, replay, train, tune
 from friction_hil.cli.work.following import Compared, following_table
 from friction_hil.cli.work.progress import _Steps
 from friction_hil.cli.work.tables import Table, lines, new_table, number, print_table, prose
-from friction_hil.daemon.figures import reduction
 from friction_hil.drive import DriveState
 from friction_hil.drive.inventory import DriveEntry
 
@@ -50,7 +49,7 @@ def assert_numbers_stand_right(shown, heading, numbers):
 @pytest.mark.parametrize("name", ["x", LONG])
 def test_the_following_error_fits(width, name):
     errors = [(Figures(2.57e-4, 2.189e-3), Figures(5.54e-5, 3.53e-4)), (Figures(83.1, 195.0), Figures(12.6, 50.1))]
-    rows = [Compared((name, "stribeck + viscous (kept)"), "rad", a, b, reduction(a, b)) for a, b in errors]
+    rows = [Compared((name, "stribeck + viscous (kept)"), "rad", a, b, a.times(b)) for a, b in errors]
     shown = rendered(following_table(("axis", prose("model")), rows), width)
     assert max(map(len, shown)) <= width
     for text in ("257", "2189", "55.4", "353", "4.6", "[µrad]", "[rad]", "12.6", "(kept)"):
@@ -121,7 +120,7 @@ def test_other_tables_fit(width, capsys, monkeypatch):
         },
         inference=SimpleNamespace(standard_errors={"direction.positive.coulomb": 1.2e-7}),
     )
-    found = SimpleNamespace(fits=(fit,), records=(SimpleNamespace(group="a"),), settings=None)
+    found = SimpleNamespace(fits=(fit,), groups=(("", (fit,)),), records=(SimpleNamespace(group="a"),), settings=None)
     outcome = SimpleNamespace(
         picture=None,
         facts={
