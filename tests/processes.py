@@ -8,9 +8,9 @@ from pathlib import Path
 
 import can
 import yaml
-from friction_hil_drivers.canopen.multicast import keep_to_group
 
 from tests.launcher import start
+from tests.peers.own_group import keep_to_own_group
 from tests.servo_drives import axis_dict
 
 GROUP = "239.74.163.2"
@@ -84,7 +84,7 @@ def start_daemon(configuration: Path, *options) -> subprocess.Popen:
 def multicast_bus(group, port) -> can.BusABC:
     """A bus of python-can alone; without the last line it would also hear the other groups on its port."""
     bus = can.Bus(interface="udp_multicast", channel=group, port=port, hop_limit=0, fd=False)
-    keep_to_group(bus.fileno(), group)
+    keep_to_own_group(bus)
     return bus
 
 

@@ -131,7 +131,7 @@ def test_the_peer_imports_nothing_of_the_product() -> None:
                 modules = [node.module or ""] if isinstance(node, ast.ImportFrom) else [n.name for n in node.names]
                 assert not any(module.startswith("friction_hil") for module in modules), modules
                 pending += [each for each in modules if each.startswith("tests.") and each not in seen]
-    assert len(seen) == 2
+    assert len(seen) == 3
 
 
 @pytest.mark.parametrize(("mode", "is_ours"), [("csp", False), ("csv", False), ("cst", False), ("csp", True)])

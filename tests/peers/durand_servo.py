@@ -30,9 +30,9 @@ from durand.network import NetworkABC
 from durand.object_dictionary import ObjectDictionary
 from durand.scheduler import AbstractScheduler
 from durand.services.nmt import StateEnum
-from friction_hil_drivers.canopen.multicast import keep_to_group
 
 from tests.peers.cia402_servo import Servo
+from tests.peers.own_group import keep_to_own_group
 
 PDOS = 4
 SYNC = 0x080
@@ -484,7 +484,7 @@ def main() -> None:
         bus = opened.enter_context(
             can.Bus(interface="udp_multicast", channel=options.group, port=options.port, hop_limit=0, fd=False)
         )
-        keep_to_group(bus.fileno(), options.group)
+        keep_to_own_group(bus)
         servos = []
         for node in options.node:
             servo = DurandServo(node, send, manners, _log(file, node))

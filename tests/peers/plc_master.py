@@ -16,7 +16,8 @@ import time
 from typing import Any
 
 import canopen
-from friction_hil_drivers.canopen.multicast import keep_to_group
+
+from tests.peers.own_group import keep_to_own_group
 
 EVENT_DRIVEN, SYNCHRONOUS = 255, 1
 _OPERATION_ENABLED = 0x27
@@ -53,7 +54,7 @@ class PlcMaster:
         self.feedback: list[tuple[float, int, int]] = []  # time, statusword, position in counts
         self._network: Any = canopen.Network()
         self._network.connect(**bus)
-        keep_to_group(self._network.bus.fileno(), bus["channel"])
+        keep_to_own_group(self._network.bus)
         self._sdo = self._network.add_node(node, object_dictionary=None).sdo
         self._sdo.RESPONSE_TIMEOUT = 2.0
         self._is_over = threading.Event()
