@@ -47,7 +47,7 @@ COMMANDS = {
 
 # Commands that connect to drives or simulate them. Their loop relies on Linux: real-time priority, shared memory
 # without a name, SocketCAN, pseudo-terminals. All others run wherever Python does.
-NEED_LINUX = ("demo", "run", "simulate", "tune", "drives")
+NEED_LINUX = ("demo", "run", "simulate", "tune", "stop", "reset", "drives")
 
 
 class Group(click.Group):

@@ -52,7 +52,7 @@ def test_every_command_that_needs_no_drive_works_without_linux(folder):
 def test_a_command_that_needs_linux_says_so_before_it_does_anything(platform, name, monkeypatch, capsys):
     monkeypatch.setattr(sys, "platform", platform)
     assert main([name, "there_is_none.yaml"]) == 2
-    assert f"Error: '{name}' needs Linux; on this system there are: replay, " in capsys.readouterr().err
+    assert f"Error: '{name}' needs Linux; on this system there are: plot, replay, " in capsys.readouterr().err
     assert main([name, "--help"]) == 0
 
 
