@@ -51,14 +51,6 @@ def shown_commands() -> Iterator[Shown]:
                     yield from _in_line(name, line)
 
 
-def first_steps() -> list[str]:
-    """Return the commands of README's steps to a drive on the bench, as a user would type them, in their order."""
-    section = (ROOT / "README.md").read_text(encoding="utf-8").partition("## With a drive on the bench\n")[2]
-    block = _BLOCK.search(section.partition("\n## ")[0])
-    assert block is not None
-    return [line.split("  #")[0].strip() for line in block[1].splitlines()]
-
-
 def _in_line(page: str, line: str) -> Iterator[Shown]:
     """Cut the commands of a line; in a row of a table, single options belong to the command before them."""
     latest = ""

@@ -261,14 +261,15 @@ class FollowingErrors:
             return None
         return ConditionFigures(math.sqrt(total.square / total.count), total.peak, total.count, total.left_out)
 
-    def intervals(self, condition: Condition) -> list[tuple[float, float]]:
-        """Return begin and end of what counts, cycles of the motion."""
-        joined: list[tuple[float, float]] = []
+    def intervals(self, condition: Condition) -> list[tuple[int, int]]:
+        """Return the first cycle of what counts, from the begin of the motion, and the first one after it."""
+        joined: list[tuple[int, int]] = []
         for part in self._counted(condition):
-            if joined and part.begin - joined[-1][1] < 1.0:
-                joined[-1] = joined[-1][0], part.end
+            begin, end = math.ceil(part.begin), math.ceil(part.end)
+            if joined and begin == joined[-1][1]:
+                joined[-1] = joined[-1][0], end
             else:
-                joined.append((part.begin, part.end))
+                joined.append((begin, end))
         return joined
 
 

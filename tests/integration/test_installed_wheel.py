@@ -16,7 +16,7 @@ import scipy.io
 import yaml
 from packaging.requirements import Requirement
 
-from friction_hil import __version__
+from friction_hil import __version__, recordings
 from friction_hil.errors import FrictionHilError
 from tests.installed_wheel import build, install, share_compiled_code
 from tests.launcher import installed_in
@@ -40,6 +40,7 @@ ADDED = {
     "friction-hil identify": ("--models", "coulomb"),
 }
 LONGEST_S = 2.0  # of a run, in simulated time
+TRIAL_S = 6.0  # of the first one; its first 4 s are without compensation
 PERIOD_S = 2e-3
 EXPERIMENT = {"velocity": 4.0, "travel": 1.0, "duration_s": 10.0, "ramp_s": 0.25}
 LIMITS = {"torque": 0.3, "torque_slew": 300.0, "velocity": 30.0, "following_error": 2.0}
@@ -187,10 +188,10 @@ def as_run(name, words, bus):
     """A command on a machine without CAN, in simulated time and less of it."""
     words = [bus if word == "can0" else word for word in words]
     if "--simulated" in words:
-        words += ["--bus", bus]
+        words += ["--bus", bus, "--bitrate", "1000000"]  # a bit rate may stay in a file for udp_multicast
     if "--duration" in words:
-        at = words.index("--duration") + 1
-        words[at] = str(min(float(words[at]), LONGEST_S))
+        at, longest_s = words.index("--duration") + 1, TRIAL_S if "trial.yaml" in words else LONGEST_S
+        words[at] = str(min(float(words[at]), longest_s))
     return [*words, *ADDED.get(name, ())]
 
 
@@ -200,14 +201,36 @@ def fill_in(path):
     path.write_text(re.sub(r"(?<=period_s: )\S+", str(PERIOD_S), text))
 
 
+def following_error(path, start_s, end_s):
+    """RMS of the following error within a time."""
+    recording = recordings.read(path)
+    time = recording["time_s"]
+    error = recording["position_demand"] - recording["position"]
+    return float(np.sqrt(np.nanmean(error[(time >= start_s) & (time < end_s)] ** 2)))
+
+
+def check_that_a_model_is_missing(outputs):
+    """Before tune, each command says what is not there yet, and what makes it; a run is refused."""
+    for step in ("config check machine.yaml", "doctor machine.yaml", "run machine.yaml --dry-run"):
+        assert "machine_x.yaml" in outputs[step]
+        assert "tune" in outputs[step]
+    assert "machine.yaml: ok\n" in outputs["config check machine.yaml"]
+    refused = run("run", "machine.yaml", check=False)
+    assert refused.returncode == 2
+    assert "machine_x.yaml; 'friction-hil tune' identifies" in refused.stderr
+
+
 def test_readmes_commands_in_their_order_in_an_empty_folder(installed, tmp_path, monkeypatch):
-    """Each ends well, with simulated drives in the place of the user's."""
+    """They lead to a compensated turn; each ends well, with simulated drives in the place of the user's."""
     commands = list(complete_commands())
     bus = f"udp_multicast:{GROUP}:{free_port()}"
     prepare(tmp_path, commands)
     monkeypatch.chdir(tmp_path)
+    outputs = {}
     with contextlib.ExitStack() as drives:
         for name, words in commands:
+            if name == "friction-hil tune":
+                check_that_a_model_is_missing(outputs)
             if name == "friction-hil simulate":
                 drives.close()  # the user has stopped the ones before
                 path, options = words[-1], words[1:-1]
@@ -215,10 +238,14 @@ def test_readmes_commands_in_their_order_in_an_empty_folder(installed, tmp_path,
                 continue
             done = run(*as_run(name, words, bus), check=False)
             assert done.returncode == 0, f"{shlex.join(words)}:\n{done.stderr}{done.stdout}"
+            outputs[" ".join(words[:3])] = done.stdout + done.stderr
             if name == "friction-hil config new":
                 fill_in(Path(words[2]))
             if words[:3] == ["run", "trial.yaml", "--simulate"]:  # from here on a drive on the bus is the user's
                 drives.enter_context(simulated_drives(Path("trial.yaml")))
+    assert "times" in outputs["run trial.yaml --simulate"]
+    assert following_error("out/trial.mcap", 5.0, 6.0) < 0.7 * following_error("out/trial.mcap", 2.0, 4.0)
+    assert np.ptp(recordings.read("listen.mcap")["position"]) < 1e-3
     used = {name for name, _ in commands}
     assert {"friction-hil run", "friction-hil tune", "friction-hil config check"} <= used
     for made in ("listen.mcap", "run.mcap", "run.png", "emps.yaml", "emps.html"):

@@ -90,7 +90,7 @@ ELSEWHERE = (
     ("friction-hil identify --where --group-by --unknown-gain", "test_servo_has_friction_that_grows_with_its_load"),
     ("friction-hil replay --scheduler", "test_a_worker_that_is_killed_costs_no_bit"),
     ("friction-hil convert", "test_convert_writes_it"),
-    ("friction-hil config new --simulated --bus", "test_readme_leads_from_an_empty_folder_to_a_compensated_turn"),
+    ("friction-hil config new --simulated --bus", "test_readmes_commands_in_their_order_in_an_empty_folder"),
     ("friction-hil config new --bus --node --torque --velocity --travel", "test_what_is_asked_for_is_in_the_file"),
     (
         "friction-hil config new --driver --description",

@@ -386,3 +386,13 @@ def test_an_axis_of_the_odrive_that_nobody_has(tmp_path):
         status, text = refused(here)
     assert status == 1
     assert "Error: x: read position and velocity of x: " in text
+
+
+@pytest.mark.parametrize("driver", ["modbus", "ascii"])
+def test_a_simulated_serial_drive_runs_from_a_new_file(driver, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    port = str(tmp_path / "line")
+    run("config", "new", "trial", "--driver", driver, "--simulated", "--bus", port)
+    with simulated_drives("trial.yaml"):
+        run("run", "trial.yaml", "--pace", "sync", "--duration", "0.5", "--record", "run.mcap")
+    assert fh.recordings.read("run.mcap")["position"].size > 20
