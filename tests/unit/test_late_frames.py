@@ -194,6 +194,19 @@ def test_an_axis_that_goes_on_by_itself_over_missed_periods_finds_its_path_where
     assert np.abs(run.error()).max() < 1.2 * np.abs(smooth.error()).max()
 
 
+def test_in_csv_a_position_that_is_far_off_asks_for_less_than_the_velocity_limit():
+    """A drive that has stood now and then, as one may whose clock is locked to SYNC."""
+
+    def lag_behind(cycle, feedback):
+        feedback[0].position += 0.0039 * sum(cycle >= begin for begin in range(1000, 1060, 10))
+
+    changes = {"trajectory": SINE, "limits": LIMITS | {"velocity": 2.0}}
+    run = Run(axis("csv", **changes), disturb=lag_behind, duration_s=2.0)
+    assert run.result.faults == []
+    sent = np.abs([command.velocity for command in run.commands[0]])
+    assert 1.7 < sent.max() <= 0.5 * (2.0 + math.pi * 0.5) * (1.0 + 1e-9)
+
+
 def test_periods_missed_again_and_again_are_no_step_of_the_position_either():
     """Four periods of every twenty: a stop by another process, not a loop that is too slow."""
     limits = LIMITS | {"velocity": 2.0}
