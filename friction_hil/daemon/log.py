@@ -75,8 +75,15 @@ class RunLog:
         self.result = LoopResult()
 
     def fault(self, cycle: int, text: str) -> None:
-        """Keep a fault, with the periods that were missed shortly before; the same text counts once."""
-        if text not in self._said and len(self.result.faults) < _MOST_FAULTS:
+        """Keep a fault, with the periods that were missed shortly before; the same text counts once.
+
+        Of many, the first ones are kept.
+        """
+        if len(self.result.faults) < _MOST_FAULTS:
+            self._keep_fault(cycle, text)
+
+    def _keep_fault(self, cycle: int, text: str) -> None:
+        if text not in self._said:
             self._said.add(text)
             text = self._with_missed(cycle, text)
             self.result.faults.append(text)
@@ -101,7 +108,7 @@ class RunLog:
             self._sink.event(cycle, "notice", text)
 
     def drive_state(self, cycle: int, name: str, state: DriveState, *, is_read_back: bool) -> None:
-        """Keep the state of a drive after the stop; one that may have power is a fault.
+        """Keep the state of a drive after the stop; one that may have power is a fault, however many there were before.
 
         Where the driver reads nothing back, a run that failed already gets a warning: its fault says what happened.
         """
@@ -109,11 +116,11 @@ class RunLog:
         self._sink.event(cycle, "drive_state", f"{name}: {state.words}")
         if state is DriveState.UNKNOWN:
             text = f"{name}: the state of the drive after the stop is unknown: it may have power"
-            tell = self.fault if is_read_back or not self.result.faults else self.warn
+            tell = self._keep_fault if is_read_back or not self.result.faults else self.warn
             tell(cycle, FaultCode.STATE_UNKNOWN.append_to(text))
         elif state.is_powered and not any(fault.startswith(f"{name}: still powered") for fault in self.result.faults):
             text = f"{name}: still powered after the stop: the drive is in {state.words}"
-            self.fault(cycle, FaultCode.STILL_POWERED.append_to(text))
+            self._keep_fault(cycle, FaultCode.STILL_POWERED.append_to(text))
 
     def missed(self, cycle: int, skipped: int, overslept_ns: int, max_missed: int) -> None:
         """Count the periods missed before ``cycle``; ``max_missed`` of them in a row are a fault."""

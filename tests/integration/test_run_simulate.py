@@ -111,7 +111,8 @@ def test_whatever_ends_the_run_ends_its_drives(number, tmp_path):
         daemon.send_signal(number)
         daemon.communicate(timeout=60)
     wait_until(lambda: has_ended(drives), 10.0)
-    assert daemon.returncode == (-signal.SIGKILL if number == signal.SIGKILL else 0)
+    # 130: it was interrupted before anything was enabled
+    assert daemon.returncode in ((-signal.SIGKILL,) if number == signal.SIGKILL else (0, 130))
 
 
 def test_a_fault_and_drives_that_do_not_start_leave_nothing_behind(tmp_path):

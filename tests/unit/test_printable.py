@@ -18,7 +18,7 @@ from friction_hil.cli import main
 from friction_hil.printable import PrintableStream, own_style, printable
 
 EVIL = "\x1b]0;owned\x07\x1b[2J\r\x9b31m\u202e[/red]:boom:"
-SHOWN = r"\u001b]0;owned\u001b[2J\u009b31m\u202e[/red]:boom:"  # in a table; rich drops some of them
+SHOWN = r"\u001b]0;owned\u0007\u001b[2J\u000d\u009b31m\u202e[/red]:boom:"
 
 
 @given(st.text(st.characters(codec=None)))

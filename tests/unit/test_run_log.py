@@ -1,0 +1,36 @@
+"""What a run keeps of its faults, and of the states of the drives at its end."""
+
+import pytest
+
+from friction_hil.daemon.log import RunLog
+from friction_hil.drive import DriveState
+
+
+class Events:
+    """A sink that keeps events."""
+
+    def __init__(self):
+        self.events = []
+
+    def push(self, row):
+        raise AssertionError("a log pushes no rows")
+
+    def event(self, cycle, name, text):
+        self.events.append((cycle, name, text))
+
+
+@pytest.mark.parametrize("state", [DriveState.UNKNOWN, DriveState.OPERATION_ENABLED])
+def test_a_drive_that_may_have_power_at_the_end_is_a_fault_after_any_number_of_others(state):
+    sink = Events()
+    log = RunLog(sink, 1e-3)
+    for k in range(1000):
+        log.fault(k, f"fault {k}")
+    kept = list(log.result.faults)
+    assert kept == [f"fault {k}" for k in range(len(kept))]
+    assert len(kept) < 100
+    log.drive_state(1000, "x", state, is_read_back=True)
+    log.drive_state(1000, "y", DriveState.SWITCH_ON_DISABLED, is_read_back=True)
+    (last,) = log.result.faults[len(kept) :]
+    assert last.startswith("x: ")
+    assert (1000, "fault", last) in sink.events
+    assert log.result.drive_states == [state, DriveState.SWITCH_ON_DISABLED]
