@@ -268,7 +268,9 @@ class AxisLoop:
             fault = self._first_motion.take(position, velocity, is_usable=is_usable) or fault
             command.velocity = self._first_motion.target
         if setpoint is not None and state is LoopState.RUNNING:
-            condition = _WITHOUT if running_s < self._baseline_s else _WITH if running_s > self._faded_in_s else _FADING
+            condition = (
+                _WITHOUT if running_s < self._baseline_s else _WITH if running_s >= self._faded_in_s else _FADING
+            )
             self.following_errors.take(condition, setpoint.position - position, missed, is_usable)
             if is_usable and self._follow_check is not None:
                 fault = self._follow_check.take(position, estimate, setpoint.position, command.torque) or fault

@@ -1,7 +1,9 @@
 """Figures of an axis in a run: its following error without and with compensation, its feedback, and warnings."""
 
 import math
-from dataclasses import dataclass
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from enum import IntEnum
 
 from friction_hil.compensator import Compensator
@@ -9,6 +11,8 @@ from friction_hil.compensator import Compensator
 _LONGEST_GAP = 10_000  # cycles; a longer one is a fault in any configuration
 _MOST_REASONS = 20
 _OTHERS = "other reasons"
+_MOST_PERIODS = 1000  # of a condition that are kept apart, the last ones
+_ROUNDING = 1e-6  # of a cycle
 
 SETTLE_S = 0.5  # time for the drive's loops to settle after a ramp or a fade
 RECOVERY_S = 0.03  # after a missed period: several time constants of a position loop
@@ -84,8 +88,8 @@ class AxisFigures:
     compensated: ConditionFigures | None
     is_comparable: bool
     stale: int
-    bridged: int
-    bridged_reasons: dict[str, int]
+    bridged: int = 0
+    bridged_reasons: dict[str, int] = field(default_factory=dict)
 
     @property
     def reduction(self) -> Figures | None:
@@ -95,20 +99,35 @@ class AxisFigures:
         return self.without.times(self.compensated)
 
 
-class _Sum:
-    """Sum over the cycles of one condition."""
+@dataclass(slots=True)
+class _Part:
+    """Sum over cycles of one condition, from ``begin`` to ``end``, cycles of the motion."""
 
-    __slots__ = ("count", "left_out", "peak", "square")
+    begin: float
+    end: float
+    count: int = 0
+    left_out: int = 0
+    square: float = 0.0
+    peak: float = 0.0
+
+    def add(self, other: "_Part") -> None:
+        """Add the cycles of another part, which may follow at any time."""
+        self.begin, self.end = min(self.begin, other.begin), max(self.end, other.end)
+        self.count += other.count
+        self.left_out += other.left_out
+        self.square += other.square
+        self.peak = max(self.peak, other.peak)
+
+
+class _Parts:
+    """What is known of one condition: whole periods of the motion, and steady motion that was shorter than one."""
+
+    __slots__ = ("last", "partial", "whole")
 
     def __init__(self) -> None:
-        self.count = self.left_out = 0
-        self.square = self.peak = 0.0
-
-    @property
-    def figures(self) -> ConditionFigures | None:
-        if not self.count:
-            return None
-        return ConditionFigures(math.sqrt(self.square / self.count), self.peak, self.count, self.left_out)
+        self.whole = _Part(math.inf, -math.inf)
+        self.last: deque[_Part] = deque(maxlen=_MOST_PERIODS)
+        self.partial: list[_Part] = []
 
 
 class FollowingErrors:
@@ -116,8 +135,9 @@ class FollowingErrors:
 
     What counts is steady motion: not the ramp at the start, not the fade of the compensation, not the `SETTLE_S` after
     each of them, and not cycles in which or shortly before which a period was missed or feedback was late. Of a
-    periodic motion only whole periods count, so that both conditions are compared over the same parts of the path; if
-    a run is too short for one, the steady motion that there is.
+    periodic motion only whole periods count, the last ones, as many without as with compensation, so that both are
+    compared over the same parts of the path and equally long; if a run is too short for one, the steady motion that
+    there is. Of a recording `friction_hil.analysis.baseline` computes the same figures by this class.
 
     Parameters
     ----------
@@ -137,14 +157,14 @@ class FollowingErrors:
         "_first",
         "_left_out",
         "_length",
-        "_partial",
+        "_parts",
         "_peak",
+        "_period_begin",
         "_period_end",
         "_recovered",
         "_recovery",
         "_settle",
         "_square",
-        "_whole",
     )
 
     def __init__(self, period_s: float, start_s: float, motion_s: float) -> None:
@@ -154,10 +174,9 @@ class FollowingErrors:
         self._length = motion_s / period_s
         self._cycle = -1
         self._condition = Condition.FADING
-        self._begin = self._period_end = math.inf
+        self._begin = self._period_begin = self._period_end = math.inf
         self._recovered = 0.0  # cycle from which on errors count again
-        self._whole = [_Sum() for _ in Condition]
-        self._partial = [_Sum() for _ in Condition]  # of steady motion that was shorter than a period
+        self._parts = [_Parts() for _ in Condition]
         # of the period that has not ended yet: plain numbers, because every cycle adds to them
         self._count = self._left_out = 0
         self._square = self._peak = 0.0
@@ -198,31 +217,59 @@ class FollowingErrors:
             self._end_period()
 
     def _enter(self, condition: Condition) -> None:
-        self._move_to(self._partial)
+        self._end_part(self._cycle)
         self._condition = condition
         is_fading = condition is Condition.FADING
-        self._begin = math.inf if is_fading else max(self._cycle + self._settle, self._first)
-        self._period_end = self._begin + self._length
+        self._begin = math.inf if is_fading else max(self._cycle + self._settle, self._first) - _ROUNDING
+        self._period_begin, self._period_end = self._begin, self._begin + self._length
 
     def _end_period(self) -> None:
-        self._move_to(self._whole)
+        period, parts = self._take_sum(self._period_end), self._parts[self._condition]
+        parts.whole.add(period)
+        parts.last.append(period)
         while self._cycle + 1 >= self._period_end:
+            self._period_begin = self._period_end
             self._period_end += self._length
 
-    def _move_to(self, sums: list[_Sum]) -> None:
-        """Add what has been counted since the last call to the sum of the present condition."""
-        target = sums[self._condition]
-        target.count += self._count
-        target.left_out += self._left_out
-        target.square += self._square
-        target.peak = max(target.peak, self._peak)
+    def _end_part(self, end: float) -> None:
+        """Keep what has been counted since the last whole period, up to the cycle ``end``."""
+        if self._count or self._left_out:
+            self._parts[self._condition].partial.append(self._take_sum(end))
+            self._period_begin = end
+
+    def _take_sum(self, end: float) -> _Part:
+        part = _Part(self._period_begin, end, self._count, self._left_out, self._square, self._peak)
         self._count = self._left_out = 0
         self._square = self._peak = 0.0
+        return part
+
+    def _counted(self, condition: Condition) -> Sequence[_Part]:
+        """Return the parts that count, after the last cycle."""
+        self._end_part(self._cycle + 1.0)
+        found = self._parts[condition]
+        if not found.whole.count:
+            return found.partial
+        kept = [len(self._parts[each].last) for each in (Condition.WITHOUT, Condition.WITH)]
+        return list(found.last)[-min(kept) :] if all(kept) else [found.whole]
 
     def figures(self, condition: Condition) -> ConditionFigures | None:
         """Return the figures of a condition, after the last cycle; None if no cycle of it counts."""
-        self._move_to(self._partial)
-        return self._whole[condition].figures or self._partial[condition].figures
+        total = _Part(math.inf, -math.inf)
+        for part in self._counted(condition):
+            total.add(part)
+        if not total.count:
+            return None
+        return ConditionFigures(math.sqrt(total.square / total.count), total.peak, total.count, total.left_out)
+
+    def intervals(self, condition: Condition) -> list[tuple[float, float]]:
+        """Return begin and end of what counts, cycles of the motion."""
+        joined: list[tuple[float, float]] = []
+        for part in self._counted(condition):
+            if joined and part.begin - joined[-1][1] < 1.0:
+                joined[-1] = joined[-1][0], part.end
+            else:
+                joined.append((part.begin, part.end))
+        return joined
 
 
 class FeedbackGaps:

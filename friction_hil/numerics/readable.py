@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable
+from typing import Protocol
 
 _PREFIXES = ((1.0, ""), (1e3, "m"), (1e6, "µ"))
 _SMALLEST = (1e9, "n")
@@ -14,7 +15,7 @@ def readable(unit: str, values: Iterable[float]) -> tuple[float, str]:
     Parameters
     ----------
     unit : str
-        SI unit of the values: rad, m, N m, ...
+        SI unit of the values: rad, m, N m, ...; ``rad or m`` if it is not known exactly.
     values : iterable of float
         Zeros and values that are not finite do not count; without any other the unit has no prefix.
     """
@@ -22,10 +23,8 @@ def readable(unit: str, values: Iterable[float]) -> tuple[float, str]:
     if not sizes:
         return 1.0, unit
     smallest = min(sizes)
-    for factor, prefix in _PREFIXES:
-        if smallest * factor >= 1.0:
-            return factor, prefix + unit
-    return _SMALLEST[0], _SMALLEST[1] + unit
+    factor, prefix = next((each for each in _PREFIXES if smallest * each[0] >= 1.0), _SMALLEST)
+    return factor, " or ".join(prefix + each for each in unit.split(" or "))
 
 
 def digits(value: float, significant: int = 3) -> str:
@@ -55,6 +54,44 @@ def brief(value: float, significant: int = 5) -> str:
     if 10.0 ** (significant - 1) <= size < _LARGEST_PLAIN:
         return f"{value:.0f}"
     return without_negative_zero(f"{value:.{significant}g}")
+
+
+class FollowingError(Protocol):
+    """Root mean square and largest absolute value of a following error, rad or m, or their ratios to others."""
+
+    @property
+    def rms(self) -> float:
+        """Root mean square."""
+        ...
+
+    @property
+    def peak(self) -> float:
+        """Largest absolute value."""
+        ...
+
+
+def comparison(
+    unit: str,
+    without: FollowingError | None,
+    compensated: FollowingError | None,
+    reduction: FollowingError | None,
+) -> list[tuple[str, str, str, str]]:
+    """Return RMS and peak of the following error: name with unit, without, with compensation, times lower.
+
+    Parameters
+    ----------
+    unit : str
+        Unit of the position: rad or m.
+    without, compensated, reduction : FollowingError or None
+        The errors and the ratio of the first to the second; ``-`` stands for one that is None.
+    """
+    factor, shown = readable(unit, [each.rms for each in (without, compensated) if each is not None])
+    columns = ((without, factor, 3), (compensated, factor, 3), (reduction, 1.0, 2))
+
+    def cells(name: str) -> list[str]:
+        return ["-" if each is None else digits(getattr(each, name) * by, kept) for each, by, kept in columns]
+
+    return [(f"{name} [{shown}]", *cells(name)) for name in ("rms", "peak")]  # type: ignore[misc]
 
 
 def shortened(text: str, width: int) -> str:

@@ -2,7 +2,7 @@
 
 from dataclasses import asdict, dataclass
 
-from friction_hil.analysis.baseline import without_and_with
+from friction_hil.analysis.baseline import Phase, without_and_with
 from friction_hil.analysis.following import Figures
 from friction_hil.config import AxisConfig
 from friction_hil.errors import RecordingError
@@ -49,7 +49,7 @@ class Trial:
 
 
 def judge(recording: Recording, axis: AxisConfig, cycle_s: float, start_s: float) -> Trial:
-    """Compare the last whole periods without compensation with the last ones of the run.
+    """Compare the last whole periods without compensation with the last ones with it.
 
     Parameters
     ----------
@@ -71,8 +71,13 @@ def judge(recording: Recording, axis: AxisConfig, cycle_s: float, start_s: float
     before, after = without_and_with(
         recording, cycle_s=cycle_s, motion_s=motion_s, start_s=start_s, fade_s=axis.compensation.fade_s
     )
-    if before is None or after is None:
+    phases = [each for each in (before, after) if each and _length_s(each) > motion_s - 0.5 * cycle_s]
+    if before is None or after is None or len(phases) < 2:
         raise RecordingError(
             f"{recording.path}: {recording.axis}: no whole period of {motion_s:g} s without and with compensation"
         )
     return Trial(before.figures, after.figures, before.time_s, (before.error, after.error))
+
+
+def _length_s(phase: Phase) -> float:
+    return sum(end - begin for begin, end in phase.intervals_s)

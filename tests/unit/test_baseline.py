@@ -1,5 +1,7 @@
 """The rows that count without and with compensation, on recordings whose error is known exactly."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -45,38 +47,54 @@ def test_whole_periods_of_settled_motion_count_as_many_without_as_with():
     before, after = phases(recorded())
     assert (before.figures.rms, before.figures.peak) == pytest.approx((2e-3, 2e-3))
     assert (after.figures.rms, after.figures.peak) == pytest.approx((5e-4, 5e-4))
-    assert before.interval_s == pytest.approx((1.1, 3.1))  # of 2.3 s that have settled, 2 s are whole periods
-    assert after.interval_s == pytest.approx((4.1, 6.1))
+    # of 2.3 s that have settled without and 2.4 s with compensation, 2 s are whole periods
+    assert before.intervals_s == [pytest.approx((0.8, 2.8))]
+    assert after.intervals_s == [pytest.approx((3.7, 5.7))]
     assert len(before.time_s) == len(before.error) == 500
     assert before.figures.times(after.figures).rms == pytest.approx(4.0)
 
 
-def test_a_motion_without_period_counts_equally_long():
-    before, after = phases(recorded(), motion_s=None)
-    lengths = [stop - start for start, stop in (before.interval_s, after.interval_s)]
-    assert lengths == pytest.approx([2.3, 2.3])
+def test_of_the_longer_part_the_last_periods_count():
+    before, after = phases(recorded(on=(2000, RUNNING)))
+    assert before.intervals_s == [pytest.approx((0.8, 1.8))]
+    assert after.intervals_s == [pytest.approx((4.7, 5.7))]
+
+
+def test_a_motion_without_period_counts_as_a_whole():
+    before, after = phases(recorded(), motion_s=math.inf)
+    assert before.intervals_s == [pytest.approx((0.8, 3.1))]
+    assert after.intervals_s == [pytest.approx((3.7, 6.1))]
     assert (before.figures.rms, after.figures.rms) == pytest.approx((2e-3, 5e-4))
     assert not np.isnan(before.error).any()
 
 
-def test_a_drive_that_its_master_switches_off_again_does_not_stretch_the_first_part():
-    before, after = phases(recorded(on=(ON, 5500)))
-    assert before.interval_s[1] == pytest.approx(3.1)
-    assert after.interval_s[1] == pytest.approx(5.6)
-    assert before.figures.peak == pytest.approx(2e-3)
+def test_a_drive_that_its_master_switches_off_again_settles_anew():
+    made = recorded(on=(ON, 4500))
+    moving = made["cycle"] - IDLE
+    late = moving >= 4500 + (FADE_S + SETTLE_S) / CYCLE_S
+    made.columns["position"][late] = made["position_demand"][late] - 2e-3
+    before, after = phases(made, motion_s=math.inf)
+    assert before.intervals_s == [pytest.approx((0.8, 3.1)), pytest.approx((5.2, 6.1))]
+    assert after.intervals_s == [pytest.approx((3.7, 4.6))]
+    assert (before.figures.peak, after.figures.peak) == pytest.approx((2e-3, 5e-4))
 
 
 def test_rows_before_the_master_gives_a_demand_do_not_count():
-    before, _ = phases(recorded(known_from=1000))
-    assert before.interval_s == pytest.approx((2.1, 3.1))
+    before, _ = phases(recorded(known_from=1000), motion_s=math.inf)
+    assert before.intervals_s == [pytest.approx((1.6, 3.1))]
     assert before.figures.peak == pytest.approx(2e-3)
 
 
 def test_a_part_that_is_missing_is_none():
     before, after = phases(recorded(on=(RUNNING, RUNNING)))
-    assert before.interval_s[1] == pytest.approx(6.1)
+    assert before.intervals_s == [pytest.approx((0.8, 5.8))]
     assert after is None
     assert phases(recorded(on=(0, RUNNING)))[0] is None
+
+
+def test_the_start_does_not_count_where_the_compensation_begins_with_it():
+    _, after = phases(recorded(on=(0, RUNNING)))
+    assert after.figures.peak == pytest.approx(5e-4)
 
 
 def test_rows_after_a_missed_period_do_not_count():

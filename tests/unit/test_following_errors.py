@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from friction_hil.analysis.baseline import without_and_with
 from friction_hil.cli.work.run import _hint
 from friction_hil.daemon.figures import (
     RECOVERY_OF_LATE,
@@ -19,7 +20,7 @@ from friction_hil.daemon.figures import (
     ConditionFigures,
     FollowingErrors,
 )
-from friction_hil.daemon.safety import LoopState
+from friction_hil.recordings import Recording
 from tests.loop_run import SINE, Run, axis
 from tests.servo_drives import configuration
 
@@ -44,13 +45,20 @@ def taken(cycles, error, *, missing=(), late=(), motion_s=PERIOD_S, ramp_s=RAMP_
     return errors.figures(WITHOUT), errors.figures(WITH)
 
 
-def expected(cycles, error, condition, missing=(), late=()):
-    """The same, over arrays: whole periods after the settling, without the cycles that recover."""
-    number = np.arange(len(cycles))
-    inside = number[cycles == condition]
+def periods(cycles, condition):
+    """First cycle after the settling, and the number of whole periods from there on."""
+    inside = np.flatnonzero(cycles == condition)
     begin = max(inside[0] + SETTLE_S / T, (RAMP_S + SETTLE_S) / T)
+    return begin, int((inside[-1] + 1 - begin) / (PERIOD_S / T) + 1e-9)
+
+
+def expected(cycles, error, condition, missing=(), late=()):
+    """The same, over arrays: the last whole periods, as many of both conditions, without the cycles that recover."""
+    number = np.arange(len(cycles))
+    begin, whole = periods(cycles, condition)
+    count = min(periods(cycles, each)[1] for each in (WITHOUT, WITH))
     length = PERIOD_S / T
-    count = int((inside[-1] + 1 - begin) / length + 1e-9)
+    begin += (whole - count) * length
     kept = (number >= begin) & (number < begin + count * length) & ~np.isin(number, [*missing, *late])
     for k in number:
         if k not in missing and k - 1 in missing:
@@ -122,21 +130,20 @@ def test_an_interrupted_operation_settles_anew():
 def test_a_run_has_the_figures_that_its_recording_shows(mode):
     given = {"trajectory": SINE, "compensation": {"baseline_s": 2.0, "fade_s": 0.1}}
     run = Run(axis(mode, **given), duration_s=5.0)
-    period_s = run.config.period_s
-    running = run.column("state") == LoopState.RUNNING
-    error = run.error()
-    enabled = run.column("is_enabled")[running] == 1.0
     [one] = run.axes
-    start = round((SINE["ramp_s"] + SETTLE_S) / period_s)
-    lap = round(1.0 / period_s)
-    without = error[~enabled][start : start + lap]  # 1.25 s of steady motion: one period
-    settled = round((0.1 + SETTLE_S) / period_s)
-    compensated = error[enabled][settled + 1 : settled + 1 + 2 * lap]  # 2.4 s: two
-    for part, condition in ((without, WITHOUT), (compensated, WITH)):
+    names = ("time_s", "cycle", "position", "position_demand", "is_fresh", "is_enabled", "state")
+    recording = Recording("run.mcap", "x", {name: run.column(name) for name in names})
+    found = without_and_with(recording, cycle_s=run.config.period_s, motion_s=1.0, start_s=SINE["ramp_s"], fade_s=0.1)
+    lap = round(1.0 / run.config.period_s)
+    for phase, condition in zip(found, (WITHOUT, WITH), strict=True):
         figures = one.following_errors.figures(condition)
-        assert figures.counted == len(part)
-        assert figures.rms == pytest.approx(math.sqrt(np.mean(part**2)), rel=1e-3)
-        assert figures.peak == pytest.approx(np.abs(part).max(), rel=1e-3)
+        assert figures.counted == lap  # 1.25 s of steady motion without compensation: one period of each
+        assert (phase.figures.rms, phase.figures.peak) == (figures.rms, figures.peak)
+        error = recording["position_demand"] - recording["position"]
+        [(begin, end)] = phase.intervals_s
+        inside = (recording["time_s"] >= begin - 1e-9) & (recording["time_s"] < end - 1e-9)
+        assert figures.rms == pytest.approx(math.sqrt(np.mean(error[inside] ** 2)))
+        assert figures.peak == pytest.approx(np.abs(error[inside]).max())
 
 
 def hinted(figures, **changes):

@@ -17,7 +17,7 @@ from friction_hil.reports import figures, model_picture, replay_picture
 from friction_hil.reports.circularity_picture import draw_error
 from friction_hil.reports.hysteresis_loops import turning_points
 from friction_hil.reports.identification_pictures import draw_loops, draw_time
-from friction_hil.reports.numbers import comparison_rows, digits, prefix_of, readable
+from friction_hil.reports.numbers import comparison_rows, digits, readable
 from friction_hil.reports.page import picture
 from friction_hil.reports.run.picture import draw_run
 from friction_hil.reports.run.view import make_view
@@ -114,7 +114,7 @@ def test_digits_of_minus_zero():
 def test_units_ignore_what_is_zero_or_unknown():
     assert readable("rad", [0.0, 2e-4, np.nan]) == (1e6, "µrad")
     assert readable("rad", [0.0]) == (1.0, "rad")
-    assert prefix_of("rad or m", [0.02]) == (1e3, "mrad or mm")
+    assert readable("rad or m", [0.02]) == (1e3, "mrad or mm")
     assert list(comparison_rows("rad", None, None)) == []
 
 

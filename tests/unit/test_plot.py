@@ -69,7 +69,7 @@ def is_picture(path: Path) -> bool:
 
 
 def recomputed(path: Path, stop_s: float, is_enabled: float) -> tuple[float, float]:
-    """RMS and peak of the last whole period of 1 s before ``stop_s``, straight from the columns."""
+    """RMS and peak of the whole period of 1 s before ``stop_s``, straight from the columns."""
     recording = recordings.read(path)
     rows = (recording["time_s"] > stop_s - 1.0 - 5e-4) & (recording["time_s"] < stop_s - 5e-4)
     assert np.all(recording["is_enabled"][rows] == is_enabled)
@@ -93,16 +93,17 @@ def test_each_mode_has_its_picture_and_its_figures_are_those_of_the_columns(mode
     assert off_s == pytest.approx(start_s + BASELINE_S, abs=2e-3)
     for name, stop_s, is_enabled in (("without", off_s, 0.0), ("with", end_s, 1.0)):
         figures = facts["following_error"][name]
-        assert (figures["rms"], figures["peak"]) == pytest.approx(recomputed(path, stop_s, is_enabled), rel=1e-9)
+        assert figures["from_s"] + 1.0 == pytest.approx(figures["to_s"])
+        assert figures["to_s"] <= stop_s
+        expected = recomputed(path, figures["to_s"], is_enabled)
+        assert (figures["rms"], figures["peak"]) == pytest.approx(expected, rel=1e-9)
         assert figures["from_s"] >= (start_s + RAMP_S if is_enabled == 0.0 else off_s + FADE_S) + SETTLE_S - 1e-6
     assert facts["following_error"]["with"]["rms"] < facts["following_error"]["without"]["rms"]
 
 
 def test_the_table_of_the_picture_holds_the_recomputed_numbers(csp, runs):
     view = make_view(recordings.read(csp), runs["csp"].config)
-    off_s = float(np.flatnonzero(runs["csp"].column("is_enabled") == 1.0)[0]) * 1e-3
-    end_s = float(np.flatnonzero(runs["csp"].column("state") == LoopState.RUNNING)[-1] + 1) * 1e-3
-    before, after = recomputed(csp, off_s, 0.0), recomputed(csp, end_s, 1.0)
+    before, after = (recomputed(csp, view.phases[k].intervals_s[-1][1], float(k)) for k in (0, 1))
     header, *lines = comparison_text(view).splitlines()
     assert header.split() == ["following", "error", "without", "with", "times", "lower"]
     factors = {"mrad": 1e3, "µrad": 1e6}

@@ -11,8 +11,9 @@ import click
 from friction_hil import recordings
 from friction_hil.analysis.baseline import Phase
 from friction_hil.cli.output import print_json
+from friction_hil.cli.work.following import Compared, following_table
 from friction_hil.cli.work.progress import status_line
-from friction_hil.cli.work.tables import new_table, number, print_table
+from friction_hil.cli.work.tables import print_table
 from friction_hil.config import Configuration, from_dict, load
 from friction_hil.errors import ConfigurationError, FrictionHilError, Problem, UsageError
 from friction_hil.recordings import Recording
@@ -127,18 +128,18 @@ def _as_dict(view: RunView) -> dict[str, Any]:
 def _figures(phase: Phase | None) -> dict[str, Any] | None:
     if phase is None:
         return None
-    begin, end = phase.interval_s
-    return {**asdict(phase.figures), "from_s": begin, "to_s": end}
+    return {**asdict(phase.figures), "from_s": phase.intervals_s[0][0], "to_s": phase.intervals_s[-1][1]}
 
 
 def _print(views: dict[str, RunView], files: list[Path]) -> None:
-    figures = map(number, ("without", "with compensation", "times lower"))
-    table = new_table("axis", "following error", *figures)
+    rows = []
     for name, view in views.items():
-        for k, row in enumerate(view.rows):
-            table.add_row("" if k else name, *row)
-    if table.rows:
-        print_table(table)
+        without, compensated = (None if each is None else each.figures for each in view.phases)
+        if without or compensated:
+            reduction = without.times(compensated) if without and compensated else None
+            rows.append(Compared((name,), view.units[0], without, compensated, reduction))
+    if rows:
+        print_table(following_table(("axis",), rows))
     for view in views.values():
         faults = [mark for mark in view.marks if mark.is_fault]
         for mark in faults:

@@ -131,9 +131,9 @@ def _data(view: RunView, number: int) -> dict[str, Any]:
             for mark in view.marks
         ],
         "spans": [
-            {"from": phase.interval_s[0], "to": phase.interval_s[1], "color": color}
+            {"from": begin, "to": end, "color": color}
             for phase, color in zip(view.phases, (WITHOUT, WITH), strict=True)
-            if phase is not None
+            for begin, end in (phase.intervals_s if phase else ())
         ],
         "comparison": _comparison(view),
         "friction": _friction(view),

@@ -14,7 +14,7 @@ from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
 from friction_hil.recordings.columns import CYCLE, SHADOW_PREFIX
 from friction_hil.reports.figures import BLUE, GREEN, GREY, INK, ORANGE, SERIES, WITH, WITHOUT
-from friction_hil.reports.numbers import prefix_of
+from friction_hil.reports.numbers import readable
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,7 +85,7 @@ def following_error(
     is_fresh = recording["is_fresh"] if "is_fresh" in recording else np.ones(len(recording))
     error = following.error({**columns, "is_fresh": is_fresh})
     known = [each.figures.peak for each in phases if each] or [largest(error)]
-    factor, shown = prefix_of(unit, known)
+    factor, shown = readable(unit, known)
     error = error * factor
     if period_s is None or "is_enabled" not in recording or CYCLE not in recording:
         lines = [Line("demand minus measured position", INK, error)]
@@ -129,11 +129,9 @@ def timing(recording: Recording, notes: list[str]) -> list[Panel]:
         ("path_lag_s", "motion behind", ORANGE, 1e6),
     )
     lines = [Line(label, color, recording[name] * factor) for name, label, color, factor in known if name in recording]
-    if not lines:
-        notes.append("no timing of the loop: no column late_us")
-        return []
     if not any(largest(line.values) for line in lines):
-        notes.append("no timing of the loop: nothing is late in simulated time")
+        reason = "nothing is late in simulated time" if "late_us" in recording else "no column late_us"
+        notes.append(f"no timing of the loop: {reason}")
         return []
     return [Panel("timing", "time\n[µs]", tuple(line for line in lines if line.name == "late" or largest(line.values)))]
 
@@ -146,7 +144,7 @@ def _panel(
     if not present:
         return []
     name, words, unit = naming
-    factor, shown = prefix_of(unit, [max(largest(recording[each[0]]) for each in present)])
+    factor, shown = readable(unit, [max(largest(recording[each[0]]) for each in present)])
     lines = tuple(
         Line(label, color, recording[column] * factor, width, is_dashed)
         for column, label, color, width, is_dashed in present

@@ -81,8 +81,8 @@ def _draw_panel(axes: "Axes", view: RunView, panel: Panel, time: Array, lines: S
         )
     if panel.name == "error":
         for phase, color in zip(view.phases, (WITHOUT, WITH), strict=True):
-            if phase is not None:
-                axes.axvspan(*phase.interval_s, color=color, alpha=0.09, linewidth=0.0, zorder=0)
+            for interval in phase.intervals_s if phase else ():
+                axes.axvspan(*interval, color=color, alpha=0.09, linewidth=0.0, zorder=0)
     axes.set_ylabel(panel.label)
     if view.time_s[-1] > view.time_s[0]:
         axes.set_xlim(view.time_s[0], view.time_s[-1])

@@ -1,5 +1,6 @@
 """What is drawn of one axis of a run, in units that can be read; the picture and the page both draw it."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +16,7 @@ from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
 from friction_hil.recordings.columns import CYCLE, TIME
 from friction_hil.recordings.quality import time_facts
-from friction_hil.reports.numbers import comparison_rows, prefix_of
+from friction_hil.reports.numbers import comparison_rows, readable
 from friction_hil.reports.run.friction import FrictionOverVelocity, friction_over_velocity
 from friction_hil.reports.run.panels import Panel, following_error, largest, motion, per_second, timing, torques
 
@@ -56,7 +57,7 @@ class RunView:
     phases : (Phase or None, Phase or None)
         Without and with compensation, of the whole run.
     is_periodic : bool
-        True if they are whole periods of the motion, False if they are only equally long.
+        True if the motion has a period.
     rows : tuple of tuple of str
         Their figures: name with unit, without, with, times lower.
     friction : FrictionOverVelocity or None
@@ -88,13 +89,13 @@ class RunView:
     @property
     def comparison_label(self) -> str:
         """Label of the time of both phases."""
-        return f"time within {'a period of the motion' if self.is_periodic else 'the last part of each'} [s]"
+        return f"time within {'a period of the motion' if self.is_periodic else 'each part'} [s]"
 
     @property
     def error_unit(self) -> tuple[float, str]:
         """Factor and unit in which the following error of both phases can be read."""
         figures = [each.figures.rms for each in self.phases if each is not None]
-        return prefix_of(self.units[0], figures)
+        return readable(self.units[0], figures)
 
 
 def make_view(
@@ -147,7 +148,7 @@ def make_view(
         missed=missed,
         marks=marks,
         phases=phases,
-        is_periodic=_motion_s(config) is not None,
+        is_periodic=math.isfinite(_motion_s(config)),
         rows=figures,
         friction=friction,
         units=units,
@@ -243,14 +244,14 @@ def _phases(
         notes.append(f"no figures of the following error: {error}")
         return None, None
     if phases == (None, None):
-        notes.append("no figures of the following error: there is no whole period of settled motion")
+        notes.append("no figures of the following error: the run ended before the motion was steady")
     return phases
 
 
-def _motion_s(config: AxisConfig | None) -> float | None:
-    """Return the period of the configured motion, s; None if it has none, or another controller moves the axis."""
+def _motion_s(config: AxisConfig | None) -> float:
+    """Return the period of the configured motion, s; infinity if it has none, or another controller moves the axis."""
     frequency = None if config is None else getattr(config.trajectory, "frequency", None)
-    return None if frequency is None else 1.0 / float(frequency)
+    return math.inf if frequency is None else 1.0 / float(frequency)
 
 
 def _missed(recording: Recording) -> tuple[Array, Array]:
