@@ -37,6 +37,11 @@ def own_style(text: str) -> str:
     return re.sub(f"\x1b{_STYLE}", rf"{_OWN_ESCAPE}\1", text)
 
 
+def without_own_style(text: str) -> str:
+    """Return ``text`` without what `own_style` has marked."""
+    return re.sub(f"{_OWN_ESCAPE}{_STYLE}", "", text)
+
+
 class PrintableStream:
     """A text stream that makes all text `printable` before it writes it to ``stream``.
 
@@ -57,7 +62,7 @@ class PrintableStream:
         shown = printable(text)
         if _OWN_ESCAPE in shown:
             is_terminal = self.rich_proxied_file.isatty()
-            shown = re.sub(f"{_OWN_ESCAPE}{_STYLE}", "\x1b\\1" if is_terminal else "", shown)
+            shown = re.sub(f"{_OWN_ESCAPE}{_STYLE}", "\x1b\\1", shown) if is_terminal else without_own_style(shown)
         self.rich_proxied_file.write(shown)
         return len(text)
 

@@ -55,6 +55,11 @@ class AxisLoop:
         Shadow models of all axes: the rows of all axes have the same columns.
     max_stale_cycles : int
         Largest number of successive cycles without usable feedback that are bridged.
+
+    Attributes
+    ----------
+    is_stopped_by_gaps : bool
+        The axis stops where set-points are missing: it has a path of positions. Velocity or torque would be kept.
     """
 
     # slots here and in its parts: with a __dict__, the deep copy that warms the caches would be laid out differently,
@@ -79,6 +84,7 @@ class AxisLoop:
         "compensator",
         "following_errors",
         "gaps",
+        "is_stopped_by_gaps",
         "lead_s",
         "motion",
         "name",
@@ -113,6 +119,7 @@ class AxisLoop:
             name, limits, period_s, facts.position_resolution, unit, max_stale_cycles, facts.velocity_resolution
         )
         self.motion = AxisMotion(name, unit, config, limits, facts, period_s, self.lead_s, path_time)
+        self.is_stopped_by_gaps = config.mode == "csp" and self.motion.distance > 0.0
         motion_s = 1.0 / config.trajectory.frequency if hasattr(config.trajectory, "frequency") else math.inf
         self.following_errors = FollowingErrors(period_s, path_time.ramp_s, motion_s)
         self.stale_cycles = 0  # without usable feedback

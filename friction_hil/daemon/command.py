@@ -124,7 +124,9 @@ class CommandWriter:
         command.velocity = sent.velocity
         if self._mode is Mode.CSV:
             wanted = sent.velocity + self._controller[0]["position_gain"] * (now.position - position)
-            command.velocity = min(max(wanted, -self._limits.velocity), self._limits.velocity)
+            # half of what the path leaves of the limit: a drive that is asked for the limit itself overshoots it
+            most = 0.5 * (min(abs(sent.velocity), self._limits.velocity) + self._limits.velocity)
+            command.velocity = min(max(wanted, -most), most)
 
     def _control(self, now: Setpoint | None, position: float, velocity: float) -> float:
         """Return the torque of the loop's own position and velocity control (CST), N m."""

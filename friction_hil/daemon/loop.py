@@ -87,6 +87,8 @@ class Loop:
         self._drives.receive(self._feedback, self._pacer.end_ns(cycle))
         if not self._run.begin(self._feedback, time_s):
             return
+        if any([feedback.is_setpoint_lost for feedback in self._feedback]):  # noqa: C419 - quicker than a generator
+            self._run.hold_path_for_lost(cycle)
         self._note_states(cycle)
         updates = self._update_axes(cycle, self._run.state, self._run.running_s(time_s))
         self._drives.send(self._commands)

@@ -19,6 +19,7 @@ from friction_hil.motion.trajectory import PathTime
 
 _FIRST_FEEDBACK_S = 1.0
 _REGULAR_TIMES, _REGULAR_PERIODS = 10, 200  # so often in so many: the loop is too slow for its period
+_BRIDGED_PERIODS = 1  # without a set-point, which a drive bridges; after more, going on with time would be a step
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +79,7 @@ class RunControl:
         self._idle_exchanges = ExchangeTimes(settings.period_s)
         self._has_begun = False
         self._setpoint_delay_s = max(axis.setpoint_delay_s for axis in axes)
+        self._is_stopped_by_gaps = any(axis.is_stopped_by_gaps for axis in axes)
         self._missed_before: deque[tuple[int, int]] = deque(maxlen=_REGULAR_TIMES)  # cycle, and periods missed before
         self._is_slowness_told = False
         self._running_since_s = 0.0 if settings.dry_run else math.nan
@@ -102,24 +104,39 @@ class RunControl:
     def hold_path(self, cycle: int, missed: int) -> None:
         """Let the path go on in ``cycle`` from where it was ``missed`` periods before, in which nothing was sent.
 
-        A loop that misses periods regularly has a longer period in truth: the path waits for what exceeds that.
+        Where no axis has stopped meanwhile (csv, cst), the path goes on with time, as the axes have. A loop that misses
+        periods regularly has a longer period in truth: the path then does not wait for single ones, which drives
+        bridge.
         """
-        if self._machine.state not in MOVING or self._settings.is_follower:
+        if not self._is_path_to_wait:
             return
         before = self._missed_before
         before.append((cycle, missed))
         if len(before) == _REGULAR_TIMES and cycle - before[0][0] < _REGULAR_PERIODS:
-            missed -= min(periods for _, periods in before)
+            missed = 0 if missed <= _BRIDGED_PERIODS else missed
             if not self._is_slowness_told:
                 self._is_slowness_told = True
                 text = (
                     f"periods are missed regularly, {_REGULAR_TIMES} times in {cycle - before[0][0] + 1}: set-points "
-                    "do not wait for them any more; take a longer period_s"
+                    "do not wait for single ones any more; take a longer period_s"
                 )
                 self._log.warn(cycle, text)
         if missed > 0:
-            time_s, missed_s = cycle * self._settings.period_s, missed * self._settings.period_s
-            self._path_time.hold(time_s, missed_s, time_s + self._setpoint_delay_s)
+            self._hold(cycle, missed)
+
+    def hold_path_for_lost(self, cycle: int) -> None:
+        """Let the path wait for the period before ``cycle``, whose set-point did not get to a drive."""
+        if self._is_path_to_wait:
+            self._hold(cycle, 1)
+
+    @property
+    def _is_path_to_wait(self) -> bool:
+        """True while an axis moves that stops where set-points are missing."""
+        return self._is_stopped_by_gaps and self._machine.state in MOVING and not self._settings.is_follower
+
+    def _hold(self, cycle: int, periods: int) -> None:
+        time_s, held_s = cycle * self._settings.period_s, periods * self._settings.period_s
+        self._path_time.hold(time_s, held_s, time_s + self._setpoint_delay_s)
 
     def path_lag_s(self, time_s: float) -> float:
         """Return by how much the path is behind after missed periods, s; NaN while the daemon moves nothing."""

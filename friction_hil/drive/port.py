@@ -77,6 +77,8 @@ class Feedback:
     missing: str = ""  # reason why nothing fresh came, if the driver knows it
     # False: cyclic commands do not reach the drive any more (node rebooted, lost, not Operational)
     is_reachable: bool = True
+    # the set-point of the cycle before did not get to the drive, as the driver knows: it keeps an earlier one
+    is_setpoint_lost: bool = False
     notices: list[str] = field(default_factory=list)  # to be recorded and shown once each; the loop empties it
     # of drives that another controller moves (`Drives.is_follower`)
     position_demand: float = math.nan  # the drive's demand after `AxisFacts.setpoint_delay_s`; NaN where not known

@@ -1,6 +1,7 @@
 """The companion as a real process: what it records, and what happens when something dies."""
 
 import contextlib
+import errno
 import os
 import resource
 import signal
@@ -198,6 +199,42 @@ def test_a_companion_that_is_killed_again_and_again_is_given_up(companion: Compa
     companion.push(row(0))
     report = companion.close()
     assert (report.rows, report.lost, report.problems[-1]) == (0, 1, problem)
+
+
+def test_a_companion_that_cannot_be_started_again_ends_no_run(
+    companion: Companion, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+
+    kill_both(companion)
+    monkeypatch.setattr(subprocess, "Popen", refuse)
+    (problem,) = tend(companion)
+    assert problem == (
+        "the companion process died (signal SIGKILL), and another one cannot be started (Resource temporarily "
+        "unavailable): nothing more is recorded"
+    )
+    for cycle in range(3):
+        companion.push(row(cycle))
+        assert companion.tend() == []
+    report = companion.close()
+    assert (report.rows, report.lost, report.problems) == (0, 3, (problem,))
+
+
+def test_a_system_without_processes_for_the_companion_is_told(job: Job, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOMEM, os.strerror(errno.ENOMEM))
+
+    monkeypatch.setattr(subprocess, "Popen", refuse)
+    with pytest.raises(RecordingError, match="the companion process cannot be started: Cannot allocate memory"):
+        Companion.start(job)
+
+
+def test_the_death_by_a_signal_without_a_name_is_told_too(companion: Companion) -> None:
+    os.kill(companion.worker_pid, signal.SIGSTOP)  # or it might say first that it goes on alone
+    os.kill(companion._process.pid, signal.SIGRTMIN + 3)
+    os.kill(companion.worker_pid, signal.SIGKILL)
+    assert tend(companion) == [f"the companion process died (signal {signal.SIGRTMIN + 3}); the next one takes over"]
 
 
 def stop(companion: Companion) -> None:

@@ -75,6 +75,17 @@ def test_refused_frames_are_bridged_and_sent_again(turning, refused):
     assert turning.bench.emergencies == []
 
 
+@pytest.mark.parametrize(("refused", "is_lost"), [((RPDO1,), True), ((SYNC,), True), ((HEARTBEAT,), False)])
+def test_a_set_point_that_did_not_get_to_the_drive_is_reported_in_the_next_cycle(turning, refused, is_lost):
+    assert not turning.feedback.is_setpoint_lost
+    turning.bus.refused = refused
+    turning.cycle(Request.ENABLE, 2)
+    assert turning.feedback.is_setpoint_lost is is_lost
+    turning.bus.refused = ()
+    turning.cycle(Request.ENABLE, 2)
+    assert not turning.feedback.is_setpoint_lost
+
+
 def test_a_queue_that_stays_full_is_a_fault_and_not_an_exception(turning):
     turning.bus.refused = (RPDO1,)
     turning.cycle(Request.ENABLE, MAX_MISSED)

@@ -45,7 +45,7 @@ def test_commands_have_their_descriptions(complete):
     items = complete("")
     assert texts(items) == list(COMMANDS)
     assert [description for _, _, description in items] == list(COMMANDS.values())
-    assert texts(complete("re")) == ["replay"]
+    assert texts(complete("re")) == ["replay", "reset"]
     assert texts(complete("config", "ch")) == ["check"]
 
 

@@ -26,6 +26,7 @@ from tests.servo_drives import configuration
 
 T, RAMP_S, PERIOD_S, FADE_S = 2e-3, 0.2, 0.5, 0.1
 WITHOUT, WITH, FADING = Condition.WITHOUT, Condition.WITH, Condition.FADING
+NO_GAPS = {"stale": 0, "bridged": 0, "bridged_reasons": {}}
 
 
 def conditions(baseline_s, duration_s):
@@ -97,7 +98,7 @@ def test_of_a_periodic_error_the_figures_do_not_depend_on_the_duration(baseline_
     error = np.where(cycles == WITHOUT, 4e-3, 1e-3) * np.sin(math.tau * time / PERIOD_S)
     without, compensated = taken(cycles, error)
     assert (without.rms, compensated.rms) == (pytest.approx(4e-3 / math.sqrt(2)), pytest.approx(1e-3 / math.sqrt(2)))
-    figures = AxisFigures("rad", without, compensated, is_comparable=True, stale=0)
+    figures = AxisFigures("rad", without, compensated, is_comparable=True, **NO_GAPS)
     assert figures.reduction.rms == pytest.approx(4.0)
 
 
@@ -111,7 +112,7 @@ def test_without_a_whole_period_the_steady_motion_counts_that_there_is():
 
 def test_a_run_that_ends_too_early_has_no_figures():
     assert taken(conditions(9.0, RAMP_S + SETTLE_S), np.ones(5000)) == (None, None)
-    figures = AxisFigures("rad", None, ConditionFigures(1.0, 2.0, 3, 0), is_comparable=True, stale=0)
+    figures = AxisFigures("rad", None, ConditionFigures(1.0, 2.0, 3, 0), is_comparable=True, **NO_GAPS)
     assert figures.reduction is None
 
 
@@ -149,7 +150,7 @@ def hinted(figures, **changes):
     """What `run` says about an axis of which it has these figures."""
     configured = configuration(x=axis(**changes)).axes["x"]
     return _hint(
-        AxisFigures("rad", *figures, is_comparable=configured.trajectory.kind != "experiment", stale=0), configured
+        AxisFigures("rad", *figures, is_comparable=configured.trajectory.kind != "experiment", **NO_GAPS), configured
     )
 
 

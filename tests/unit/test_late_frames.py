@@ -182,6 +182,61 @@ def test_after_missed_periods_no_axis_is_asked_for_more_than_its_limit(missed):
     assert extra < 0.45  # N m: less than the motion needs to start from rest in a period, where the drive has stood
 
 
+@pytest.mark.parametrize("mode", ["csv", "cst"])
+def test_an_axis_that_goes_on_by_itself_over_missed_periods_finds_its_path_where_it_is(mode):
+    """Without a new velocity or torque a drive keeps the last one: a path that waited would be left behind."""
+    changes = {"trajectory": SINE, "limits": MODES[mode].get("limits", LIMITS) | {"velocity": 5.0}}
+    run = stalled({700: 5, 1100: 9}, axis(mode, **changes), duration_s=2.0)
+    smooth = Run(axis(mode, **changes), duration_s=2.0)
+    assert run.result.faults == []
+    assert run.result.missed == 14
+    assert np.all(run.column("path_lag_s")[run.column("state") == LoopState.RUNNING] == 0.0)
+    assert np.abs(run.error()).max() < 1.2 * np.abs(smooth.error()).max()
+
+
+def test_in_csv_a_position_that_is_far_off_asks_for_less_than_the_velocity_limit():
+    """A drive that has stood now and then, as one may whose clock is locked to SYNC."""
+
+    def lag_behind(cycle, feedback):
+        feedback[0].position += 0.0039 * sum(cycle >= begin for begin in range(1000, 1060, 10))
+
+    changes = {"trajectory": SINE, "limits": LIMITS | {"velocity": 2.0}}
+    run = Run(axis("csv", **changes), disturb=lag_behind, duration_s=2.0)
+    assert run.result.faults == []
+    sent = np.abs([command.velocity for command in run.commands[0]])
+    assert 1.7 < sent.max() <= 0.5 * (2.0 + math.pi * 0.5) * (1.0 + 1e-9)
+
+
+def test_periods_missed_again_and_again_are_no_step_of_the_position_either():
+    """Four periods of every twenty: a stop by another process, not a loop that is too slow."""
+    limits = LIMITS | {"velocity": 2.0}
+    late = dict.fromkeys(range(600, 1300, 16), 4)
+    run = stalled(late, axis(trajectory=SINE, limits=limits), duration_s=2.0)
+    assert run.result.faults == []
+    sent = np.array([command.position for command in run.commands[0]])
+    steps = np.abs(np.diff(sent[np.flatnonzero(run.column("state") == LoopState.RUNNING)])) / PERIOD_S
+    assert steps.max() < 1.1 * math.pi * 0.5
+
+
+@pytest.mark.parametrize("count", [1, 9])
+def test_after_set_points_that_did_not_get_to_the_drive_the_path_goes_on_from_the_last_one(count):
+    lost = range(1000, 1000 + count)
+
+    def lose(drives):
+        if drives.cycle in lost:
+            drives.pending = [None]
+
+    def report(cycle, feedback):
+        feedback[0].is_setpoint_lost = cycle in lost
+
+    changes = {"trajectory": SINE, "limits": LIMITS | {"velocity": 2.0}}
+    run = Run(axis(**changes), before=lose, disturb=report, duration_s=2.0)
+    assert run.result.faults == []
+    assert run.column("path_lag_s")[lost[-1]] == pytest.approx(count * PERIOD_S)
+    smooth = Run(axis(**changes), duration_s=2.0)
+    assert np.abs(run.column("velocity_estimate")).max() < 1.15 * np.abs(smooth.column("velocity_estimate")).max()
+
+
 def test_two_axes_stay_on_their_circle_over_missed_periods():
     circle = {"kind": "circle", "radius": 0.3, "frequency": 1.0, "ramp_s": 0.1}
     axes = axis(trajectory=circle), axis(node=2, trajectory=circle | {"phase": -0.5 * math.pi})

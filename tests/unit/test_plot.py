@@ -146,7 +146,9 @@ def test_missed_periods_and_a_fault_are_marked(tmp_path, capsys):
 
 
 def test_columns_of_nothing_but_nan_cost_their_panels_and_are_named(runs, tmp_path, capsys):
-    path = write(tmp_path / "run.mcap", runs["csp"], torque=np.nan, late_us=np.nan, exchange_us=np.nan)
+    path = write(
+        tmp_path / "run.mcap", runs["csp"], torque=np.nan, late_us=np.nan, exchange_us=np.nan, path_lag_s=np.nan
+    )
     facts = plotted(capsys, path)["axes"]["x"]
     assert facts["panels"] == ["position", "velocity", "error", "torque", "friction"]
     assert facts["notes"] == ["no timing of the loop: no column late_us"]

@@ -18,7 +18,7 @@ from friction_hil.cli import main
 from friction_hil.printable import PrintableStream, own_style, printable
 
 EVIL = "\x1b]0;owned\x07\x1b[2J\r\x9b31m\u202e[/red]:boom:"
-SHOWN = r"\u001b]0;owned\u001b[2J\u009b31m\u202e[/red]:boom:"  # in a table; rich drops some of them
+SHOWN = r"\u001b]0;owned\u0007\u001b[2J\u000d\u009b31m\u202e[/red]:boom:"
 
 
 @given(st.text(st.characters(codec=None)))
@@ -70,11 +70,10 @@ def test_no_command_prints_them(folder: Path, words: list[str], capsys: pytest.C
     assert "Traceback" not in printed.err
 
 
-def test_a_terminal_gets_them_as_text(folder: Path) -> None:
-    """On a real terminal, where colours are sent, but nothing of the names."""
+def on_a_terminal(*command: str, **environment: str) -> bytes:
+    """Return what a command writes to a pseudo-terminal."""
     ours, theirs = pty.openpty()
-    command = [sys.executable, "-m", "friction_hil", "convert", "x.npz", "--info"]
-    with subprocess.Popen(command, stdout=theirs, stderr=theirs, stdin=theirs, env=os.environ | {"COLUMNS": "200"}):
+    with subprocess.Popen(command, stdout=theirs, stderr=theirs, stdin=theirs, env=os.environ | environment):
         os.close(theirs)
         data = b""
         while True:
@@ -83,10 +82,46 @@ def test_a_terminal_gets_them_as_text(folder: Path) -> None:
             except OSError:  # Linux reports the end of a pseudo-terminal this way
                 break
     os.close(ours)
+    return data
+
+
+def test_a_terminal_gets_them_as_text(folder: Path) -> None:
+    """On a real terminal, where colours are sent, but nothing of the names."""
+    data = on_a_terminal(sys.executable, "-m", "friction_hil", "convert", "x.npz", "--info", COLUMNS="200")
     assert SHOWN.encode() in data
     assert b"\x1b]" not in data
     assert b"\x07" not in data
     assert b"\x1b[1m" in data  # the heading is bold
+
+
+def test_a_bar_and_what_is_printed_beside_it_reach_a_terminal() -> None:
+    """The control sequences of a bar are not text; a message beside it keeps neither its own nor those of names."""
+    program = """
+import sys
+from friction_hil.cli.colour import red
+from friction_hil.cli.work.progress import progress_bar, status_line
+from friction_hil.printable import PrintableStream
+
+sys.stdout, sys.stderr = PrintableStream(sys.stdout), PrintableStream(sys.stderr)
+with status_line("reading") as show:
+    show("drawing", 1, 2)
+    print(red("Error:"), "torque\\x9b2J", file=sys.stderr)
+with progress_bar() as bar:
+    bar.add_task("fitting")
+"""
+    text = on_a_terminal(sys.executable, "-c", program, COLUMNS="80", TERM="xterm").decode()
+    assert r"\u001b" not in text
+    assert r"\u000d" not in text
+    assert "\x1b[2K" in text  # the bar is overwritten
+    assert "Error:" in text
+    assert "\U0010ff1b" not in text
+    assert "\x9b" not in text
+
+
+def test_headings_of_the_models_are_bold_on_a_terminal() -> None:
+    data = on_a_terminal(sys.executable, "-m", "friction_hil", "models", COLUMNS="80", TERM="xterm")
+    assert rb"\u001b" not in data
+    assert b"\x1b[1mmodel" in data
 
 
 def test_a_file_name_that_is_not_utf_8(tmp_path: Path, capsysbinary: pytest.CaptureFixture[bytes]) -> None:

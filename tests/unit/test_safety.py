@@ -233,7 +233,8 @@ def test_an_axis_with_an_announced_speed_may_exceed_it_by_a_margin_and_never_its
     one = supervisor()
     one.allow(speed)
     bound = min(10.0, 1.5 * speed + 2.0 * 1e-5 / PERIOD_S)
-    fault = one.find_fault(heard(), LoopState.RUNNING, velocity, 0.0)
+    one.take(heard(velocity=velocity))
+    fault = one.find_fault(heard(velocity=velocity), LoopState.RUNNING, velocity, 0.0)
     assert (fault is None) is (abs(velocity) <= bound)
     if fault is not None and bound < 10.0:
         assert "1.5 times the" in fault

@@ -72,6 +72,7 @@ class CyclicExchange:
         "_is_alarm_told",
         "_is_commanding",
         "_is_complete",
+        "_is_unsent",
         "_lost_since_ns",
         "_max_missed",
         "_next_heartbeat_ns",
@@ -120,6 +121,7 @@ class CyclicExchange:
         self._guards = [Guard(node, guard_ms) for node, guard_ms in guarded.items()]
         self._max_missed = max_missed
         self._unsent = 0  # cycles in a row in which the bus took no frames
+        self._is_unsent = False  # the last commands are among them
         self._oldest_ns = round(max_missed * period_s * 1e9)
         self._sampled_ns = 0  # time of the last feedback
         self._cycles_since_probe = 0
@@ -156,8 +158,10 @@ class CyclicExchange:
         if not self._clock.is_real:
             self._require_answers()
         alarm = self._alarm.message
+        is_lost = self._is_unsent or bool(why_no_sync)  # RPDOs were not sent, or not taken over
         for axis, target in zip(self._axes, feedback, strict=True):
             axis.report(target, now)
+            target.is_setpoint_lost = is_lost
             if alarm and not target.message:
                 target.message = alarm
             elif alarm and not self._is_alarm_told:  # beside what it may have caused, e.g. a restart
@@ -192,9 +196,11 @@ class CyclicExchange:
         after their feedback, are not sent: the next cycle computes new ones.
         """
         now = self._clock.now_ns()
+        self._is_unsent = True
         try:
             if not self._dry_run:
                 self._send_commands(commands, now)
+            self._is_unsent = False
             if self._is_commanding and (self._guards or now >= self._next_heartbeat_ns):
                 self._feed(now)
         except QueueFullError as error:  # what the drives did not get is a missed exchange

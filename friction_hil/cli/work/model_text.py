@@ -10,6 +10,7 @@ import click
 from friction_hil.checked_yaml.text import dump
 from friction_hil.cli.work.tables import Table, console, lines
 from friction_hil.models import FrictionModel
+from friction_hil.printable import own_style
 
 _PIPED_WIDTH = 100  # columns, if there is no terminal
 _GLUE = "\ue000"  # a blank at which no line is broken
@@ -35,7 +36,7 @@ class Page:
     def write_table(self, table: Table) -> None:
         """Print a table without the blanks at the ends of its lines."""
         for line in lines(table, self._console):
-            click.echo(line.replace(_GLUE, " "))
+            click.echo(own_style(line.replace(_GLUE, " ")))
 
     def write_yaml(self, content: dict[str, Any], indent: int = 0) -> None:
         """Print YAML that can be copied: lines are broken only between the elements of a collection."""

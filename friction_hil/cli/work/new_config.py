@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from friction_hil.cli.work.tables import new_table, print_table
+from friction_hil.cli.work.tables import new_table, print_table, prose, say
 from friction_hil.config import file_problems, json_schema, load, missing_models
 from friction_hil.config.annotated import FILL_IN_MARK
 from friction_hil.config.examples import copied, examples, summary
@@ -42,7 +42,7 @@ def write_new(*, file: str | None, example: str | None, force: bool, **given: An
 
 def print_examples() -> None:
     """Print the names of the examples and what they show."""
-    table = new_table("example", "what it shows")
+    table = new_table("example", prose("what it shows"))
     for name, path in examples().items():
         table.add_row(name, summary(path))
     print_table(table)

@@ -9,6 +9,7 @@ import textwrap
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import PurePath
+from typing import IO
 
 import click
 from rich import cells
@@ -17,7 +18,7 @@ from rich.segment import Segment
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from friction_hil.printable import own_style, printable
+from friction_hil.printable import own_style, printable, without_own_style
 
 _WIDE = 1000  # columns, in a file or a pipe
 _GAP = 2  # between columns
@@ -28,10 +29,20 @@ _LEAST_KEY = 8
 class _PrintableConsole(Console):
     """A console whose text is printable; its own control sequences are not text."""
 
+    @property
+    def file(self) -> IO[str]:
+        """Stream itself: while a bar is shown, rich stands before the `PrintableStream`, which stands before it."""
+        file = super().file
+        return getattr(file, "rich_proxied_file", file)
+
+    @file.setter
+    def file(self, new_file: IO[str]) -> None:
+        self._file = new_file
+
     def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterable[Segment]:
         """Render an object, as rich does."""
         for segment in super().render(renderable, options):
-            yield segment if segment.control else segment._replace(text=printable(segment.text))
+            yield segment if segment.control else segment._replace(text=printable(without_own_style(segment.text)))
 
 
 def console(*, stderr: bool = False) -> Console:

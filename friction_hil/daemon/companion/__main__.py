@@ -8,7 +8,16 @@ import signal
 import sys
 import traceback
 
-from friction_hil.daemon.companion.job import CANNOT_OPEN, MOST_SHORT_LIVES, Job, Lives, die_with_parent, read_job, warn
+from friction_hil.daemon.companion.job import (
+    CANNOT_OPEN,
+    MOST_SHORT_LIVES,
+    Job,
+    Lives,
+    die_with_parent,
+    read_job,
+    signal_text,
+    warn,
+)
 
 
 def main(ring_descriptor: int, job_descriptor: int, number: int, death: str) -> int:
@@ -39,7 +48,7 @@ def main(ring_descriptor: int, job_descriptor: int, number: int, death: str) -> 
             return 0
         if code == CANNOT_OPEN and number == 1:
             return 1
-        how = f"signal {signal.Signals(-code).name}" if code < 0 else f"exit status {code}"
+        how = signal_text(-code) if code < 0 else f"exit status {code}"
         warn(f"worker {number} of the companion died ({how}); the next one takes over")
         if lives.end():
             warn(f"{MOST_SHORT_LIVES} workers of the companion died at once: nothing more is recorded")

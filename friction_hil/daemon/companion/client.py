@@ -11,9 +11,9 @@ import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
-from friction_hil.daemon.companion.job import MOST_SHORT_LIVES, Job, Lives, job_memory
+from friction_hil.daemon.companion.job import MOST_SHORT_LIVES, Job, Lives, job_memory, signal_text
 from friction_hil.daemon.companion.paths import prepare
 from friction_hil.daemon.realtime import prompt_children
 from friction_hil.daemon.ring import RingWriter
@@ -93,7 +93,10 @@ class Companion:
         """
         if job.path is not None:
             prepare(Path(job.path), overwrite=job.overwrite)
-        companion = cls(job)
+        try:
+            companion = cls(job)
+        except OSError as error:  # too many processes, no memory
+            raise RecordingError(f"the companion process cannot be started: {error.strerror}") from error
         try:
             companion._begin()
         except BaseException:  # a signal too: opening a file may take forever
@@ -154,15 +157,19 @@ class Companion:
         self.close()
 
     def _launch(self, death: str = "") -> None:
-        """Start a supervisor, whose first worker writes the next segment of the recording."""
+        """Start a supervisor, whose first worker writes the next segment of the recording.
+
+        Raises
+        ------
+        OSError
+            The system makes no process; nothing has changed.
+        """
         descriptors = [self._ring.descriptor, self._job_descriptor]
         # -P: do not import modules from the current directory, which may be the user's
         command = [sys.executable, "-P", "-m", "friction_hil.daemon.companion"]
         command += map(str, (*descriptors, len(self._paths) + 1, death))
-        self._lives.begin()
-        self.worker_pid = 0
         with prompt_children():
-            self._process = subprocess.Popen(
+            process = subprocess.Popen(
                 command,
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
@@ -170,6 +177,9 @@ class Companion:
                 env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
                 process_group=0,  # Ctrl-C is not meant for it, not even before it can ignore it
             )
+        self._process = process
+        self._lives.begin()
+        self.worker_pid = 0
         assert self._process.stdout is not None
         self._poll = select.poll()
         self._poll.register(self._process.stdout, select.POLLIN)
@@ -187,16 +197,24 @@ class Companion:
         if status >= 0:
             self.is_given_up = True  # it has said why, or has done its work
             return False
-        death = f"signal {signal.Signals(-status).name}"
+        death, pipes = signal_text(-status), (self._process.stdin, self._process.stdout)
         if self._lives.end():
             self.is_given_up = True
             self._problems.append(
                 f"{MOST_SHORT_LIVES} companion processes were killed at once ({death}): nothing more is recorded"
             )
             return False
-        self._close_pipes()
+        try:
+            self._launch(death)
+        except OSError as error:  # too many processes, no memory: no reason to end a run
+            self.is_given_up = True
+            self._problems.append(
+                f"the companion process died ({death}), and another one cannot be started ({error.strerror}): nothing "
+                "more is recorded"
+            )
+            return False
+        _close(*pipes)
         self._received = b""
-        self._launch(death)
         return True
 
     def _wake_if_late(self) -> None:
@@ -257,13 +275,14 @@ class Companion:
             while self._take_message() is not None:
                 pass
 
-    def _close_pipes(self) -> None:
-        for pipe in (self._process.stdin, self._process.stdout):
-            if pipe is not None:
-                with contextlib.suppress(BrokenPipeError):
-                    pipe.close()
-
     def _close_descriptors(self) -> None:
-        self._close_pipes()
+        _close(self._process.stdin, self._process.stdout)
         os.close(self._ring.descriptor)
         os.close(self._job_descriptor)
+
+
+def _close(*pipes: IO[bytes] | None) -> None:
+    for pipe in pipes:
+        if pipe is not None:
+            with contextlib.suppress(BrokenPipeError):
+                pipe.close()

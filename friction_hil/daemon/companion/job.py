@@ -107,6 +107,14 @@ def die_with_parent(*, is_wanted: bool) -> None:
     ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL if is_wanted else 0)
 
 
+def signal_text(number: int) -> str:
+    """Return ``signal SIGKILL``; real-time signals have no names."""
+    try:
+        return f"signal {signal.Signals(number).name}"
+    except ValueError:
+        return f"signal {number}"
+
+
 def say(**message: Any) -> None:
     """Send the control process a message: ``opened`` (path or None) and ``pid``, ``failed`` or ``problem``."""
     # the control process may be gone: the recording still has to be finished
