@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from friction_hil.cli.work.tables import new_table, print_table, prose, say
+from friction_hil.cli.work.tables import new_table, print_table, prose
 from friction_hil.config import file_problems, json_schema, load, missing_models
 from friction_hil.config.annotated import FILL_IN_MARK
 from friction_hil.config.examples import copied, examples, summary
