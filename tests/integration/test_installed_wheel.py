@@ -41,8 +41,8 @@ ADDED = {
 }
 LONGEST_S = 2.0  # of a run, in simulated time
 TRIAL_S = 6.0  # of the first one; its first 4 s are without compensation
-PERIOD_S = 2e-3
-EXPERIMENT = {"velocity": 4.0, "travel": 1.0, "duration_s": 10.0, "ramp_s": 0.25}
+PERIOD_S = 4e-3
+EXPERIMENT = {"velocity": 4.0, "travel": 1.0, "duration_s": 5.0, "ramp_s": 0.25}
 LIMITS = {"torque": 0.3, "torque_slew": 300.0, "velocity": 30.0, "following_error": 2.0}
 TRAJECTORY = {"kind": "sine", "amplitude": 0.5, "frequency": 0.5, "ramp_s": 0.25}
 
