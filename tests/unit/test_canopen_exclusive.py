@@ -6,9 +6,12 @@ import tempfile
 
 import pytest
 from friction_hil_drivers.canopen.exclusive import AxisLock
+from friction_hil_drivers.canopen.frames import FrameBus
+from friction_hil_drivers.canopen.inventory import CanopenInventory
 
 from friction_hil.config.bus import BusConfig
 from friction_hil.errors import DriveError
+from tests.canopen_bench import NODE, Bench, BenchBus
 
 NOBODY = 65534
 
@@ -61,6 +64,27 @@ def test_the_lock_belongs_to_who_runs_and_ends_with_it(bus):
     lock.release()
     lock.release()
     AxisLock(bus, 5, "x").release()
+
+
+def test_no_daemon_can_begin_while_a_fault_is_reset(bus):
+    """It would enable the drive that has just been left without power."""
+    refused = []
+
+    class Asked(BenchBus):
+        def send(self, msg, timeout=None):
+            with pytest.raises(DriveError, match=f"process {os.getpid()}"):
+                AxisLock(bus, NODE, "x")
+            refused.append(msg)
+            super().send(msg, timeout)
+
+    own = Asked(Bench())
+    inventory = CanopenInventory(bus, FrameBus(own, "bench"))
+    (stop,) = inventory.reset_axes({"x": (NODE, 0)}).stops
+    assert stop.result == "unpowered"
+    assert refused
+    inventory.close()
+    own.shutdown()
+    AxisLock(bus, NODE, "x").release()
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")

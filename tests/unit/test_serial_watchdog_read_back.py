@@ -1,6 +1,6 @@
 """A watchdog is claimed of what was read back, and what a drive says against its set-up is not passed over."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,9 @@ from friction_hil_drivers.ascii import DESCRIPTIONS
 from friction_hil_drivers.ascii.description import AsciiDescription
 from friction_hil_drivers.modbus.simulated import _RegisterSpace
 from friction_hil_drivers.serial_line.description import Description
+from friction_hil_drivers.serial_line.protocol import Exchange
 from friction_hil_drivers.serial_line.read_back import contradiction
+from friction_hil_drivers.serial_line.scheduler import BusScheduler
 from friction_hil_drivers.serial_line.simulated import RefusedError, SimulatedDrive
 from friction_hil_drivers.serial_line.simulated.drive import RequestError
 
@@ -113,6 +115,26 @@ def test_a_register_that_the_drive_lets_nobody_read_is_not_claimed(
         bench.begin()
         assert any("watchdog is written, not read back" in note for note in bench.facts.notes)
         bench.enable()
+
+
+@pytest.mark.parametrize("kind", WATCHED)
+def test_a_period_needs_room_for_one_exchange_of_a_step(
+    kind: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A read behind the write of a step would never end within a period that has room for the step alone."""
+    with Bench(kind, tmp_path).begin() as bench:
+        steps: list[int] = []
+        enqueue = BusScheduler.enqueue
+
+        def watched(scheduler: BusScheduler, exchanges: Sequence[Exchange], done: Any = None) -> None:
+            if done is not None:
+                steps.append(len(exchanges))
+            enqueue(scheduler, exchanges, done)
+
+        monkeypatch.setattr(BusScheduler, "enqueue", watched)
+        bench.enable()
+        assert len(steps) >= 2
+        assert set(steps) == {1}
 
 
 def test_a_drive_whose_watchdog_stays_off_gets_no_power(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

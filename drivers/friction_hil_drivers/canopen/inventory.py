@@ -3,6 +3,7 @@
 Nothing here sends NMT, SYNC or a PDO, and nothing enables. `scan` and `show` only read; `stop` writes controlwords.
 """
 
+import contextlib
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -121,13 +122,13 @@ class CanopenInventory:
             A daemon of this machine, or another master, is at work: it could enable the drive as soon as it has no
             fault any more.
         """
-        for node in _nodes_of(axes):
-            if owner := self._owner(node):
-                raise DriveError(owner, code=codes.NODE_LOCKED)
-        if self._others.words:
-            text = f"another master is at work on {bus_name(self._config)}: {self._others.words}"
-            raise DriveError(text, "let it reset the fault, or stop it first", codes.SECOND_MASTER)
-        return StopReport(self._carry_out(axes, reset_axes), self.notes)
+        with contextlib.ExitStack() as locks:  # until the end: no daemon may begin meanwhile
+            for node in _nodes_of(axes):
+                locks.callback(AxisLock(self._config, node, f"node {node}").release)
+            if self._others.words:
+                text = f"another master is at work on {bus_name(self._config)}: {self._others.words}"
+                raise DriveError(text, "let it reset the fault, or stop it first", codes.SECOND_MASTER)
+            return StopReport(self._carry_out(axes, reset_axes), self.notes)
 
     def _carry_out(
         self, axes: Mapping[str, tuple[int, int]], script: "Callable[[int, Sequence[int]], Script[list[Stop]]]"

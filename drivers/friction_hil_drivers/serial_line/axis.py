@@ -101,6 +101,8 @@ class SerialAxis:
     read_back : frozenset of str
         Signals of the drive's watchdog that the drive lets be read: on the way to power, a step that writes one of
         them is done when the drive reports what was written.
+    written : mapping of str to float, or None
+        Step that the drive accepted, and whose values are still to be read back.
     """
 
     def __init__(
@@ -117,6 +119,7 @@ class SerialAxis:
         self.sequencer = Sequencer(description, before)
         self.state = DriveState.UNKNOWN
         self.read_back: frozenset[str] = frozenset()
+        self.written: Mapping[str, float] | None = None
         self._description = description
         self.scales = scales
         self._scales = scales.of
@@ -207,8 +210,13 @@ class SerialAxis:
         """Return the signals of a step that have to be read back: before the drive gets its power, never after."""
         return sorted(self.read_back & step.keys()) if self.sequencer.is_enabling else []
 
+    def note_written(self, step: Mapping[str, float]) -> None:
+        """Note that the drive accepted a step whose values are still to be read back."""
+        self.written = step
+
     def acknowledge(self, step: Mapping[str, float]) -> None:
         """Note that the drive accepted a step, and reported the signals in `read_back` that it writes."""
+        self.written = None
         differing = contradiction(self._description, step, self.image.values, self.to_read_back(step))
         self.sequencer.acknowledge(differing)
 

@@ -126,12 +126,19 @@ class SerialBus:
         scheduler.flush()
 
     def _enqueue_step(self, steps: Mapping[str, Mapping[str, float]]) -> bool:
-        """Queue a step of the next axis that has one; return True if any axis has."""
+        """Queue a step of the next axis that has one; return True if any axis has.
+
+        What has to be read back is read in the next turn: a period has room for one exchange beside the poll.
+        """
         for axis in (*self.axes[self._first_axis :], *self.axes[: self._first_axis]):
             if step := steps.get(axis.name):
-                axis.image.values.update(step)
                 reads = [self.read_exchange(axis.name, name) for name in axis.to_read_back(step)]
-                self.scheduler.enqueue((self.write_exchange(axis.name, step), *reads), partial(axis.acknowledge, step))
+                if reads and axis.written == step:
+                    self.scheduler.enqueue(reads, partial(axis.acknowledge, step))
+                else:
+                    axis.image.values.update(step)
+                    done = partial(axis.note_written if reads else axis.acknowledge, step)
+                    self.scheduler.enqueue((self.write_exchange(axis.name, step),), done)
                 self._first_axis = (self.axes.index(axis) + 1) % len(self.axes)
                 return True
         return False
