@@ -109,7 +109,7 @@ def _print_rest(target: Path) -> None:
     if lines:
         click.echo("\nTo be filled in or corrected before anything runs:")
     for _, text in sorted(lines):
-        click.echo(text)
+        say(text, stderr=False)
     for note in notes:
-        click.echo(f"note: {note}")
+        say(f"note: {note}", stderr=False)
     click.echo(f"\nNext: friction-hil config check {shlex.quote(str(target))}")

@@ -12,7 +12,7 @@ from friction_hil import recordings
 from friction_hil.analysis.baseline import Phase
 from friction_hil.cli.output import print_json
 from friction_hil.cli.work.progress import status_line
-from friction_hil.cli.work.tables import new_table, number, print_table
+from friction_hil.cli.work.tables import new_table, number, print_table, say
 from friction_hil.config import Configuration, from_dict, load
 from friction_hil.errors import ConfigurationError, FrictionHilError, Problem, UsageError
 from friction_hil.recordings import Recording
@@ -55,7 +55,7 @@ def plot(
         files = _write(views, target)
     for name, view in views.items():
         for note in (*notes[name], *view.notes):
-            click.echo(f"{source}: {name}: {note}", err=True)
+            say(f"{source}: {name}: {note}")
     if as_json:
         print_json({"files": files, "axes": {name: _as_dict(view) for name, view in views.items()}})
     else:
@@ -132,8 +132,8 @@ def _figures(phase: Phase | None) -> dict[str, Any] | None:
 
 
 def _print(views: dict[str, RunView], files: list[Path]) -> None:
-    figures = map(number, ("without", "with compensation", "times lower"))
-    table = new_table("axis", "following error", *figures)
+    figures = map(number, ("without\ncompensation", "with\ncompensation", "times\nlower"))
+    table = new_table("axis", "following\nerror", *figures)
     for name, view in views.items():
         for k, row in enumerate(view.rows):
             table.add_row("" if k else name, *row)
