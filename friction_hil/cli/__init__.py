@@ -20,7 +20,7 @@ from collections.abc import Iterator, Sequence
 import click
 
 from friction_hil import __version__
-from friction_hil.cli.colour import problem_line, red
+from friction_hil.cli.colour import echo_labelled, echo_problem
 from friction_hil.errors import ConfigurationError, FrictionHilError, choices
 from friction_hil.interrupts import interruptible
 from friction_hil.printable import PrintableStream
@@ -138,10 +138,10 @@ def _exit_status(command: click.Command, arguments: Sequence[str] | None, progra
         sys.stdout.flush()
     except ConfigurationError as error:
         for problem in error.problems:
-            click.echo(problem_line(problem), err=True)
+            echo_problem(problem)
         return error.exit_status
     except FrictionHilError as error:
-        click.echo(f"{red('Error:')} {error}", err=True)
+        echo_labelled("Error:", str(error))
         return error.exit_status
     except click.ClickException as error:
         _show(error)
@@ -153,7 +153,7 @@ def _exit_status(command: click.Command, arguments: Sequence[str] | None, progra
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except OSError as error:
-        click.echo(f"{red('Error:')} {error}", err=True)
+        echo_labelled("Error:", str(error))
         return 1
     except Exception:  # noqa: BLE001 - the last resort: a traceback, and where to report it
         import traceback  # imported here: --help must not wait for it
@@ -179,7 +179,8 @@ def _show(error: click.ClickException) -> None:
     text = io.StringIO()
     error.show(text)
     usage, label, message = text.getvalue().partition("Error:")
-    click.echo(f"{usage}{red(label)}{message}", err=True, nl=False)
+    click.echo(usage, err=True, nl=False)
+    echo_labelled(label, message.strip())
 
 
 def _open_standard_streams() -> None:

@@ -1,11 +1,17 @@
-"""Colour of errors and warnings on stderr: on a terminal only, and not if the user does not want it."""
+"""Errors and warnings on stderr: on a terminal wrapped at words, and coloured unless the user does not want it."""
 
+import contextlib
 import os
+import sys
+import textwrap
+from collections.abc import Callable
 
 import click
 
 from friction_hil.errors import Problem
 from friction_hil.printable import own_style, printable
+
+_USUAL_WIDTH = 80
 
 
 def red(text: str) -> str:
@@ -18,11 +24,37 @@ def yellow(text: str) -> str:
     return _styled(text, "yellow")
 
 
-def problem_line(problem: Problem) -> str:
-    """Return a mistake in a file as one line, with file and line number in red."""
-    text = str(problem)
-    where = problem.path if problem.line is None else f"{problem.path}:{problem.line}"
-    return f"{red(f'{where}:')}{text.removeprefix(f'{where}:')}"
+def echo_labelled(label: str, text: str, style: Callable[[str], str] = red) -> None:
+    """Print ``label`` in colour and ``text`` on stderr; on a terminal no word is cut.
+
+    Words that are wider than the terminal stay in one piece, so that a path can be copied.
+    """
+    lines = f"{printable(label)} {printable(text)}".rstrip().split("\n")
+    if sys.stderr.isatty():
+        width = _width()
+        lines = [
+            textwrap.fill(line, width, break_long_words=False, break_on_hyphens=False) if line.strip() else line
+            for line in lines
+        ]
+    shown = "\n".join(lines)
+    if shown.startswith(printable(label)):
+        shown = style(label) + shown[len(printable(label)) :]
+    click.echo(shown, err=True)
+
+
+def echo_problem(problem: Problem) -> None:
+    """Print a mistake in a file on stderr, with file and line number in red."""
+    where = f"{problem.path if problem.line is None else f'{problem.path}:{problem.line}'}:"
+    echo_labelled(where, str(problem).removeprefix(where).lstrip(" "))
+
+
+def _width() -> int:
+    """Return the width of the terminal, which COLUMNS overrides as for rich."""
+    if (given := os.environ.get("COLUMNS", "")).isdecimal() and int(given):
+        return int(given)
+    with contextlib.suppress(OSError, ValueError):
+        return os.get_terminal_size(sys.stderr.fileno()).columns or _USUAL_WIDTH
+    return _USUAL_WIDTH
 
 
 def _styled(text: str, colour: str) -> str:

@@ -25,6 +25,7 @@ SCHEMA_FILE = "friction_hil.schema.json"
 _MODES = ("csp", "csv", "cst")
 _SPEED_FRACTION = 0.5  # of the velocity limit, reached by the trajectory
 _EXPERIMENT_FRACTION = 0.6  # of the velocity limit, reached by `tune`
+_ERROR_FRACTIONS = (0.1, 0.5)  # of the travel, limit of the following error; loops over the bus (cst) are softer
 _HIGHEST_HZ = 0.5
 _LOWER, _ASSUMED = ("coulomb", "static"), 0.9  # of the simulated friction, in the model of a simulated axis
 
@@ -222,7 +223,7 @@ def _motion(page: Page, wanted: Wanted, mode: str) -> None:
     page.of(3, AxisLimits, "torque", _or_fill_in(torque))
     page.of(3, AxisLimits, "torque_slew", None if torque is None else _rounded(1e3 * torque))
     page.of(3, AxisLimits, "velocity", _or_fill_in(velocity), "; a higher one is a fault")
-    error = None if travel is None else _rounded(0.1 * travel)
+    error = None if travel is None else _rounded(_ERROR_FRACTIONS[mode == "cst"] * travel)
     page.of(3, AxisLimits, "following_error", error, "; a larger one is a fault")
     page.of(3, AxisLimits, "position", None, ", as [-2.0, 2.0]; a position outside is a fault")
     page.blank()

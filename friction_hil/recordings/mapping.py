@@ -79,7 +79,7 @@ def mapping_beside(path: Path) -> Mapped:
     ConfigurationError
         The file has mistakes; each is reported with its line.
     """
-    own, for_all = path.with_name(f"{path.name}.columns.yaml"), path.with_name(_FOR_ALL)
+    own, for_all = path.parent / f"{path.name}.columns.yaml", path.parent / _FOR_ALL  # `.` and `/` have no name
     if own.is_file():
         return _read(own)
     if for_all.is_file():

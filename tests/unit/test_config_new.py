@@ -2,7 +2,9 @@
 
 import json
 import re
+from pathlib import Path
 
+import friction_hil_drivers
 import jsonschema
 import pytest
 import yaml
@@ -13,6 +15,7 @@ from friction_hil.cli import main
 from friction_hil.config import AxisLimits, load
 from friction_hil.config.examples import examples
 from tests.fake_drivers import install
+from tests.processes import run
 
 LIMITS = ("--torque", "0.1", "--velocity", "5", "--travel", "1")
 
@@ -87,6 +90,22 @@ def test_a_simulated_drive_needs_nothing_else(driver, folder):
     axis = made("--driver", driver, "--simulated").axes["x"]
     assert axis.simulation is not None
     assert axis.model.source_path is None
+
+
+@pytest.mark.parametrize("driver", ["modbus", "ascii", "dynamixel"])
+def test_a_simulated_drive_of_any_description_needs_nothing_else(driver, folder):
+    folders = Path(friction_hil_drivers.__file__).parent / driver / "descriptions"
+    for description in sorted(path.stem for path in folders.glob("*.yaml")):
+        made("--driver", driver, "--description", description, "--simulated", "--force")
+
+
+@pytest.mark.parametrize(
+    "words", [("--mode", "cst"), ("--driver", "dynamixel"), ("--driver", "modbus", "--description", "kinco_fd5p")]
+)
+def test_a_simulated_drive_runs_also_with_the_soft_loops_of_the_daemon(words, folder):
+    made("--simulated", *words)
+    done = run("run", "machine.yaml", "--simulate", "--pace", "sync", "--duration", "3")
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.parametrize("mode", ["csp", "csv", "cst"])

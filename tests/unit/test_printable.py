@@ -118,6 +118,20 @@ with progress_bar() as bar:
     assert "\x9b" not in text
 
 
+def test_no_word_of_an_error_is_cut_at_the_edge_of_a_terminal(folder: Path) -> None:
+    for words in (
+        ["rnu"],
+        ["run", "--duration", "5"],
+        ["config", "check", "nowhere.yaml"],
+        ["convert", "x.npz", "y.z"],
+    ):
+        data = on_a_terminal(sys.executable, "-m", "friction_hil", *words, COLUMNS="40", NO_COLOR="1")
+        lines = data.decode().splitlines()
+        assert [line for line in lines if len(line) > 40 and "friction" not in line] == []
+        assert "\x1b" not in data.decode()
+    assert b"There are:\r\n.csv, .h5, " in data
+
+
 def test_headings_of_the_models_are_bold_on_a_terminal() -> None:
     data = on_a_terminal(sys.executable, "-m", "friction_hil", "models", COLUMNS="80", TERM="xterm")
     assert rb"\u001b" not in data

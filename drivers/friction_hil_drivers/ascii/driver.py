@@ -167,6 +167,7 @@ class AsciiDrives(SerialDrives):
     address_key = "axis"
     simulated: ClassVar[Mapping[str, Any]] = {
         "description": "odrive",
+        "counts_per_unit": 166886.05,
         "torque_constant": 0.06,
         "baud": 921600,
         "period_s": 4e-3,

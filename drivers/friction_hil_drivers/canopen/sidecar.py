@@ -291,5 +291,7 @@ def _frozen(config: "AxisConfig") -> list[str]:
     limit, level = config.limits.torque, config.model.friction_model.level
     if limit <= level:
         return []
-    text = f"if the daemon is killed, an offset of up to {limit:g} stays in force, more than the friction of {level:g}"
+    unit = "N m" if config.model.axis == "rotary" else "N"
+    text = f"if the daemon is killed, an offset of up to {limit:g} {unit} stays in force, more than the friction of "
+    text += f"{level:g} {unit}"
     return [f"{text}: the master should clear it ('If the daemon dies' in the driver's README)"]

@@ -125,4 +125,5 @@ class ModbusDrives(SerialDrives):
         "description": "generic_cia402",
         "counts_per_unit": 166886.05,
         "rated_torque": 0.64,
+        "baud": 230400,
     }

@@ -60,7 +60,7 @@ def new_keys(
         missing = unit_mistakes("x", description, AxisUnits(), "linear" if wanted.is_linear else "rotary")
         keys |= {each.key: chosen.get(each.key, FILL_IN) for each in missing if each.key in NEEDS.values()}
         if description.watchdog is None:
-            keys["is_watchdog_required"] = True
+            keys["is_watchdog_required"] = not wanted.is_simulated  # a simulated drive needs nobody's consent
             notes["is_watchdog_required"] = _NO_WATCHDOG
     keys["is_inverted"] = False
     return DriverKeys(keys, notes, modes, chosen.get("period_s", _PERIOD_S))

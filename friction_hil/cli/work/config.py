@@ -6,8 +6,9 @@ from dataclasses import asdict
 import click
 
 from friction_hil.checked_yaml.text import dump
-from friction_hil.cli.colour import problem_line
+from friction_hil.cli.colour import echo_problem
 from friction_hil.cli.output import print_json
+from friction_hil.cli.work.tables import say
 from friction_hil.config import file_problems, json_schema, load, missing_models, self_contained
 from friction_hil.errors import ConfigurationError, Problem
 
@@ -32,11 +33,11 @@ def check_files(files: Sequence[str], as_json: bool) -> int:
     else:
         for file, problems in reports.items():
             for problem in problems:
-                click.echo(problem_line(problem), err=True)
+                echo_problem(problem)
             if not problems:
                 click.echo(f"{file}: ok")
                 for note in notes[file]:
-                    click.echo(f"note: {note}")
+                    say(f"note: {note}", stderr=False)
     return 2 if any(reports.values()) else 0
 
 
@@ -45,7 +46,7 @@ def show_file(file: str) -> None:
     configuration = load(file, needs_models=False)
     values = self_contained(configuration)
     for note in missing_models(file, configuration):
-        click.echo(f"note: {note}", err=True)
+        say(f"note: {note}")
         name = note.field.split(".")[1]
         values["axes"][name]["model"] = str(configuration.axes[name].model.source_path)
     click.echo(dump(values), nl=False)

@@ -8,7 +8,7 @@ import numpy as np
 
 from friction_hil import models, recordings
 from friction_hil.cli.output import print_json
-from friction_hil.cli.work.tables import new_table, number, print_table
+from friction_hil.cli.work.tables import new_table, number, print_table, say
 from friction_hil.config import load
 from friction_hil.errors import RecordingError, UsageError
 from friction_hil.models import onnx_file
@@ -51,7 +51,7 @@ def convert(
     _write(found, files, force)
     for name, recording in found.items():
         for problem in recording.problems:
-            click.echo(f"{recording.path}: {name}: {problem}", err=True)
+            say(f"{recording.path}: {name}: {problem}")
     written = [str(file) for file in files.values()]
     if as_json:
         print_json({"written": written, "rows": {name: len(recording) for name, recording in found.items()}})
@@ -112,7 +112,7 @@ def _print_info(source: Path, found: dict[str, Recording], as_json: bool) -> Non
     for name, facts in axes.items():
         _print(name, facts)
         for problem in facts["problems"]:
-            click.echo(f"{source}: {name}: {problem}", err=True)
+            say(f"{source}: {name}: {problem}")
 
 
 def _facts(recording: Recording) -> dict[str, Any]:

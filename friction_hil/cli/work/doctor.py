@@ -48,7 +48,15 @@ def _print(out: Console, finding: Finding) -> None:
     shown.stylize(_STYLES[finding.result], 0, len(finding.result))
     out.print(shown, soft_wrap=True)
     if finding.fix:
-        out.print(Text(f"{_INDENT}fix: {finding.fix}"), soft_wrap=True)
+        fix = textwrap.fill(
+            finding.fix,
+            out.width,
+            initial_indent=f"{_INDENT}fix: ",
+            subsequent_indent=_INDENT,
+            break_long_words=False,
+            break_on_hyphens=False,
+        )
+        out.print(Text(fix), soft_wrap=True)
 
 
 def _print_summary(findings: Sequence[Finding]) -> None:

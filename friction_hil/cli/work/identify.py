@@ -12,7 +12,7 @@ from friction_hil.cli.output import print_json
 from friction_hil.cli.work.progress import status_line
 from friction_hil.cli.work.read import read_recordings
 from friction_hil.cli.work.result_files import check_result_files
-from friction_hil.cli.work.tables import new_table, number, print_files, print_table, prose
+from friction_hil.cli.work.tables import new_table, number, print_files, print_table, prose, say
 from friction_hil.errors import UsageError
 from friction_hil.identification import Fit, Identification, IdentificationSettings, free_run, identify
 from friction_hil.identification.export import as_json as result_as_json
@@ -112,18 +112,18 @@ def _free_run(result: Identification, controller: dict[str, float]) -> dict[str,
 
 def _print(result: Identification, free: dict[str, Any]) -> None:
     for problem in dict.fromkeys(each for record in result.records for each in record.problems):
-        click.echo(problem, err=True)
+        say(problem)
     for note in result.notes:
-        click.echo(note, err=True)
+        say(note)
     _print_candidates(result)
     click.echo()
     _print_parameters(result.best)
     click.echo()
-    click.echo(f"Chosen: {result.best.label}. {result.reason[0].upper()}{result.reason[1:]}.")
+    say(f"Chosen: {result.best.label}. {result.reason[0].upper()}{result.reason[1:]}.", stderr=False)
     for flag in result.best.flags:
-        click.echo(f"- {flag}")
+        say(f"- {flag}", stderr=False)
     if free["relative_error"] is None:
-        click.echo(f"No closed-loop simulation: {free['reason']}.")
+        say(f"No closed-loop simulation: {free['reason']}.", stderr=False)
     else:
         click.echo(f"Closed-loop simulation: relative error of the torque {100.0 * free['relative_error']:.2f} %.")
 
@@ -131,9 +131,10 @@ def _print(result: Identification, free: dict[str, Any]) -> None:
 def _print_candidates(result: Identification) -> None:
     is_grouped = len({record.group for record in result.records}) > 1
     groups = f"the recordings of each {result.settings.group_by}" if is_grouped else "blocks of time"
-    click.echo(
+    say(
         "Number of free parameters; relative error of the torque on the fitted data, on "
-        f"{groups} held out, on speeds held out, on other recordings."
+        f"{groups} held out, on speeds held out, on other recordings.",
+        stderr=False,
     )
     for heading, fits in result.groups:
         if heading:

@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from friction_hil.cli.work.tables import new_table, print_table, prose
+from friction_hil.cli.work.tables import new_table, print_table, prose, say
 from friction_hil.config import file_problems, json_schema, load, missing_models
 from friction_hil.config.annotated import FILL_IN_MARK
 from friction_hil.config.examples import copied, examples, summary
@@ -109,7 +109,7 @@ def _print_rest(target: Path) -> None:
     if lines:
         click.echo("\nTo be filled in or corrected before anything runs:")
     for _, text in sorted(lines):
-        click.echo(text)
+        say(text, stderr=False)
     for note in notes:
-        click.echo(f"note: {note}")
+        say(f"note: {note}", stderr=False)
     click.echo(f"\nNext: friction-hil config check {shlex.quote(str(target))}")

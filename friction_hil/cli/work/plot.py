@@ -13,7 +13,7 @@ from friction_hil.analysis.baseline import Phase
 from friction_hil.cli.output import print_json
 from friction_hil.cli.work.following import Compared, following_table
 from friction_hil.cli.work.progress import status_line
-from friction_hil.cli.work.tables import print_table
+from friction_hil.cli.work.tables import print_table, say
 from friction_hil.config import Configuration, from_dict, load
 from friction_hil.errors import ConfigurationError, FrictionHilError, Problem, UsageError
 from friction_hil.recordings import Recording
@@ -56,7 +56,7 @@ def plot(
         files = _write(views, target)
     for name, view in views.items():
         for note in (*notes[name], *view.notes):
-            click.echo(f"{source}: {name}: {note}", err=True)
+            say(f"{source}: {name}: {note}")
     if as_json:
         print_json({"files": files, "axes": {name: _as_dict(view) for name, view in views.items()}})
     else:

@@ -10,11 +10,11 @@ from typing import Any
 
 import click
 
-from friction_hil.cli.colour import red
+from friction_hil.cli.colour import echo_labelled
 from friction_hil.cli.output import print_json
 from friction_hil.cli.work.progress import progress_bar
 from friction_hil.cli.work.read import expanded
-from friction_hil.cli.work.tables import console, new_table, number, print_table
+from friction_hil.cli.work.tables import console, new_table, number, print_table, say
 from friction_hil.config import load
 from friction_hil.errors import UsageError
 from friction_hil.models.files import model_from_argument
@@ -66,7 +66,7 @@ def replay(
         _print(outcomes)
     for outcome in outcomes:
         if "error" in outcome.facts:
-            click.echo(f"{red('Error:')} {outcome.facts['error']}", err=True)
+            echo_labelled("Error:", outcome.facts["error"])
     return max((outcome.exit_status for outcome in outcomes), default=0)
 
 
@@ -126,7 +126,7 @@ def _print(outcomes: Sequence[ReplayOutcome]) -> None:
         facts = outcome.facts
         name = Path(facts["path"]).name
         for problem in facts["problems"]:
-            click.echo(f"{name}: {facts['axis']}: {problem}", err=True)
+            say(f"{name}: {facts['axis']}: {problem}")
         for each in facts["models"]:
             rmse = digits(each["rmse"] * factor, 4) if unit else quantity(each["rmse"], each["unit"])
             error = rmse, _percent(each["relative_error"])

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from friction_hil.cli.colour import red, yellow
+from friction_hil.cli.colour import echo_labelled, yellow
 from friction_hil.cli.output import print_json
 from friction_hil.cli.work.following import Compared, following_table
 from friction_hil.cli.work.simulated import report_missing_models, simulated_drives
@@ -120,17 +120,17 @@ def _report_problems(result: "SessionResult") -> int:
     """Print problems of the recording, warnings and faults on stderr; return the exit status."""
     report = result.report
     for problem in report.problems if report else ():
-        click.echo(f"{yellow('recording:')} {problem}", err=True)
+        echo_labelled("recording:", problem, yellow)
     is_incomplete = bool(report and (report.lost or report.pending) and report.recording)
     if report and is_incomplete and report.lost:
         total = report.rows + report.lost + report.pending
-        click.echo(f"{red('recording:')} {report.lost} of {total} rows were lost", err=True)
+        echo_labelled("recording:", f"{report.lost} of {total} rows were lost")
     for notice in result.loop.notices:
-        click.echo(f"notice: {notice}", err=True)
+        say(f"notice: {notice}")
     for warning in result.loop.warnings:
-        click.echo(f"{yellow('warning:')} {warning}", err=True)
+        echo_labelled("warning:", warning, yellow)
     for fault in result.loop.faults:
-        click.echo(f"{red('fault:')} {fault}", err=True)
+        echo_labelled("fault:", fault)
     return 1 if result.loop.faults or is_incomplete else 0
 
 
@@ -144,9 +144,10 @@ def _print(result: "SessionResult", configuration: "Configuration", *, dry_run: 
         _print_errors(result.axes, configuration)
     for name, figures in result.axes.items():
         if figures.bridged:
-            click.echo(f"{name}: {figures.bridged} cycles without usable feedback were bridged")
+            was = "cycle without usable feedback was" if figures.bridged == 1 else "cycles without usable feedback were"
+            click.echo(f"{name}: {figures.bridged} {was} bridged")
             for reason, count in sorted(figures.bridged_reasons.items(), key=lambda item: -item[1])[:_SHOWN_REASONS]:
-                click.echo(f"   {count} of them: {reason}")
+                say(f"   {count} of them: {reason}", stderr=False)
     for path in result.report.recording if result.report else ():
         click.echo(f"recorded: {path}")
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from friction_hil.cli.colour import yellow
+from friction_hil.cli.colour import echo_labelled, yellow
 from friction_hil.cli.output import print_json
 from friction_hil.cli.work.following import Compared, following_table
 from friction_hil.cli.work.progress import status_line
@@ -67,10 +67,10 @@ def tune_machine(
     else:
         _print(tuning, config, is_simulated=simulate)
     for warning in tuning.warnings:
-        click.echo(f"{yellow('warning:')} {warning}", err=True)
+        echo_labelled("warning:", warning, yellow)
     failed = [name for name, axis in tuning.axes.items() if not axis.best.trial.has_helped]
     for name in failed:
-        click.echo(f"{name}: compensation did not help: its model is not used", err=True)
+        say(f"{name}: compensation did not help: its model is not used")
     return 1 if failed else 0
 
 

@@ -192,9 +192,10 @@ def _cut(recording: Recording, window: tuple[float, float]) -> Recording:
     time = recording[TIME]
     rows = np.flatnonzero((time >= window[0]) & (time <= window[1]))
     if rows.size < 2:
+        begin = f" from {window[0]:g} s on" if np.isfinite(window[0]) else ""
+        end = f" up to {window[1]:g} s" if np.isfinite(window[1]) else ""
         raise RecordingError(
-            f"{recording.path}: there are no two rows from {window[0]:g} s to {window[1]:g} s: it reaches from "
-            f"{time[0]:g} s to {time[-1]:g} s"
+            f"{recording.path}: there are no two rows{begin}{end}: it reaches from {time[0]:g} s to {time[-1]:g} s"
         )
     return _rows(recording, rows)
 
