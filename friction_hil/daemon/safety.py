@@ -126,7 +126,7 @@ class Supervisor:
         self._unit = unit
         self._jump = _JUMP_MARGIN * limits.velocity * period_s
         self._slack = 10.0 * position_resolution
-        self._noise = _NOISE_STEPS * position_resolution / period_s
+        self._noise = max(_NOISE_STEPS * position_resolution / period_s, velocity_resolution)
         self._allowed = math.nan  # speed of the motion that the user was told of
         self._fastest = limits.velocity
         self._last_position = math.nan
@@ -143,7 +143,8 @@ class Supervisor:
     def allow(self, speed: float) -> None:
         """Allow the axis no more than the speed of a motion that the user was told of, SI, with a margin for overshoot.
 
-        The margin is `SPEED_MARGIN`, and the noise of a velocity from single steps of the encoder.
+        The margin is `SPEED_MARGIN`, and the noise of a velocity from single steps of the encoder, or the step of the
+        reported velocity if that is larger.
         """
         self._allowed = speed
         self._fastest = min(self._limits.velocity, SPEED_MARGIN * speed + self._noise)

@@ -252,6 +252,16 @@ def test_the_velocity_that_a_drive_reports_is_held_to_the_announced_speed_too():
     assert "the drive reports a velocity of 5 rad/s, beyond the limit of 3.02 rad/s, 1.5 times the 2" in faults[2]
 
 
+def test_a_slow_motion_is_no_fault_where_the_drive_reports_whole_rpm():
+    step, speed = math.pi / 30.0, 0.06
+    one = Supervisor("x", LIMITS, PERIOD_S, 1e-6, velocity_resolution=step)
+    one.allow(speed)
+    for cycle in range(200):
+        feedback = heard(speed * PERIOD_S * cycle, step * round(speed / step))
+        one.take(feedback)
+        assert one.find_fault(feedback, LoopState.RUNNING, speed, math.nan) is None
+
+
 # --- what the states ask of the drives
 
 
