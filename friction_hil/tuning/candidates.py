@@ -110,5 +110,5 @@ def _at_bound(fit: Fit) -> list[str]:
 def why_not_tried(fit: Fit) -> str:
     """Return the reason for which `candidates` leaves a fit out that is otherwise the best."""
     if is_determined(fit) and (names := _at_bound(fit)):
-        return f"{', '.join(names)} at a bound, which a static model must not have here"
+        return f"at a bound: {', '.join(names)}; no model without presliding is tried with that"
     return "the data do not determine its parameters"
