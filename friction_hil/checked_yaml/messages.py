@@ -1,5 +1,6 @@
 """Messages about wrong values: pydantic's errors in plain words, with units, choices and advice."""
 
+import contextlib
 import json
 import re
 from collections.abc import Collection, Iterable, Sequence
@@ -35,6 +36,7 @@ _WANTED = {
 _TRUTH = {"on": "true", "yes": "true", "y": "true", "off": "false", "no": "false", "n": "false"}
 _BOUNDS = {"gt": "above", "ge": "at least", "lt": "below", "le": "at most"}
 _FAR = 1e6  # bounds from here on only keep numbers from overflowing
+_PREFIXES = {"k": 1e3, "c": 1e-2, "m": 1e-3, "µ": 1e-6, "u": 1e-6}
 _LONGEST_NUMBER = 60  # characters of a text that could be meant as a number
 
 
@@ -202,9 +204,21 @@ def _advice(kind: str, given: Any, unit: str) -> str:
     if match := re.fullmatch(r"([-+]?[0-9]+(?:\.[0-9]*)?)\s*%", text):
         fraction = float(match[1]) / 100.0
         return f" (a percentage; give the value in {unit})" if unit else f" (as a fraction: write {fraction:.12g})"
-    if match := re.fullmatch(r"([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*[A-Za-zµ°%].*", text):
-        return f" (write the number alone, {match[1]}, in the unit of the key)"
+    if match := re.fullmatch(r"([-+]?[0-9.]+(?:[eE][-+]?[0-9]+)?)\s*([A-Za-zµ°%].*)", text):
+        return _without_unit(match[1], match[2].strip(), unit)
     return ""
+
+
+def _without_unit(number: str, given: str, unit: str) -> str:
+    """Suggest the number without its unit; in the unit of the key where that is the one given with a prefix."""
+    given = given.replace(" ", "")
+    units = [each.replace(" ", "") for each in (unit, *unit.split(" or "))]
+    if given in units:
+        return f" (write the number alone, {number})"
+    if given[1:] in units and given[0] in _PREFIXES:
+        with contextlib.suppress(ValueError):
+            return f" (in {given[1:]}: write {float(number) * _PREFIXES[given[0]]:.12g})"
+    return f" (write the number alone{f', converted to {unit}' if unit else ''})"
 
 
 def _bounds(field: FieldInfo | None, context: dict[str, Any], given: Any) -> str:

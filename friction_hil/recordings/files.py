@@ -170,6 +170,8 @@ def _read(source: Source, mapped: Mapped, where: str | None, only: Collection[st
 
 def _module(path: Path, known: Mapping[str, str]) -> Any:
     suffix = path.suffix.lower()
+    if suffix not in known and path.is_dir():
+        raise UsageError(f"{path} is a folder; name a recording in it")
     if suffix not in known:
         raise UsageError(f"{path}: the suffix {suffix!r} is not known here; {choices(suffix, known)}")
     return importlib.import_module(f"friction_hil.recordings.{known[suffix]}")

@@ -100,5 +100,15 @@ def _is_sound(fit: Fit) -> bool:
     Around a reversal, presliding looks like a level near zero at standstill. A model without presliding that was
     fitted to it would take the compensation away just where the axis reverses.
     """
-    is_at_bound = any(each.name in fit.estimate.at_bound for each in fit.structure.coordinates)
-    return is_determined(fit) and (is_dynamic(fit.structure) or not is_at_bound)
+    return is_determined(fit) and (is_dynamic(fit.structure) or not _at_bound(fit))
+
+
+def _at_bound(fit: Fit) -> list[str]:
+    return [each.name for each in fit.structure.coordinates if each.name in fit.estimate.at_bound]
+
+
+def why_not_tried(fit: Fit) -> str:
+    """Return the reason for which `candidates` leaves a fit out that is otherwise the best."""
+    if is_determined(fit) and (names := _at_bound(fit)):
+        return f"at a bound: {', '.join(names)}; no model without presliding is tried with that"
+    return "the data do not determine its parameters"

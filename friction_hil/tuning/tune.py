@@ -13,7 +13,7 @@ from friction_hil.identification.settings import chosen_families
 from friction_hil.models.model_file import ModelFile
 from friction_hil.recordings import Recording, read, read_all
 from friction_hil.tuning.announcement import allowed_speeds, experiment_text, trial_text
-from friction_hil.tuning.candidates import CandidateFit, candidates, identified
+from friction_hil.tuning.candidates import CandidateFit, candidates, identified, why_not_tried
 from friction_hil.tuning.choice import (
     AxisTuning,
     TriedModel,
@@ -146,7 +146,7 @@ class _Tuner:
         for each in found:
             self._dialog.report(f"{name}: {each.best.label}: {each.reason}")
             if each.best not in chosen:
-                self._dialog.report(f"{name}: {each.best.label} is not tried: the data do not determine its parameters")
+                self._dialog.report(f"{name}: {each.best.label} is not tried: {why_not_tried(each.best)}")
         write_model(self._file(name), model_content(found[0], found[0].best, axis))
         return found
 

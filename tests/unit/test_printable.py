@@ -132,6 +132,14 @@ def test_no_word_of_an_error_is_cut_at_the_edge_of_a_terminal(folder: Path) -> N
     assert b"There are:\r\n.csv, .h5, " in data
 
 
+@pytest.mark.parametrize("words", [["replay", "."], ["identify", "."], ["convert", ".", "x.csv"], ["plot", "."]])
+def test_a_folder_in_the_place_of_a_recording_is_named(
+    folder: Path, words: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(words) == 2
+    assert ". is a folder; name a recording in it" in capsys.readouterr().err
+
+
 def test_headings_of_the_models_are_bold_on_a_terminal() -> None:
     data = on_a_terminal(sys.executable, "-m", "friction_hil", "models", COLUMNS="80", TERM="xterm")
     assert rb"\u001b" not in data

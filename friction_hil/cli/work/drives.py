@@ -9,7 +9,7 @@ import click
 from pydantic import ValidationError
 
 from friction_hil.cli.output import print_json
-from friction_hil.cli.work.tables import new_table, number, print_table
+from friction_hil.cli.work.tables import new_table, number, print_table, say
 from friction_hil.config import BusConfig, Configuration, load
 from friction_hil.config.drivers import driver_names, load_driver
 from friction_hil.drive.inventory import DriveEntry, Inventory, Stop
@@ -58,7 +58,7 @@ def stop_drives(*, words: Sequence[str], bus: str | None, bitrate: int | None, a
         print_json({"drives": [_stop_json(each) for each in stops], "notes": notes})
     else:
         for each in stops:
-            click.echo(_stop_line(each))
+            say(_stop_line(each), stderr=False)
         _print_notes(notes)
     return 0 if all(each.is_proved for each in stops) else 1
 
@@ -170,7 +170,7 @@ def _print_scan(entries: Sequence[DriveEntry]) -> None:
 
 def _print_notes(notes: Sequence[str]) -> None:
     for note in notes:
-        click.echo(f"note: {note}")
+        say(f"note: {note}", stderr=False)
 
 
 def _stop_line(stop: Stop) -> str:
@@ -191,14 +191,14 @@ def _print_drive(shown: dict[str, Any]) -> None:
     click.echo(f"node {shown['node']}")
     for section in ("identity", "state", "units"):
         cells = [f"{name} {_cell(name, value)}" for name, value in shown[section].items()]
-        click.echo(f"  {section}: {', '.join(cells)}")
+        say(f"  {section}: {', '.join(cells)}", stderr=False)
     click.echo("  PDOs:")
     for pdo in shown["mapping"]:
-        click.echo(f"    {_pdo_line(pdo)}")
-    click.echo(f"  watchdogs: {_watchdog_line(shown['watchdogs'])}")
+        say(f"    {_pdo_line(pdo)}", stderr=False)
+    say(f"  watchdogs: {_watchdog_line(shown['watchdogs'])}", stderr=False)
     click.echo("  compensation:")
     for mode, way in shown["compensation"].items():
-        click.echo(f"    {mode}: {_way(way)}")
+        say(f"    {mode}: {_way(way)}", stderr=False)
 
 
 def _pdo_line(pdo: dict[str, Any]) -> str:

@@ -3,9 +3,8 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import click
-
 from friction_hil.cli.output import print_json
+from friction_hil.cli.work.tables import say
 from friction_hil.config import AxisConfig, Configuration, load
 from friction_hil.config.drivers import load_driver
 from friction_hil.drive import DriveState
@@ -38,9 +37,9 @@ def _carry_out(method: str, config: str, names: Sequence[str], *, as_json: bool)
         print_json({"axes": [_json(each) for each in stops], "notes": notes})
     else:
         for each in stops:
-            click.echo(_line(each, config, is_reset=method == "reset_axes"))
+            say(_line(each, config, is_reset=method == "reset_axes"), stderr=False)
         for note in notes:
-            click.echo(f"note: {note}")
+            say(f"note: {note}", stderr=False)
     return 0 if all(each.is_proved for each in stops) else 1
 
 

@@ -176,7 +176,13 @@ def say(text: str, *, stderr: bool = True) -> None:
     out = console(stderr=stderr)
     if out.is_terminal:
         text = "\n".join(
-            textwrap.fill(line, out.width, break_long_words=False, break_on_hyphens=False) if line else line
+            textwrap.fill(
+                line,
+                out.width,
+                subsequent_indent=" " * (len(line) - len(line.lstrip(" "))),
+                break_long_words=False,
+                break_on_hyphens=False,
+            )
             for line in text.split("\n")
         )
     click.echo(text, err=stderr)
