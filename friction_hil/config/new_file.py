@@ -16,7 +16,7 @@ from friction_hil.config.annotated import FILL_IN, Page
 from friction_hil.config.axis import AxisConfig, AxisLimits, Compensation, Controller
 from friction_hil.config.bus import MULTICAST, BusConfig
 from friction_hil.config.drivers import load_driver
-from friction_hil.config.schema import Configuration, RecordingConfig
+from friction_hil.config.schema import Configuration, Realtime, RecordingConfig
 from friction_hil.config.trajectories import AxisExperiment, Sine
 from friction_hil.errors import UsageError, choices
 from friction_hil.friction import describe
@@ -27,6 +27,7 @@ _SPEED_FRACTION = 0.5  # of the velocity limit, reached by the trajectory
 _EXPERIMENT_FRACTION = 0.6  # of the velocity limit, reached by `tune`
 _ERROR_FRACTIONS = (0.1, 0.5)  # of the travel, limit of the following error; loops over the bus (cst) are softer
 _HIGHEST_HZ = 0.5
+_MISSED_IN_SIMULATION = 20  # periods: nothing real moves meanwhile, and the drives compute on the same computer
 _LOWER, _ASSUMED = ("coulomb", "static"), 0.9  # of the simulated friction, in the model of a simulated axis
 
 
@@ -140,6 +141,9 @@ def new_configuration(wanted: Wanted) -> str:
     if wanted.is_simulated:
         page.blank()
         page.key(2, "simulation", {}, "the simulated drive, all at its defaults; remove it for a real drive")
+        page.blank()
+        page.key(0, "realtime", None)
+        page.of(1, Realtime, "max_missed", _MISSED_IN_SIMULATION, "; twice the default, for a busy computer")
     page.blank()
     page.key(0, "recording", None)
     page.of(1, RecordingConfig, "path", f"out/{wanted.name}.mcap")
@@ -186,16 +190,15 @@ def _required_keys(options: type[BaseModel]) -> DriverKeys:
 
 def _header(wanted: Wanted) -> list[str]:
     file = shlex.quote(wanted.path.name)
-    steps = {
-        f"config check {file}": "mistakes, and what is left to fill in",
-        f"doctor {file}": "what stands between this machine and the drive",
-    }
+    steps = {f"config check {file}": "mistakes, and what is left to fill in"}
     if wanted.is_simulated:
-        steps[f"simulate {file}"] = "the simulated drive, in a terminal of its own"
-    steps[f"run {file} --dry-run --duration 5"] = "listen and compute, without commanding the drive"
-    if not wanted.is_simulated:
+        steps[f"run {file} --simulate --duration 20"] = "compensate; the drive starts and ends with it"
+        steps[f"simulate {file}"] = "the simulated drive alone, for other programs"
+    else:
+        steps[f"doctor {file}"] = "what stands between this machine and the drive"
+        steps[f"run {file} --dry-run --duration 5"] = "listen and compute, without commanding the drive"
         steps[f"tune {file}"] = "identify the friction; writes the file that `model` names"
-    steps[f"run {file} --duration 20"] = "compensate"
+        steps[f"run {file} --duration 20"] = "compensate"
     width = max(map(len, steps)) + 2
     what = (
         "One simulated drive."
