@@ -6,6 +6,7 @@ import can
 import pytest
 from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.drives import CanopenDrives
+from friction_hil_drivers.canopen.exclusive import AxisLock
 
 from friction_hil.drive import Command, DriveState, Feedback, Request
 from friction_hil.errors import BusError
@@ -95,6 +96,7 @@ class Machine:
         self.bus = TimedBus(self.benches, 0.0)
         keys = {"mode": "cst", "controller": CONTROLLER}
         config = configuration(x=axis_dict(node=FIRST, **keys), y=axis_dict(node=SECOND, **keys))
+        self.bus_config = config.bus
         self.drives = CanopenDrives(config, config.axes, BusClock(self.bus), dry_run=False, bus=self.bus)
         self.facts = self.drives.connect()
         self.drives.start()
@@ -165,6 +167,7 @@ def test_a_command_that_cannot_be_sent_does_not_keep_drives_from_being_restored(
     for bench in machine.benches:
         assert bench.node.drive.state is DriveState.SWITCH_ON_DISABLED
         assert bench.node._consumer.nodes == []
+        AxisLock(machine.bus_config, bench.node.number, "another daemon").release()
 
 
 def test_the_watch_begins_with_the_first_command(machine):

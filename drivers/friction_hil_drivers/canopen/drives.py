@@ -5,6 +5,7 @@ cyclic phase begins: a second busy thread would delay wake-ups by up to 5 ms. Fr
 writes the bus.
 """
 
+import contextlib
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -386,15 +387,16 @@ class CanopenDrives(CanopenService):
         list of DriveState
             State of each drive as it was read back at last, UNKNOWN where it was not.
         """
-        if self._bus is not None:
-            try:
-                if self._network is not None and not self._is_passive:
-                    self._leave(self._network)
-            finally:
-                bus, self._bus = self._bus, None
-                bus.close()
-        for lock in self._locks:
-            lock.release()
+        with contextlib.ExitStack() as stack:
+            for lock in self._locks:
+                stack.callback(lock.release)  # also if the bus fails meanwhile
+            if self._bus is not None:
+                stack.callback(self._bus.close)
+                try:
+                    if self._network is not None and not self._is_passive:
+                        self._leave(self._network)
+                finally:
+                    self._bus = None
         return [self._states.get(name, DriveState.UNKNOWN) for name in self._configs]
 
     def _leave(self, network: "SdoNetwork") -> None:
