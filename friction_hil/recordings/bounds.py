@@ -6,6 +6,7 @@ axes and are checked before memory is allocated.
 
 import math
 import os
+import sys
 from collections.abc import Sized
 from pathlib import Path
 
@@ -91,15 +92,21 @@ def available_memory() -> float:
             facts = dict(line.split(":", 1) for line in file)
         free = float(facts["MemAvailable"].split()[0]) * 1024.0
     except (OSError, KeyError, ValueError):
-        try:
-            free = float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
-        except (AttributeError, OSError, ValueError):
-            free = math.inf
+        free = _physical_memory()
     try:  # of a container
         with open("/sys/fs/cgroup/memory.max", encoding="ascii") as file:
             return min(free, float(file.read()))
     except (OSError, ValueError):  # none, or `max`
         return free
+
+
+def _physical_memory() -> float:
+    if sys.platform == "win32":  # its `os` does not say
+        return math.inf
+    try:
+        return float(os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE"))
+    except (OSError, ValueError):
+        return math.inf
 
 
 def amount(size: int) -> str:
