@@ -138,10 +138,12 @@ def test_the_same_bus_has_one_lock_however_it_is_written(tmp_path):
     ],
 )
 def test_other_buses_have_other_locks(other, bus):
-    locks = [AxisLock(BusConfig(interface="slcan", channel=f"/dev/{200 * 'long'}est"), 78, "x"), AxisLock(bus, 78, "x")]
-    locks.append(AxisLock(BusConfig(**other), 78, "x"))
-    for lock in locks:
+    buses = [BusConfig(interface="slcan", channel=f"/dev/{200 * 'long'}est"), bus, BusConfig(**other)]
+    locks = [AxisLock(each, 78, "x") for each in buses]
+    for each, lock in zip(buses, locks, strict=True):
+        assert "FH-204" in refusal(each, 78)
         lock.release()
+        AxisLock(each, 78, "x").release()
 
 
 def test_a_virtual_bus_does_not_leave_its_process():

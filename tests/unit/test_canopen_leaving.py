@@ -159,7 +159,7 @@ def test_what_concerns_other_nodes_is_not_a_master_of_ours(bench, frame):
     bus = Others(bench)
     bus.hear(*frame)
     drives = make(bus)
-    drives.connect()
+    assert [facts.name for facts in drives.connect()] == ["x"]
     drives.close()
 
 

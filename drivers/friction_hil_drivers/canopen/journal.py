@@ -180,10 +180,6 @@ class Journal:
             kept.written.append(data)
         self._save()
 
-    def take_over(self) -> None:
-        """Take the values that a run left behind which was killed."""
-        self._open()
-
     def _open(self) -> None:
         """Find the file of this drive, once, and take over what it has."""
         if self._path is not None:

@@ -34,7 +34,6 @@ from friction_hil_drivers.canopen.sdo_answers import (
 )
 
 PATIENCE_S = 3.0  # storing parameters and a change of mapping take some drives more than a second
-SHORT_PATIENCE_S = 0.5
 _READ_ATTEMPTS = 3  # within the patience: reading again is harmless, and a frame may have been lost
 _MOST_NOTES = 5
 _MOST_WAITING = 1000  # frames read at once: a request has its time limit on a busy bus too
