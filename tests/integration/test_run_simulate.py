@@ -91,7 +91,10 @@ def test_without_a_baseline_or_a_model_the_run_says_what_to_do(tmp_path):
     path = write(tmp_path, model="later.yaml", limits={"torque": 0.1, "velocity": 30.0})
     done = run("run", "--simulate", path, "--pace", "sync", "--duration", "1.5", "--json")
     summary = json.loads(done.stdout)
-    assert "x: later.yaml does not exist yet: nothing is compensated ('friction-hil tune' makes it)" in done.stderr
+    (note,) = (line for line in done.stderr.splitlines() if line.startswith("note: "))
+    assert "axes.x.model: there is no model file" in note
+    assert "later.yaml; 'friction-hil tune' identifies the friction" in note
+    assert note.endswith("; until then its friction counts as zero")
     x = summary["axes"]["x"]
     assert (x["baseline"], x["reduction"], x["unit"]) == (None, None, "rad")
     assert x["rms"] == x["compensated"]["rms"] > 0.0

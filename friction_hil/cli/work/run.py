@@ -12,7 +12,7 @@ import click
 from friction_hil.cli.colour import echo_labelled, yellow
 from friction_hil.cli.output import print_json
 from friction_hil.cli.work.following import Compared, following_table
-from friction_hil.cli.work.simulated import report_missing_models, simulated_drives
+from friction_hil.cli.work.simulated import simulated_drives
 from friction_hil.cli.work.tables import print_table, say
 from friction_hil.config import load, located, missing_models
 from friction_hil.daemon.stop import stop_on_signals
@@ -47,11 +47,10 @@ def run(
     if force and record is None:
         raise click.UsageError("--force goes with --record FILE")
     configuration = load(config, needs_models=not (dry_run or simulate))
-    for note in missing_models(config, configuration) if dry_run and not simulate else ():
+    for note in missing_models(config, configuration) if dry_run or simulate else ():
         say(f"note: {note}; until then its friction counts as zero")
     with stop_on_signals() as stop, ExitStack() as stack:
         if simulate:
-            report_missing_models(configuration, say)
             drives = simulated_drives(configuration, pace, say, lambda: stop.is_requested)
             configuration = stack.enter_context(drives)
         with stop.raised():  # imported here: compiling takes a minute, and --help must not wait for it

@@ -82,11 +82,3 @@ def _wait_until_ready(drives: Child, is_interrupted: Callable[[], bool]) -> list
             drives.refuse_failure(DriveError)
             raise DriveError("the simulated drives ended before they were ready")
     return printed.strip().removeprefix(_READY).splitlines()
-
-
-def report_missing_models(configuration: Configuration, report: Callable[[str], None]) -> None:
-    """Report the axes that are not compensated, because their model files do not exist yet."""
-    for name, axis in configuration.axes.items():
-        file = axis.model.source_path
-        if file is not None and not file.exists():
-            report(f"{name}: {file.name} does not exist yet: nothing is compensated ('friction-hil tune' makes it)")
