@@ -76,7 +76,9 @@ _OPTIONS = (
         metavar="NAME=SOURCE[*FACTOR]",
         help="Read column NAME from the column SOURCE of the file, e.g. torque=vir*35.15 or "
         "position=encoder*2*pi/4096. SOURCE may be a product of columns; SOURCE:int16 (int8, uint32, ...) reinterprets "
-        "a register that was logged as another type: torque=load:int16*volts/885. May be repeated.",
+        "a register that was logged as another type: torque=load:int16*volts/885. A column of a matrix is "
+        "position=q[:,3], one of a file beside the recording torque=torque.csv:tau, one of a text file without names "
+        "position=column2. May be repeated.",
     ),
     click.option(
         "--scale",
@@ -84,6 +86,13 @@ _OPTIONS = (
         callback=_scale,
         metavar="NAME=FACTOR",
         help="Multiply column NAME by FACTOR to convert it to SI units, e.g. torque=35.15. May be repeated.",
+    ),
+    click.option(
+        "--rate",
+        "rate_hz",
+        type=click.FloatRange(min=0.0, min_open=True),
+        metavar="HZ",
+        help="Sampling rate of a recording without time stamps, e.g. 1000.",
     ),
     click.option(
         "--where",
@@ -94,7 +103,7 @@ _OPTIONS = (
 
 
 def recording_options(command: Command) -> Command:
-    """Add ``--axis`` (``axis``), ``--column`` (``columns``, a dict), ``--scale`` (``scale``, a dict), ``--where``."""
+    """Add ``--axis``, ``--column`` (``columns``, a dict), ``--scale`` (dict), ``--rate`` (``rate_hz``), ``--where``."""
     for option in reversed(_OPTIONS):
         command = option(command)
     return command

@@ -8,7 +8,7 @@ from typing import Literal
 
 AxisKind = Literal["rotary", "linear"]
 
-_LINEAR = {"rad": "m", "rad/s": "m/s", "N m": "N"}
+_LINEAR = {"rad": "m", "rad/s": "m/s", "rad/s^2": "m/s^2", "N m": "N"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,16 +26,36 @@ COLUMNS = (
     ColumnMeaning("cycle", "", "number of the period, from 0; a gap is a missed period or a lost row"),
     ColumnMeaning("position", "rad", "measured position"),
     ColumnMeaning("velocity", "rad/s", "measured velocity, as the drive reports it"),
+    ColumnMeaning(
+        "load_position",
+        "rad",
+        "position by the encoder at the load, equal to position where the motion begins",
+        is_sparse=True,
+    ),
     ColumnMeaning("torque", "N m", "actual torque, as the drive reports it"),
     ColumnMeaning("position_demand", "rad", "position that the motion asks for now", is_sparse=True),
     ColumnMeaning("velocity_demand", "rad/s", "velocity that the motion asks for now", is_sparse=True),
     ColumnMeaning(
         "velocity_demand_ahead", "rad/s", "velocity demand at the time when this cycle's torque acts", is_sparse=True
     ),
+    ColumnMeaning(
+        "acceleration_demand_ahead",
+        "rad/s^2",
+        "acceleration demand at the time when this cycle's torque acts",
+        is_sparse=True,
+    ),
     ColumnMeaning("torque_demand", "N m", "torque that the drive's loops ask for", is_sparse=True),
     ColumnMeaning("load_torque", "N m", "torque that the load puts on the axis"),
-    ColumnMeaning("temperature", "°C", "temperature of the axis"),
+    ColumnMeaning("temperature", "°C", "measured temperature of the axis", is_sparse=True),
     ColumnMeaning("velocity_estimate", "rad/s", "velocity that the friction model was given"),
+    ColumnMeaning("load_estimate", "N m", "load torque that the friction model was given", is_sparse=True),
+    ColumnMeaning("temperature_estimate", "°C", "temperature that the friction model was given", is_sparse=True),
+    ColumnMeaning(
+        "motor_offset",
+        "rad",
+        "what is added to position_demand for the motor, across backlash and twist",
+        is_sparse=True,
+    ),
     ColumnMeaning("compensation", "N m", "friction feed-forward alone"),
     ColumnMeaning("command", "N m", "torque written to the drive: offset in csp and csv, the whole in cst"),
     ColumnMeaning("state", "", "state of the loop (LoopState)"),

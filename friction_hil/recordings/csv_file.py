@@ -1,52 +1,47 @@
-"""Read and write CSV: a header of column names, then numbers."""
+"""Read and write text: numbers in columns, in CSV below a header of their names."""
 
 import csv
 import io
 import re
-from collections import Counter
 from pathlib import Path
 
 import numpy as np
 
 from friction_hil.errors import RecordingError
-from friction_hil.recordings.bounds import check_columns
 from friction_hil.recordings.recording import Array, Recording
 from friction_hil.recordings.source import Source, as_column, open_new
+from friction_hil.recordings.text_layout import BLANKS, DECIMAL_COMMA, is_number, is_value, layout_of, not_text, split
 
-_DELIMITERS = ",;\t"
 _ROWS_AT_ONCE = 10_000
 _LONGEST_SHOWN = 40  # characters of a field that is no number
-_BOM = b"\xef\xbb\xbf"
 _MISSING = ["", "nan", "NaN", "NAN", "-nan"]
 _MARKS = {",": "comma", ".": "point"}
-_SEPARATOR_LINE = re.compile(r"sep=.")  # with which Excel says what separates the fields
-_DECIMAL_COMMA = re.compile(r"\s*[-+]?(?:[0-9]+,[0-9]*|,[0-9]+)(?:[eE][-+]?[0-9]+)?\s*")
 
 
 def read(source: Source) -> list[Recording]:
-    """Read a CSV file: comma, semicolon or tab; a first line of names; ``#`` starts a comment line.
+    """Read a text file: comma, semicolon, tab or blanks; a first line of names; ``#`` starts a comment line.
 
-    An empty field is NaN. Between semicolons or tabs, numbers may have a decimal comma. A last line without a line end
-    is read if it has a number in each column.
+    Columns without names are ``column1``, ``column2``, ... (`layout_of`). An empty field is NaN. If no comma separates
+    them, numbers may have a decimal comma. A last line without a line end is read if it has a number in each column.
 
     Raises
     ------
     RecordingError
-        The file is not text, has no header, its header has a name twice, or a field is not a number; the message
-        names the line.
+        The file is not text, its header has a name twice, or a field is not a number; the message names the line.
     OSError
         It cannot be opened.
     """
     path, problems = source.path, list[str]()
     data = path.read_bytes()
-    start, number, header = _header(path, data)
-    delimiter = max(_DELIMITERS, key=header.count)
-    names = _names(path, number, header, delimiter)
+    layout = layout_of(path, data)
+    start, number, names, delimiter = layout.start, layout.line, layout.names, layout.delimiter
     rows = memoryview(data)[start : _end(data, start, len(names), delimiter, problems)]
     wanted, others = source.split(names)
     source.memory.take(data.count(b"\n") * len(names) * 8)
     recording = Recording(str(path), source.name, {}, problems=problems, others=others)
-    if delimiter != "," and _has_decimal_commas(rows):
+    if delimiter is BLANKS:  # which pyarrow does not know
+        values = _by_numpy(rows, names, wanted, delimiter)
+    elif delimiter != "," and _has_decimal_commas(rows):
         values = _by_arrow(rows, names, wanted, delimiter, ",")
     else:
         values = _by_arrow(rows, names, wanted, delimiter) or _by_numpy(rows, names, wanted, delimiter)
@@ -73,24 +68,7 @@ def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
             writer.writerows(np.stack(block, axis=1).tolist())
 
 
-def _header(path: Path, data: bytes) -> tuple[int, int, str]:
-    """Return the offset of the first row, the line number of the header, and the header."""
-    offset, number = len(_BOM) if data.startswith(_BOM) else 0, 0
-    while offset < len(data):
-        end = data.find(b"\n", offset) + 1 or len(data)
-        number += 1
-        try:
-            line = data[offset:end].decode("utf-8")
-        except UnicodeDecodeError as error:
-            raise _not_text(path, offset + error.start) from None
-        offset = end
-        text = line.strip("\0 \t\r\n")
-        if text and not line.startswith("#") and not _SEPARATOR_LINE.fullmatch(text):
-            return offset, number, line.rstrip("\r\n")
-    raise RecordingError(f"{path} is empty: a line of column names and rows of numbers belong here")
-
-
-def _end(data: bytes, start: int, columns: int, delimiter: str, problems: list[str]) -> int:
+def _end(data: bytes, start: int, columns: int, delimiter: str | None, problems: list[str]) -> int:
     """Return the offset at which the last row ends; report what follows it, and a last row without line end."""
     end = len(data)
     while end > start and data[end - 1] == 0:
@@ -102,28 +80,12 @@ def _end(data: bytes, start: int, columns: int, delimiter: str, problems: list[s
         number = data.count(b"\n", 0, begin) + 1
         line = f"line {number} has no line end"
         fields = data[begin:end].decode("utf-8", "replace").split(delimiter)
-        if end == len(data) and len(fields) == columns and all(map(_is_value, fields)):
+        if end == len(data) and len(fields) == columns and all(map(is_value, fields)):
             problems.append(f"{line}: its row is read; if the file was cut off there, its last value is wrong")
             return end
         problems.append(f"{line}, so the file may have been cut off in it: that row is left out")
         return begin
     return end
-
-
-def _names(path: Path, number: int, line: str, delimiter: str) -> list[str]:
-    try:
-        names = [name.strip() for name in next(csv.reader([line], delimiter=delimiter))]
-    except csv.Error as error:
-        raise RecordingError(f"{path}:{number}: the line of column names cannot be read: {error}") from None
-    check_columns(path, names)
-    if all(_is_number(name) for name in names):
-        raise RecordingError(f"{path}:{number}: the first line must name the columns; it holds numbers")
-    for name, times in Counter(names).items():
-        if not name:
-            raise RecordingError(f"{path}:{number}: column {names.index(name) + 1} has no name")
-        if times > 1:
-            raise RecordingError(f"{path}:{number}: column {name!r} is there {times} times")
-    return names
 
 
 def _has_decimal_commas(rows: memoryview) -> bool:
@@ -160,7 +122,7 @@ def _by_arrow(
     return {name: as_column(table.column(name).to_numpy()) for name in wanted}
 
 
-def _by_numpy(rows: memoryview, names: list[str], wanted: list[str], delimiter: str) -> dict[str, Array] | None:
+def _by_numpy(rows: memoryview, names: list[str], wanted: list[str], delimiter: str | None) -> dict[str, Array] | None:
     """Read with numpy; None if it refuses the file."""
     if not bytes(rows[:64]).strip() and not bytes(rows).strip():
         return None  # numpy would warn about an empty file
@@ -180,13 +142,13 @@ def _by_numpy(rows: memoryview, names: list[str], wanted: list[str], delimiter: 
 
 
 def _by_field(
-    path: Path, rows: memoryview, header: int, names: list[str], wanted: list[str], delimiter: str
+    path: Path, rows: memoryview, header: int, names: list[str], wanted: list[str], delimiter: str | None
 ) -> dict[str, Array]:
     """Read field by field, in order to report the first one that cannot be read."""
     try:
         lines = bytes(rows).decode("utf-8").splitlines()
     except UnicodeDecodeError as error:
-        raise _not_text(path, len(path.read_bytes()) - len(rows) + error.start) from None
+        raise not_text(path, len(path.read_bytes()) - len(rows) + error.start) from None
     blocks: list[Array] = []
     values: list[list[float]] = []
     mark = ""  # the decimal sign of the file, once one has been seen
@@ -194,11 +156,12 @@ def _by_field(
         if not line.strip() or line.startswith("#"):
             continue
         try:
-            fields = next(csv.reader([line], delimiter=delimiter))
+            fields = split(line, delimiter)
         except csv.Error as error:
             raise RecordingError(f"{path}:{number}: cannot be read: {error}") from None
         if len(fields) != len(names):
-            raise RecordingError(f"{path}:{number}: {len(fields)} fields, but the header names {len(names)}")
+            what = "the first row has" if names[0] == "column1" else "the header names"
+            raise RecordingError(f"{path}:{number}: {len(fields)} fields, but {what} {len(names)}")
         values.append([_number(path, number, name, text, delimiter) for name, text in zip(names, fields, strict=True)])
         for own in "," if "," in line else "", "." if "." in line else "":
             if delimiter != "," and own and mark not in ("", own):
@@ -212,36 +175,18 @@ def _by_field(
     return {name: as_column(table[:, places[name]]) for name in wanted}
 
 
-def _number(path: Path, line: int, name: str, text: str, delimiter: str) -> float:
+def _number(path: Path, line: int, name: str, text: str, delimiter: str | None) -> float:
     """Return the value of a field; NaN if it is empty."""
     if not text.strip():
         return np.nan
-    plain = text.replace(",", ".") if delimiter != "," and _DECIMAL_COMMA.fullmatch(text) else text
-    if not _is_number(plain):
+    plain = text.replace(",", ".") if delimiter != "," and DECIMAL_COMMA.fullmatch(text) else text
+    if not is_number(plain):
         shown = text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}..."
         raise RecordingError(f"{path}:{line}: {name}: {shown!r} is not a number{_hint(text)}")
     return float(plain)
 
 
-def _not_text(path: Path, byte: int) -> RecordingError:
-    return RecordingError(f"{path} is not a UTF-8 text file (byte {byte})")
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return "_" not in text
-
-
-def _is_value(text: str) -> bool:
-    """True if a field of unknown quoting and decimal sign may be a value; an empty one is."""
-    plain = text.strip().strip('"')
-    return not plain or _is_number(plain) or _DECIMAL_COMMA.fullmatch(plain) is not None
-
-
 def _hint(text: str) -> str:
-    if not _DECIMAL_COMMA.fullmatch(text):
+    if not DECIMAL_COMMA.fullmatch(text):
         return ""
     return "; decimal commas need semicolons or tabs between the fields, or write the decimal comma as a point"

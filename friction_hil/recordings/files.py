@@ -6,8 +6,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from friction_hil.errors import RecordingError, UsageError, choices
+from friction_hil.recordings.beside import add_columns_beside, is_beside
+from friction_hil.recordings.columns import TIME
 from friction_hil.recordings.mapping import Mapped, mapping_beside
-from friction_hil.recordings.recording import Array, Recording, check, count_where, rename
+from friction_hil.recordings.matrices import array_of
+from friction_hil.recordings.product import columns_of
+from friction_hil.recordings.recording import Array, Recording, check, count_time, count_where, rename
 from friction_hil.recordings.source import Source
 
 if TYPE_CHECKING:
@@ -16,6 +20,9 @@ if TYPE_CHECKING:
 _MODULES = {
     ".mcap": "mcap_reader",
     ".csv": "csv_file",
+    ".txt": "csv_file",
+    ".tsv": "csv_file",
+    ".dat": "csv_file",
     ".parquet": "parquet_file",
     ".mf4": "mdf_file",
     ".mdf": "mdf_file",
@@ -23,12 +30,13 @@ _MODULES = {
     ".hdf5": "hdf5_file",
     ".mat": "mat_file",
     ".npz": "npz_file",
+    ".npy": "npz_file",
     ".json": "json_file",
     ".log": "can_log",
     ".asc": "can_log",
     ".blf": "can_log",
 }
-_READ_ONLY = (".mdf", ".log", ".asc", ".blf")
+_READ_ONLY = (".txt", ".tsv", ".dat", ".npy", ".mdf", ".log", ".asc", ".blf")
 _WRITERS = {suffix: name for suffix, name in _MODULES.items() if suffix not in _READ_ONLY} | {".mcap": "mcap_writer"}
 """Module by suffix, with `read(source)`, which returns recordings, and `write(path, recording, overwrite=)`."""
 
@@ -45,6 +53,7 @@ def read(
     columns: Mapping[str, str] | None = None,
     scale: Mapping[str, float] | None = None,
     where: str | None = None,
+    rate_hz: float | None = None,
     only: Collection[str] | None = None,
     configuration: "Configuration | None" = None,
 ) -> Recording:
@@ -60,11 +69,14 @@ def read(
         given this one, or else that of the file.
     columns : dict, optional
         friction_hil's name of a column to the file's: ``{"time_s": "t", "torque": "effort"}``, or to a product of
-        columns: ``{"torque": "load:int16*input_volts/885"}`` (`friction_hil.recordings.product`).
+        columns: ``{"torque": "load:int16*input_volts/885"}`` (`friction_hil.recordings.product`), or to a column of a
+        file beside this one: ``{"torque": "torque.csv:tau"}`` (`friction_hil.recordings.beside`).
     scale : dict, optional
         friction_hil's name of a column to the factor that converts it to SI: ``{"torque": 35.15}``.
     where : str, optional
         Column, by friction_hil's name or the file's. In rows in which it is zero or NaN, ``torque`` becomes NaN.
+    rate_hz : float, optional
+        Sampling rate of a file without time stamps, Hz; time stamps of the file are not used.
     only : sequence of str, optional
         friction_hil's names of the columns to load, if they exist; all by default.
     configuration : Configuration, optional
@@ -86,7 +98,7 @@ def read(
             raise UsageError(f"{path} has no axis {axis!r}; {choices(axis, names)}")
         return names if axis is None else [axis]
 
-    mapped = mapping_beside(Path(path)).overridden(columns or {}, scale or {})
+    mapped = mapping_beside(Path(path)).overridden(columns or {}, scale or {}, rate_hz)
     source = Source(Path(path), axis, _wanted(only, mapped, where), one, configuration)
     (recording,) = _read(source, mapped, where, only).values()
     return recording
@@ -98,11 +110,12 @@ def read_all(
     columns: Mapping[str, str] | None = None,
     scale: Mapping[str, float] | None = None,
     where: str | None = None,
+    rate_hz: float | None = None,
     only: Collection[str] | None = None,
     configuration: "Configuration | None" = None,
 ) -> dict[str, Recording]:
     """Read all axes of a recording; return them by name. Parameters are as of `read`."""
-    mapped = mapping_beside(Path(path)).overridden(columns or {}, scale or {})
+    mapped = mapping_beside(Path(path)).overridden(columns or {}, scale or {}, rate_hz)
     source = Source(Path(path), None, _wanted(only, mapped, where), configuration=configuration)
     return _read(source, mapped, where, only)
 
@@ -146,17 +159,20 @@ def _wanted(only: Collection[str] | None, mapped: Mapped, where: str | None) -> 
 
 
 def _read(source: Source, mapped: Mapped, where: str | None, only: Collection[str] | None) -> dict[str, Recording]:
-    module = _module(source.path, _MODULES)
-    try:
-        recordings: list[Recording] = module.read(source)
-    except OSError as error:
-        raise RecordingError(f"{source.path} cannot be read: {error.strerror or error}") from None
-    except MemoryError:
-        raise RecordingError(f"{source.path} does not fit into the memory: split it into shorter files") from None
+    recordings = _read_as_it_is(source)
     for recording in recordings:
         fitting = mapped.fitting({*recording.columns, *recording.others})
+        if only is not None:
+            fitting = fitting.without(_not_looked_at(fitting, only, recording))
+        sources = [*fitting.columns.values(), *([] if where is None else [where])]
+        time_source = fitting.columns.get(TIME, TIME)
+        if mapped.rate_hz is not None or is_beside(time_source, _MODULES):
+            time_source = ""  # rows are counted
+        add_columns_beside(recording, sources, time_source, _MODULES, lambda path: _read_as_it_is(Source(path)))
         before = recording.columns
         rename(recording, fitting.columns, fitting.scale)
+        if mapped.rate_hz is not None:
+            count_time(recording, mapped.rate_hz)
         there: dict[str, Array] = {**before, **recording.columns}
         if only is not None:  # others were read because mapped columns are products of them
             recording.others += tuple(name for name in recording.columns if name not in only)
@@ -166,6 +182,31 @@ def _read(source: Source, mapped: Mapped, where: str | None, only: Collection[st
         if where is not None:
             count_where(recording, where, there)
     return {recording.axis: recording for recording in recordings}
+
+
+def _not_looked_at(mapped: Mapped, only: Collection[str], recording: Recording) -> set[str]:
+    """Return the columns that are not requested and come from a file or a matrix that was not read."""
+    return {
+        name
+        for name, source in mapped.columns.items()
+        if name not in only
+        and any(
+            is_beside(each, _MODULES) or (each not in recording.others and array_of(each) in recording.others)
+            for each in columns_of(source)
+        )
+    }
+
+
+def _read_as_it_is(source: Source) -> list[Recording]:
+    """Read the axes of a file with the names of the file."""
+    module = _module(source.path, _MODULES)
+    try:
+        found: list[Recording] = module.read(source)
+    except OSError as error:
+        raise RecordingError(f"{source.path} cannot be read: {error.strerror or error}") from None
+    except MemoryError:
+        raise RecordingError(f"{source.path} does not fit into the memory: split it into shorter files") from None
+    return found
 
 
 def _module(path: Path, known: Mapping[str, str]) -> Any:

@@ -2,19 +2,19 @@
 
 import math
 from collections import Counter
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from friction_hil.errors import RecordingError
+from friction_hil.recordings.matrices import Index, column_indices, kept_length
 from friction_hil.recordings.recording import Recording
 from friction_hil.recordings.source import (
     Source,
     as_column,
     damaged,
-    is_column,
-    most_frequent_length,
     needs_extra,
     open_new,
 )
@@ -26,11 +26,27 @@ _MATLAB_INTERNAL = "#"
 _CHUNK_ROWS = 1 << 16
 
 
-def read(source: Source) -> list[Recording]:
-    """Read every numeric vector of the file, also those in groups, and MATLAB 7.3.
+@dataclass(frozen=True, slots=True)
+class _Place:
+    """Where a column is: a dataset (h5py's low-level object), a field of it if it is compound, an index if a matrix."""
 
-    The name of a column is that of its dataset, or its whole path if several datasets have that name. If the vectors
-    differ in length, those of the most frequent length are the columns.
+    dataset: Any
+    field: str | None
+    index: Index
+    size: int
+
+    @property
+    def is_whole(self) -> bool:
+        """True if the column is all of the dataset."""
+        return self.field is None and self.size == math.prod(self.dataset.shape)
+
+
+def read(source: Source, *, is_transposed: bool = False) -> list[Recording]:
+    """Read every numeric vector and matrix of the file, also those in groups, and MATLAB 7.3.
+
+    MATLAB writes its matrices transposed: with ``is_transposed``, columns are named as in MATLAB. The name of a column
+    is that of its dataset, or its whole path if several datasets have that name. If they differ in length, those of the
+    length of the recording are the columns (`kept_length`).
 
     Raises
     ------
@@ -45,7 +61,7 @@ def read(source: Source) -> list[Recording]:
     with source.path.open("rb") as opened:
         try:
             with h5py.File(opened, "r") as file:
-                return [_read(source, h5py, file)]
+                return [_read(source, h5py, file, is_transposed=is_transposed)]
         except RecordingError:
             raise
         except Exception as error:  # noqa: BLE001 - the library raises whatever damaged bytes lead it to
@@ -86,35 +102,37 @@ def _library(path: Path) -> Any:
     return h5py
 
 
-def _read(source: Source, h5py: Any, file: Any) -> Recording:
+def _read(source: Source, h5py: Any, file: Any, *, is_transposed: bool) -> Recording:
     recording = Recording(str(source.path), source.name, {})
-    found = _vectors(h5py, file)
+    found = _vectors(h5py, file, is_transposed=is_transposed)
     last = {path: path.rpartition("/")[2] for path in found}
     times = Counter(last.values())
     names = {path if times[last[path]] > 1 else last[path]: path for path in found}
-    sizes = {name: math.prod(found[path][0].shape) for name, path in names.items()}
+    sizes = {name: found[path].size for name, path in names.items()}
     if not sizes:
         raise RecordingError(f"{source.path}: there is no vector of numbers in it, which a column would be")
-    wanted, recording.others = source.split(most_frequent_length(sizes, recording.problems))
+    wanted, recording.others = source.split(kept_length(sizes, recording.problems))
     source.memory.take(sum(sizes[name] for name in wanted) * 8)
     # One block for all columns: the system maps large blocks in large pages, which are the cheapest to touch first.
     block = np.empty((len(wanted), sizes[wanted[0]])) if wanted else ()
     records: tuple[Any, Any] = None, None  # the compound dataset that was read last, and its content
     for name, room in zip(wanted, block, strict=True):
-        dataset, field = found[names[name]]
+        place = found[names[name]]
+        dataset, field = place.dataset, place.field
         kind = dataset.dtype if field is None else dataset.dtype[field]
         if kind.kind not in "fiub":
             recording.problems.append(f"{name} holds {kind}, no numbers: left out")
             continue
         try:
-            if field is None and kind == np.float64:
+            if place.is_whole and kind == np.float64:
                 dataset.read(h5py.h5s.ALL, h5py.h5s.ALL, room)
                 recording.columns[name] = room
             else:
                 if dataset is not records[0]:
                     source.memory.take(math.prod(dataset.shape) * dataset.dtype.itemsize)
                     records = dataset, h5py.Dataset(dataset)[()]
-                recording.columns[name] = as_column(records[1] if field is None else records[1][field])
+                values = records[1] if field is None else records[1][field]
+                recording.columns[name] = as_column(values[place.index])
         except OSError as error:
             recording.problems.append(f"{name} is damaged ({' '.join(str(error).split())}): left out")
             continue
@@ -126,12 +144,12 @@ def _read(source: Source, h5py: Any, file: Any) -> Recording:
     return recording
 
 
-def _vectors(h5py: Any, file: Any) -> dict[str, tuple[Any, str | None]]:
-    """Return the dataset of each vector by its path, with its field if it is compound.
+def _vectors(h5py: Any, file: Any, *, is_transposed: bool) -> dict[str, _Place]:
+    """Return the place of each column by its path.
 
     The datasets are h5py's low-level objects: creating its high-level ones takes longer than reading their values.
     """
-    found: dict[str, tuple[Any, str | None]] = {}
+    found: dict[str, _Place] = {}
 
     def visit(name: bytes, info: Any) -> None:
         path = name.decode("utf-8", "replace")
@@ -141,9 +159,12 @@ def _vectors(h5py: Any, file: Any) -> dict[str, tuple[Any, str | None]]:
         fields = dataset.dtype.names
         if fields:
             if dataset.rank == 1:
-                found.update({f"{path}/{field}": (dataset, field) for field in fields})
-        elif is_column(dataset) and max(dataset.shape) > 1:
-            found[path] = dataset, None
+                rows = dataset.shape[0]
+                found.update({f"{path}/{field}": _Place(dataset, field, (slice(None),), rows) for field in fields})
+        elif dataset.dtype.kind in "fiub" and dataset.shape:
+            shape, step = dataset.shape, -1 if is_transposed else 1
+            for column, index in column_indices(path, shape[::step]).items():
+                found[column] = _Place(dataset, None, index[::step], max(shape))
 
     h5py.h5o.visit(file.id, visit, info=True)
     return found

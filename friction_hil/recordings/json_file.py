@@ -9,7 +9,9 @@ import numpy as np
 
 from friction_hil.errors import RecordingError
 from friction_hil.recordings import json_text
+from friction_hil.recordings.bounds import check_columns
 from friction_hil.recordings.json_text import brief
+from friction_hil.recordings.matrices import MOST_WIDE
 from friction_hil.recordings.recording import Recording
 from friction_hil.recordings.source import Source, open_new
 
@@ -53,10 +55,16 @@ def read(source: Source) -> list[Recording]:
     for number, row in enumerate(rows):
         if not isinstance(row, dict):
             raise RecordingError(f"{path}: row {number} is not an object of fields but {brief(row)}")
-    names, recording.others = source.split(dict.fromkeys(name for row in rows for name in row))
+    fields = dict.fromkeys(name for row in rows for name in row)
+    check_columns(path, fields)
+    names = [name for name in fields if source.wants_part_of(name)]
+    recording.others = tuple(name for name in fields if name not in names)
     source.memory.take(len(rows) * len(names) * 8)
-    for column in (_sparse if _is_sparse(rows, names) else _dense)(rows, names):
-        _take(recording, len(rows), *column)
+    for name, values, numbers in (_sparse if _is_sparse(rows, names) else _dense)(rows, names):
+        if set(map(type, values)) == {list}:
+            _take_matrix(source, recording, len(rows), name, values, numbers)
+        else:
+            _take(recording, len(rows), name, values, numbers)
     return [recording]
 
 
@@ -152,6 +160,24 @@ def _sparse(rows: list[dict[str, Any]], names: list[str]) -> Iterator[tuple[str,
                 found[name][1].append(number)
     for name, (values, numbers) in found.items():
         yield name, values, numbers
+
+
+def _take_matrix(
+    source: Source, recording: Recording, length: int, name: str, values: list[list[Any]], numbers: list[int] | None
+) -> None:
+    """Add the columns of a field that is a list of numbers in each row; a row without it is NaN."""
+    width = len(values[0])
+    wrong = next((i for i, each in enumerate(values) if len(each) != width), None)
+    if wrong is not None or not 0 < width <= MOST_WIDE:
+        count = width if wrong is None else f"{width} and {len(values[wrong])}"
+        recording.problems.append(f"{name} is a list of {count} values, not of 1 to {MOST_WIDE} in each row: left out")
+        return
+    for i in range(width):
+        column = f"{name}[:,{i}]"
+        if source.wants(column):
+            _take(recording, length, column, [each[i] for each in values], numbers)
+        else:
+            recording.others += (column,)
 
 
 def _take(recording: Recording, length: int, name: str, values: list[Any], numbers: list[int] | None) -> None:

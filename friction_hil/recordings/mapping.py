@@ -8,9 +8,12 @@ That is ``bench.csv.columns.yaml`` beside ``bench.csv``, or ``columns.yaml`` for
       torque: vir*35.1507
       current: raw:int16*range/32768
 
+For a file without time stamps, ``rate_hz: 1000`` beside ``columns`` is its sampling rate.
+
 `friction_hil.recordings.product` describes the products of columns and registers.
 """
 
+import math
 import re
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
@@ -18,6 +21,8 @@ from pathlib import Path
 from typing import Any
 
 from friction_hil.errors import ConfigurationError, Problem, UsageError
+from friction_hil.recordings.columns import TIME
+from friction_hil.recordings.matrices import without_blanks
 from friction_hil.recordings.product import NUMBER, factor_of, possible_columns, product_of
 
 _FACTORS = re.compile(rf"(?P<source>.*?)(?P<factors>(?:\s*[*/]\s*-?{NUMBER})+)\s*")
@@ -35,18 +40,35 @@ class Mapped:
     columns: dict[str, str] = field(default_factory=dict)
     scale: dict[str, float] = field(default_factory=dict)
     optional: frozenset[str] = frozenset()
+    rate_hz: float | None = None
 
-    def overridden(self, columns: Mapping[str, str], scale: Mapping[str, float]) -> "Mapped":
-        """Return a mapping in which other columns and factors take precedence; a new source has no old factor."""
+    def overridden(
+        self, columns: Mapping[str, str], scale: Mapping[str, float], rate_hz: float | None = None
+    ) -> "Mapped":
+        """Return a mapping in which other columns, factors and rate take precedence; a new source has no old factor.
+
+        Raises
+        ------
+        UsageError
+            Both a source of the time stamps and a sampling rate are given.
+        """
+        if rate_hz is not None and TIME in columns:
+            raise UsageError(f"--rate and --column {TIME}={columns[TIME]}: the time stamps have one source")
+        rate_hz = rate_hz if rate_hz is not None or TIME in columns else self.rate_hz
+        columns = {name: without_blanks(source) for name, source in columns.items()}
         kept = {name: factor for name, factor in self.scale.items() if name not in columns}
-        return Mapped(self.columns | dict(columns), kept | dict(scale), self.optional - set(columns))
+        return Mapped(self.columns | columns, kept | dict(scale), self.optional - set(columns), rate_hz)
 
     def fitting(self, there: Collection[str]) -> "Mapped":
         """Return the mapping without optional columns whose source the file lacks."""
-        absent = {name for name in self.optional if product_of(self.columns[name], there).missing(there)}
+        return self.without({name for name in self.optional if product_of(self.columns[name], there).missing(there)})
+
+    def without(self, names: Collection[str]) -> "Mapped":
+        """Return the mapping without some columns."""
         return Mapped(
-            {name: source for name, source in self.columns.items() if name not in absent},
-            {name: factor for name, factor in self.scale.items() if name not in absent},
+            {name: source for name, source in self.columns.items() if name not in names},
+            {name: factor for name, factor in self.scale.items() if name not in names},
+            rate_hz=self.rate_hz,
         )
 
     def sources(self, name: str) -> set[str]:
@@ -84,7 +106,7 @@ def mapping_beside(path: Path) -> Mapped:
         return _read(own)
     if for_all.is_file():
         found = _read(for_all)
-        return Mapped(found.columns, found.scale, frozenset(found.columns))
+        return Mapped(found.columns, found.scale, frozenset(found.columns), found.rate_hz)
     return Mapped()
 
 
@@ -99,11 +121,18 @@ def _read(path: Path) -> Mapped:
     def wrong(field_name: str, message: str, *steps: str) -> ConfigurationError:
         return ConfigurationError([Problem(str(path), document.line(steps), field_name, message)])
 
+    if isinstance(content, dict) and "columns" not in content and "rate_hz" in content:
+        content = {**content, "columns": {}}
     if not isinstance(content, dict) or not isinstance(content.get("columns"), dict):
         raise wrong("columns", "is missing; write `columns: {torque: effort*0.5}`")
     for key in content:
-        if key != "columns":
-            raise wrong(str(key), "is not known here; there is: columns", str(key))
+        if key not in ("columns", "rate_hz"):
+            raise wrong(str(key), "is not known here; there are: columns, rate_hz", str(key))
+    rate_hz = content.get("rate_hz")
+    if rate_hz is not None and (type(rate_hz) not in (int, float) or not 0.0 < rate_hz < math.inf):
+        raise wrong("rate_hz", f"is the sampling rate of a file without time stamps, Hz, not {rate_hz!r}", "rate_hz")
+    if rate_hz is not None and TIME in content["columns"]:
+        raise wrong("rate_hz", f"is not needed beside columns.{TIME}: the time stamps have one source", "rate_hz")
     columns, scale = {}, {}
     for name, text in content["columns"].items():
         if not isinstance(text, str):
@@ -111,9 +140,9 @@ def _read(path: Path) -> Mapped:
                 f"columns.{name}", f"is a column's name, with a factor if need be, not {text!r}", "columns", name
             )
         try:
-            columns[name], factor = parse_source(text)
+            columns[name], factor = parse_source(without_blanks(text))
         except UsageError as error:
             raise wrong(f"columns.{name}", str(error), "columns", name) from None
         if factor != 1.0:
             scale[name] = factor
-    return Mapped(columns, scale)
+    return Mapped(columns, scale, rate_hz=None if rate_hz is None else float(rate_hz))

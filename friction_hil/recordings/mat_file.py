@@ -1,18 +1,19 @@
-"""Read and write MATLAB files: vectors of equal length are columns. Version 7.3 is read as HDF5."""
+"""Read and write MATLAB files: vectors and matrices of equal length hold the columns. 7.3 is read as HDF5."""
 
 from pathlib import Path
 
 from friction_hil.errors import RecordingError, UsageError
 from friction_hil.recordings import mat_variables
+from friction_hil.recordings.matrices import kept_length
 from friction_hil.recordings.recording import Array, Recording
-from friction_hil.recordings.source import Source, most_frequent_length, open_new
+from friction_hil.recordings.source import Source, open_new
 
 _VERSION_7_3 = b"MATLAB 7.3"
 _LONGEST_NAME = 31
 
 
 def read(source: Source) -> list[Recording]:
-    """Read the real vectors of a MATLAB 4 to 7.3 file; scalars and everything else are ignored.
+    """Read the real vectors and matrices of a MATLAB 4 to 7.3 file; scalars and everything else are ignored.
 
     If the vectors differ in length, those of the most frequent length are the columns, and ``problems`` names the
     others. Of a file that was cut off, the variables before the cut are read.
@@ -36,7 +37,7 @@ def read(source: Source) -> list[Recording]:
     if not found:
         because = f": {'; '.join(problems)}" if problems else ""
         raise RecordingError(f"{source.path}: there is no real vector in it, which a column would be{because}")
-    names = most_frequent_length({name: values.size for name, values in found.items()}, problems)
+    names = kept_length({name: values.size for name, values in found.items()}, problems)
     wanted, others = source.split(names)
     columns = {name: found[name] for name in wanted}
     return [Recording(str(source.path), source.name, columns, problems=problems, others=others)]
@@ -69,7 +70,7 @@ def _read_7_3(source: Source) -> list[Recording]:
 
     advice = "; in MATLAB save it with save(..., '-v7')"
     try:
-        return hdf5_file.read(source)
+        return hdf5_file.read(source, is_transposed=True)
     except UsageError as error:
         raise UsageError(f"{source.path} is a MATLAB 7.3 file, which is HDF5: {error}{advice}") from None
     except RecordingError as error:

@@ -1,4 +1,4 @@
-"""Real vectors of MATLAB files of version 4 and 5, without any other kind of variable.
+"""Real vectors and matrices of MATLAB files of version 4 and 5, without any other kind of variable.
 
 scipy reads more, but ends the process on some damaged files, and a compressed variable expands there without limit.
 """
@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from friction_hil.recordings.bounds import Memory
+from friction_hil.recordings.matrices import column_indices
 from friction_hil.recordings.recording import Array
 from friction_hil.recordings.source import as_column
 
@@ -35,7 +36,7 @@ class _Element:
 
 
 def vectors(data: bytes, memory: Memory, problems: list[str]) -> Iterator[tuple[str, Array]]:
-    """Yield name and values of each real vector of more than one value.
+    """Yield name and values of each real vector of more than one value, and of each column of a real matrix.
 
     Parameters
     ----------
@@ -71,12 +72,11 @@ def vectors(data: bytes, memory: Memory, problems: list[str]) -> Iterator[tuple[
             body = memoryview(data)[start + _TAG : at]
             if kind == _COMPRESSED:
                 kind, body = _uncompressed(body, order, memory)
-            found = _vector(body, order) if kind == _MATRIX else None
+            found = _columns(body, order) if kind == _MATRIX else {}
         except (ValueError, struct.error, zlib.error) as error:
             problems.append(f"the variable at byte {start} is damaged ({error}): left out")
             continue
-        if found is not None:
-            yield found
+        yield from found.items()
 
 
 def _uncompressed(body: memoryview, order: str, memory: Memory) -> tuple[int, memoryview]:
@@ -106,14 +106,14 @@ def _element(data: memoryview, at: int, order: str) -> _Element:
     return _Element(kind, data[begin : begin + length], end)
 
 
-def _vector(data: memoryview, order: str) -> tuple[str, Array] | None:
-    """Return name and values of a matrix element; None if it is no real vector of numbers."""
+def _columns(data: memoryview, order: str) -> dict[str, Array]:
+    """Return the columns of a matrix element by name; empty if it holds no real numbers."""
     flags = _element(data, 0, order)
     if flags.kind != _FLAGS or len(flags.data) != 8:
         raise ValueError("its flags are missing")
     (bits,) = struct.unpack_from(f"{order}I", flags.data)
     if bits & 0xFF not in _CLASSES or bits & _COMPLEX:
-        return None
+        return {}
     sizes = _element(data, flags.end, order)
     name = _element(data, sizes.end, order)
     values = _element(data, name.end, order)
@@ -123,9 +123,12 @@ def _vector(data: memoryview, order: str) -> tuple[str, Array] | None:
     numbers = np.frombuffer(values.data, f"{order}{_KINDS[values.kind]}")
     if min(shape, default=-1) < 0 or math.prod(shape) != numbers.size:
         raise ValueError(f"it claims {' x '.join(map(str, shape))} values and has {numbers.size}")
-    if numbers.size < 2 or max(shape) != numbers.size:
-        return None
-    return bytes(name.data).rstrip(b"\0").decode("utf-8", "replace"), as_column(numbers)
+    return _named(bytes(name.data).rstrip(b"\0").decode("utf-8", "replace"), numbers, shape)
+
+
+def _named(name: str, numbers: np.ndarray, shape: list[int]) -> dict[str, Array]:
+    values = numbers.reshape(shape, order="F")
+    return {column: as_column(values[index]) for column, index in column_indices(name, shape).items()}
 
 
 def _vectors_of_version_4(data: bytes, problems: list[str]) -> Iterator[tuple[str, Array]]:
@@ -148,7 +151,8 @@ def _vectors_of_version_4(data: bytes, problems: list[str]) -> Iterator[tuple[st
                 f"the file was cut off in the variable at byte {at}: that variable and what followed are lost"
             )
             return
-        if not is_complex and content == 0 and rows * columns == max(rows, columns) > 1:
+        if not is_complex and content == 0:
             name = data[at + _HEADER_4 : begin].partition(b"\0")[0].decode("latin-1")
-            yield name, as_column(np.frombuffer(data, values, rows * columns, begin))
+            numbers = np.frombuffer(data, values, rows * columns, begin)
+            yield from _named(name, numbers, [rows, columns]).items()
         at = end

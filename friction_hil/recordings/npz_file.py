@@ -1,4 +1,4 @@
-"""Read and write NPZ, numpy's archive of arrays: each vector is a column."""
+"""Read NPY and read and write NPZ, numpy's archive of arrays: each vector, and each column of a matrix, is a column."""
 
 import io
 import math
@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 
 from friction_hil.errors import RecordingError
-from friction_hil.recordings.bounds import Memory
+from friction_hil.recordings.bounds import Memory, check_columns
+from friction_hil.recordings.matrices import column_indices, kept_length
 from friction_hil.recordings.recording import Recording
-from friction_hil.recordings.source import Source, as_column, damaged, is_column, most_frequent_length, open_new
+from friction_hil.recordings.source import Source, as_column, damaged, open_new
 
 _LOCAL_MAGIC = b"PK\x03\x04"
 _COMPRESSIONS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)  # those of numpy; others expand without limit
@@ -18,7 +19,9 @@ _HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.r
 
 
 def read(source: Source) -> list[Recording]:
-    """Read the numeric vectors; arrays of objects are not read, because they could execute code.
+    """Read the numeric vectors and matrices; arrays of objects are not read, because they could execute code.
+
+    The one array of an NPY file has the name of the file.
 
     Raises
     ------
@@ -28,15 +31,20 @@ def read(source: Source) -> list[Recording]:
         The file cannot be opened.
     """
     recording = Recording(str(source.path), source.name, {})
+    if source.path.suffix.lower() == ".npy":
+        return [_read_single(source, recording)]
     with source.path.open("rb") as file:
         try:
             archive = zipfile.ZipFile(file)
         except (zipfile.BadZipFile, ValueError, OSError, NotImplementedError) as error:
             raise _damaged(source.path, error) from None
         members = {name.removesuffix(".npy"): name for name in archive.namelist() if name.endswith(".npy")}
-        columns = {}
-        wanted, recording.others = source.split(members)
-        for name in wanted:
+        columns: dict[str, np.ndarray] = {}
+        check_columns(source.path, members)
+        recording.others = tuple(name for name in members if not source.wants_part_of(name))
+        for name in members:
+            if not source.wants_part_of(name):
+                continue
             try:
                 values = _array(archive, archive.getinfo(members[name]), source.memory)
             except RecordingError:
@@ -44,14 +52,16 @@ def read(source: Source) -> list[Recording]:
             except Exception as error:  # noqa: BLE001 - the libraries raise whatever damaged bytes lead them to
                 recording.problems.append(f"{name} is damaged ({' '.join(str(error).split())}): left out")
                 continue
-            if is_column(values) and values.size > 1:
-                columns[name] = values
-            elif values.size > 1:
+            indices = column_indices(name, values.shape) if values.dtype.kind in "fiub" else {}
+            wanted, others = source.split(indices)
+            recording.others += others
+            columns |= {each: values[indices[each]] for each in wanted}
+            if not indices and values.size > 1:
                 recording.problems.append(f"{name} is {values.dtype} of shape {values.shape}, no column: left out")
     if not columns and not recording.problems and not recording.others:
         raise RecordingError(f"{source.path}: there is no vector of numbers in it, which a column would be")
     if columns:
-        for name in most_frequent_length({name: values.size for name, values in columns.items()}, recording.problems):
+        for name in kept_length({name: values.size for name, values in columns.items()}, recording.problems):
             recording.columns[name] = as_column(columns[name])
     return [recording]
 
@@ -83,7 +93,28 @@ def _array(archive: zipfile.ZipFile, member: zipfile.ZipInfo, memory: Memory) ->
     memory.take(member.file_size)
     with archive.open(member) as file:
         # all of it at once, as numpy reads it in pieces with a checksum for each; with a size, which limits expansion
-        data = file.read(member.file_size)
+        return _parsed(file.read(member.file_size))
+
+
+def _read_single(source: Source, recording: Recording) -> Recording:
+    source.memory.take(source.path.stat().st_size)
+    try:
+        values = _parsed(source.path.read_bytes())
+    except OSError:
+        raise
+    except Exception as error:  # noqa: BLE001 - the library raises whatever damaged bytes lead it to
+        raise damaged(source.path, "is no readable NPY file", error) from None
+    indices = column_indices(source.path.stem, values.shape) if values.dtype.kind in "fiub" else {}
+    if not indices:
+        raise RecordingError(
+            f"{source.path}: holds {values.dtype} of shape {values.shape}, which is no column and no matrix of columns"
+        )
+    wanted, recording.others = source.split(indices)
+    recording.columns = {name: as_column(values[indices[name]]) for name in wanted}
+    return recording
+
+
+def _parsed(data: bytes) -> np.ndarray:
     start = io.BytesIO(data)
     version = np.lib.format.read_magic(start)
     if version not in _HEADERS:

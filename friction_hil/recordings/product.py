@@ -125,6 +125,12 @@ def possible_columns(source: str) -> set[str]:
     return {source, *texts, *(_split(text)[0].column for text in texts)}
 
 
+def columns_of(source: str) -> list[str]:
+    """Return the names of the columns of a product whose names have no ``*``."""
+    pieces = [piece.strip() for piece in source.split("*")]
+    return [_split(piece)[0].column for piece in pieces if piece and not _NUMBERS.fullmatch(piece)]
+
+
 def absent(column: str, there: Collection[str]) -> str:
     """Return a sentence with the existing choices for a column that does not exist."""
     name, colon, register = column.rpartition(":")

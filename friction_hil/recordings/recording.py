@@ -51,6 +51,8 @@ class Recording:
         Units of columns as the file has them; not every format has units.
     others : tuple of str
         Columns of the file that were not requested.
+    sources : dict of str
+        What mapped and scaled columns were made of, as on the command line: ``{"torque": "vir*35.15"}``.
     """
 
     path: str
@@ -62,6 +64,7 @@ class Recording:
     events: list[Event] = field(default_factory=list)
     units: dict[str, str] = field(default_factory=dict)
     others: tuple[str, ...] = ()
+    sources: dict[str, str] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(next(iter(self.columns.values()))) if self.columns else 0
@@ -95,9 +98,10 @@ class Recording:
         known = [*(name for name in self.columns if name in self), *self.others]
         more = f" and {len(known) - _MOST_NAMED} more" if len(known) > _MOST_NAMED else ""
         there = ", ".join(known[:_MOST_NAMED]) or "none"
+        rate = "; a recording without time stamps takes --rate HZ" if TIME in missing else ""
         raise RecordingError(
             f"{self.path}: no column {', '.join(missing)}. There are: {there}{more}. "
-            f"A column of another name is mapped with {' '.join(f'--column {name}=NAME' for name in missing)}"
+            f"A column of another name is mapped with {' '.join(f'--column {name}=NAME' for name in missing)}{rate}"
         )
 
 
@@ -114,6 +118,10 @@ def rename(recording: Recording, columns: Mapping[str, str], scale: Mapping[str,
         large.
     """
     _map_columns(recording, columns)
+    recording.sources = {
+        name: columns.get(name, name) + (f"*{scale[name]:.10g}" if name in scale else "")
+        for name in dict.fromkeys((*columns, *scale))
+    }
     for name, factor in scale.items():
         if name in recording.columns:
             _scale_column(recording, name, factor)
@@ -160,6 +168,24 @@ def _scale_column(recording: Recording, name: str, factor: float) -> None:
         raise UsageError(f"{recording.path}: --scale {name}={factor:g}: what results is too large for a number")
     recording.columns[name] = scaled
     recording.units.pop(name, None)  # SI now
+
+
+def count_time(recording: Recording, rate_hz: float) -> None:
+    """Set the time stamps to those of an even sampling rate, Hz; report it if the file has others.
+
+    Raises
+    ------
+    UsageError
+        The rate is no number above zero.
+    """
+    if not 0.0 < rate_hz < np.inf:
+        raise UsageError(f"{recording.path}: a sampling rate is a number of Hz above 0, not {rate_hz:g}")
+    if TIME in recording:
+        recording.problems.append(f"{TIME} of the file is not used: time stamps are those of {rate_hz:g} Hz")
+    recording.columns = {TIME: np.arange(len(recording)) / rate_hz} | {
+        name: values for name, values in recording.columns.items() if name != TIME
+    }
+    recording.units.pop(TIME, None)
 
 
 def count_where(recording: Recording, where: str, there: Mapping[str, Array]) -> None:

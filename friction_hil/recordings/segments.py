@@ -12,6 +12,7 @@ import numpy as np
 from friction_hil.errors import RecordingError, UsageError
 from friction_hil.numerics import filtering
 from friction_hil.numerics.jit import Array
+from friction_hil.recordings.edges import between_counts
 from friction_hil.recordings.even import EvenGrid, even_grid
 from friction_hil.recordings.quality import is_coarse, resolution, without_overflow
 from friction_hil.recordings.recording import Recording
@@ -117,7 +118,7 @@ class EvenSignals:
         columns = {name: np.ascontiguousarray(values[rows]) for name, values in self.grid.columns.items()}
         position = columns["position"]
         if self.lowpass_hz is not None:
-            position = filtering.lowpass(position, self.lowpass_hz, rate_hz)
+            position = filtering.lowpass(between_counts(position), self.lowpass_hz, rate_hz)
         velocity = columns["velocity"] if "velocity" in columns else np.gradient(position, 1.0 / rate_hz)
         return Segment(
             path=self.recording.path,
@@ -177,7 +178,7 @@ def even_signals(
     has_velocity = lowpass_hz is None and not why_derived
     grid = even_grid(recording, ["position", "torque", *(["velocity"] if has_velocity else [])], held)
     problems = list(grid.problems)
-    if is_torque_delay_removed and (delay_s := _torque_delay_s(recording)):
+    if is_torque_delay_removed and (delay_s := stated_torque_delay_s(recording)):
         problems.append(f"the drive's torque was read {1e3 * delay_s:.3g} ms late: moved back by as much")
         _move_torque_back(grid, delay_s)
     if why_derived:
@@ -201,17 +202,24 @@ def _why_velocity_is_derived(recording: Recording) -> str:
     return ""
 
 
-def _torque_delay_s(recording: Recording) -> float:
-    """Return by how much the torque is older than the position in the same row, as the driver stated it, s."""
+def stated_torque_delay_s(recording: Recording) -> float | None:
+    """Return by how much the torque is older than the position in the same row, s; None if no driver stated it.
+
+    Raises
+    ------
+    RecordingError
+        The drive does not report its torque.
+    """
     facts = recording.metadata.get("facts")
-    own = [each for each in facts if isinstance(each, dict)] if isinstance(facts, list) else []
-    delay_s = next((each.get("torque_delay_s", 0.0) for each in own if each.get("name") == recording.axis), 0.0)
-    if delay_s is None and not recording["torque"].any():
+    known = [each for each in facts if isinstance(each, dict)] if isinstance(facts, list) else []
+    own = next((each for each in known if each.get("name") == recording.axis), {})
+    delay_s = own.get("torque_delay_s")
+    if "torque_delay_s" in own and delay_s is None and not recording["torque"].any():
         raise RecordingError(
             f"{recording.path}: the drive of axis {recording.axis} does not report its torque; in mode cst the command "
             "is nearly that: --column torque=command"
         )
-    return float(delay_s) if isinstance(delay_s, int | float) and 0.0 <= delay_s <= _LONGEST_DELAY_S else 0.0
+    return float(delay_s) if isinstance(delay_s, int | float) and 0.0 <= delay_s <= _LONGEST_DELAY_S else None
 
 
 def _move_torque_back(grid: EvenGrid, delay_s: float) -> None:

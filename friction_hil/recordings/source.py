@@ -1,7 +1,6 @@
 """Request to a reader of files, and helpers that readers and writers share."""
 
 import contextlib
-import math
 import os
 import secrets
 import shutil
@@ -14,6 +13,7 @@ import numpy as np
 
 from friction_hil.errors import RecordingError, UsageError
 from friction_hil.recordings.bounds import Memory, check_columns
+from friction_hil.recordings.matrices import array_of
 from friction_hil.recordings.recording import Array
 
 if TYPE_CHECKING:
@@ -59,6 +59,10 @@ class Source:
     def wants(self, column: str) -> bool:
         """True if a column is to be read."""
         return self.wanted is None or column in self.wanted
+
+    def wants_part_of(self, array: str) -> bool:
+        """True if an array, or a column of it if it is a matrix, is to be read."""
+        return self.wants(array) or any(array_of(each) == array for each in self.wanted or ())
 
     def split(self, names: Iterable[str]) -> tuple[list[str], tuple[str, ...]]:
         """Split names into columns to read and others.
@@ -136,26 +140,9 @@ def damaged(path: Path, what: str, error: Exception) -> RecordingError:
     return RecordingError(f"{path} {what} ({reason})")
 
 
-def is_column(values: Any) -> bool:
-    """True if an array is a real vector and can be a column: (n,), (n, 1) or (1, n)."""
-    shape = getattr(values, "shape", None) or ()  # HDF5 has datasets without a shape
-    return values.dtype.kind in "fiub" and len(shape) > 0 and math.prod(shape) == max(shape)
-
-
 def as_column(values: Any) -> Array:
-    """Return a numeric vector as contiguous float64 (n,) in native byte order."""
-    return np.ascontiguousarray(np.asarray(values).ravel(), dtype=np.float64)
+    """Return a numeric vector as contiguous, writeable float64 (n,) in native byte order.
 
-
-def most_frequent_length(lengths: dict[str, int], problems: list[str]) -> list[str]:
-    """Return the names of the vectors that have the most frequent length; report the others."""
-    counts: dict[int, int] = {}
-    for size in lengths.values():
-        counts[size] = counts.get(size, 0) + 1
-    rows = max(counts, key=lambda size: (counts[size], size))
-    problems += [
-        f"{name} has {size} values, the other columns {rows}: left out"
-        for name, size in lengths.items()
-        if size != rows
-    ]
-    return [name for name, size in lengths.items() if size == rows]
+    Arrow's columns are read-only, which is another type to numba: kernels would be compiled for it once more.
+    """
+    return np.require(np.asarray(values).ravel(), np.float64, ["C", "W"])

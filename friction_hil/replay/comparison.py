@@ -1,6 +1,7 @@
 """Comparison of the torque that models predict for a recorded motion with the measured torque. Pure.
 
-The model is the inverse one: torque = inertia * acceleration + offset + gravity + friction. Both sides pass the same
+The model is the inverse one: torque = inertia * acceleration + offset + gravity + friction. For a model that was
+identified from a signal of unknown gain, gain * signal = torque + back_emf * velocity. Both sides pass the same
 low-pass exactly once: inertia is multiplied by the acceleration of the low-passed position, and everything else is
 low-passed itself.
 """
@@ -12,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from friction_hil.errors import RecordingError, UsageError
-from friction_hil.models.model_file import ModelFile
+from friction_hil.models.model_file import ModelFile, TorqueSignal
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
 from friction_hil.recordings.segments import Segment
@@ -27,8 +28,10 @@ class Prediction:
     ----------
     model : str
         Name of the model in the results.
+    measured : (m,) array
+        Measured torque: the recorded one, or the recorded signal times the gain of the model, N m or N.
     friction, mechanics : (m,) array
-        Predicted torque of friction, and of inertia, offset and gravity, N m or N.
+        Predicted torque of friction, and of inertia, offset, gravity and back-EMF, N m or N.
     rmse : float
         Root mean square of measured minus predicted, N m or N.
     relative_error : float
@@ -38,6 +41,7 @@ class Prediction:
     """
 
     model: str
+    measured: Array
     friction: Array
     mechanics: Array
     rmse: float
@@ -52,7 +56,7 @@ class Prediction:
 
 @dataclass(frozen=True, slots=True)
 class Replay:
-    """Measured and predicted torque of a recording on the filtered and decimated grid; arrays (m,)."""
+    """Predicted torque of a recording, with the measured one, on the filtered and decimated grid; arrays (m,)."""
 
     path: str
     axis: str
@@ -61,7 +65,7 @@ class Replay:
     problems: tuple[str, ...]
     time_s: Array
     velocity: Array
-    measured: Array
+    measured: Array  # the column torque; `Prediction.measured` has its gain applied
     predictions: tuple[Prediction, ...]
     segments: tuple[slice, ...]  # rows between gaps
 
@@ -98,11 +102,16 @@ def replay(
         raise UsageError(f"decimate by a whole number from 1, not {decimate}")
     segments, settling, problems = replay_segments(recording, lowpass_hz, decimate)
     reduced = Reduction(settling, decimate)
-    measured = reduced([each.torque for each in segments])
+    recorded = reduced([each.torque for each in segments])
     predictions = []
     for name, model in models.items():
         problems += _missing_inputs(name, model, segments[0])
         friction, mechanics = map(reduced, zip(*(predict(model, each) for each in segments), strict=True))
+        measured, signal = recorded, signal_of(model, recording)
+        if signal is not None:
+            problems += _other_signal(name, signal, recording)
+            measured = signal.gain * recorded
+            mechanics = mechanics + signal.back_emf * reduced([each.velocity for each in segments])
         predictions.append(_prediction(name, model, measured, friction, mechanics))
     return Replay(
         path=recording.path,
@@ -112,7 +121,7 @@ def replay(
         problems=_without_repetition(problems),
         time_s=reduced.time_s(segments),
         velocity=reduced([each.velocity for each in segments]),
-        measured=measured,
+        measured=recorded,
         predictions=tuple(predictions),
         segments=reduced.rows(segments),
     )
@@ -121,7 +130,8 @@ def replay(
 def predict(model: ModelFile, segment: Segment) -> tuple[Array, Array]:
     """Compute the torques of friction and of mechanics that a motion takes, low-passed as the segment is.
 
-    A dynamic model starts from rest. Where no load was recorded, the load of a load-dependent model is gravity.
+    A dynamic model starts from rest. Where no load was recorded, the load of a load-dependent model is what the
+    transmission carries, as in the daemon: gravity and the inertia of the load, or all of it where that is not known.
 
     Parameters
     ----------
@@ -134,12 +144,14 @@ def predict(model: ModelFile, segment: Segment) -> tuple[Array, Array]:
     friction, mechanics : (n,) array
         N m or N.
     """
-    static = _gravity(model, segment)
+    mechanics = model.mechanics
+    carried = mechanics.inertia if mechanics.load is None else mechanics.load.inertia
+    load = _gravity(model, segment) + carried * segment.acceleration
     friction = model.friction_model.simulate(
         segment.velocity,
         segment.dt,
         position=segment.position,
-        load_torque=static if segment.load_torque is None else segment.load_torque,
+        load_torque=load if segment.load_torque is None else segment.load_torque,
         temperature=segment.temperature,
     )
     return segment.lowpass(friction), mechanics_torque(model, segment)
@@ -152,6 +164,25 @@ def mechanics_torque(model: ModelFile, segment: Segment) -> Array:
     """
     static = _gravity(model, segment) + model.mechanics.offset
     return model.mechanics.inertia * segment.acceleration + segment.lowpass(static)
+
+
+def signal_of(model: ModelFile, recording: Recording) -> TorqueSignal | None:
+    """Return the signal that the column torque holds, by the model file; None if the torque is in N m or N.
+
+    The daemon records torques, also where its model was identified from a signal of unknown gain.
+    """
+    return None if "configuration" in recording.metadata else model.signal
+
+
+def _other_signal(name: str, signal: TorqueSignal, recording: Recording) -> list[str]:
+    """Report that the gain of a model belongs to another signal than the one that was read."""
+    column = recording.sources.get("torque", "torque")
+    if signal.column in ("", column):
+        return []
+    return [
+        f"the gain of {name}, {signal.gain:.4g}, belongs to the signal {signal.column}; it is applied to {column}: if "
+        f"that is in another unit, read --column torque='{signal.column}'"
+    ]
 
 
 def _gravity(model: ModelFile, segment: Segment) -> Array:
@@ -167,6 +198,7 @@ def _prediction(name: str, model: ModelFile, measured: Array, friction: Array, m
     norm = float(np.linalg.norm(measured))
     return Prediction(
         model=name,
+        measured=measured,
         friction=friction,
         mechanics=mechanics,
         rmse=residual / math.sqrt(len(measured)),
@@ -192,11 +224,12 @@ def _missing_inputs(name: str, model: ModelFile, segment: Segment) -> list[str]:
     RecordingError
         Friction depends on the load, and neither a column nor the model's mechanics gives it.
     """
-    modifiers, gravity = model.friction.modifiers, model.mechanics.gravity
-    if "load" in modifiers and segment.load_torque is None and gravity == type(gravity)():
+    modifiers, mechanics = model.friction.modifiers, model.mechanics
+    is_unknown = mechanics.gravity == type(mechanics.gravity)() and mechanics.inertia == 0.0
+    if "load" in modifiers and segment.load_torque is None and is_unknown:
         raise RecordingError(
             f"{segment.path}: {name} depends on the load; there is no column load_torque with a number in each row, "
-            "and no gravity in the model's mechanics from which the position would give it"
+            "and neither gravity nor inertia in the model's mechanics, from which the motion would give it"
         )
     if "temperature" in modifiers and segment.temperature is None:
         return [f"no temperature: {name} is evaluated at its reference temperature"]

@@ -45,6 +45,7 @@ class ReplayTask:
     columns: Mapping[str, str] = field(default_factory=dict)
     scale: Mapping[str, float] = field(default_factory=dict)
     where: str | None = None
+    rate_hz: float | None = None
     lowpass_hz: float | None = None
     decimate: int = 1
     picture: str | None = None
@@ -101,6 +102,7 @@ def _read(task: ReplayTask) -> list[Recording]:
         "columns": task.columns,
         "scale": task.scale,
         "where": task.where,
+        "rate_hz": task.rate_hz,
         "only": None if task.is_verifying else _NEEDED,
         "configuration": None if task.config is None else load(os.path.join(task.folder, task.config)),
     }

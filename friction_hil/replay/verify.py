@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from friction_hil.compensator import INPUTS, Compensator, input_checksum
+from friction_hil.compensator import INPUTS, RESULTS, Compensator, input_checksum
 from friction_hil.config import AxisConfig, Configuration, from_dict
 from friction_hil.daemon.assembly import make_compensator, make_shadows
 from friction_hil.drive import AxisFacts
@@ -62,11 +62,18 @@ def verify(recording: Recording, configuration: Configuration | None = None) -> 
         Configuration, states or columns are missing: it is not a recording of the daemon.
     """
     metadata = recording.metadata
-    has_inputs = all(name in recording.columns for name in INPUTS) and "checksum" in recording
+    has_inputs = all(name in recording.columns for name in (*INPUTS, *RESULTS)) and "checksum" in recording
     is_ours = has_inputs and "configuration" in metadata and "facts" in metadata
     # checked first: an altered cycle number may be why no state matches a row
     altered = _altered_row(recording) if is_ours else None
     if not is_ours or (altered is None and not recording.restarts):
+        if "configuration" in metadata and "facts" in metadata and "checksum" in recording:
+            missing = [name for name in (*INPUTS, *RESULTS) if name not in recording.columns]
+            if missing:
+                raise RecordingError(
+                    f"{recording.path}: it has no column {', '.join(missing)}; another version of friction_hil made it "
+                    "and can verify it"
+                )
         raise RecordingError(
             f"{recording.path}: only the daemon's own MCAP recording can be verified; this one has no states of the "
             "compensator"
@@ -79,7 +86,7 @@ def verify(recording: Recording, configuration: Configuration | None = None) -> 
             f"{', '.join(configuration.axes)}"
         )
     axis = configuration.axes[recording.axis]
-    compensators = _compensators(axis, _facts(metadata, recording), configuration.period_s)
+    compensators = _compensators(axis, facts_of(metadata, recording), configuration.period_s)
     differences = tuple(fingerprint.differences(metadata.get("fingerprint", {}), fingerprint.fingerprint()))
     tolerance = _RELATIVE_TOLERANCE * axis.model.friction_model.level if differences else 0.0
     recording.require(*compensators)
@@ -94,7 +101,14 @@ def verify(recording: Recording, configuration: Configuration | None = None) -> 
     return Verification(recording.axis, not reason, rows, tolerance, differences, reason)
 
 
-def _facts(metadata: Mapping[str, Any], recording: Recording) -> AxisFacts:
+def facts_of(metadata: Mapping[str, Any], recording: Recording) -> AxisFacts:
+    """Return what the driver stated about the drive of a recording of the daemon.
+
+    Raises
+    ------
+    RecordingError
+        Another version made the recording, or another program did.
+    """
     known = fields(AxisFacts)
     needed = [field.name for field in known if field.default is MISSING]
     for facts in metadata["facts"]:
@@ -146,11 +160,9 @@ def _first_difference(
             size = compensator.state.size
             compensator.state[:] = state[offset : offset + size]
             offset += size
-            torque, estimate = compensator.replay(inputs)
-            results = [(column, torque)]
-            if column == "compensation":
-                results.append(("velocity_estimate", estimate))
-            for name, values in results:
+            found = compensator.replay_all(inputs)
+            results = found if column == "compensation" else {column: found["compensation"]}
+            for name, values in results.items():
                 row = _first_unequal(recording.columns[name][first:end], values, tolerance)
                 if row is not None and (worst is None or first + row < worst[0]):
                     recorded = recording.columns[name][first + row]
@@ -167,6 +179,6 @@ def _first_unequal(recorded: Array, values: Array, tolerance: float) -> int | No
     if tolerance == 0.0:
         unequal = np.ascontiguousarray(recorded).view(np.int64) != values.view(np.int64)
     else:
-        unequal = ~(np.abs(values - recorded) <= tolerance)
+        unequal = ~((np.abs(values - recorded) <= tolerance) | (np.isnan(values) & np.isnan(recorded)))
     rows = np.flatnonzero(unequal)
     return int(rows[0]) if rows.size else None

@@ -241,12 +241,12 @@ def test_fields_that_most_rows_lack_are_nan(tmp_path: Path) -> None:
         assert read[f"n{number}"][number] == number
 
 
-def test_a_list_is_no_number_in_any_row(tmp_path: Path) -> None:
+def test_lists_of_different_length_are_no_columns(tmp_path: Path) -> None:
     path = tmp_path / "x.json"
-    path.write_text('[{"time_s": 0, "torque": [1]}, {"time_s": 1, "torque": [2]}]')
+    path.write_text('[{"time_s": 0, "torque": [1]}, {"time_s": 1, "torque": [2, 3]}]')
     read = fh.recordings.read(path)
     assert list(read.columns) == ["time_s"]
-    assert read.problems == ["torque is no number in row 0 but a list of 1: left out"]
+    assert read.problems == ["torque is a list of 1 and 2 values, not of 1 to 256 in each row: left out"]
 
 
 def test_the_limit_of_a_process_is_no_traceback(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -257,6 +257,6 @@ def test_the_limit_of_a_process_is_no_traceback(tmp_path: Path, monkeypatch: pyt
     def refuse(*_: object) -> None:
         raise MemoryError
 
-    monkeypatch.setattr("friction_hil.recordings.csv_file._header", refuse)
+    monkeypatch.setattr("friction_hil.recordings.csv_file.layout_of", refuse)
     with pytest.raises(RecordingError, match="does not fit into the memory"):
         fh.recordings.read(path)

@@ -1,5 +1,6 @@
 """Verification of the daemon's own recordings: the same bits again, and every single one that is not."""
 
+import math
 import struct
 from dataclasses import asdict
 from pathlib import Path
@@ -10,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from friction_hil import recordings
-from friction_hil.compensator import INPUTS, input_checksum
+from friction_hil.compensator import INPUTS, RESULTS, input_checksum
 from friction_hil.config import from_dict, self_contained
 from friction_hil.daemon.axis import AxisLoop
 from friction_hil.daemon.loop import Loop
@@ -26,7 +27,20 @@ from friction_hil.replay.verify import verify
 from tests.loop_run import LateClock
 from tests.servo_drives import TRUE_FRICTION, Rows, ServoDrives, axis_dict, configuration
 
-CHECKED = ("compensation", "velocity_estimate", "shadow_dahl")
+CHECKED = (*RESULTS, "shadow_dahl")
+MODEL = axis_dict()["model"]
+MODIFIED = MODEL | {
+    "friction": MODEL["friction"]
+    | {
+        "modifiers": {
+            "load": {"motoring": 0.1, "driven": 0.05},
+            "temperature": {"reference": 40.0, "coefficient": -0.004},
+        }
+    },
+    "mechanics": {"inertia": 2e-4, "torque_lag_s": 3e-4, "gravity": {"sine": 0.02}}
+    | {"backlash": 1e-3, "load": {"inertia": 1e-4, "friction": 0.03, "stiffness": 200.0}},
+    "thermal": {"capacity": 100.0, "resistance": 1.0, "copper_loss": 50.0},
+}
 SHADOW = {
     "name": "dahl",
     "model": {
@@ -38,17 +52,18 @@ SHADOW = {
 
 def quick(**changes):
     motion = {"kind": "sine", "amplitude": 0.3, "frequency": 2.0, "ramp_s": 0.1}
-    return axis_dict(trajectory=motion, compensation={"fade_s": 0.05}, **changes)
+    return axis_dict(**{"trajectory": motion, "compensation": {"fade_s": 0.05}} | changes)
 
 
 class Made:
     """What a run of two axes, one with a shadow model, gave; it can be written again with changes."""
 
     def __init__(self, clock=None):
-        self.config = configuration(x=quick(shadows=[SHADOW]), y=quick(node=2, model=self.other_model()))
+        self.config = configuration(x=self.whole(), y=quick(node=2, model=self.other_model()))
 
         def flaky(cycle, feedback):
             feedback[0].is_fresh = not 420 <= cycle < 424
+            feedback[0].temperature = 45.0 if 200 < cycle < 800 else math.nan
 
         drives = ServoDrives(self.config, disturb=flaky)
         facts = drives.connect()
@@ -67,6 +82,12 @@ class Made:
             "facts": [asdict(f) for f in facts],
             "fingerprint": fingerprint(),
         }
+
+    @staticmethod
+    def whole():
+        """An axis that uses everything: load, temperature, backlash, shadow."""
+        compensation = {"fade_s": 0.05, "transmission": {"acceleration": 300.0}}
+        return quick(shadows=[SHADOW], model=MODIFIED, compensation=compensation)
 
     @staticmethod
     def other_model():
@@ -108,6 +129,10 @@ def test_an_unaltered_recording_comes_out_bit_for_bit(made, tmp_path):
         assert (result.rows, result.tolerance, result.differences) == (len(made.rows), 0.0, ())
         assert len(recording.restarts) >= 2  # one a chunk
         assert np.abs(recording["compensation"]).max() > 0.03
+    whole = made.write(tmp_path / "run.mcap")["x"]
+    assert np.ptp(whole["load_estimate"]) > 8e-3
+    assert np.ptp(whole["motor_offset"]) == pytest.approx(1.4e-3, abs=0.2e-3)
+    assert np.ptp(whole["temperature_estimate"]) > 0.4  # from the observer's 20 deg C towards the measured 45
 
 
 def test_a_recording_with_missed_periods_comes_out_bit_for_bit(tmp_path):
@@ -241,3 +266,10 @@ def test_a_csv_of_it_cannot_be_verified(made, tmp_path):
     recordings.write(path, made.write(tmp_path / "run.mcap")["x"])
     with pytest.raises(RecordingError, match="only the daemon's own MCAP recording can be verified"):
         verify(recordings.read(path))
+
+
+def test_a_recording_of_a_version_with_other_columns_says_so(made, tmp_path):
+    recording = made.write(tmp_path / "run.mcap")["x"]
+    del recording.columns["load_estimate"]
+    with pytest.raises(RecordingError, match="no column load_estimate; another version of friction_hil made it"):
+        verify(recording)

@@ -1,0 +1,101 @@
+"""Strokes with rests, and motions one after another: derivatives, joins, and rest."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from friction_hil.config import from_dict
+from friction_hil.config.trajectories import peak_speed
+from friction_hil.daemon.assembly import make_path
+from friction_hil.motion.sequence import STROKE_ACCELERATION, STROKE_SPEED, Part, sequence_path, strokes_path
+from friction_hil.motion.trajectory import circle_path, extent, sine_path, triangle_path
+from tests.servo_drives import PERIOD_S, axis_dict
+
+
+def sampled(path, duration_s, step=1e-3):
+    return np.array([path(s) for s in np.arange(0.0, duration_s, step).tolist()])
+
+
+def assert_is_integral(rows, step, *, jumps=0.0):
+    """Position and velocity follow from their derivatives by the trapezoidal rule; an acceleration may jump."""
+    mean_velocity = 0.5 * (rows[1:, 1] + rows[:-1, 1])
+    mean_acceleration = 0.5 * (rows[1:, 2] + rows[:-1, 2])
+    largest = np.abs(rows).max(axis=0)
+    assert np.diff(rows[:, 0]) == pytest.approx(step * mean_velocity, abs=step * step * (largest[2] + jumps))
+    change = np.abs(np.diff(rows[:, 1]) - step * mean_acceleration)
+    assert change.max() <= step * (0.5 * jumps + 0.1 * largest[2])
+
+
+@settings(max_examples=30, deadline=None)
+@given(stroke=st.floats(0.01, 10.0), frequency=st.floats(0.1, 2.0), rest=st.floats(0.0, 0.9))
+def test_strokes_go_to_and_fro_and_rest_at_both_ends(stroke, frequency, rest) -> None:
+    path, half = strokes_path(stroke, frequency, rest), 0.5 / frequency
+    step = half / 2000
+    rows = sampled(path, 2.0 * half, step)
+
+    assert_is_integral(rows, step)
+    assert (rows[:, 0].min(), rows[:, 0].max()) == pytest.approx((0.0, stroke), abs=1e-9)
+    moving_s = (1.0 - rest) * half
+    assert np.abs(rows[:, 1]).max() == pytest.approx(STROKE_SPEED * stroke / moving_s, rel=1e-3)
+    assert np.abs(rows[:, 2]).max() == pytest.approx(STROKE_ACCELERATION * stroke / moving_s**2, rel=1e-3)
+    assert path(moving_s) == pytest.approx((stroke, 0.0, 0.0), abs=1e-9 * max(1.0, stroke / moving_s**2))
+    assert path(half + moving_s + 1e-9) == pytest.approx((0.0, 0.0, 0.0), abs=1e-6 * stroke / moving_s**2)
+
+
+PARTS = (
+    Part(sine_path(0.3, 1.5, 0.7), 2.0 / 1.5, 0.4, 0.2),
+    Part(circle_path(0.5, 2.0, -0.4), 1.5, 0.5, 0.0),
+    Part(strokes_path(0.2, 1.0, 0.5), 1.0, 0.0, 0.3),
+    Part(triangle_path(0.4, 1.0, 0.3), 1.0, 5.0, 0.1),  # a ramp that is longer than the motion
+)
+
+
+def test_motions_of_a_sequence_join_at_rest() -> None:
+    path, duration_s = sequence_path(PARTS), sum(part.duration_s for part in PARTS)
+    rows = sampled(path, duration_s + 0.5)
+
+    assert_is_integral(rows, 1e-3, jumps=40.0)
+    begin_s = 0.0
+    for part in PARTS:
+        for s in (begin_s, begin_s + part.moving_s + 0.5 * part.rest_s, begin_s + part.duration_s):
+            assert path(s) == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
+        begin_s += part.duration_s
+    assert path(-1.0) == path(duration_s + 1.0) == (0.0, 0.0, 0.0)
+
+
+def test_between_its_ramps_a_motion_is_as_it_is() -> None:
+    """A whole number of periods: two axes stay on their circle."""
+    axes = [sequence_path([Part(circle_path(0.5, 1.0, phase), 3.0, 0.5, 0.0)]) for phase in (0.0, -0.5 * math.pi)]
+    x, y = (sampled(each, 3.5) for each in axes)
+
+    assert np.hypot(x[:, 0] + 0.5, y[:, 0]) == pytest.approx(0.5, abs=1e-9)
+    steady = slice(510, 2990)
+    assert np.hypot(x[steady, 1], y[steady, 1]) == pytest.approx(math.pi, rel=1e-9)
+    assert np.hypot(x[:, 1], y[:, 1]).max() <= math.pi * (1.0 + 1e-9)
+
+
+def test_a_configured_sequence_is_the_path_of_its_motions() -> None:
+    motions = [
+        {"name": "wide", "motion": {"kind": "sine", "amplitude": 0.5, "frequency": 0.5}, "periods": 2, "ramp_s": 0.5},
+        {
+            "name": "rests",
+            "motion": {"kind": "strokes", "stroke": 0.3, "frequency": 0.25},
+            "ramp_s": 0.0,
+            "rest_s": 1.0,
+        },
+    ]
+    given_axis = axis_dict(trajectory={"kind": "sequence", "motions": motions})
+    bus = {"interface": "virtual", "channel": "test"}
+    data = {"version": 1, "period_s": PERIOD_S, "bus": bus, "axes": {"x": {**given_axis, "node": 1}}}
+    axis = from_dict(data, "test").axes["x"]
+
+    path = make_path(axis, 1e-6, PERIOD_S)
+
+    assert axis.trajectory.duration_s == pytest.approx((4.0 + 0.5 + 0.5) + (4.0 + 1.0))
+    low, high, speed = extent(path, axis.trajectory.duration_s, 10_000)
+    assert (low, high) == pytest.approx((-0.5, 0.5), rel=1e-3)
+    assert speed == pytest.approx(peak_speed(axis.trajectory), rel=1e-3)
+    assert peak_speed(axis.trajectory.motions[1].motion) == pytest.approx(STROKE_SPEED * 0.3 / 1.0)
