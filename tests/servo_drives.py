@@ -108,7 +108,8 @@ class ServoDrives:
             self.states[k] = DriveState.SWITCH_ON_DISABLED
         if self.states[k] is DriveState.OPERATION_ENABLED:
             mode = self.modes[k]
-            target = {Mode.CSP: command.position, Mode.CSV: command.velocity, Mode.CST: command.torque}[mode]
+            position = round(command.position * servo.counts_per_unit) / servo.counts_per_unit  # as a drive takes it
+            target = {Mode.CSP: position, Mode.CSV: command.velocity, Mode.CST: command.torque}[mode]
             servo.command(mode, target, 0.0, 0.0 if mode is Mode.CST else command.torque)
         elif self.states[k] is DriveState.QUICK_STOP_ACTIVE:
             servo.quick_stop(200.0)

@@ -1,60 +1,31 @@
 """Inner loop of the simulated servo: drive control, torque lag, mechanics with true friction, encoder."""
 
 import math
-
-import numpy as np
+from typing import Any
 
 from friction_hil.friction import kernel
 from friction_hil.motion.controller import cascade
+from friction_hil.numerics.dual import overloaded
 from friction_hil.numerics.jit import StructuredArray, compiled
+from friction_hil.servo import actuator, mechanics, sensors
+from friction_hil.servo.records import MACHINE, has_parts
+
+__all__ = [
+    "BRIDGED_PERIODS",
+    "CSP",
+    "CST",
+    "CSV",
+    "OFF",
+    "QUICK_STOP",
+    "advance",
+    "control",
+    "measured_position",
+    "measured_torque",
+]
 
 _BALANCE = 1e-12  # relative difference of torque and friction below which they balance
 BRIDGED_PERIODS = 1.5  # for which a missing target is extrapolated: one that was lost, or comes a period late
 OFF, QUICK_STOP, CSP, CSV, CST = 0, 2, 8, 9, 10
-
-PLANT = np.dtype(
-    [
-        ("inertia", "f8"),
-        ("load_torque", "f8"),
-        ("friction_kind", "f8"),
-        ("is_friction_static", "f8"),
-        ("stick_velocity", "f8"),
-        ("has_brake", "f8"),
-        ("step_s", "f8"),
-        ("torque_lag_coefficient", "f8"),  # one-pole coefficient of the torque lag at the integration rate
-        ("counts_per_unit", "f8"),
-        ("steps_per_control", "f8"),
-        ("velocity_filter_coefficient", "f8"),  # one-pole coefficient of the drive's velocity at its loop rate
-        ("friction", "f8", (kernel.PLAIN_ROOM,)),
-    ]
-)
-
-STATE = np.dtype(
-    [
-        ("position", "f8"),
-        ("velocity", "f8"),
-        ("torque", "f8"),  # acting on the mechanics, after the torque lag
-        ("friction", "f8", (kernel.STATE_ROOM,)),
-        ("mode", "f8"),
-        ("period_steps", "f8"),
-        ("phase", "f8"),  # integration steps since the last set-point
-        ("control_phase", "f8"),
-        ("target0", "f8"),  # the last three targets, oldest first: control points of the interpolation
-        ("target1", "f8"),
-        ("target2", "f8"),
-        ("velocity_offset", "f8"),
-        ("torque_offset", "f8"),
-        ("deceleration", "f8"),
-        ("torque_limit", "f8"),
-        ("position_demand", "f8"),
-        ("velocity_demand", "f8"),
-        ("torque_demand", "f8"),
-        ("counts", "f8"),
-        ("velocity_estimate", "f8"),
-        ("integral", "f8"),
-        ("is_limited", "f8"),
-    ]
-)
 
 
 @compiled
@@ -90,16 +61,104 @@ def interpolate_velocity(s: StructuredArray, u: float, period: float) -> tuple[f
 
 
 @compiled
-def control(plant: StructuredArray, controller: StructuredArray, s: StructuredArray) -> None:
-    """Compute one sample of the drive's own loops: demands, cascade, torque limit."""
+def _read_encoder(plant: StructuredArray, s: StructuredArray, dt: float) -> float:
     c, r = plant[0], s[0]
-    dt = c.steps_per_control * c.step_s
     counts = math.floor(r.position * c.counts_per_unit)
     measured = (counts - r.counts) / (c.counts_per_unit * dt)
     r.counts = counts
     r.velocity_estimate += c.velocity_filter_coefficient * (measured - r.velocity_estimate)
-    position = counts / c.counts_per_unit
+    return counts / c.counts_per_unit
 
+
+def _encoder_position(plant: StructuredArray, s: StructuredArray, dt: float) -> float:
+    """Sample the encoders, estimate the velocity, and return the position for the drive's loops."""
+    raise NotImplementedError  # exists in compiled code only
+
+
+@overloaded(_encoder_position)
+def _choose_encoder(plant: Any, s: Any, dt: Any) -> Any:
+    chosen = sensors.read_encoders if has_parts(plant) else _read_encoder
+    return lambda plant, s, dt: chosen(plant, s, dt)
+
+
+@compiled
+def _position_of_motor(plant: StructuredArray, s: StructuredArray) -> float:
+    return math.floor(s[0].position * plant[0].counts_per_unit) / plant[0].counts_per_unit
+
+
+@compiled
+def _position_of_encoder(plant: StructuredArray, s: StructuredArray) -> float:
+    return sensors.position_counts(plant, s) / plant[0].load_counts_per_unit
+
+
+def measured_position(plant: StructuredArray, s: StructuredArray) -> float:
+    """Return the position that the drive reports now, in whole counts, rad or m."""
+    return (_position_of_encoder if _is_machine(plant) else _position_of_motor)(plant, s)
+
+
+@overloaded(measured_position)
+def _choose_position(plant: Any, s: Any) -> Any:
+    chosen = _position_of_encoder if has_parts(plant) else _position_of_motor
+    return lambda plant, s: chosen(plant, s)
+
+
+@compiled
+def _plain_torque(plant: StructuredArray, s: StructuredArray) -> float:
+    return s[0].torque
+
+
+def measured_torque(plant: StructuredArray, s: StructuredArray) -> float:
+    """Return the torque that the drive reports now, N m or N."""
+    return (sensors.reported_torque if _is_machine(plant) else _plain_torque)(plant, s)
+
+
+@overloaded(measured_torque)
+def _choose_torque(plant: Any, s: Any) -> Any:
+    chosen = sensors.reported_torque if has_parts(plant) else _plain_torque
+    return lambda plant, s: chosen(plant, s)
+
+
+def _integral_bound(plant: StructuredArray, s: StructuredArray) -> float:
+    """Return the torque up to which the integral part of the velocity loop grows, N m."""
+    raise NotImplementedError  # exists in compiled code only
+
+
+@overloaded(_integral_bound)
+def _choose_bound(plant: Any, s: Any) -> Any:
+    if has_parts(plant):
+        return lambda plant, s: s[0].torque_limit if plant[0].has_anti_windup > 0.0 else math.inf
+    return lambda plant, s: s[0].torque_limit
+
+
+@compiled
+def _shape(plant: StructuredArray, s: StructuredArray, torque: float) -> float:
+    return 0.0 if s[0].mode == OFF else actuator.shape(plant, s, torque)
+
+
+def _shaped(plant: StructuredArray, s: StructuredArray, torque: float) -> float:
+    """Return the torque demand after the filters of the drive, N m."""
+    raise NotImplementedError  # exists in compiled code only
+
+
+@overloaded(_shaped)
+def _choose_shape(plant: Any, s: Any, torque: Any) -> Any:
+    if has_parts(plant):
+        return lambda plant, s, torque: _shape(plant, s, torque)
+    return lambda plant, s, torque: torque
+
+
+def _is_machine(plant: StructuredArray) -> bool:
+    return plant.dtype == MACHINE
+
+
+@compiled
+def control(plant: StructuredArray, controller: StructuredArray, s: StructuredArray) -> None:
+    """Compute one sample of the drive's own loops: demands, cascade, torque limit."""
+    c, r = plant[0], s[0]
+    dt = c.steps_per_control * c.step_s
+    position = _encoder_position(plant, s, dt)
+
+    bound = _integral_bound(plant, s)
     period = r.period_steps * c.step_s
     u = r.phase / r.period_steps
     torque = 0.0
@@ -114,7 +173,7 @@ def control(plant: StructuredArray, controller: StructuredArray, s: StructuredAr
             acceleration,
             r.velocity_estimate,
             dt,
-            r.torque_limit,
+            bound,
         )
         torque += r.torque_offset
     elif r.mode == CSV:
@@ -122,7 +181,7 @@ def control(plant: StructuredArray, controller: StructuredArray, s: StructuredAr
         r.velocity_demand = velocity_demand + r.velocity_offset
         r.position_demand += dt * r.velocity_demand
         torque, r.integral = cascade(
-            controller, r.integral, 0.0, r.velocity_demand, acceleration, r.velocity_estimate, dt, r.torque_limit
+            controller, r.integral, 0.0, r.velocity_demand, acceleration, r.velocity_estimate, dt, bound
         )
         torque += r.torque_offset
     elif r.mode == QUICK_STOP:
@@ -137,21 +196,22 @@ def control(plant: StructuredArray, controller: StructuredArray, s: StructuredAr
             0.0,
             r.velocity_estimate,
             dt,
-            r.torque_limit,
+            bound,
         )
     else:
         if r.mode == CST:
             torque = r.target2 + r.torque_offset
         r.integral = 0.0
         r.position_demand, r.velocity_demand = position, r.velocity_estimate
+    torque = _shaped(plant, s, torque)
     limited = min(max(torque, -r.torque_limit), r.torque_limit)
     r.is_limited = 1.0 if limited != torque else 0.0
     r.torque_demand = limited
 
 
 @compiled
-def advance(plant: StructuredArray, controller: StructuredArray, s: StructuredArray, steps: int) -> None:
-    """Integrate over ``steps`` integration steps by the semi-implicit Euler method.
+def _advance_rigid(plant: StructuredArray, controller: StructuredArray, s: StructuredArray, steps: int) -> None:
+    """Integrate a rigid servo over ``steps`` integration steps by the semi-implicit Euler method.
 
     A static friction map stops the axis when its velocity would change sign, and holds it up to the break-away
     level. A dynamic model has its own presliding.
@@ -190,3 +250,39 @@ def advance(plant: StructuredArray, controller: StructuredArray, s: StructuredAr
                 velocity = 0.0
         r.velocity = velocity
         r.position += c.step_s * velocity
+
+
+@compiled
+def _advance_machine(plant: StructuredArray, controller: StructuredArray, s: StructuredArray, steps: int) -> None:
+    """Integrate a servo with further parts; see `friction_hil.servo.mechanics`."""
+    c, r = plant[0], s[0]
+    for _ in range(steps):
+        if r.control_phase <= 0.0:
+            control(plant, controller, s)
+            actuator.pass_on(plant, s, r.mode == OFF)
+            if c.is_aging > 0.0:
+                actuator.warm(plant, s, c.steps_per_control * c.step_s)
+            r.control_phase = c.steps_per_control
+        r.control_phase -= 1.0
+        r.phase += 1.0
+        torque = actuator.shaft_torque(plant, s, r.acting_demand)
+        mechanics.move(plant, s, torque, r.mode == OFF and c.has_brake > 0.0)
+
+
+def advance(plant: StructuredArray, controller: StructuredArray, s: StructuredArray, steps: int) -> None:
+    """Simulate ``steps`` integration steps.
+
+    Parameters
+    ----------
+    plant, controller, s
+        Records of length 1: `PLANT`, `CONTROLLER` and `STATE`, or `MACHINE`, `CONTROLLER` and `MACHINE_STATE`.
+    steps
+        Integration steps.
+    """
+    (_advance_machine if _is_machine(plant) else _advance_rigid)(plant, controller, s, steps)
+
+
+@overloaded(advance)
+def _choose_advance(plant: Any, controller: Any, s: Any, steps: Any) -> Any:
+    chosen = _advance_machine if has_parts(plant) else _advance_rigid
+    return lambda plant, controller, s, steps: chosen(plant, controller, s, steps)

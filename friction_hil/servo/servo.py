@@ -1,32 +1,38 @@
 """A simulated servo with plain attributes and methods, in SI units. The same calls give the same bits."""
 
 import math
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from friction_hil.errors import UsageError
-from friction_hil.motion.controller import CONTROLLER
-from friction_hil.numerics.jit import StructuredArray
-from friction_hil.servo import plant
+from friction_hil.numerics.jit import Array, StructuredArray
+from friction_hil.servo import mechanics, plant
+from friction_hil.servo.assembly import controller_record, external_table, plant_record, servo_state
 from friction_hil.servo.config import ServoConfig
+from friction_hil.servo.records import MACHINE, MACHINE_STATE
 
 
 def _field_index(name: str) -> int:
     """Return the index of a field in a flat view of the state."""
-    fields = plant.STATE.fields
+    fields = MACHINE_STATE.fields  # which begins with those of STATE
     assert fields is not None
     return fields[name][1] // 8
 
 
-_COUNTS = _field_index("counts")
+_ACTING_DEMAND = _field_index("acting_demand")
 _DECELERATION = _field_index("deceleration")
 _INTEGRAL = _field_index("integral")
 _IS_LIMITED = _field_index("is_limited")
+_LOAD_POSITION = _field_index("load_position")
+_LOAD_VELOCITY = _field_index("load_velocity")
 _MODE = _field_index("mode")
 _PERIOD_STEPS = _field_index("period_steps")
 _PHASE = _field_index("phase")
 _POSITION = _field_index("position")
 _POSITION_DEMAND = _field_index("position_demand")
+_SHAFT_TORQUE = _field_index("shaft_torque")
 _TARGET0 = _field_index("target0")
 _TARGET1 = _field_index("target1")
 _TARGET2 = _field_index("target2")
@@ -40,38 +46,35 @@ _VELOCITY_OFFSET = _field_index("velocity_offset")
 _VELOCITY_ESTIMATE = _field_index("velocity_estimate")
 
 
-def _plant_record(config: ServoConfig, counts_per_unit: float) -> StructuredArray:
-    friction = config.friction_model
-    step_s = 1.0 / config.integration_hz
-    lag = config.motor.torque_lag_s
-    record = np.zeros(1, plant.PLANT)
-    c = record[0]
-    c["inertia"] = config.mechanics.inertia
-    c["load_torque"] = config.mechanics.load_torque
-    c["has_brake"] = config.mechanics.has_brake
-    c["friction_kind"] = friction.kind
-    c["is_friction_static"] = friction.family.is_static
-    c["friction"] = friction.values
-    c["stick_velocity"] = friction.parameters.get("stick_velocity", 0.0)
-    c["step_s"] = step_s
-    c["torque_lag_coefficient"] = 1.0 if lag == 0.0 else -math.expm1(-step_s / lag)
-    c["counts_per_unit"] = counts_per_unit
-    c["steps_per_control"] = round(config.integration_hz / config.loops.rate_hz)
-    c["velocity_filter_coefficient"] = -math.expm1(
-        -2.0 * math.pi * config.loops.velocity_filter_hz / config.loops.rate_hz
-    )
-    return record
+@dataclass(frozen=True, slots=True)
+class Energy:
+    """Energy balance of a simulated servo, J: ``stored`` changes by the works less the heats.
+
+    Attributes
+    ----------
+    stored : float
+        Kinetic, and in coupling, gravity, spring and hysteresis of the gear; not in the bristles of dynamic friction.
+    motor_work, load_work : float
+        Work of the motor's torque, and of constant and external load torque.
+    friction_heat, load_friction_heat, coupling_heat : float
+        Dissipated by friction at motor and load and by the coupling. Friction with bristles stores a part of it.
+    """
+
+    stored: float
+    motor_work: float
+    load_work: float
+    friction_heat: float
+    load_friction_heat: float
+    coupling_heat: float
 
 
-def _controller_record(config: ServoConfig) -> StructuredArray:
-    record = np.zeros(1, CONTROLLER)
-    k = record[0]
-    k["position_gain"] = config.loops.position_gain
-    k["velocity_gain"] = config.loops.velocity_gain
-    k["integral_hz"] = config.loops.integral_hz
-    k["velocity_feedforward"] = config.loops.velocity_feedforward
-    k["inertia"] = config.loops.inertia_feedforward * config.mechanics.inertia
-    return record
+class Temperatures(NamedTuple):
+    """Temperatures, deg C; ``gear`` is that of the friction."""
+
+    winding: float
+    motor: float
+    gear: float
+    ambient: float
 
 
 class Servo:
@@ -82,23 +85,29 @@ class Servo:
     config : ServoConfig
         Mechanics, friction, encoder, motor and loops.
     position : float
-        Initial position, at rest, rad or m.
+        Initial position of motor and load, at rest, rad or m.
+    external : (n, 2) array, optional
+        Content of the file that ``mechanics.external.file`` names: times, s, that rise, and load torque, N m. This
+        room reads no files.
+
+    Raises
+    ------
+    UsageError
+        The configuration names a file with an external torque, and ``external`` is missing or invalid.
     """
 
-    def __init__(self, config: ServoConfig, position: float = 0.0) -> None:
+    def __init__(self, config: ServoConfig, position: float = 0.0, external: Array | None = None) -> None:
         self.config = config
-        revolution = 2.0 * math.pi if config.mechanics.axis == "rotary" else 1.0
         self.steps_per_second = round(config.integration_hz)
-        self.counts_per_unit = config.encoder.counts / revolution
-        self._plant = _plant_record(config, self.counts_per_unit)
-        self._controller = _controller_record(config)
-        self._state = np.zeros(1, plant.STATE)
+        self._external = external_table(config, external)  # the record has its address
+        self._plant = plant_record(config, self._external)
+        self._is_rigid = self._plant.dtype != MACHINE
+        self.counts_per_unit: float = self._plant[0]["counts_per_unit" if self._is_rigid else "load_counts_per_unit"]
+        self._controller = controller_record(config)
+        self._state = servo_state(config, self._plant, position)
         # a flat view of the record: access by index is five times faster than by field name
         self._s = self._state.view(np.float64)
         self._get = self._s.item
-        self._s[_POSITION] = self._s[_POSITION_DEMAND] = position
-        self._s[_COUNTS] = math.floor(position * self.counts_per_unit)
-        self._s[_TORQUE_LIMIT] = config.motor.peak_torque
         self.set_period(1e-3)
 
     def set_period(self, period_s: float) -> None:
@@ -160,20 +169,39 @@ class Servo:
         s[_POSITION_DEMAND] = self.position
         if mode == plant.OFF:
             s[_TORQUE_DEMAND] = 0.0
+            if not self._is_rigid:
+                s[_ACTING_DEMAND] = 0.0
 
     def advance(self, steps: int) -> None:
         """Simulate ``steps`` integration steps."""
         plant.advance(self._plant, self._controller, self._state, steps)
 
     @property
+    def records(self) -> tuple[StructuredArray, StructuredArray, StructuredArray]:
+        """Plant, controller and state as the compiled functions of `friction_hil.servo.plant` take them, live."""
+        return self._plant, self._controller, self._state
+
+    @property
     def position(self) -> float:
-        """Position measured by the encoder, quantised to counts, rad or m."""
-        return math.floor(self._get(_POSITION) * self.counts_per_unit) / self.counts_per_unit
+        """Position measured by the encoder of the position loop, quantised to counts, rad or m."""
+        if self._is_rigid:
+            return math.floor(self._get(_POSITION) * self.counts_per_unit) / self.counts_per_unit
+        return plant.measured_position(self._plant, self._state)
 
     @property
     def true_position(self) -> float:
-        """Position without quantisation, rad or m."""
+        """Position of the motor without quantisation, rad or m."""
         return self._get(_POSITION)
+
+    @property
+    def load_position(self) -> float:
+        """Position of the load without quantisation, rad or m; that of the motor on a rigid servo."""
+        return self._get(_POSITION if self._is_rigid else _LOAD_POSITION)
+
+    @property
+    def load_velocity(self) -> float:
+        """Velocity of the load, rad/s or m/s; that of the motor on a rigid servo."""
+        return self._get(_VELOCITY if self._is_rigid else _LOAD_VELOCITY)
 
     @property
     def velocity(self) -> float:
@@ -182,13 +210,49 @@ class Servo:
 
     @property
     def true_velocity(self) -> float:
-        """Velocity of the mechanics, rad/s or m/s."""
+        """Velocity of the motor, rad/s or m/s."""
         return self._get(_VELOCITY)
 
     @property
+    def energy(self) -> Energy:
+        """Energies since the start, J.
+
+        Raises
+        ------
+        UsageError
+            The servo is rigid, and its kernel keeps no account.
+        """
+        if self._is_rigid:
+            raise UsageError("a rigid servo keeps no account of its energy; give it a load, gravity or a spring")
+        r = self._state[0]
+        return Energy(
+            stored=mechanics.stored_energy(self._plant, self._state),
+            motor_work=float(r["motor_work"]),
+            load_work=float(r["load_work"]),
+            friction_heat=float(r["friction_heat"]),
+            load_friction_heat=float(r["load_friction_heat"]),
+            coupling_heat=float(r["coupling_heat"]),
+        )
+
+    @property
     def torque(self) -> float:
-        """Motor torque after the torque lag, N m or N."""
-        return self._get(_TORQUE)
+        """Torque that the drive reports: current times nominal torque constant, with the errors of its feedback."""
+        if self._is_rigid:
+            return self._get(_TORQUE)
+        return plant.measured_torque(self._plant, self._state)
+
+    @property
+    def true_torque(self) -> float:
+        """Torque at the shaft of the motor, N m or N."""
+        return self._get(_TORQUE if self._is_rigid else _SHAFT_TORQUE)
+
+    @property
+    def temperatures(self) -> Temperatures | None:
+        """Temperatures of motor and gear, deg C; None without ``thermal``."""
+        if self.config.thermal is None:
+            return None
+        r = self._state[0]
+        return Temperatures(*(float(r[f"{each}_temperature"]) for each in ("winding", "motor", "gear", "ambient")))
 
     @property
     def position_demand(self) -> float:

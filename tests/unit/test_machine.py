@@ -1,5 +1,6 @@
 """Checks of the machine, on system files that a test provides."""
 
+import os
 from pathlib import Path
 
 import pytest
@@ -79,6 +80,20 @@ def test_a_user_without_a_home_keeps_no_kernels_and_starts_all_the_same(monkeypa
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
     monkeypatch.setattr(Path, "home", no_home)
     assert jit.cache_folder.__wrapped__() is None
+
+
+def test_processes_that_start_at_the_same_time_all_keep_their_kernels(monkeypatch, tmp_path):
+    make = Path.mkdir
+
+    def make_second(path, *arguments, **options):
+        os.makedirs(path, exist_ok=True)  # by another process, just before
+        make(path, *arguments, **options)
+
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setattr(Path, "mkdir", make_second)
+    folder = jit.cache_folder.__wrapped__()
+    assert folder is not None
+    assert Path(folder).is_dir()
 
 
 def test_kernels_of_every_room_decide_which_compiled_code_is_current():

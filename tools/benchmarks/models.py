@@ -5,9 +5,6 @@ gcc compiles the C code at each run with -O3 -march=native. Both sides simulate 
 
 import ctypes
 import math
-import shutil
-import subprocess
-import tempfile
 import time
 from collections.abc import Callable, Iterable
 from functools import partial
@@ -18,16 +15,15 @@ from statistics import median
 import numpy as np
 
 import friction_hil as fh
-from friction_hil.errors import FrictionHilError
 from friction_hil.models import FrictionModel
 from friction_hil.numerics.jit import Array
+from tools.benchmarks.c_library import COMMAND, load
 from tools.benchmarks.report import Row, against, compare, note, rounds
 
 Simulate = Callable[..., Array]
 Work = tuple[int, Callable[[], object]]  # number of equal parts, and the function that does them
 
 SOURCE = Path(__file__).with_suffix(".c")
-COMMAND = ("gcc", "-O3", "-march=native", "-shared", "-fPIC")
 DT = 1e-3
 ROUNDS = 15
 SAMPLES = 1_000_000
@@ -50,14 +46,7 @@ class CLoops:
     """
 
     def __init__(self) -> None:
-        if shutil.which("gcc") is None:
-            raise FrictionHilError("there is no gcc here to compile the C loops with: sudo apt install gcc")
-        with tempfile.TemporaryDirectory() as folder:
-            library = Path(folder) / "models.so"
-            done = subprocess.run([*COMMAND, "-o", library, SOURCE, "-lm"], capture_output=True, text=True)
-            if done.returncode:
-                raise FrictionHilError(f"gcc could not compile {SOURCE.name}: {done.stderr.strip()}")
-            self._library = ctypes.CDLL(str(library))  # stays loaded when the file is removed
+        self._library = load(SOURCE)
 
     def of(self, model: FrictionModel, dt: float = DT) -> Simulate:
         """Return the C function of ``model``: velocity (n,) to torque (n,), from rest."""

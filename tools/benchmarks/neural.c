@@ -5,7 +5,7 @@
 
 #include <math.h>
 
-enum { SPEEDS = 4, INPUTS = 5, SEEN = 6, MOST_UNITS = 64, HEADER = 37 };
+enum { SPEEDS = 4, INPUTS = 5, SEEN = 6, MOST_UNITS = 64, HEADER = 38 };
 
 static inline double limited(double x, double bound) { return fmin(fmax(x, -bound), bound); }
 

@@ -10,9 +10,6 @@ import ctypes
 import importlib
 import io
 import math
-import shutil
-import subprocess
-import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -39,6 +36,7 @@ from friction_hil.training.jacobian import fill_rows
 from friction_hil.training.layout import Samples, empty
 from friction_hil.training.objective import NetworkRun, Objective
 from friction_hil.training.train import Options, train
+from tools.benchmarks.c_library import load
 from tools.benchmarks.report import Row, against, compare, note
 
 DT, SAMPLES, TOP_SPEED = 1e-3, 20_000, 1.2
@@ -57,7 +55,6 @@ OTHERS: dict[str, dict[str, Any]] = {
     | {"coulomb": 0.08, "static": 0.14, "stribeck_velocity": 0.2, "viscous": 2e-3},
 }
 SOURCE = Path(__file__).with_suffix(".c")
-COMMAND = ("gcc", "-O3", "-march=native", "-shared", "-fPIC")
 
 
 def plant() -> Any:
@@ -127,14 +124,7 @@ def iterations() -> list[Row]:
 
 def whole_array() -> list[Row]:
     """Time the free run over a record against a plain C loop of the same network."""
-    if shutil.which("gcc") is None:
-        raise FrictionHilError("there is no gcc here to compile the C loop with: sudo apt install gcc")
-    with tempfile.TemporaryDirectory() as folder:
-        library = Path(folder) / "neural.so"
-        done = subprocess.run([*COMMAND, "-o", library, SOURCE, "-lm"], capture_output=True, text=True)
-        if done.returncode:
-            raise FrictionHilError(f"gcc could not compile {SOURCE.name}: {done.stderr.strip()}")
-        function = ctypes.CDLL(str(library)).gated
+    function = load(SOURCE).gated
     array = np.ctypeslib.ndpointer(np.float64, ndim=1, flags="C")
     function.argtypes, function.restype = (array, array, ctypes.c_long, ctypes.c_double, array), None
     data = samples(0, 100_000)

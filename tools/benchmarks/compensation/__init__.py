@@ -40,7 +40,7 @@ def run(path: Path = REFERENCE) -> tuple[Grid, list[CaseResult]]:
     type=click.Path(path_type=Path),
     default=REFERENCE,
     help="Grid file (YAML) with plants, drives, motions and conditions.  "
-    f"[default: reference.yaml; {REFERENCE.parent.name}/ also has others.yaml]",
+    f"[default: reference.yaml; {REFERENCE.parent.name}/ also has others.yaml and slow.yaml]",
 )
 @option_json
 def command(path: Path, as_json: bool) -> None:

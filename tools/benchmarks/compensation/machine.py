@@ -1,6 +1,7 @@
-"""The simulated servo: mechanics with true friction, drive loops, encoder, delays and feed-forward. Compiled.
+"""A machine of `friction_hil.servo` behind ideal drive loops, with encoder, delays and feed-forward. Compiled.
 
-All kernels are in this file, because the cache of numba notices only changes of a kernel's own file.
+The loops see the true motion of the motor. All kernels are in this file, because the cache of numba notices only
+changes of a kernel's own file and of the package.
 """
 
 import math
@@ -11,41 +12,11 @@ from friction_hil import compensator as compensation
 from friction_hil.friction import kernel
 from friction_hil.motion.controller import cascade
 from friction_hil.numerics.jit import Array, StructuredArray, compiled
+from friction_hil.servo import actuator, mechanics
 
 MOST_DELAY_CYCLES = 8
 NONE, TRUE_LATE, MEASURED, OURS = range(4)  # origins of the feed-forward torque
 _UNLIMITED = 1e9  # N m: the drives of the benchmark do not saturate
-_BALANCE = 1e-12  # relative difference of torque and friction that is rounding
-
-PLANT = np.dtype(
-    [
-        ("friction_kind", "f8"),
-        ("friction", "f8", (kernel.PLAIN_ROOM,)),
-        ("is_friction_static", "f8"),
-        ("stick_velocity", "f8"),
-        ("inertia", "f8"),  # of the motor, where friction and encoder are
-        ("load_inertia", "f8"),  # 0: one stiff mass
-        ("stiffness", "f8"),  # of the coupling between the two
-        ("damping", "f8"),
-        ("gap", "f8"),  # total backlash of the coupling, rad
-        ("torque_lag_fraction", "f8"),  # of a torque step, after one integration step
-        ("step_s", "f8"),  # of the integration
-        ("steps_per_sample", "f8"),  # of the drive
-    ]
-)
-
-PLANT_STATE = np.dtype(
-    [
-        ("position", "f8"),
-        ("velocity", "f8"),
-        ("load_position", "f8"),
-        ("load_velocity", "f8"),
-        ("torque", "f8"),  # acting on the motor, after the lag
-        ("friction_torque", "f8"),
-        ("integral", "f8"),  # of the drive's velocity loop
-        ("friction", "f8", (kernel.STATE_ROOM,)),
-    ]
-)
 
 CYCLE = np.dtype(
     [
@@ -75,26 +46,6 @@ _compensate = compensation.step
 
 
 @compiled
-def friction_step(
-    kind: int, p: Array, s: Array, velocity: float, dt: float, position: float, applied: float, epsilon: float
-) -> float:
-    """Return the friction torque of one step; a separate function, so that the families are compiled once."""
-    return kernel.step(kind, p, s, velocity, velocity, dt, position, 0.0, math.nan, applied, epsilon)
-
-
-@compiled
-def coupling_torque(stiffness: float, damping: float, gap: float, twist: float, rate: float) -> float:
-    """Return the torque from motor to load, N m, of a spring and damper with backlash; zero inside the gap."""
-    if gap == 0.0:
-        return stiffness * twist + damping * rate
-    side = math.copysign(1.0, twist)
-    compressed = abs(twist) - 0.5 * gap
-    if compressed <= 0.0:
-        return 0.0
-    return side * max(stiffness * compressed + damping * rate * side, 0.0)  # faces push, and never pull
-
-
-@compiled
 def advance(
     plant: StructuredArray,
     controller: StructuredArray,
@@ -110,14 +61,12 @@ def advance(
 ) -> None:
     """Run ``samples`` samples of the drive from number ``first`` on, with a ``feedforward`` torque held.
 
-    Semi-implicit Euler. A static friction map stops the motor where its velocity would change sign, and holds it
-    there up to the break-away level; a dynamic model has its own presliding. The demands, (n,), are of the drive's
-    samples. Adds to ``score`` the squared following error, and takes its largest; fills a column of ``trace``,
-    (6, n), a sample, unless it has none.
+    ``plant`` and ``state`` are `MACHINE` and `MACHINE_STATE` records. The demands, (n,), are of the drive's samples.
+    Adds to ``score`` the squared following error, and takes its largest; fills a column of ``trace``, (6, n), a
+    sample, unless it has none.
     """
     c, r = plant[0], state[0]
-    kind, steps, dt = int(c.friction_kind), int(c.steps_per_sample), c.step_s
-    gain = dt / c.inertia
+    steps, dt = int(c.steps_per_control), c.step_s
     for i in range(first, first + samples):
         error = position_demand[i] - r.position
         score[0] += error * error
@@ -138,23 +87,7 @@ def advance(
         )
         demand += feedforward
         for _ in range(steps):
-            r.torque += c.torque_lag_fraction * (demand - r.torque)
-            applied = r.torque
-            if c.load_inertia > 0.0:
-                twist, rate = r.position - r.load_position, r.velocity - r.load_velocity
-                coupled = coupling_torque(c.stiffness, c.damping, c.gap, twist, rate)
-                applied -= coupled
-                r.load_velocity += dt * coupled / c.load_inertia
-                r.load_position += dt * r.load_velocity
-            friction = friction_step(kind, c.friction, r.friction, r.velocity, dt, r.position, applied, 0.0)
-            velocity = r.velocity + gain * (applied - friction)
-            if c.is_friction_static > 0.0:
-                is_balanced = abs(applied - friction) <= _BALANCE * abs(applied)
-                if velocity * r.velocity < 0.0 or (is_balanced and abs(r.velocity) <= c.stick_velocity):
-                    velocity = 0.0
-            r.friction_torque = friction
-            r.velocity = velocity
-            r.position += dt * velocity
+            mechanics.move(plant, state, actuator.shaft_torque(plant, state, demand), False)
 
 
 @compiled
@@ -182,7 +115,7 @@ def run(
     Parameters
     ----------
     plant, controller, state, cycle, feedforward
-        Structured arrays of length 1: `PLANT`, `CONTROLLER`, `PLANT_STATE`, `CYCLE`, `FEEDFORWARD`.
+        Structured arrays of length 1: `MACHINE`, `CONTROLLER`, `MACHINE_STATE`, `CYCLE`, `FEEDFORWARD`.
     feedforward_state
         State of the model in ``feedforward``; changed in place.
     settings, compensator_state
@@ -209,8 +142,19 @@ def run(
         if f.origin == TRUE_LATE:
             torque = f.gain * state[0].friction_torque
         elif f.origin == MEASURED:
-            torque = f.gain * friction_step(
-                int(f.kind), f.friction, feedforward_state, velocity, c.period_s, position, 0.0, f.epsilon
+            torque = f.gain * mechanics.friction_step(
+                int(f.kind),
+                f.friction,
+                feedforward_state,
+                velocity,
+                velocity,
+                c.period_s,
+                position,
+                0.0,
+                math.nan,
+                0.0,
+                1.0,
+                f.epsilon,
             )
         elif f.origin == OURS:
             torque = _compensate(

@@ -15,9 +15,10 @@ import numpy as np
 from friction_hil import compensator as compensation
 from friction_hil.compensator import Compensator
 from friction_hil.errors import FrictionHilError
-from friction_hil.models import FrictionModel
-from friction_hil.motion.controller import CONTROLLER
-from friction_hil.numerics.jit import Array, StructuredArray
+from friction_hil.numerics.jit import Array
+from friction_hil.servo.assembly import controller_record, machine_record, servo_state
+from friction_hil.servo.config import Loops, Motor, ServoConfig, ServoMechanics, TrueFriction, least_integration_hz
+from friction_hil.servo.parts import Load
 from tools.benchmarks.compensation import machine
 from tools.benchmarks.compensation.grid import DriveLoops, Grid, Plant
 from tools.benchmarks.compensation.methods import METHODS, NONE, feedforward
@@ -87,7 +88,6 @@ class Simulation:
         condition = grid.conditions[case.condition]
         settings = grid.settings(case.plant, case.drive, case.condition)
         believed = grid.believed(case.plant, case.condition)
-        friction = plant.friction_model
         compensator = Compensator(believed, settings)
         cycle = np.zeros(1, machine.CYCLE)
         cycle[0] = (
@@ -98,13 +98,13 @@ class Simulation:
             settings.position_resolution,
             plant.rated_torque / 1000.0,
         )
-        state = np.zeros(1, machine.PLANT_STATE)
-        state[0]["friction"] = friction.initial_state()
+        servo = servo_config(plant, drive)
+        record = machine_record(servo)
         score = np.zeros(2)
         machine.run(
-            plant_record(plant, drive),
-            controller_record(plant, drive),
-            state,
+            record,
+            controller_record(servo),
+            servo_state(servo, record, 0.0),
             cycle,
             feedforward(method, believed, condition.gain, grid.period_s, settings.position_resolution),
             believed.initial_state(),
@@ -130,50 +130,40 @@ class Simulation:
         return self.grid.motions[motion].at(t, self.grid.seed)[1]
 
 
-def plant_record(plant: Plant, drive: DriveLoops) -> StructuredArray:
-    """Return the `machine.PLANT` record."""
-    friction = plant.friction_model
-    rate_hz = integration_hz(plant, drive.rate_hz, friction)
-    record = np.zeros(1, machine.PLANT)
-    c = record[0]
-    c["friction_kind"], c["friction"] = friction.kind, friction.values
-    c["is_friction_static"] = friction.family.is_static
-    c["stick_velocity"] = friction.parameters.get("stick_velocity", 0.0)
-    c["inertia"] = plant.inertia
-    if plant.compliance is not None:
-        c["load_inertia"] = plant.compliance.load_inertia
-        c["stiffness"], c["damping"] = plant.compliance.stiffness, plant.compliance.damping
-        c["gap"] = plant.backlash
-    c["step_s"] = 1.0 / rate_hz
-    c["steps_per_sample"] = round(rate_hz / drive.rate_hz)
-    c["torque_lag_fraction"] = 1.0
-    if drive.torque_lag_s > 0.0:
-        c["torque_lag_fraction"] = -math.expm1(-1.0 / (rate_hz * drive.torque_lag_s))
-    return record
+def servo_config(plant: Plant, drive: DriveLoops) -> ServoConfig:
+    """Return the servo of a plant with a drive; of its drive, the cases use the rate and the torque lag."""
+    friction = plant.friction
+    mechanics = ServoMechanics(inertia=plant.inertia, load=_load(plant))
+    true = TrueFriction(model=friction.model, parameters=friction.parameters, modifiers=friction.modifiers)
+    return ServoConfig(
+        mechanics=mechanics,
+        friction=true,
+        motor=Motor(rated_torque=plant.rated_torque, torque_lag_s=drive.torque_lag_s),
+        loops=Loops(
+            rate_hz=drive.rate_hz,
+            position_gain=drive.position_gain,
+            velocity_gain=drive.velocity_gain,
+            integral_hz=drive.integral_hz,
+        ),
+        integration_hz=integration_hz(mechanics, true, drive.rate_hz),
+    )
 
 
-def controller_record(plant: Plant, drive: DriveLoops) -> StructuredArray:
-    """Return the drive's `CONTROLLER` record: velocity and inertia are fed forward in full."""
-    record = np.zeros(1, CONTROLLER)
-    c = record[0]
-    c["position_gain"], c["velocity_gain"] = drive.position_gain, drive.velocity_gain
-    c["integral_hz"] = drive.integral_hz
-    c["velocity_feedforward"] = 1.0
-    c["inertia"] = plant.total_inertia
-    return record
+def _load(plant: Plant) -> Load | None:
+    if plant.compliance is None:
+        return None
+    coupling = plant.compliance
+    return Load(
+        inertia=coupling.load_inertia,
+        stiffness=coupling.stiffness,
+        damping=coupling.damping,
+        backlash=plant.backlash,
+    )
 
 
-def integration_hz(plant: Plant, rate_hz: float, friction: FrictionModel) -> float:
+def integration_hz(mechanics: ServoMechanics, friction: TrueFriction, rate_hz: float) -> float:
     """Return the rate of the integration: a multiple of ``rate_hz``, well inside the stability limits."""
-    stiffness, damping = friction.presliding_stiffness, 0.0
-    for name in ("sigma1", "sigma2", "viscous"):
-        damping += friction.parameters.get(name, 0.0)
-    lightest = plant.inertia
-    if plant.compliance is not None:
-        stiffness += plant.compliance.stiffness
-        damping += plant.compliance.damping
-        lightest = min(lightest, plant.compliance.load_inertia)
-    needed = max(INTEGRATION_HZ, 2.0 * math.sqrt(stiffness / lightest), damping / lightest)
+    needed = max(INTEGRATION_HZ, least_integration_hz(mechanics, friction))
     return rate_hz * math.ceil(needed / rate_hz * (1.0 - 1e-9))
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from friction_hil.config.external_torque import simulated_servo
 from friction_hil.drive import Mode
 from friction_hil.errors import UsageError
 from friction_hil.servo.servo import Servo
@@ -41,10 +42,10 @@ def make_node(
     simulation = axis.simulation
     assert isinstance(simulation, SimulationOptions)
     number: int = getattr(axis.options, "node")  # noqa: B009 - the driver's options, known to it alone
-    servo = Servo(simulation)
+    servo = simulated_servo(simulation)
     names = simulation.canopen.supported_modes
     modes = None if names is None else [Mode[name.upper()] for name in names]
-    _compile(Servo(simulation))
+    _compile(simulated_servo(simulation))
     steps = _steps_per_period(configuration.period_s, servo)
     return SimulatedNode(
         number,

@@ -127,10 +127,10 @@ class SimulatedUnits:
         is_inverted: bool = False,
     ) -> None:
         config = servo.config
-        revolution = config.encoder.counts / servo.counts_per_unit  # rad or m
+        revolution = config.encoder.position_counts / servo.counts_per_unit  # rad or m
         self.is_resolution_given = resolution is not None
         if resolution is None:
-            resolution = Fraction(config.encoder.counts).limit_denominator(1000)
+            resolution = Fraction(config.encoder.position_counts).limit_denominator(1000)
             self.counts = servo.counts_per_unit  # per rad or m
         else:
             self.counts = float(resolution) / revolution

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 from fractions import Fraction
+from functools import partial
 
 from friction_hil.drive import Mode
 from friction_hil.servo.servo import Servo
@@ -39,6 +40,16 @@ def connect_live_values(dictionary: Dictionary, servo: Servo, units: SimulatedUn
         (objects.TORQUE_DEMAND, lambda: saturated(servo.torque_demand / torque, INT16)),
     ):
         dictionary.of(known).connect(read, known)
+    if servo.config.thermal is not None:
+        for known, node in (
+            (objects.SIMULATED_MOTOR_TEMPERATURE, "motor"),
+            (objects.SIMULATED_GEAR_TEMPERATURE, "gear"),
+        ):
+            dictionary.of(known).connect(partial(_temperature, servo, node), known)
+
+
+def _temperature(servo: Servo, node: str) -> int:
+    return saturated(10.0 * getattr(servo.temperatures, node), INT16)
 
 
 def set_defaults(
@@ -46,11 +57,13 @@ def set_defaults(
 ) -> None:
     """Set the entries that describe this motor, as its commissioning would do.
 
-    The quick stop uses half of the rated torque on the inertia, the profile ramp a quarter; the following
-    error window is a twentieth of a revolution. Values of a vendor's file stay, unless they are zero, or in counts of
-    an encoder that it does not tell. ``are_modes_given`` is True if the configuration says which modes there are.
+    The quick stop uses half of the rated torque on the inertia, the profile ramp a quarter; the following error
+    window is that of the configuration, or a twentieth of a revolution. Values of a vendor's file stay, unless they
+    are zero, or in counts of an encoder that it does not tell. ``are_modes_given`` is True if the configuration says
+    which modes there are.
     """
-    motor, inertia = servo.config.motor, servo.config.mechanics.inertia
+    window = servo.config.loops.following_error_window
+    motor, inertia = servo.config.motor, servo.config.mechanics.total_inertia
     strongest = motor.rated_torque / inertia * units.increments  # velocity units per second
     defaults = {
         objects.RATED_TORQUE: units.rated_torque,
@@ -61,7 +74,7 @@ def set_defaults(
     in_counts = {
         objects.ENCODER_INCREMENTS: units.resolution.numerator,
         objects.MOTOR_REVOLUTIONS: units.resolution.denominator,
-        objects.FOLLOWING_ERROR_WINDOW: round(units.resolution / 20),
+        objects.FOLLOWING_ERROR_WINDOW: round(units.resolution / 20 if window is None else window * units.counts),
         objects.PROFILE_DECELERATION: max(1, round(0.25 * strongest)),
         objects.QUICK_STOP_DECELERATION: max(1, round(0.5 * strongest)),
     }
@@ -69,6 +82,7 @@ def set_defaults(
         is_said = (known is objects.SUPPORTED_MODES and are_modes_given) or (
             known is objects.VELOCITY_UNIT and units.is_velocity_given
         )
+        is_said |= known is objects.FOLLOWING_ERROR_WINDOW and window is not None
         stays = dictionary.given(known) and (known in defaults or units.is_resolution_given)
         if is_said or not stays:
             dictionary.set_default(known, value)

@@ -88,7 +88,7 @@ class SimulatedDrive:
         for step in () if watchdog is None else watchdog.enable:
             self._watchdog_needs |= step.write
 
-        motor, inertia = servo.config.motor, servo.config.mechanics.inertia
+        motor, inertia = servo.config.motor, servo.config.mechanics.total_inertia
         self._deceleration = 0.5 * motor.rated_torque / inertia
         self._per_second = servo.steps_per_second
         self._piece = max(1, round(_PIECE_S * self._per_second))

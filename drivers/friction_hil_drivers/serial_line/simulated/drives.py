@@ -141,14 +141,14 @@ class SimulatedSerialDrives(ABC):
         return f"{listed} on {port.where}"
 
     def _drive(self, name: str, description: Description) -> SimulatedDrive:
+        from friction_hil.config.external_torque import simulated_servo
         from friction_hil.drive import Mode
-        from friction_hil.servo.servo import Servo
 
         simulation = self._simulation(name)
         period_s = self._configuration.period_s
-        servo = Servo(simulation)
+        servo = simulated_servo(simulation)
         servo.set_period(period_s)
-        Servo(simulation).advance(1)  # numba compiles now, before the cyclic phase
+        simulated_servo(simulation).advance(1)  # numba compiles now, before the cyclic phase
         return SimulatedDrive(
             name,
             description,

@@ -1,0 +1,100 @@
+"""The example machines: they load, fit the schema, follow their motion, and have what they are examples of."""
+
+import json
+import math
+from pathlib import Path
+
+import jsonschema
+import numpy as np
+import pytest
+
+from friction_hil.checked_yaml.text import read
+from friction_hil.config import load, self_contained
+from friction_hil.config.external_torque import simulated_servo
+from friction_hil.daemon.assembly import periodic_path
+from friction_hil.motion.trajectory import PathTime, Trajectory
+
+FOLDER = Path(__file__).parents[2] / "config/machines"
+MACHINES = sorted(FOLDER.glob("*.yaml"))
+VALIDATOR = jsonschema.Draft202012Validator(json.loads((FOLDER.parent / "schema.json").read_text()))
+CSP, CST = 8, 10
+
+
+def axis_of(name):
+    (axis,) = load(FOLDER / f"{name}.yaml").axes.values()
+    return axis
+
+
+def followed(axis, seconds, offset=0.0):
+    """Follow the trajectory without compensation: following error and twist of each millisecond."""
+    one, time = simulated_servo(axis.simulation), PathTime(1.0)
+    time.start(0.0)
+    trajectory = Trajectory(periodic_path(axis.trajectory), time)
+    rows = []
+    for k in range(round(1e3 * seconds)):
+        one.command(CSP, trajectory.at(1e-3 * k).position, 0.0, offset)
+        one.advance(one.steps_per_second // 1000)
+        rows.append((one.following_error, one.load_position - one.true_position))
+    return one, np.array(rows)
+
+
+def test_there_are_machines():
+    assert {path.stem for path in MACHINES} >= {
+        "ball_screw",
+        "belt",
+        "direct_drive",
+        "harmonic_drive",
+        "hobby_servo",
+        "telescope",
+        "worm_gear",
+    }
+
+
+@pytest.mark.parametrize("path", MACHINES, ids=lambda path: path.stem)
+def test_a_machine_fits_the_schema_and_follows_its_motion(path):
+    """Within a fifth of the limit of the following error, and with friction that matters: errors not from rounding."""
+    configuration = load(path)
+    assert list(VALIDATOR.iter_errors(read(path).value)) == []
+    assert list(VALIDATOR.iter_errors(self_contained(configuration))) == []
+    assert f"config/machines/{path.name} --simulate" in path.read_text()
+    for axis in configuration.axes.values():
+        assert not axis.simulation.is_rigid
+        servo, rows = followed(axis, 3.0)
+        error = np.abs(rows[1000:, 0])
+        assert error.max() < 0.2 * axis.limits.following_error
+        assert error.max() > 3.0 / servo.counts_per_unit
+        assert abs(servo.torque_demand) < servo.torque_limit
+        believed, true = axis.model.mechanics.inertia, axis.simulation.mechanics.total_inertia
+        assert believed == pytest.approx(true, rel=0.1)
+
+
+def test_every_machine_has_a_bus_of_its_own():
+    ports = [load(path).bus.port for path in MACHINES]
+    assert len(set(ports)) == len(ports)
+
+
+@pytest.mark.parametrize(("name", "is_locked"), [("worm_gear", True), ("hobby_servo", False)])
+def test_only_the_worm_gear_holds_its_load_without_power(name, is_locked):
+    simulation = axis_of(name).simulation
+    one = simulated_servo(simulation, 0.0 if is_locked else 0.5 * math.pi)
+    start = one.load_position
+    one.advance(one.steps_per_second)
+    assert (abs(one.load_position - start) < 3e-3) == is_locked
+
+
+def test_the_strain_wave_gear_warms_up_and_its_friction_falls():
+    axis = axis_of("harmonic_drive")
+    one, _ = followed(axis, 8.0)
+    friction = axis.simulation.friction_model
+    cold, warm = (
+        float(friction.steady_state([0.5], load_torque=0.0, temperature=temperature)[0])
+        for temperature in (axis.simulation.thermal.ambient, one.temperatures.gear)
+    )
+    assert one.temperatures.gear > axis.simulation.thermal.ambient + 2.0
+    assert warm < 0.98 * cold
+
+
+def test_the_coupling_of_the_ball_screw_crosses_its_play():
+    axis = axis_of("ball_screw")
+    _, rows = followed(axis, 4.0)
+    assert np.ptp(rows[2000:, 1]) > axis.simulation.mechanics.load.backlash
