@@ -1,8 +1,12 @@
-"""A configuration that is good, to be spoilt by tests, and a distribution with the fake drivers that it names."""
+"""A good configuration to be spoilt by tests, its mistakes, and a distribution with the drivers that it names."""
 
 from pathlib import Path
 
+import pytest
 import yaml
+
+from friction_hil.config import from_dict, load
+from friction_hil.errors import ConfigurationError
 
 FAKE_DRIVER = """
 from pathlib import Path
@@ -138,3 +142,24 @@ def changed(**changes):
         else:
             place[last] = value
     return values
+
+
+def problems_of(values):
+    with pytest.raises(ConfigurationError) as caught:
+        from_dict(values, "test")
+    return {problem.field: problem.message for problem in caught.value.problems}
+
+
+def outcome(path):
+    """The configuration, or None, and the problems."""
+    try:
+        return load(path), ()
+    except ConfigurationError as error:
+        return None, error.problems
+
+
+def problems_in(path, text):
+    path.write_text(text)
+    configuration, problems = outcome(path)
+    assert configuration is None
+    return problems

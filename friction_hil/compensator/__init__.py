@@ -2,9 +2,11 @@
 
 Pure: one compiled step over one flat state record, the same in the daemon and in replay.
 
-`kernel` is the step, `records` its settings and state, `reference` the velocities that the model is given,
-`velocity` the velocity estimators, `limit_cycle` and `adaptation` what changes the gain, `limiter` the bounds on
-torque and slew. `Compensator` holds all of it as an object. README.md of this folder explains formulas and settings.
+`kernel` is the step, `records` its settings and state, `reference` the velocities that the model is given, `load` and
+`temperature` the load torque and temperature that it is given, `transmission` the offset of the motor across gap and
+twist, `prediction` how far the axis will deviate from its demand, `velocity` the velocity estimators, `limit_cycle` and
+`adaptation` what changes the gain, `limiter` the bounds on torque and slew. `Compensator` holds all of it as an object.
+README.md of this folder explains formulas and settings.
 """
 
 from friction_hil.compensator.compensator import (
@@ -12,19 +14,23 @@ from friction_hil.compensator.compensator import (
     Compensator,
     CompensatorInputs,
     CompensatorSettings,
+    ThermalObserver,
     input_checksum,
 )
-from friction_hil.compensator.kernel import step
+from friction_hil.compensator.kernel import RESULTS, step, whole_step
 from friction_hil.compensator.records import STATE
 from friction_hil.compensator.reference import SOURCES
 
 __all__ = [
     "INPUTS",
+    "RESULTS",
     "SOURCES",
     "STATE",
     "Compensator",
     "CompensatorInputs",
     "CompensatorSettings",
+    "ThermalObserver",
     "input_checksum",
     "step",
+    "whole_step",
 ]

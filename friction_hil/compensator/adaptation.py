@@ -2,8 +2,9 @@
 
 For each direction, recursive least squares with forgetting fits a factor on the model's torque F to the measured
 friction torque tau - load - J dv/dt. Both sides pass the same low-pass filter, which turns dv/dt into a difference of
-velocities. Only steady sliding in one direction counts. The factor starts at 1 with the weight of one full forgetting
-time, and stays between bounds.
+velocities. Only steady sliding in one direction counts, and only once the presliding of the reversal is behind: then
+the friction is the model's level at this velocity, below the Stribeck velocity as above it. The factor starts at 1
+with the weight of one full forgetting time, and stays between bounds.
 """
 
 import math
@@ -13,13 +14,15 @@ from friction_hil.numerics.jit import inlined
 
 FILTER_S = 0.02
 _SETTLED = 5.0  # filter times of sliding in one direction before the fit begins
-_MOVING_NOISES = 4.0  # velocity, in its own noise, that counts as sliding
+SETTLED_S = _SETTLED * FILTER_S
+DEFLECTIONS = 10.0  # of the presliding, as travel before the fit begins; the softest of several elements yields last
+MOVING_NOISES = 4.0  # velocity, in its own noise, that counts as sliding
 
 
 @inlined
 def forget(r: Any) -> None:
     """Restart the filters; the factors stay."""
-    r.sliding_s = 0.0
+    r.sliding_s = r.sliding_travel = 0.0
 
 
 @inlined
@@ -35,19 +38,22 @@ def learn(c: Any, r: Any, model: float, torque: float, load: float, dt: float) -
     """
     v = r.motion.velocity
     direction = 1.0 if v > 0.0 else -1.0
-    is_sliding = abs(v) >= max(_MOVING_NOISES * c.noise, c.sliding_velocity)
+    is_sliding = abs(v) >= MOVING_NOISES * c.noise
     if not is_sliding or direction * model <= 0.0 or not math.isfinite(torque):
-        r.sliding_s = 0.0
+        forget(r)
         return
     if r.sliding_s == 0.0 or direction * r.filtered_velocity < 0.0:
         r.filtered_velocity, r.filtered_torque, r.filtered_model, r.sliding_s = v, torque - load, model, 0.0
+        r.sliding_travel = 0.0
     coefficient = dt / (dt + FILTER_S)
     r.filtered_torque += coefficient * (torque - load - r.filtered_torque)
     r.filtered_model += coefficient * (model - r.filtered_model)
     r.filtered_velocity += coefficient * (v - r.filtered_velocity)
     r.sliding_s += dt
-    if r.sliding_s < _SETTLED * FILTER_S:
+    r.sliding_travel += abs(v) * dt
+    if r.sliding_s < SETTLED_S or r.sliding_travel < c.sliding_travel:
         return
+    r.learned_s += dt
     measured = r.filtered_torque - c.inertia * (v - r.filtered_velocity) / FILTER_S
     k = 0 if direction > 0.0 else 1
     forgetting = dt / c.adaptation_s

@@ -9,7 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from friction_hil.compensator import adaptation, kernel, records, reference, velocity
+from friction_hil.compensator import adaptation, kernel, prediction, records, reference, velocity
+from friction_hil.compensator.kernel import RESULTS
 from friction_hil.compensator.reference import SOURCES
 from friction_hil.compensator.velocity import VelocityEstimator
 from friction_hil.errors import UsageError
@@ -29,6 +30,8 @@ class CompensatorInputs(NamedTuple):
     velocity_demand_ahead: float
     is_fresh: bool
     is_enabled: bool
+    acceleration_demand_ahead: float = math.nan
+    temperature: float = math.nan
 
 
 INPUTS = CompensatorInputs._fields
@@ -42,6 +45,29 @@ _LEAST_ADAPTATION_S = 5.0 * adaptation.FILTER_S  # adaptation must be slower tha
 def input_checksum(*inputs: float) -> float:
     """Return the CRC-32 of one cycle's `INPUTS`, given in their order."""
     return float(zlib.crc32(_PACKED_INPUTS.pack(*inputs)))
+
+
+@dataclass(frozen=True, slots=True)
+class ThermalObserver:
+    """Lumped thermal model of motor and transmission; see `friction_hil.compensator.temperature`.
+
+    Attributes
+    ----------
+    capacity : float
+        Heat capacity, J/K.
+    resistance : float
+        Thermal resistance to the surroundings, K/W.
+    ambient, initial : float
+        Temperature of the surroundings, and of the axis in the first cycle, deg C.
+    copper_loss : float
+        Heat per square of torque, W/(N m)^2: winding resistance over the square of the torque constant.
+    """
+
+    capacity: float
+    resistance: float
+    ambient: float
+    initial: float
+    copper_loss: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,6 +115,26 @@ class CompensatorSettings:
         Time over which the level is adapted to the measured torque, s, at least 0.1; 0: no adaptation.
     adaptation_bound : float
         Largest relative change of the level by adaptation.
+    load_inertia : float or None
+        Part of ``inertia`` behind the transmission, kg m^2; None where it is not known by itself: then all of it
+        loads the transmission.
+    load_friction : float or None
+        Part of the friction level behind the transmission, N m; None where it is not known by itself.
+    thermal : ThermalObserver or None
+        Lumped thermal model, used where no temperature is measured.
+    backlash : float
+        Whole gap of the transmission that the position offset crosses, SI; 0 for none. It needs ``load_friction`` above
+        zero, because the side of contact depends on it.
+    stiffness : float
+        Stiffness of the transmission whose twist the position offset takes up, N m/rad; infinity for none.
+    offset_acceleration, offset_velocity : float
+        Bounds on the motion of that offset, SI; an acceleration of 0: there is no offset.
+    offset_limit : float
+        Bound on its absolute value, SI.
+    velocity_limit : float
+        Velocity that demand and offset together stay below, SI.
+    setpoint_delay_s : float
+        Time from sending a set-point until the drive's demand equals it.
     """
 
     period_s: float
@@ -109,6 +155,16 @@ class CompensatorSettings:
     dead_band: float = 0.0
     adaptation_s: float = 0.0
     adaptation_bound: float = 0.3
+    load_inertia: float | None = None
+    load_friction: float | None = None
+    thermal: ThermalObserver | None = None
+    backlash: float = 0.0
+    stiffness: float = math.inf
+    offset_acceleration: float = 0.0
+    offset_velocity: float = math.inf
+    offset_limit: float = math.inf
+    velocity_limit: float = math.inf
+    setpoint_delay_s: float = 0.0
 
 
 class Compensator:
@@ -132,6 +188,7 @@ class Compensator:
                 f"adaptation_s = {settings.adaptation_s:g} must be 0, for none, or at least "
                 f"{_LEAST_ADAPTATION_S:g} s, several times its filter"
             )
+        _check_offset(settings)
         if model.network is not None:
             model.network.require(True, True, settings.period_s)
         self.model = model
@@ -161,6 +218,8 @@ class Compensator:
         velocity_demand_ahead: float,
         is_fresh: bool,
         is_enabled: bool,
+        acceleration_demand_ahead: float = math.nan,
+        temperature: float = math.nan,
     ) -> float:
         """Compute one cycle and return the compensation, N m.
 
@@ -178,8 +237,13 @@ class Compensator:
         is_enabled : bool
             True to fade in, False to fade out. The model runs in both cases, so that its state is right when it is
             needed.
+        acceleration_demand_ahead : float
+            Demanded acceleration when this torque will act, from which the load of load-dependent friction and the side
+            of the backlash follow; NaN where unknown.
+        temperature : float
+            Measured temperature, deg C; NaN where none is measured.
         """
-        return kernel.step(
+        return kernel.whole_step(
             self._settings,
             self._state,
             cycle,
@@ -191,13 +255,15 @@ class Compensator:
             velocity_demand_ahead,
             1.0 if is_fresh else 0.0,
             1.0 if is_enabled else 0.0,
+            acceleration_demand_ahead,
+            temperature,
         )
 
     def compile(self) -> None:
         """Compile `step`, so that the first cycle is as fast as the later ones; the state stays as it is."""
         state = self.state.copy()
         for cycle in range(3):
-            self.step(float(cycle), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, True, False)
+            self.step(float(cycle), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, True, False, 0.0, math.nan)
         self.state[:] = state
 
     def replay(self, inputs: Sequence[Array]) -> tuple[Array, Array]:
@@ -212,9 +278,14 @@ class Compensator:
         -------
         compensation, velocity_estimate : (n,) arrays
         """
-        compensation, estimate = np.empty_like(inputs[0]), np.empty_like(inputs[0])
-        kernel.replay(self._settings, self._state, *inputs, compensation, estimate)  # type: ignore[call-arg]
-        return compensation, estimate
+        results = self.replay_all(inputs)
+        return results["compensation"], results["velocity_estimate"]
+
+    def replay_all(self, inputs: Sequence[Array]) -> dict[str, Array]:
+        """Compute many cycles at once, as `replay`; returns an (n,) array for each of `RESULTS`, by name."""
+        results = np.empty((len(RESULTS), inputs[0].size))
+        kernel.replay(self._settings, self._state, *inputs, results)  # type: ignore[call-arg]
+        return dict(zip(RESULTS, results, strict=True))
 
     @property
     def record(self) -> StructuredArray:
@@ -232,6 +303,26 @@ class Compensator:
         return self._flat.item(_VELOCITY)
 
     @property
+    def load_estimate(self) -> float:
+        """Load torque that the model was given in the last cycle, N m."""
+        return self._flat.item(_LOAD)
+
+    @property
+    def temperature_estimate(self) -> float:
+        """Temperature that the model was given in the last cycle, deg C; NaN if it does not depend on it."""
+        return self._flat.item(_TEMPERATURE)
+
+    @property
+    def offset_now(self) -> tuple[float, float]:
+        """Position and velocity by which the motor is to deviate from the demand now, SI; see `transmission`."""
+        return self._flat.item(_OFFSET_NOW), self._flat.item(_OFFSET_NOW + 1)
+
+    @property
+    def offset_sent(self) -> tuple[float, float]:
+        """The same for the set-point that is sent in this cycle."""
+        return self._flat.item(_OFFSET_SENT), self._flat.item(_OFFSET_SENT + 1)
+
+    @property
     def is_faded_out(self) -> bool:
         """True if no compensation is left."""
         return self._flat.item(_FADE) == 0.0 and self._flat.item(_COMPENSATION) == 0.0
@@ -240,6 +331,21 @@ class Compensator:
     def is_faulty(self) -> bool:
         """True if the model's torque was not finite in the last cycle; zero was used instead."""
         return bool(self._flat.item(_IS_FAULTY))
+
+    @property
+    def learned_s(self) -> float:
+        """Time in which adaptation has learned, s; 0 without adaptation."""
+        return self._flat.item(_LEARNED_S)
+
+    @property
+    def slowest_learning(self) -> float:
+        """Velocity below which adaptation learns nothing, because it is no more than noise, SI."""
+        return adaptation.MOVING_NOISES * self.estimator.noise
+
+    @property
+    def sliding_travel(self) -> float:
+        """Travel in one direction before adaptation learns: the presliding of a reversal is behind, rad or m."""
+        return float(self.record[0]["sliding_travel"])
 
     @property
     def gain_factor(self) -> float:
@@ -255,7 +361,25 @@ def _index(name: str, of: "np.dtype[np.void]" = records.STATE) -> int:
 
 _VELOCITY = _index("motion") + _index("velocity", velocity.STATE)
 _FADE, _COMPENSATION, _IS_FAULTY = _index("fade"), _index("compensation"), _index("is_faulty")
-_GAIN_FACTOR = _index("gain_factor")
+_LOAD, _TEMPERATURE = _index("load_torque"), _index("temperature")
+_OFFSET_NOW, _OFFSET_SENT = _index("offset_now"), _index("offset_sent")
+_GAIN_FACTOR, _LEARNED_S = _index("gain_factor"), _index("learned_s")
+
+
+def _check_offset(settings: CompensatorSettings) -> None:
+    if not 0.0 <= settings.offset_acceleration < math.inf:
+        raise UsageError(f"offset_acceleration = {settings.offset_acceleration:g} must be finite, zero or above")
+    if not 0.0 <= settings.backlash < math.inf:
+        raise UsageError(f"backlash = {settings.backlash:g} must be a width, zero or above")
+    if settings.offset_acceleration == 0.0:
+        return
+    for name in ("stiffness", "offset_velocity", "offset_limit"):
+        if not getattr(settings, name) > 0.0:
+            raise UsageError(f"{name} = {getattr(settings, name):g} must be above zero")
+    if settings.load_inertia is None or settings.load_friction is None:
+        raise UsageError("an offset of the motor needs load_inertia and load_friction")
+    if settings.backlash > 0.0 and not settings.load_friction > 0.0:
+        raise UsageError("crossing a backlash needs load_friction above zero")
 
 
 def _estimator(model: FrictionModel, settings: CompensatorSettings) -> VelocityEstimator:
@@ -284,9 +408,23 @@ def _record(model: FrictionModel, settings: CompensatorSettings, estimator: Velo
     c["level"] = model.level
     c["inertia"] = settings.inertia
     c["gravity_constant"], c["gravity_sine"], c["gravity_cosine"] = settings.gravity
+    c["load_inertia"] = settings.inertia if settings.load_inertia is None else settings.load_inertia
+    c["load_friction"] = 0.0 if settings.load_friction is None else settings.load_friction
+    c["reference_temperature"] = model.reference_temperature
+    thermal = settings.thermal
+    if thermal is not None:
+        c["heat_capacity"], c["thermal_resistance"] = thermal.capacity, thermal.resistance
+        c["ambient"], c["first_temperature"] = thermal.ambient, thermal.initial
+        c["copper_loss"] = thermal.copper_loss
+    c["gap"], c["compliance"] = settings.backlash, 1.0 / settings.stiffness
+    c["offset_velocity"], c["offset_acceleration"] = settings.offset_velocity, settings.offset_acceleration
+    c["offset_limit"] = settings.offset_limit
+    c["velocity_limit"] = settings.velocity_limit
+    c["setpoint_cycles"] = settings.setpoint_delay_s / settings.period_s
     c["lead_s"] = settings.lead_s
     ahead_cycles = settings.lead_s / settings.period_s + estimator.delay_cycles
     c["ahead_s"] = ahead_cycles * settings.period_s
+    c["ahead_cycles"] = min(ahead_cycles, prediction.HORIZON)
     c["judged_cycles"] = min(max(round(ahead_cycles), 1), reference.HORIZON)
     predicted_noise = max(1.0, reference.SLOPE_COEFFICIENT * ahead_cycles) * estimator.noise
     c["ahead_noise_square"] = reference.NOISE_RATIO * predicted_noise**2
@@ -312,5 +450,5 @@ def _record(model: FrictionModel, settings: CompensatorSettings, estimator: Velo
     c["torque_slew"] = settings.torque_slew
     c["adaptation_s"] = settings.adaptation_s
     c["adaptation_bound"] = settings.adaptation_bound
-    c["sliding_velocity"] = 0.0 if stribeck_velocity is None else 2.0 * stribeck_velocity
+    c["sliding_travel"] = adaptation.DEFLECTIONS * deflection
     return record

@@ -3,20 +3,15 @@
 import math
 from typing import Any
 
-from friction_hil.compensator import adaptation, limit_cycle, reference, velocity
+from friction_hil.compensator import adaptation, limit_cycle, load, reference, temperature, transmission, velocity
 from friction_hil.compensator.limiter import limit_torque
 from friction_hil.friction import kernel
 from friction_hil.numerics.jit import Array, StructuredArray, compiled, inlined
 
+# what a step finds, by the columns of the recording
+RESULTS = ("compensation", "velocity_estimate", "load_estimate", "temperature_estimate", "motor_offset")
 WAKING_S = 0.01  # without a demand: fade-in time once the axis begins to move
 RESTING_S = 0.3  # without motion: time until the compensation fades out, and fade-out time
-
-
-@inlined
-def _load_torque(c: Any, position: float) -> float:
-    if c.gravity_sine == 0.0 and c.gravity_cosine == 0.0:
-        return float(c.gravity_constant)
-    return float(c.gravity_constant + c.gravity_sine * math.sin(position) + c.gravity_cosine * math.cos(position))
 
 
 @inlined
@@ -30,7 +25,7 @@ def _update_velocity(c: Any, r: Any, cycle: float, position: float, drive_veloci
         # not reverse the axis.
         bound = c.level + 0.5 * c.inertia * abs(r.motion.velocity) / c.period_s
         friction = min(max(r.friction_torque, -bound), bound)
-        net = 0.5 * (torque + r.measured_torque) - friction - _load_torque(c, position)
+        net = 0.5 * (torque + r.measured_torque) - friction - load.gravity(c, position)
     velocity.update(c.motion, r.motion, cycle, position, drive_velocity, net)
     r.measured_torque = torque
 
@@ -83,18 +78,27 @@ def _estimate(
     r.cycle = cycle
     r.has_demand = 1.0 if has_demand else 0.0
     if is_fresh:
-        r.error = position_demand - position if math.isfinite(position_demand) else 0.0
+        r.has_error = 1.0 if math.isfinite(position_demand) else 0.0
+        r.error = position_demand - position if r.has_error > 0.0 else 0.0
     return float(elapsed * c.period_s)
 
 
 @inlined
 def _friction(
-    c: Any, r: Any, position: float, velocity_demand_ahead: float, has_demand: bool, dt: float
-) -> tuple[float, float, float]:
-    """Run the friction model; return its torque, the load torque and the velocity of its level."""
+    c: Any,
+    r: Any,
+    position: float,
+    position_demand: float,
+    velocity_demand_ahead: float,
+    acceleration: float,
+    celsius: float,
+    has_demand: bool,
+    dt: float,
+) -> tuple[float, float]:
+    """Run the friction model; return its torque and the velocity of its level."""
     state_velocity, level_velocity = reference.model_velocities(c, r, velocity_demand_ahead, dt)
     reached = position + c.lead_s * level_velocity  # position at which the torque will act
-    load = _load_torque(c, reached)
+    r.load_torque = load.transmitted_torque(c, reached, position_demand, velocity_demand_ahead, acceleration)
     friction = kernel.step(
         int(c.kind),
         c.friction,
@@ -103,13 +107,13 @@ def _friction(
         level_velocity,
         dt,
         reached,
-        load,
-        math.nan,
+        r.load_torque,
+        celsius,
         0.0,
         c.epsilon_of_demand if has_demand and c.source != reference.MEASURED else c.epsilon,
     )
     r.friction_torque = friction
-    return friction, load, level_velocity
+    return friction, level_velocity
 
 
 @inlined
@@ -151,6 +155,53 @@ def _gain(
 
 
 @compiled
+def whole_step(
+    settings: StructuredArray,
+    state: StructuredArray,
+    cycle: float,
+    position: float,
+    velocity: float,
+    torque: float,
+    position_demand: float,
+    velocity_demand: float,
+    velocity_demand_ahead: float,
+    is_fresh: float,
+    is_enabled: float,
+    acceleration_demand_ahead: float,
+    measured_temperature: float,
+) -> float:
+    """Compute one cycle; see `Compensator.step`."""
+    c, r = settings[0], state[0]
+    has_demand = math.isfinite(velocity_demand_ahead)
+    keeps_torque = has_demand or c.source == reference.MEASURED
+    if r.cycle < 0.0:
+        r.standstill_fade = 1.0 if keeps_torque else 0.0
+    celsius = temperature.follow(c, r, measured_temperature, c.period_s * max(cycle - r.cycle, 0.0))
+    motor_demand = position_demand
+    motor_velocity, motor_velocity_ahead = velocity_demand, velocity_demand_ahead
+    if c.offset_acceleration > 0.0:
+        elapsed = cycle - r.cycle if r.cycle >= 0.0 else 1.0
+        ahead = position_demand + c.lead_s * velocity_demand_ahead
+        transmission.follow(c, r, elapsed, ahead, velocity_demand_ahead, acceleration_demand_ahead, has_demand)
+        motor_demand += r.offset_now
+        motor_velocity += r.offset_now_velocity
+        motor_velocity_ahead += r.offset_ahead_velocity
+    dt = _estimate(c, r, cycle, position, velocity, torque, motor_demand, motor_velocity, has_demand, is_fresh > 0.0)
+    friction, level_velocity = _friction(
+        c, r, position, position_demand, motor_velocity_ahead, acceleration_demand_ahead, celsius, has_demand, dt
+    )
+    if c.heat_capacity > 0.0:
+        temperature.observe(c, r, friction, level_velocity, torque, dt)
+    if c.adaptation_s > 0.0 and is_fresh > 0.0:
+        adaptation.learn(c, r, friction, torque, load.gravity(c, position), dt)
+    wanted = _gain(c, r, position, friction, level_velocity, keeps_torque, is_enabled, dt) * friction
+    r.is_faulty = 0.0 if math.isfinite(wanted) else 1.0
+    r.compensation = limit_torque(wanted, r.compensation, c.torque_limit, c.torque_slew * dt)
+    limit_cycle.watch(c, r, r.compensation, motor_velocity_ahead, dt)
+    return float(r.compensation)
+
+
+@compiled
 def step(
     settings: StructuredArray,
     state: StructuredArray,
@@ -164,23 +215,22 @@ def step(
     is_fresh: float,
     is_enabled: float,
 ) -> float:
-    """Compute one cycle; see `Compensator.step`."""
-    c, r = settings[0], state[0]
-    has_demand = math.isfinite(velocity_demand_ahead)
-    keeps_torque = has_demand or c.source == reference.MEASURED
-    if r.cycle < 0.0:
-        r.standstill_fade = 1.0 if keeps_torque else 0.0
-    dt = _estimate(
-        c, r, cycle, position, velocity, torque, position_demand, velocity_demand, has_demand, is_fresh > 0.0
+    """Compute one cycle where neither the demanded acceleration nor the temperature is known; see `whole_step`."""
+    return whole_step(
+        settings,
+        state,
+        cycle,
+        position,
+        velocity,
+        torque,
+        position_demand,
+        velocity_demand,
+        velocity_demand_ahead,
+        is_fresh,
+        is_enabled,
+        math.nan,
+        math.nan,
     )
-    friction, load, level_velocity = _friction(c, r, position, velocity_demand_ahead, has_demand, dt)
-    if c.adaptation_s > 0.0 and is_fresh > 0.0:
-        adaptation.learn(c, r, friction, torque, load, dt)
-    wanted = _gain(c, r, position, friction, level_velocity, keeps_torque, is_enabled, dt) * friction
-    r.is_faulty = 0.0 if math.isfinite(wanted) else 1.0
-    r.compensation = limit_torque(wanted, r.compensation, c.torque_limit, c.torque_slew * dt)
-    limit_cycle.watch(c, r, r.compensation, velocity_demand_ahead, dt)
-    return float(r.compensation)
 
 
 @compiled
@@ -196,12 +246,14 @@ def replay(
     velocity_demand_ahead: Array,
     is_fresh: Array,
     is_enabled: Array,
-    compensation: Array,
-    velocity_estimate: Array,
+    acceleration_demand_ahead: Array,
+    measured_temperature: Array,
+    results: Array,
 ) -> None:
-    """Run `step` over recorded inputs, each (n,); fills ``compensation`` and ``velocity_estimate``, (n,)."""
+    """Run `whole_step` over recorded inputs, each (n,); fills ``results``, (5, n), in the order of `RESULTS`."""
+    r = state[0]
     for k in range(cycle.shape[0]):
-        compensation[k] = step(
+        results[0, k] = whole_step(
             settings,
             state,
             cycle[k],
@@ -213,5 +265,10 @@ def replay(
             velocity_demand_ahead[k],
             is_fresh[k],
             is_enabled[k],
+            acceleration_demand_ahead[k],
+            measured_temperature[k],
         )
-        velocity_estimate[k] = state[0].motion.velocity
+        results[1, k] = r.motion.velocity
+        results[2, k] = r.load_torque
+        results[3, k] = r.temperature
+        results[4, k] = r.offset_now

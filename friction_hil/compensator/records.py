@@ -4,7 +4,7 @@ from functools import cache
 
 import numpy as np
 
-from friction_hil.compensator import reference, velocity
+from friction_hil.compensator import prediction, reference, transmission, velocity
 from friction_hil.friction import kernel
 from friction_hil.numerics.jit import Array, StructuredArray
 
@@ -14,8 +14,20 @@ STATE = np.dtype(
         ("motion", velocity.STATE),
         ("measured_torque", "f8"),  # of the last cycle
         ("deviation_square", "f8"),
+        ("deviations", "f8", (prediction.ROOM,)),  # measured less demanded velocity, newest first
+        ("predictions", "f8", (prediction.ROOM,)),  # made in the same cycles
+        ("before_square", "f8"),  # smoothed moments of the deviation `before` a prediction, the one a cycle `earlier`
+        ("before_product", "f8"),  # and the one that `came`: before times earlier
+        ("earlier_square", "f8"),
+        ("before_came", "f8"),
+        ("earlier_came", "f8"),
+        ("came_square", "f8"),
+        ("predicted_miss", "f8"),  # mean square error of the predictions, and of the advanced deviation
+        ("advanced_miss", "f8"),
         ("has_demand", "f8"),
         ("error", "f8"),  # demanded less measured position; 0 where unknown
+        ("has_error", "f8"),
+        ("evidence", "f8"),  # that the axis deviates by more than the rounding of the encoder, 0 to 1
         ("error_square", "f8"),
         ("guided_direction", "f8"),  # of a static map on an axis moved by hand, -1 to 1
         ("guided_velocity", "f8"),
@@ -43,6 +55,22 @@ STATE = np.dtype(
         ("filtered_torque", "f8"),
         ("filtered_model", "f8"),
         ("sliding_s", "f8"),
+        ("sliding_travel", "f8"),  # since then
+        ("learned_s", "f8"),  # in which `adaptation` has learned
+        ("load_torque", "f8"),  # that the model was given
+        ("temperature", "f8"),  # that the model was given, as far as it depends on one
+        ("body_temperature", "f8"),  # of the thermal observer
+        ("side", "f8"),  # on which the transmission is in contact, -1, 0 or 1
+        ("direction", "f8"),  # of the last demanded motion, -1, 0 or 1
+        ("offset", "f8"),  # of the position, the newest
+        ("offset_velocity", "f8"),
+        ("offsets", "f8", (transmission.HISTORY,)),  # newest first
+        ("offset_velocities", "f8", (transmission.HISTORY,)),
+        ("offset_now", "f8"),  # of the drive's demand now
+        ("offset_now_velocity", "f8"),
+        ("offset_ahead_velocity", "f8"),  # when this cycle's torque acts
+        ("offset_sent", "f8"),  # for the set-point of this cycle
+        ("offset_sent_velocity", "f8"),
         ("compensation", "f8"),
         ("is_faulty", "f8"),  # the model gave a torque that is not finite
     ]
@@ -62,8 +90,24 @@ def settings_type(parameter_room: int) -> "np.dtype[np.void]":
             ("gravity_constant", "f8"),
             ("gravity_sine", "f8"),
             ("gravity_cosine", "f8"),
+            ("load_inertia", "f8"),  # whose acceleration the transmission carries; all of it where it is not known
+            ("load_friction", "f8"),  # friction level at the load; 0 where it is not known by itself
+            ("reference_temperature", "f8"),  # NaN: the model does not depend on temperature
+            ("heat_capacity", "f8"),  # of the thermal observer; 0 for none
+            ("thermal_resistance", "f8"),
+            ("ambient", "f8"),
+            ("first_temperature", "f8"),
+            ("copper_loss", "f8"),
+            ("gap", "f8"),  # whole backlash that is crossed; 0 for none
+            ("compliance", "f8"),  # of the transmission, whose twist is taken up; 0: stiff
+            ("offset_acceleration", "f8"),  # 0: there is no offset
+            ("offset_velocity", "f8"),
+            ("offset_limit", "f8"),
+            ("velocity_limit", "f8"),
+            ("setpoint_cycles", "f8"),  # until the drive's demand equals the set-point
             ("lead_s", "f8"),
             ("ahead_s", "f8"),  # age of the velocity estimate plus lead_s
+            ("ahead_cycles", "f8"),  # the same in cycles, at most `prediction.HORIZON`
             ("judged_cycles", "f8"),  # the same in whole cycles, from 1 to `reference.HORIZON`
             ("ahead_noise_square", "f8"),  # square of the predicted change that encoder noise alone could cause
             ("period_s", "f8"),
@@ -86,7 +130,7 @@ def settings_type(parameter_room: int) -> "np.dtype[np.void]":
             ("torque_slew", "f8"),
             ("adaptation_s", "f8"),  # 0: off
             ("adaptation_bound", "f8"),
-            ("sliding_velocity", "f8"),
+            ("sliding_travel", "f8"),  # before adaptation counts it as sliding
         ]
     )
 
@@ -98,4 +142,6 @@ def begin(settings: StructuredArray, state: StructuredArray, initial_friction: A
     r["friction"][: initial_friction.size] = initial_friction
     r["gain_factor"] = 1.0
     r["factor"] = 1.0
+    r["temperature"] = settings[0]["reference_temperature"]
+    r["body_temperature"] = settings[0]["first_temperature"]
     r["weight"] = r["product"] = settings[0]["level"] ** 2

@@ -8,8 +8,9 @@ the demand, the compensation must answer only with torque that takes energy out 
   spring through a late and quantised measurement, and push an axis that slips back along with its slip.
 * The *level* follows the measured velocity, because a feed-forward cannot damp the falling part of a Stribeck
   curve: an axis that runs ahead gets less torque, one that falls behind more. Its sign stays that of u.
-* The measured deviation d counts as far as it exceeds noise, by the gain S / (S + S_gate) of a Wiener filter, S
-  being its smoothed square.
+* The deviation is the one expected when the torque acts (`prediction`): late, it would excite what it is to damp.
+* It counts as far as it is real, by the gain S / (S + S_gate) of a Wiener filter, S being its smoothed square, and
+  as far as the following error is more than the rounding of the encoder.
 
 Without a demand, the velocity when the torque acts is the estimate plus the change that its slope predicts, times
 the fraction of such predictions that came true lately (`expected_change`): a reversal, too, is then answered in
@@ -19,6 +20,7 @@ time, not later by the whole delay.
 import math
 from typing import Any
 
+from friction_hil.compensator import prediction
 from friction_hil.numerics.jit import inlined
 
 AUTO, MEASURED, DEMAND = 0, 1, 2
@@ -27,6 +29,8 @@ SOURCES = {"auto": AUTO, "measured": MEASURED, "demand": DEMAND}
 HORIZON = 8  # most cycles over which predictions are judged
 HISTORY = 18  # cycles of demanded velocity kept, which bounds the delay of the velocity estimate
 RECOVERY = 30.0  # a, 1/s: rate at which an axis is expected to make up for its following error
+ROUNDING = 1.0 / 3.0  # mean square of the rounding of a position downwards, in counts squared
+EVIDENCE_S = 0.5  # for which a following error is remembered
 REVERSAL_COUNTS = 15.0  # distance in which a static map on an axis moved by hand reverses its direction
 STIFFNESS_FRACTION = 0.25  # of the presliding spring, compensated where there is no demand
 GATE_STRIBECK_RATIO = 0.06  # gate for deviations from the demand, in Stribeck velocities
@@ -40,8 +44,8 @@ _JUDGING_CYCLES = 30.0  # over which predicted changes are compared with true on
 def forget(r: Any, demand: float) -> None:
     """Start anew, as if the demand had always been ``demand``."""
     r.deviation_square = 0.0
-    r.error = 0.0
-    r.error_square = 0.0
+    prediction.forget(r)
+    r.error = r.error_square = r.has_error = r.evidence = 0.0
     for k in range(HISTORY):
         r.demands[k] = demand
 
@@ -80,12 +84,26 @@ def reference_velocity(c: Any, r: Any, ahead: float) -> float:
     Errors within one count are ignored. An axis that sticks beside a resting demand is helped to it, instead of
     hunting round it; but not by a static map, which would answer with a relay in place of a spring.
     """
-    r.error_square += (r.error * r.error - r.error_square) / _SMOOTHING_CYCLES
     count_square = c.resolution * c.resolution
     real = 1.0 - count_square / r.error_square if r.error_square > count_square else 0.0
     if c.is_static > 0.0:
         real *= min(abs(ahead) / c.epsilon_of_demand, 1.0)
     return float(ahead + real * RECOVERY * r.error)
+
+
+@inlined
+def admitted(c: Any, r: Any) -> float:
+    """Return the fraction of the deviation that is taken for real, 0 to 1.
+
+    It is small where the deviation is small beside the Stribeck velocity, and where the following error is no more
+    than the rounding of the encoder, whose mean square is a third of a count squared: what a coarse encoder then
+    shows as deviation is noise.
+    """
+    real = 1.0
+    if r.has_error > 0.0:
+        real = min(max(2.0 * (r.error_square / (c.resolution * c.resolution) - ROUNDING), 0.0), 1.0)
+    r.evidence = max(real, r.evidence * (1.0 - c.period_s / EVIDENCE_S))
+    return float(r.evidence * r.deviation_square / (r.deviation_square + c.gate_square))
 
 
 @inlined
@@ -152,13 +170,15 @@ def model_velocities(c: Any, r: Any, ahead: float, dt: float) -> tuple[float, fl
             return measured, predicted if predicted * measured > 0.0 else 0.0
         return guided_velocities(c, r, change, ratio, dt)
     d = deviation(c, r)
+    prediction.remember(r, d, dt / c.period_s + 0.5)
     r.deviation_square += (d * d - r.deviation_square) / _SMOOTHING_CYCLES
     if c.source == MEASURED:
         return ahead + d, ahead + d
     if c.source == DEMAND:
         return ahead, ahead
+    r.error_square += (r.error * r.error - r.error_square) / _SMOOTHING_CYCLES
     u = reference_velocity(c, r, ahead)
-    level = ahead + d * r.deviation_square / (r.deviation_square + c.gate_square)
+    level = ahead + admitted(c, r) * prediction.predicted(c, r)
     if u > 0.0:
         level = max(level, 0.0)
     elif u < 0.0:

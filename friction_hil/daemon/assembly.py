@@ -6,16 +6,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from friction_hil.compensator import Compensator, CompensatorSettings
+from friction_hil.compensator import Compensator, CompensatorSettings, ThermalObserver
 from friction_hil.daemon.safety import SafetyLimits
 from friction_hil.drive import AxisFacts
 from friction_hil.motion import experiment
 from friction_hil.motion.controller import CONTROLLER
+from friction_hil.motion.sequence import Part, sequence_path, strokes_path
 from friction_hil.motion.trajectory import Path, Sweep, circle_path, sine_path, still_path, sweeps_path, triangle_path
 from friction_hil.numerics.jit import StructuredArray
 
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig, ExperimentBounds
+    from friction_hil.config.trajectories import PeriodicMotion
     from friction_hil.models.model_file import ModelFile
 
 _LEAST_RAMP_S = 0.1
@@ -23,7 +25,10 @@ _LEAST_RAMP_S = 0.1
 
 def make_compensator(config: "AxisConfig", model: "ModelFile", facts: AxisFacts, period_s: float) -> Compensator:
     """Return the compensator of an axis for one of its models."""
-    gravity, given = model.mechanics.gravity, config.compensation
+    given, offset = config.compensation, config.compensation.transmission
+    # the motor has one offset, that of the axis, also for a shadow model, whose demand would otherwise be another
+    mechanics = model.mechanics if offset is None else config.model.mechanics
+    gravity, load = mechanics.gravity, mechanics.load
     settings = CompensatorSettings(
         period_s=period_s,
         position_resolution=facts.position_resolution,
@@ -43,8 +48,42 @@ def make_compensator(config: "AxisConfig", model: "ModelFile", facts: AxisFacts,
         dead_band=given.dead_band,
         adaptation_s=0.0 if given.adaptation is None else given.adaptation.time_s,
         adaptation_bound=0.0 if given.adaptation is None else given.adaptation.bound,
+        load_inertia=None if load is None else load.inertia,
+        load_friction=None if load is None else load.friction,
+        thermal=thermal_observer(model),
+        backlash=mechanics.backlash,
+        stiffness=math.inf if load is None or load.stiffness is None else load.stiffness,
+        offset_acceleration=0.0 if offset is None else offset.acceleration,
+        offset_velocity=math.inf if offset is None or offset.velocity is None else offset.velocity,
+        offset_limit=largest_offset(config),
+        velocity_limit=config.limits.velocity,
+        setpoint_delay_s=facts.setpoint_delay_s,
     )
     return Compensator(model.friction_model, settings)
+
+
+def largest_offset(config: "AxisConfig") -> float:
+    """Return the bound on the offset of the motor, SI: half the gap and the greatest twist; 0 without an offset.
+
+    The twist is that of the load's friction, of gravity in every position, and of the inertia at the acceleration of
+    the offset, which is what the drive can follow.
+    """
+    given, mechanics = config.compensation.transmission, config.model.mechanics
+    if given is None or mechanics.load is None:
+        return 0.0
+    load, gravity = mechanics.load, mechanics.gravity
+    weight = abs(gravity.constant) + math.hypot(gravity.sine, gravity.cosine)
+    carried = weight + (load.friction or 0.0) + load.inertia * given.acceleration
+    return 0.5 * mechanics.backlash + (0.0 if load.stiffness is None else carried / load.stiffness)
+
+
+def thermal_observer(model: "ModelFile") -> ThermalObserver | None:
+    """Return the thermal observer of a model file, None if it has none."""
+    given = model.thermal
+    if given is None:
+        return None
+    initial = given.ambient if given.initial is None else given.initial
+    return ThermalObserver(given.capacity, given.resistance, given.ambient, initial, given.copper_loss)
 
 
 def max_acceleration(config: "AxisConfig", period_s: float) -> float:
@@ -84,15 +123,26 @@ def make_path(config: "AxisConfig", position_resolution: float, period_s: float)
         The encoder is too coarse for an experiment.
     """
     motion = config.trajectory
+    if motion.kind == "experiment":
+        return sweeps_path(experiment_sweeps(motion, position_resolution, period_s))
+    if motion.kind == "sequence":
+        return sequence_path(
+            [Part(periodic_path(part.motion), part.length_s, part.ramp_s, part.rest_s) for part in motion.motions]
+        )
+    if motion.kind == "hold" or motion.kind == "none" or motion.kind == "master":
+        return still_path
+    return periodic_path(motion)
+
+
+def periodic_path(motion: "PeriodicMotion") -> Path:
+    """Return the path of a motion that repeats."""
     if motion.kind == "circle":
         return circle_path(motion.radius, motion.frequency, motion.phase)
     if motion.kind == "sine":
         return sine_path(motion.amplitude, motion.frequency, motion.phase)
     if motion.kind == "triangle":
         return triangle_path(motion.amplitude, motion.frequency, motion.rounding)
-    if motion.kind == "experiment":
-        return sweeps_path(experiment_sweeps(motion, position_resolution, period_s))
-    return still_path
+    return strokes_path(motion.stroke, motion.frequency, motion.rest)
 
 
 def experiment_sweeps(motion: "ExperimentBounds", position_resolution: float, period_s: float) -> tuple[Sweep, ...]:
@@ -111,6 +161,21 @@ def experiment_sweeps(motion: "ExperimentBounds", position_resolution: float, pe
         acceleration=math.inf if motion.acceleration is None else motion.acceleration,
         period_s=period_s,
     )
+
+
+def experiment_note(config: "AxisConfig", position_resolution: float, period_s: float) -> str:
+    """Return what the experiment of an axis cannot show with its encoder; empty for another trajectory, or for nothing.
+
+    Raises
+    ------
+    UsageError
+        The encoder is too coarse for any experiment.
+    """
+    motion = config.trajectory
+    if motion.kind != "experiment":
+        return ""
+    sweeps = experiment_sweeps(motion, position_resolution, period_s)
+    return experiment.not_shown(sweeps, position_resolution, period_s)
 
 
 def make_limits(config: "AxisConfig") -> SafetyLimits:

@@ -14,10 +14,11 @@ from friction_hil.daemon.motion import AxisMotion
 from friction_hil.daemon.row import AxisRow, row_width
 from friction_hil.daemon.safety import ENDING, MAX_STALE_CYCLES, FaultReset, LoopState, Supervisor
 from friction_hil.daemon.sequence import STANDSTILL_S
+from friction_hil.daemon.temperature import TemperatureNotices
 from friction_hil.drive import AxisFacts, Command, DriveState, Feedback
 from friction_hil.drive.codes import FaultCode
 from friction_hil.errors import OptionError
-from friction_hil.motion.trajectory import PathTime
+from friction_hil.motion.trajectory import PathTime, Setpoint
 
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig
@@ -71,21 +72,26 @@ class AxisLoop:
         "_fault_reset",
         "_first_motion",
         "_follow_check",
+        "_has_offset",
         "_held",
         "_is_broken",
         "_is_compensation_enabled",
         "_is_standing",
         "_last_cycle",
+        "_load_position",
+        "_load_zero",
         "_most_held",
         "_notices",
         "_period_s",
         "_standstill",
         "_states",
+        "_temperature_notices",
         "compensator",
         "following_errors",
         "gaps",
         "is_stopped_by_gaps",
         "lead_s",
+        "load_errors",
         "motion",
         "name",
         "row_width",
@@ -125,12 +131,21 @@ class AxisLoop:
         self.stale_cycles = 0  # without usable feedback
         self.gaps = FeedbackGaps()
         self._period_s = period_s
+        self._has_offset = config.compensation.transmission is not None
         self._is_compensation_enabled = config.compensation.enabled
         self._baseline_s = config.compensation.baseline_s if config.compensation.enabled else math.inf
         self._faded_in_s = self._baseline_s + config.compensation.fade_s
         self._standstill = max(_STANDSTILL_RATIO * limits.velocity, 2.0 * facts.position_resolution / period_s)
         self._command = CommandWriter(config, limits, self.motion, period_s)
+        # of the load, against the path, where it has an encoder
+        self.load_errors = None
+        if facts.has_load_encoder:
+            self.load_errors = FollowingErrors(period_s, path_time.ramp_s, motion_s)
+        self._load_zero = self._load_position = math.nan
         self._notices = CompensationNotices(name, unit, self.compensator)
+        self._temperature_notices = None
+        if self.compensator.model.depends_on_temperature:
+            self._temperature_notices = TemperatureNotices(name, self.compensator, period_s)
         self._fault_reset = FaultReset(is_wanted=False)
         self._first_motion = None
         if config.mode == "csv" and self.motion.has_setpoint and facts.velocity_resolution > 0.0:
@@ -172,6 +187,7 @@ class AxisLoop:
     def enter_path(self) -> None:
         """Let the path begin where the axis is held now."""
         self.motion.begin_at(self._command.held_position)
+        self._load_zero = self._load_position - self._command.held_position
 
     def update(
         self, cycle: int, state: LoopState, running_s: float, feedback: Feedback, command: Command, row: AxisRow
@@ -252,11 +268,18 @@ class AxisLoop:
         setpoint, demand = self.motion.demand(time_s, state)
         is_active = self._is_compensation_enabled and state in (LoopState.IDLE, LoopState.RUNNING)
         is_enabled = is_active and running_s >= self._baseline_s
-        inputs = CompensatorInputs(float(cycle), position, velocity, feedback.torque, *demand, is_usable, is_enabled)
+        inputs = compensator_inputs(
+            cycle, position, velocity, feedback, demand, is_usable=is_usable, is_enabled=is_enabled
+        )
         row.write_states(self._states)
         compensation = compensator.step(*inputs)
         estimate = compensator.velocity_estimate
-        fault = supervisor.find_fault(feedback, state, estimate, inputs.position_demand)
+        shift = 0.0  # of the motor, across gap and twist of the transmission
+        if self._has_offset and setpoint is not None:
+            shift, rate = compensator.offset_now
+            self._command.offset_sent = compensator.offset_sent
+            setpoint = Setpoint(setpoint.position + shift, setpoint.velocity + rate, setpoint.acceleration)
+        fault = supervisor.find_fault(feedback, state, estimate, inputs.position_demand + shift)
         if fault is None and compensator.is_faulty:
             text = f"{self.name}: the friction model gave a torque that is not finite"
             fault = FaultCode.MODEL_NOT_FINITE.append_to(text)
@@ -267,23 +290,39 @@ class AxisLoop:
                 self._first_motion.take(math.nan, math.nan, is_usable=False)
             fault = self._first_motion.take(position, velocity, is_usable=is_usable) or fault
             command.velocity = self._first_motion.target
+        if self.load_errors is not None:
+            load_position = self._take_load(feedback.load_position, position)
+            row.write_load(load_position)
         if setpoint is not None and state is LoopState.RUNNING:
             condition = (
                 _WITHOUT if running_s < self._baseline_s else _WITH if running_s >= self._faded_in_s else _FADING
             )
             self.following_errors.take(condition, setpoint.position - position, missed, is_usable)
+            if self.load_errors is not None:
+                error = inputs.position_demand - load_position
+                self.load_errors.take(condition, error, missed, is_usable and math.isfinite(error))
             if is_usable and self._follow_check is not None:
                 fault = self._follow_check.take(position, estimate, setpoint.position, command.torque) or fault
                 if self._follow_check.is_confirmed:
                     self._follow_check = None
         row.write_cycle(time_s, inputs, estimate, compensation, command.torque, state, feedback.state)
+        row.write_estimates(compensator.load_estimate, compensator.temperature_estimate, compensator.offset_now[0])
         for name, shadow in self.shadows.items():
             row.write_shadow(name, shadow.step(*inputs))
         is_standing = self._judge_standstill(abs(estimate) <= self._standstill, is_usable=is_usable)
         is_reset_due = self._takes_reset(time_s, state, feedback, fault)
         fault = None if is_reset_due else fault  # what is to be reset does not end the run
         warning = self._notices.next(compensator, estimate) or self._take_first_warning()
+        if warning is None and self._temperature_notices is not None:
+            warning = self._temperature_notices.next(feedback.temperature)
         return AxisUpdate(fault, warning, is_reset_due, is_standing, compensator.is_faded_out)
+
+    def _take_load(self, load_position: float, position: float) -> float:
+        """Return the load's position, zero where the motor's is: at first, and again where the motion begins."""
+        self._load_position = load_position
+        if math.isnan(self._load_zero):
+            self._load_zero = load_position - position
+        return load_position - self._load_zero
 
     def _take_first_warning(self) -> str | None:
         """Return the warning of the first motion, once."""
@@ -297,6 +336,33 @@ class AxisLoop:
         if fault is not None or state is LoopState.ENABLING:
             self._fault_reset.take(feedback)
         return self._fault_reset.is_due(feedback, state, time_s)
+
+
+def compensator_inputs(
+    cycle: int,
+    position: float,
+    velocity: float,
+    feedback: Feedback,
+    demand: tuple[float, float, float, float],
+    *,
+    is_usable: bool,
+    is_enabled: bool,
+) -> CompensatorInputs:
+    """Return the inputs of one cycle; ``demand`` is position and velocity now, velocity and acceleration ahead."""
+    position_demand, velocity_demand, velocity_ahead, acceleration_ahead = demand
+    return CompensatorInputs(
+        float(cycle),
+        position,
+        velocity,
+        feedback.torque,
+        position_demand,
+        velocity_demand,
+        velocity_ahead,
+        is_usable,
+        is_enabled,
+        acceleration_ahead,
+        feedback.temperature,
+    )
 
 
 def _check_torque(name: str, config: "AxisConfig", facts: AxisFacts) -> None:

@@ -31,6 +31,8 @@ class CommandWriter:
 
     Attributes
     ----------
+    offset_sent : tuple of float
+        Position and velocity that are added to the set-point that is sent, SI.
     held_position : float
         Position at which the axis is held outside of the moving states, SI; NaN before the first cycle.
     """
@@ -45,6 +47,7 @@ class CommandWriter:
         "_period_s",
         "_torque",
         "held_position",
+        "offset_sent",
     )
 
     def __init__(self, config: "AxisConfig", limits: SafetyLimits, motion: AxisMotion, period_s: float) -> None:
@@ -55,6 +58,7 @@ class CommandWriter:
         self._largest_step = limits.torque_slew * period_s
         self._controller, self._integral = make_controller(config), 0.0
         self._torque = 0.0
+        self.offset_sent = (0.0, 0.0)
         self.held_position = math.nan
 
     def compile(self) -> None:
@@ -120,10 +124,11 @@ class CommandWriter:
     def _write_setpoint(self, command: Command, time_s: float, position: float, now: Setpoint) -> None:
         """Write position and velocity; in CSV the velocity includes the loop's own position control."""
         sent = self._motion.to_send(time_s)
-        command.position = sent.position
-        command.velocity = sent.velocity
+        offset, rate = self.offset_sent
+        command.position = sent.position + offset
+        command.velocity = sent.velocity + rate
         if self._mode is Mode.CSV:
-            wanted = sent.velocity + self._controller[0]["position_gain"] * (now.position - position)
+            wanted = command.velocity + self._controller[0]["position_gain"] * (now.position - position)
             # half of what the path leaves of the limit: a drive that is asked for the limit itself overshoots it
             most = 0.5 * (min(abs(sent.velocity), self._limits.velocity) + self._limits.velocity)
             command.velocity = min(max(wanted, -most), most)

@@ -8,11 +8,12 @@ from friction_hil.numerics.jit import Array
 
 SPAN = 5  # set-points in the fit
 _LONGEST_GAP = 3  # cycles without a new set-point, or missed, that are filled in once the next one comes
-_NO_DEMAND = (math.nan, math.nan, math.nan)
+_SMOOTHING = 0.2  # coefficient of the one-pole filter of the acceleration, which shows the rounding most
+_NO_DEMAND = (math.nan, math.nan, math.nan, math.nan)
 
 
 class DemandEstimator:
-    """Demand now, and its velocity ahead, by a parabola through the last set-points (least squares).
+    """Demand now, and its velocity and acceleration ahead, by a parabola through the last set-points (least squares).
 
     The parabola filters the rounding of the set-points to whole counts: at the newest of them its slope has 0.8 times
     the variance of their simple difference. A constant acceleration leaves no error. Where a set-point was lost, came
@@ -33,10 +34,10 @@ class DemandEstimator:
     >>> for k in range(5):
     ...     heard = demand.take(k, 0.002 * k)
     >>> [round(value, 6) for value in heard]
-    [0.005, 2.0, 2.0]
+    [0.005, 2.0, 2.0, 0.0]
     """
 
-    __slots__ = ("_ahead", "_count", "_cycle", "_now", "_points", "_rate")
+    __slots__ = ("_acceleration", "_ahead", "_bend", "_count", "_cycle", "_now", "_points", "_rate")
 
     def __init__(self, period_s: float, delay_s: float, lead_s: float) -> None:
         grid = np.arange(1.0 - SPAN, 1.0)  # periods, the newest at 0
@@ -45,12 +46,14 @@ class DemandEstimator:
         self._now: Array = np.array([1.0, now, now * now]) @ fit
         self._rate: Array = np.array([0.0, 1.0, 2.0 * now]) @ fit / period_s
         self._ahead: Array = np.array([0.0, 1.0, 2.0 * ahead]) @ fit / period_s
+        self._bend: Array = 2.0 * fit[2] / (period_s * period_s)
+        self._acceleration = 0.0
         self._points = np.zeros(SPAN)
         self._count = 0
         self._cycle = 0  # of the newest set-point
 
-    def take(self, cycle: int, setpoint: float) -> tuple[float, float, float]:
-        """Take one cycle's set-point; return position and velocity now, and velocity ahead.
+    def take(self, cycle: int, setpoint: float) -> tuple[float, float, float, float]:
+        """Take one cycle's set-point; return position and velocity now, velocity and acceleration ahead.
 
         They are NaN until there is one set-point for each point of the fit; a set-point that is NaN begins anew.
         """
@@ -69,13 +72,16 @@ class DemandEstimator:
             self._fill(setpoint, elapsed, known)
         self._count = min(known + elapsed, SPAN) if known else 1
         if self._count < SPAN:
+            self._acceleration = 0.0
             return _NO_DEMAND
         # relative to the newest: a position of many turns must not cost digits of the velocity
         relative = points - setpoint
+        self._acceleration += _SMOOTHING * (float(self._bend @ relative) - self._acceleration)
         return (
             setpoint + float(self._now @ relative),
             float(self._rate @ relative),
             float(self._ahead @ relative),
+            self._acceleration,
         )
 
     def _fill(self, setpoint: float, elapsed: int, known: int) -> None:

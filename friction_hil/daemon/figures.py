@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
 
-from friction_hil.compensator import Compensator
+from friction_hil.compensator import Compensator, adaptation
 
 _LONGEST_GAP = 10_000  # cycles; a longer one is a fault in any configuration
 _MOST_REASONS = 20
@@ -81,6 +81,8 @@ class AxisFigures:
         Cycles without usable feedback; those of them after which there was feedback again.
     bridged_reasons : dict of str to int
         Number of bridged cycles by the reason that the driver gave.
+    load : AxisFigures or None
+        The same of the load, against the path; None where it has no encoder.
     """
 
     unit: str
@@ -90,6 +92,7 @@ class AxisFigures:
     stale: int
     bridged: int = 0
     bridged_reasons: dict[str, int] = field(default_factory=dict)
+    load: "AxisFigures | None" = None
 
     @property
     def reduction(self) -> Figures | None:
@@ -313,6 +316,14 @@ class FeedbackGaps:
         self.is_open = False
 
 
+_OVER_COMPENSATED = "the axis oscillates by its own compensation (limit cycle, over-compensation)"
+
+
+def is_limit_cycle(warning: str, name: str) -> bool:
+    """Return True if a warning of a run says that the compensation of this axis made it oscillate."""
+    return warning.startswith(f"{name}: {_OVER_COMPENSATED}")
+
+
 class CompensationNotices:
     """Warnings about the compensation of one axis: lowered gain, and a network beyond its trained speed.
 
@@ -341,10 +352,7 @@ class CompensationNotices:
         """Return the warning of this cycle, given the estimated velocity; each once, and None in most cycles."""
         if compensator.gain_factor != self._gain_factor:
             self._gain_factor = compensator.gain_factor
-            return (
-                f"{self._name}: the axis oscillates by its own compensation (limit cycle, over-compensation): the "
-                f"gain is now {self._gain_factor:.0%} of the configured one"
-            )
+            return f"{self._name}: {_OVER_COMPENSATED}: the gain is now {self._gain_factor:.0%} of the configured one"
         if self._network is not None and abs(velocity) > self._trained_speed:
             limit, self._trained_speed = self._trained_speed, math.inf
             return (
@@ -352,3 +360,19 @@ class CompensationNotices:
                 f"{self._network.beyond}"
             )
         return None
+
+
+def adaptation_notice(name: str, unit: str, compensator: Compensator) -> str | None:
+    """Return the notice that adaptation learned nothing in a whole run, and what it needs; None if it did."""
+    if compensator.settings.adaptation_s == 0.0 or compensator.learned_s > 0.0:
+        return None
+    return f"{name}: compensation.adaptation learned nothing: {adaptation_needs(unit, compensator)}"
+
+
+def adaptation_needs(unit: str, compensator: Compensator) -> str:
+    """Return what adaptation needs in order to learn; ``unit`` is that of the position, ``rad`` or ``m``."""
+    return (
+        "it needs the drive's torque and an axis that slides in one direction for more than "
+        f"{adaptation.SETTLED_S:g} s and {compensator.sliding_travel:.2g} {unit}, faster than "
+        f"{compensator.slowest_learning:.2g} {unit}/s (four times the noise of the velocity estimate)"
+    )

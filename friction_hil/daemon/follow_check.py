@@ -7,7 +7,8 @@ Once the axis has followed a part of its path, the check ends for this run; late
 - It moves in the wrong direction (cst, where the daemon's own torque moves the axis): it leaves its set-point although
   the torque pushes towards it, and faster and faster. A load that sinks until the torque holds it does so too, but then
   the growing torque slows it down. With the wrong sign the torque accelerates the axis, v grows with the distance x,
-  and v^2 is four times as large at 2 x; under a constant load twice as large, and less once torque slows it down.
+  and v^2 is four times as large at 2 x; under a constant load twice as large, and less once torque slows it down. The
+  distance counts from where the axis began to leave: one that a load holds beside its set-point may follow it later.
 """
 
 import math
@@ -54,6 +55,7 @@ class FollowCheck:
     __slots__ = (
         "_demand_high",
         "_demand_low",
+        "_demanded",
         "_distance",
         "_extent",
         "_high",
@@ -61,7 +63,9 @@ class FollowCheck:
         "_low",
         "_name",
         "_next",
+        "_origin",
         "_patience",
+        "_period_s",
         "_runaway",
         "_speed",
         "_start",
@@ -91,9 +95,12 @@ class FollowCheck:
             min(_RUNAWAY_S * limits.velocity, _ERROR_PART * limits.following_error),
             _LEAST_RUNAWAY_STEPS * position_resolution,
         )
+        self._period_s = period_s
         self._waited = 0
         self._start = self._start_demand = math.nan
         self._low = self._high = self._demand_low = self._demand_high = 0.0  # since the start
+        self._demanded = 0.0  # in the last cycle
+        self._origin = 0.0  # where the axis began to leave its set-point
         self._next = self._runaway / 2.0**_DOUBLINGS  # distance at which the speed is noted next
         self._speed = math.nan  # at half of that distance
         self.is_confirmed = False
@@ -116,10 +123,13 @@ class FollowCheck:
         self._low, self._high = min(self._low, moved), max(self._high, moved)
         self._demand_low, self._demand_high = min(self._demand_low, demanded), max(self._demand_high, demanded)
         error = demanded - moved
+        demand_rate, self._demanded = (demanded - self._demanded) / self._period_s, demanded
         if abs(moved) >= max(_FOLLOWED * self._extent, 0.25 * self._distance) and abs(error) < 0.5 * abs(moved):
             self.is_confirmed = moved * demanded > 0.0
             return None
-        if self._is_torque_ours and (fault := self._find_runaway(moved, velocity, error, torque)):
+        if self._is_torque_ours and (
+            fault := self._find_runaway(moved, velocity, velocity - demand_rate, error, torque)
+        ):
             return fault
         demand_range, moved_range = self._demand_high - self._demand_low, self._high - self._low
         self._waited = self._waited + 1 if demand_range >= self._distance else 0
@@ -131,14 +141,18 @@ class FollowCheck:
             return FaultCode.AXIS_DOES_NOT_MOVE.append_to(text)
         return None
 
-    def _find_runaway(self, moved: float, velocity: float, error: float, torque: float) -> str | None:
-        """Return a fault if the axis accelerates against the torque that should bring it back."""
-        is_leaving = velocity * error < 0.0 and moved * error < 0.0 and torque * error > 0.0
-        if not is_leaving:
+    def _find_runaway(self, moved: float, velocity: float, leaving: float, error: float, torque: float) -> str | None:
+        """Return a fault if the axis accelerates against the torque that should bring it back.
+
+        ``leaving`` is its velocity relative to the set-point.
+        """
+        is_outside = moved * error < 0.0 and torque * error > 0.0
+        if not (is_outside and velocity * error < 0.0 and leaving * error < 0.0):
             if abs(moved) >= self._runaway / 2.0**_DOUBLINGS:
                 self._next = math.inf  # a load may oscillate until the torque holds it; only a first departure counts
+            self._origin = moved
             return None
-        if abs(moved) < self._next:
+        if abs(moved - self._origin) < self._next:
             return None
         before, self._speed = self._speed, abs(velocity)
         distance, self._next = self._next, 2.0 * self._next

@@ -8,9 +8,8 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from friction_hil.compensator import CompensatorInputs
 from friction_hil.daemon.assembly import make_limits
-from friction_hil.daemon.axis import AxisLoop, AxisUpdate
+from friction_hil.daemon.axis import AxisLoop, AxisUpdate, compensator_inputs
 from friction_hil.daemon.demand import DemandEstimator
 from friction_hil.daemon.figures import Condition, FollowingErrors
 from friction_hil.daemon.row import AxisRow
@@ -129,7 +128,9 @@ class FollowerAxis(AxisLoop):
         velocity = feedback.velocity if is_usable else compensator.velocity_estimate
         demand = self._demand.take(cycle, feedback.position_demand if is_operating else math.nan)
         is_enabled = self._gate(is_operating and state in (LoopState.IDLE, LoopState.RUNNING) and running_s >= 0.0)
-        inputs = CompensatorInputs(float(cycle), position, velocity, feedback.torque, *demand, is_usable, is_enabled)
+        inputs = compensator_inputs(
+            cycle, position, velocity, feedback, demand, is_usable=is_usable, is_enabled=is_enabled
+        )
         row.write_states(self._states)
         compensation = compensator.step(*inputs)
         estimate = compensator.velocity_estimate
@@ -141,12 +142,17 @@ class FollowerAxis(AxisLoop):
         torque = compensation if is_powered else 0.0
         self._command.write(command, state, time_s, position, estimate, None, torque, is_powered)
         is_counted = is_operating and state is LoopState.RUNNING
-        self._count_follower_error(demand[0] - position, missed, is_counted=is_counted, is_usable=is_usable)
+        self._count_follower_error(
+            inputs.position_demand - position, missed, is_counted=is_counted, is_usable=is_usable
+        )
         row.write_cycle(time_s, inputs, estimate, compensation, command.torque, state, feedback.state)
+        row.write_estimates(compensator.load_estimate, compensator.temperature_estimate, 0.0)
         for name, shadow in self.shadows.items():
             row.write_shadow(name, shadow.step(*inputs))
         is_standing = supervisor.is_current and abs(estimate) <= self._standstill
         warning = self._notices.next(compensator, estimate) or self._drive_notice.next(feedback)
+        if warning is None and self._temperature_notices is not None:
+            warning = self._temperature_notices.next(feedback.temperature)
         is_faded_out = compensator.is_faded_out and command.torque == 0.0
         return AxisUpdate(fault, warning, False, is_standing, is_faded_out)
 

@@ -3,7 +3,7 @@
 import math
 from typing import TYPE_CHECKING, TypeAlias
 
-from friction_hil.daemon.assembly import make_path
+from friction_hil.daemon.assembly import largest_offset, make_path
 from friction_hil.daemon.safety import MOVING, LoopState, SafetyLimits
 from friction_hil.drive import AxisFacts
 from friction_hil.drive.codes import FaultCode
@@ -13,12 +13,12 @@ from friction_hil.motion.trajectory import PathTime, Setpoint, Trajectory, exten
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig
 
-# position and velocity now, and velocity when this cycle's torque acts
-Demand: TypeAlias = tuple[float, float, float]
-_NO_DEMAND: Demand = (math.nan, math.nan, math.nan)
+# position and velocity now, velocity and acceleration when this cycle's torque acts
+Demand: TypeAlias = tuple[float, float, float, float]
+_NO_DEMAND: Demand = (math.nan, math.nan, math.nan, math.nan)
 
 _MARGIN = 0.01  # of the path's own extent, kept from the position limits: an axis overshoots a little
-_EXTENT_HZ = 1000.0  # rate at which an experiment is sampled for its extent
+_EXTENT_HZ = 1000.0  # rate at which a motion without a period is sampled for its extent
 
 
 class AxisMotion:
@@ -79,12 +79,14 @@ class AxisMotion:
             path = make_path(config, facts.position_resolution, period_s)
         except UsageError as error:
             raise UsageError(f"{name}: {error}") from None
-        if given.kind == "experiment":
+        if given.kind in ("experiment", "sequence"):
             duration_s = given.duration_s
             self._extent = extent(path, duration_s, round(_EXTENT_HZ * duration_s))
         else:
             duration_s = 1.0 / getattr(given, "frequency", 1.0)
             self._extent = extent(path, duration_s)
+        offset = largest_offset(config)
+        self._extent = (self._extent[0] - offset, self._extent[1] + offset, self._extent[2])
         path_time.keep_within(limits.velocity, self._extent[2], largest_acceleration(path, duration_s))
         self._trajectory = Trajectory(path, path_time)
 
@@ -129,7 +131,8 @@ class AxisMotion:
         if not self.has_setpoint or state not in MOVING:
             return None, _NO_DEMAND
         setpoint = self._trajectory.at(time_s)
-        return setpoint, (setpoint.position, setpoint.velocity, self._trajectory.at(time_s + self._lead_s).velocity)
+        _, velocity_ahead, acceleration_ahead = self._trajectory.at(time_s + self._lead_s)
+        return setpoint, (setpoint.position, setpoint.velocity, velocity_ahead, acceleration_ahead)
 
     def to_send(self, time_s: float) -> Setpoint:
         """Return the set-point to send at ``time_s``, ahead by the time until the drive's demand equals it."""

@@ -12,13 +12,19 @@ _TIME = columns.NAMES.index(columns.TIME)
 _CYCLE = columns.NAMES.index("cycle")
 _POSITION = columns.NAMES.index("position")
 _VELOCITY = columns.NAMES.index("velocity")
+_LOAD_POSITION = columns.NAMES.index("load_position")
 _TORQUE = columns.NAMES.index("torque")
 _POSITION_DEMAND = columns.NAMES.index("position_demand")
 _VELOCITY_DEMAND = columns.NAMES.index("velocity_demand")
 _VELOCITY_DEMAND_AHEAD = columns.NAMES.index("velocity_demand_ahead")
+_ACCELERATION_DEMAND_AHEAD = columns.NAMES.index("acceleration_demand_ahead")
+_TEMPERATURE = columns.NAMES.index("temperature")
 _IS_FRESH = columns.NAMES.index("is_fresh")
 _IS_ENABLED = columns.NAMES.index("is_enabled")
 _VELOCITY_ESTIMATE = columns.NAMES.index("velocity_estimate")
+_LOAD_ESTIMATE = columns.NAMES.index("load_estimate")
+_TEMPERATURE_ESTIMATE = columns.NAMES.index("temperature_estimate")
+_MOTOR_OFFSET = columns.NAMES.index("motor_offset")
 _COMPENSATION = columns.NAMES.index("compensation")
 _COMMAND = columns.NAMES.index("command")
 _STATE = columns.NAMES.index("state")
@@ -74,6 +80,8 @@ class AxisRow:
         cells[_POSITION_DEMAND] = inputs.position_demand
         cells[_VELOCITY_DEMAND] = inputs.velocity_demand
         cells[_VELOCITY_DEMAND_AHEAD] = inputs.velocity_demand_ahead
+        cells[_ACCELERATION_DEMAND_AHEAD] = inputs.acceleration_demand_ahead
+        cells[_TEMPERATURE] = inputs.temperature
         cells[_IS_FRESH] = inputs.is_fresh
         cells[_IS_ENABLED] = inputs.is_enabled
         cells[_VELOCITY_ESTIMATE] = velocity_estimate
@@ -82,6 +90,16 @@ class AxisRow:
         cells[_STATE] = state
         cells[_DRIVE_STATE] = drive_state
         cells[_CHECKSUM] = input_checksum(*inputs)
+
+    def write_load(self, position: float) -> None:
+        """Write the position by an encoder at the load."""
+        self._cells[_LOAD_POSITION] = position
+
+    def write_estimates(self, load_torque: float, temperature: float, motor_offset: float) -> None:
+        """Write load and temperature that the model was given, and the offset of the motor from the demand."""
+        self._cells[_LOAD_ESTIMATE] = load_torque
+        self._cells[_TEMPERATURE_ESTIMATE] = temperature
+        self._cells[_MOTOR_OFFSET] = motor_offset
 
     def write_shadow(self, name: str, torque: float) -> None:
         """Write the torque of a shadow model, N m."""

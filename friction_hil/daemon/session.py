@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 from friction_hil.config import self_contained
 from friction_hil.config.drivers import load_driver
 from friction_hil.config.load import only_driver
-from friction_hil.daemon.assembly import ramp_s
+from friction_hil.daemon.assembly import experiment_note, ramp_s
 from friction_hil.daemon.axis import AxisLoop
 from friction_hil.daemon.companion import Companion, CompanionReport, Job, free_path, prepare
-from friction_hil.daemon.figures import AxisFigures, Condition
+from friction_hil.daemon.figures import AxisFigures, Condition, adaptation_notice
 from friction_hil.daemon.follower import FollowerAxis
 from friction_hil.daemon.log import LoopResult
 from friction_hil.daemon.loop import Loop
@@ -136,6 +136,10 @@ def run_session(
             result = _run(prepared, configuration, settings, clock, stop, report)
         finally:
             recorded = companion.close()
+    for axis in axes:
+        unit = "rad" if configuration.axes[axis.name].model.axis == "rotary" else "m"
+        if notice := adaptation_notice(axis.name, unit, axis.compensator):
+            result.notices.append(notice)
     return SessionResult(result, {axis.name: _figures(axis, configuration.axes[axis.name]) for axis in axes}, recorded)
 
 
@@ -193,6 +197,10 @@ def _prepare(
     for axis in axes:
         if axis.name in settings.allowed_speeds:
             axis.supervisor.allow(settings.allowed_speeds[axis.name])
+    for fact in facts:  # before anything moves
+        note = experiment_note(configuration.axes[fact.name], fact.position_resolution, configuration.period_s)
+        if note:
+            report(f"{fact.name}: {note}")
     companion = Companion.start(_job(configuration, settings, path, started_ns, facts, axes, shadows))
     stack.callback(companion.close)
     return _Prepared(drives, axes, path_time, companion)
@@ -235,15 +243,29 @@ def _close(drives: Drives, report: Callable[[str], None]) -> None:
         report(line)
 
 
+def _load_figures(axis: AxisLoop, config: "AxisConfig") -> AxisFigures | None:
+    """Return the figures of the load, None where it has no encoder."""
+    if axis.load_errors is None:
+        return None
+    return AxisFigures(
+        unit="rad" if config.model.axis == "rotary" else "m",
+        without=axis.load_errors.figures(Condition.WITHOUT),
+        compensated=axis.load_errors.figures(Condition.WITH),
+        is_comparable=config.trajectory.kind not in ("experiment", "sequence"),
+        stale=axis.stale_cycles,
+    )
+
+
 def _figures(axis: AxisLoop, config: "AxisConfig") -> AxisFigures:
     return AxisFigures(
         unit="rad" if config.model.axis == "rotary" else "m",
         without=axis.following_errors.figures(Condition.WITHOUT),
         compensated=axis.following_errors.figures(Condition.WITH),
-        is_comparable=config.trajectory.kind != "experiment",
+        is_comparable=config.trajectory.kind not in ("experiment", "sequence"),
         stale=axis.stale_cycles,
         bridged=axis.gaps.bridged,
         bridged_reasons=axis.gaps.reasons,
+        load=_load_figures(axis, config),
     )
 
 

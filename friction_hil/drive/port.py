@@ -83,6 +83,8 @@ class Feedback:
     # of drives that another controller moves (`Drives.is_follower`)
     position_demand: float = math.nan  # the drive's demand after `AxisFacts.setpoint_delay_s`; NaN where not known
     is_offset_wanted: bool = True  # mode and controlword are such that a torque offset compensates friction
+    temperature: float = math.nan  # deg C, the last one read; NaN where none is measured
+    load_position: float = math.nan  # by an encoder at the load, rad or m of the axis; NaN where there is none
 
 
 @dataclass(slots=True)
@@ -128,6 +130,8 @@ class AxisFacts:
         right. 0: not known, and not examined.
     units : tuple of UnitRow
         Units of the drive, for the table before anything is enabled.
+    has_load_encoder : bool
+        `Feedback.load_position` is filled.
     """
 
     name: str
@@ -140,6 +144,7 @@ class AxisFacts:
     torque_delay_s: float | None = 0.0
     velocity_resolution: float = 0.0
     units: tuple[UnitRow, ...] = ()
+    has_load_encoder: bool = False
 
 
 class Clock(Protocol):

@@ -1,4 +1,7 @@
-"""Conversion of input arrays to the layout of the kernels."""
+"""Conversion of input arrays to the layout of the kernels.
+
+A read-only array is copied: to numba it is another type, for which every kernel would be compiled once more.
+"""
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -9,14 +12,14 @@ from friction_hil.numerics.jit import Array
 
 
 def vector(name: str, values: ArrayLike) -> Array:
-    """Return ``values`` as a contiguous float64 vector, without checking that they are finite."""
+    """Return ``values`` as a contiguous, writeable float64 vector, without checking that they are finite."""
     try:
         array = np.ascontiguousarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise UsageError(f"{name} must be an array of numbers: {error}") from None
     if array.ndim != 1:
         raise UsageError(f"{name} must have one dimension, not shape {array.shape}")
-    return array
+    return _writeable(array)
 
 
 def per_sample(name: str, values: ArrayLike, samples: int) -> Array:
@@ -27,8 +30,13 @@ def per_sample(name: str, values: ArrayLike, samples: int) -> Array:
         raise UsageError(f"{name} must be a number or an array of numbers: {error}") from None
     if array.shape not in ((1,), (samples,)):
         raise UsageError(f"{name} must be a number or have shape ({samples},), not {array.shape}")
+    array = _writeable(np.ascontiguousarray(array))
     require_finite(name, array)
-    return np.ascontiguousarray(array)
+    return array
+
+
+def _writeable(array: Array) -> Array:
+    return array if array.flags.writeable else array.copy()
 
 
 def checked_out(out: Array, shape: tuple[int, ...]) -> Array:

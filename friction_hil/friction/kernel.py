@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 from numba import types
 
-from friction_hil.friction import modifiers, network
+from friction_hil.friction import modifiers, network, network_runs
 from friction_hil.friction.curves import direction
 from friction_hil.friction.dispatch import (
     FAMILY_STATES,
@@ -48,7 +48,7 @@ WHOLE_ROOM = 2 + PARAMETER_ROOM + STATE_ROOM
 
 _level_extra, _level_scale = modifiers.level_extra, modifiers.level_scale
 _fast_torque, _ripple_torque = modifiers.fast_torque, modifiers.ripple_torque
-_network_step = network.step_apart
+_network_step = network_runs.step_apart
 
 
 def _learned_torque(p: Array, s: Array, *inputs: Any) -> float:

@@ -159,7 +159,7 @@ class FrictionModel:
         if any(side.get("static", math.inf) < side.get("coulomb", 0.0) for side in sides):
             yield "static is below coulomb: this axis has no Stribeck hump"
         if "temperature" in self.modifiers and self.modifiers["temperature"]["coefficient"] != 0.0:
-            yield "the level depends on temperature; where none is measured, as in the daemon, the reference is assumed"
+            yield "the level depends on temperature; where none is known, the reference is assumed"
         stiff = {"sigma0", "stiffness"}
         if not self.family.is_static and any(
             stiff & set(each) for each in self.modifiers.get("direction", {}).values()
@@ -178,6 +178,30 @@ class FrictionModel:
         """Largest torque of slow motion in either direction, without other modifiers, N m."""
         own = max(self.family.level(self._side(side)) for side in SIDES)
         return own if self.network is None else max(own, self.network.level)
+
+    @property
+    def depends_on_temperature(self) -> bool:
+        """True if the friction changes with temperature."""
+        return not math.isnan(self.reference_temperature)
+
+    @property
+    def depends_on_load(self) -> bool:
+        """True if the friction changes with the load torque."""
+        return "load" in self.modifiers or (self.network is not None and self.network.structure.has_load)
+
+    @property
+    def reference_temperature(self) -> float:
+        """Temperature at which the parameters hold, deg C: of the modifier, or the middle of a network's range.
+
+        NaN for a model that does not depend on temperature.
+        """
+        modifier = self.modifiers.get("temperature")
+        if modifier is not None and modifier["coefficient"] != 0.0:
+            return float(modifier["reference"])
+        if self.network is not None and self.network.structure.has_temperature:
+            low, high = self.network.ranges["temperature"]
+            return 0.5 * (low + high)
+        return math.nan
 
     @property
     def presliding_stiffness(self) -> float:

@@ -50,7 +50,7 @@ import math
 from friction_hil.friction.elementary import approach, decay, part, toward, whole
 from friction_hil.friction.lanes import LANES, add_products
 from friction_hil.numerics.dual import fma
-from friction_hil.numerics.jit import Array, compiled, inlined
+from friction_hil.numerics.jit import Array, inlined
 
 STATIC, GATED, NARX = range(3)
 MAX_HARMONICS = 8
@@ -83,13 +83,15 @@ MIDDLES = 19  # of position, load and temperature
 HALF_RANGES = 22  # of position, load and temperature, above zero
 RATE_MIDDLE, RATE_HALF = 25, 26  # of ln kappa, kappa in rad^-1: its bounds are exp(RATE_MIDDLE +- RATE_HALF)
 ORDERS = 27  # of the harmonics, per rad
-IS_RESIDUAL = ORDERS + MAX_HARMONICS  # added to a model: fades out beyond the speed limit
+IS_RESIDUAL = ORDERS + MAX_HARMONICS  # added to a model: fades out beyond what the training visited, see `support`
 STROKE = IS_RESIDUAL + 1  # gated only: stroke of the stop, rad
-HEADER = STROKE + 1
+LEAST_SPEED = STROKE + 1  # of a residual: slowest speed of the training that the encoder resolves, rad/s; 0 if all
+HEADER = LEAST_SPEED + 1
 STATE_ROOM = 256  # length of the state of the largest structure
 MOST_STEPS = 16  # into which a sample is divided; limits the computing time
 _FARTHEST = 1e15  # rad; beyond it a float has no precision left for an angle
-_FADED = 1.5  # speed, in speed limits, at which a residual has faded out
+_FADED = 1.5  # speed, in speed limits, at which a residual has faded out; at 1 / 2 least speeds it has, too
+_FADED_BESIDE = 0.25  # distance beyond the range of another input, in half ranges, at which a residual has faded out
 
 
 @inlined
@@ -389,9 +391,32 @@ def steps_of(p: Array, dt: float) -> int:
 
 
 @inlined
-def residual_fade(p: Array, speed: float) -> float:
-    """Compute the factor of a residual: 1 up to the speed limit, then falling linearly to 0 at `_FADED` times it."""
-    return min(max((_FADED - speed / p[SPEED_LIMIT]) / (_FADED - 1.0), 0.0), 1.0)
+def inside(p: Array, index: int, value: float) -> float:
+    """Compute 1 where input ``index`` is within its range, falling linearly to 0 at `_FADED_BESIDE` beyond it."""
+    beyond = abs((value - p[MIDDLES + index]) / p[HALF_RANGES + index]) - 1.0
+    return min(max(1.0 - beyond / _FADED_BESIDE, 0.0), 1.0)
+
+
+_inside = inside
+
+
+@inlined
+def support(p: Array, speed: float, position: float, load_torque: float, temperature: float) -> float:
+    """Compute the factor of a residual: 1 where the training had data, 0 where it had none.
+
+    It falls linearly from 1 to 0 between the speed limit and `_FADED` times it, below the least speed down to half of
+    it, and beyond the range of each other input. There the model beside the network remains.
+    """
+    factor = min(max((_FADED - speed / p[SPEED_LIMIT]) / (_FADED - 1.0), 0.0), 1.0)
+    if p[LEAST_SPEED] > 0.0:
+        factor *= min(max(2.0 * speed / p[LEAST_SPEED] - 1.0, 0.0), 1.0)
+    if p[HAS_POSITION] != 0.0:
+        factor *= _inside(p, 0, position)
+    if p[HAS_LOAD] != 0.0:
+        factor *= _inside(p, 1, load_torque)
+    if p[HAS_TEMPERATURE] != 0.0 and not math.isnan(temperature):
+        factor *= _inside(p, 2, temperature)
+    return factor
 
 
 @inlined
@@ -404,7 +429,7 @@ def seen_velocity(p: Array, velocity: float, level_velocity: float) -> float:
     return math.copysign(max(speed, min(abs(velocity), p[SPEEDS + 2])), velocity)
 
 
-_residual_fade, _seen_velocity, _steps_of = residual_fade, seen_velocity, steps_of
+_support, _seen_velocity, _steps_of = support, seen_velocity, steps_of
 
 
 @inlined
@@ -459,23 +484,5 @@ def step(
         for i in range(remembered - 1, -1, -1):
             past[i] = x[i]
     if p[IS_RESIDUAL] != 0.0:
-        torque *= _residual_fade(p, abs(velocity))
+        torque *= _support(p, abs(velocity), position, load_torque, temperature)
     return torque
-
-
-_step = step
-
-
-@compiled
-def step_apart(
-    p: Array,
-    s: Array,
-    velocity: float,
-    level_velocity: float,
-    dt: float,
-    position: float,
-    load_torque: float,
-    temperature: float,
-) -> float:
-    """Call `step` without inlining it; inlined into the code of every family it would take minutes to compile."""
-    return _step(p, s, velocity, level_velocity, dt, position, load_torque, temperature)

@@ -8,7 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from friction_hil.errors import UsageError, choices
-from friction_hil.friction import network
+from friction_hil.friction import network, network_runs
 from friction_hil.friction.family import Family, Packed
 from friction_hil.friction.parameters import InvalidParameterError
 from friction_hil.numerics.jit import Array
@@ -168,8 +168,6 @@ class Network:
         Highest speed of the training, rad/s.
     speeds : tuple of 3 float
         Characteristic speeds of the friction, rad/s.
-    stroke : float
-        Stroke of the stop of a gated network, rad; 0 for the others.
     rates : (float, float)
         Bounds of the rates of the states of a gated network, rad^-1; empty for the others.
     ranges : mapping of str to (float, float)
@@ -178,8 +176,13 @@ class Network:
         Largest torque of slow motion, including that of the base model, N m.
     weights : (structure.weights,) array
     is_residual : bool
-        True if the torque is added to that of a base model. It then fades out beyond the speed limit; otherwise the
-        torque stays constant there.
+        True if the torque is added to that of a base model. It then fades out beyond the speeds, positions, loads and
+        temperatures of the training; otherwise the torque stays constant there.
+    stroke : float
+        Stroke of the stop of a gated network, rad; 0 for the others.
+    least_speed : float
+        Speed of a residual below which it fades out, because the training did not visit or the encoder did not
+        resolve slower motion, rad/s; 0 if it does not fade out.
 
     Raises
     ------
@@ -199,6 +202,7 @@ class Network:
     weights: Array
     is_residual: bool = False
     stroke: float = 0.0
+    least_speed: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("period_s", "torque_scale", "bound", "speed_limit", "level"):
@@ -222,6 +226,12 @@ class Network:
                 "stroke must be finite and above zero for a gated network, and 0 for any other, not "
                 f"{self.stroke}. Networks of earlier versions have no stroke and must be trained again",
                 "stroke",
+            )
+        if not 0.0 <= self.least_speed < self.speed_limit or (self.least_speed and not self.is_residual):
+            raise InvalidParameterError(
+                "least_speed must be 0 or above and below speed_limit, and 0 for a network without a base model, not "
+                f"{self.least_speed}",
+                "least_speed",
             )
         weights = np.ascontiguousarray(self.weights, dtype=np.float64)
         if weights.shape != (self.structure.weights,):
@@ -276,7 +286,7 @@ class Network:
         if self.rates:
             lowest, highest = np.log(self.rates)
             p[network.RATE_MIDDLE], p[network.RATE_HALF] = 0.5 * (lowest + highest), 0.5 * (highest - lowest)
-        p[network.STROKE] = self.stroke
+        p[network.STROKE], p[network.LEAST_SPEED] = self.stroke, self.least_speed
         p[network.SPEEDS : network.SPEEDS + 3] = self.speeds
         p[network.FEATURE_FACTORS : network.FEATURE_FACTORS + 2] = 1.0 / np.arcsinh(
             self.speed_limit / np.array(self.speeds[:2])
@@ -320,6 +330,7 @@ class Network:
             weights=p[network.HEADER :].copy(),
             is_residual=is_residual,
             stroke=float(p[network.STROKE]),
+            least_speed=float(p[network.LEAST_SPEED]) if is_residual else 0.0,
         )
 
     @property
@@ -330,7 +341,7 @@ class Network:
         p, s = self.values, np.zeros(network.STATE_ROOM)
         speed, distance = self.speeds[2], 1e-4 / self.rates[1]
         inputs = (speed, speed, distance / speed, 0.0, 0.0, math.nan)
-        first, second = network.step_apart(p, s, *inputs), network.step_apart(p, s, *inputs)
+        first, second = network_runs.step_apart(p, s, *inputs), network_runs.step_apart(p, s, *inputs)
         return max((second - first) / distance, 0.0)
 
     def require(self, has_position: bool, has_load: bool, period_s: float | None = None) -> None:
@@ -374,6 +385,7 @@ class Network:
             "speeds": list(self.speeds),
             **({"rates": list(self.rates)} if self.rates else {}),
             **({"stroke": self.stroke} if self.stroke else {}),
+            **({"least_speed": self.least_speed} if self.least_speed else {}),
             **({"ranges": {name: list(self.ranges[name]) for name in named}} if named else {}),
             "level": self.level,
             "weights": self.weights.tolist(),

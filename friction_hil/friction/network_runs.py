@@ -1,4 +1,4 @@
-"""Simulation of whole arrays with a friction network."""
+"""A friction network as functions of their own: one step, and whole arrays."""
 
 import numpy as np
 
@@ -7,6 +7,21 @@ from friction_hil.numerics.jit import Array, compiled
 
 _SETTLING_SAMPLES, _LONG_S = 13, 1e9
 _step = network.step
+
+
+@compiled
+def step_apart(
+    p: Array,
+    s: Array,
+    velocity: float,
+    level_velocity: float,
+    dt: float,
+    position: float,
+    load_torque: float,
+    temperature: float,
+) -> float:
+    """Call `network.step` without inlining it; inlined into every family it would take minutes to compile."""
+    return _step(p, s, velocity, level_velocity, dt, position, load_torque, temperature)
 
 
 @compiled

@@ -5,17 +5,20 @@ from pathlib import Path
 from typing import Any, Literal, Self
 
 import numpy as np
-from pydantic import PrivateAttr, model_validator
+from pydantic import PrivateAttr, ValidationError, model_validator
 
 from friction_hil import friction
 from friction_hil.checked_yaml.messages import Mistake, refuse
 from friction_hil.checked_yaml.section import MOST_TORQUE, Section, key
+from friction_hil.compensator.temperature import HIGHEST, LOWEST
 from friction_hil.errors import UsageError
 from friction_hil.friction import Axis, FrictionModel, InvalidParameterError, Network, NetworkStructure
 from friction_hil.friction.modifiers import check_modifiers
 from friction_hil.friction.parameters import check_all
 
 _TORQUE = {"ge": -MOST_TORQUE, "le": MOST_TORQUE}
+_CELSIUS: dict[str, float] = {"ge": LOWEST, "le": HIGHEST}
+_LEAST_THERMAL_S = 1.0  # time constant
 NETWORK = "network"  # a trained network, the only model without a family in the registry
 
 
@@ -49,6 +52,9 @@ class TrainedNetwork(Section):
     speed_limit: float = key("highest speed of the training", "rad/s or m/s")
     rates: list[float] = key("bounds of the rates of the states of a gated network", "1/rad or 1/m", default=[])
     stroke: float = key("stroke of the stop of a gated network", "rad or m", default=0.0)
+    least_speed: float = key(
+        "beside a base model: speed below which the torque of the network fades out", "rad/s or m/s", default=0.0
+    )
     speeds: list[float] = key("three characteristic speeds of the friction", "rad/s or m/s")
     ranges: dict[str, tuple[float, float]] = key("smallest and largest value of each other input", default={})
     level: float = key("largest torque of slow motion", "N m or N")
@@ -89,6 +95,7 @@ class TrainedNetwork(Section):
             speeds=self.speeds,
             rates=self.rates,
             stroke=self.stroke,
+            least_speed=self.least_speed,
             ranges=self.ranges,
             level=self.level,
             weights=np.array(self.weights),
@@ -148,6 +155,27 @@ class Gravity(Section):
     cosine: float = key("factor of cos(position)", "N m or N", default=0.0, **_TORQUE)
 
 
+class Load(Section):
+    """Load behind the transmission, where it is known by itself; parts of the axis's inertia and friction."""
+
+    inertia: float = key("inertia or mass of the load, at the axis; part of the whole", "kg m^2 or kg", gt=0, le=1e9)
+    stiffness: float | None = key(
+        "stiffness of the coupling between motor and load; by default stiff",
+        "N m/rad or N/m",
+        default=None,
+        gt=0,
+        le=1e15,
+    )
+    damping: float = key("damping of the coupling", "N m s/rad or N s/m", default=0.0, ge=0, le=1e12)
+    friction: float | None = key(
+        "friction level of the load, part of that of the model; by default not known by itself",
+        "N m or N",
+        default=None,
+        ge=0,
+        le=MOST_TORQUE,
+    )
+
+
 class Mechanics(Section):
     """Mechanics of the axis apart from friction."""
 
@@ -156,6 +184,58 @@ class Mechanics(Section):
     gravity: Gravity = key("torque of gravity", default=Gravity())
     delay_s: float = key("time from the command of a torque to its start", "s", default=0.0, ge=0, le=10)
     torque_lag_s: float = key("time constant of the torque", "s", default=0.0, ge=0, le=10)
+    backlash: float = key("whole width of the gap between motor and load", "rad or m", default=0.0, ge=0, le=1e3)
+    encoder: Literal["motor", "load"] = key(
+        "side of the transmission on which the drive's position encoder is", default="motor"
+    )
+    load: Load | None = key("load behind the transmission; by default not known by itself", default=None)
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.load is not None and not self.load.inertia < self.inertia:
+            refuse(self, [(("load", "inertia"), f"is part of mechanics.inertia, {self.inertia:g}, and so below it")])
+        return self
+
+
+class Thermal(Section):
+    """Lumped thermal model of motor and transmission, for an axis whose temperature is not measured."""
+
+    capacity: float = key("heat capacity", "J/K", gt=0, le=1e9)
+    resistance: float = key("thermal resistance to the surroundings", "K/W", gt=0, le=1e9)
+    ambient: float = key("temperature of the surroundings", "deg C", default=20.0, **_CELSIUS)
+    initial: float | None = key(
+        "temperature of the axis when a run begins; by default ambient, an axis that has cooled down",
+        "deg C",
+        default=None,
+        **_CELSIUS,
+    )
+    copper_loss: float = key(
+        "heat per square of torque: winding resistance over the square of the torque constant",
+        "W/(N m)^2 or W/N^2",
+        default=0.0,
+        ge=0,
+        le=1e9,
+    )
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.capacity * self.resistance < _LEAST_THERMAL_S:
+            message = f"times resistance is the time constant; it must be at least {_LEAST_THERMAL_S:g} s"
+            refuse(self, [(("capacity",), message)])
+        return self
+
+
+class TorqueSignal(Section):
+    """Signal of the recordings in which the torque was known but for its gain; see `identify --unknown-gain`."""
+
+    column: str = key("column of the recordings, as `--column torque=` names it; empty if not known", default="")
+    gain: float = key("torque per unit of the signal", "N m or N per unit of the signal", gt=0, le=MOST_TORQUE)
+    back_emf: float = key(
+        "torque that is lost per velocity: torque = gain * signal - back_emf * velocity",
+        "N m s/rad or N s/m",
+        default=0.0,
+        **_TORQUE,
+    )
 
 
 class ModelFile(Section):
@@ -165,9 +245,31 @@ class ModelFile(Section):
     axis: Literal["rotary", "linear"] = key("rotary: rad, N m; linear: m, N")
     friction: Friction = key("friction model")
     mechanics: Mechanics = key("inertia, offset, gravity, delays", default=Mechanics())
+    thermal: Thermal | None = key("thermal model, where the temperature is not measured; by default none", default=None)
+    torque_signal: TorqueSignal | None = key(
+        "gain of the signal that the recordings hold in place of a torque; recordings of the daemon need none",
+        default=None,
+    )
     fit: dict[str, Any] | None = key("provenance: recordings, errors, range of validity", default=None)
 
     _source_path: Path | None = PrivateAttr(default=None)
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        try:
+            _ = self.signal
+        except ValidationError as error:
+            refuse(self, [(("fit", "drive", *each["loc"]), each["msg"]) for each in error.errors()])
+        if self.thermal is not None and not self.friction_model.depends_on_temperature:
+            message = "has no effect: the friction has no modifier temperature, and no network with that input"
+            refuse(self, [(("thermal",), message)])
+        return self
+
+    @property
+    def signal(self) -> TorqueSignal | None:
+        """Signal of the recordings and its gain: ``torque_signal``, or ``fit.drive`` of files before there was that."""
+        drive = (self.fit or {}).get("drive")
+        return TorqueSignal.model_validate(drive) if drive and self.torque_signal is None else self.torque_signal
 
     @property
     def source_path(self) -> Path | None:

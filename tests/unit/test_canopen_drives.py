@@ -148,3 +148,15 @@ def test_closing_twice_or_before_anything_was_opened_is_harmless(driven):
     unopened.close()
     with pytest.raises(BusError, match="the bus is not open"):
         unopened.start()
+
+
+def test_a_drive_is_configured_for_a_model_that_depends_on_the_load():
+    friction = {"model": "coulomb", "parameters": {"coulomb": 0.08}, "modifiers": {"load": {"motoring": 0.1}}}
+    model = {"axis": "rotary", "friction": friction, "mechanics": {"inertia": 2e-4}}
+    config = configuration(x=axis_dict(node=NODE, model=model))
+    bus = BenchBus(Bench())
+    drives = CanopenDrives(config, config.axes, SteppedClock(), dry_run=False, bus=bus)
+    (facts,) = drives.connect()
+    drives.close()
+    bus.shutdown()
+    assert facts.torque_resolution > 0.0

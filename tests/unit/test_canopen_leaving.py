@@ -1,19 +1,14 @@
 """Connecting looks before it touches, and a drive is left as it was found."""
 
 import json
-import os
-import shutil
 import struct
 import tempfile
 import time
-from pathlib import Path
 
 import can
 import pytest
 from friction_hil_drivers.canopen import objects
 from friction_hil_drivers.canopen.drives import CanopenDrives
-from friction_hil_drivers.canopen.journal import Found, Journal, restoration
-from friction_hil_drivers.canopen.objects import DataType, Object
 
 from friction_hil.daemon.realtime import SteppedClock
 from friction_hil.drive import Command, DriveState, Feedback, Request
@@ -454,42 +449,6 @@ def test_a_damaged_journal_is_told(bench, folder):
     drives.close()
 
 
-# --- the order of a restoration, CiA 301
-
-
-def entry(index, subindex, kind=DataType.UNSIGNED32):
-    return Object(index, "", kind, subindex)
-
-
-def test_a_mapping_is_restored_in_the_order_of_the_standard():
-    found = [
-        Found(entry(0x1400, 1), bytes.fromhex("05020000")),
-        Found(entry(0x1600, 0, DataType.UNSIGNED8), b"\x02"),
-        Found(entry(0x1600, 1), b"\x10\x00\x40\x60"),
-        Found(entry(0x1600, 2), b"\x08\x00\x60\x60"),
-        Found(entry(0x1600, 3), b"\x10\x00\x71\x60"),  # behind the number of entries
-        Found(entry(0x1400, 2, DataType.UNSIGNED8), b"\xff"),
-        Found(entry(0x605A, 0), b"\x02\x00"),
-        Found(entry(0x6007, 0), None),
-    ]
-    (option,), pdo = restoration(found)
-    assert option == (found[6].entry, b"\x02\x00")
-    assert [(f"{one.index:X}:{one.subindex}", data.hex()) for one, data in pdo] == [
-        ("1400:1", "05020080"),
-        ("1600:0", "00"),
-        ("1600:1", "10004060"),
-        ("1600:2", "08006060"),
-        ("1600:0", "02"),
-        ("1400:2", "ff"),
-        ("1400:1", "05020000"),
-    ]
-
-
-def test_a_pdo_that_was_only_switched_off_is_switched_on():
-    found = [Found(entry(0x1402, 1), bytes.fromhex("05040000"))]
-    assert restoration(found) == [[(found[0].entry, found[0].found)]]
-
-
 def test_commands_and_set_points_are_no_settings(bench):
     """A target written back would be a target nobody asked for."""
     bus = Others(bench)
@@ -501,41 +460,3 @@ def test_commands_and_set_points_are_no_settings(bench):
     indices = {struct.unpack_from("<H", data, 1)[0] for data in downloads}
     assert indices
     assert not indices & {0x6040, 0x6071, 0x607A, 0x60B2, 0x60FF, objects.DEVICE_TYPE.index}
-
-
-class Shown:
-    """Access to a drive of which only the identity and one setting matter."""
-
-    axis, where = "x", "node 5 on can0"
-
-    def peek(self, entry):
-        return b"\x07\0\0\0"
-
-    def download(self, entry, data):
-        raise AssertionError("nothing is written here")
-
-
-@pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
-def test_what_another_users_killed_run_has_kept_shuts_out_nobody(request):
-    folder = Path(tempfile.mkdtemp(dir="/tmp"))  # that of the test can be entered by nobody else
-    request.addfinalizer(lambda: shutil.rmtree(folder))
-    folder.chmod(0o1777)
-    entry = Object(0x1017, "heartbeat", DataType.UNSIGNED16)
-
-    def keep():
-        journal = Journal(Shown(), lambda identity: folder / f"can0-5-{identity}.json")
-        journal.before(entry, b"\x08\0")
-        return journal.notes
-
-    pid = os.fork()
-    if pid == 0:
-        os.setuid(65534)
-        keep()
-        os._exit(0)
-    assert os.waitpid(pid, 0)[1] == 0
-    (theirs,) = folder.iterdir()
-    (note,) = keep()
-    assert note.startswith(f"a run of another user ended without restoring the drive's settings ({theirs})")
-    (own,) = set(folder.iterdir()) - {theirs}
-    assert keep() != [note]  # this user's own is taken over
-    assert own.name.endswith("-0.json")

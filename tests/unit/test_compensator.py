@@ -374,7 +374,9 @@ def test_settings_are_those_of_the_compensator():
 
 
 @given(
-    st.tuples(*[st.floats(allow_nan=False)] * 7, st.booleans(), st.booleans()), st.integers(0, 8), st.integers(0, 63)
+    st.tuples(*[st.floats(allow_nan=False)] * 7, st.booleans(), st.booleans(), *[st.floats(allow_nan=False)] * 2),
+    st.integers(0, 8),
+    st.integers(0, 63),
 )
 def test_the_checksum_sees_every_single_bit(values, place, bit):
     values = tuple(map(float, values))

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import friction_hil as fh
+from friction_hil.daemon.figures import adaptation_notice
 from tests.compensators import (
     EVERY_VELOCITY,
     INERTIA,
@@ -154,6 +155,24 @@ def test_no_input_takes_it_beyond_its_bounds(rows, model):
         assert (np.abs(factors(one) - 1.0) <= 0.3 + 1e-12).all()
 
 
+@pytest.mark.parametrize("speed", [0.03, -0.1])
+def test_it_learns_below_the_stribeck_velocity(speed):
+    """There the friction is the model's level at that velocity, too."""
+    assert abs(speed) < LUGRE.parameters["stribeck_velocity"]
+    one = compensator(LUGRE, position_resolution=resolution(20), **LEARNING)
+    slide(one, 1.2, 4.0, speed=speed)
+    assert factors(one)[0 if speed > 0.0 else 1] == pytest.approx(1.2, rel=5e-3)
+    assert 3.5 < one.learned_s < 4.0
+
+
+@pytest.mark.parametrize("amplitude", [0.02, 0.2])
+def test_on_a_slow_swing_it_finds_the_friction_of_each_direction(amplitude):
+    one = compensator(LUGRE, gain=0.9, position_resolution=resolution(20), lead_s=1.5e-3, **LEARNING)
+    axis = Axis(uneven(LUGRE, 1.2, 0.9), velocity_gain=0.2, resolution=resolution(20))
+    axis.run(one, 6.0, demand=swing(amplitude, 0.25))
+    np.testing.assert_allclose(factors(one), [1.2, 0.9], rtol=0.05)
+
+
 # --- when it does not learn
 
 
@@ -176,7 +195,6 @@ def learned_from(motion, *, before=1.0, **given):
         pytest.param(lambda t: (0.0 * t, 0.0 * t), id="rest"),
         pytest.param(lambda t: (2e-5 * np.sin(3.0 * t), 6e-5 * np.cos(3.0 * t)), id="presliding"),
         pytest.param(lambda t: (0.01 * np.sin(40.0 * t), 0.4 * np.cos(40.0 * t)), id="reversals"),
-        pytest.param(lambda t: (0.05 * t, 0.05 + 0.0 * t), id="on the Stribeck curve"),
     ],
 )
 def test_it_is_frozen_without_steady_sliding(motion):
@@ -230,3 +248,21 @@ def test_a_time_that_is_not_slow_is_refused(time_s):
     """Shorter than a period it would forget more than all in a cycle."""
     with pytest.raises(fh.errors.UsageError, match=r"adaptation_s = .* at least 0\.1 s"):
         compensator(LUGRE, adaptation_s=time_s)
+
+
+# --- said at the end of a run
+
+
+@pytest.mark.parametrize("speed", [0.1, 1.0])
+def test_a_run_says_that_nothing_was_learned_and_from_which_velocity_on_it_is(speed):
+    """14 bits at 1 kHz: a velocity of 0.1 rad/s is within the noise."""
+    one = compensator(LUGRE, position_resolution=resolution(14), **LEARNING)
+    slide(one, 1.2, 2.0, speed=speed)
+    notice = adaptation_notice("x", "rad", one)
+    assert (notice is None) == (speed > one.slowest_learning)
+    assert notice is None or "x: compensation.adaptation learned nothing" in notice
+    assert notice is None or "faster than 0.63 rad/s" in notice
+
+
+def test_without_adaptation_nothing_is_said():
+    assert adaptation_notice("x", "rad", compensator(LUGRE)) is None

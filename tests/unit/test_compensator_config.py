@@ -36,6 +36,7 @@ def test_the_defaults():
         "max_acceleration": None,
         "dead_band": 0.0,
         "adaptation": None,
+        "transmission": None,
     }
     assert configured(adaptation={}).compensation.adaptation.model_dump() == {"time_s": 20.0, "bound": 0.3}
 
@@ -111,3 +112,54 @@ def test_the_lead_reaches_to_the_middle_of_the_period_in_which_the_torque_acts(m
     model = configuration(x=axis).axes["x"].model
     facts = AxisFacts("x", "servo", 1e-5, 1e-4, 2.5e-3, 1.5e-3)
     assert lead_s(model, facts, PERIOD_S) == pytest.approx(expected + 3e-4)
+
+
+CROSSING = {"backlash": 2e-3, "load": {"inertia": 1e-4, "friction": 0.03}}
+
+
+def crossing(mechanics=(), **axis):
+    one = axis_dict(**{"compensation": {"transmission": {"acceleration": 300.0}}} | axis)
+    one["model"]["mechanics"] = {"inertia": 2e-4} | CROSSING | dict(mechanics)
+    return configuration(x=one).axes["x"]
+
+
+def test_crossing_takes_gap_and_load_from_the_model_file():
+    axis = crossing()
+    facts = AxisFacts("x", "servo", 1e-5, 1e-4, 2.5e-3, 1.5e-3)
+    settings = make_compensator(axis, axis.model, facts, PERIOD_S).settings
+    assert (settings.backlash, settings.load_inertia, settings.load_friction) == (2e-3, 1e-4, 0.03)
+    assert (settings.offset_acceleration, settings.offset_velocity) == (300.0, math.inf)
+    assert (settings.stiffness, settings.offset_limit) == (math.inf, 1e-3)
+    axis = crossing({"load": CROSSING["load"] | {"stiffness": 50.0}, "gravity": {"sine": 0.03, "cosine": 0.04}})
+    settings = make_compensator(axis, axis.model, facts, PERIOD_S).settings
+    assert settings.stiffness == 50.0
+    assert settings.offset_limit == pytest.approx(1e-3 + (0.03 + 0.05 + 1e-4 * 300.0) / 50.0)
+    assert (settings.velocity_limit, settings.setpoint_delay_s) == (30.0, 2.5e-3)
+
+
+@pytest.mark.parametrize(
+    ("mechanics", "axis", "reason"),
+    [
+        (
+            {"backlash": 0.0},
+            {},
+            "needs in the model file mechanics.load with inertia and friction, and mechanics.backlash",
+        ),
+        ({"load": None}, {}, "needs in the model file mechanics.load"),
+        ({"load": {"inertia": 1e-4}}, {}, "needs in the model file mechanics.load"),
+        ({"load": {"inertia": 1e-4, "friction": 0.0}}, {}, "floats in the gap"),
+        ({"encoder": "load"}, {}, "encoder: load"),
+        ({"load": {"inertia": 3e-4, "friction": 0.03}}, {}, "is part of mechanics.inertia, 0.0002, and so below it"),
+        ({}, {"compensation": {"transmission": {}}}, "acceleration"),
+        ({}, {"compensation": {"transmission": {"acceleration": 0.0}}}, "must be above 0"),
+        (
+            {},
+            {"mode": "cst", "trajectory": {"kind": "none"}, "limits": {"torque": 0.3, "velocity": 30.0}},
+            "needs a set-point",
+        ),
+    ],
+)
+def test_crossing_is_refused_where_it_makes_no_sense(mechanics, axis, reason):
+    with pytest.raises(ConfigurationError) as error:
+        crossing(mechanics, **axis)
+    assert reason in str(error.value)

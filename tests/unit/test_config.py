@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 from friction_hil.checked_yaml.text import dump
 from friction_hil.config import from_dict, json_schema, load, missing_models, self_contained
 from friction_hil.errors import ConfigurationError, UsageError
-from friction_hil.models.files import load_model_file, model_from_argument
-from tests.fake_drivers import GOOD, changed, good, install
+from tests.fake_drivers import GOOD, changed, good, install, outcome, problems_in, problems_of
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -25,27 +24,6 @@ def _fake_drivers(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(directory)
         yield
-
-
-def problems_of(values):
-    with pytest.raises(ConfigurationError) as caught:
-        from_dict(values, "test")
-    return {problem.field: problem.message for problem in caught.value.problems}
-
-
-def outcome(path):
-    """The configuration, or None, and the problems."""
-    try:
-        return load(path), ()
-    except ConfigurationError as error:
-        return None, error.problems
-
-
-def problems_in(path, text):
-    path.write_text(text)
-    configuration, problems = outcome(path)
-    assert configuration is None
-    return problems
 
 
 @pytest.fixture
@@ -487,83 +465,6 @@ def test_relative_paths_of_a_driver_start_from_the_configuration(path):
     assert str(options.wiring.table) == "/b.csv"
 
 
-def test_mistakes_in_a_model_file_name_that_file(tmp_path, path):
-    lines = GOOD.split("\n")
-    start, end = lines.index("    model:"), lines.index("    compensation:")
-    text = "\n".join([*lines[:start], "    model: models/bad.yaml", *lines[end:]])
-    (tmp_path / "models").mkdir()
-    model = tmp_path / "models" / "bad.yaml"
-
-    model.write_text("axis: rotary\nfriction:\n  model: coulomb\n  parameters:\n    coulomb: -1\n    viscus: 0\n")
-    assert {(problem.path, problem.line, problem.field) for problem in problems_in(path, text)} == {
-        (str(model), 5, "friction.parameters.coulomb"),
-        (str(model), 6, "friction.parameters.viscus"),
-    }
-    model.write_text("axis: rotary\nfriction: [\n")
-    assert {(problem.path, problem.line) for problem in problems_in(path, text)} == {(str(model), 3)}
-    model.rename(tmp_path / "models" / "bed.yaml")
-    [problem] = problems_in(path, text)
-    assert (problem.path, problem.line, problem.field) == (str(path), start + 1, "axes.x.model")
-    assert "did you mean 'models/bed.yaml'?" in problem.message
-
-
-def test_a_shadow_whose_file_name_is_no_name(tmp_path, path):
-    (tmp_path / "My-Axis.yaml").write_text(dump(good()["axes"]["x"]["model"]))
-    values = changed(axes__x__shadows=["My-Axis.yaml"])
-    problems = problems_in(path, dump(values))
-    assert ["{name: ..., model: My-Axis.yaml}" in problem.message for problem in problems] == [True]
-
-
-def test_model_file(tmp_path):
-    path = tmp_path / "axis.yaml"
-    path.write_text("axis: linear\nfriction: {model: coulomb, parameters: {coulomb: 20.4, viscous: 203.5}}\n")
-    model = load_model_file(path)
-    assert (model.axis, model.mechanics.inertia, model.source_path) == ("linear", 0.0, path)
-    assert model.friction_model.parameters == {"coulomb": 20.4, "static": 20.4, "viscous": 203.5}
-    path.write_text("axis: linear\nfriction: {model: coulomb, parameters: {coulomb: 20.4}}\nfit: [1]\nfoo: 2\n")
-    with pytest.raises(ConfigurationError) as caught:
-        load_model_file(path)
-    assert [(problem.line, problem.field) for problem in caught.value.problems] == [(3, "fit"), (4, "foo")]
-    path.write_text("- 3\n")
-    with pytest.raises(ConfigurationError, match="is not the file that belongs here: it has none of the keys"):
-        load_model_file(path)
-
-
-def test_model_from_argument(tmp_path):
-    model = model_from_argument("lugre:sigma0=2e3, coulomb=0.08,stribeck_velocity=.2,damping_velocity=.inf")
-    assert (model.axis, model.friction.model) == ("rotary", "lugre")
-    assert model.friction_model.parameters["sigma0"] == 2000.0
-    assert model.friction_model.parameters["damping_velocity"] == math.inf
-    path = tmp_path / "file.yaml"
-    path.write_text("axis: linear\nfriction: {model: coulomb, parameters: {coulomb: 1}}\n")
-    assert model_from_argument(str(path)).axis == "linear"
-
-
-@pytest.mark.parametrize(
-    ("argument", "message"),
-    [
-        ("lugree", "did you mean 'lugre'"),
-        ("missing.yaml", "cannot be read"),
-        ("coulomb", "coulomb needs coulomb"),
-        ("coulomb:", "coulomb needs coulomb"),
-        ("coulomb:coulomb", "write coulomb:parameter=value"),
-        ("coulomb:coulomb=1,coulomb=2", "each parameter once"),
-        ("coulomb:colomb=1", "did you mean 'coulomb'"),
-        ("coulomb:coulomb=-1", "not allowed"),
-        ("coulomb:coulomb=-1" + " " * 300, "not allowed"),
-        ("coulomb:coulomb=.nan", "not allowed"),
-        ("coulomb:coulomb=1e999", "too large"),
-        ("coulomb:coulomb=1:30", "not a number"),
-        ("coulomb:coulomb=[1,2]", "not a number"),
-        ("coulomb:coulomb=[1", "is not YAML"),
-        ("coulomb:coulomb=", "is empty"),
-    ],
-)
-def test_a_wrong_argument(argument, message):
-    with pytest.raises(UsageError, match=re.escape(message)):
-        model_from_argument(argument)
-
-
 def test_the_schema_names_a_broken_driver():
     with pytest.raises(UsageError, match="'broken' cannot be imported"):
         json_schema()
@@ -574,43 +475,3 @@ def test_the_good_values_stay_good():
     before = copy.deepcopy(values)
     from_dict(values, "test")
     assert values == before
-
-
-def naming(model):
-    """A configuration whose axis has this model file."""
-    lines = GOOD.splitlines()
-    start, end = lines.index("    model:"), lines.index("    compensation:")
-    return "\n".join([*lines[:start], f"    model: {model}", *lines[end:]])
-
-
-@pytest.mark.parametrize(
-    "content",
-    [
-        "root:secret:0:0:root:/root:/bin/sh\n",
-        "services: {web: {password: secret}}\n",
-        "- secret\n",
-        "secret\n",
-        "key: *secret\n",
-        "!secret {a: 1}\n",
-        "secret: 1\nsecret: 2\n",
-        "secret: [\n",
-        b"\xffsecret",
-        "",
-    ],
-)
-def test_a_file_that_is_no_model_is_not_shown(path, content):
-    """A configuration may name any file of the machine; what is in it is not for the terminal."""
-    other = path.with_name("other.yaml")
-    other.write_bytes(content if isinstance(content, bytes) else content.encode())
-    (problem,) = problems_in(path, naming("other.yaml"))
-    assert problem.path == str(other)
-    assert (
-        problem.message == "is not the file that belongs here: it has none of the keys friction, axis, mechanics"
-        or (content == "" and problem.message == "is empty")
-    )
-
-
-def test_a_mistake_in_a_model_has_its_line(path):
-    path.with_name("other.yaml").write_text("axis: rotary\nfriction: [\n")
-    (problem,) = problems_in(path, naming("other.yaml"))
-    assert (problem.path, problem.line) == (str(path.with_name("other.yaml")), 3)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from friction_hil.daemon.follow_check import FollowCheck
@@ -58,6 +58,7 @@ def run(
     gain=st.floats(0.8, 2.0),
     damping=st.floats(0.005, 0.05),
 )
+@example(load=0.125, friction=0.09375, gain=2.0, damping=0.03125)  # rests beside its set-point, then follows it
 def test_a_load_or_friction_is_no_fault(load, friction, gain, damping):
     assert run(check(), load=load, friction=friction, gain=gain, damping=damping) is None
 

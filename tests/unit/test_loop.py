@@ -289,3 +289,30 @@ def test_the_velocity_ahead_is_the_demand_when_the_torque_acts():
     run = Run(axis(model=delayed), duration_s=1.0)
     ahead = run.column("velocity_demand_ahead")[rows]
     np.testing.assert_allclose(ahead[:-5], np.interp(t[:-5] + 4.5e-3, t, now), atol=1e-4)
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_the_motor_crosses_the_backlash_in_every_mode_and_the_offset_is_recorded(mode):
+    """The simulated axis has no gap: its motor is to follow the demand with the offset, as a motor in a gap would."""
+    with_gap = model() | {
+        "mechanics": {"inertia": 2e-4, "torque_lag_s": 3e-4, "backlash": 0.02}
+        | {"load": {"inertia": 1e-4, "friction": 0.03}}
+    }
+    runs = {}
+    for offset in (None, {"acceleration": 100.0}):
+        compensation = {"fade_s": 0.1, "transmission": offset}
+        runs[offset is not None] = run = Run(axis(mode, model=with_gap, compensation=compensation), duration_s=2.0)
+        assert run.result.faults == []
+        run.assert_within_limits()
+        run.assert_left_disabled()
+
+    def columns(run, *names):
+        return [run.column(name)[run.column("state") == LoopState.RUNNING][600:] for name in names]
+
+    offset, demand, position = columns(runs[True], "motor_offset", "position_demand", "position")
+    assert offset.max() == pytest.approx(0.01, rel=1e-3)
+    assert offset.min() == pytest.approx(-0.01, rel=1e-3)
+    none, plain_demand, plain = columns(runs[False], "motor_offset", "position_demand", "position")
+    assert not none.any()
+    error, plain_error = (np.sqrt(np.mean(each**2)) for each in (demand + offset - position, plain_demand - plain))
+    assert error < plain_error + 0.1 * 0.01

@@ -295,6 +295,52 @@ def test_following_error_takes_its_time(bench: Bench) -> None:
     assert 10 <= cycles <= 15, "the demand leaves the window after 6 or 7 cycles, then 5 ms pass"
 
 
+def test_the_window_of_the_configuration_is_that_of_the_following_error() -> None:
+    weak = {"peak_torque": 1.2 * FRICTION}
+    bench = Bench(PLAIN | {"loops": {"following_error_window": 0.02}, "motor": weak})
+    assert bench.read(0x6065) == round(0.02 * COUNTS)
+    bench.stream(8)
+    errors = []
+    for k in range(40):
+        move(bench, 8, round(5e-3 * k * COUNTS), 1)
+        errors.append(abs(bench.servo.following_error))
+        if bench.statusword & 0x2000:
+            break
+    assert 0.02 < errors[-1] < 0.1
+    assert all(error < 0.02 for error in errors[: -bench.read(0x6066, 0, "H") - 2])
+    assert bench.read(0x603F, 0, "H") == 0x8611
+
+
+def test_a_drive_with_an_encoder_at_the_load_reports_the_load() -> None:
+    load = {"inertia": 1e-4, "stiffness": 1.0, "damping": 1e-2}
+    bench = Bench(
+        PLAIN | {"mechanics": {"inertia": 1e-4, "load": load}, "encoder": {"at": "both", "load_counts": 40000}}
+    )
+    assert bench.read(0x608F, 1) == 40000
+    bench.stream(10)
+    move(bench, 10, 300, 30)
+    assert abs(bench.servo.true_position - bench.servo.load_position) > 0.01
+    assert bench.read(0x6064, 0, "i") == math.floor(bench.servo.load_position * 40000 / (2.0 * math.pi))
+
+
+def test_a_warm_drive_reports_the_temperatures_of_motor_and_gear() -> None:
+    thermal = {
+        "ambient": 20.0,
+        "winding": {"capacity": 1.0, "resistance": 0.1, "loss": 200.0},
+        "motor": {"capacity": 2.0, "resistance": 1.0},
+        "gear": {"capacity": 5.0, "resistance": 1.0},
+    }
+    bench = Bench(PLAIN | {"thermal": thermal, "friction": {"model": "coulomb", "parameters": {"coulomb": 1.0}}})
+    assert (bench.read(0x5FF0, 0, "h"), bench.read(0x5FF1, 0, "h")) == (200, 200)
+    bench.stream(10)
+    move(bench, 10, 1000, 100)
+    temperatures = bench.servo.temperatures
+    assert temperatures is not None
+    assert bench.read(0x5FF0, 0, "h") == round(10.0 * temperatures.motor) > 205
+    assert bench.read(0x5FF1, 0, "h") == 200
+    assert Bench(PLAIN).read(0x5FF0, 0, "h") == 250
+
+
 def test_following_error_can_be_switched_off(bench: Bench) -> None:
     bench.write(0x6065, 0, "I", 0xFFFFFFFF)
     bench.write(0x6072, 0, "H", 5)

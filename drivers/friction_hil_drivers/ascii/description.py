@@ -13,7 +13,7 @@ from friction_hil_drivers.ascii.checksum import Checksum
 from friction_hil_drivers.ascii.signals import AsciiSignal
 from friction_hil_drivers.ascii.template import FLOAT, NumberField, fields, parse
 from friction_hil_drivers.serial_line.description import Description, Finite, Part, Signal
-from friction_hil_drivers.serial_line.protocol import FAST, SLOW
+from friction_hil_drivers.serial_line.protocol import FAST, SLOW, TEMPERATURE
 
 LineEnd = Literal["\n", "\r", "\r\n"]
 _REPEATED_GROUP = re.compile(r"\)[*+{]")
@@ -179,7 +179,7 @@ class AsciiDescription(Description):
                 yield ("signals", name), f"no message has the signal {name}"
         plain = [message for message in self.messages.values() if not message.writes]
         readable = {name for message in plain for name in message.reads}
-        heard = {*FAST, *SLOW, *(rule.signal for rule in self.states)} & used
+        heard = {*FAST, *SLOW, TEMPERATURE, *(rule.signal for rule in self.states)} & used
         for name in sorted(heard - readable):
             yield ("signals", name), f"no message reads {name} without writing something"
         for key, step in self._steps():

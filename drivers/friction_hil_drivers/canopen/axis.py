@@ -19,11 +19,13 @@ from friction_hil_drivers.canopen.codec import (
     next_controlword,
 )
 from friction_hil_drivers.canopen.configure import ConfiguredDrive
+from friction_hil_drivers.canopen.load_encoder import LoadEncoder
 from friction_hil_drivers.canopen.mapping import MappedPdo
 from friction_hil_drivers.canopen.monitor import NodeCondition, NodeMonitor
 from friction_hil_drivers.canopen.notices import Notices
 from friction_hil_drivers.canopen.sdo_stop import CyclicSdo
 from friction_hil_drivers.canopen.sync_answers import SyncAnswers
+from friction_hil_drivers.canopen.temperature import TemperatureRead
 from friction_hil_drivers.cia402 import profile
 
 Handler = Callable[[bytes], None]  # takes the data of a frame
@@ -83,6 +85,7 @@ class CanopenAxis:
         "_is_plain",
         "_is_reported",
         "_left_ns",
+        "_load",
         "_measured",
         "_message",
         "_missed",
@@ -94,6 +97,7 @@ class CanopenAxis:
         "_sdo",
         "_short",
         "_state",
+        "_temperature",
         "_waits_for_older",
         "_why_no_sync",
         "controlword",
@@ -118,7 +122,9 @@ class CanopenAxis:
         self._monitor = NodeMonitor(node, heartbeat_s)
         self._answers = SyncAnswers(len(drive.tpdos))
         standstill = max(1.0, _STANDSTILL_PER_S * abs(drive.units.velocity_per_unit))
-        self._sdo = CyclicSdo(node, standstill, drive.axis_number)
+        self._load = None if drive.load_encoder is None else LoadEncoder(drive.tpdos, drive.load_encoder)
+        self._temperature = TemperatureRead(drive.temperature, drive.first_temperature)
+        self._sdo = CyclicSdo(node, standstill, drive.axis_number, self._temperature)
         self._notices = Notices()
         self._now_ns = self._heard_ns = self._left_ns = self._nmt_start_ns = 0
         self._decoder = FeedbackDecoder(drive.tpdos, drive.units, drive.mode, drive.period_s)
@@ -200,6 +206,7 @@ class CanopenAxis:
         """Begin the cyclic phase; in simulated time no TPDO comes late, and one that is lost is not waited for."""
         self._now_ns = self._heard_ns = now_ns
         self._waits_for_older = is_real
+        self._temperature.start(now_ns)
 
     def begin_cycle(self, now_ns: int, why_no_sync: str = "") -> None:
         """Forget the TPDOs that arrived before this cycle; ``why_no_sync`` is the reason for one without SYNC."""
@@ -303,15 +310,22 @@ class CanopenAxis:
         self.is_reachable = is_reachable
         state, _, feedback.position, feedback.velocity, feedback.torque, _, _ = self._measured
         feedback.is_fresh = is_fresh
+        if self._load is not None:
+            feedback.load_position = self._load.position
         if is_fresh and is_reachable:
             feedback.state, feedback.missing = state, ""
-            self.needs_other_frames = self._sdo.is_stopping or self._sdo.error_code.attempts_left > 0
+            is_asking = self._sdo.is_stopping or self._sdo.error_code.attempts_left > 0
+            self.needs_other_frames = is_asking or now_ns >= self._temperature.due_ns
         else:
             feedback.state, feedback.missing = self.state, "" if is_fresh else self._missing()
             self.needs_other_frames = self._sdo.is_active or not is_reachable or self._missed > _BLIND_CYCLES
         feedback.error = self._error
         feedback.message = self._message
         feedback.is_reachable = is_reachable
+        feedback.temperature = self._temperature.value
+        if self._temperature.notice:
+            self._notices.add(self._temperature.notice)
+            self._temperature.notice = ""
         if self._notices.waiting:
             feedback.notices += self._notices.waiting
             self._notices.waiting.clear()
@@ -322,6 +336,8 @@ class CanopenAxis:
 
     def _take_measurement(self, now_ns: int) -> None:
         """Decode the TPDOs of this cycle."""
+        if self._load is not None:
+            self._load.take(self._frames)
         before = self._measured
         measured = self._decoder.decode(self._frames, before, self._missed + 1)
         state_before, was, _, _, _, _, statusword_before = before
@@ -389,7 +405,7 @@ class CanopenAxis:
         return word
 
     def other_frames(self, request: Request, now_ns: int) -> list[Frame]:
-        """Return what is to be sent beside the RPDO: the stop of a drive that RPDOs do not reach, reading of 603Fh."""
+        """Return what is to be sent beside the RPDO: a stop by SDO, reading of 603Fh and of the temperature."""
         frames: list[Frame] = []
         is_blind_stop = self._missed > _BLIND_CYCLES and request in (Request.QUICK_STOP, Request.DISABLE)
         is_out_of_reach = not self.is_reachable or is_blind_stop

@@ -7,13 +7,15 @@ from typing import TYPE_CHECKING
 
 from friction_hil.drive import AxisFacts, DriveState, Mode
 from friction_hil.errors import DriveError
-from friction_hil_drivers.canopen import codes, objects
+from friction_hil_drivers.canopen import codes, delays, objects
 from friction_hil_drivers.canopen.eds import load_eds
+from friction_hil_drivers.canopen.load_encoder import LoadEncoderOptions, require_object
 from friction_hil_drivers.canopen.mapping import COMMANDS, FEEDBACK, MappedPdo, PdoRecord, switch_off
 from friction_hil_drivers.canopen.negotiation import FoundPdo, PdoNegotiator
 from friction_hil_drivers.canopen.objects import Object
 from friction_hil_drivers.canopen.options import CanopenOptions, canopen_options
 from friction_hil_drivers.canopen.scales import read_scales, require_agreement, require_velocity_unit
+from friction_hil_drivers.canopen.temperature import TemperatureOptions, read_first
 from friction_hil_drivers.canopen.unit_table import resolution_notes, unit_rows
 from friction_hil_drivers.canopen.units import PER_MILLE, CanopenUnits
 from friction_hil_drivers.canopen.watchdog_times import WatchdogTimes
@@ -24,9 +26,6 @@ if TYPE_CHECKING:
     from friction_hil.config import AxisConfig
     from friction_hil_drivers.canopen.sdo import SdoClient
 
-_ACTUATION_DELAY_CYCLES = 1.5  # sampled at one SYNC, in force from the next, for one period: by its middle
-_SETPOINT_DELAY_CYCLES = {Mode.CSP: 2.5, Mode.CSV: 2.0, Mode.CST: 1.5}
-_DELAY_ON_ARRIVAL_CYCLES = 1.0  # an RPDO that acts when it arrives comes within the period, and then acts for one
 _STAY_IN_QUICK_STOP = 6  # 605Ah
 # Feedback that a drive may lack, in the order in which it is done without, and what follows
 _WITHOUT = {
@@ -49,6 +48,9 @@ class ConfiguredDrive:
     period_s: float
     watch: Watch = NOT_WATCHED
     axis_number: int = 0  # in a node with several axes
+    temperature: TemperatureOptions | None = None
+    first_temperature: float = math.nan  # deg C
+    load_encoder: LoadEncoderOptions | None = None
 
 
 def configure(
@@ -94,6 +96,8 @@ def configure(
     feedback, absent = _feedback_objects(access)
     commands, without = _command_objects(access, mode, is_compensated=axis.compensation.enabled)
     notes += absent + without
+    if options.load_encoder is not None:
+        feedback.append(require_object(access, options.load_encoder))
     if options.eds is not None:
         _check_eds(options, access, (*feedback, *commands))
     scales = read_scales(access, options, axis.model.axis)
@@ -125,10 +129,25 @@ def configure(
         torque_delay_s=0.0 if has_torque else None,
         velocity_resolution=1.0 / abs(units.velocity_per_unit),
         units=unit_rows(scales, axis.limits, mode, axis.model.axis),
+        has_load_encoder=options.load_encoder is not None,
     )
+    first = math.nan if options.temperature is None else read_first(access, options.temperature)
     code = access.find(objects.ERROR_CODE) if state is DriveState.FAULT else None
     error = profile.error_text(code) if code else ""
-    return ConfiguredDrive(facts, units, mode, tpdos, rpdos, error, period_s, watch, options.axis_number)
+    return ConfiguredDrive(
+        facts,
+        units,
+        mode,
+        tpdos,
+        rpdos,
+        error,
+        period_s,
+        watch,
+        options.axis_number,
+        options.temperature,
+        first,
+        options.load_encoder,
+    )
 
 
 def with_notes(drive: ConfiguredDrive, notes: Sequence[str]) -> ConfiguredDrive:
@@ -139,14 +158,15 @@ def with_notes(drive: ConfiguredDrive, notes: Sequence[str]) -> ConfiguredDrive:
 
 def _actuation_delay_cycles(rpdos: Sequence[MappedPdo]) -> float:
     """Return the periods from a sample to the middle of the time for which the torque computed from it acts."""
-    return _ACTUATION_DELAY_CYCLES if all(pdo.is_synchronous for pdo in rpdos) else _DELAY_ON_ARRIVAL_CYCLES
+    is_at_sync = all(pdo.is_synchronous for pdo in rpdos)
+    return delays.ACTUATION_CYCLES if is_at_sync else delays.ACTUATION_ON_ARRIVAL_CYCLES
 
 
 def _setpoint_delay_cycles(options: CanopenOptions, mode: Mode, rpdos: Sequence[MappedPdo]) -> float:
     if options.setpoint_delay_cycles is not None:
         return options.setpoint_delay_cycles
-    earlier = _ACTUATION_DELAY_CYCLES - _actuation_delay_cycles(rpdos)
-    return _SETPOINT_DELAY_CYCLES[mode] - earlier
+    earlier = delays.ACTUATION_CYCLES - _actuation_delay_cycles(rpdos)
+    return delays.SETPOINT_CYCLES[mode] - earlier
 
 
 def _identify(access: "SdoClient", options: CanopenOptions) -> str:

@@ -234,7 +234,8 @@ class Journal:
         DriveError
             The drive does not answer any more; then everything stays in the file.
         """
-        for group in restoration(list(self._found.values())):
+        refused = [group for group in restoration(list(self._found.values())) if not self._restore_group(group)]
+        for group in refused:  # e.g. a value of 60C2h that is too short a time with the exponent of this run
             self._restore_group(group)
         left: dict[Address, Found] = {}
         words = []
@@ -253,17 +254,20 @@ class Journal:
         is_mapping = any(entry.index in indices for indices in _PDO_MAPPINGS) and entry.subindex > 0
         return is_mapping and count is not None and entry.subindex > _number(count.found)
 
-    def _restore_group(self, group: Sequence[Step]) -> None:
+    def _restore_group(self, group: Sequence[Step]) -> bool:
+        """Write a group; return False if the drive refused a part of it."""
         wanted = dict(group)  # the last value of each object
         if all(self._access.peek(entry) == data for entry, data in wanted.items()):
-            return
+            return True
+        is_taken = True
         for entry, data in group:
             try:
                 self._access.download(entry, data)
             except DriveError as error:
                 if error.code != codes.SDO_ABORT:
                     raise
-                # told by the comparison afterwards
+                is_taken = False  # reported by the comparison afterwards, if it stays so
+        return is_taken
 
     def what_is_left(self) -> list[str]:
         """Return what has not been restored, in words."""

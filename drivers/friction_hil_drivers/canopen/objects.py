@@ -118,6 +118,10 @@ REVISION_NUMBER = Object(0x1018, "revision number", _U32, 3)
 SERIAL_NUMBER = Object(0x1018, "serial number", _U32, 4)
 COMMUNICATION_ERROR_BEHAVIOUR = Object(0x1029, "communication error behaviour", _U8, 1)
 
+# Of the simulated drive alone: each manufacturer has another object for a temperature, or none
+SIMULATED_MOTOR_TEMPERATURE = Object(0x5FF0, "motor temperature", _I16)  # 0.1 deg C
+SIMULATED_GEAR_TEMPERATURE = Object(0x5FF1, "gear temperature", _I16)
+
 # Drive profile, CiA 402
 ABORT_CONNECTION_OPTION = Object(0x6007, "abort connection option code", _I16)
 ERROR_CODE = Object(0x603F, "error code", _U16)

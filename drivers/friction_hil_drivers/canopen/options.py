@@ -6,8 +6,10 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator
 
+from friction_hil_drivers.canopen.load_encoder import LoadEncoderOptions
 from friction_hil_drivers.canopen.si_units import parse_velocity_unit
 from friction_hil_drivers.canopen.sidecar_options import SidecarOptions
+from friction_hil_drivers.canopen.temperature import TemperatureOptions
 from friction_hil_drivers.canopen.watchdog_times import WatchdogTimes, contradictions, watchdog_times
 
 if TYPE_CHECKING:
@@ -85,6 +87,12 @@ class CanopenOptions(BaseModel):
     is_mode_check_required: bool = Field(
         True, description="refuse a drive whose 6502h does not list the mode; false: its 6502h may be wrong, try it"
     )
+    temperature: TemperatureOptions | None = Field(
+        None, description="object with a temperature for the friction model, read by SDO; by default none is read"
+    )
+    load_encoder: LoadEncoderOptions | None = Field(
+        None, description="object with the position of an encoder at the load, recorded; by default there is none"
+    )
     sidecar: SidecarOptions | None = Field(
         None, description="PDOs as the master of the drive has mapped them; needed with bus.role: sidecar"
     )
@@ -153,6 +161,9 @@ def _sidecar_mistakes(axes: "Mapping[str, AxisConfig]", *, is_sidecar: bool) -> 
             if options.sidecar is not None:
                 yield name, "sidecar", "is only for bus.role: sidecar"
             continue
+        for field in ("temperature", "load_encoder"):
+            if getattr(options, field) is not None:
+                yield name, field, "is not possible with bus.role: sidecar, which does not ask the drive"
         for field, reason in (
             ("sidecar", "must list the PDOs as the master has mapped them"),
             ("counts_per_unit", "must be given with bus.role: sidecar, which does not ask the drive"),

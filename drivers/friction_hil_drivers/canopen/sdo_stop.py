@@ -13,6 +13,7 @@ from friction_hil_drivers.canopen import objects, raw_sdo
 from friction_hil_drivers.canopen.codec import Frame
 from friction_hil_drivers.canopen.objects import Object
 from friction_hil_drivers.canopen.raw_sdo import SdoAnswer
+from friction_hil_drivers.canopen.temperature import TemperatureRead
 from friction_hil_drivers.cia402 import profile
 
 _MS = 1_000_000
@@ -206,6 +207,8 @@ class CyclicSdo:
         See `SdoStop`.
     axis : int
         Number of the axis in a node with several.
+    temperature : TemperatureRead, optional
+        What is read when nothing else is to be asked.
 
     Attributes
     ----------
@@ -215,16 +218,28 @@ class CyclicSdo:
     error_code : ErrorCodeRead
     """
 
-    __slots__ = ("_axis", "_deadline_ns", "_is_for_stop", "_node", "_pending", "error_code", "is_stopping", "stop")
+    __slots__ = (
+        "_axis",
+        "_deadline_ns",
+        "_is_for_stop",
+        "_is_temperature",
+        "_node",
+        "_pending",
+        "_temperature",
+        "error_code",
+        "is_stopping",
+        "stop",
+    )
 
-    def __init__(self, node: int, standstill: float, axis: int = 0) -> None:
+    def __init__(self, node: int, standstill: float, axis: int = 0, temperature: TemperatureRead | None = None) -> None:
         self._node = node
         self._axis = axis
         self.stop = SdoStop(standstill)
         self.error_code = ErrorCodeRead()
         self.is_stopping = False
         self._pending: Request | None = None
-        self._is_for_stop = False
+        self._is_for_stop = self._is_temperature = False
+        self._temperature = TemperatureRead(None) if temperature is None else temperature
         self._deadline_ns = 0
 
     @property
@@ -252,8 +267,12 @@ class CyclicSdo:
         request = self.stop.request(now_ns) if self.is_stopping else None
         self._is_for_stop = request is not None
         request = request or self.error_code.request()
+        self._is_temperature = request is None
         if request is None:
-            return None
+            entry = self._temperature.request(now_ns)
+            if entry is None:
+                return None
+            request = Request(entry)
         self._pending, self._deadline_ns = request, now_ns + ANSWER_NS
         return request.of_axis(self._axis).frame(self._node)
 
@@ -267,5 +286,7 @@ class CyclicSdo:
         self._pending = None
         if self._is_for_stop:
             self.stop.take(request, answer, now_ns)
+        elif self._is_temperature:
+            self._temperature.take(answer)
         else:
             self.error_code.take(answer)

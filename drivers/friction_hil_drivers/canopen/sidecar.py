@@ -15,6 +15,7 @@ from friction_hil.drive import AxisFacts, Clock, Command, DriveState, Feedback, 
 from friction_hil.drive.phase_lock import PhaseLock
 from friction_hil.errors import BusError, DriveError
 from friction_hil_drivers.canopen import codes, objects
+from friction_hil_drivers.canopen.delays import SETPOINT_CYCLES
 from friction_hil_drivers.canopen.exclusive import AxisLock
 from friction_hil_drivers.canopen.interfaces import bus_name
 from friction_hil_drivers.canopen.mapping import check_bus_load
@@ -37,8 +38,6 @@ _ATTEMPTS = 3  # a computer that was held up may have stamped SYNC unevenly
 # RPDO of type 255: in force as soon as it arrives, some 0.25 periods after SYNC, and held for a period
 _REAL_ACTUATION_CYCLES = 0.75
 _STEPPED_ACTUATION_CYCLES = 0.5  # simulated time stands still between SYNC and the offset
-# from a set-point's own cycle to the drive's demand; the sidecar uses it one cycle later
-_SETPOINT_DELAY_CYCLES = {Mode.CSP: 2.5, Mode.CSV: 2.0, Mode.CST: 1.5}
 
 
 class SidecarDrives:
@@ -165,7 +164,8 @@ class SidecarDrives:
         delay_cycles = 0.0
         if demand_object(options.sidecar) is objects.TARGET_POSITION:
             given = options.setpoint_delay_cycles
-            delay_cycles = (_SETPOINT_DELAY_CYCLES[mode] if given is None else given) - 1.0
+            # the sidecar uses a set-point one cycle later
+            delay_cycles = (SETPOINT_CYCLES[mode] if given is None else given) - 1.0
         actuation_cycles = _REAL_ACTUATION_CYCLES if self._clock.is_real else _STEPPED_ACTUATION_CYCLES
         facts = AxisFacts(
             name=name,

@@ -56,7 +56,8 @@ def resolution_notes(scales: Scales, axis: "AxisConfig") -> list[str]:
             f"a step of the drive's torque is {step:.3g} {force}, more than limits.torque ({limit:g} {force}): no "
             "torque can be sent"
         ]
-    level = abs(float(axis.model.friction_model.steady_state(np.array([_SPEED * axis.limits.velocity]))[0]))
+    velocity = np.array([_SPEED * axis.limits.velocity])
+    level = abs(float(axis.model.friction_model.steady_state(velocity, load_torque=0.0)[0]))
     if 0.0 < level * _COARSE < step:
         return [
             f"a step of the drive's torque is {step:.3g} {force}, and the friction of the model {level:.3g} {force}: "

@@ -12,7 +12,7 @@ from friction_hil.errors import OptionError
 from friction_hil_drivers.cia402 import profile
 from friction_hil_drivers.serial_line import codes
 from friction_hil_drivers.serial_line.description import Description, Signal, Step
-from friction_hil_drivers.serial_line.protocol import COMMANDS, Image
+from friction_hil_drivers.serial_line.protocol import COMMANDS, TEMPERATURE, Image
 from friction_hil_drivers.serial_line.read_back import contradiction
 from friction_hil_drivers.serial_line.sequences import Sequencer, disable_writes, meaning_of, state_of, state_signals
 from friction_hil_drivers.serial_line.units import LINEAR, NEEDS, ROTARY, UNITS, AxisUnits
@@ -125,6 +125,7 @@ class SerialAxis:
         self._scales = scales.of
         self._position_scale = scales.of["position"]
         self._velocity_scale = scales.of.get("velocity")
+        self._temperature_scale = description.units()[TEMPERATURE].scale if TEMPERATURE in description.units() else 1.0
         self._torque_scale = scales.of.get("torque", 0.0)
         self._position_bits = scales.position_bits
         self._commands = commands
@@ -173,6 +174,7 @@ class SerialAxis:
         feedback.position = self._position
         feedback.velocity = self._velocity
         feedback.torque = values.get("torque", 0.0) * self._torque_scale
+        feedback.temperature = values.get(TEMPERATURE, math.nan) * self._temperature_scale
         feedback.state = self.state
         feedback.is_fresh = is_fresh
         number = values.get("error", 0.0)

@@ -17,7 +17,16 @@ from friction_hil_drivers.serial_line.bus import SerialBus
 from friction_hil_drivers.serial_line.description import Description, Step, load_description
 from friction_hil_drivers.serial_line.line import Line
 from friction_hil_drivers.serial_line.options import SerialOptions
-from friction_hil_drivers.serial_line.protocol import FAST, SLOW, CycleSignals, Exchange, Image, Plan, ProtocolFactory
+from friction_hil_drivers.serial_line.protocol import (
+    FAST,
+    SLOW,
+    TEMPERATURE,
+    CycleSignals,
+    Exchange,
+    Image,
+    Plan,
+    ProtocolFactory,
+)
 from friction_hil_drivers.serial_line.scheduler import BusScheduler
 from friction_hil_drivers.serial_line.sequences import state_signals, watchdog_steps
 from friction_hil_drivers.serial_line.set_up import arm_watchdog, write_step
@@ -93,7 +102,8 @@ class Commissioning:
                 is_inverted=options[name].is_inverted,
             )
             fast = tuple(signal for signal in FAST if signal in signals)
-            slow = tuple(signal for signal in signals if signal in (*SLOW, *state_signals(description)))
+            needed = (*SLOW, *_temperature_signals(config, description), *state_signals(description))
+            slow = tuple(signal for signal in signals if signal in needed)
             commanded[name] = CycleSignals(fast, slow, mode.commands)
             listening_to[name] = CycleSignals(fast, slow, ())
             before = (*mode.prepare, *self._watchdog_steps(name, description))
@@ -199,7 +209,8 @@ class Commissioning:
         notes = [*bus.scheduler.line.notes()]
         if description.inferred:
             notes.append(str(_sources(axis.name, description)))
-        for name in [n for n in description.units() if n in (*FAST, *SLOW, *axis.state_signals)]:
+        temperature = _temperature_signals(self._configs[axis.name], description)
+        for name in [n for n in description.units() if n in (*FAST, *SLOW, *temperature, *axis.state_signals)]:
             bus.transact(axis.name, bus.protocol.read(axis.name, (name,)))
         state = axis.read_state()
         if state is DriveState.UNKNOWN and not self._dry_run:
@@ -330,6 +341,13 @@ def descriptions_of(
     return {
         name: load_description(options_of(axis).description, beside, directory, kind) for name, axis in axes.items()
     }
+
+
+def _temperature_signals(config: "AxisConfig", description: Description) -> tuple[str, ...]:
+    """Return the signal of the temperature, if the drive has one and a friction model of the axis depends on it."""
+    models = (config.model, *(shadow.model for shadow in config.shadows))
+    is_needed = any(model.friction_model.depends_on_temperature for model in models)
+    return (TEMPERATURE,) if is_needed and TEMPERATURE in description.units() else ()
 
 
 def _torque_delay_s(plan: Plan, period_s: float) -> float | None:

@@ -12,13 +12,14 @@ from friction_hil.checked_yaml.text import FieldPath, resolve
 from friction_hil.drive import DriveState
 from friction_hil.errors import UsageError, choices
 from friction_hil_drivers.serial_line import protocol
-from friction_hil_drivers.serial_line.units import POSITIONS, TORQUES, UNITS, VELOCITIES
+from friction_hil_drivers.serial_line.units import POSITIONS, TEMPERATURES, TORQUES, UNITS, VELOCITIES
 
 STATES = {state.name.lower(): state for state in DriveState}
 _UNITS_OF = {
     "position": POSITIONS,
     "velocity": VELOCITIES,
     "torque": TORQUES,
+    "temperature": TEMPERATURES,
     "position_command": POSITIONS,
     "velocity_command": VELOCITIES,
     "torque_command": TORQUES,
@@ -252,7 +253,8 @@ class Description(Part):
             if name in signals and signals[name].unit not in units:
                 text = f"{name} is in {signals[name].unit or 'no unit'}; it may be in {', '.join(units)}"
                 yield ("signals", name), text
-            if name in signals and not name.startswith("position") and not signals[name].has_sign:
+            is_directed = not name.startswith(("position", "temperature"))
+            if name in signals and is_directed and not signals[name].has_sign:
                 yield ("signals", name), f"{name} has no sign: torques and velocities have two directions"
         if self.watchdog is not None and self.watchdog.signal in signals:
             signal = signals[self.watchdog.signal]

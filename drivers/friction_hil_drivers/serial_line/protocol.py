@@ -7,6 +7,7 @@ from typing import Any, Protocol, TypeVar
 
 # Signals that the driver itself uses; a description may have others for its sequences.
 FAST = ("position", "velocity")  # read in every cycle
+TEMPERATURE = "temperature"  # read as those that follow, where the friction model depends on it
 SLOW = ("torque", "status", "error")  # read in every cycle if that costs no request, else by background reads
 COMMANDS = ("position_command", "velocity_command", "torque_command")
 _SHOWN = 60  # characters

@@ -47,6 +47,7 @@ UNITS: dict[str, Callable[[AxisUnits], float]] = {
     "per_mille": lambda a: a.rated_torque / 1000.0,
     "percent": lambda a: a.rated_torque / 100.0,
     "s": lambda a: 1.0,
+    "deg C": lambda a: 1.0,
     "": lambda a: 1.0,
 }
 NEEDS = {
@@ -58,6 +59,7 @@ NEEDS = {
 }
 POSITIONS = ("count", "rad", "turn", "deg", "m", "mm")
 VELOCITIES = ("count/s", "rad/s", "turn/s", "deg/s", "rpm", "m/s", "mm/s")
+TEMPERATURES = ("deg C", "")
 TORQUES = ("N m", "N", "A", "per_mille", "percent")
 ROTARY = ("rad", "rad/s", "turn", "turn/s", "deg", "deg/s", "rpm", "N m")
 LINEAR = ("m", "m/s", "mm", "mm/s", "N")

@@ -48,12 +48,13 @@ def work(job: Job, ring_descriptor: int, number: int) -> int:
                 return CANNOT_OPEN
             warn(reason)
             path = None
+    parent = os.getppid()  # read while its death would end this process too: so it is the supervisor
     die_with_parent(is_wanted=False)  # only while the file is being opened, which may take forever
     say(opened=path and str(path), pid=os.getpid())
     status = StatusLine(job) if job.status_line else None
     control = select.poll()
     control.register(_INPUT, 0)  # no event but the hang-up, which is always reported
-    parent, looked_s = os.getppid(), time.monotonic()
+    looked_s = time.monotonic()
     while True:
         if os.getppid() != parent:
             parent = os.getppid()

@@ -1,0 +1,144 @@
+"""Temperature of a motor or drive, read by SDO now and then. Neither CiA 301 nor CiA 402 has an object for it."""
+
+import math
+import struct
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, model_validator
+
+from friction_hil.drive.codes import coded
+from friction_hil.errors import DriveError
+from friction_hil_drivers.canopen import codes
+from friction_hil_drivers.canopen.objects import DataType, Object
+
+if TYPE_CHECKING:
+    from friction_hil_drivers.canopen.object_reader import ObjectReader
+    from friction_hil_drivers.canopen.raw_sdo import SdoAnswer
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+_FORMATS = {
+    "int8": "<b",
+    "int16": "<h",
+    "int32": "<i",
+    "uint8": "<B",
+    "uint16": "<H",
+    "uint32": "<I",
+    "float32": "<f",
+}
+_PATIENCE = 5  # readings that may fail in a row
+NEVER_NS = 1 << 62
+
+
+class TemperatureOptions(BaseModel):
+    """Object of the manufacturer that holds a temperature: number times scale plus offset, deg C."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    index: int = Field(ge=0x2000, le=0x9FFF, description="index of the object, e.g. 0x2030")
+    subindex: int = Field(0, ge=0, le=255, description="sub-index of the object")
+    type: Literal["int8", "int16", "int32", "uint8", "uint16", "uint32", "float32"] = Field(
+        "int16", description="data type of the object"
+    )
+    scale: Finite = Field(1.0, description="deg C per unit of the object, e.g. 0.1")
+    offset: Finite = Field(0.0, description="deg C at 0 of the object, e.g. -273.15 for kelvin")
+    interval_s: float = Field(1.0, ge=0.1, le=3600.0, description="time between two readings, s")
+
+    @model_validator(mode="after")
+    def _check_scale(self) -> "TemperatureOptions":
+        if self.scale == 0.0:
+            raise ValueError("scale must not be 0: every reading would be the offset")
+        return self
+
+    @property
+    def entry(self) -> Object:
+        """The object."""
+        return Object(self.index, "temperature", DataType.INTEGER32, self.subindex)
+
+    @property
+    def size(self) -> int:
+        """Number of bytes of the object."""
+        return struct.calcsize(_FORMATS[self.type])
+
+    def decode(self, data: bytes) -> float:
+        """Return the temperature, deg C; NaN where the data have another size than the type."""
+        if len(data) != self.size:
+            return math.nan
+        return float(struct.unpack(_FORMATS[self.type], data)[0]) * self.scale + self.offset
+
+
+def read_first(access: "ObjectReader", options: TemperatureOptions) -> float:
+    """Read the temperature before the cyclic phase, deg C.
+
+    Raises
+    ------
+    DriveError
+        The drive has no such object, or one of another size.
+    """
+    data = access.bytes_of(options.entry)
+    if data is None:
+        text = f"{access.axis}: {access.where} {access.why_absent(options.entry)} object {options.entry}"
+        raise DriveError(text, "correct or remove the key temperature of the axis", codes.OBJECT_MISSING)
+    if len(data) != options.size:
+        text = (
+            f"{access.axis}: {options.entry} of {access.where} has {len(data)} bytes, but temperature.type: "
+            f"{options.type} has {options.size}"
+        )
+        raise DriveError(text, "correct temperature.type of the axis", codes.OBJECT_SIZE)
+    return options.decode(data)
+
+
+class TemperatureRead:
+    """Readings in the cyclic phase, one each `TemperatureOptions.interval_s`.
+
+    Parameters
+    ----------
+    options : TemperatureOptions or None
+        None: there is nothing to read.
+    first : float
+        Temperature that was read before, deg C.
+
+    Attributes
+    ----------
+    value : float
+        Last temperature, deg C; NaN where the last readings failed.
+    due_ns : int
+        Time of the next reading.
+    notice : str
+        For the user, to be taken once; empty in most cycles.
+    """
+
+    __slots__ = ("_failed", "_interval_ns", "_options", "due_ns", "notice", "value")
+
+    def __init__(self, options: TemperatureOptions | None, first: float = math.nan) -> None:
+        self._options = options
+        self._interval_ns = 0 if options is None else round(options.interval_s * 1e9)
+        self._failed = 0
+        self.value = first
+        self.due_ns = NEVER_NS
+        self.notice = ""
+
+    def start(self, now_ns: int) -> None:
+        """Begin to count the time of the readings."""
+        if self._options is not None:
+            self.due_ns = now_ns + self._interval_ns
+
+    def request(self, now_ns: int) -> Object | None:
+        """Return the object to be read now."""
+        if self._options is None or now_ns < self.due_ns:
+            return None
+        self.due_ns = now_ns + self._interval_ns
+        return self._options.entry
+
+    def take(self, answer: "SdoAnswer | None") -> None:
+        """Take the answer; None: there was none."""
+        assert self._options is not None
+        value = math.nan if answer is None else self._options.decode(answer.data)
+        if math.isfinite(value):
+            self.value, self._failed = value, 0
+            return
+        self._failed += 1
+        if self._failed == _PATIENCE:
+            self.value = math.nan
+            why = "does not answer" if answer is None else "refuses it" if answer.is_abort else "answers with no number"
+            text = f"{self._options.entry} was not read {_PATIENCE} times in a row: the drive {why}"
+            self.notice = coded(text, codes.OBJECT_MISSING)

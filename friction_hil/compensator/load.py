@@ -1,0 +1,42 @@
+"""The torque that the transmission carries, from the demanded motion: weight and inertia of the load.
+
+It is the load of load-dependent friction, and with the load's friction it tells gap and twist of the transmission. All
+of it comes from the demand: computed from the measured motion, the compensation would change what it is computed from.
+Without a demand only the weight is known, at the measured position.
+"""
+
+import math
+from typing import Any
+
+from friction_hil.numerics.jit import inlined
+
+
+@inlined
+def gravity(c: Any, position: float) -> float:
+    """Return the torque of gravity at a position, N m, positive if it opposes positive motion."""
+    if c.gravity_sine == 0.0 and c.gravity_cosine == 0.0:
+        return float(c.gravity_constant)
+    return float(c.gravity_constant + c.gravity_sine * math.sin(position) + c.gravity_cosine * math.cos(position))
+
+
+@inlined
+def transmitted_torque(
+    c: Any, reached: float, position_demand: float, velocity_ahead: float, acceleration: float
+) -> float:
+    """Return the torque of the load when this cycle's torque acts, N m, positive if it opposes positive motion.
+
+    Parameters
+    ----------
+    c : record
+        Settings of the compensator.
+    reached : float
+        Measured position, advanced to that moment; used where no position is demanded.
+    position_demand : float
+        Demanded position now; NaN where unknown.
+    velocity_ahead, acceleration : float
+        Demanded velocity and acceleration at that moment; NaN where unknown.
+    """
+    if math.isfinite(position_demand) and math.isfinite(velocity_ahead):
+        reached = position_demand + c.lead_s * velocity_ahead
+    weight = gravity(c, reached)
+    return float(weight + c.load_inertia * acceleration) if math.isfinite(acceleration) else weight

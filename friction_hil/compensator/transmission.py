@@ -1,0 +1,109 @@
+"""Position offset of the motor that keeps the load on the demanded path, across gap and twist of the transmission.
+
+The encoder is at the motor. The load stays behind it by half the gap, on the side of contact, and by the twist, the
+torque that the transmission carries over its stiffness. That torque is computed from the demand: weight, inertia and
+friction of the load. Its sign is the side of contact. Where friction prevails, that is the direction of the demand; a
+weight can hold the contact on one side, and a load that is braked harder than its friction brakes it goes over to the
+other side before it stops.
+
+The offset goes to its new value as fast as the drive can follow: in the shortest time within a velocity and an
+acceleration, by the discrete time-optimal control of a double integrator (J. Han, "From PID to active disturbance
+rejection control", IEEE Trans. Ind. Electron. 56, 2009).
+"""
+
+import math
+from typing import Any
+
+from friction_hil.compensator import load
+from friction_hil.numerics.jit import inlined
+
+HISTORY = 16  # cycles of the offset that are kept: the longest lead
+_HEADROOM = 0.5  # of what the path leaves of the velocity limit
+
+
+@inlined
+def forget(r: Any) -> None:
+    """Start without an offset, on neither side."""
+    r.side = r.direction = r.offset = r.offset_velocity = 0.0
+    for k in range(HISTORY):
+        r.offsets[k] = r.offset_velocities[k] = 0.0
+
+
+@inlined
+def _target(c: Any, r: Any, position: float, velocity: float, acceleration: float) -> float:
+    """Return the offset at which the load is on its path.
+
+    At rest, friction holds the load: the twist stays, and the side of contact where the rest of the torque is less.
+    """
+    driven = load.gravity(c, position)
+    if math.isfinite(acceleration):
+        driven += c.load_inertia * acceleration
+    if velocity != 0.0:
+        r.direction = math.copysign(1.0, velocity)
+    carried = driven + r.direction * c.load_friction
+    if carried != 0.0 and (velocity != 0.0 or abs(driven) > c.load_friction):
+        r.side = math.copysign(1.0, carried)
+    offset = r.side * 0.5 * c.gap + c.compliance * carried
+    return float(min(max(offset, -c.offset_limit), c.offset_limit))
+
+
+@inlined
+def _advance(c: Any, r: Any, target: float, bound: float) -> None:
+    """Move the offset by one period towards ``target``, at no more than the velocity ``bound``."""
+    dt = c.period_s
+    step = c.offset_acceleration * dt * dt
+    drift = dt * r.offset_velocity
+    miss = r.offset - target + drift
+    if abs(miss) > step:
+        push = drift + math.copysign(0.5 * (math.sqrt(step * (step + 8.0 * abs(miss))) - step), miss)
+    else:
+        push = drift + miss
+    wanted = r.offset_velocity - c.offset_acceleration * dt * min(max(push / step, -1.0), 1.0)
+    wanted = min(max(wanted, -bound), bound)
+    change = c.offset_acceleration * dt
+    r.offset = min(max(r.offset + drift, -c.offset_limit), c.offset_limit)
+    r.offset_velocity = min(max(wanted, r.offset_velocity - change), r.offset_velocity + change)
+
+
+@inlined
+def _at(values: Any, cycles: float) -> float:
+    """Return the value ``cycles`` ago, on the line between samples; the oldest that is kept before that."""
+    back = min(max(cycles, 0.0), HISTORY - 2.0)
+    whole = int(back)
+    part = back - whole
+    return float((1.0 - part) * values[whole] + part * values[whole + 1])
+
+
+@inlined
+def follow(
+    c: Any, r: Any, cycles: float, position: float, velocity: float, acceleration: float, has_demand: bool
+) -> None:
+    """Advance the offset by ``cycles`` and find those of the other moments.
+
+    Parameters
+    ----------
+    c, r : record
+        Settings and state of the compensator.
+    cycles : float
+        Since the last step.
+    position, velocity, acceleration : float
+        Demand of the load when this cycle's torque acts.
+    has_demand : bool
+        Without a demand the offset returns to zero.
+    """
+    target, bound = 0.0, c.offset_velocity
+    if has_demand:
+        target = r.fade * _target(c, r, position, velocity, acceleration)
+        bound = min(bound, max(_HEADROOM * (c.velocity_limit - abs(velocity)), 0.0))
+    for _ in range(min(int(cycles), HISTORY)):
+        for k in range(HISTORY - 1, 0, -1):
+            r.offsets[k], r.offset_velocities[k] = r.offsets[k - 1], r.offset_velocities[k - 1]
+        _advance(c, r, target, bound)
+        r.offsets[0], r.offset_velocities[0] = r.offset, r.offset_velocity
+    # the newest offset is that of the set-point which is sent now, or of the torque, whichever acts later
+    lead = c.lead_s / c.period_s
+    newest = max(lead, c.setpoint_cycles)
+    r.offset_now, r.offset_now_velocity = _at(r.offsets, newest), _at(r.offset_velocities, newest)
+    r.offset_ahead_velocity = _at(r.offset_velocities, newest - lead)
+    sent = newest - c.setpoint_cycles
+    r.offset_sent, r.offset_sent_velocity = _at(r.offsets, sent), _at(r.offset_velocities, sent)

@@ -1,0 +1,280 @@
+"""An axis whose node is out of reach, or whose feedback comes late: stops by SDO, and frames without their SYNC."""
+
+import struct
+
+import pytest
+
+from friction_hil.drive import DriveState, Feedback, Mode, Request
+from tests.canopen_axis_bench import (
+    BOOT_UP,
+    HEARTBEAT,
+    MS,
+    NODE,
+    OPERATIONAL,
+    PRE_OPERATIONAL,
+    TPDO1,
+    TPDO2,
+    Bench,
+)
+
+QUICK_STOP_BY_SDO = (0x605, bytes.fromhex("2b40600002000000"))
+DISABLE_BY_SDO = (0x605, bytes.fromhex("2b40600000000000"))
+READ_STATE = (0x605, bytes.fromhex("4041600000000000"))
+READ_VELOCITY = (0x605, bytes.fromhex("406c600000000000"))
+NMT_START = (0x000, bytes([0x01, NODE]))
+WRITTEN = bytes.fromhex("6040600000000000")
+
+
+def statusword(word):
+    return struct.pack("<BHBHxx", 0x4B, 0x6041, 0, word)
+
+
+def velocity(value):
+    return struct.pack("<BHBi", 0x43, 0x606C, 0, value)
+
+
+class Stopped(Bench):
+    """An enabled axis whose node says what its NMT state is; frames beside the RPDO, answered by hand."""
+
+    def __init__(self, heartbeat, mode=Mode.CSV):
+        super().__init__(mode)
+        self.axis.handlers[HEARTBEAT](OPERATIONAL)
+        self.heard(mode=mode)
+        self.heartbeat(heartbeat)
+
+    def heartbeat(self, data):
+        self.axis.handlers[HEARTBEAT](data)
+
+    def ask(self, request=Request.QUICK_STOP):
+        return self.axis.other_frames(request, self.now_ns) if self.axis.needs_other_frames else []
+
+    def answer(self, data, after_ms=1, request=Request.QUICK_STOP):
+        """Answer by SDO; the feedback and the frames of the next cycle."""
+        self.axis.handlers[0x585](data)
+        feedback = self.cycle(after_ms=after_ms)
+        return feedback, self.ask(request)
+
+
+def test_a_node_that_left_operational_is_started_and_stopped_by_sdo_at_once():
+    bench = Stopped(PRE_OPERATIONAL)
+    feedback = bench.cycle()
+    assert (feedback.is_reachable, feedback.state) == (False, DriveState.UNKNOWN)
+    assert bench.ask() == [NMT_START, QUICK_STOP_BY_SDO]
+    assert bench.answer(WRITTEN)[1] == [READ_STATE]
+    feedback, frames = bench.answer(statusword(0x0217))
+    assert feedback.state is DriveState.QUICK_STOP_ACTIVE
+    assert frames == [READ_VELOCITY]
+    frames = bench.answer(velocity(400))[1]
+    assert frames == [READ_STATE]
+    assert bench.answer(statusword(0x0217))[1] == [READ_VELOCITY]
+    for _ in range(2):  # it stands for a while before its power is taken
+        assert bench.answer(velocity(0), after_ms=26)[1] in ([READ_STATE], [NMT_START, READ_STATE])
+        assert bench.answer(statusword(0x0217), after_ms=1)[1] == [READ_VELOCITY]
+    assert bench.answer(velocity(0))[1] == [DISABLE_BY_SDO]
+    assert bench.answer(WRITTEN)[1] == [READ_STATE]
+    feedback, frames = bench.answer(statusword(0x0250))
+    assert feedback.state is DriveState.SWITCH_ON_DISABLED
+    assert frames == []
+    assert bench.axis.is_proved_unpowered
+    assert feedback.message == "node 5 left Operational: it is pre-operational [FH-232]"
+
+
+def test_a_node_that_is_back_in_operational_is_stopped_by_rpdos_again():
+    bench = Stopped(PRE_OPERATIONAL)
+    bench.cycle()
+    assert bench.ask() == [NMT_START, QUICK_STOP_BY_SDO]
+    feedback = bench.heard(state=0x0217, mode=9)
+    assert feedback.is_reachable
+    assert bench.command(Request.QUICK_STOP)[:4] == "0200"
+    assert bench.ask() == []
+    assert bench.heard(state=0x0217, mode=9).message.startswith("node 5 left Operational")
+
+
+def test_the_tpdos_of_the_cycle_in_which_a_node_left_do_not_prove_that_it_is_back():
+    bench = Bench(Mode.CSV)
+    bench.axis.handlers[HEARTBEAT](OPERATIONAL)
+    bench.heard(mode=9)
+    first, second = struct.pack("<Hih", 0x0637, 0, 0), struct.pack("<ib", 0, 9)
+    assert not bench.cycle((TPDO1, first), (TPDO2, second), (HEARTBEAT, PRE_OPERATIONAL)).is_reachable
+    assert bench.heard(mode=9).is_reachable  # these answer a SYNC that came after it
+
+
+def test_a_restarted_node_gets_no_rpdo_and_no_start_and_its_state_is_unknown():
+    bench = Stopped(BOOT_UP)
+    feedback = bench.cycle()
+    assert (feedback.is_reachable, feedback.state) == (False, DriveState.UNKNOWN)
+    assert bench.ask() == [QUICK_STOP_BY_SDO]
+    bench.heartbeat(PRE_OPERATIONAL)
+    feedback, frames = bench.answer(WRITTEN)
+    assert frames == [READ_STATE]
+    feedback, frames = bench.answer(statusword(0x0250))
+    assert (feedback.is_reachable, feedback.state, frames) == (False, DriveState.SWITCH_ON_DISABLED, [])
+    bench.heartbeat(BOOT_UP)  # once more: what was read before does not count
+    feedback = bench.cycle()
+    assert feedback.state is DriveState.UNKNOWN
+    assert bench.ask() == [QUICK_STOP_BY_SDO]
+    assert not bench.heard(mode=9).is_reachable, "not even if TPDOs come"
+
+
+def test_heartbeats_in_another_state_are_heartbeats():
+    bench = Stopped(PRE_OPERATIONAL)
+    for _ in range(20):
+        feedback = bench.cycle(after_ms=100)
+        assert "no heartbeat" not in "".join(feedback.notices)
+        bench.heartbeat(PRE_OPERATIONAL)
+    assert feedback.message == "node 5 left Operational: it is pre-operational [FH-232]"
+
+
+def test_what_follows_the_first_cause_is_told_beside_it():
+    bench = Stopped(PRE_OPERATIONAL)
+    told = [notice for _ in range(5) for notice in bench.cycle(after_ms=100).notices]
+    assert told == ["no heartbeat from node 5 for more than 300 ms [FH-230]"]
+    assert bench.cycle().message == "node 5 left Operational: it is pre-operational [FH-232]"
+
+
+def test_without_an_answer_the_stop_goes_on_and_ends_with_disable_voltage():
+    bench = Stopped(PRE_OPERATIONAL)
+    sent = []
+    for _ in range(1000):
+        bench.heartbeat(PRE_OPERATIONAL)
+        assert bench.cycle().state is DriveState.UNKNOWN
+        sent += bench.ask()
+    commands = [frame for frame in sent if frame[0] == 0x605]
+    assert 15 <= len(commands) <= 25
+    assert commands[:5] == [QUICK_STOP_BY_SDO] * 5
+    assert commands[-5:] == [DISABLE_BY_SDO] * 5
+    assert not bench.axis.is_proved_unpowered
+
+
+def test_a_drive_that_does_not_obey_the_quick_stop_is_disabled():
+    bench = Stopped(PRE_OPERATIONAL)
+    bench.cycle()
+    bench.ask()
+    words = []
+    for _ in range(100):
+        frames = bench.answer(WRITTEN)[1]
+        frames = [frame for frame in bench.answer(statusword(0x0237))[1] if frame[0] == 0x605]
+        words += frames
+    assert words[0] == QUICK_STOP_BY_SDO
+    assert words[-1] == DISABLE_BY_SDO
+
+
+def test_an_answer_to_another_request_is_not_taken():
+    bench = Stopped(PRE_OPERATIONAL)
+    bench.cycle()
+    bench.ask()
+    for stray in (statusword(0x0250), velocity(0), bytes.fromhex("8000100000000206"), b"", bytes(8)):
+        feedback, frames = bench.answer(stray)
+        assert (feedback.state, frames) == (DriveState.UNKNOWN, [])
+
+
+def test_a_drive_that_is_not_heard_any_more_is_stopped_by_sdo_too():
+    """TPDOs do not come, RPDOs may get there: both ways are tried, and no word follows from the old state."""
+    bench = Bench(Mode.CSV)
+    bench.heard(mode=9)
+    for _ in range(15):
+        feedback = bench.cycle()
+    assert (feedback.is_reachable, feedback.state) == (True, DriveState.OPERATION_ENABLED)
+    assert bench.command(Request.DISABLE)[:4] == "0000"
+    assert bench.command(Request.QUICK_STOP)[:4] == "0200"
+    assert bench.axis.other_frames(Request.ENABLE, bench.now_ns) == []
+    assert bench.axis.other_frames(Request.QUICK_STOP, bench.now_ns) == [QUICK_STOP_BY_SDO]
+    assert not bench.cycle(after_ms=300).is_reachable
+
+
+@pytest.mark.parametrize("is_restarted", [False, True])
+def test_a_node_that_answers_no_sdo_is_started_unless_it_restarted(is_restarted):
+    """A node without heartbeat does not say that another master has stopped it: then it has no SDO either."""
+    bench = Bench(Mode.CSV)
+    bench.heard(mode=9)
+    if is_restarted:
+        bench.axis.handlers[HEARTBEAT](BOOT_UP)
+    sent = []
+    for _ in range(150):
+        bench.cycle()
+        sent += bench.axis.other_frames(Request.QUICK_STOP, bench.now_ns)
+    asked = [frame for frame in sent if frame != NMT_START]
+    assert asked == [QUICK_STOP_BY_SDO] * len(asked)
+    assert (NMT_START in sent) is not is_restarted
+    if not is_restarted:
+        assert sent.index(NMT_START) == 2, "after two requests without an answer"
+
+
+def test_the_error_code_of_a_fault_without_emergency_is_read():
+    bench = Bench()
+    bench.heard()
+    assert bench.heard(state=0x0218).error == ""
+    [(can_id, data)] = bench.axis.other_frames(Request.QUICK_STOP, bench.now_ns)
+    assert (can_id, data.hex()) == (0x605, "403f600000000000")
+    bench.axis.handlers[0x585](bytes.fromhex("4b3f600011860000"))
+    assert bench.heard(state=0x0218).error == "8611h following error"
+    assert not bench.axis.needs_other_frames
+
+
+def test_a_glitch_of_half_the_counters_range_is_over_with_the_next_cycle():
+    bench = Bench()
+    for counts in (1000, 1010):
+        bench.heard(counts=counts)
+    assert abs(bench.heard(counts=1020 - (1 << 31)).position) > 1e6
+    assert bench.heard(counts=1030).position == 1.03
+    assert bench.heard(counts=1040).position == 1.04
+
+
+# --- late feedback
+
+
+def cycle_of(bench, tpdos, is_probe=False):
+    bench.now_ns += MS
+    bench.axis.begin_cycle(bench.now_ns, "a probe" if is_probe else "")
+    for counts in tpdos:
+        bench.axis.handlers[TPDO1](struct.pack("<Hih", 0x0637, counts, 0))
+        bench.axis.handlers[TPDO2](struct.pack("<ib", 0, 8))
+    feedback = Feedback()
+    bench.axis.report(feedback, bench.now_ns)
+    return feedback
+
+
+def test_tpdos_that_come_late_are_found_by_a_cycle_without_sync():
+    bench = Bench()
+    cycle_of(bench, [1])
+    for _ in range(5):
+        cycle_of(bench, [])
+    cycle_of(bench, [2])  # of five cycles ago
+    assert bench.axis.is_doubtful
+    assert not bench.axis.is_complete, "newer ones are waited for"
+    assert not cycle_of(bench, [3], is_probe=True).is_fresh
+    for counts in (4, 5):
+        feedback = cycle_of(bench, [counts])
+        assert not feedback.is_fresh
+        assert feedback.missing == "the TPDOs of node 5 answer SYNC 4 cycles late [FH-235]"
+    feedback = cycle_of(bench, [6, 7, 8, 9, 10])  # what was held up comes at once: the last one is that of this cycle
+    assert feedback.is_fresh
+    assert feedback.position == 0.010
+
+
+def test_lost_tpdos_are_not_taken_for_late_ones():
+    bench = Bench()
+    cycle_of(bench, [1])
+    for _ in range(3):
+        cycle_of(bench, [])
+    assert cycle_of(bench, [5]).is_fresh
+    assert bench.axis.is_doubtful
+    assert not cycle_of(bench, [], is_probe=True).is_fresh
+    assert cycle_of(bench, [7]).is_fresh
+    assert bench.axis.is_complete
+    assert not bench.axis.is_doubtful
+
+
+def test_a_second_answer_to_the_same_sync_does_not_count():
+    bench = Bench()
+    assert cycle_of(bench, [1, 2]).position == 0.001
+
+
+def test_tpdos_that_come_after_their_cycle_say_so():
+    bench = Bench()
+    cycle_of(bench, [1])
+    cycle_of(bench, [])
+    bench.axis.handlers[TPDO1](struct.pack("<Hih", 0x0637, 2, 0))
+    bench.axis.handlers[TPDO2](struct.pack("<ib", 0, 8))
+    feedback = cycle_of(bench, [])
+    assert feedback.missing.endswith("it came after the time kept for it in its cycle [FH-235]")

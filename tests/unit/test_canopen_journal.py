@@ -1,0 +1,41 @@
+"""What a drive held before a run, written back in an order that the drive accepts."""
+
+from friction_hil_drivers.canopen import codes
+from friction_hil_drivers.canopen.journal import Journal
+from friction_hil_drivers.canopen.objects import INTERPOLATION_EXPONENT, INTERPOLATION_PERIOD
+
+from friction_hil.errors import DriveError
+
+
+class Interpolator:
+    """Access to a drive that refuses a value of 60C2h by which it would interpolate over less than 0.1 ms."""
+
+    axis, where = "x", "node 5 on can0"
+
+    def __init__(self) -> None:
+        self.values = {INTERPOLATION_PERIOD.address: b"\x01", INTERPOLATION_EXPONENT.address: b"\xfd"}  # 1 ms
+
+    def peek(self, entry):
+        return self.values.get(entry.address, b"\x07\0\0\0")
+
+    def download(self, entry, data):
+        values = {**self.values, entry.address: data}
+        period, exponent = (
+            int.from_bytes(values[each.address], "little", signed=True)
+            for each in (INTERPOLATION_PERIOD, INTERPOLATION_EXPONENT)
+        )
+        if entry == INTERPOLATION_PERIOD and period * 10.0**exponent < 0.99e-4:
+            raise DriveError("refused", code=codes.SDO_ABORT)
+        self.values = values
+
+
+def test_a_setting_that_needs_another_one_first_is_restored_after_it(tmp_path) -> None:
+    drive = Interpolator()
+    before = dict(drive.values)
+    journal = Journal(drive, lambda identity: tmp_path / f"{identity}.json")
+    for entry, data in ((INTERPOLATION_EXPONENT, b"\xfb"), (INTERPOLATION_PERIOD, b"\x19")):  # 0.25 ms
+        journal.before(entry, data)
+        drive.download(entry, data)
+
+    assert journal.restore() == []
+    assert drive.values == before

@@ -1,0 +1,134 @@
+"""Requests on a serial line that are sent before the reply to the last one, where the drive takes them in."""
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tests.scheduler_bench import Ahead
+from tests.serial_peers import Push, Word
+
+
+def test_requests_whose_replies_differ_go_out_together_and_are_answered_in_order():
+    bench = Ahead()
+    bench.scheduler.enqueue((bench.one, bench.three))
+    bench.scheduler.poll()
+    assert bench.line.sent == [b"a?abc?"]
+    bench.line.arrived = b"a 1;ab"
+    bench.scheduler.poll()
+    assert (bench.image.fresh, bench.scheduler.is_finished) == ({"a"}, False)
+    bench.line.arrived = b"c 3;"
+    bench.scheduler.poll()
+    assert bench.image.values == {"a": 1.0, "abc": 3.0}
+    assert bench.scheduler.is_finished
+
+
+def test_requests_whose_replies_look_alike_wait_for_each_other():
+    bench = Ahead(a=b"a 1;", b=b"b 2;")
+    bench.scheduler.enqueue((bench.one, bench.other))
+    bench.scheduler.poll()
+    assert bench.line.sent == [b"a?"]
+    bench.scheduler.poll()
+    assert bench.line.sent == [b"a?", b"b?"]
+
+
+def test_no_more_is_sent_ahead_than_the_drive_takes_in():
+    bench = Ahead(chars=5)
+    bench.scheduler.enqueue((bench.one, bench.three))
+    bench.scheduler.poll()
+    assert bench.line.sent == [b"a?"]
+    bench = Ahead(chars=5)
+    bench.image.values["t"] = 0.0
+    bench.scheduler.enqueue((Push(bench.image, "t"), bench.one, Word(bench.image, "abc")))
+    bench.scheduler.poll()
+    assert bench.line.sent == [b"t=0;a?"], "what the drive has not looked at yet counts"
+
+
+def test_a_request_of_the_next_cycle_may_follow_one_that_is_not_answered_yet():
+    bench = Ahead()
+    bench.scheduler.enqueue((bench.three,))
+    bench.scheduler.flush()
+    bench.scheduler.enqueue((bench.one,))
+    bench.scheduler.poll()
+    assert bench.line.sent == [b"abc?", b"a?"]
+    bench.line.arrived = b"abc 3;a 1;"
+    bench.scheduler.poll()
+    assert bench.image.values == {"a": 1.0, "abc": 3.0}
+
+
+@given(st.integers(0, 3), st.integers(0, 3))
+def test_of_requests_sent_together_no_late_reply_is_taken_for_a_present_one(first_cycle, second_cycle):
+    """Some replies of each cycle come in time; the rest comes a cycle later, if it ever comes."""
+    bench = Ahead()
+    replies = [[b"a 1;", b"abc 1;"], [b"a 2;", b"abc 2;"]]
+    seen = []
+    for cycle, count in enumerate((first_cycle, second_cycle)):
+        bench.image.fresh.clear()
+        sent = len(bench.line.sent)
+        bench.scheduler.enqueue((bench.one, bench.three))
+        bench.go(1.0)
+        if cycle:
+            bench.line.arrived += b"".join(replies[0][min(first_cycle, 2) :])
+            bench.go(1.0)
+        if len(bench.line.sent) > sent:
+            bench.line.arrived += b"".join(replies[cycle][:count])
+        bench.go(3.0)
+        bench.scheduler.end_cycle()
+        seen += [(cycle, bench.image.values[name]) for name in bench.image.fresh]
+    assert all(value == cycle + 1 for cycle, value in seen)
+    assert len(seen) >= min(first_cycle, 2)
+
+
+def test_after_a_broken_reply_the_other_ones_still_count():
+    bench = Ahead()
+    bench.scheduler.enqueue((bench.one, bench.three))
+    bench.scheduler.poll()
+    bench.line.arrived = b"xx 1;abc 3;"
+    bench.scheduler.poll()
+    assert bench.image.values == {"abc": 3.0}
+    assert "xx in place of a" in bench.scheduler.last_error
+
+
+@pytest.mark.parametrize("comes", ["before the next request", "before its reply"])
+def test_a_refused_command_without_a_reply_counts_as_refused(comes):
+    bench = Ahead()
+    bench.image.values["torque"] = 0.1
+    for count in range(1, 4):
+        bench.image.fresh.clear()
+        bench.scheduler.enqueue((Push(bench.image, "torque"),))
+        bench.scheduler.flush()
+        if comes == "before the next request":
+            bench.line.arrived += b"!;"
+        bench.scheduler.enqueue((bench.one,))
+        bench.scheduler.poll()
+        bench.line.arrived += (b"!;" if comes == "before its reply" else b"") + b"a 1;"
+        bench.scheduler.poll()
+        assert bench.image.fresh == {"a"}, "the reply proper is not lost"
+        assert bench.scheduler.refusals.count == count
+        assert bench.scheduler.last_error == "pushing torque: the drive refuses"
+    bench.scheduler.enqueue((Push(bench.image, "torque"), bench.one))
+    bench.scheduler.poll()
+    bench.line.arrived += b"a 1;"
+    bench.scheduler.poll()
+    assert bench.scheduler.refusals.count == 0, "who answers what came after it has not refused it"
+
+
+def test_an_error_is_that_of_the_request_where_nothing_was_commanded_before():
+    bench = Ahead()
+    bench.scheduler.enqueue((bench.one,))
+    bench.scheduler.poll()
+    bench.line.arrived += b"!;"
+    bench.scheduler.poll()
+    assert bench.scheduler.refusals.count == 0
+    assert bench.scheduler.last_error == "reading a: the drive refuses"
+
+
+def test_while_a_drive_owes_a_reply_what_has_to_wait_for_it_is_not_sent_later():
+    bench = Ahead()
+    bench.scheduler.enqueue((bench.one,))
+    bench.go(1.0)
+    bench.scheduler.end_cycle()
+    bench.image.values["torque"] = 0.1
+    bench.scheduler.enqueue((Push(bench.image, "torque"), bench.three))
+    bench.scheduler.flush()
+    assert not bench.scheduler.queue
+    assert bench.line.sent == [b"a?", b"torque=0.1;"]
