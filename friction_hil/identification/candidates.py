@@ -2,24 +2,32 @@
 
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import TypeVar
 
 import numpy as np
 
 from friction_hil import friction as models
 from friction_hil.errors import RecordingError, UsageError, choices
 from friction_hil.friction.modifiers import SIDES
-from friction_hil.identification import modifiers, structures, unknown_gain
-from friction_hil.identification.choice import is_better
+from friction_hil.identification import humps, modifiers, structures, unknown_gain
+from friction_hil.identification.choice import is_better, is_significant
 from friction_hil.identification.data import LEAST_ROWS, Data, RegressionSegment, prepare
-from friction_hil.identification.fine import fine_data, is_fine
-from friction_hil.identification.fits import MECHANICS, Fit, fit, refined
+from friction_hil.identification.fine import COARSE_STEPS_HZ, STEPS_HZ, fine_data, is_fine
+from friction_hil.identification.fits import MECHANICS, Fit, ended, fit, refined
+from friction_hil.identification.least_squares import NUMERICAL
 from friction_hil.identification.progress import FitStep
-from friction_hil.identification.regression import BACK_EMF, INVERSE_GAIN, Regression
+from friction_hil.identification.regression import BACK_EMF, INVERSE_GAIN, Estimate, Regression
 from friction_hil.identification.scales import estimate_scales
+from friction_hil.identification.screening import Search, screened
 from friction_hil.identification.settings import IdentificationSettings, chosen_families
 from friction_hil.identification.structures import EQUAL_IN_FEEDFORWARD, ModelStructure
+from friction_hil.identification.workers import in_parallel
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
+
+Result = TypeVar("Result")
 
 _PENDULUM_TRAVEL = 0.3  # rad: over a smaller range sine and cosine look like a straight line
 _LARGE_OFFSET = 0.5  # of the friction level: a larger offset cannot be a difference between the two directions
@@ -46,6 +54,9 @@ class CandidateFitter:
         Known torques per unit of their column, if the gain of the drive is unknown; else empty.
     notes : list of str
         Remarks that concern all candidates.
+    scales : InitialScales
+    is_mean, delay_s
+        Meaning of the measured torque in `fine` records, see `friction_hil.identification.fine.FineSegment`.
 
     Raises
     ------
@@ -82,10 +93,13 @@ class CandidateFitter:
                 f"{a} equals {b} in a recording: fitted only if named" for a, b in EQUAL_IN_FEEDFORWARD.items()
             ]
         self._loads: list[Array] | None = None
-        self._scales = estimate_scales(self.data, ("inertia", "offset"))
+        self._fine: Data | None = None
+        self._coarse: Data | None = None
+        self.is_mean, self.delay_s = settings.torque != "instant", 0.0
+        self.scales = estimate_scales(self.data, ("inertia", "offset"))
         self._gravity = self._fitted_gravity()
         if self._gravity:
-            self._scales = estimate_scales(self.data, ("inertia", "offset", *self._gravity))
+            self.scales = estimate_scales(self.data, ("inertia", "offset", *self._gravity))
         self._check_held()
 
     def _prepared(self, recordings: Sequence[Recording]) -> list[RegressionSegment]:
@@ -98,6 +112,8 @@ class CandidateFitter:
                 lowpass_hz=settings.lowpass_hz,
                 decimation=settings.decimation,
                 least_speed=settings.least_speed,
+                sliding_s=settings.sliding_s,
+                sliding_distance=settings.sliding_distance,
                 group_by=settings.group_by,
             )
         ]
@@ -122,7 +138,7 @@ class CandidateFitter:
 
     def _plain_structure(self, family: str, *, is_directed: bool) -> ModelStructure:
         return structures.build(
-            family, self._scales, self.settings.axis, self.data.records[0].dt, is_directed=is_directed
+            family, self.scales, self.settings.axis, self.data.records[0].dt, is_directed=is_directed
         )
 
     def with_modifier(self, base: Fit) -> Iterator[ModelStructure]:
@@ -131,8 +147,8 @@ class CandidateFitter:
         yield from modifiers.excited(
             base.structure,
             self.data,
-            self._scales,
-            base.curves.residual,
+            self.scales,
+            base.estimate,
             self._loads,
             is_load_fitted=self._is_load_fitted,
         )
@@ -143,13 +159,41 @@ class CandidateFitter:
         """Begin a stage of the identification, with ``count`` fits if that is known; see `FitStep`."""
         self._stage, self._number, self._count = stage, 0, count
 
-    def _report(self, label: str) -> None:
+    def report(self, label: str) -> None:
+        """Report that the next fit of the stage begins."""
         self._number += 1
         self._progress(FitStep(self._stage, self._number, self._count, label))
 
-    def fit(self, structure: ModelStructure, warm: Mapping[str, float] | None = None) -> Fit:
-        """Fit one candidate, starting from the values ``warm`` of a related one if given."""
-        self._report(structure.label)
+    def attempt(self, label: str, job: Callable[[], Result]) -> Result | None:
+        """Return the result of a fit; None, with a note, if its numbers fail: one candidate does not end a search."""
+        found, reason = _attempted(job)
+        self._drop(label, reason)
+        return found
+
+    def _attempt_all(self, labels: Sequence[str], jobs: Sequence[Callable[[], Result]]) -> list[Result | None]:
+        """Return the results of independent fits, None for each whose numbers fail."""
+        given = [partial(_attempted, job) for job in jobs]
+        found = in_parallel(given, lambda number: self.report(labels[number]))
+        for label, (_, reason) in zip(labels, found, strict=True):
+            self._drop(label, reason)
+        return [result for result, _ in found]
+
+    def _drop(self, label: str, reason: str) -> None:
+        if reason:
+            self.notes.append(f"{label} was left out, because its numbers failed: {reason}")
+
+    def fit_all(self, tasks: Sequence[tuple[ModelStructure, Mapping[str, float] | None]]) -> list[Fit | None]:
+        """Fit structures, each starting from given values or None, at the same time; None for each that failed."""
+        jobs = [self._job(structure, warm) for structure, warm in tasks]
+        return self._attempt_all([structure.label for structure, _ in tasks], jobs)
+
+    def fit(self, structure: ModelStructure, warm: Mapping[str, float] | None = None) -> Fit | None:
+        """Fit one candidate, starting from the values ``warm`` of a related one if given; None if it failed."""
+        self.report(structure.label)
+        return self.attempt(structure.label, self._job(structure, warm))
+
+    def _job(self, structure: ModelStructure, warm: Mapping[str, float] | None) -> Callable[[], Fit]:
+        """Return the fit of a structure, to be run; what it needs of this object is taken now."""
         mechanics, held, notes = self._mechanics(structure)
         if structure.family in EQUAL_IN_FEEDFORWARD:
             notes.append(
@@ -162,9 +206,10 @@ class CandidateFitter:
         if self.validation is not None:
             own = self._loads_of(self.validation, warm) if loads else None
             check = Regression(self.validation, structure, mechanics, held, own)
-        return fit(
+        return partial(
+            fit,
             regression,
-            self._scales,
+            self.scales,
             seed=self.settings.seed,
             warm=warm,
             is_robust=self.settings.is_robust,
@@ -172,39 +217,165 @@ class CandidateFitter:
             notes=notes,
         )
 
-    def fit_with_load(self, structure: ModelStructure, base: Fit) -> Fit:
+    def fit_with_load(self, structure: ModelStructure, base: Fit) -> Fit | None:
         """Fit a structure whose load is gravity: alternately, if gravity is identified by the same fit."""
         fitted = base
         for _ in range(_LOAD_ROUNDS):
             self.set_load(fitted.mechanics)
-            fitted = self.fit(structure, {**fitted.values, **fitted.mechanics})
-            if not self._is_load_fitted:
-                break
+            found = self.fit(structure, {**fitted.values, **fitted.mechanics})
+            if found is None or not self._is_load_fitted:
+                return found
+            fitted = found
         return fitted
 
-    def refine(self, base: Fit) -> Fit:
-        """Fit the structure of ``base`` once more, on records at the full resolution of the encoder."""
-        self._report(base.label)
-        mechanics, held, notes = self._mechanics(base.structure)
+    @property
+    def fine(self) -> Data:
+        """Records at the full resolution of the encoder."""
+        if self._fine is None:
+            self._fine = self._fine_data(self.data.records)
+        return self._fine
 
-        def regression(data: Data) -> Regression:
-            loads = self._loads_of(data, base.mechanics) if "load" in base.structure.modifiers else None
-            return Regression(data, base.structure, mechanics, held, loads)
+    @property
+    def coarse(self) -> Data:
+        """Records at the full resolution of the encoder, with few steps of the model per sample."""
+        if self._coarse is None:
+            self._coarse = self._fine_data(self.data.records, COARSE_STEPS_HZ)
+        return self._coarse
 
-        is_mean, check = self.settings.torque == "mean", None
+    def _fine_data(self, records: Sequence[RegressionSegment], steps_hz: float = STEPS_HZ) -> Data:
+        return fine_data(records, is_mean=self.is_mean, delay_s=self.delay_s, steps_hz=steps_hz)
+
+    def set_torque_timing(self, *, is_mean: bool, delay_s: float) -> None:
+        """Take the measured torque of `fine` records for a mean or instantaneous one that is late by ``delay_s``."""
+        self.is_mean, self.delay_s, self._fine, self._coarse = is_mean, delay_s, None, None
+
+    def fine_regression(
+        self,
+        structure: ModelStructure,
+        mechanics: Mapping[str, float],
+        data: Data | None = None,
+        like: ModelStructure | None = None,
+    ) -> Regression:
+        """Return the regression of a structure on `fine`, or on other data.
+
+        ``mechanics`` define the load. Which of them are fitted depends on the structure, or on that of ``like``.
+        """
+        names, held, _ = self._mechanics(like or structure)
+        data = self.fine if data is None else data
+        loads = self._loads_of(data, mechanics) if "load" in structure.modifiers else None
+        return Regression(data, structure, names, held, loads)
+
+    def with_fine_modifier(self, base: Fit, estimate: Estimate) -> Iterator[ModelStructure]:
+        """Yield the structure of a refined fit with one modifier more; ``estimate`` is that of the fit, on `fine`."""
+        loads = self._loads_of(self.fine, base.mechanics)
+        yield from modifiers.excited(
+            base.structure, self.fine, self.scales, estimate, loads, is_load_fitted=self._is_load_fitted
+        )
+
+    def refine_all(self, bases: Sequence[Fit]) -> list[Fit]:
+        """Fit structures once more on records at the full resolution of the encoder; those that fail are left out.
+
+        The searches begin with few steps of the model per sample. Candidates that fit far worse than others go no
+        further (sequential halving).
+        """
+        labels = [each.label for each in bases]
+        regressions = [self.fine_regression(each.structure, each.mechanics, self.coarse) for each in bases]
+        searches = screened(regressions, [each.coordinates for each in bases], self.scales)
+        _ = self.fine  # computed here, not by each of the threads
+        jobs = [
+            partial(self._refined, base, regression, search)
+            for base, regression, search in zip(bases, regressions, searches, strict=True)
+        ]
+        return [each for each in self._attempt_all(labels, jobs) if each is not None]
+
+    def refine(self, base: Fit) -> Fit | None:
+        """Fit one structure once more, from the coordinates of ``base``; None if its numbers fail."""
+        self.report(base.label)
+        coarse = self.fine_regression(base.structure, base.mechanics, self.coarse)
+        return self.attempt(base.label, partial(self._refined, base, coarse))
+
+    def _refined(self, base: Fit, coarse: Regression, search: Search | None = None) -> Fit:
+        """Return the refined fit of a candidate, from where the search on fewer steps of the model ended, if any."""
+        if search is not None and search.failure is not None:
+            raise search.failure
+        _, _, notes = self._mechanics(base.structure)
+        check = None
         if self.validation is not None:
             records = self.validation.records
-            check = regression(fine_data(records, is_mean=is_mean) if all(map(is_fine, records)) else self.validation)
+            data = self._fine_data(records) if all(map(is_fine, records)) else self.validation
+            check = self.fine_regression(base.structure, base.mechanics, data)
+        if search is not None and search.is_ended:
+            return ended(coarse, search.estimate(coarse), validation=check, notes=notes)
         return refined(
             base,
-            regression(fine_data(self.data.records, is_mean=is_mean)),
+            self.fine_regression(base.structure, base.mechanics),
+            coarse,
             self.data,
-            self._scales,
+            self.scales,
+            start=base.coordinates if search is None else search.at,
             replicas=self.settings.replicas,
             seed=self.settings.seed,
             validation=check,
             notes=notes,
         )
+
+    def supported(self, fits: Sequence[Fit]) -> list[Fit]:
+        """Replace fits whose Stribeck hump the data do not show by fits whose static level is the Coulomb level.
+
+        A hump that is narrower than the slowest sliding is free to take any height, which the motion to be compensated
+        may well visit. One that stands above the Coulomb level stays if held-out data are clearly worse without it.
+        """
+        given = {(each.label, each.is_refined): each for each in fits}
+        coulomb = {each.structure.modifiers for each in fits if each.structure.family == "coulomb"}
+        flats = {id(each): humps.flattened(each, self.scales) for each in fits}
+        wanted = [
+            found for found in flats.values() if found is not None and not humps.is_coulomb(found.structure, coulomb)
+        ]
+        plain = [each for each in wanted if not each.is_refined]
+        fitted = given | {
+            (each.label, False): each
+            for each in self.fit_all([(each.structure, each.values) for each in plain])
+            if each is not None
+        }
+        refined_ones = [each for each in wanted if each.is_refined and (each.label, True) not in given]
+        if refined_ones:
+            self.begin("refinement", len(refined_ones))
+            fitted |= {(each.label, True): each for each in self.refine_all(refined_ones)}
+        humped = self._upright(
+            [
+                (each, fitted.get((base.label, True)))
+                for each, base in zip(fits, flats.values(), strict=True)
+                if base is not None and each.is_refined
+            ]
+        )
+        found = []
+        for each in fits:
+            base = flats[id(each)]
+            if id(each) in humped:
+                found.append(humped[id(each)])
+                continue
+            if base is None:
+                found.append(each)
+            elif (flat := fitted.get((base.label, base.is_refined))) is None:
+                continue
+            elif humps.is_upright(each) and is_significant(each, flat):
+                found.append(each)
+            elif (base.label, base.is_refined) not in given:  # else it is in the list already
+                found.append(replace(flat, flags=(*flat.flags, humps.why_flat(each, self.scales))))
+        return found
+
+    def _upright(self, pairs: Sequence[tuple[Fit, Fit | None]]) -> dict[int, Fit]:
+        """Return fits with a hump by the identity of a free fit with a dip, where the flat one is clearly worse."""
+        wanted = [(each, flat) for each, flat in pairs if flat is not None and not humps.is_upright(each)]
+        if not wanted:
+            return {}
+        seeds = [humps.upright(each, flat.values, self.scales) for each, flat in wanted]
+        refined = {each.label: each for each in self.refine_all(seeds)}
+        return {
+            id(each): refined[each.label]
+            for each, flat in wanted
+            if each.label in refined and is_significant(refined[each.label], flat)
+        }
 
     # --- mechanics and load
 
@@ -223,7 +394,7 @@ class CandidateFitter:
         if "direction" in structure.modifiers and level in names:
             names.remove(level)
             held[level] = (
-                self._constant_torque if abs(self._constant_torque) > _LARGE_OFFSET * self._scales.level else 0.0
+                self._constant_torque if abs(self._constant_torque) > _LARGE_OFFSET * self.scales.level else 0.0
             )
             notes.append(
                 f"collinear: {level} with the difference between the levels of the two directions; {level} is held at "
@@ -241,7 +412,11 @@ class CandidateFitter:
 
     def _coulomb_fit(self, *mechanics: str) -> Fit:
         structure = self._plain_structure("coulomb", is_directed=False)
-        return fit(Regression(self.data, structure, self._linear(*mechanics), self._held), self._scales)
+        regression = Regression(self.data, structure, self._linear(*mechanics), self._held)
+        found, reason = _attempted(lambda: fit(regression, self.scales))
+        if found is None:
+            raise RecordingError(f"{self.data.records[0].path}: not even Coulomb friction can be fitted: {reason}")
+        return found
 
     def _fitted_gravity(self) -> tuple[str, ...]:
         """Return the names of the gravity parameters to identify."""
@@ -251,7 +426,7 @@ class CandidateFitter:
             return ("gravity.constant",)
         if kind == "pendulum":
             return pendulum
-        if kind == "none" or self.settings.axis == "linear" or self._scales.travel < _PENDULUM_TRAVEL:
+        if kind == "none" or self.settings.axis == "linear" or self.scales.travel < _PENDULUM_TRAVEL:
             return ()
         without, swinging = (self._coulomb_fit("inertia", "offset", *gravity) for gravity in ((), pendulum))
         if not is_better(swinging, without):
@@ -306,6 +481,14 @@ class CandidateFitter:
                 raise UsageError(f"no candidate has a parameter {name!r} to hold; {choices(name, known)}")
             if math.isnan(value):
                 raise UsageError(f"a value to hold is a number; {name} is {value}")
+
+
+def _attempted(job: Callable[[], Result]) -> tuple[Result | None, str]:
+    """Return the result of a fit, or None and the reason for which its numbers failed."""
+    try:
+        return job(), ""
+    except NUMERICAL as error:
+        return None, str(error) or type(error).__name__
 
 
 def _names(structure: ModelStructure) -> set[str]:

@@ -4,6 +4,7 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from friction_hil.recordings.segments import (
     Segment,
     even_signals,
     known_fraction,
+    stated_torque_delay_s,
 )
 
 Mask = NDArray[np.bool_]
@@ -27,6 +29,8 @@ LEAST_ROWS = 50  # after decimation: below, errors of parameters and folds of cr
 _STEADY_RATIO = 0.02  # of the top speed: if the speed changes by less, the end of a segment is steady
 _DEFAULT_DECIMATION = 10
 _SLOW = ("load_torque", "temperature", "position_demand")  # used where they are known
+_NOISE_RATIO = 0.2  # of the acceleration: more noise of the counts makes an inertia too small
+_CUT_STEP, _LEAST_CUT = 0.8, 0.1  # of the low-pass, for the acceleration alone
 _ROWS_TO_KEEP = 1000  # the default decimation leaves at least as many
 
 
@@ -50,6 +54,12 @@ class RegressionSegment(Segment):
         Recordings of one group are held out together; empty for a group of its own.
     is_moving : array of bool or None
         Rows of the regression that count, among those that the filters leave; None for all.
+    is_torque_age_stated : bool
+        True if the driver stated how old the torque is relative to the position: then it is no mean.
+    is_thinned : bool
+        True if each ``decimation``-th row is kept as it is: a model is evaluated at the low-passed motion of that row
+        alone, and compared with the low-passed torque. Where the axis slides, both are the same to first order; a
+        filter over the model's torque would mix in its torque in rows that do not count, where it is wrong.
     """
 
     rows: int
@@ -60,6 +70,8 @@ class RegressionSegment(Segment):
     resolution: float | None
     group: str = field(default="", kw_only=True)
     is_moving: Mask | None = field(default=None, kw_only=True)
+    is_torque_age_stated: bool = field(default=False, kw_only=True)
+    is_thinned: bool = field(default=False, kw_only=True)
 
     def reduce(self, values: Array) -> Array:
         """Filter (n,) or (n, m) values at the full rate and return the rows of the regression.
@@ -68,22 +80,30 @@ class RegressionSegment(Segment):
         It is skipped where the decimator, which all values pass, cuts off well below it: it would change 4 parts in
         10,000 at the highest frequency that is left, and takes as long as the model.
         """
-        return self.reduce_smooth(values if self._is_lowpass_idle else self.lowpass(values))
+        is_kept = self.is_thinned or self._is_lowpass_idle
+        return self.reduce_smooth(values if is_kept else self.lowpass(values))
 
     def reduce_smooth(self, values: Array) -> Array:
         """Return the rows of the regression of values that come from the low-passed position."""
-        reduced = filtering.decimate(values[self.begin : self.end], self.decimation)
+        if self.is_thinned:
+            reduced = np.ascontiguousarray(self.kept_rows(values))
+        else:
+            reduced = filtering.decimate(values[self.begin : self.end], self.decimation)
         return reduced if self.is_moving is None else reduced[self.is_moving]
 
     def reduced_torque(self) -> Array:
         """Return the measured torque in the rows of the regression."""
-        return self.reduce(self.torque)
+        return self.reduce(self.lowpass(self.torque) if self.is_thinned else self.torque)
 
     def reduced_time(self) -> Array:
         """Return the time stamps of the rows of the regression, s."""
-        time = self.time_s[self.begin : self.end]
-        time = time if self.decimation == 1 else time[filtering.decimated_rows(len(time), self.decimation)]
+        time = self.kept_rows(self.time_s)
         return time if self.is_moving is None else time[self.is_moving]
+
+    def kept_rows(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Return values at the full rate in the rows that the filters leave, whether they count or not; no filter."""
+        inner = values[self.begin : self.end]
+        return inner if self.decimation == 1 else inner[filtering.decimated_rows(len(inner), self.decimation)]
 
     @property
     def _is_lowpass_idle(self) -> bool:
@@ -98,6 +118,8 @@ def prepare(
     lowpass_hz: float | None = None,
     decimation: int | None = None,
     least_speed: float = 0.0,
+    sliding_s: float = 0.0,
+    sliding_distance: float = 0.0,
     group_by: str | None = None,
 ) -> list[RegressionSegment]:
     """Make a recording ready for regression.
@@ -114,6 +136,13 @@ def prepare(
     least_speed : float
         Rows at which the axis is slower do not count: friction at rest is whatever holds the axis, which no map of
         the velocity describes, nor a spring in presliding if the position is too coarse to resolve it.
+    sliding_s : float
+        Time before and after a row in which the axis must not be slower than ``least_speed``, nor reverse, for the row
+        to count. The filters mix the torque of a row with that of its neighbours: of a break-away they make a slow
+        rise of the velocity under a torque near zero, which looks like a low static friction and a large inertia.
+    sliding_distance : float
+        Distance from the last reversal, rad or m, before which a row does not count, with ``sliding_s``: a slow axis is
+        in presliding for long, and its torque there is no friction of that speed.
     group_by : str, optional
         Entry of the metadata whose value names the group of the recording.
 
@@ -136,7 +165,7 @@ def prepare(
     kept = _long_enough(signals, factor, problems)
     group = _group(recording, group_by)
     found = [_regression_segment(signals, rows, factor, tuple(problems), group) for rows in kept]
-    return found if least_speed == 0.0 else _moving(found, least_speed)
+    return found if least_speed == 0.0 else _moving(found, least_speed, sliding_s, sliding_distance)
 
 
 def _decimation(rows: int, wanted: int | None) -> int:
@@ -175,17 +204,86 @@ def _group(recording: Recording, group_by: str | None) -> str:
     return f"{group_by} {recording.metadata[group_by]}"
 
 
-def _moving(segments: Sequence[RegressionSegment], least_speed: float) -> list[RegressionSegment]:
+def _moving(
+    segments: Sequence[RegressionSegment], least_speed: float, sliding_s: float, distance: float
+) -> list[RegressionSegment]:
     """Count only rows in which the axis moves; leave out a segment that has none."""
     if not (0.0 < least_speed < math.inf):
         raise UsageError(f"the least speed that counts is a number above 0, not {least_speed:g}")
     found = []
-    masks = [np.abs(segment.reduce_smooth(segment.velocity)) >= least_speed for segment in segments]
-    for segment, is_moving in zip(segments, masks, strict=True):
-        note = f"slower than {least_speed:g}: {np.count_nonzero(~is_moving)} of {len(is_moving)} rows do not count"
+    around = f" there or within {1e3 * sliding_s:.3g} ms" if sliding_s > 0.0 else ""
+    around += f", or within {distance:.3g} of a reversal" if distance > 0.0 else ""
+    for each in segments:
+        segment = _thinned(each) if sliding_s > 0.0 else each
+        is_moving = np.abs(segment.reduce_smooth(segment.velocity)) >= least_speed
+        if sliding_s > 0.0:
+            is_moving &= segment.kept_rows(_sliding(segment, least_speed, sliding_s, distance))
+        count = np.count_nonzero(~is_moving)
+        note = f"slower than {least_speed:g}{around}: {count} of {len(is_moving)} rows do not count"
         if is_moving.any():
             found.append(replace(segment, is_moving=is_moving, problems=(*segment.problems, note)))
     return found
+
+
+def _thinned(segment: RegressionSegment) -> RegressionSegment:
+    """Return a segment whose rows are kept without a filter, with derivatives that are right up to its low-pass."""
+    if segment.lowpass_hz is None:
+        return replace(segment, is_thinned=True)
+    velocity, acceleration = _derivatives(segment.position, segment.dt)
+    cut_hz = segment.lowpass_hz
+    while _noise(segment, cut_hz) > _NOISE_RATIO * np.std(acceleration) and cut_hz > _LEAST_CUT * segment.lowpass_hz:
+        # an acceleration with the noise of the counts would make the inertia too small; what it misses of a fast one
+        # is not correlated with the rest, and only adds to the residual
+        cut_hz *= _CUT_STEP
+        acceleration = _derivatives(filtering.lowpass(segment.position, cut_hz, segment.rate_hz), segment.dt)[1]
+    return replace(segment, is_thinned=True, velocity=velocity, acceleration=acceleration)
+
+
+def _noise(segment: RegressionSegment, cut_hz: float) -> float:
+    """Return the standard deviation of the acceleration of a low-passed position that is due to its counts.
+
+    White noise of variance q^2 / 12 up to half the sampling rate, twice differentiated up to ``cut_hz``.
+    """
+    step = segment.resolution or 0.0
+    share = math.sqrt(2.0 * cut_hz / segment.rate_hz / 5.0)
+    return step / math.sqrt(12.0) * share * (math.tau * cut_hz) ** 2
+
+
+def _derivatives(position: Array, dt: float) -> tuple[Array, Array]:
+    """Return velocity and acceleration of a position (n,) by differences of fourth order.
+
+    The gradient of a gradient loses 43 % of an acceleration at a fifth of the sampling rate, which makes an inertia too
+    large at low rates; these lose 2 %. Source: B. Fornberg, Mathematics of Computation 51, 1988.
+    """
+    q = np.pad(position, 2, mode="reflect", reflect_type="odd")
+    near, far = q[3:-1] - q[1:-3], q[4:] - q[:-4]
+    velocity = (8.0 * near - far) / (12.0 * dt)
+    near, far = q[3:-1] + q[1:-3], q[4:] + q[:-4]
+    return velocity, (16.0 * near - far - 30.0 * q[2:-2]) / (12.0 * dt * dt)
+
+
+def _sliding(segment: RegressionSegment, least_speed: float, sliding_s: float, distance: float) -> Mask:
+    """Return the rows (n,) about which the axis slides in one direction for ``sliding_s`` to either side.
+
+    The axis has moved by ``distance`` or more since its last reversal.
+    """
+    reach = max(1, round(sliding_s * segment.rate_hz))
+    is_sliding = np.zeros(len(segment.velocity), dtype=np.bool_)
+    for sign in (1.0, -1.0):
+        # number of rows up to each one that are too slow: it stands still over a stretch without any
+        slow = np.concatenate([[0], np.cumsum(sign * segment.velocity < least_speed)])
+        rows = np.arange(len(segment.velocity))
+        first, last = np.maximum(rows - reach, 0), np.minimum(rows + reach + 1, len(rows))
+        is_sliding |= slow[last] == slow[first]
+    return is_sliding & (moved_since_reversal(segment.velocity, segment.position) >= distance)
+
+
+def moved_since_reversal(velocity: Array, position: Array) -> Array:
+    """Return the distance (n,) from the position at which the velocity has last changed its sign."""
+    is_turn = np.diff(np.sign(velocity), prepend=0.0) != 0.0
+    since = np.maximum.accumulate(np.where(is_turn, np.arange(len(velocity)), 0))
+    moved: Array = np.abs(position - position[since])
+    return moved
 
 
 def _regression_segment(
@@ -205,6 +303,7 @@ def _regression_segment(
         problems=problems,
         resolution=resolution(segment.encoder),
         group=group,
+        is_torque_age_stated=stated_torque_delay_s(signals.recording) is not None,
     )
 
 

@@ -8,24 +8,33 @@ import numpy as np
 from friction_hil import __version__
 from friction_hil.identification.fits import Fit
 from friction_hil.identification.identify import Identification
+from friction_hil.identification.mechanics import Mechanics, Quantity
 from friction_hil.identification.prediction_errors import PredictionError
+from friction_hil.identification.regression import BACK_EMF
 from friction_hil.models.model_file import ModelFile
 
 _DIGITS = 10  # significant digits in a model file: far more than any standard error justifies, and still readable
 
 
-def model_file(identification: Identification, fit: Fit | None = None) -> ModelFile:
+def model_file(identification: Identification, fit: Fit | None = None, *, signal: str = "torque") -> ModelFile:
     """Return the model file of a fit, the chosen one by default, with its provenance.
+
+    Parameters
+    ----------
+    identification : Identification
+    fit : Fit, optional
+    signal : str
+        What the column torque was made of; stated in the file if the gain of that signal was identified.
 
     Raises
     ------
     ConfigurationError
         The values are inconsistent, which those of a fit are not.
     """
-    return ModelFile.model_validate(as_model_file(identification, fit))
+    return ModelFile.model_validate(as_model_file(identification, fit, signal=signal))
 
 
-def as_model_file(identification: Identification, fit: Fit | None = None) -> dict[str, Any]:
+def as_model_file(identification: Identification, fit: Fit | None = None, *, signal: str = "torque") -> dict[str, Any]:
     """Return `model_file` as plain values, for YAML."""
     fit = identification.best if fit is None else fit
     parameters, modifiers = fit.friction
@@ -33,13 +42,15 @@ def as_model_file(identification: Identification, fit: Fit | None = None) -> dic
     friction: dict[str, Any] = {"model": fit.structure.family, "parameters": _plain(parameters)}
     if modifiers:
         friction["modifiers"] = _plain(modifiers)
-    return {
+    content = {
         "version": 1,
         "axis": identification.settings.axis,
         "friction": friction,
         "mechanics": _mechanics(mechanics),
-        "fit": _provenance(identification, fit),
     }
+    if fit.drive:
+        content["torque_signal"] = {"column": signal, **_plain(_drive(fit, identification))}
+    return {**content, "fit": _provenance(identification, fit)}
 
 
 def _mechanics(mechanics: dict[str, float]) -> dict[str, Any]:
@@ -71,8 +82,6 @@ def _provenance(identification: Identification, fit: Fit) -> dict[str, Any]:
         },
         "flags": list(fit.flags),
     }
-    if fit.drive:
-        content["drive"] = _drive(fit)
     if fit.across_speeds is not None:
         content["across_speeds"] = _error(fit.across_speeds)
     if fit.validation is not None:
@@ -93,9 +102,12 @@ def standard_errors(fit: Fit) -> dict[str, float | None]:
     return {name: errors[name] if name in errors and math.isfinite(errors[name]) else None for name in fit.values}
 
 
-def _drive(fit: Fit) -> dict[str, float]:
+def _drive(fit: Fit, identification: Identification) -> dict[str, float]:
     """Return ``gain``, N m per unit of the signal, and ``back_emf``, N m s/rad, if the gain was identified."""
-    return {name.removeprefix("drive."): value for name, value in fit.drive.items()}
+    if not fit.drive:
+        return {}
+    held = {name: value for name, value in identification.settings.held.items() if name == BACK_EMF}
+    return {name.removeprefix("drive."): value for name, value in {**fit.drive, **held}.items()}
 
 
 def _error(error: PredictionError) -> dict[str, float]:
@@ -114,6 +126,49 @@ def _plain(value: Any) -> Any:
     return value
 
 
+def add_mechanics(content: dict[str, Any], found: Mechanics) -> None:
+    """Add what was found behind the motor to the plain values of a model file; nothing if nothing was found."""
+    if found.load is not None:
+        load = {name: max(value, 0.0) for name, value in found.load.items()}
+        content["mechanics"] |= _plain({"inertia": found.inertia, "load": load})
+    if found.backlash > 0.0:
+        content["mechanics"]["backlash"] = _plain(found.backlash)
+    content["fit"]["flags"] += list(found.flags)
+    known = {each.key: _quantity(each) for each in found.quantities if each.value is not None}
+    content["fit"]["mechanics"] = _plain(known)
+
+
+def mechanics_as_json(found: Mechanics) -> dict[str, Any]:
+    """Return the object ``mechanics`` of ``identify --json`` and ``tune --json``."""
+    response = found.response
+    return {
+        "quantities": {each.key: _quantity(each) for each in found.quantities},
+        "flags": list(found.flags),
+        "notes": list(found.notes),
+        "frequency_response": None
+        if response is None
+        else {
+            "frequency_hz": response.frequency_hz.tolist(),
+            "gain": np.abs(response.response).tolist(),
+            "phase_rad": np.unwrap(np.angle(response.response)).tolist(),
+            "coherence": response.coherence.tolist(),
+            "is_used": response.is_used.tolist(),
+            "has_instrument": response.has_instrument,
+        },
+    }
+
+
+def _quantity(each: Quantity) -> dict[str, Any]:
+    return {
+        "label": each.label,
+        "value": each.value,
+        "standard_error": each.error if each.error is not None and math.isfinite(each.error) else None,
+        "unit": each.unit,
+        "source": each.source or None,
+        "missing": each.missing or None,
+    }
+
+
 def as_json(identification: Identification) -> dict[str, Any]:
     """Return the object that ``identify --json`` prints."""
     return {
@@ -122,11 +177,11 @@ def as_json(identification: Identification) -> dict[str, Any]:
         "recordings": _recordings(identification.records),
         "problems": list(dict.fromkeys(problem for record in identification.records for problem in record.problems)),
         "notes": list(identification.notes),
-        "fits": [_fit(each) for each in identification.fits],
+        "fits": [_fit(each, identification) for each in identification.fits],
     }
 
 
-def _fit(fit: Fit) -> dict[str, Any]:
+def _fit(fit: Fit, identification: Identification) -> dict[str, Any]:
     parameters, modifiers = fit.friction
     return {
         "model": fit.structure.family,
@@ -137,7 +192,7 @@ def _fit(fit: Fit) -> dict[str, Any]:
         "standard_errors": standard_errors(fit),
         "correlations": {"names": fit.inference.names, "matrix": fit.inference.correlations},
         "mechanics": _mechanics(fit.mechanics),
-        "drive": _drive(fit) or None,
+        "drive": _drive(fit, identification) or None,
         "train": _error(fit.train),
         "cross_validation": _error(fit.cross_validation),
         "across_speeds": None if fit.across_speeds is None else _error(fit.across_speeds),

@@ -31,7 +31,8 @@ _CLEAR = 100.0  # times the noise power of the encoder
 _FIRST_BAND_HZ = 40.0  # frequencies below are kept entirely
 LAST_BAND_RATIO = 0.42  # of the sampling rate: highest frequency that is kept
 _NOISE_FACTOR = 2.0  # the noise power of few samples is often twice its mean
-_STEPS_HZ = 12000.0  # of the model
+STEPS_HZ = 12000.0  # of the model
+COARSE_STEPS_HZ = 4000.0  # of a search that is not the last one
 ROWS_HZ = 200.0  # of the regression
 RESIDUAL_HZ, _RESIDUAL_WIDTH_HZ = 80.0, 60.0
 _EDGE_S = 1.0
@@ -51,11 +52,14 @@ class FineSegment(RegressionSegment):
         True if a measured torque is the mean over the period that ends at the sample, false if it is instantaneous.
     samples : array
         Measured torque at the samples 1...
+    delay_s : float
+        Further delay of the measured torque, behind the position of the same sample.
     """
 
     fine: int
     is_mean: bool
     samples: Array
+    delay_s: float = 0.0
 
     @property
     def sample_hz(self) -> float:
@@ -64,6 +68,8 @@ class FineSegment(RegressionSegment):
 
     def at_samples(self, values: Array) -> Array:
         """Convert values at the ends of steps to samples 1..., as the drive would report them."""
+        if self.delay_s:
+            values = _delayed(values, self.delay_s * self.rate_hz)
         ends = values[self.fine - 1 :: self.fine]
         if not self.is_mean:
             return ends
@@ -105,6 +111,16 @@ class FineSegment(RegressionSegment):
         kept: Any = signal.upfirdn(kernel, values[edge - half - ahead :], down=every, axis=0)
         first = (2 * half + ahead) // every
         return np.ascontiguousarray(kept[first : first + -(-(len(values) - 2 * edge) // every)])
+
+
+def _delayed(values: Array, steps: float) -> Array:
+    """Return (n, ...) values as they were a number of steps ago, not a whole one; the first ones are repeated."""
+    at = np.arange(len(values)) - steps
+    whole = np.floor(at).astype(int)
+    fraction = (at - whole).reshape((-1,) + (1,) * (values.ndim - 1))
+    low, high = (np.clip(whole + i, 0, len(values) - 1) for i in (0, 1))
+    delayed: Array = (1.0 - fraction) * values[low] + fraction * values[high]
+    return delayed
 
 
 def is_fine(record: RegressionSegment) -> bool:
@@ -152,9 +168,14 @@ def shows_presliding(records: Sequence[RegressionSegment], is_wanted: bool | Non
     return is_wanted
 
 
-def fine_data(records: Sequence[RegressionSegment], *, is_mean: bool) -> Data:
-    """Refine segments whose position is quantised."""
-    return Data([_fine_record(record, record.encoder, record.torque, is_mean) for record in records])
+def fine_data(
+    records: Sequence[RegressionSegment], *, is_mean: bool, delay_s: float = 0.0, steps_hz: float = STEPS_HZ
+) -> Data:
+    """Refine segments whose position is quantised; the model runs in ``steps_hz`` steps per second.
+
+    ``is_mean`` and ``delay_s`` are those of a `FineSegment`.
+    """
+    return Data([_fine_record(record, record.encoder, record.torque, is_mean, delay_s, steps_hz) for record in records])
 
 
 def recounted(
@@ -179,14 +200,21 @@ def recounted(
         path = np.concatenate([original.encoder[:1], fine.position[fine.fine - 1 :: fine.fine]])
         offset = random.uniform()
         counts = (np.floor(path / original.resolution + offset) - offset) * original.resolution
-        found.append(_fine_record(original, counts, np.concatenate([torque[:1], torque]), fine.is_mean))
+        found.append(_fine_record(original, counts, np.concatenate([torque[:1], torque]), fine.is_mean, fine.delay_s))
     return Data(found)
 
 
-def _fine_record(record: RegressionSegment, position: Array, torque: Array, is_mean: bool) -> FineSegment:
+def _fine_record(
+    record: RegressionSegment,
+    position: Array,
+    torque: Array,
+    is_mean: bool,
+    delay_s: float,
+    steps_hz: float = STEPS_HZ,
+) -> FineSegment:
     rate = record.rate_hz
     assert record.resolution is not None
-    fine = 2 * max(1, round(0.5 * _STEPS_HZ / rate))
+    fine = 2 * max(1, round(0.5 * steps_hz / rate))
     velocity = velocity_by_bands(position, rate, record.resolution, fine)
     step_s = 1.0 / (rate * fine)
     steps = np.arange(1, len(velocity) + 1)
@@ -218,6 +246,7 @@ def _fine_record(record: RegressionSegment, position: Array, torque: Array, is_m
         fine=fine,
         is_mean=is_mean,
         samples=torque[1:],
+        delay_s=delay_s,
     )
 
 

@@ -17,13 +17,14 @@ from friction_hil.identification.prediction_errors import (
     speed_groups,
     validate,
 )
-from friction_hil.identification.refine import refine
+from friction_hil.identification.refine import LAG_ROWS, refine
 from friction_hil.identification.regression import BACK_EMF, INVERSE_GAIN, Estimate, Regression
 from friction_hil.identification.structures import InitialScales, ModelStructure
 from friction_hil.numerics.jit import Array
 
 _FIRST_EVALUATIONS = 5  # from each start; the search continues from the best one
 _EVALUATIONS = 60
+ENDED_EARLY = "its search ended early, because other candidates fit far better; its parameters are rough"
 MECHANICS = ("inertia", "offset", "gravity.constant", "gravity.sine", "gravity.cosine")
 
 
@@ -164,8 +165,10 @@ def fit(
             begins.append(values)
     if warm is not None:
         begins = [{**begins[0], **_from_plain(structure, warm)}, *begins[:1]]
-    structure.model(begins[0])  # raises on an invalid held value, which a search would only step back from
     at = [np.array([each.inner(values[each.name]) for each in structure.coordinates]) for values in begins]
+    structure.model(
+        structure.values(at[0])
+    )  # raises on an invalid held value, which a search would only step back from
     if len(at) > 1:
         first = [regression.search(each, evaluations=_FIRST_EVALUATIONS, tolerance=1e-5) for each in at]
         at = [min(first, key=lambda solution: solution.cost).at]
@@ -177,10 +180,12 @@ def fit(
 def refined(
     base: Fit,
     regression: Regression,
+    coarse: Regression,
     originals: Data,
     scales: InitialScales,
     *,
     replicas: int,
+    start: Array | None = None,
     seed: int = 0,
     validation: Regression | None = None,
     notes: Sequence[str] = (),
@@ -193,15 +198,32 @@ def refined(
         Fit to the ordinary records, ``originals``.
     regression : Regression
         Regression of the same structure on `friction_hil.identification.fine.fine_data` of these records.
+    coarse : Regression
+        The same with fewer steps of the model per sample.
     originals : Data
     scales : InitialScales
+    start : (m,) array, optional
+        Coordinates to start from; those of ``base`` by default.
     replicas, seed : int
         Number and seed of the simulated experiments.
     validation, notes
         See `fit`.
     """
-    estimate, inference, further = refine(regression, originals, base.coordinates, scales, replicas=replicas, seed=seed)
+    at = base.coordinates if start is None else start
+    estimate, inference, further = refine(regression, coarse, originals, at, scales, replicas=replicas, seed=seed)
     return replace(_fit(regression, estimate, inference, validation, (*notes, *further)), is_refined=True)
+
+
+def ended(
+    regression: Regression, estimate: Estimate, *, validation: Regression | None = None, notes: Sequence[str] = ()
+) -> Fit:
+    """Return the refined fit of a candidate whose search ended early, because others fit far better.
+
+    The bias by the encoder's counts is not subtracted, and the errors on held-out data are extrapolated.
+    """
+    inference = infer(estimate, regression.data.parts, lags=LAG_ROWS)
+    notes = (*notes, ENDED_EARLY)
+    return replace(_fit(regression, estimate, inference, validation, notes, is_linear=True), is_refined=True)
 
 
 def _fit(
@@ -210,18 +232,19 @@ def _fit(
     inference: Inference,
     validation: Regression | None,
     notes: Sequence[str],
+    *,
+    is_linear: bool = False,
 ) -> Fit:
     structure = regression.structure
+    groups = speed_groups(regression.data)
     return Fit(
         structure=structure,
         values=estimate.values,
         mechanics=_mechanics(regression, estimate),
         inference=inference,
         train=prediction_error(regression.data.torque, regression.data.torque - estimate.residual),
-        cross_validation=cross_validate(regression, estimate, blocks(regression.data)),
-        across_speeds=cross_validate(regression, estimate, groups)
-        if (groups := speed_groups(regression.data))
-        else None,
+        cross_validation=cross_validate(regression, estimate, blocks(regression.data), is_linear=is_linear),
+        across_speeds=cross_validate(regression, estimate, groups, is_linear=is_linear) if groups else None,
         validation=None if validation is None else validate(validation, estimate),
         flags=(*notes, *flags(estimate, inference)),
         coordinates=estimate.coordinates,

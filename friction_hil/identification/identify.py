@@ -1,22 +1,28 @@
 """Identification of an axis: fit every candidate model to the same recordings, then choose one."""
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from friction_hil.errors import UsageError
+from friction_hil.errors import RecordingError, UsageError
 from friction_hil.identification import unknown_gain
 from friction_hil.identification.candidates import CandidateFitter
-from friction_hil.identification.choice import choose, is_better, to_refine
+from friction_hil.identification.choice import choose, is_better, plausible, to_refine
 from friction_hil.identification.data import RegressionSegment
 from friction_hil.identification.fine import shows_presliding
-from friction_hil.identification.fits import Fit
+from friction_hil.identification.fits import ENDED_EARLY, Fit
 from friction_hil.identification.inference import VAGUE
 from friction_hil.identification.prediction_errors import is_grouped
 from friction_hil.identification.progress import FitStep
+from friction_hil.identification.refine import is_dynamic
+from friction_hil.identification.refined_modifiers import refine_modifiers
 from friction_hil.identification.settings import IdentificationSettings
 from friction_hil.identification.structures import EXTENDS
+from friction_hil.identification.torque_timing import TorqueTiming, torque_timing
 from friction_hil.recordings import Recording
 
+_FAR = 3.0  # times the error of the best family: with parameters for each direction a family is no candidate either
+_EXACT = 1e-3  # of the measured torque: errors below do not tell families apart
 _EXTENDED = 2  # families that are tried with further modifiers
 _ROUNDS = 3  # of adding one more modifier
 _DISPENSABLE = ("sigma1", "viscous.quadratic")  # parameters that may as well be zero
@@ -40,6 +46,8 @@ class Identification:
     settings : IdentificationSettings
     notes : tuple of str
         Remarks that concern all candidates.
+    torque : TorqueTiming, optional
+        Age of the measured torque, if it was looked for.
     """
 
     fits: tuple[Fit, ...]
@@ -48,6 +56,7 @@ class Identification:
     validation: tuple[RegressionSegment, ...]
     settings: IdentificationSettings
     notes: tuple[str, ...]
+    torque: TorqueTiming | None = None
 
     @property
     def best(self) -> Fit:
@@ -92,10 +101,16 @@ def identify(
     if not recordings:
         raise UsageError("identify needs a recording")
     fitter = CandidateFitter(recordings, validation, settings or IdentificationSettings(), progress)
-    fits = _fit_all(fitter)
-    best, reason = choose(fits, "groups of recordings" if is_grouped(fitter.data) else "blocks")
-    again = to_refine(best, fits) if not fitter.known else []
-    if again and shows_presliding(fitter.data.records, fitter.settings.refine):
+    is_refined_later = not fitter.known and shows_presliding(fitter.data.records, fitter.settings.refine)
+    fits, free = _fit_all(fitter, is_refined_later=is_refined_later and fitter.settings.has_modifiers)
+    if not any(math.isfinite(each.held_out.rmse) for each in fits):
+        raise RecordingError(f"no candidate could be fitted to the recording: {'; '.join(fitter.notes)}")
+    kind = "groups of recordings" if is_grouped(fitter.data) else "blocks"
+    best, reason = choose(fits, kind)
+    torque = None
+    again = to_refine(best, [*fits, *free]) if not fitter.known else []
+    if again and is_refined_later:
+        torque = _settle_torque(fitter, again)
         fits, best, reason = _refine(fitter, fits, again)
     others = sorted(
         (each for each in fits if each is not best), key=lambda each: (not each.is_refined, each.held_out.rmse)
@@ -103,31 +118,96 @@ def identify(
     if fitter.known:  # after sorting: each fit has a gain of its own, so that torques do not compare but signals do
         best, *others = (unknown_gain.in_torque(each, fitter.data.parts) for each in (best, *others))
     kept = () if fitter.validation is None else fitter.validation.records
-    return Identification((best, *others), reason, fitter.data.records, kept, fitter.settings, tuple(fitter.notes))
+    return Identification(
+        (best, *others), reason, fitter.data.records, kept, fitter.settings, tuple(dict.fromkeys(fitter.notes)), torque
+    )
 
 
-def _fit_all(fitter: CandidateFitter) -> list[Fit]:
-    """Fit all families, the best ones with further modifiers, and these without parameters that do not show."""
+def plausible_fits(identification: Identification) -> tuple[Fit, ...]:
+    """Return the fits that may describe the axis, e.g. to try each of them in a simulation.
+
+    Returns
+    -------
+    tuple of Fit
+        The chosen one first, then those that are not worse than the best on held-out data by more than two standard
+        errors of the difference, those without parameters at a bound first, then the best one of each other family,
+        static and dynamic. Refined fits come before fits whose errors do not compare with theirs, which are there only
+        if no refined fit has their family.
+    """
+    found: list[Fit] = []
+    for _, fits in identification.groups:
+        families = {each.structure.family for each in found}
+        found += [each for each in plausible(fits, identification.best) if each.structure.family not in families]
+    return tuple(found)
+
+
+def _fit_all(fitter: CandidateFitter, *, is_refined_later: bool) -> tuple[list[Fit], list[Fit]]:
+    """Fit all families, the best ones with further modifiers, and these without parameters that do not show.
+
+    Dynamic families that are refined later get their modifiers there: ordinary records hardly show these models.
+
+    Returns
+    -------
+    fits : list of Fit
+    free : list of Fit
+        Fits of families whose hump the data do not show, and which others replace among the first.
+    """
     fitter.begin("families", 2 * len(fitter.families))
-    fits = _fit_families(fitter)
+    families = _fit_families(fitter, is_refined_later=is_refined_later)
     fitter.begin("modifiers")
+    fits = fitter.supported(families)
+    bases = [each for each in fits if not (is_refined_later and is_dynamic(each.structure))]
     if fitter.settings.has_modifiers:
-        fits += _fit_modified(fitter, fits)
-    fits += _fit_pruned(fitter, fits)
-    return unknown_gain.usable(fits) if fitter.known else fits
+        fits = fitter.supported([*fits, *_fit_modified(fitter, bases)])
+    bases = [each for each in fits if not (is_refined_later and is_dynamic(each.structure))]
+    fits = fitter.supported([*fits, *_fit_pruned(fitter, bases)])
+    return (unknown_gain.usable(fits) if fitter.known else fits), [each for each in families if each not in fits]
 
 
-def _fit_families(fitter: CandidateFitter) -> list[Fit]:
-    """Fit every family, without modifiers and with parameters of its own for each direction."""
+def _fit_families(fitter: CandidateFitter, *, is_refined_later: bool) -> list[Fit]:
+    """Fit every family, and those that are not far worse than the best with parameters for each direction."""
     plain: dict[str, Fit] = {}
     directed: dict[str, Fit] = {}
-    for family in fitter.families:
-        related = EXTENDS.get(family, "")
-        warm = plain[related].values if related in plain else None
-        plain[family] = fitter.fit(fitter.build(family, is_directed=False), warm)
-        warm = directed[related].values if related in directed else plain[family].values
-        directed[family] = fitter.fit(fitter.build(family, is_directed=True), warm)
+    own = [family for family in fitter.families if EXTENDS.get(family) not in fitter.families]
+    extensions = [family for family in fitter.families if family not in own]
+    for families in (own, extensions):
+        _fit_families_as(fitter, families, plain, {})
+    wanted = [
+        family for family in _not_far(fitter, plain) if not (is_refined_later and is_dynamic(plain[family].structure))
+    ]
+    for families in (own, extensions):
+        _fit_families_as(fitter, [family for family in families if family in wanted], directed, plain)
     return [*plain.values(), *directed.values()]
+
+
+def _fit_families_as(
+    fitter: CandidateFitter, families: Sequence[str], found: dict[str, Fit], plain: Mapping[str, Fit]
+) -> None:
+    """Fit families and add them to ``found``; with ``plain`` fits to start from, each direction has parameters."""
+    tasks = []
+    for family in families:
+        base = found.get(EXTENDS.get(family, "")) or plain.get(family)
+        tasks.append((fitter.build(family, is_directed=bool(plain)), None if base is None else base.values))
+    fits = zip(families, fitter.fit_all(tasks), strict=True)
+    found.update({family: each for family, each in fits if each is not None})
+
+
+def _not_far(fitter: CandidateFitter, fits: Mapping[str, Fit]) -> list[str]:
+    """Return the families whose errors are not many times that of the best one, and note the others."""
+    lowest = min((each.train.rmse for each in fits.values()), default=0.0)
+    kept = [family for family, each in fits.items() if each.train.rmse <= max(_FAR * lowest, _EXACT * _scale(each))]
+    left = [family for family in fits if family not in kept]
+    if left:
+        fitter.notes.append(
+            f"fitted without parameters for each direction only, because their errors are more than {_FAR:g} times "
+            f"that of the best family: {', '.join(left)}"
+        )
+    return kept
+
+
+def _scale(fit: Fit) -> float:
+    """Return the root mean square of the measured torque."""
+    return fit.train.rmse / fit.train.relative_error if fit.train.relative_error > 0.0 else 0.0
 
 
 def _fit_modified(fitter: CandidateFitter, fits: list[Fit]) -> list[Fit]:
@@ -145,10 +225,11 @@ def _fit_modified(fitter: CandidateFitter, fits: list[Fit]) -> list[Fit]:
     for base in bases:
         now = base
         for _ in range(_ROUNDS):
-            tried = [
+            fitted = [
                 fitter.fit_with_load(each, now) if "load" in each.modifiers else fitter.fit(each, now.values)
                 for each in list(fitter.with_modifier(now))
             ]
+            tried = [each for each in fitted if each is not None]
             better = [each for each in tried if is_better(each, now)]
             found += tried
             if not better:
@@ -171,7 +252,7 @@ def _fit_plain_with_load(fitter: CandidateFitter, plain: Fit) -> list[Fit]:
     if not fitter.set_load(plain.mechanics):
         return []
     structures = [each for each in fitter.with_modifier(plain) if "load" in each.modifiers]
-    return [fitter.fit_with_load(each, plain) for each in structures]
+    return [each for each in (fitter.fit_with_load(one, plain) for one in structures) if each is not None]
 
 
 def _fit_pruned(fitter: CandidateFitter, fits: list[Fit]) -> list[Fit]:
@@ -186,7 +267,8 @@ def _fit_pruned(fitter: CandidateFitter, fits: list[Fit]) -> list[Fit]:
         if any(other.label == structure.label for other in fits):
             continue
         fitter.set_load(each.mechanics)
-        found.append(fitter.fit(structure, {**each.values, **each.mechanics}))
+        if (fitted := fitter.fit(structure, {**each.values, **each.mechanics})) is not None:
+            found.append(fitted)
         if len(found) == _EXTENDED:
             break
     return found
@@ -195,12 +277,44 @@ def _fit_pruned(fitter: CandidateFitter, fits: list[Fit]) -> list[Fit]:
 def _refine(fitter: CandidateFitter, fits: list[Fit], again: list[Fit]) -> tuple[list[Fit], Fit, str]:
     """Refine some of the fits; return all fits with these replaced, the choice among the refined, and its reason."""
     fitter.begin("refinement", len(again))
-    refined = [fitter.refine(each) for each in again]
+    refined = fitter.refine_all(again)
+    fits = [each for each in fits if each.label not in {other.label for other in refined}]
+    if not refined:  # the fits to ordinary records are left
+        best, reason = choose(fits)
+        return fits, best, f"no candidate could be fitted at the resolution of the encoder: {reason}"
+    refined = fitter.supported(refined)
+    outdone: tuple[Fit, ...] = ()
+    if fitter.settings.has_modifiers:
+        fitter.begin("refined modifiers")
+        modified = refine_modifiers(fitter, refined)
+        refined, outdone = [*refined, *modified.tried], modified.outdone
     fits = [each for each in fits if each.label not in {other.label for other in refined}] + refined
-    best, further = choose(refined, kind="refined ")
+    left = [each for each in refined if each not in outdone]
+    # rough parameters are no candidates, unless all others were held flat or left out
+    best, further = choose([each for each in left if ENDED_EARLY not in each.flags] or left, kind="refined ")
+    if outdone:
+        lost = ", ".join(dict.fromkeys(each.label for each in outdone))
+        further += f" (less well than the same with more or fewer modifiers: {lost})"
     return (
         fits,
         best,
         "the recordings show presliding, so that the dynamic families were fitted once more at the resolution of the "
         f"encoder, with several model steps per sample: {further}",
     )
+
+
+def _settle_torque(fitter: CandidateFitter, fits: list[Fit]) -> TorqueTiming | None:
+    """Find out what the measured torque is, unless the user has said it, and note what it is taken for."""
+    if fitter.settings.torque != "auto":
+        taken = {"mean": "the mean over the period before the sample", "instant": "that of the instant"}
+        fitter.notes.append(
+            f"torque is taken to be {taken[fitter.settings.torque]}; if it is not (--torque-is), damping of presliding "
+            f"is wrong by its stiffness times half a period, {0.5 / fitter.data.records[0].rate_hz:.3g} s"
+        )
+        return None
+    fitter.begin("age of the torque")
+    timing = torque_timing(fitter, fits)
+    is_mean = (timing.meaning or timing.assumed) == "mean"
+    fitter.set_torque_timing(is_mean=is_mean, delay_s=timing.delay_s if timing.meaning == "late" else 0.0)
+    fitter.notes.append(timing.text)
+    return timing

@@ -6,11 +6,12 @@ of several.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from friction_hil.identification.least_squares import FitError, column_norms
 from friction_hil.identification.regression import Estimate
 from friction_hil.numerics.jit import Array
 
@@ -75,12 +76,14 @@ def infer(estimate: Estimate, parts: Sequence[slice], *, lags: int | None = None
     rows, count = jacobian.shape
     if not count:
         return Inference((), {}, np.empty((0, 0)), 0)
-    norms = np.linalg.norm(jacobian, axis=0)
+    norms = column_norms(jacobian)
+    if not (np.isfinite(norms).all() and np.isfinite(residual).all()):
+        raise FitError("its torque or a derivative of it is not finite")
     is_seen = norms > 0.0
     size = np.where(is_seen, norms, 1.0)
     # the triangular factor has the same singular values; for the tall matrix itself a BLAS with several threads takes
     # a hundred times as long
-    _, singular, vectors = np.linalg.svd(np.linalg.qr(jacobian / size, mode="r"), full_matrices=False)
+    singular, vectors = _singular(np.linalg.qr(jacobian / size, mode="r"))  # type: ignore[arg-type]
     is_kept = singular > _RANK * singular[0]
     inverse = (vectors[is_kept].T / singular[is_kept] ** 2) @ vectors[is_kept]
     # a parameter with a component in an undetermined direction has no finite error
@@ -105,6 +108,17 @@ def infer(estimate: Estimate, parts: Sequence[slice], *, lags: int | None = None
         for vector in vectors[~is_kept]
     )
     return Inference(names, dict(zip(names, map(float, errors), strict=True)), correlations, lags, same)
+
+
+def _singular(matrix: Array) -> tuple[Array, Array]:
+    """Return the singular values of a matrix, largest first, and its right singular vectors in rows."""
+    try:
+        _, singular, vectors = np.linalg.svd(matrix, full_matrices=False)
+    except np.linalg.LinAlgError:  # divide and conquer can fail where plain iterations do not
+        from scipy import linalg  # imported here: it is hardly ever needed
+
+        _, singular, vectors = linalg.svd(matrix, full_matrices=False, lapack_driver="gesvd")
+    return np.asarray(singular), np.asarray(vectors)
 
 
 def _lags(residual: Array, parts: Sequence[slice]) -> int:
@@ -193,7 +207,7 @@ def flags(estimate: Estimate, inference: Inference) -> list[str]:
             continue
         found.append(f"{COLLINEAR_FLAG}{first} and {second} (correlation {correlation:.3f}): {advice((first, second))}")
     for name in inference.names:
-        error, value = inference.standard_errors[name], abs(estimate.values[name])
+        error, value = inference.standard_errors[name], _size(name, estimate.values)
         if name in ("offset", "gravity.constant") and math.isfinite(error):
             continue  # these may well be zero
         if not error <= VAGUE * value:
@@ -204,6 +218,14 @@ def flags(estimate: Estimate, inference: Inference) -> list[str]:
     if not estimate.is_converged:
         found.append("not converged: the search ended before the error stopped falling")
     return found
+
+
+def _size(name: str, values: Mapping[str, float]) -> float:
+    """Return the absolute value of a parameter, or the amplitude of the harmonic to which it belongs."""
+    harmonic, _, part = name.rpartition(".")
+    if part in ("cosine", "sine") and harmonic.startswith("ripple["):
+        return math.hypot(*(values[f"{harmonic}.{each}"] for each in ("cosine", "sine")))
+    return abs(values[name])
 
 
 def is_doubtful(flags_of_fit: Sequence[str]) -> bool:

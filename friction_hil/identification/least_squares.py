@@ -13,12 +13,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from friction_hil.errors import FrictionHilError
 from friction_hil.numerics.jit import Array, compiled
 
 _FIRST_DAMPING = 1e-6
 _LEAST_GAIN = 1e-4  # of the predicted decrease: a step with a smaller one is rejected
 _TRIALS = 12  # dampings tried for one step before the search ends
 _LEAST_CHANGE = 0.3  # of a rejected step: one that differs by less is not evaluated
+
+
+class FitError(FrictionHilError):
+    """The numbers of a candidate fail: it is left out of a search."""
+
+
+NUMERICAL = (FitError, ArithmeticError, np.linalg.LinAlgError)  # what a candidate's numbers can raise
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,14 +90,50 @@ def project_out(basis: Array, values: Array) -> None:
                 values[k, j] -= basis[k, i] * products[i, j]
 
 
+def column_norms(matrix: Array) -> Array:
+    """Return the Euclidean norms of the columns of (k, m), which neither overflow nor underflow."""
+    largest = np.max(np.abs(matrix), axis=0, initial=0.0)
+    scale = np.where((largest > 0.0) & np.isfinite(largest), largest, 1.0)
+    return np.asarray(scale * np.linalg.norm(matrix / scale, axis=0))
+
+
+def least_norm_solution(matrix: Array, right: Array, rank: float | None = None) -> Array:
+    """Return the solution of least norm of a linear least-squares problem, (m,).
+
+    Parameters
+    ----------
+    matrix : (k, m) array
+    right : (k,) array
+    rank : float, optional
+        Singular values below this fraction of the largest one are taken to be zero; the machine precision by default.
+
+    Raises
+    ------
+    FitError
+        A number is not finite.
+    """
+    if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
+        raise FitError("its least-squares problem has numbers that are not finite")
+    try:
+        return np.asarray(np.linalg.lstsq(matrix, right, rcond=rank)[0])
+    except np.linalg.LinAlgError:  # the divide-and-conquer SVD can fail; a pivoted QR does not iterate
+        from scipy import linalg  # imported here: it is hardly ever needed
+
+        return np.asarray(linalg.lstsq(matrix, right, cond=rank, lapack_driver="gelsy")[0])
+
+
 def _norm(values: Array) -> float:
     return math.sqrt(values @ values)
 
 
 def _damped_step(matrix: Array, right: Array, damping: float) -> Array:
     """Return the solution of the damped normal equations; of least norm if they are singular."""
-    damped = matrix + damping * np.eye(len(right))
-    return np.asarray(np.linalg.lstsq(damped, right, rcond=None)[0])
+    return least_norm_solution(matrix + damping * np.eye(len(right)), right)
+
+
+def _cost(residual: Array, jacobian: Array) -> float:
+    """Return the sum of squares; infinite where residual or Jacobian cannot be used for a step."""
+    return float(residual @ residual) if math.isfinite(float(np.sum(np.abs(jacobian)))) else math.inf
 
 
 def _is_same(step: Array, rejected: Array, scale: Array) -> bool:
@@ -135,7 +179,7 @@ def minimise_bounded(
     """
     at = np.clip(start, lower, upper)
     r, jacobian = residual(at)
-    cost = float(r @ r)
+    cost = _cost(r, jacobian)
     calls, damping, scale = 1, _FIRST_DAMPING, np.zeros(len(at))
     if not math.isfinite(cost):
         return BoundedSolution(at, r, jacobian, math.inf, calls, False)
@@ -144,6 +188,8 @@ def minimise_bounded(
         normal_equations(jacobian, r, matrix, gradient)
         is_held = ((at <= lower) & (gradient > 0.0)) | ((at >= upper) & (gradient < 0.0))
         norms = np.sqrt(np.diag(matrix))
+        if not math.isfinite(float(np.sum(norms))):
+            return BoundedSolution(at, r, jacobian, cost, calls, False)
         scale = np.maximum(scale, norms)
         free = np.flatnonzero(~is_held & (norms > 0.0))
         if not free.size or cost == 0.0:
@@ -165,7 +211,7 @@ def minimise_bounded(
             predicted = -float(2.0 * gradient @ step + step @ matrix @ step)
             r_trial, jacobian_trial = residual(trial)
             calls += 1
-            cost_trial = float(r_trial @ r_trial)
+            cost_trial = _cost(r_trial, jacobian_trial)
             if math.isfinite(cost_trial) and cost - cost_trial > _LEAST_GAIN * max(predicted, 0.0):
                 break
             if abs(predicted) <= tolerance * cost or calls >= evaluations:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from friction_hil.identification.data import Data, Mask
+from friction_hil.identification.least_squares import FitError
 from friction_hil.identification.regression import Estimate, Regression
 from friction_hil.numerics.jit import Array
 
@@ -15,6 +16,8 @@ BLOCKS = 6
 SPEED_GROUPS = 4
 _LEAST_STROKE = 10  # rows
 _RECORDINGS_AS_BLOCKS = 4  # with this many recordings or more, each is a block
+_STRETCHES = 60  # of time, over which the errors of two fits are compared
+_LEAST_STRETCH = 8  # rows
 _MARGIN = 5  # rows on either side of a block, which share samples with it through the filters
 
 
@@ -30,21 +33,34 @@ class PredictionError:
         norm(measured - predicted) / norm(measured); NaN if all measured torques are zero.
     blocks : tuple of float
         Mean square error of each block or recording.
+    stretches : tuple of float
+        Mean square error of each of many short stretches of equal length, in the order of time. Those of two fits to
+        the same rows belong to the same stretches. If the recordings are in groups, of each group.
     """
 
     rmse: float
     relative_error: float
     blocks: tuple[float, ...] = ()
+    stretches: tuple[float, ...] = ()
 
 
-def prediction_error(measured: Array, predicted: Array, blocks: Sequence[Mask] = ()) -> PredictionError:
-    """Return the error of (k,) predicted torques, in all rows and in those that each mask of ``blocks`` selects."""
+def prediction_error(
+    measured: Array, predicted: Array, blocks: Sequence[Mask] = (), *, is_grouped: bool = False
+) -> PredictionError:
+    """Return the error of (k,) predicted torques, in all rows and in those that each mask of ``blocks`` selects.
+
+    With ``is_grouped`` the blocks are groups of recordings, and the only stretches: what the user grouped is alike.
+    """
     square = (measured - predicted) ** 2
     norm = float(np.linalg.norm(measured))
+    count = max(min(_STRETCHES, len(square) // _LEAST_STRETCH), 1)
+    each_block = tuple(float(np.mean(square[block])) for block in blocks)
+    each_stretch = tuple(float(np.mean(each)) for each in np.array_split(square, count))
     return PredictionError(
         rmse=float(np.sqrt(np.mean(square))),
         relative_error=math.sqrt(float(np.sum(square))) / norm if norm > 0.0 else math.nan,
-        blocks=tuple(float(np.mean(square[block])) for block in blocks),
+        blocks=each_block,
+        stretches=each_block if is_grouped else each_stretch,
     )
 
 
@@ -100,10 +116,13 @@ def speed_groups(data: Data) -> list[Mask]:
     return masks if all(np.count_nonzero(mask) > _LEAST_STROKE for mask in masks) else []
 
 
-def cross_validate(regression: Regression, estimate: Estimate, masks: Sequence[Mask]) -> PredictionError:
+def cross_validate(
+    regression: Regression, estimate: Estimate, masks: Sequence[Mask], *, is_linear: bool = False
+) -> PredictionError:
     """Fit with the rows of each mask held out in turn, and return the error of predicting these rows.
 
-    The models run through the whole record: only the torque is held out, not the motion.
+    The models run through the whole record: only the torque is held out, not the motion. With ``is_linear`` the torque
+    of each of these fits is extrapolated with the gradient of the fit to all rows, which takes no simulation.
     """
     data = regression.data
     predicted = np.empty(len(data))
@@ -112,14 +131,19 @@ def cross_validate(regression: Regression, estimate: Estimate, masks: Sequence[M
     for mask in masks:
         near = np.convolve(mask, np.ones(2 * _MARGIN + 1), mode="same") > 0.0
         rows = ~near
-        at, torque = regression.refit(estimate.coordinates, rows=rows, weights=robust, pinned=pinned)
+        at, torque = regression.refit(
+            estimate.coordinates, rows=rows, weights=robust, pinned=pinned, is_linear=is_linear
+        )
         linear = regression.linear(torque, rows=rows, weights=robust, pinned=pinned)
         predicted[mask] = regression.predict(at, linear, torque)[mask]
-    return prediction_error(data.torque, predicted, masks)
+    if not np.isfinite(predicted).all():
+        raise FitError("the torque of a fit to a part of the data is not finite")
+    return prediction_error(data.torque, predicted, masks, is_grouped=is_grouped(data))
 
 
 def validate(regression: Regression, estimate: Estimate) -> PredictionError:
     """Return the error of an estimate on the data of another regression with the same structure."""
     linear: Mapping[str, float] = {name: estimate.values[name] for name in regression.keys}
     predicted = regression.predict(estimate.coordinates, linear)
-    return prediction_error(regression.data.torque, predicted, blocks(regression.data))
+    data = regression.data
+    return prediction_error(data.torque, predicted, blocks(data), is_grouped=is_grouped(data))

@@ -10,11 +10,11 @@ class FitStep:
     Attributes
     ----------
     stage : str
-        Stage of the identification: families, modifiers or refinement.
+        Stage of the identification: families, modifiers, age of the torque, refinement or refined modifiers.
     number : int
         Number of the fit in its stage, from 1.
     count : int, optional
-        Number of fits in the stage; None where it depends on their results.
+        Largest number of fits in the stage, of which results may save some; None where it is not known.
     label : str
         Label of the candidate.
     """

@@ -19,15 +19,18 @@ from friction_hil.identification import structures
 from friction_hil.identification.data import Data, linear_column
 from friction_hil.identification.fine import ROWS_HZ, FineSegment, local_rms, recounted
 from friction_hil.identification.inference import Inference, infer
-from friction_hil.identification.regression import Estimate, Regression, is_positive
+from friction_hil.identification.least_squares import column_norms, least_norm_solution
+from friction_hil.identification.regression import Estimate, Regression
 from friction_hil.identification.structures import InitialScales, ModelStructure
 from friction_hil.numerics.jit import Array
 
 REPLICAS = 8
 _REWEIGHTINGS = 2
+_EVALUATIONS = 20  # the search has begun already, on fewer steps of the model
+_FURTHER_EVALUATIONS = 10  # after each reweighting
 _WEIGHT_S = 0.25  # window of the local residual
 _EQUAL_FRACTION = 0.25  # of the rows, those with the smallest residuals, have equal weights
-_LAG_S = 0.5  # time over which residuals are taken to be correlated
+LAG_ROWS = round(0.5 * ROWS_HZ)  # over which residuals are taken to be correlated
 _SHIFT_DOUBT = 1.0 / 8.0  # variance of a subtracted shift, relative to its square: it depends on the fitted model
 
 
@@ -38,6 +41,7 @@ def is_dynamic(structure: ModelStructure) -> bool:
 
 def refine(
     regression: Regression,
+    coarse: Regression,
     originals: Data,
     at: Array,
     scales: InitialScales,
@@ -51,10 +55,12 @@ def refine(
     ----------
     regression : Regression
         On `friction_hil.identification.fine.fine_data`.
+    coarse : Regression
+        The same with fewer steps of the model per sample: the search and the weights come from there.
     originals : Data
         The ordinary records.
     at : (m,) array
-        Coordinates of the fit to ``originals``.
+        Coordinates to start from.
     scales : InitialScales
     replicas : int
         Number of simulated experiments; at least 2.
@@ -68,30 +74,28 @@ def refine(
     inference : Inference
     notes : list of str
     """
-    weights: Array | None = None
-    estimate = regression.estimate(_inside(regression, at, scales))
-    for _ in range(_REWEIGHTINGS):
-        weights = _weights(regression.data, estimate.residual)
-        estimate = regression.estimate(estimate.coordinates, weights=weights)
-    inference = infer(estimate, regression.data.parts, lags=round(_LAG_S * ROWS_HZ))
+    estimate = coarse.estimate(inside(coarse, at, scales), evaluations=_EVALUATIONS)
+    weights = _weights(coarse.data, estimate.residual)
+    for _ in range(_REWEIGHTINGS - 1):
+        estimate = coarse.estimate(estimate.coordinates, weights=weights, evaluations=_FURTHER_EVALUATIONS)
+        weights = _weights(coarse.data, estimate.residual)
+    estimate = regression.estimate(estimate.coordinates, weights=weights, evaluations=_FURTHER_EVALUATIONS)
+    inference = infer(estimate, regression.data.parts, lags=LAG_ROWS)
     shifts = _shifts(regression, originals, estimate, replicas, seed)
     corrected, inference, notes = _corrected(regression, estimate, inference, shifts)
-    return corrected, inference, [_convention(regression.data), *notes]
+    return corrected, inference, notes
 
 
-def _convention(data: Data) -> str:
-    """Return the note on the assumed meaning of a torque: no recording shows it, and the damping depends on it."""
-    record = data.records[0]
-    assert isinstance(record, FineSegment)
-    taken = "the mean over the period before the sample" if record.is_mean else "that of the instant"
-    other = "instant" if record.is_mean else "mean"
-    return (
-        f"torque is taken to be {taken}; if it is not (--torque-is {other}), damping of presliding is wrong by its "
-        f"stiffness times half a period, {0.5 / record.sample_hz:.3g} s"
-    )
+def weighted_estimate(regression: Regression, at: Array, scales: InitialScales, *, evaluations: int = 60) -> Estimate:
+    """Estimate a structure on fine records from ``at``, with small weights where the state of the model is wrong."""
+    estimate = regression.estimate(inside(regression, at, scales), evaluations=evaluations)
+    for _ in range(_REWEIGHTINGS):
+        weights = _weights(regression.data, estimate.residual)
+        estimate = regression.estimate(estimate.coordinates, weights=weights, evaluations=evaluations)
+    return estimate
 
 
-def _inside(regression: Regression, at: Array, scales: InitialScales) -> Array:
+def inside(regression: Regression, at: Array, scales: InitialScales) -> Array:
     """Return coordinates to start from: those at a bound, where they have no gradient, come from the scales."""
     first = next(structures.starts(regression.structure, scales, 0, 0))
     suggested = np.array([each.inner(first[each.name]) for each in regression.structure.coordinates])
@@ -123,21 +127,29 @@ def _shifts(regression: Regression, originals: Data, estimate: Estimate, replica
         # a stretch where the state is wrong in this replica only gets a smaller weight, as in a recording
         joint = 1.0 / np.hypot(1.0 / estimate.weights, _near(data, residual))
         columns = jacobian * joint[:, None]
-        norms = np.linalg.norm(columns, axis=0)
+        norms = column_norms(columns)
         norms[norms == 0.0] = 1.0
-        rows.append(np.linalg.lstsq(columns / norms, residual * joint, rcond=1e-7)[0] / norms)
+        rows.append(least_norm_solution(columns / norms, residual * joint, 1e-7) / norms)
     return np.array(rows)
 
 
 def _sensed(regression: Regression, estimate: Estimate) -> list[Array]:
     """Return the torque that a sensor without noise would report at the samples of each record."""
+    found = []
+    for record, torque in zip(regression.data.records, torque_at_steps(regression, estimate), strict=True):
+        assert isinstance(record, FineSegment)
+        found.append(record.at_samples(torque))
+    return found
+
+
+def torque_at_steps(regression: Regression, estimate: Estimate) -> list[Array]:
+    """Return the predicted torque (n,) of each record at the steps of the model."""
     structure = regression.structure
     linear = {**regression.held, **{name: estimate.values[name] for name in regression.keys}}
     keys = {**{name: name for name in regression.held}, **regression.keys}
     model = structure.model(structure.values(estimate.coordinates))
     found = []
     for number, record in enumerate(regression.data.records):
-        assert isinstance(record, FineSegment)
         torque = model.simulate(
             record.velocity,
             record.dt,
@@ -148,7 +160,7 @@ def _sensed(regression: Regression, estimate: Estimate) -> list[Array]:
         for name, value in linear.items():
             unit = record.acceleration if keys[name] == "inertia" else linear_column(keys[name], record)
             torque = torque + value * unit
-        found.append(record.at_samples(torque))
+        found.append(torque)
     return found
 
 
@@ -162,7 +174,7 @@ def _corrected(
         **estimate.values,
         **{name: estimate.values[name] - x for name, x in zip(names, shift.tolist(), strict=True)},
     }
-    below = tuple(name for name in regression.keys if is_positive(name) and values[name] < 0.0)
+    below = tuple(regression.impossible({name: values[name] for name in regression.keys}))
     values.update(dict.fromkeys(below, 0.0))
     notes = []
     coordinates, is_inside = estimate.coordinates.copy(), True

@@ -13,19 +13,28 @@ import numpy as np
 
 from friction_hil.errors import UsageError
 from friction_hil.identification.data import Data, Mask
-from friction_hil.identification.least_squares import BoundedSolution, minimise_bounded, project_out
+from friction_hil.identification.least_squares import (
+    BoundedSolution,
+    FitError,
+    column_norms,
+    least_norm_solution,
+    minimise_bounded,
+    project_out,
+)
 from friction_hil.identification.structures import ModelStructure
 from friction_hil.numerics.jit import Array
 
-# Linear parameters that stay at or above zero: friction must not drive the axis, and a torque that bends down with the
-# speed (power_law can) must not change its sign beyond the speeds of the recording.
-_POSITIVE = ("inertia", "viscous", "sigma2", "quadratic", "back_emf")
+# Linear parameters that stay at or above zero: friction must not drive the axis.
+_POSITIVE = ("inertia", "viscous", "sigma2", "back_emf")
+# Viscous friction that bends down must not change its sign up to so many times the top speed of the data.
+_BENDING_SPEEDS = 3.0
 # Parameters of a drive with an unknown gain: see `friction_hil.identification.unknown_gain`.
 GAIN, INVERSE_GAIN, BACK_EMF = "drive.gain", "drive.inverse_gain", "drive.back_emf"
 _LONGEST_STEP = 2.0  # of a logarithm: the parameter changes by a factor of 7 at most
 _REMEMBERED = 6  # evaluations kept
 _RANK = 1e-9  # of a column's norm: a smaller remainder outside the span of the columns before it is rounding
 _COLLINEAR = 1e-7  # the same for a derivative
+_SHORT_STEP = 0.03  # relative change of a parameter for which the torque follows its gradient
 _REFIT_DAMPING = 0.1  # of columns of length 1
 _ROUNDS = 4  # of reweighting
 _NORMAL_MAD = 1.4826  # standard deviation of a normal distribution over its median absolute deviation
@@ -123,9 +132,13 @@ class Regression:
     def _friction(self, coordinates: Array) -> tuple[Array, Array]:
         """Return the nonlinear friction torque (k,) and its derivatives (k, m); NaN for inconsistent parameters."""
         structure, records = self.structure, self.data.records
+        values = structure.values(coordinates)
         try:
-            model = structure.model(structure.values(coordinates))
+            model = structure.model(values)
+            is_allowed = structure.is_admissible(values)
         except UsageError:
+            is_allowed = False
+        if not is_allowed:
             return np.full(len(self.data), math.nan), np.zeros((len(self.data), len(coordinates)))
         # derivative of each parameter with respect to its coordinate
         slopes = [
@@ -168,10 +181,10 @@ class Regression:
         def residual(at: Array) -> tuple[Array, Array]:
             torque, gradient = self.friction(at)
             both = _rows(np.column_stack([target - torque, -gradient]), rows, weights)
-            before = np.linalg.norm(both, axis=0)
+            before = column_norms(both)
             project_out(basis, both)
             # a derivative inside the span of the linear parameters leaves rounding only: not a direction to search in
-            is_made_up = np.linalg.norm(both, axis=0) <= _COLLINEAR * before
+            is_made_up = column_norms(both) <= _COLLINEAR * before
             both[:, 1:][:, is_made_up[1:]] = 0.0
             return np.ascontiguousarray(both[:, 0]), np.ascontiguousarray(both[:, 1:])
 
@@ -186,15 +199,24 @@ class Regression:
         )
 
     def refit(
-        self, at: Array, *, rows: Mask, weights: Array | None = None, pinned: Sequence[str] = (), evaluations: int = 4
+        self,
+        at: Array,
+        *,
+        rows: Mask,
+        weights: Array | None = None,
+        pinned: Sequence[str] = (),
+        evaluations: int = 4,
+        is_linear: bool = False,
     ) -> tuple[Array, Array]:
         """Return coordinates fitted to the rows of a mask, starting from a fit to all rows, and their torque (k,).
 
-        One Gauss-Newton step, whose gradient is known already, is taken if the sum of squares falls by at least half of
-        the predicted decrease. Otherwise a damped step is tried, because parameters that the data hardly determine make
-        the step too long, and finally a search.
+        One Gauss-Newton step, whose gradient is known already, is taken if it is short enough for the torque to follow
+        that gradient, or if the sum of squares falls by at least half of the predicted decrease. Otherwise a damped
+        step is tried, because parameters that the data hardly determine make the step too long, and finally a search.
+        With ``is_linear`` the damped step is taken without a simulation.
         """
-        torque, gradient = self.friction(at)
+        torque_at, gradient = self.friction(at)
+        torque = torque_at
         if not len(at):
             return at, torque
         basis = self._basis(rows, weights, pinned)[1]
@@ -202,15 +224,19 @@ class Regression:
         both = _rows(np.column_stack([target - torque, -gradient]), rows, weights)
         project_out(basis, both)
         cost = float(np.sum(both[:, 0] ** 2))
-        norms = np.linalg.norm(both[:, 1:], axis=0)
-        is_free = (norms > _COLLINEAR * np.linalg.norm(gradient, axis=0)) & (at > self.lower) & (at < self.upper)
+        norms = column_norms(both[:, 1:])
+        is_free = (norms > _COLLINEAR * column_norms(gradient)) & (at > self.lower) & (at < self.upper)
         columns = both[:, 1:][:, is_free] / norms[is_free]
         normal, slope = columns.T @ columns, columns.T @ both[:, 0]
         for damping in (0.0, _REFIT_DAMPING):
             step = np.zeros(len(at))
             damped = normal + damping * np.eye(len(slope))
-            step[is_free] = np.linalg.lstsq(damped, -slope, rcond=1e-10)[0] / norms[is_free]
+            step[is_free] = least_norm_solution(damped, -slope, 1e-10) / norms[is_free]
             trial = np.clip(at + np.clip(step, -self.longest, self.longest), self.lower, self.upper)
+            if (is_linear and damping > 0.0) or self._is_short(at, trial):
+                return trial, torque_at + gradient @ (trial - at)
+            if is_linear:
+                continue
             try:
                 torque = self.friction_torque(trial)
             except UsageError:
@@ -222,6 +248,11 @@ class Regression:
                 return trial, torque
         at = self.search(at, evaluations=evaluations, rows=rows, weights=weights, pinned=pinned, tolerance=1e-4).at
         return at, self.friction(at)[0]
+
+    def _is_short(self, at: Array, trial: Array) -> bool:
+        """Return True if every parameter changes by a few percent at most."""
+        sizes = np.where(np.isfinite(self.longest), 1.0, np.abs(at))  # a logarithm changes by the relative change
+        return bool(np.all(np.abs(trial - at) <= _SHORT_STEP * sizes))
 
     def _basis(self, rows: Mask | None, weights: Array | None, pinned: Sequence[str]) -> tuple[list[str], Array]:
         """Return the names of linear parameters with independent columns, and an orthonormal basis of their span."""
@@ -256,9 +287,20 @@ class Regression:
             matrix = np.column_stack([self.data.column(self.keys[name]) for name in names])
             norms = np.linalg.norm(matrix, axis=0)
             target = _rows(self.data.torque - self._held_torque - torque, rows, weights)
-            found = np.linalg.lstsq(_rows(matrix / norms, rows, weights), target, rcond=None)[0] / norms
+            found = least_norm_solution(_rows(matrix / norms, rows, weights), target) / norms
             values.update(zip(names, map(float, found), strict=True))
         return values
+
+    def impossible(self, linear: Mapping[str, float]) -> list[str]:
+        """Return the linear parameters whose values no friction has: they are to be held at 0."""
+        wrong = [name for name, value in linear.items() if is_positive(name) and value < 0.0]
+        bend = linear.get("viscous.quadratic", 0.0)
+        if bend < 0.0:
+            slopes = [value for name, value in linear.items() if name.rpartition(".")[2] in ("viscous", "sigma2")]
+            top = float(np.max(np.abs(self.data.motion("velocity"))))
+            if min(slopes, default=0.0) + _BENDING_SPEEDS * top * bend < 0.0:
+                wrong.append("viscous.quadratic")
+        return wrong
 
     def predict(self, coordinates: Array, linear: Mapping[str, float], friction: Array | None = None) -> Array:
         """Return the predicted torque (k,); ``friction`` is the result of `friction_torque` if known already."""
@@ -309,6 +351,11 @@ class Regression:
             Largest number of evaluations of each search.
         weights : (k,) array, optional
             Initial weights of the rows.
+
+        Raises
+        ------
+        FitError
+            The torque is not finite where the search starts.
         """
         pinned: list[str] = []
         at = start
@@ -316,9 +363,11 @@ class Regression:
             while True:
                 solution = self.search(at, evaluations=evaluations, weights=weights, pinned=pinned)
                 at = solution.at
+                if not math.isfinite(solution.cost):
+                    raise FitError("its torque is not defined at any start of the search")
                 torque, _ = self.friction(at)
                 linear = self.linear(torque, weights=weights, pinned=pinned)
-                wrong = [name for name, value in linear.items() if is_positive(name) and value < 0.0]
+                wrong = [name for name in self.impossible(linear) if name not in pinned]
                 if not wrong:
                     break
                 pinned += wrong

@@ -6,7 +6,7 @@ import numpy as np
 
 from friction_hil import friction as models
 from friction_hil.errors import RecordingError
-from friction_hil.identification.data import Data
+from friction_hil.identification.data import Data, moved_since_reversal
 from friction_hil.identification.structures import TABLE_POINTS, InitialScales
 from friction_hil.numerics.jit import Array
 
@@ -15,6 +15,9 @@ _VELOCITIES = 10
 _LEAST_LEVEL = 1e-3  # of the measured torque: smallest level, so that searches have a scale even without friction
 _SPREAD = (1e-6, 0.1)  # of the travel: range of deflections tried
 _COLLINEAR = 1e-6  # of a regressor's norm: a smaller remainder outside the span of the base is rounding
+_SLIDING = 3.0  # presliding deflections after which the axis slides
+_LEAST_SHARE = 0.01  # of the time: the axis slides more slowly than the least sliding speed for as long
+_LARGEST = 0.999  # quantile
 _MOVING = 1e-3  # of the top speed: the axis moves if it is faster
 
 
@@ -51,6 +54,8 @@ def estimate_scales(data: Data, mechanics: tuple[str, ...]) -> InitialScales:
         deflections=_best(deflections, left, 2),
         stribeck_velocities=stribeck_velocities,
         speeds=_table_speeds(data, speed),
+        least_sliding_speed=_least_sliding_speed(data, _SLIDING * _best(deflections, left, 1)[0]),
+        largest=_largest(data, mechanics, sign),
     )
 
 
@@ -84,11 +89,48 @@ def _stribeck(data: Data, base: _Base, sign: Array, level: float, speed: float) 
 
 
 def _table_speeds(data: Data, speed: float) -> tuple[float, ...]:
-    """Return increasing speeds for the points of a table: quantiles of the speed in motion."""
-    moving = np.concatenate([np.abs(record.velocity) for record in data.records])
+    """Return increasing speeds for the points of a table: quantiles of the speed in motion.
+
+    Only rows that count are asked: nothing would determine the torque of a point that is slower than all of them.
+    """
+    moving = np.concatenate(
+        [
+            np.abs(record.velocity if record.is_moving is None else record.reduce_smooth(record.velocity))
+            for record in data.records
+        ]
+    )
     moving = moving[moving > _MOVING * speed]
     quantiles = np.quantile(moving, np.linspace(0.02, 0.98, TABLE_POINTS))
     return tuple(np.maximum.accumulate(quantiles + 1e-6 * speed * np.arange(TABLE_POINTS)).tolist())
+
+
+def _least_sliding_speed(data: Data, distance: float) -> float:
+    """Return the speed that the axis exceeds, except for a small part of the time, where it slides.
+
+    It slides where it has moved by ``distance`` since the last reversal; before that the torque shows presliding, not
+    the level at that speed. A parameter of the Stribeck curve is known only from rows in which the axis slides.
+    """
+    found, total = [], 0
+    for record in data.records:
+        rows = slice(record.begin, record.end)
+        velocity, position = record.velocity[rows], record.position[rows]
+        speeds = np.abs(velocity[moved_since_reversal(velocity, position) > distance])
+        if record.is_moving is not None:  # only faster rows count
+            speeds = speeds[speeds >= np.min(np.abs(record.reduce_smooth(record.velocity)))]
+        found.append(speeds)
+        total += len(velocity)
+    slid = np.sort(np.concatenate(found))
+    return float(slid[min(int(_LEAST_SHARE * total), len(slid) - 1)]) if len(slid) else math.inf
+
+
+def _largest(data: Data, mechanics: tuple[str, ...], sign: Array) -> float:
+    """Return the largest torque that is left without mechanics, apart from outliers."""
+    columns = np.column_stack([*(data.column(name) for name in mechanics), data.column("viscous"), sign])
+    norms = np.linalg.norm(columns, axis=0)
+    norms[norms == 0.0] = 1.0
+    factors = np.linalg.lstsq(columns / norms, data.torque, rcond=None)[0] / norms
+    friction = data.torque - columns[:, : len(mechanics)] @ factors[: len(mechanics)]
+    return float(np.quantile(np.abs(friction), _LARGEST))
 
 
 def _dahl(data: Data, deflection: float) -> Array:

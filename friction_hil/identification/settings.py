@@ -36,7 +36,7 @@ class IdentificationSettings:
         True if the column ``torque`` is a signal in a unit of its own (V, A), with torque = gain signal - back_emf
         velocity. Gain and back-EMF are then identified, and the held inertia or gravity sets the scale
         (`friction_hil.identification.unknown_gain`).
-    least_speed, group_by
+    least_speed, sliding_s, sliding_distance, group_by
         See `friction_hil.identification.data.prepare`. Groups are held out one after the other.
     seed : int
         Seed of the random starting points.
@@ -47,8 +47,9 @@ class IdentificationSettings:
         (`friction_hil.identification.refine`). By default they are refined if all recordings show presliding:
         position in known steps, sampled at 500 Hz or more, with oscillations faster than 8 Hz.
     torque : str
-        Meaning of a measured torque, which the refinement needs: ``mean`` over the period that ends at the sample, or
-        the value at that ``instant``.
+        Meaning of a measured torque, which the refinement needs: ``mean`` over the period that ends at the sample, the
+        value at that ``instant``, or ``auto``: found from the recordings, and a mean if they do not tell
+        (`friction_hil.identification.torque_timing`).
     replicas : int
         Number of simulated experiments that the refinement uses to estimate its bias.
     """
@@ -61,12 +62,14 @@ class IdentificationSettings:
     has_modifiers: bool = True
     has_unknown_gain: bool = False
     least_speed: float = 0.0
+    sliding_s: float = 0.0
+    sliding_distance: float = 0.0
     group_by: str | None = None
     seed: int = 0
     lowpass_hz: float | None = None
     decimation: int | None = None
     refine: bool | None = None
-    torque: Literal["mean", "instant"] = "mean"
+    torque: Literal["auto", "mean", "instant"] = "auto"
     replicas: int = REPLICAS
 
 

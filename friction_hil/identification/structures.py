@@ -23,7 +23,9 @@ TABLE_POINTS = 6
 EXTENDS = {"elasto_plastic": "lugre"}  # families and the special case that each extends
 EQUAL_IN_FEEDFORWARD = {"karnopp": "stribeck"}  # they differ while sticking, which no recording of a drive shows
 
-_MOST = 20.0  # largest level that is searched, relative to the friction at low speed
+_MOST = 1.5  # largest level that is searched, relative to the largest friction that was measured
+_STEEPEST = 1e3  # beta and gamma times the shortest deflection that the data suggest; exponents above 1 take more
+_NARROWEST = 0.1  # Stribeck velocity over the slowest sliding: an axis that breaks away passes a narrow hump in a jump
 _SPRING_RATIOS = (0.2, 1.0, 3.0, 10.0)  # of the deflections at which elements of gms begin to slip
 
 
@@ -45,6 +47,10 @@ class InitialScales:
         Best first.
     speeds : tuple of float
         Speeds of the points of a table.
+    least_sliding_speed : float
+        Speed below which the axis slides, past presliding, for a small part of the time only.
+    largest : float
+        Largest friction that was measured.
     """
 
     level: float
@@ -54,6 +60,8 @@ class InitialScales:
     deflections: tuple[float, ...]
     stribeck_velocities: tuple[float, ...]
     speeds: tuple[float, ...]
+    least_sliding_speed: float
+    largest: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +122,8 @@ class ModelStructure:
     axis : str
     without : tuple of str
         Parameters held at zero because the data do not excite them.
+    is_flat : bool
+        True if the static levels are equal to the Coulomb level, because the data do not show the difference.
     """
 
     family: str
@@ -123,11 +133,14 @@ class ModelStructure:
     modifiers: tuple[str, ...] = ()
     axis: Axis = "rotary"
     without: tuple[str, ...] = ()
+    is_flat: bool = False
 
     @property
     def label(self) -> str:
         """Name for tables and messages: ``lugre``, ``lugre + direction``."""
-        own = f"{self.family} ({', '.join(self.without)} = 0)" if self.without else self.family
+        held = ["static = coulomb"] if self.is_flat else []
+        held += [f"{', '.join(self.without)} = 0"] if self.without else []
+        own = f"{self.family} ({'; '.join(held)})" if held else self.family
         return " + ".join([own, *self.modifiers])
 
     @property
@@ -141,6 +154,16 @@ class ModelStructure:
         for each, coordinate in zip(self.coordinates, coordinates, strict=True):
             found.update(dict.fromkeys(each.names, each.outer(float(coordinate))))
         return found
+
+    def is_admissible(self, values: Mapping[str, float]) -> bool:
+        """Return False if the search must not go there: a Bouc-Wen loop that releases energy grows without bound.
+
+        Source: F. Ikhouane, J. Rodellar, Systems with Hysteresis, 2007, chapter 2.
+        """
+        if "gamma" not in values:
+            return True
+        betas = [value for name, value in values.items() if name.rpartition(".")[2] == "beta"]
+        return all(abs(values["gamma"]) <= beta for beta in betas)
 
     def model(self, values: Mapping[str, float]) -> FrictionModel:
         """Create the model with these values and the constants; unnamed parameters take their defaults.
@@ -295,13 +318,41 @@ def build(family: str, scales: InitialScales, axis: Axis, period_s: float, *, is
     return ModelStructure(family, tuple(coordinates), linear, constants, ("direction",) if is_directed else (), axis)
 
 
+def directed(structure: ModelStructure) -> ModelStructure:
+    """Return a structure of one set of levels with levels and viscous friction of their own for each direction.
+
+    Levels that are held stay common to both directions.
+    """
+    recipe = _RECIPES[EQUAL_IN_FEEDFORWARD.get(structure.family, structure.family)]
+    coordinates: list[Coordinate] = []
+    for each in structure.coordinates:
+        if each.name in recipe.levels:
+            coordinates += [
+                replace(each, names=tuple(f"direction.{side}.{name}" for name in each.names)) for side in SIDES
+            ]
+        else:
+            coordinates.append(each)
+    linear: dict[str, str] = {}
+    for name, key in structure.linear.items():
+        if name == recipe.viscous:
+            linear |= {f"direction.{side}.{name}": f"{key}.{side}" for side in SIDES}
+        else:
+            linear[name] = key
+    return replace(
+        structure,
+        coordinates=tuple(coordinates),
+        linear=linear,
+        modifiers=("direction", *structure.modifiers),
+    )
+
+
 def _all() -> tuple[str, ...]:
     return (*_RECIPES, *EQUAL_IN_FEEDFORWARD)
 
 
 def _table(scales: InitialScales, axis: Axis, constants: dict[str, Any], is_directed: bool) -> ModelStructure:
     speeds = [*scales.speeds, *(-speed for speed in scales.speeds)] if is_directed else list(scales.speeds)
-    high = 1e3 * scales.level
+    high = _highest_level(scales)
     coordinates = tuple(
         Coordinate((f"points[{i}]",), *((0.0, high) if speed > 0.0 else (-high, 0.0)), False)
         for i, speed in enumerate(speeds)
@@ -310,17 +361,24 @@ def _table(scales: InitialScales, axis: Axis, constants: dict[str, Any], is_dire
     return ModelStructure("table", coordinates, {}, {**constants, "speeds": speeds}, modifiers, axis)
 
 
+def _highest_level(scales: InitialScales) -> float:
+    """Return the largest friction torque that is searched for: hardly more than the largest one that was measured."""
+    return max(_MOST * scales.largest, 2.0 * scales.level)
+
+
 def _range(name: str, scales: InitialScales, period_s: float) -> tuple[float, float, bool]:
     """Return the lower and upper bound of a parameter, and True if its logarithm is searched for."""
     level, speed = scales.level, scales.speed
     shortest, longest = 1e-7 * scales.travel, 10.0 * scales.travel  # deflections
+    deflection = min(scales.deflections)
+    most = _highest_level(scales)
     simple = {
-        "coulomb": (1e-6 * level, _MOST * level, False),
-        "static": (1e-6 * level, _MOST * level, False),
-        "static_released": (1e-6 * level, _MOST * level, False),
-        "static_rested": (1e-6 * level, _MOST * level, False),
+        "coulomb": (1e-6 * level, most, False),
+        "static": (1e-6 * level, most, False),
+        "static_released": (1e-6 * level, most, False),
+        "static_rested": (1e-6 * level, most, False),
         "factor": (0.0, 1e6 * level, False),
-        "stribeck_velocity": (1e-4 * speed, 3.0 * speed, True),
+        "stribeck_velocity": (_NARROWEST * min(scales.least_sliding_speed, speed), 3.0 * speed, True),
         "sigma0": (level / longest, level / shortest, True),
         "sigma1": (1e-4 * level / speed, 1e4 * level / speed, True),
         "stiffness": (level / longest, level / shortest, True),
@@ -328,8 +386,8 @@ def _range(name: str, scales: InitialScales, period_s: float) -> tuple[float, fl
         "attraction": (1e-2 * level, 1e3 * level * speed / (1e-3 * scales.travel), True),
         "lag_s": (1e-2 * period_s, 0.1, True),
         "rise_s": (1e-3, 1e3, True),
-        "beta": (1e-3 / longest, 1e3 / shortest, True),
-        "gamma": (-1e3 / shortest, 1e3 / shortest, False),
+        "beta": (1e-3 / longest, _STEEPEST / deflection, True),
+        "gamma": (-_STEEPEST / deflection, _STEEPEST / deflection, False),
         "exponent": (0.1, 4.0, True),
     }
     return simple[name.partition("[")[0]]

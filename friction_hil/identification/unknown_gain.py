@@ -166,5 +166,5 @@ def _is_torque(structure: ModelStructure, name: str) -> bool:
 
 
 def _scaled(error: PredictionError, gain: float) -> PredictionError:
-    blocks = tuple(gain**2 * each for each in error.blocks)
-    return PredictionError(gain * error.rmse, error.relative_error, blocks)
+    blocks, stretches = (tuple(gain**2 * each for each in errors) for errors in (error.blocks, error.stretches))
+    return PredictionError(gain * error.rmse, error.relative_error, blocks, stretches)

@@ -5,6 +5,7 @@ re-association stay off (numba's default), so that a kernel gives the same bits 
 inlined into another kernel.
 """
 
+import contextlib
 import hashlib
 import os
 import re
@@ -49,7 +50,7 @@ def cache_folder() -> str | None:
         base = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "friction_hil"
         folder = base / digest.hexdigest()[:16]
         if not folder.is_dir():
-            folder.mkdir(parents=True)
+            folder.mkdir(parents=True, exist_ok=True)  # another process may create it at the same time
             _remove_stale(base)
     except (OSError, RuntimeError):  # a user unknown to the system has no home
         return None
@@ -58,8 +59,9 @@ def cache_folder() -> str | None:
 
 def _remove_stale(base: Path) -> None:
     for folder in base.iterdir():
-        if folder.is_dir() and time.time() - folder.stat().st_mtime > _KEPT_DAYS * 86400:
-            shutil.rmtree(folder, ignore_errors=True)
+        with contextlib.suppress(FileNotFoundError):  # another process may remove it at the same time
+            if folder.is_dir() and time.time() - folder.stat().st_mtime > _KEPT_DAYS * 86400:
+                shutil.rmtree(folder, ignore_errors=True)
 
 
 def compiled(function: Function) -> Function:

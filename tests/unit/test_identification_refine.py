@@ -50,21 +50,27 @@ PLANT = ServoConfig.model_validate(
         "integration_hz": 400_000.0,
     }
 )
+SIDES = {"positive": {"coulomb": 0.13, "static": 0.21}, "negative": {"coulomb": 0.09, "static": 0.13}}
+RIPPLE = {"order": 42, "cosine": 0.005, "sine": 0.008}
+MODIFIED = PLANT.model_validate(
+    PLANT.model_dump()
+    | {"friction": {"model": "lugre", "parameters": LUGRE, "modifiers": {"direction": SIDES, "ripple": [RIPPLE]}}}
+)
 CSP = 8
+DURATION_S = 30.0
 PARTS = 8  # samples of the drive's controller in a period
 STEPS = 400 // PARTS
 
 
 @cache
-def recorded(seed: int, duration_s: float = 60.0, noise: float = 0.01) -> Recording:
-    """The experiment on the simulated servo: counted position, mean torque with noise of so much of its RMS."""
-    random = np.random.default_rng(seed)
-    start = random.uniform()
-    servo = Servo(PLANT, start)
+def moved(start: float, *, is_modified: bool) -> tuple[Array, Array, Array]:
+    """The experiment on the simulated servo: counted position, mean torque and torque at each sample."""
+    plant = PLANT.model_copy(update={"friction": MODIFIED.friction}) if is_modified else PLANT
+    servo = Servo(plant, start)
     servo.set_period(PERIOD_S)
-    time = np.arange(round(duration_s / PERIOD_S), dtype=np.float64) * PERIOD_S
-    position, torque = np.empty_like(time), np.empty_like(time)
-    sweeps = experiment.plan(2.0, 0.5, 1.0 / servo.counts_per_unit, duration_s)
+    time = np.arange(round(DURATION_S / PERIOD_S), dtype=np.float64) * PERIOD_S
+    position, mean, instant = np.empty_like(time), np.empty_like(time), np.empty_like(time)
+    sweeps = experiment.plan(2.0, 0.5, 1.0 / servo.counts_per_unit, DURATION_S)
     before = 0.0
     lag_fraction = 1.0 / (STEPS * math.expm1(1.0 / (PLANT.integration_hz * PLANT.motor.torque_lag_s)))
     for k, demand in enumerate((start + experiment.demand(time, sweeps)[0]).tolist()):
@@ -75,13 +81,30 @@ def recorded(seed: int, duration_s: float = 60.0, noise: float = 0.01) -> Record
             # the demand stands between samples and the torque follows it exponentially: its exact mean
             total += servo.torque_demand - lag_fraction * (servo.torque - before)
             before = servo.torque
-        position[k], torque[k] = servo.position, total / PARTS
-    torque += noise * np.sqrt(np.mean(torque**2)) * random.standard_normal(len(torque))
-    return Recording(f"{seed}.csv", "x", {"time_s": PERIOD_S + time, "position": position, "torque": torque})
+        position[k], mean[k], instant[k] = servo.position, total / PARTS, servo.torque
+    return position, mean, instant
+
+
+def recorded(seed: int, *, kind: str = "mean", is_modified: bool = False) -> Recording:
+    """The experiment as it is recorded: the torque has noise of 1 % of its RMS.
+
+    ``kind`` is mean, instant, or late: an instantaneous torque that is two samples old.
+    """
+    random = np.random.default_rng(seed)
+    position, mean, instant = moved(random.uniform(), is_modified=is_modified)
+    torque = (mean if kind == "mean" else instant).copy()
+    if kind == "late":
+        torque[2:] = torque[:-2].copy()
+    torque += 0.01 * np.sqrt(np.mean(torque**2)) * random.standard_normal(len(torque))
+    time = PERIOD_S + PERIOD_S * np.arange(len(torque))
+    return Recording(f"{seed}.csv", "x", {"time_s": time, "position": position, "torque": torque})
+
+
+PLAIN = {"families": ("lugre",), "has_modifiers": False, "torque": "mean"}
 
 
 def found(recording: Recording, **changes: Any) -> Identification:
-    return identify([recording], IdentificationSettings(**{"families": ("lugre",), "has_modifiers": False, **changes}))
+    return identify([recording], IdentificationSettings(**{**PLAIN, **changes}))
 
 
 @pytest.fixture(scope="module")
@@ -154,6 +177,41 @@ def test_subtracting_the_shift_leaves_viscous_friction_and_inertia_at_zero_or_ab
     assert corrected.values["coulomb"] == pytest.approx(0.999 * estimate.values["coulomb"], rel=1e-5)
     model = fit.structure.model({name: corrected.values[name] for name in fit.structure.names})
     assert model.parameters["sigma2"] == 0.0
+
+
+def test_directions_and_ripple_are_found_at_the_resolution_of_the_encoder() -> None:
+    """From an eighth of a revolution."""
+    best = found(recorded(1, is_modified=True), has_modifiers=True, replicas=4).best
+
+    assert best.is_refined
+    assert set(best.structure.modifiers) >= {"direction", "ripple"}
+    _, modifiers = best.friction
+    for side, levels in SIDES.items():
+        for name, level in levels.items():
+            assert modifiers["direction"][side][name] == pytest.approx(level, rel=0.1), (side, name)
+    [harmonic] = (each for each in modifiers["ripple"] if each["order"] == RIPPLE["order"])
+    assert harmonic == pytest.approx(RIPPLE, abs=1e-3)
+    others = [math.hypot(each["cosine"], each["sine"]) for each in modifiers["ripple"] if each is not harmonic]
+    assert max(others, default=0.0) < 2e-3, "others are small beside it"
+
+
+def test_a_symmetric_axis_without_ripple_gets_no_modifiers() -> None:
+    result = found(recorded(1), has_modifiers=True, replicas=4)
+    assert result.best.label == "lugre"
+
+
+@pytest.mark.parametrize(("kind", "least", "most"), [("mean", 0.4, 0.6), ("instant", -0.1, 0.3), ("late", 1.8, 2.4)])
+def test_the_age_of_the_torque_is_found(kind: str, least: float, most: float) -> None:
+    result = found(recorded(2, kind=kind), torque="auto", replicas=4)
+
+    assert result.torque is not None
+    assert result.torque.meaning == kind
+    assert least < result.torque.delay_s / PERIOD_S < most
+    assert result.torque.error_s < 0.1 * PERIOD_S
+    assert result.torque.text in result.notes
+    # an error of the age appears in the damping, times the stiffness
+    doubt = LUGRE["sigma0"] * (most - least) / 2.0 * PERIOD_S
+    assert result.best.values["sigma1"] == pytest.approx(LUGRE["sigma1"], abs=max(doubt, 0.1))
 
 
 def short(resolution: float | None, frequency: float, amplitude: float, seconds: float = 8.0) -> Recording:
@@ -229,23 +287,29 @@ def test_bands_remove_the_noise_of_the_counts() -> None:
 plans = st.tuples(
     st.floats(0.05, 50.0),  # velocity
     st.floats(0.02, 100.0),  # travel
-    st.sampled_from([2.0 * math.pi / 2**bits for bits in (16, 20, 24)]),
-    st.floats(10.0, 300.0),  # duration
+    st.sampled_from([2.0 * math.pi / 2**bits for bits in range(10, 25)]),
+    st.floats(10.0, 600.0),  # duration
     st.sampled_from([math.inf, 500.0, 20.0]),  # acceleration
+    st.sampled_from([2.5e-4, 5e-4, 1e-3, 2e-3, 4e-3, 1e-2]),  # period
 )
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(plans)
 def test_the_experiment_stays_within_its_bounds_and_ends_at_rest(wanted: tuple[float, ...]) -> None:
-    velocity, travel, resolution, duration, acceleration = wanted
+    velocity, travel, resolution, duration, acceleration, period = wanted
     try:
-        sweeps = experiment.plan(velocity, travel, resolution, duration, acceleration=acceleration)
-    except UsageError:
-        assume(False)
+        sweeps = experiment.plan(velocity, travel, resolution, duration, acceleration=acceleration, period_s=period)
+    except UsageError:  # a travel, or a speed for so short a time, of less than four counts
+        assume(velocity >= 0.5 and travel >= 0.1)
+        raise
     path = sweeps_path(sweeps)
     total = experiment.duration_s(sweeps)
     assert total == pytest.approx(duration, rel=0.1)
+    fast = experiment.fast(sweeps)
+    assert len(sweeps) == 2 + len(fast) <= 5
+    assert all(sweep.largest >= 50.0 * resolution for sweep in fast)
+    assert not fast or period <= 2e-3
     points = np.array([path(float(t)) for t in np.linspace(0.0, total, 5_000)])
     largest = np.abs(points).max(axis=0)
     assert largest[0] <= 0.85 * travel * (1.0 + 1e-9)
@@ -281,8 +345,8 @@ def test_the_experiment_reaches_its_speed_and_shows_presliding_at_several_freque
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"resolution": 1e-2}, "finer encoder"),
-        ({"acceleration": 1e-3}, "counts"),
+        ({"resolution": 0.2}, "finer encoder"),
+        ({"acceleration": 1e-4}, "counts"),
         ({"duration_s": 3.0}, "10 s or more"),
         ({"travel": 0.0}, "travel"),
         ({"rated_velocity": math.nan}, "rated_velocity"),
@@ -297,10 +361,10 @@ def test_an_impossible_experiment_is_refused(change: dict[str, float], message: 
 @pytest.mark.parametrize(
     "change",
     [
-        {"rated_velocity": 0.05},
-        {"travel": 1e-4},
-        {"acceleration": 1.0},
-        {"resolution": 2.0 * math.pi / 4096, "acceleration": 20.0, "travel": 0.01},
+        {"rated_velocity": 1e-5},
+        {"travel": 1e-5},
+        {"acceleration": 1e-5},
+        {"resolution": 2.0 * math.pi / 512, "acceleration": 0.01, "travel": 0.01},
     ],
 )
 def test_limits_asked_for_by_a_coarse_encoder_are_enough_and_hardly_more(change: dict[str, float]) -> None:
@@ -314,6 +378,30 @@ def test_limits_asked_for_by_a_coarse_encoder_are_enough_and_hardly_more(change:
     for name, value in raised.items():
         with pytest.raises(UsageError, match=f"raise {name.removeprefix('rated_')} to"):
             experiment.plan(**{**wanted, **raised, name: 0.85 * value})
+
+
+@pytest.mark.parametrize(
+    ("bits", "velocity", "frequencies", "note"),
+    [
+        (20, 3.0, [10.0, 20.0, 40.0], ""),
+        (17, 4.0, [10.0, 20.0, 40.0], ""),
+        (16, 3.0, [5.0, 10.0], "presliding is shown at 5 and 10 Hz only"),
+        (14, 8.0, [5.0, 10.0], "presliding is shown at 5 and 10 Hz only"),
+        (14, 3.0, [], "presliding is not shown by an encoder with counts of 0.000383"),
+        (10, 3.0, [], "presliding is not shown"),
+    ],
+)
+def test_what_an_encoder_cannot_show_is_left_out_and_said(
+    bits: int, velocity: float, frequencies: list[float], note: str
+) -> None:
+    count = 2.0 * math.pi / 2**bits
+    sweeps = experiment.plan(velocity, 1.0, count, period_s=1e-3)
+    assert [sweep.frequency for sweep in experiment.fast(sweeps)] == frequencies
+    said = experiment.not_shown(sweeps, count, 1e-3)
+    assert said.startswith(note)
+    assert bool(said) == bool(note)
+    assert (count <= experiment.coarsest(velocity, 1.0)) == bool(frequencies)
+    assert experiment.duration_s(sweeps) == pytest.approx(60.0, abs=2.0), "what is left out is time for the rest"
 
 
 AXIS = {
@@ -352,7 +440,7 @@ def test_a_configuration_can_ask_for_the_experiment() -> None:
 
 
 def test_an_encoder_that_is_too_coarse_is_reported_with_the_axis() -> None:
-    facts = AxisFacts("x", "servo", 0.01, 1e-3, 1e-3, 1e-3)
+    facts = AxisFacts("x", "servo", 0.2, 1e-3, 1e-3, 1e-3)
     with pytest.raises(UsageError, match=r"^x: the encoder is too coarse for this experiment"):
         AxisLoop("x", configured(limits={"torque": 0.3, "velocity": 9.0}).axes["x"], facts, PERIOD_S, PathTime(1.0))
 

@@ -212,7 +212,8 @@ def test_command_writes_the_friction_in_torque(
     assert model.friction.parameters["coulomb"] == pytest.approx(0.05, rel=0.1)
     assert model.mechanics.gravity.sine == pytest.approx(GRAVITY)
     assert model.fit is not None
-    assert model.fit["drive"] == pytest.approx(document["fits"][0]["drive"], rel=1e-6)
+    assert model.torque_signal is not None
+    assert model.torque_signal.model_dump(exclude={"column"}) == pytest.approx(document["fits"][0]["drive"], rel=1e-6)
     assert main([*words, "--controller", "position_gain=1", "--controller", "velocity_gain=1"]) == 2
     assert "not with --unknown-gain" in capsys.readouterr().err
 
@@ -241,8 +242,10 @@ def test_servo_has_friction_that_grows_with_its_load(
     model = load_model_file("servo.yaml")
     assert model.fit is not None
     # data sheet: 0.52 N m and 1.47 A at 5 V, 103 rpm without load, so that k_e is at most 0.46 V s/rad
-    drive = model.fit["drive"]
-    assert 0.06 < drive["gain"] < 0.11
-    assert 0.25 < drive["back_emf"] / drive["gain"] < 0.46
+    drive = model.torque_signal
+    assert drive is not None
+    assert drive.column == "load:int16*input_volts*0.001129943503"
+    assert 0.06 < drive.gain < 0.11
+    assert 0.25 < drive.back_emf / drive.gain < 0.46
     assert mass * length**2 < model.mechanics.inertia < 2.0 * mass * length**2  # the bob's, and the rotor's
     assert model.friction.modifiers["load"] == pytest.approx({"motoring": 0.24, "driven": 0.24}, abs=0.06)

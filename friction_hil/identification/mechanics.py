@@ -1,0 +1,402 @@
+"""What recordings show of the mechanics behind the motor: masses, coupling, backlash, friction of either side. Pure.
+
+Three methods that know nothing of each other: the frequency response of the parts in which the axis slides
+(`frequency_response`, `resonance`), the torque over the whole recordings with reversals (`torque_fits`), and the motion
+of the load where it was recorded (`load_side`). The smallest standard error counts. What none of them determines is
+named together with the motion that would show it.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from friction_hil.identification.data import RegressionSegment
+from friction_hil.identification.encoder_error import EncoderError, find_encoder_error
+from friction_hil.identification.fits import Fit
+from friction_hil.identification.frequency_response import FrequencyResponse, frequency_response
+from friction_hil.identification.identify import Identification
+from friction_hil.identification.load_side import LoadSide, find_load_side
+from friction_hil.identification.refine import is_dynamic
+from friction_hil.identification.resonance import Resonance, fit_resonance
+from friction_hil.identification.torque_fits import TorqueFits, model_of, swings, torque_fits
+from friction_hil.recordings import Recording
+
+_LIKE = 3.0  # a stiffness within this factor of another is like it
+_FORM = 0.02  # of each value: no axis is two masses with Coulomb friction to better than a few per cent
+_FELT = 0.1  # of the friction: a load that changes by less is none
+_VAGUE = 0.5  # standard error over value
+
+_SHAKEN = (
+    "record a motion that shakes the axis while it slides: a chirp or multisine of small amplitude on slow strokes, up "
+    "to the frequencies of interest, with the column position_demand"
+)
+_REVERSALS = "reversals at several speeds, faster ones with oscillations above 8 Hz: trajectory {kind: experiment}"
+_STROKES = "record strokes with rests, trajectory {kind: strokes}, on a load that nothing pulls to one side"
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """A property of the axis with its standard error, or why it is not determined.
+
+    Attributes
+    ----------
+    key : str
+        Name in ``--json``.
+    label : str
+        For people.
+    unit : str
+        SI, of the axis.
+    value, error : float or None
+        None if it is not determined.
+    source : str
+        Method.
+    missing : str
+        Why it is not determined, and the motion that would show it; else empty.
+    """
+
+    key: str
+    label: str
+    unit: str
+    value: float | None = None
+    error: float | None = None
+    source: str = ""
+    missing: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Mechanics:
+    """Mechanics that were found.
+
+    Attributes
+    ----------
+    quantities : tuple of Quantity
+        All of them, determined or not.
+    load : dict or None
+        ``inertia``, ``stiffness`` and ``damping`` of the load, as in a model file; None if no coupling was found.
+    inertia : float or None
+        Inertia of motor and load that belongs to ``load``.
+    backlash : float
+        Whole width of the gap, rad or m; 0 if none was found.
+    flags : tuple of str
+        What speaks against the friction model that was identified.
+    notes : tuple of str
+        What the methods take for granted.
+    response : FrequencyResponse or None
+    resonance : Resonance or None
+        Of the frequency response.
+    """
+
+    quantities: tuple[Quantity, ...]
+    load: dict[str, float] | None = None
+    inertia: float | None = None
+    backlash: float = 0.0
+    flags: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+    response: FrequencyResponse | None = None
+    resonance: Resonance | None = None
+
+    @property
+    def missing(self) -> list[str]:
+        """One line for each reason why quantities are not determined."""
+        reasons: dict[str, list[str]] = {}
+        for each in self.quantities:
+            if each.value is None and each.missing:
+                reasons.setdefault(each.missing, []).append(each.label)
+        return [f"{', '.join(labels)}: not determined: {why}" for why, labels in reasons.items()]
+
+    @property
+    def lines(self) -> list[str]:
+        """What was found, a line for each quantity, and then `missing`, for a log."""
+        known = [each for each in self.quantities if each.value is not None and each.error is not None]
+        found = [f"{each.label}: {each.value:.4g} {each.unit} (standard error {each.error:.2g})" for each in known]
+        return [*(each.replace("  ", " ") for each in found), *self.missing]
+
+
+def find_mechanics(
+    recordings: Sequence[Recording], result: Identification, *, report: Callable[[str], None] = lambda _: None
+) -> Mechanics:
+    """Find the mechanics behind the motor.
+
+    Parameters
+    ----------
+    recordings : sequence of Recording
+        Those that ``result`` was fitted to; a column ``load_position`` is used where it exists.
+    result : Identification
+    report : callable
+        Called with the name of each step.
+    """
+    units = _Units.of(result)
+    if result.settings.has_unknown_gain:
+        why = "it needs a torque of known gain"
+        return Mechanics(tuple(replace(each, missing=why) for each in _nothing(units)))
+    records = [each for each in result.records if not each.is_thinned] or list(result.records)
+    report("frequency response")
+    response = frequency_response(records) if _one_rate(records) else None
+    resonance = None if response is None else fit_resonance(response)
+    report("two masses")
+    torques = torque_fits(records, result)
+    report("load side")
+    side = find_load_side(recordings, records)
+    errors: tuple[EncoderError, ...] = ()
+    if torques is not None:
+        report("encoder")
+        accepted = torques.two or torques.rigid
+        inertia = accepted.values["motor_inertia"]
+        errors = find_encoder_error(
+            torques.motions, accepted.residual, inertia, is_linear=result.settings.axis == "linear"
+        )
+    return _assembled(result, units, records, response, resonance, torques, side, errors)
+
+
+@dataclass(frozen=True, slots=True)
+class _Units:
+    position: str
+    torque: str
+    inertia: str
+
+    @classmethod
+    def of(cls, result: Identification) -> "_Units":
+        return cls("m", "N", "kg") if result.settings.axis == "linear" else cls("rad", "N m", "kg m^2")
+
+    @property
+    def stiffness(self) -> str:
+        return f"{self.torque}/{self.position}"
+
+    @property
+    def damping(self) -> str:
+        return f"{self.torque} s/{self.position}"
+
+
+def _nothing(units: _Units) -> list[Quantity]:
+    """Return all quantities, none of them determined, in the order in which they are shown."""
+    return [
+        Quantity("inertia", "inertia of motor and load", units.inertia),
+        Quantity("motor_inertia", "inertia of the motor", units.inertia),
+        Quantity("load_inertia", "inertia of the load", units.inertia),
+        Quantity("antiresonance_hz", "anti-resonance", "Hz"),
+        Quantity("resonance_hz", "resonance", "Hz"),
+        Quantity("stiffness", "stiffness of the coupling", units.stiffness),
+        Quantity("damping", "damping of the coupling", units.damping),
+        Quantity("backlash", "backlash", units.position),
+        Quantity("motor_friction", "friction of the motor", units.torque),
+        Quantity("load_friction", "friction of the load", units.torque),
+        Quantity("load_dependence", "friction per load", ""),
+        Quantity("cogging", "cogging", units.torque),
+        Quantity("encoder_error", "periodic encoder error", units.position),
+    ]
+
+
+def _one_rate(records: Sequence[RegressionSegment]) -> bool:
+    rates = [each.rate_hz for each in records]
+    return max(rates) - min(rates) < 1e-3 * max(rates)
+
+
+# ------------------------------------------------------------------------------------------------------- what is shown
+
+
+def _assembled(
+    result: Identification,
+    units: _Units,
+    records: Sequence[RegressionSegment],
+    response: FrequencyResponse | None,
+    resonance: Resonance | None,
+    torques: TorqueFits | None,
+    side: LoadSide | None,
+    encoder_errors: tuple[EncoderError, ...],
+) -> Mechanics:
+    known = {each.key: each for each in _nothing(units)}
+    methods = _methods(resonance, torques, side)
+    for key in known:
+        there = [(values[key], errors[key], name) for values, errors, name in methods if key in values]
+        there = [each for each in there if math.isfinite(each[1])]
+        if there:
+            value, error, name = min(there, key=lambda each: each[1])
+            known[key] = replace(known[key], value=value, error=error, source=name)
+    missing = _missing(result, response, torques)
+    known |= {key: replace(known[key], missing=why) for key, why in missing.items() if known[key].value is None}
+    if known["inertia"].value is None:
+        known["inertia"] = _rigid_inertia(known["inertia"], result.best)
+    known |= _modifiers(known, result)
+    if encoder_errors:
+        first = encoder_errors[0]
+        label = f"encoder error, order {first.order:g} (amplitude)"
+        own = replace(known["encoder_error"], label=label, value=first.amplitude, error=first.error)
+        known["encoder_error"] = replace(own, source="torque over time", missing="")
+    load = {
+        name: known[key].value
+        for name, key in (("inertia", "load_inertia"), ("stiffness", "stiffness"), ("damping", "damping"))
+    }
+    has_load = all(value is not None for value in load.values())
+    backlash = known["backlash"].value or 0.0
+    return Mechanics(
+        tuple(known.values()),
+        {name: float(value or 0.0) for name, value in load.items()} if has_load else None,
+        known["inertia"].value if has_load else None,
+        backlash,
+        _flags(result, units, known, torques),
+        _notes(response, methods, known),
+        response,
+        resonance,
+    )
+
+
+_Method = tuple[Mapping[str, float], Mapping[str, float], str]
+
+
+def _methods(resonance: Resonance | None, torques: TorqueFits | None, side: LoadSide | None) -> list[_Method]:
+    """Return values, standard errors and name of each method that found something."""
+    found: list[_Method] = []
+    if resonance is not None:
+        found.append((resonance.values, resonance.errors, "frequency response"))
+    if torques is not None and torques.two is not None:
+        values, errors = dict(torques.two.values), dict(torques.two.errors)
+        for name, level in (("motor_friction", "motor_level"), ("load_friction", "load_level")):
+            values[name], errors[name] = values[level], errors[level]
+        if not torques.has_gap:
+            del values["backlash"]
+        _add_frequencies(values, errors)
+        errors = {
+            name: math.hypot(error, _FORM * abs(values[name])) for name, error in errors.items() if name in values
+        }
+        found.append((values, errors, "torque over time"))
+    if side is not None:
+        values, errors = dict(side.values), dict(side.errors)
+        if {"stiffness", "motor_inertia", "load_inertia"} <= set(values):
+            _add_frequencies(values, errors)
+            values["inertia"] = values["motor_inertia"] + values["load_inertia"]
+            errors["inertia"] = math.hypot(errors["motor_inertia"], errors["load_inertia"])
+        found.append((values, errors, "load position"))
+    return found
+
+
+def _add_frequencies(values: dict[str, float], errors: dict[str, float]) -> None:
+    """Add anti-resonance and resonance with errors as of independent inertias and stiffness."""
+    k, motor, load = (values[name] for name in ("stiffness", "motor_inertia", "load_inertia"))
+    dk, dm, dl = (errors[name] for name in ("stiffness", "motor_inertia", "load_inertia"))
+    low, high = math.sqrt(k / load), math.sqrt(k / load + k / motor)
+    values["antiresonance_hz"], values["resonance_hz"] = low / math.tau, high / math.tau
+    errors["antiresonance_hz"] = 0.5 * low / math.tau * math.hypot(dk / k, dl / load)
+    slopes = (dk * high**2 / k, dl * k / load**2, dm * k / motor**2)
+    errors["resonance_hz"] = 0.5 / high / math.tau * math.hypot(*slopes)
+
+
+def _rigid_inertia(quantity: Quantity, best: Fit) -> Quantity:
+    error = best.inference.standard_errors.get("inertia", math.nan)
+    value = best.mechanics["inertia"]
+    if not math.isfinite(error) or not error < _VAGUE * abs(value):
+        return replace(quantity, missing="record motions with larger accelerations")
+    return replace(quantity, value=value, error=error, source="friction model")
+
+
+def _modifiers(known: dict[str, Quantity], result: Identification) -> dict[str, Quantity]:
+    """Return friction per load and cogging, from the modifiers of the chosen model."""
+    best, errors = result.best, result.best.inference.standard_errors
+    modifiers = best.friction[1]
+    per_load = known["load_dependence"]
+    factors = {name: value for name, value in best.values.items() if name.startswith("load.")}
+    if factors:
+        name, value = max(factors.items(), key=lambda each: abs(each[1]))
+        error = errors.get(name, math.nan)
+        per_load = replace(per_load, label=f"friction per load ({name})", value=value, error=error)
+        per_load = replace(per_load, source="friction model")
+    else:
+        has_load = any(each.load_torque is not None for each in result.records)
+        level = float(np.median(np.abs(best.curves.friction)))
+        swings = any(abs(best.mechanics[each]) > _FELT * level for each in ("gravity.sine", "gravity.cosine"))
+        why = (
+            "the load changes, and friction does not change with it"
+            if (has_load or swings) and result.settings.has_modifiers
+            else "the load did not change: record the same motion with another weight or against a force, with its "
+            "torque in the column load_torque"
+        )
+        per_load = replace(per_load, missing=why)
+    cogging = known["cogging"]
+    harmonics = modifiers.get("ripple", [])
+    if harmonics:
+        sizes = [math.hypot(each["cosine"], each["sine"]) for each in harmonics]
+        index = int(np.argmax(sizes))
+        own = [errors.get(f"ripple[{index}].{part}", math.nan) for part in ("cosine", "sine")]
+        label = f"cogging, order {harmonics[index]['order']:g} (amplitude)"
+        cogging = replace(cogging, label=label, value=sizes[index], error=max(own), source="friction model")
+    else:
+        cogging = replace(
+            cogging, missing="none stands out: slow motion over at least two periods of it would show a smaller one"
+        )
+    return {"load_dependence": per_load, "cogging": cogging}
+
+
+def _missing(result: Identification, response: FrequencyResponse | None, torques: TorqueFits | None) -> dict[str, str]:
+    """Return why quantities are not determined, each with the motion that would show it."""
+    if response is not None:
+        low, high = response.band_hz
+        why = f"no resonance from {low:.3g} to {high:.3g} Hz"
+        stiff = f"{why}, where the recording excites it; {_SHAKEN}"
+    elif torques is None:
+        stiff = f"the recording is too short, or its encoder too coarse for its accelerations; {_SHAKEN}"
+    else:
+        stiff = f"one mass explains the torque as well as two; {_SHAKEN}"
+    keys = ("motor_inertia", "load_inertia", "antiresonance_hz", "resonance_hz", "stiffness", "damping")
+    found = dict.fromkeys(keys, stiff)
+    if torques is None or torques.two is None:
+        found["backlash"] = f"no coupling was found in which it could be; {_STROKES}"
+        found["motor_friction"] = found["load_friction"] = (
+            f"only their sum is known, because no coupling was found between them; {_REVERSALS}"
+        )
+    else:
+        found["backlash"] = f"none stands out from the coupling's own twist; a smaller one: {_STROKES}"
+    found["encoder_error"] = (
+        "none stands out: it shows at high constant speed and half of it, over several periods of the error"
+    )
+    return found
+
+
+def _flags(
+    result: Identification, units: _Units, known: dict[str, Quantity], torques: TorqueFits | None
+) -> tuple[str, ...]:
+    """Return what speaks against the friction model: a bristle that is the spring of the coupling."""
+    if not is_dynamic(result.best.structure):
+        return ()
+    bristle = model_of(result.best, result).presliding_stiffness
+    stiffness = known["stiffness"].value
+    said = f"the stiffness of presliding, {bristle:.3g} {units.stiffness}, "
+    if not bristle > 0.0:
+        return ()
+    if stiffness is not None and 1.0 / _LIKE < bristle / stiffness < _LIKE:
+        return (
+            f"{said}may be the coupling's: the load swings on {stiffness:.3g} {units.stiffness} at "
+            f"{known['antiresonance_hz'].value:.3g} Hz; mechanics.load has the coupling, and the friction model is "
+            "right for slow motion of the motor only",
+        )
+    tried = None if torques is None else torques.tried
+    if tried is None or torques is None or torques.two is not None:
+        return ()
+    alike = 1.0 / _LIKE < bristle / tried.values["stiffness"] < _LIKE
+    if alike and swings(tried, torques.rigid):
+        return (
+            f"{said}may be the bristles' or a coupling's: a load behind a spring explains the torque as well; "
+            f"{_SHAKEN}",
+        )
+    return ()
+
+
+def _notes(
+    response: FrequencyResponse | None, methods: Sequence[_Method], known: dict[str, Quantity]
+) -> tuple[str, ...]:
+    found = []
+    if response is not None and not response.has_instrument:
+        found.append(
+            "the recording has no position_demand: the frequency response is right only if the torque did not come "
+            "from the measured position, as it does in a control loop"
+        )
+    values = [
+        (each[0]["antiresonance_hz"], each[1]["antiresonance_hz"], each[2])
+        for each in methods
+        if "antiresonance_hz" in each[0]
+    ]
+    if len(values) > 1:
+        (one, da, name), (other, db, second) = values[:2]
+        if abs(one - other) > max(5.0 * math.hypot(da, db), 0.1 * one):
+            found.append(f"the anti-resonance is {one:.4g} Hz by {name} and {other:.4g} Hz by {second}: doubt both")
+    return tuple(found)

@@ -1,0 +1,223 @@
+"""Motion and torque of the motor at the full rate, ready for the fit of two masses. Pure.
+
+Nothing but the low-pass of the comparison is applied to the position, and to both sides once. The torque is moved back
+by its age, and a mean over the period is made the torque of its middle. Friction needs the moment of each reversal
+between two samples: its direction is that of a velocity that is interpolated to several points a sample.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from friction_hil.numerics import filtering
+from friction_hil.numerics.jit import Array, compiled
+from friction_hil.recordings.edges import between_counts
+from friction_hil.recordings.quality import resolution
+from friction_hil.recordings.segments import Segment
+
+Force = Callable[[Array, float], Array]
+
+POINTS = 4  # a sample, of the velocity that gives the direction of friction
+_TOP_RATIO = 0.15  # of the sampling rate: highest frequency that is compared
+_LEAST_RATIO = 0.02
+_DIRECTION_RATIO = 0.45  # of the sampling rate: low-pass of the velocity that gives the direction
+_ANTIALIAS = 0.4  # of the sampling rate
+_NOISE = 0.1  # of the torque: most of what the counts of the encoder make of an acceleration
+_NOISY_SPEED = 0.02  # of the velocity's RMS
+_STEP = 0.85
+_STUCK_COUNTS, _STUCK_ROWS = 3.5, 5  # an axis that moves by less in so many rows stands still
+_STUCK_RATIO = 1e-3  # the same of the usual motion, if the position is not quantised
+_SETTLED_S = 0.3  # after the start, where the twist of the coupling is not known
+_STRETCH_S = 0.25  # over which residuals are taken to be correlated
+_ROWS_PER_PERIOD = 2.5  # of the cut-off frequency
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MotorMotion:
+    """What the fit of two masses needs of one evenly sampled record; arrays (n,) at the samples.
+
+    Attributes
+    ----------
+    dt : float
+        Sampling period, s.
+    position : array
+        Of the motor, as measured.
+    fine_velocity : array
+        (n * POINTS,) of the motor.
+    torque : array
+        Measured, as it was at the sample.
+    columns : (n, m) array
+        Terms that are linear: acceleration, delay, offset, viscous friction, gravity; then friction of a known model.
+    load : array
+        Torque that acts on the load and opposes positive motion: gravity.
+    cutoff_hz : float
+        Of the low-pass that both sides pass.
+    rows : array of int
+        Rows that are compared.
+    """
+
+    dt: float
+    position: Array
+    fine_velocity: Array
+    torque: Array
+    columns: Array
+    load: Array
+    cutoff_hz: float
+    rows: NDArray[np.intp]
+
+    def compared(self, values: Array) -> Array:
+        """Low-pass values (n,) or (n, m), and return the rows that are compared."""
+        return np.ascontiguousarray(filtering.lowpass(values, self.cutoff_hz, 1.0 / self.dt)[self.rows])
+
+    def bristle(self, stroke: float) -> Array:
+        """Return the deflection (n,) of Dahl's bristle, from -1 to 1, that has let go after about ``stroke``."""
+        return _at_samples(_deflection(self.fine_velocity * (self.dt / POINTS), stroke), self.dt)
+
+    @property
+    def starts(self) -> NDArray[np.intp]:
+        """First compared row of each stretch of time, among the compared ones."""
+        numbers = self.rows // max(1, round(_STRETCH_S / self.dt))
+        return np.flatnonzero(np.diff(numbers, prepend=-1))
+
+
+def motor_motion(
+    segment: Segment,
+    *,
+    gravity: Array,
+    swing: Array,
+    delay_s: float,
+    is_mean: bool,
+    inertia: float,
+    friction: Force | None = None,
+    cutoff_hz: float | None = None,
+) -> MotorMotion | None:
+    """Prepare a segment.
+
+    Parameters
+    ----------
+    segment : Segment
+    gravity : (n,) array
+        Known torque of gravity, N m or N, which is taken to act on the load.
+    swing : (n, m) array
+        Torques of gravity per unit of each of its parameters that were identified; their factors are fitted again.
+    delay_s : float
+        Age of the measured torque, s.
+    is_mean : bool
+        True if it is a mean over the sampling period.
+    inertia : float
+        Rough inertia of the axis: what the noise of the encoder's counts costs.
+    friction : callable, optional
+        Torque (n,) of a known friction model over a velocity (n,) and its period.
+    cutoff_hz : float, optional
+        Of the comparison; by default as high as the encoder allows.
+
+    Returns
+    -------
+    MotorMotion or None
+        None if the record is too short, or the encoder too coarse for its accelerations.
+    """
+    dt, rate = segment.dt, segment.rate_hz
+    count = resolution(segment.encoder) or 0.0
+    position = between_counts(segment.encoder)
+    if cutoff_hz is None:
+        cutoff_hz = _cutoff(segment.torque, inertia, count, rate)
+    edge = max(math.ceil(_SETTLED_S * rate), filtering.settling_samples(cutoff_hz, rate)) if cutoff_hz else 0
+    if cutoff_hz is None or len(position) < 4 * edge:
+        return None
+    velocity = derivatives(filtering.lowpass(position, _direction_hz(position, count, rate), rate), dt)[0]
+    fine = _between_samples(velocity)
+    torque = _at_its_time(segment.torque, dt, delay_s, is_mean=is_mean)
+    known = [] if friction is None else [_at_samples(friction(fine, dt / POINTS), dt)]
+    columns = np.column_stack(
+        [
+            derivatives(position, dt)[1],
+            -np.gradient(torque, dt),
+            np.ones_like(position),
+            velocity,
+            *swing.T,
+            *known,
+        ]
+    )
+    every = max(1, int(rate / (_ROWS_PER_PERIOD * cutoff_hz)))
+    rows = np.arange(edge, len(position) - edge, every)
+    rows = rows[~_stuck(segment.encoder, count, round(0.5 * rate / cutoff_hz))[rows]]
+    if len(rows) < 100:
+        return None
+    return MotorMotion(dt, position, fine, torque, columns, gravity, cutoff_hz, rows)
+
+
+def _cutoff(torque: Array, inertia: float, count: float, rate: float) -> float | None:
+    """Return the highest frequency at which counts of the encoder make little torque; None if there is none."""
+    cutoff, least = _TOP_RATIO * rate, _LEAST_RATIO * rate
+    while cutoff > least:
+        # white noise of variance q^2 / 12 up to half the sampling rate, twice differentiated up to the cut-off
+        noise = count / math.sqrt(12.0) * math.sqrt(0.4 * cutoff / rate) * (math.tau * cutoff) ** 2
+        if inertia * noise <= _NOISE * float(np.std(torque)):
+            return cutoff
+        cutoff *= _STEP
+    return None
+
+
+def _direction_hz(position: Array, count: float, rate: float) -> float:
+    cutoff = _DIRECTION_RATIO * rate
+    speed = float(np.sqrt(np.mean(np.diff(position) ** 2))) * rate
+    while cutoff > _LEAST_RATIO * rate:
+        noise = count / math.sqrt(12.0) * math.sqrt(2.0 * cutoff / (3.0 * rate)) * math.tau * cutoff
+        if noise <= _NOISY_SPEED * speed:
+            break
+        cutoff *= _STEP
+    return cutoff
+
+
+def _stuck(encoder: Array, count: float, reach: int) -> NDArray[np.bool_]:
+    """Return the rows (n,) within ``reach`` rows of standstill: there friction is whatever holds the motor."""
+    from scipy.ndimage import maximum_filter1d, minimum_filter1d  # imported here: commands start faster without it
+
+    moved = maximum_filter1d(encoder, _STUCK_ROWS) - minimum_filter1d(encoder, _STUCK_ROWS)
+    least = max(_STUCK_COUNTS * count, _STUCK_RATIO * float(np.median(moved)))
+    return np.asarray(maximum_filter1d((moved < least).astype(np.uint8), 2 * reach + 1) > 0)
+
+
+def _at_its_time(torque: Array, dt: float, delay_s: float, *, is_mean: bool) -> Array:
+    """Return the torque (n,) moved back by its age; a mean over the period becomes the torque in the middle of it."""
+    n = len(torque)
+    frequency = np.fft.rfftfreq(2 * n, dt)
+    spectrum = np.fft.rfft(np.concatenate([torque, torque[::-1]])) * np.exp(2j * math.pi * frequency * delay_s)
+    if is_mean:
+        spectrum /= np.sinc(frequency * dt)
+    return np.asarray(np.fft.irfft(spectrum, 2 * n)[:n])
+
+
+def _between_samples(values: Array) -> Array:
+    """Interpolate (n,) to `POINTS` a sample, by Fourier series of the record and its mirror image."""
+    n = len(values)
+    spectrum = np.zeros(n * POINTS + 1, dtype=complex)
+    spectrum[: n + 1] = np.fft.rfft(np.concatenate([values, values[::-1]]))
+    return np.asarray(np.fft.irfft(spectrum, 2 * n * POINTS)[: n * POINTS] * POINTS)
+
+
+def _at_samples(fine: Array, dt: float) -> Array:
+    low = filtering.lowpass(fine, _ANTIALIAS / dt, POINTS / dt)
+    return np.ascontiguousarray(low[::POINTS])
+
+
+def derivatives(position: Array, dt: float) -> tuple[Array, Array]:
+    """Return velocity and acceleration (n,) by differences of fourth order (B. Fornberg, 1988)."""
+    q = np.pad(position, 2, mode="reflect", reflect_type="odd")
+    velocity = (8.0 * (q[3:-1] - q[1:-3]) - (q[4:] - q[:-4])) / (12.0 * dt)
+    return velocity, (16.0 * (q[3:-1] + q[1:-3]) - (q[4:] + q[:-4]) - 30.0 * q[2:-2]) / (12.0 * dt * dt)
+
+
+@compiled
+def _deflection(steps: Array, stroke: float) -> Array:
+    """Return Dahl's bristle over steps of the position: exact for a step in one direction."""
+    found = np.empty_like(steps)
+    z = 0.0
+    for i in range(len(steps)):
+        side = 1.0 if steps[i] > 0.0 else -1.0
+        z = side + (z - side) * math.exp(-abs(steps[i]) / stroke)
+        found[i] = z
+    return found

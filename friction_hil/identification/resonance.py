@@ -1,0 +1,187 @@
+"""Two masses on a spring, fitted to the frequency response of the motor. Pure.
+
+    torque = (s motor_inertia + viscous + s load_inertia (stiffness + s damping)
+              / (stiffness + s damping + s^2 load_inertia)) velocity
+
+The anti-resonance is that of the load on its spring with the motor held still, sqrt(stiffness / load inertia); the
+resonance that of both masses, sqrt(stiffness / load inertia + stiffness / motor inertia). A delay of the measured
+torque turns the phase and is fitted too.
+
+Source: G. Ferretti, G. Magnani, P. Rocco, Control Engineering Practice 12(1), 2004, section 2 (two-mass form).
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from friction_hil.identification.frequency_response import Complex, FrequencyResponse
+from friction_hil.numerics.jit import Array
+
+_NAMES = ("motor_inertia", "load_inertia", "stiffness", "damping", "viscous", "delay_s")
+_STARTS = 10  # of the anti-resonance, over the band
+_EVIDENT = 30.0  # times the variance of the residual: fall of the weighted sum of squares by three parameters
+_LEAST_LOAD = 0.02  # of the sum of the inertias
+_EDGE = 1.15  # the resonance lies so far below the end of the band, or it is a guess
+_LEAST_DAMPING, _MOST_DAMPING = 1e-4, 0.7  # damping ratio: outside, nothing swings, or no axis swings so
+_LARGEST_ERRORS = {"antiresonance_hz": 0.1, "resonance_hz": 0.1, "load_inertia": 0.3, "motor_inertia": 0.3}
+_MOST_MISFIT = 0.3
+_LEAST_USED = 0.5  # of the lines between the first and the last used one: else harmonics of something, no response
+_NEAR_MEAN = 0.15  # of a period between the delay of a torque and that of a mean
+_LEAST_ERROR = 1e-3  # of a line: an interpolated, short or noiseless window is no better
+
+
+@dataclass(frozen=True, slots=True)
+class Resonance:
+    """Two masses on a spring, with standard errors.
+
+    Attributes
+    ----------
+    values, errors : dict
+        ``motor_inertia``, ``load_inertia``, ``inertia`` (their sum), ``stiffness``, ``damping``, ``antiresonance_hz``,
+        ``resonance_hz``, ``damping_ratio`` (of the resonance), ``viscous`` and ``delay_s``: SI of the axis. Standard
+        errors include the mismatch of the form.
+    misfit : float
+        Root mean square of the relative deviation from the measured response, used lines.
+    """
+
+    values: dict[str, float]
+    errors: dict[str, float]
+    misfit: float
+
+
+def fit_resonance(response: FrequencyResponse) -> Resonance | None:
+    """Fit two masses to a frequency response.
+
+    Returns
+    -------
+    Resonance or None
+        None if the response does not show a resonance: a rigid mass fits as well, or the band ends before it.
+    """
+    low, high = response.band_hz
+    inside = (response.frequency_hz >= low) & (response.frequency_hz <= high)
+    if np.mean(response.is_used[inside]) < _LEAST_USED:
+        return None
+    found = _fit(response, response.response)
+    if found is None or abs(found.values["delay_s"] / response.period_s - 0.5) > _NEAR_MEAN:
+        return found
+    # half a period old, the torque is a mean over the period, which is smaller than the torque at high frequencies
+    mean = np.sinc(response.frequency_hz * response.period_s)
+    return _fit(response, response.response * mean)
+
+
+def _fit(response: FrequencyResponse, corrected: Complex) -> Resonance | None:
+    from scipy.optimize import least_squares  # imported here: commands that do not need it start faster
+
+    omega = math.tau * response.frequency_hz[response.is_used]
+    measured = corrected[response.is_used]
+    sigma = np.maximum(response.errors[response.is_used], _LEAST_ERROR)
+
+    def residual_of(predict: Callable[[Array], Complex]) -> Callable[[Array], Array]:
+        def residual(at: Array) -> Array:
+            logs = np.log(measured / predict(at)) / sigma
+            return np.concatenate([logs.real, logs.imag])
+
+        return residual
+
+    inertia = float(np.median(np.abs(1.0 / (omega * measured))))
+    rigid = least_squares(
+        residual_of(lambda at: _rigid(at, omega)), [math.log(inertia), 0.0, 0.0], x_scale=[1.0, inertia, 1e-3]
+    )
+    best = None
+    fit = residual_of(lambda at: _two_masses(at, omega))
+    for antiresonance in np.geomspace(omega[0], omega[-1] / _EDGE, _STARTS):
+        for share in (0.2, 0.6):
+            start = np.array(
+                [
+                    math.log((1.0 - share) * inertia),
+                    math.log(share * inertia),
+                    math.log(antiresonance),
+                    math.log(0.03),
+                    0.0,
+                    0.0,
+                ]
+            )
+            tried = least_squares(fit, start, loss="soft_l1", max_nfev=12, x_scale=[1.0, 1.0, 0.1, 1.0, inertia, 1e-3])
+            if best is None or tried.cost < best.cost:
+                best = tried
+    assert best is not None
+    best = least_squares(fit, best.x, x_scale=[1.0, 1.0, 0.1, 1.0, inertia, 1e-3])
+    freedom = max(2 * len(omega) - len(best.x), 1)
+    variance = 2.0 * best.cost / freedom
+    if 2.0 * (rigid.cost - best.cost) < _EVIDENT * max(variance, 1.0):
+        return None
+    covariance = _covariance(best.jac, response, sigma)
+    values, errors = _derived(best.x, covariance * max(variance, 1.0))
+    load, total = values["load_inertia"], values["inertia"]
+    low, high = response.band_hz
+    is_inside = low < values["antiresonance_hz"] and values["resonance_hz"] * _EDGE < high
+    is_damped = _LEAST_DAMPING < values["damping_ratio"] < _MOST_DAMPING
+    is_clear = all(errors[name] < most * values[name] for name, most in _LARGEST_ERRORS.items())
+    rows = fit(best.x) * np.concatenate([sigma, sigma])
+    misfit = float(np.sqrt(np.mean(rows**2)))
+    if not (is_inside and is_damped and is_clear and load > _LEAST_LOAD * total and misfit < _MOST_MISFIT):
+        return None
+    return Resonance(values, errors, misfit)
+
+
+def two_mass_response(values: dict[str, float], frequency_hz: Array) -> Complex:
+    """Return velocity over torque (m,) of fitted masses; ``values`` are those of a `Resonance`."""
+    s = 2j * math.pi * frequency_hz
+    spring = values["stiffness"] + s * values["damping"]
+    load = s * values["load_inertia"]
+    impedance = s * values["motor_inertia"] + values["viscous"] + load * spring / (spring + s * load)
+    return np.asarray(np.exp(-s * values["delay_s"]) ** -1 / impedance)
+
+
+def _rigid(at: Array, omega: Array) -> Complex:
+    return np.asarray(np.exp(1j * omega * at[2]) / (1j * omega * math.exp(at[0]) + at[1]))
+
+
+def _two_masses(at: Array, omega: Array) -> Complex:
+    return two_mass_response(_physical(at), omega / math.tau)
+
+
+def _physical(at: Array) -> dict[str, float]:
+    motor, load, omega, ratio = np.exp(np.clip(at[:4], -60.0, 60.0)).tolist()
+    stiffness = load * omega**2
+    return dict(
+        zip(_NAMES, (motor, load, stiffness, 2.0 * ratio * stiffness / omega, float(at[4]), float(at[5])), strict=True)
+    )
+
+
+def _with_derived(at: Array) -> dict[str, float]:
+    own = _physical(at)
+    motor, load, stiffness = own["motor_inertia"], own["load_inertia"], own["stiffness"]
+    resonance = math.sqrt(stiffness / load + stiffness / motor)
+    return {
+        **own,
+        "inertia": motor + load,
+        "antiresonance_hz": math.sqrt(stiffness / load) / math.tau,
+        "resonance_hz": resonance / math.tau,
+        "damping_ratio": 0.5 * own["damping"] / stiffness * resonance,
+    }
+
+
+def _derived(at: Array, covariance: Array) -> tuple[dict[str, float], dict[str, float]]:
+    """Return all values and their standard errors, linearised."""
+    values = _with_derived(at)
+    scale = np.maximum(np.sqrt(np.diag(covariance)), 1e-12)
+    steps = [1e-3 * size * np.eye(len(at))[i] for i, size in enumerate(scale)]
+    sides = [(_with_derived(at + step), _with_derived(at - step)) for step in steps]
+    errors = {}
+    for name in values:
+        slope = np.array(
+            [(up[name] - down[name]) / (2e-3 * size) for (up, down), size in zip(sides, scale, strict=True)]
+        )
+        errors[name] = float(np.sqrt(max(slope @ covariance @ slope, 0.0)))
+    return values, errors
+
+
+def _covariance(jacobian: Array, response: FrequencyResponse, sigma: Array) -> Array:
+    """Return the covariance of the parameters by the jackknife, which knows that neighbouring lines are correlated."""
+    changes = -np.linalg.pinv(jacobian)
+    deviations = response.deviations[:, response.is_used] / sigma
+    shifts = np.concatenate([deviations.real, deviations.imag], axis=1) @ changes.T
+    return np.asarray(shifts.T @ shifts)

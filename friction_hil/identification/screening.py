@@ -1,0 +1,132 @@
+"""Search of several candidates at once, of which those that fit far worse than others end early.
+
+Sequential halving: every candidate gets few evaluations, those that are left get more. Source: Z. Karnin, T. Koren,
+O. Somekh, Almost optimal exploration in multi-armed bandits, International Conference on Machine Learning, 2013.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from friction_hil.identification import structures
+from friction_hil.identification.choice import log_likelihood_gain
+from friction_hil.identification.humps import hump
+from friction_hil.identification.least_squares import NUMERICAL, FitError
+from friction_hil.identification.prediction_errors import PredictionError, prediction_error
+from friction_hil.identification.refine import inside
+from friction_hil.identification.regression import Estimate, Regression
+from friction_hil.identification.structures import InitialScales
+from friction_hil.identification.workers import in_parallel
+from friction_hil.numerics.jit import Array
+
+_STARTS = 2  # suggested by the scales, besides that of the base
+_HUMP_HEIGHT = 1.3  # of the level
+_HUMP_WIDTHS = (0.4, 0.7)  # between the slowest sliding and the top speed, as a share of the logarithm
+_FIRST_EVALUATIONS = 5  # from each start
+_ROUNDS = ((10, 2.5), (25, 1.4))  # evaluations, and the ratio of errors above which a candidate ends
+_SIGNIFICANT = 3.0  # standard errors by which it must be worse
+
+
+@dataclass(slots=True)
+class Search:
+    """State of the search of one candidate.
+
+    Attributes
+    ----------
+    at : (m,) array
+        Coordinates of the best parameters so far.
+    error : PredictionError or None
+        Error with them on the data that it is fitted to.
+    is_ended : bool
+        True if other candidates fit far better.
+    failure : Exception or None
+        Why the candidate has no finite error.
+    """
+
+    at: Array
+    error: PredictionError | None = None
+    is_ended: bool = False
+    failure: Exception | None = None
+
+    def estimate(self, regression: Regression) -> Estimate:
+        """Return the estimate at the coordinates that were found."""
+        return regression.estimate(self.at, evaluations=1)
+
+
+def screened(regressions: Sequence[Regression], bases: Sequence[Array], scales: InitialScales) -> list[Search]:
+    """Search for the parameters of each candidate, as long as it may be among the best ones.
+
+    Parameters
+    ----------
+    regressions : sequence of Regression
+        On the same data.
+    bases : sequence of (m,) array
+        Coordinates to start from; the scales suggest others.
+    scales : InitialScales
+    """
+    found = in_parallel([partial(_begun, *given, scales) for given in zip(regressions, bases, strict=True)])
+    for evaluations, ratio in _ROUNDS:
+        left = [i for i, each in enumerate(found) if each.failure is None and not each.is_ended]
+        if len(left) < 2:  # what is left is searched for with all steps anyway
+            break
+        again = in_parallel([partial(_continued, regressions[i], found[i], evaluations) for i in left])
+        for i, search in zip(left, again, strict=True):
+            found[i] = search
+        errors = {i: found[i].error for i in left}
+        known = {i: error for i, error in errors.items() if error is not None}
+        if not known:
+            break
+        best = _best(list(known.values()))
+        for i, error in known.items():
+            gain, doubt = log_likelihood_gain(best, error)
+            found[i].is_ended = gain > max(math.log(ratio), _SIGNIFICANT * doubt)
+    return found
+
+
+def _best(errors: Sequence[PredictionError]) -> PredictionError:
+    base = errors[0]
+    return max(errors, key=lambda each: log_likelihood_gain(each, base)[0])
+
+
+def _begun(regression: Regression, base: Array, scales: InitialScales) -> Search:
+    """Return the best of short searches from several starts."""
+    starts = [inside(regression, base, scales)]
+    coordinates = regression.structure.coordinates
+    for values in structures.starts(regression.structure, scales, 0, 0):
+        if len(starts) <= _STARTS:
+            starts.append(np.array([each.inner(values[each.name]) for each in coordinates]))
+    starts += [
+        np.array([each.inner(values[each.name]) for each in coordinates]) for values in _humps(regression, scales)
+    ]
+    try:
+        tried = [regression.search(each, evaluations=_FIRST_EVALUATIONS, tolerance=1e-5) for each in starts]
+    except NUMERICAL as error:
+        return Search(starts[0], failure=error)
+    best = min(tried, key=lambda each: each.cost)
+    if not math.isfinite(best.cost):
+        return Search(starts[0], failure=FitError("its torque is not defined at any start of the search"))
+    return Search(best.at)
+
+
+def _humps(regression: Regression, scales: InitialScales) -> list[dict[str, float]]:
+    """Return starts with a hump; ordinary records take presliding for a level near zero at standstill."""
+    names = hump(regression.structure)
+    values = next(structures.starts(regression.structure, scales, 0, 0))
+    slowest = min(scales.least_sliding_speed, scales.speed)
+    found = []
+    for share in _HUMP_WIDTHS if names else ():
+        width = slowest ** (1.0 - share) * scales.speed**share
+        levels = {name: width if name == "stribeck_velocity" else _HUMP_HEIGHT * scales.level for name in names}
+        found.append({**values, **levels})
+    return found
+
+
+def _continued(regression: Regression, search: Search, evaluations: int) -> Search:
+    try:
+        solution = regression.search(search.at, evaluations=evaluations, tolerance=1e-4)
+    except NUMERICAL as error:
+        return Search(search.at, failure=error)
+    return Search(solution.at, prediction_error(regression.data.torque, regression.data.torque - solution.residual))

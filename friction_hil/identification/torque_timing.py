@@ -1,0 +1,222 @@
+"""Age of a reported torque relative to the position of the same sample: mean over the last period, instant, or later.
+
+No drive reports it. A torque that comes late by ``delay`` looks like the torque of a motion ``delay`` ago: the residual
+of a refined fit contains minus ``delay`` times the time derivative of the predicted torque. The delay is estimated
+together with all parameters of the fit by Gauss-Newton steps, without the bias that the counts of the encoder cause
+(simulated experiments, as in `friction_hil.identification.refine`).
+
+Damping of presliding explains a delay of the spring's torque, so that only the torque of the inertia and friction at
+higher speeds tell them apart. Therefore the standard error is large where the axis accelerates little, and families of
+friction models that fit equally well must not contradict each other.
+
+A drive that interpolates its set-points by steps of the acceleration has, at the instant of a sample, an inertia torque
+that is half a period old: an instantaneous torque shows as a delay between 0 and half a period.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from friction_hil.identification.candidates import CandidateFitter
+from friction_hil.identification.data import Data
+from friction_hil.identification.fine import FineSegment, recounted
+from friction_hil.identification.fits import Fit
+from friction_hil.identification.inference import infer
+from friction_hil.identification.least_squares import NUMERICAL
+from friction_hil.identification.refine import LAG_ROWS, is_dynamic, torque_at_steps, weighted_estimate
+from friction_hil.identification.regression import Estimate, Regression
+from friction_hil.identification.structures import EXTENDS
+from friction_hil.numerics.jit import Array
+
+Meaning = Literal["mean", "instant", "late"]
+
+_TRIED = 2  # families of friction models
+_AS_GOOD = 1.1  # times the smallest mean square: a family that fits so well has to agree
+_FIRST_PERIODS = 0.75  # delay that is assumed first: above the true one, so that no damping ends at its bound of zero
+_EARLIEST, _LATEST = -0.5, 5.0  # periods
+_STEPS = 4
+_SETTLED_PERIODS = 0.01  # a smaller step ends the search
+_EVALUATIONS = 8  # of each search
+_REPLICAS = 4
+_CLEAR = 3.0  # standard errors
+_MEAN_PERIODS = 0.5
+_NEAR_PERIODS = 0.15  # deviation from half a period that is none
+_LATE_PERIODS = 0.75
+_VAGUE_PERIODS = 0.1  # larger standard errors tell nothing
+_SHIFT_DOUBT = 1.0 / 8.0  # variance of a bias that is subtracted, relative to its square
+_MOST_EXTRAPOLATED = 2.0  # of a first step, by those that would follow
+
+
+@dataclass(frozen=True, slots=True)
+class TorqueTiming:
+    """Age of a reported torque.
+
+    Attributes
+    ----------
+    delay_s, error_s : float
+        Mean age relative to the position of the sample, and its standard error, s.
+    period_s : float
+        Sampling period.
+    meaning : str or None
+        ``mean`` over the period before the sample, ``instant``, ``late`` (older than a mean), or None if the recordings
+        do not tell.
+    assumed : str
+        What it is taken for if they do not tell: ``instant`` if the driver stated the age of its torque, else ``mean``.
+    """
+
+    delay_s: float
+    error_s: float
+    period_s: float
+    meaning: Meaning | None
+    assumed: Meaning = "mean"
+
+    @property
+    def text(self) -> str:
+        """One sentence for the user."""
+        age = f"{1e3 * self.delay_s:.3g} ms (standard error {1e3 * self.error_s:.2g} ms)"
+        if self.meaning == "mean":
+            return f"the reported torque is {age} old, like its mean over the period before the sample: taken as that"
+        if self.meaning == "instant":
+            return f"the reported torque is {age} old, less than a mean over the period: taken as that of the instant"
+        if self.meaning == "late":
+            return f"the reported torque is {age} old, more than a mean over the period: it is moved back by as much"
+        taken, other = "a mean is assumed", "instant"
+        if self.assumed == "instant":
+            taken, other = "that of the instant is assumed, because the driver states how old its torque is", "mean"
+        return (
+            "the recordings do not tell whether the reported torque is a mean over the period or that of the instant: "
+            f"{taken}; if it is not (--torque-is {other}), damping of presliding is wrong by its stiffness times half "
+            f"a period, {0.5 * self.period_s:.3g} s"
+        )
+
+
+def torque_timing(fitter: CandidateFitter, fits: Sequence[Fit]) -> TorqueTiming:
+    """Find out how old the torque of the recordings is.
+
+    Parameters
+    ----------
+    fitter : CandidateFitter
+        With records that can be refined.
+    fits : sequence of Fit
+        Fits to ordinary records, those of dynamic families being used.
+    """
+    [period_s] = {1.0 / each.rate_hz for each in fitter.data.records[:1]}
+    dynamic = sorted((each for each in fits if is_dynamic(each.structure)), key=lambda each: each.held_out.rmse)
+    families: dict[str, Fit] = {}
+    for each in dynamic:
+        if EXTENDS.get(each.structure.family) not in fitter.families:
+            families.setdefault(each.structure.family, each)
+    assumed: Meaning = "instant" if all(each.is_torque_age_stated for each in fitter.data.records) else "mean"
+    unknown = TorqueTiming(math.nan, math.inf, period_s, None, assumed)
+    tried = []
+    for each in list(families.values())[:_TRIED]:
+        fitter.report(each.label)
+        regression = _at(fitter, each, _FIRST_PERIODS * period_s)
+        try:
+            estimate = weighted_estimate(regression, each.coordinates, fitter.scales, evaluations=_EVALUATIONS)
+        except NUMERICAL:  # this family is refined, or left out with a note, later
+            continue
+        weighted = estimate.weights * estimate.residual
+        tried.append((float(weighted @ weighted / (estimate.weights @ estimate.weights)), each, estimate))
+    tried.sort(key=lambda each: each[0])
+    found = []
+    for cost, fit, estimate in tried:
+        if cost > _AS_GOOD * tried[0][0]:
+            break
+        try:
+            found.append(replace(_timing(fitter, fit, estimate, period_s), assumed=assumed))
+        except NUMERICAL:
+            continue
+    if not found:
+        return unknown
+    first, *others = found
+    is_contradicted = any(each.meaning not in (first.meaning, None) for each in others)
+    return replace(first, meaning=None) if is_contradicted else first
+
+
+def _at(fitter: CandidateFitter, fit: Fit, delay_s: float) -> Regression:
+    """Return the regression of a fit with a torque that is taken to be so old."""
+    records = [replace(each, is_mean=False, delay_s=delay_s) for each in _fine(fitter)]
+    return fitter.fine_regression(fit.structure, fit.mechanics, Data(records))
+
+
+def _fine(fitter: CandidateFitter) -> list[FineSegment]:
+    return [each for each in fitter.fine.records if isinstance(each, FineSegment)]
+
+
+def _timing(fitter: CandidateFitter, fit: Fit, estimate: Estimate, period_s: float) -> TorqueTiming:
+    """Return the age of the torque by one fit, whose estimate at the first delay is given."""
+    delay_s = _FIRST_PERIODS * period_s
+    regression = _at(fitter, fit, delay_s)
+    steps: list[float] = []
+    for _ in range(_STEPS):
+        step, error = _step(regression, estimate, estimate.residual, estimate.weights)
+        steps.append(step)
+        before, delay_s = delay_s, min(max(delay_s + step, _EARLIEST * period_s), _LATEST * period_s)
+        if abs(delay_s - before) < _SETTLED_PERIODS * period_s:
+            break
+        regression = _at(fitter, fit, delay_s)
+        estimate = regression.estimate(estimate.coordinates, weights=estimate.weights, evaluations=_EVALUATIONS)
+    # replicas take the first step only; those that follow it lengthen it as much as they did here
+    ratio = sum(steps) / steps[0] if steps[0] != 0.0 else 1.0
+    bias, spread = min(max(ratio, 1.0), _MOST_EXTRAPOLATED) * np.array(_bias(fitter, regression, estimate))
+    delay_s -= float(bias)
+    error = math.sqrt(error**2 + spread**2 + _SHIFT_DOUBT * bias**2)
+    return TorqueTiming(delay_s, error, period_s, _meaning(delay_s / period_s, error / period_s))
+
+
+def _meaning(delay: float, error: float) -> Meaning | None:
+    """Return what a delay means; delay and standard error in periods."""
+    if not error <= _VAGUE_PERIODS:
+        return None
+    if abs(delay - _MEAN_PERIODS) <= _NEAR_PERIODS:
+        return "mean"
+    if delay > max(_LATE_PERIODS, _MEAN_PERIODS + _CLEAR * error):
+        return "late"
+    return "instant" if delay < _MEAN_PERIODS - max(_CLEAR * error, _NEAR_PERIODS) else None
+
+
+def _step(regression: Regression, estimate: Estimate, residual: Array, weights: Array) -> tuple[float, float]:
+    """Return the change of the delay that fits a residual best, all parameters free, and its standard error, s."""
+    torques = torque_at_steps(regression, estimate)
+    column = regression.data.stack(
+        [-np.gradient(torque) / record.dt for torque, record in zip(torques, regression.data.records, strict=True)]
+    )
+    jacobian = np.column_stack([estimate.jacobian, column])
+    weighted = jacobian * weights[:, None]
+    norms = np.linalg.norm(weighted, axis=0)
+    norms[norms == 0.0] = 1.0
+    change = np.linalg.lstsq(weighted / norms, residual * weights, rcond=1e-9)[0] / norms
+    after = replace(
+        estimate, jacobian=jacobian, names=(*estimate.names, "delay"), residual=residual - jacobian @ change
+    )
+    errors = infer(after, regression.data.parts, lags=LAG_ROWS).standard_errors
+    return float(change[-1]), errors["delay"]
+
+
+def _bias(fitter: CandidateFitter, regression: Regression, estimate: Estimate) -> tuple[float, float]:
+    """Return the mean error of the delay in simulated experiments, and the standard error of that mean and one, s."""
+    random = np.random.default_rng(fitter.settings.seed)
+    sensed = []
+    for record, torque in zip(regression.data.records, torque_at_steps(regression, estimate), strict=True):
+        assert isinstance(record, FineSegment)
+        sensed.append(record.at_samples(torque))
+    found = []
+    for _ in range(_REPLICAS):
+        data = recounted(regression.data, fitter.data.records, sensed, random)
+        again = Regression(
+            data,
+            regression.structure,
+            [name for name in regression.keys if name not in regression.structure.linear],
+            regression.held,
+            regression.loads,
+        )
+        linear = {name: estimate.values[name] for name in again.keys}
+        residual = data.torque - again.predict(estimate.coordinates, linear)
+        local = replace(estimate, jacobian=again.jacobian(estimate.coordinates, estimate.names))
+        found.append(_step(again, local, residual, estimate.weights)[0])
+    spread = float(np.std(found, ddof=1))
+    return float(np.mean(found)), spread / math.sqrt(len(found))

@@ -1,0 +1,275 @@
+"""Identification of two masses, backlash and encoder errors, against an independent simulation of such an axis."""
+
+import json
+import math
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from friction_hil.cli import main
+from friction_hil.errors import ConfigurationError
+from friction_hil.identification import Identification, IdentificationSettings, identify
+from friction_hil.identification.data import prepare
+from friction_hil.identification.export import add_mechanics, as_model_file, mechanics_as_json
+from friction_hil.identification.frequency_response import FrequencyResponse, frequency_response, sliding_windows
+from friction_hil.identification.load_side import find_load_side
+from friction_hil.identification.mechanics import Mechanics, find_mechanics
+from friction_hil.identification.resonance import fit_resonance
+from friction_hil.models.model_file import ModelFile
+from friction_hil.motion import experiment
+from friction_hil.recordings import Recording
+from tests.two_mass_axis import LOOP_HZ, Axis, Side, multisine, record, sweeps, there_and_back
+
+COULOMB_LOAD = Axis(motor=Side(0.0, viscous=1e-3), load=Side(0.07), resonance_hz=60.0)
+GAP = Axis(motor=Side(0.01), load=Side(0.06), backlash=1e-3, resonance_hz=60.0)
+RIGID_LUGRE = Axis(resonance_hz=math.inf, motor=Side(0.07, 0.09, sigma0=50.0, sigma1=0.05))
+RIGID = Axis(resonance_hz=math.inf)
+
+
+@cache
+def excited(axis: Axis, seconds: float = 12.0) -> Recording:
+    """The product's experiment on an axis; the load is not seen."""
+    plan = experiment.plan(2.0, 0.5, 6e-6, seconds)
+    return without_load(record(axis, sweeps(plan, seconds + 0.5)))
+
+
+@cache
+def shaken(axis: Axis, seconds: float = 20.0, seed: int = 1, low_hz: float = 5.0, high_hz: float = 150.0) -> Recording:
+    """Strokes of constant speed with a multisine on top, which the demand has, too."""
+    demand = there_and_back(1.0, 1.5, seconds)
+    velocity = multisine(0.12, low_hz, high_hz, seconds, np.random.default_rng(seed))
+    demand[:, 1] += velocity
+    demand[:, 0] += np.cumsum(velocity) / LOOP_HZ
+    return without_load(record(axis, demand, seed=seed))
+
+
+def without_load(recording: Recording) -> Recording:
+    columns = {name: values for name, values in recording.columns.items() if name != "load_position"}
+    return Recording(recording.path, recording.axis, columns)
+
+
+@cache
+def found(axis: Axis) -> tuple[Identification, Mechanics]:
+    recording = excited(axis)
+    result = identify([recording], IdentificationSettings(families=("lugre",), has_modifiers=False, refine=False))
+    return result, find_mechanics([recording], result)
+
+
+def known(mechanics: Mechanics) -> dict[str, float]:
+    return {each.key: each.value for each in mechanics.quantities if each.value is not None}
+
+
+def truth(axis: Axis) -> dict[str, float]:
+    return {
+        "motor_inertia": axis.motor_inertia,
+        "load_inertia": axis.load_inertia,
+        "inertia": axis.motor_inertia + axis.load_inertia,
+        "stiffness": axis.stiffness,
+        "antiresonance_hz": axis.antiresonance_hz,
+        "resonance_hz": axis.resonance_hz,
+        "damping": axis.damping,
+        "backlash": axis.backlash,
+        "motor_friction": axis.motor.level,
+        "load_friction": axis.load.level,
+    }
+
+
+def response_of(recording: Recording) -> FrequencyResponse | None:
+    return frequency_response(prepare(recording))
+
+
+# ------------------------------------------------------------------------------------------------- frequency response
+
+
+def test_spectra_are_those_of_scipy() -> None:
+    """One long stroke is one block of sliding windows, so that Welch's averages are the same sums."""
+    [segment] = prepare(shaken(Axis()))
+    count = 1000
+    windows = sliding_windows(segment, count)
+    first = [each for each in windows if each.start < windows[0].start + 1300]
+    rows = slice(first[0].start, first[-1].stop)
+    response = frequency_response([segment])
+    assert response is not None
+    assert response.window_s == pytest.approx(1.0)
+    velocity = np.diff(segment.encoder, prepend=segment.encoder[0]) * segment.rate_hz
+    options: dict[str, Any] = {"fs": segment.rate_hz, "nperseg": count, "detrend": "linear"}
+    frequency, coherence = signal.coherence(segment.torque[rows], velocity[rows], **options)
+    alone = frequency_response([segment], least_coherence=0.0)
+    assert alone is not None
+    np.testing.assert_allclose(alone.frequency_hz, frequency[2 : len(alone.frequency_hz) + 2])
+    _, cross = signal.csd(segment.torque[rows], velocity[rows], **options)
+    _, power = signal.welch(segment.torque[rows], **options)
+    direct = (cross / power)[2 : len(alone.frequency_hz) + 2]
+    near = alone.is_used & (alone.coherence > 0.99) & (alone.frequency_hz < 35.0)
+    turn = (1j * math.tau * alone.frequency_hz / 1000.0) / (1.0 - np.exp(-1j * math.tau * alone.frequency_hz / 1000.0))
+    assert np.count_nonzero(near) > 15
+    # another estimator on part of the data: the same to the scatter of two windows
+    assert np.median(np.abs(direct * turn / alone.response - 1.0)[near]) < 0.1
+    assert np.all(coherence <= 1.0 + 1e-12)
+
+
+def test_resonance_and_anti_resonance_are_those_of_the_axis() -> None:
+    axis = Axis()
+    response = response_of(shaken(axis))
+    assert response is not None
+    assert response.has_instrument
+    resonance = fit_resonance(response)
+    assert resonance is not None
+    expected = truth(axis)
+    for name, limit in {"antiresonance_hz": 0.01, "resonance_hz": 0.01, "inertia": 0.02, "stiffness": 0.03}.items():
+        assert resonance.values[name] == pytest.approx(expected[name], rel=limit), name
+    assert 0.4 < resonance.values["damping"] / expected["damping"] < 2.0  # the windows are short for it
+    assert resonance.values["delay_s"] == pytest.approx(0.5e-3, rel=0.1)  # a mean over the period of 1 ms
+
+
+def test_standard_errors_are_those_of_a_bootstrap_over_recordings() -> None:
+    segments = [each for seed in range(4) for each in prepare(shaken(Axis(), 6.0, seed))]
+    response = frequency_response(segments)
+    assert response is not None
+    stated = fit_resonance(response)
+    assert stated is not None
+    random = np.random.default_rng(3)
+    drawn = []
+    for _ in range(6):
+        again = frequency_response([segments[i] for i in random.integers(len(segments), size=len(segments))])
+        assert again is not None
+        resonance = fit_resonance(again)
+        assert resonance is not None
+        drawn.append([resonance.values[name] for name in ("resonance_hz", "antiresonance_hz")])
+    spread = np.std(drawn, axis=0, ddof=1)
+    for name, scatter in zip(("resonance_hz", "antiresonance_hz"), spread, strict=True):
+        assert 0.25 < stated.errors[name] / scatter < 4.0, name  # six draws know a spread to a factor of 1.4
+
+
+def test_a_rigid_axis_has_no_resonance() -> None:
+    response = response_of(shaken(RIGID))
+    assert response is not None
+    assert response.band_hz[1] > 100.0
+    assert fit_resonance(response) is None
+
+
+def test_slow_strokes_excite_no_response() -> None:
+    response = response_of(without_load(record(Axis(), there_and_back(1.0, 1.5, 12.0))))
+    assert response is None or fit_resonance(response) is None
+
+
+# ------------------------------------------------------------------------------------------------ torque over the time
+
+
+def test_the_spring_of_a_coupling_is_not_put_into_the_bristle_unsaid() -> None:
+    result, mechanics = found(COULOMB_LOAD)
+    assert result.best.values["sigma0"] == pytest.approx(COULOMB_LOAD.stiffness, rel=0.5)  # what LuGre makes of it
+    [flag] = mechanics.flags
+    assert "may be the coupling's" in flag
+    values, expected = known(mechanics), truth(COULOMB_LOAD)
+    assert mechanics.load is not None
+    for name, limit in {"motor_inertia": 0.1, "load_inertia": 0.1, "stiffness": 0.05, "load_friction": 0.03}.items():
+        assert values[name] == pytest.approx(expected[name], rel=limit), name
+    assert values["antiresonance_hz"] == pytest.approx(expected["antiresonance_hz"], rel=0.05)
+    assert values["motor_friction"] < 0.05 * values["load_friction"]
+
+
+def test_the_bristle_of_a_rigid_axis_is_not_taken_for_a_coupling() -> None:
+    result, mechanics = found(RIGID_LUGRE)
+    assert result.best.values["sigma0"] == pytest.approx(50.0, rel=0.1)
+    assert mechanics.flags == ()
+    assert mechanics.load is None
+    missing = {each.key: each.missing for each in mechanics.quantities if each.value is None}
+    assert {"stiffness", "resonance_hz", "backlash", "load_friction", "load_dependence"} <= set(missing)
+    assert all("record" in missing[name] for name in ("stiffness", "backlash", "load_dependence"))
+    [line] = (each for each in mechanics.lines if each.startswith("backlash"))
+    assert "not determined" in line
+
+
+def test_backlash_is_found_from_the_motor_alone() -> None:
+    _, mechanics = found(GAP)
+    values, expected = known(mechanics), truth(GAP)
+    errors = {each.key: each.error for each in mechanics.quantities}
+    assert mechanics.backlash == pytest.approx(GAP.backlash, rel=0.1)
+    for name in ("backlash", "motor_friction", "load_friction", "stiffness"):
+        error = errors[name]
+        assert error is not None
+        assert abs(values[name] - expected[name]) < 4.0 * error, name
+        assert error < 0.1 * expected[name], name
+
+
+def test_with_the_position_of_the_load_each_side_is_known() -> None:
+    plan = experiment.plan(2.0, 0.5, 6e-6, 12.0)
+    recording = record(GAP, sweeps(plan, 12.5))
+    side = find_load_side([recording], prepare(recording))
+    assert side is not None
+    expected = truth(GAP)
+    for name in ("backlash", "motor_inertia", "motor_friction", "load_friction", "stiffness"):
+        assert side.values[name] == pytest.approx(expected[name], rel=0.05), name
+    recording = record(COULOMB_LOAD, sweeps(plan, 12.5))
+    side = find_load_side([recording], prepare(recording))
+    assert side is not None
+    assert "backlash" not in side.values
+
+
+# ------------------------------------------------------------------------------------------------------ encoder error
+
+
+@pytest.mark.parametrize("is_encoder", [True, False])
+def test_an_error_of_the_encoder_is_told_from_cogging_by_the_speed(is_encoder: bool) -> None:
+    slow, fast = (there_and_back(speed, 5.0, 8.0) for speed in (1.5, 5.0))
+    axis = Axis(
+        resonance_hz=math.inf,
+        encoder_error=(2e-4 if is_encoder else 0.0, 40.0),
+        cogging=(0.0 if is_encoder else 3e-3, 40.0),
+    )
+    recording = without_load(record(axis, np.concatenate([slow, fast])))
+    settings = IdentificationSettings(families=("coulomb",), has_modifiers=False, gravity="none", refine=False)
+    mechanics = find_mechanics([recording], identify([recording], settings))
+    [error] = (each for each in mechanics.quantities if each.key == "encoder_error")
+    if not is_encoder:
+        assert error.value is None
+        assert "speed" in error.missing
+        return
+    assert "order 40" in error.label
+    assert error.value == pytest.approx(2e-4, rel=0.15)
+
+
+# ------------------------------------------------------------------------------------------------------------- results
+
+
+def test_model_file_has_the_load_and_is_read_again() -> None:
+    result, mechanics = found(COULOMB_LOAD)
+    content = as_model_file(result)
+    add_mechanics(content, mechanics)
+    read = ModelFile.model_validate(content).mechanics
+    assert read.load is not None
+    values = known(mechanics)
+    assert read.load.stiffness == pytest.approx(values["stiffness"])
+    assert read.inertia == pytest.approx(values["inertia"])
+    assert read.load.inertia < read.inertia
+    assert any("coupling" in flag for flag in content["fit"]["flags"])
+    printed = json.loads(json.dumps(mechanics_as_json(mechanics)))
+    assert printed["quantities"]["stiffness"]["standard_error"] > 0.0
+    assert printed["quantities"]["backlash"]["missing"]
+
+
+def test_a_load_heavier_than_the_axis_is_refused() -> None:
+    content = {"inertia": 1e-4, "load": {"inertia": 2e-4, "stiffness": 5.0}}
+    friction = {"model": "coulomb", "parameters": {"coulomb": 0.1}}
+    with pytest.raises((ConfigurationError, ValueError), match=r"part of mechanics\.inertia"):
+        ModelFile.model_validate({"axis": "rotary", "friction": friction, "mechanics": content})
+
+
+def test_command_prints_what_was_found_and_what_was_not(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, report = tmp_path / "shaken.npz", tmp_path / "report.html"
+    np.savez(path, **shaken(Axis(), 12.0).columns)  # type: ignore[arg-type]
+    options = ["identify", str(path), "--models", "coulomb", "--gravity", "none", "--output", str(tmp_path / "m.yaml")]
+    assert main([*options, "--report", str(report)]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "anti-resonance" in shown
+    assert "backlash: not determined:" in shown
+    text = report.read_text()
+    assert "<h2>Mechanics</h2>" in text
+    assert "Frequency response of the motor" in text
+    model = (tmp_path / "m.yaml").read_text()
+    assert "load:" in model
