@@ -27,24 +27,27 @@ def _names(context: click.Context, parameter: click.Parameter, text: str) -> tup
 @click.argument("sources", metavar="RECORDING...", nargs=-1, type=click.Path(path_type=Path))
 @click.option(
     "--structure",
-    type=click.Choice(["gated", "narx", "static", "residual"]),
-    default="gated",
+    type=click.Choice(["auto", "gated", "narx", "static", "residual"]),
+    default="auto",
     show_default=True,
-    help="gated: with a state that does not change at rest. narx: its past torques are inputs. static: no state. "
-    "residual: a static network added to a model of the library.",
+    help="auto: from recordings, a static network added to the identified model, if that predicts held-out data "
+    "better, else the identified model alone; with --from-model, gated. gated: with a state that does not change at "
+    "rest. narx: its past torques are inputs. static: no state. residual: a static network added to a model of the "
+    "library.",
 )
 @click.option(
     "--hidden",
     metavar="N[,N]",
     callback=_numbers,
-    help="Number of tanh units of one or two layers.  [default: 10; of a residual 4]",
+    help="Number of tanh units of one or two layers; not with auto.  [default: 10; of a residual 4]",
 )
 @click.option(
     "--inputs",
     default="",
     metavar="NAME,NAME",
     callback=_names,
-    help="Inputs besides the velocity: position, load_torque, temperature.",
+    help="Inputs besides the velocity: position, load_torque, temperature. With auto those that lower the error on "
+    "held-out data are found.",
 )
 @option_validate
 @click.option(
@@ -92,8 +95,13 @@ def _names(context: click.Context, parameter: click.Parameter, text: str) -> tup
 def command(**options: Any) -> int:
     """Train a network on the friction of an axis, with the Levenberg-Marquardt method.
 
-    The network is trained and judged in free run, as it will be used: its own past outputs are fed back. The best
-    network on data that it was not trained on is kept. Ctrl-C stops the training and keeps the best network so far.
+    From recordings, the axis is identified first, and a network learns what the identified model leaves. It is kept
+    only if it predicts held-out data better than the models of the library; otherwise the model file holds the
+    identified model.
+
+    With any other --structure than auto the network is trained in any case. The network is trained and judged in free
+    run, as it will be used: its own past outputs are fed back. The best network on data that it was not trained on is
+    kept. Ctrl-C stops the training and keeps the best network so far.
     """
     from friction_hil.cli.work.train import train  # imported here: --help must not wait for numba
 

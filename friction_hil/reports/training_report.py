@@ -62,7 +62,7 @@ def write_report(path: Path, candidate: TrainedModel, seconds: float) -> None:
 _ERRORS_CAPTION = "Error of each sample in free run, over the velocity and over its rate of change."
 _COMPARED = (
     "<p>Each model of the library is fitted to the samples on which the network was trained, and runs free along "
-    "signals that neither has seen. If a model is as good, prefer it: its parameters have a physical meaning.</p>"
+    "signals that neither was fitted to. If a model is as good, prefer it: its parameters have a physical meaning.</p>"
 )
 _CURVE_CAPTION = (
     "Steady torque of the network at constant velocity (line), and the friction on which it was trained (points). In "
@@ -90,8 +90,14 @@ def _errors(candidate: TrainedModel) -> str:
     rows += [(html.escape(name), "", f"{candidate.error(each):.4f}") for name, each in candidate.task.unseen.items()]
     text = table(("NRMSE", "one step", "free run"), rows)
     if candidate.relative_errors:
-        held_out = [(html.escape(name), f"{100.0 * value:.3f} %") for name, value in candidate.relative_errors.items()]
-        text += table(("held out", "relative error of the whole torque"), held_out)
+        gains = candidate.gains
+        held_out = [
+            (html.escape(name), f"{100.0 * value:.3f} %", str(gains.get(name, "")))
+            for name, value in candidate.relative_errors.items()
+        ]
+        text += table(
+            ("held out", "relative error of the whole torque", "mean square error of the network lower by"), held_out
+        )
     return text
 
 

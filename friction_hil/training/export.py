@@ -8,14 +8,17 @@ import numpy as np
 from friction_hil import __version__
 from friction_hil.friction import NETWORK_ALONE, FrictionModel, Network
 from friction_hil.models.model_file import ModelFile
+from friction_hil.numerics.jit import Array
 from friction_hil.training.train import TrainingResult
 
 _SLOW_SPEEDS = 32  # speeds at which the friction level is evaluated
 
 
-def network_of(trained: TrainingResult, base: FrictionModel | None = None) -> Network:
-    """Return the trained network, with the friction level in slow motion of it and the model beside it."""
-    network = Network.of_values(trained.parameters, 1.0, is_residual=base is not None)
+def network_of(parameters: Array, base: FrictionModel | None = None) -> Network:
+    """Return the network of a parameter array, with the friction level in slow motion of it and the model beside it."""
+    network = Network.of_values(parameters, 1.0, is_residual=base is not None)
+    if base is not None and network.structure.kind == "static":
+        return dataclasses.replace(network, level=base.level + network.bound * network.torque_scale)
     model = model_of(network, base)
     slow = np.geomspace(0.1 * network.speeds[2], network.speeds[1], _SLOW_SPEEDS)
     torque = model.steady_state(np.concatenate([slow, -slow]), load_torque=0.0)
@@ -44,8 +47,19 @@ def as_model_file(
     sources : dict
         Origin of the training data, for the provenance.
     """
-    content = network.as_dict()
-    content = {name: _plain(value) for name, value in content.items()}
+    fit = {
+        "train": dataclasses.asdict(trained.train),
+        "validation": dataclasses.asdict(trained.validation),
+        "iterations": trained.iterations,
+        "seed": trained.seed,
+        "flags": list(trained.flags),
+    }
+    return network_model_file(network, known, is_residual=is_residual, fit={**sources, **fit})
+
+
+def network_model_file(network: Network, known: ModelFile, *, is_residual: bool, fit: dict[str, Any]) -> dict[str, Any]:
+    """Return the model file of a network as plain values; ``fit`` is the provenance, see `as_model_file`."""
+    content = {name: _plain(value) for name, value in network.as_dict().items()}
     if is_residual:
         friction = known.friction
         content["base"] = {"model": friction.model, "parameters": friction.parameters}
@@ -57,14 +71,9 @@ def as_model_file(
         "mechanics": known.mechanics.model_dump(),
         "fit": {
             "software": f"friction_hil {__version__}",
-            **sources,
-            "train": dataclasses.asdict(trained.train),
-            "validation": dataclasses.asdict(trained.validation),
+            **fit,
             "weights": int(network.weights.size),
-            "iterations": trained.iterations,
-            "seed": trained.seed,
             "range": {"velocity": [-network.speed_limit, network.speed_limit]},
-            "flags": list(trained.flags),
         },
     }
 

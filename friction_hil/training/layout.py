@@ -75,6 +75,10 @@ class Samples:
         """Return the same samples with other weights."""
         return replace(self, weight=weight)
 
+    def with_torque(self, torque: Array) -> "Samples":
+        """Return the same samples with another torque."""
+        return replace(self, torque=torque)
+
 
 def join(records: Iterable[Samples]) -> Samples:
     """Concatenate records.

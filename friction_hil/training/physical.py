@@ -38,7 +38,7 @@ def simulate(model: FrictionModel, samples: Samples) -> Array:
     )
 
 
-def fitted(samples: Samples, axis: Axis) -> dict[str, FrictionModel]:
+def fitted(samples: Samples, axis: Axis, *, is_directed: bool = False) -> dict[str, FrictionModel]:
     """Fit each of `FAMILIES` to the torque of the weighted samples, as `identify` does for known mechanics.
 
     Parameters
@@ -46,13 +46,15 @@ def fitted(samples: Samples, axis: Axis) -> dict[str, FrictionModel]:
     samples : Samples
         Friction torque alone.
     axis : {"rotary", "linear"}
+    is_directed : bool
+        True for parameters of their own for each direction.
     """
     data = Data([_record(samples, part, axis) for part in parts_of(samples)])
     scales, found = estimate_scales(data, ()), {}
     for family in FAMILIES:
-        structure = structures.build(family, scales, axis, samples.dt, is_directed=False)
+        structure = structures.build(family, scales, axis, samples.dt, is_directed=is_directed)
         parameters, modifiers = fit(Regression(data, structure, ()), scales).friction
-        found[family] = create(family, modifiers=modifiers, axis=axis, **parameters)
+        found[structure.label] = create(family, modifiers=modifiers, axis=axis, **parameters)
     return found
 
 

@@ -1,7 +1,7 @@
 """Data of one training: samples from recordings or from a model, and what the network is compared with."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -17,6 +17,7 @@ from friction_hil.recordings.quality import resolution
 from friction_hil.training import data
 from friction_hil.training.excitation import excitation
 from friction_hil.training.layout import Samples
+from friction_hil.training.visited import least_speed
 
 _STATIC_LOWPASS = 0.04  # of the sampling rate
 _UNSEEN_SEED = 1_000_003  # added to the seed of the training for signals that it has not seen
@@ -45,6 +46,8 @@ class TrainingTask:
         Error of the model beside the network, or of the best physical one, on the same samples.
     physical : str
         Name of that model.
+    least_speed : float
+        Slowest speed that the recordings visit and the encoder shows, see `visited.least_speed`; 0 without recordings.
     """
 
     samples: Samples
@@ -57,6 +60,7 @@ class TrainingTask:
     total: Array = field(default_factory=lambda: np.zeros(0))
     base_error: Array = field(default_factory=lambda: np.zeros(0))
     physical: str = ""
+    least_speed: float = 0.0
 
     @property
     def base(self) -> FrictionModel | None:
@@ -131,17 +135,27 @@ def task_of_recordings(
         notes.append(f"inertia, offset and gravity as identified with {name}")
     records = [record for each in recordings for record in prepare(each, lowpass_hz=lowpass_hz)]
     others = [record for each in validation for record in prepare(each, lowpass_hz=lowpass_hz)]
+    slowest = least_speed(records)
+    if slowest > 0.0 and not is_residual:
+        notes.append(
+            f"slower than {slowest:.3g} the recordings show no friction that a network could learn: what it does there "
+            "is not known. Beside a model (without --structure, or with residual) that model remains there"
+        )
     notes += dict.fromkeys(problem for record in (*records, *others) for problem in record.problems)
     if lowpass_hz is None and all(map(_is_counted, (*records, *others))):
         records, others = [list(map(fine.at_full_rate, each)) for each in (records, others)]
         notes.append("velocity derived from the counts of the encoder, in bands, each as far as it exceeds their noise")
+    records, others = _in_torque(records, recordings, known), _in_torque(others, validation, known)
     base = known.friction_model
     own = data.of_records(records, known.mechanics, base if is_residual else None)
     if others:
         samples, judged = own, data.of_records(others, known.mechanics, base if is_residual else None)
     else:
         samples, judged = data.held_out(own)
-        notes.append("without --validate, every fourth of twenty blocks is held out for validation")
+        notes.append(
+            "without --validate, every fourth of twenty blocks of time is held out; if the motion repeats itself, they "
+            "resemble the others, which flatters a network. Without --structure, strokes of other speeds are held out"
+        )
     compared = others or records
     return TrainingTask(
         samples,
@@ -153,7 +167,22 @@ def task_of_recordings(
         total=data.total_torque(compared),
         base_error=data.of_records(compared, known.mechanics, base).torque,
         physical=name,
+        least_speed=slowest,
     )
+
+
+def _in_torque(
+    records: Sequence[RegressionSegment], recordings: Sequence[Recording], known: ModelFile
+) -> list[RegressionSegment]:
+    """Apply gain and back-EMF of a model that was identified from a signal of unknown gain."""
+    signal = known.signal
+    of_daemon = {each.path for each in recordings if "configuration" in each.metadata}  # these are in N m or N
+    return [
+        each
+        if signal is None or each.path in of_daemon
+        else replace(each, torque=signal.gain * each.torque - signal.back_emf * each.velocity)
+        for each in records
+    ]
 
 
 def _is_counted(record: RegressionSegment) -> bool:

@@ -1,9 +1,10 @@
 """Training of the networks that a user asks for, and the one that is kept with its errors and model file."""
 
 import dataclasses
+import itertools
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -13,6 +14,7 @@ from friction_hil.friction import FrictionModel, Network, NetworkStructure
 from friction_hil.friction.network_model import INPUTS
 from friction_hil.numerics.jit import Array
 from friction_hil.training import export, physical
+from friction_hil.training.held_out import Gain, gain
 from friction_hil.training.layout import Samples
 from friction_hil.training.task import TrainingTask
 from friction_hil.training.train import Options, Progress, TrainingResult, train
@@ -22,6 +24,7 @@ _STATES = (1, 5)  # of a gated network; several suit friction like that of Maxwe
 # of several states: each iteration takes three times as long, and fewer are needed
 _SEVERAL_STATES = Options(starts=5, survivors=2, trial_iterations=15, iterations=50)
 _GOOD_ENOUGH = 0.02  # NRMSE on validation below which a gated network needs no more states
+_BLOCKS = 6  # in which validation samples are compared, or more
 _ORDERS = (1, 2, 3)  # of a narx: numbers of past torques and past velocities
 
 
@@ -64,11 +67,12 @@ class NetworkSpec:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TrainedModel:
-    """Trained network with the data it was trained on."""
+    """Trained network with the data it was trained on, and physical models fitted to the same data."""
 
     task: TrainingTask
     trained: TrainingResult
     network: Network
+    compared: Mapping[str, FrictionModel] = field(default_factory=dict)
 
     @property
     def model(self) -> FrictionModel:
@@ -77,8 +81,7 @@ class TrainedModel:
 
     def free_run(self, samples: Samples) -> Array:
         """Return the torque of the network alone in free run, (n,), fed its own output; records start from rest."""
-        alone = export.model_of(dataclasses.replace(self.network, is_residual=False))
-        return physical.simulate(alone, samples)
+        return physical.simulate(export.model_of(self.network), samples)
 
     def error(self, samples: Samples) -> float:
         """Return the NRMSE in free run: RMS error over the standard deviation of the torque."""
@@ -92,7 +95,7 @@ class TrainedModel:
         task = self.task
         if task.is_residual:
             return {}
-        models = physical.fitted(task.samples, task.known.axis)
+        models = self.compared or physical.fitted(task.samples, task.known.axis)
         signals = task.unseen or {"held out": task.validation}
         return {
             name: {"network": self.error(samples)}
@@ -102,15 +105,36 @@ class TrainedModel:
 
     @property
     def relative_errors(self) -> dict[str, float]:
-        """norm(error) / norm(measured torque) on the validation samples, for the network and the physical model."""
+        """norm(error) / norm(measured torque) on the validation samples, for the network and the physical models."""
         if not self.task.total.size:
             return {}
         weight = np.sqrt(self.task.validation.weight)
         norm = float(np.linalg.norm(weight * self.task.total))
-        left = self.task.validation.torque - self.free_run(self.task.validation)
-        return {
-            str(self.network): float(np.linalg.norm(weight * left)) / norm,
-            self.task.physical: float(np.linalg.norm(weight * self.task.base_error)) / norm,
+        return {name: float(np.linalg.norm(weight * left)) / norm for name, left in self._left().items()}
+
+    @property
+    def gains(self) -> dict[str, Gain]:
+        """Decrease of the mean square error on held-out blocks against each physical model; empty without recordings.
+
+        The network was stopped where its own error on these blocks was smallest, which flatters it a little; physical
+        models were not.
+        """
+        if not self.task.total.size:
+            return {}
+        blocks = _blocks(self.task.validation)
+        network, *others = (
+            (name, [float(np.mean(left[block] ** 2)) for block in blocks]) for name, left in self._left().items()
+        )
+        return {name: gain(network[1], errors) for name, errors in others}
+
+    def _left(self) -> dict[str, Array]:
+        """Return the error of the torque on the validation samples, (n,), of the network and the physical models."""
+        samples = self.task.validation
+        left = {str(self.network): samples.torque - self.free_run(samples)}
+        if self.task.is_residual:
+            return left | {self.task.physical: self.task.base_error}
+        return left | {
+            name: samples.torque - physical.simulate(model, samples) for name, model in self.compared.items()
         }
 
     def model_file(self) -> dict[str, Any]:
@@ -125,6 +149,7 @@ class TrainedModel:
         return {
             **export.as_json(self.trained, seconds),
             "relative_errors": self.relative_errors,
+            "gain": {name: [value.mean, value.error] for name, value in self.gains.items()},
             "unseen": {name: self.error(samples) for name, samples in self.task.unseen.items()},
         }
 
@@ -149,14 +174,41 @@ def train_task(
         if trained.is_stopped or (structure.kind == "gated" and best.validation.free_run < _GOOD_ENOUGH):
             break
     assert best is not None
-    found = TrainedModel(task, best, export.network_of(best, task.base))
-    return _with_residual_flags(found) if task.is_residual else found
+    is_compared = task.total.size > 0 and not task.is_residual
+    compared = physical.fitted(task.samples, task.known.axis, is_directed=True) if is_compared else {}
+    network = export.network_of(best.parameters, task.base)
+    if task.is_residual:
+        network = dataclasses.replace(network, least_speed=min(task.least_speed, 0.5 * network.speed_limit))
+    found = TrainedModel(task, best, network, compared)
+    return _with_flags(found) if task.total.size else found
 
 
-def _with_residual_flags(found: TrainedModel) -> TrainedModel:
-    """Replace the flag on a large error: a residual may be mostly noise, but must improve on the model alone."""
-    flags = [flag for flag in found.trained.flags if not flag.startswith("free-run error on validation is")]
-    own, physical = found.relative_errors.values()
-    if own >= physical:
-        flags.append("the network does not improve on the model beside it")
+def _with_flags(found: TrainedModel) -> TrainedModel:
+    """Add a flag for each physical model that the network is not better than.
+
+    A large error alone is no flaw of a network that is better than all of them, nor of a residual: it may be noise.
+    """
+    not_better = [
+        f"it is not better than {name}: the mean square error on held-out blocks is {value.words}"
+        for name, value in found.gains.items()
+        if not value.is_clear
+    ]
+    is_noise = found.task.is_residual or not not_better
+    flags = [
+        flag for flag in found.trained.flags if not (is_noise and flag.startswith("free-run error on validation is"))
+    ]
+    flags += not_better
     return dataclasses.replace(found, trained=dataclasses.replace(found.trained, flags=tuple(flags)))
+
+
+def _blocks(samples: Samples) -> list[slice]:
+    """Return the stretches of samples that count, each at most a sixth of them: paired errors need several."""
+    counts = np.concatenate([[0], samples.weight > 0.0, [0]]).astype(int)
+    edges = np.flatnonzero(np.diff(counts)).reshape(-1, 2)
+    longest = max(int(np.sum(counts)) // _BLOCKS, 1)
+    found = []
+    for begin, end in edges.tolist():
+        parts = max(round((end - begin) / longest), 1)
+        cuts = np.linspace(begin, end, parts + 1).round().astype(int).tolist()
+        found += [slice(a, b) for a, b in itertools.pairwise(cuts)]
+    return found

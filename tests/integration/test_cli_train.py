@@ -4,21 +4,21 @@ import json
 import re
 import signal
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import friction_hil as fh
+from tests.launcher import start
+from tests.processes import run
 
 LUGRE = "lugre:sigma0=900,sigma1=0.6,sigma2=4e-3,coulomb=0.11,static=0.17,stribeck_velocity=0.12,damping_velocity=0.12"
 EMPS = Path(__file__).resolve().parents[3] / "shared" / "data" / "emps" / "DATA_EMPS.mat"
 
 
-def train(*arguments, **options):
-    command = [sys.executable, "-m", "friction_hil", "train", *map(str, arguments)]
-    return subprocess.run(command, capture_output=True, text=True, timeout=300, check=False, **options)
+def train(*arguments):
+    return run("train", *arguments, check=False)
 
 
 def test_a_network_learns_a_model_and_runs_where_a_model_runs(tmp_path):
@@ -49,15 +49,56 @@ def test_a_network_learns_a_model_and_runs_where_a_model_runs(tmp_path):
     recording = tmp_path / "log.csv"
     rows = np.column_stack([t, np.cumsum(velocity) * 1e-3, velocity, wanted])
     np.savetxt(recording, rows, delimiter=",", header="time_s,position,velocity,torque", comments="")
-    command = [sys.executable, "-m", "friction_hil", "replay", str(recording), "--model", str(net), "--json"]
-    replayed = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    replayed = run("replay", recording, "--model", net, "--json")
     assert json.loads(replayed.stdout)["recordings"][0]["models"][0]["relative_error"] < 0.1
+
+
+def log_of_friction(path, ripple):
+    """Write strokes of several speeds under friction that varies with the position by ``ripple``."""
+    random, parts, where = np.random.default_rng(0), [], 0.0
+    for _ in range(24):
+        stroke = random.uniform(0.6, 1.1) * (-1.0 if where > 0.0 else 1.0)
+        s = np.linspace(0.0, 1.0, round(abs(stroke) * 750.0 / random.choice([0.6, 1.2, 2.4, 4.0])))[1:]
+        parts.append(where + stroke * s**3 * (10.0 - 15.0 * s + 6.0 * s**2))
+        where += stroke
+    position = np.concatenate(parts)
+    velocity = np.gradient(position, 2e-3)
+    torque = (0.1 + ripple * np.sin(3.0 * position)) * np.tanh(velocity / 1e-3) + 0.01 * velocity
+    torque += 1e-3 * np.gradient(velocity, 2e-3) + 2e-3 * random.standard_normal(len(position))
+    counted = np.round(position / 3.8e-4) * 3.8e-4
+    rows = np.column_stack([2e-3 * np.arange(len(position)), counted, torque])
+    np.savetxt(path, rows, delimiter=",", header="time_s,position,torque", comments="")
+
+
+@pytest.mark.parametrize("ripple", [0.0, 0.03])
+def test_without_a_structure_the_network_is_kept_only_if_held_out_data_show_that_it_is_better(ripple, tmp_path):
+    log, known, net, report = (tmp_path / name for name in ("log.csv", "known.yaml", "net.yaml", "net.html"))
+    log_of_friction(log, ripple)
+    known.write_text(
+        "version: 1\naxis: rotary\nfriction: {model: coulomb, parameters: {coulomb: 0.1, viscous: 0.01}}\n"
+        "mechanics: {inertia: 1.0e-3}\n",
+        encoding="utf-8",
+    )
+    done = train(log, "--base", known, "--output", net, "--report", report)
+    assert done.returncode == 0, done.stderr
+    model = fh.models.load(net)
+    assert (model.network is not None) == (ripple > 0.0)
+    assert model.name == "coulomb"
+    if ripple > 0.0:
+        assert "because on strokes of other speeds" in done.stdout
+        assert model.network.structure.has_position
+    else:
+        assert "because no network is better than the model of --base" in done.stdout
+        assert "holds this model without a network" in done.stdout
+    text = report.read_text(encoding="utf-8")
+    assert text.count("<figure") == 1
+    assert "blocks of time" in text
 
 
 def test_ctrl_c_keeps_the_best_network_so_far(tmp_path):
     net = tmp_path / "net.yaml"
-    command = [sys.executable, "-m", "friction_hil", "train", "--from-model", LUGRE, "--output", str(net), "--json"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+    words = ("train", "--from-model", LUGRE, "--output", net, "--json")
+    with start(*words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         assert process.stderr is not None
         assert process.stderr.readline().startswith("start 1, trial")
         process.send_signal(signal.SIGINT)
@@ -101,10 +142,13 @@ def test_a_residual_of_the_emps_axis_beats_the_physical_model_on_held_out_blocks
         (["--from-model", LUGRE, "--report", "net.pdf"], ".html"),
         (["--from-model", "coulomb:coulomb=0.1"], "--speed"),
         (["nowhere.csv"], "nowhere.csv"),
+        (["log.csv", "--hidden", "4"], "--structure"),
+        (["log.csv", "--inputs", "speed"], "no input 'speed'"),
     ],
 )
-def test_a_mistake_is_one_sentence(arguments, words, tmp_path):
-    done = train(*arguments, cwd=tmp_path)
+def test_a_mistake_is_one_sentence(arguments, words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    done = train(*arguments)
     assert done.returncode in (1, 2)
     assert words in done.stderr
     assert "Traceback" not in done.stderr

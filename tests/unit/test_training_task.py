@@ -72,3 +72,15 @@ def test_a_low_pass_is_used_if_given_or_for_a_static_network(options):
     task = samples(recording, **options)
     assert not any("counts" in note for note in task.notes)
     assert np.std(np.diff(task.samples.torque, 3)) < 0.3 * np.std(np.diff(recording["torque"], 3))
+
+
+def test_gain_and_back_emf_of_a_model_apply_to_its_signal():
+    velocity, _, recording = recorded()
+    gain, back_emf = 0.2, 3e-3
+    volts = Recording("volts", "axis", dict(recording.columns))
+    volts.columns["torque"] = (recording["torque"] + back_emf * velocity) / gain
+    content = {"axis": "rotary", "friction": KNOWN, "mechanics": {"inertia": INERTIA}}
+    known = ModelFile.model_validate(content | {"torque_signal": {"gain": gain, "back_emf": back_emf}})
+    found = task_of_recordings([volts], [volts], known).samples.torque
+    expected = samples(recording).samples.torque
+    assert np.std(found - expected) < 1e-3 * np.std(expected)

@@ -15,6 +15,7 @@ from friction_hil.cli.output import print_json
 from friction_hil.cli.work.progress import status_line
 from friction_hil.cli.work.read import read_recordings
 from friction_hil.cli.work.result_files import check_result_files
+from friction_hil.cli.work.select_network import select
 from friction_hil.cli.work.tables import console, new_table, number, print_files, print_table
 from friction_hil.errors import UsageError
 from friction_hil.models.files import model_from_argument
@@ -43,6 +44,12 @@ def train(
     if bool(sources) == (from_model is not None):
         raise UsageError("train needs recordings or --from-model, one of them")
     check_result_files(output, report)
+    if structure == "auto" and from_model is None:
+        if hidden:
+            raise UsageError("--hidden needs a --structure: auto averages small networks of its own")
+        training.NetworkSpec(inputs=inputs)  # raises on an unknown input
+        return select(sources, inputs, base, seed, output, report, as_json, **options)
+    structure = "gated" if structure == "auto" else structure
     spec = training.NetworkSpec(structure=structure, hidden=hidden, inputs=inputs, seed=seed)
     known = None if base is None else model_from_argument(base)
     if structure == "residual" and from_model is not None:
@@ -148,9 +155,10 @@ def _print(candidate: TrainedModel, seconds: float) -> None:
     print_table(table)
     if candidate.relative_errors:
         click.echo()
-        compared = new_table("relative error of the torque, held out", number(""))
+        gains = candidate.gains
+        compared = new_table("relative error of the torque, held out", number(""), number("network lower by"))
         for name, error in candidate.relative_errors.items():
-            compared.add_row(name, f"{100.0 * error:.3f} %")
+            compared.add_row(name, f"{100.0 * error:.3f} %", str(gains.get(name, "")))
         print_table(compared)
     for note in (*candidate.task.notes, *trained.flags):
         click.echo(f"- {note}")

@@ -1,0 +1,88 @@
+"""The work of ``friction-hil train`` without a given structure: a network beside the identified model, or none."""
+
+import time
+from pathlib import Path
+from typing import Any
+
+import click
+
+from friction_hil import training
+from friction_hil.checked_yaml.text import dump
+from friction_hil.cli.output import print_json
+from friction_hil.cli.work.read import read_recordings
+from friction_hil.cli.work.tables import console, new_table, number, print_files, print_table
+from friction_hil.identification import IdentificationSettings
+from friction_hil.models.files import model_from_argument
+from friction_hil.reports.selection_report import write_report
+from friction_hil.training import Selection
+
+
+def select(
+    sources: tuple[Path, ...],
+    inputs: tuple[str, ...],
+    base: str | None,
+    seed: int,
+    output: Path | None,
+    report: Path | None,
+    as_json: bool,
+    *,
+    kept_apart: tuple[Path, ...],
+    axis: str | None,
+    is_linear: bool,
+    lowpass_hz: float | None,
+    **reading: Any,
+) -> int:
+    """Choose a network and its physical model, write model file and report, and print the result."""
+    known = None if base is None else model_from_argument(base)
+    kind = known.axis if known is not None else "linear" if is_linear else "rotary"
+    begin = time.monotonic()
+    with console(stderr=True).status("reading") as status:
+        found = training.select(
+            read_recordings(sources, axis, **reading),
+            read_recordings(kept_apart, axis, **reading),
+            known,
+            settings=IdentificationSettings(axis=kind, lowpass_hz=lowpass_hz, seed=seed),
+            inputs=inputs or None,
+            seed=seed,
+            progress=status.update,
+        )
+    seconds = time.monotonic() - begin
+    if output is not None:
+        output.write_text(dump(found.model_file()), encoding="utf-8")
+    if report is not None:
+        write_report(report, found, seconds)
+    if as_json:
+        print_json({**found.as_json(seconds), "output": output, "report": report})
+    else:
+        _print(found, seconds)
+        print_files({"model file": output, "report": report})
+    return 0
+
+
+def _print(found: Selection, seconds: float) -> None:
+    kinds = list(found.physical.errors)
+    click.echo(f"{found.chosen.label}: {found.network or 'no network'}, after {seconds:.1f} s")
+    click.echo()
+    click.echo(
+        "Relative error of the torque on held-out data, and by how much the mean square error is lower than that of "
+        f"{found.physical.label}."
+    )
+    table = new_table("model", *(number(text) for kind in kinds for text in (kind, "lower by")))
+    for each in found.judged:
+        gains = {} if each is found.physical else each.gains(found.physical)
+        cells = [
+            text
+            for kind in kinds
+            for text in (
+                f"{100.0 * each.errors[kind].relative_error:.3f} %" if kind in each.errors else "-",
+                str(gains[kind]) if kind in gains else "",
+            )
+        ]
+        table.add_row(each.label, *cells)
+    print_table(table)
+    click.echo()
+    click.echo(f"Chosen: {found.chosen.label}, because {found.reason}.")
+    if found.network is None:
+        click.echo("The model file holds this model without a network. --structure trains a network in any case.")
+    for note in found.notes:
+        click.echo(f"- {note}")
