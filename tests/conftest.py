@@ -4,8 +4,14 @@ import gc
 import os
 import signal
 
+from hypothesis import HealthCheck, settings
+
 # A shell that runs the tests in the background has them ignore Ctrl-C, and with them every process they start.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# A busy machine and the first call of a kernel, which compiles it, are no failures.
+settings.register_profile("friction_hil", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("friction_hil")
 
 
 def pytest_sessionstart() -> None:

@@ -24,14 +24,28 @@ from typing import IO, Any
 
 COMMAND = [sys.executable, "-m", "friction_hil"]
 _PRELOADED = (
+    "can.interfaces.udp_multicast",
+    "encodings.idna",
+    "encodings.utf_8_sig",
+    "friction_hil.cli.run",
+    "friction_hil.cli.simulate",
+    "friction_hil.cli.work.doctor",
+    "friction_hil.cli.work.drives",
+    "friction_hil.cli.work.identify",
+    "friction_hil.cli.work.replay",
     "friction_hil.cli.work.run",
     "friction_hil.cli.work.simulate",
+    "friction_hil.cli.work.stop",
+    "friction_hil.cli.work.train",
+    "friction_hil.cli.work.tune",
     "friction_hil.config",
     "friction_hil.daemon.session",
     "friction_hil.models",
-    "friction_hil_drivers.ascii",
-    "friction_hil_drivers.canopen",
-    "friction_hil_drivers.modbus",
+    "friction_hil_drivers.ascii.simulated",
+    "friction_hil_drivers.canopen.multicast",
+    "friction_hil_drivers.canopen.simulated.assembly",
+    "friction_hil_drivers.canopen.simulated.drives",
+    "friction_hil_drivers.modbus.simulated",
 )
 _SET_BY_PYTEST = ("PYTEST_CURRENT_TEST",)  # changes with each test
 _STREAMS = ("stdin", "stdout", "stderr")
@@ -271,6 +285,34 @@ def _serve(control: socket.socket) -> list[str] | None:
             os.close(descriptor)
 
 
+def _load_kernels() -> None:
+    """Set up an axis and move a servo, so that no command has to load what they call."""
+    from friction_hil import config
+    from friction_hil.daemon.axis import AxisLoop
+    from friction_hil.drive import AxisFacts
+    from friction_hil.models import describe
+    from friction_hil.motion.trajectory import PathTime
+    from friction_hil.servo.config import ServoConfig
+    from friction_hil.servo.servo import Servo
+
+    axis = {
+        "driver": "canopen",
+        "node": 1,
+        "mode": "csp",
+        "limits": {"torque": 0.3, "velocity": 2.0},
+        "model": {
+            "axis": "rotary",
+            "friction": {"model": "lugre", "parameters": dict(describe("lugre").example)},
+            "mechanics": {"inertia": 2e-4},
+        },
+        "trajectory": {"kind": "sine", "amplitude": 0.3, "frequency": 1.0},
+    }
+    bus = {"interface": "virtual", "channel": "none"}
+    content = config.from_dict({"version": 1, "period_s": 1e-3, "bus": bus, "axes": {"x": axis}}, "preloaded")
+    AxisLoop("x", content.axes["x"], AxisFacts("x", "servo", 1e-5, 1e-3, 1e-3, 1e-3), 1e-3, PathTime(0.25))
+    Servo(ServoConfig()).advance(1)
+
+
 def _main() -> int:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line does before it imports
     for name in _PRELOADED:
@@ -278,6 +320,7 @@ def _main() -> int:
     from numba.core.registry import cpu_target
 
     cpu_target.target_context.refresh()  # else done with the first kernel
+    _load_kernels()
     arguments = _serve(socket.socket(fileno=int(sys.argv[1])))
     if arguments is None:
         return 0

@@ -62,7 +62,7 @@ def without_and_with(
     """
     recording.require("cycle", *following.COLUMNS)
     running = recording["state"] == LoopState.RUNNING
-    columns = {name: recording[name][running] for name in following.COLUMNS}
+    columns = following.columns_of(recording, running)
     cycle, error = recording["cycle"][running], following.error(columns)
     condition = _conditions(cycle, columns, fade_s / cycle_s)
     errors = FollowingErrors(cycle_s, start_s, motion_s)

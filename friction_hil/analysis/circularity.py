@@ -196,7 +196,7 @@ def _aligned(recordings: Mapping[str, Recording]) -> tuple[Array, dict[str, dict
     cycle, *rows = np.intersect1d(first["cycle"], second["cycle"], return_indices=True)
     columns: dict[str, dict[str, Array]] = {}
     for (name, each), common in zip(recordings.items(), rows, strict=True):
-        columns[name] = {column: each[column][common] for column in _COLUMNS}
+        columns[name] = following.columns_of(each, common, _COLUMNS)
         columns[name]["error"] = following.error(columns[name])
     return cycle, columns
 

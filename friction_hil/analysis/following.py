@@ -10,11 +10,23 @@ from friction_hil.daemon.figures import RECOVERY_S as RECOVERY_S
 from friction_hil.daemon.figures import SETTLE_S as SETTLE_S
 from friction_hil.daemon.figures import Figures as Figures
 from friction_hil.errors import RecordingError
-from friction_hil.recordings.recording import Array
+from friction_hil.recordings.recording import Array, Recording
 
 COLUMNS = ("position", "position_demand", "is_fresh", "is_enabled", "state")  # required besides the cycle
 
 _LEAST_FRACTION = 0.5
+_OFFSET = "motor_offset"
+
+
+def columns_of(recording: Recording, rows: Any, names: Sequence[str] = COLUMNS) -> dict[str, Array]:
+    """Return ``rows`` of some columns, by name; the position without the offset of the motor, if one was recorded.
+
+    By this offset the motor is to deviate from the demand (`friction_hil.compensator.transmission`): it is no error.
+    """
+    columns = {name: recording[name][rows] for name in names}
+    if _OFFSET in recording:
+        columns["position"] = columns["position"] - recording[_OFFSET][rows]
+    return columns
 
 
 def error(columns: Mapping[str, Array]) -> Array:

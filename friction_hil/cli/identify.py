@@ -70,10 +70,11 @@ def _pairs(context: click.Context, parameter: click.Parameter, words: tuple[str,
 @click.option(
     "--torque-is",
     "torque",
-    type=click.Choice(["mean", "instant"]),
-    default="mean",
+    type=click.Choice(["auto", "mean", "instant"]),
+    default="auto",
     show_default=True,
-    help="The torque that the drive reports: its mean since the last sample, or the value at the sample.",
+    help="The torque that the drive reports: its mean since the last sample, or the value at the sample. auto: found "
+    "from recordings that show presliding.",
 )
 @click.option(
     "--refine/--no-refine",

@@ -42,9 +42,9 @@ def command(**options: Any) -> int:
     """Identify the friction of the axes of CONFIG on the machine, and test the compensation.
 
     Each axis moves as far and as fast as its 'experiment' allows. From this motion a friction model and the inertia are
-    identified. They are tested on the trajectories of the axes, without and with compensation, and kept if the
-    following error is smaller with it. The model file that CONFIG names need not exist: tune writes it. An existing one
-    is not changed; the new model is then in DIR.
+    identified. They are tested on the trajectories of the axes and on slow, small and fast motions, without and with
+    compensation, and kept if the following error is smaller with it. The model file that CONFIG names need not exist:
+    tune writes it. An existing one is not changed; the new model is then in DIR.
 
     Exit status 1 if a model did not help, or after a fault.
     """

@@ -67,6 +67,21 @@ class Adaptation(Section):
     bound: float = key("largest relative change of the level", "1", default=0.3, gt=0, lt=1)
 
 
+class MotorOffset(Section):
+    """Offset of the motor's position that keeps the load on the path, across backlash and twist of the transmission."""
+
+    acceleration: float = key(
+        "acceleration of the offset, which the drive can follow", f"{VELOCITY} per s", gt=0, le=MOST_ACCELERATION
+    )
+    velocity: float | None = key(
+        "velocity of the offset; by default half of what the motion leaves of limits.velocity, and never more",
+        VELOCITY,
+        default=None,
+        gt=0,
+        le=MOST_VELOCITY,
+    )
+
+
 class Compensation(Section):
     """Computation of the compensation from the model's torque."""
 
@@ -115,6 +130,11 @@ class Compensation(Section):
         le=MOST_VELOCITY,
     )
     adaptation: Adaptation | None = key("slow adaptation of the friction level; by default off", default=None)
+    transmission: MotorOffset | None = key(
+        "offset of the motor across mechanics.backlash and twist (mechanics.load.stiffness) of the model file; by "
+        "default off",
+        default=None,
+    )
 
     @model_validator(mode="after")
     def _check_acceleration(self) -> "Compensation":
@@ -156,7 +176,9 @@ class AxisConfig(Section):
     model: ModelFile = key("friction model of the axis: a model file (a path), or its content")
     compensation: Compensation = key("application of the model's torque", default=Compensation())
     shadows: tuple[Shadow, ...] = key("further models, recorded for comparison but not commanded", default=())
-    trajectory: Trajectory = key("motion: kind circle, sine, triangle, experiment, hold, none or master")
+    trajectory: Trajectory = key(
+        "motion: kind circle, sine, triangle, strokes, sequence, experiment, hold, none or master"
+    )
     controller: Controller | None = key("controller of the daemon (modes cst and csv)", default=None)
     experiment: AxisExperiment | None = key(
         "bounds of the motion by which 'tune' identifies the friction of the axis", default=None
@@ -301,6 +323,31 @@ def _travel_mistakes(axis: AxisConfig) -> Iterator[Mistake]:
             yield steps, f"{text} {0.5 * (high - low):g} at most, from its middle"
 
 
+def _offset_obstacle(axis: AxisConfig) -> str:
+    """Return why the motor cannot have an offset; empty if it can."""
+    mechanics, load = axis.model.mechanics, axis.model.mechanics.load
+    if load is None or load.friction is None or (mechanics.backlash == 0.0 and load.stiffness is None):
+        return (
+            "needs in the model file mechanics.load with inertia and friction, and mechanics.backlash, the width of "
+            "the gap, or mechanics.load.stiffness"
+        )
+    if mechanics.backlash > 0.0 and load.friction == 0.0:
+        return (
+            "needs mechanics.load.friction above zero in the model file: a load without friction floats in the gap, "
+            "where no offset holds it"
+        )
+    if mechanics.encoder == "load":
+        return (
+            "is not possible with mechanics.encoder: load in the model file: there the loops of the drive close over "
+            "the transmission, and an offset would move the load off its path"
+        )
+    if axis.trajectory.kind == "master":
+        return "is not possible beside a master (trajectory kind master): only the torque offset is this program's"
+    if axis.trajectory.kind == "none":
+        return "needs a set-point, but trajectory kind none has none"
+    return ""
+
+
 def _compensation_mistakes(axis: AxisConfig) -> Iterator[Mistake]:
     given = axis.compensation
     knows_inertia = axis.model.mechanics.inertia > 0.0
@@ -308,6 +355,8 @@ def _compensation_mistakes(axis: AxisConfig) -> Iterator[Mistake]:
         yield ("compensation", "velocity"), "kalman needs mechanics.inertia in the model file"
     elif given.adaptation is not None and not knows_inertia:
         yield ("compensation", "adaptation"), "needs mechanics.inertia in the model file"
+    elif given.transmission is not None and (obstacle := _offset_obstacle(axis)):
+        yield ("compensation", "transmission"), obstacle
     elif given.velocity in ("difference", "drive"):
         settings = CompensatorSettings(
             period_s=1e-3,

@@ -10,12 +10,14 @@ from friction_hil.checked_yaml.section import (
     MOST_ACCELERATION,
     MOST_FREQUENCY_HZ,
     MOST_POSITION,
+    MOST_S,
     MOST_VELOCITY,
     POSITION,
     VELOCITY,
     Section,
     key,
 )
+from friction_hil.motion.sequence import STROKE_SPEED, moving_s
 
 LONGEST_EXPERIMENT_S = 600.0  # 60 s are usual, and the whole path is examined before the first motion
 _RAMP = key("time from rest to full speed, and from full speed to rest", "s", default=1.0, gt=0, le=3600)
@@ -78,6 +80,58 @@ class Experiment(ExperimentBounds):
     kind: Literal["experiment"]
 
 
+class Strokes(Section):
+    """Strokes from the start to one side and back, with a rest after each."""
+
+    kind: Literal["strokes"]
+    stroke: float = key("length of a stroke", POSITION, gt=0, le=MOST_POSITION)
+    frequency: float = key("strokes to and fro per second", "Hz", ge=LEAST_FREQUENCY_HZ, le=MOST_FREQUENCY_HZ)
+    rest: float = key("fraction of the time at rest", "1", default=0.5, ge=0, le=0.99)
+
+
+PeriodicMotion = Annotated[Circle | Sine | Triangle | Strokes, Field(discriminator="kind")]
+
+
+class SequencePart(Section):
+    """Whole periods of a motion that starts and stops smoothly, and a rest; at its end the axis is where it began."""
+
+    name: str = key("name, for results", pattern="^[a-z][a-z0-9_]*$", max_length=32)
+    motion: PeriodicMotion = key("motion: kind circle, sine, triangle or strokes")
+    periods: int = key("periods of the motion", "1", default=1, ge=1, le=1_000_000)
+    ramp_s: float = key(
+        "time from rest to full speed and back; instead of that of the motion", "s", default=1.0, ge=0, le=3600
+    )
+    rest_s: float = key("rest after the motion", "s", default=0.5, ge=0, le=MOST_S)
+
+    @property
+    def length_s(self) -> float:
+        """Length of the periods at full speed, s."""
+        return self.periods / self.motion.frequency
+
+    @property
+    def moving_s(self) -> float:
+        """Time from the start of the motion to its stop, s."""
+        return moving_s(self.length_s, self.ramp_s)
+
+    @property
+    def duration_s(self) -> float:
+        """Time until the next motion begins, s."""
+        return self.moving_s + self.rest_s
+
+
+class MotionSequence(Section):
+    """Motions one after another, each from where the axis stands at the start, with rests; then rest."""
+
+    kind: Literal["sequence"]
+    motions: tuple[SequencePart, ...] = key("motions", min_length=1, max_length=100)
+    ramp_s: float = _RAMP
+
+    @property
+    def duration_s(self) -> float:
+        """Time of all motions, s."""
+        return math.fsum(part.duration_s for part in self.motions)
+
+
 class Hold(Section):
     """Stay at the present position."""
 
@@ -97,7 +151,8 @@ class Master(Section):
 
 
 Trajectory = Annotated[
-    Circle | Sine | Triangle | Experiment | Hold | NoTrajectory | Master, Field(discriminator="kind")
+    Circle | Sine | Triangle | Strokes | Experiment | MotionSequence | Hold | NoTrajectory | Master,
+    Field(discriminator="kind"),
 ]
 
 
@@ -109,6 +164,10 @@ def peak_speed(trajectory: Trajectory) -> float:
         return math.tau * trajectory.frequency * trajectory.amplitude
     if trajectory.kind == "triangle":
         return 4.0 * trajectory.frequency * trajectory.amplitude
+    if trajectory.kind == "strokes":
+        return STROKE_SPEED * trajectory.stroke * 2.0 * trajectory.frequency / (1.0 - trajectory.rest)
     if trajectory.kind == "experiment":
         return trajectory.velocity
+    if trajectory.kind == "sequence":
+        return max(peak_speed(part.motion) for part in trajectory.motions)
     return 0.0

@@ -203,6 +203,14 @@ def _loops(circularity: Circularity) -> str:
     fields = type(plants[0].loops).model_fields
     rows = []
     for name, field in fields.items():
-        values = (f"{getattr(plant.loops, name):g}" for plant in plants)
-        rows.append((name, *values, f"<span class='note'>{html.escape(field.description or '')}</span>"))
+        values = [getattr(plant.loops, name) for plant in plants]
+        if all(value is None for value in values):
+            continue  # a part that these drives have not
+        rows.append((name, *map(_shown, values), f"<span class='note'>{html.escape(field.description or '')}</span>"))
     return table(("", *circularity.axes, ""), rows, ("", "", "text"))
+
+
+def _shown(value: object) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:g}" if isinstance(value, int | float) else html.escape("none" if value is None else str(value))

@@ -12,9 +12,11 @@ from friction_hil.identification import Identification
 from friction_hil.identification.export import as_model_file, standard_errors
 from friction_hil.identification.fine import LAST_BAND_RATIO, RESIDUAL_HZ, ROWS_HZ
 from friction_hil.identification.fits import MECHANICS, Fit
+from friction_hil.identification.mechanics import Mechanics
 from friction_hil.models.model_file import ModelFile
 from friction_hil.reports.identification_pictures import draw_loops, draw_residuals, draw_time, draw_velocity
 from friction_hil.reports.page import page, picture, table, unordered_list, write_page
+from friction_hil.reports.response_picture import draw_response
 
 MARK = f'<meta name="generator" content="friction-hil identify {__version__}">'
 _SHOWN = 20  # candidates in the table
@@ -27,7 +29,13 @@ _UNITS = {  # of parameters that are not those of a friction model, on a rotary 
 }
 
 
-def write_report(path: Path, result: Identification, free_run: dict[str, Any]) -> None:
+def write_report(
+    path: Path,
+    result: Identification,
+    free_run: dict[str, Any],
+    findings: Sequence[str] = (),
+    mechanics: Mechanics | None = None,
+) -> None:
     """Write the report.
 
     Parameters
@@ -37,6 +45,10 @@ def write_report(path: Path, result: Identification, free_run: dict[str, Any]) -
     result : Identification
     free_run : dict
         ``relative_error`` of a free simulation, or None and the ``reason`` why there is none.
+    findings : sequence of str
+        What speaks against the model (`friction_hil.identification.plausibility`).
+    mechanics : Mechanics, optional
+        What was found behind the motor.
 
     Raises
     ------
@@ -50,9 +62,11 @@ def write_report(path: Path, result: Identification, free_run: dict[str, Any]) -
 <h1>Friction of {html.escape(_names(result))}</h1>
 <p><strong>{html.escape(best.label)}</strong>: {html.escape(result.reason)}.</p>
 <p>{_errors(best)} {_free_run(free_run)}</p>
+{_findings(findings)}
 <h2>Parameters</h2>
 {_parameters(result)}
 {_correlations(best)}
+{_mechanics(mechanics)}
 <h2>What to do next</h2>
 {unordered_list(best.flags or ("nothing: every parameter is determined by these data",))}
 <h2>Torque over time</h2>
@@ -88,6 +102,33 @@ _LOOP_CAPTION = (
 )
 
 
+_RESPONSE_CAPTION = (
+    "Frequency response of the motor where it slides, velocity over torque. Points: lines of the spectrum with enough "
+    "coherence; grey: the others. Line: two masses on a spring, if the response shows them."
+)
+
+
+def _mechanics(found: Mechanics | None) -> str:
+    if found is None:
+        return ""
+    rows = [
+        (
+            html.escape(each.label),
+            "" if each.value is None else f"{each.value:.4g}",
+            "" if each.error is None else f"± {1.96 * each.error:.2g}",
+            html.escape(each.unit),
+            f"<span class='note'>{html.escape(each.source or each.missing)}</span>",
+        )
+        for each in found.quantities
+    ]
+    shown = table(("", "value", "95 %", "unit", ""), rows, ("", "", "text", "text"))
+    remarks = [*found.flags, *found.notes]
+    drawn = ""
+    if found.response is not None:
+        drawn = picture(draw_response(found.response, found.resonance), _RESPONSE_CAPTION, "wide")
+    return f"<h2>Mechanics</h2>\n{shown}\n{unordered_list(remarks) if remarks else ''}\n{drawn}"
+
+
 def _names(result: Identification) -> str:
     paths = list(dict.fromkeys(Path(record.path).name for record in result.records))
     return paths[0] if len(paths) == 1 else f"{paths[0]} and {len(paths) - 1} more"
@@ -105,6 +146,10 @@ def _errors(best: Fit) -> str:
     if best.validation is not None:
         parts.append(f"{_percent(best.validation)} on the validation recordings")
     return ", ".join(parts) + "."
+
+
+def _findings(findings: Sequence[str]) -> str:
+    return f"<h2>What speaks against this model</h2>\n{unordered_list(findings)}" if findings else ""
 
 
 def _free_run(free_run: dict[str, Any]) -> str:

@@ -35,7 +35,7 @@ def draw(replay: Replay, path: Path) -> None:
 
     time = np.concatenate([np.append(decimated_time(replay.time_s[part], size), np.nan) for part in replay.segments])
     every = slice(None, None, 1 + len(replay.time_s) // _MOST_POINTS)
-    measured = replay.measured
+    measured = first.measured
     axes = figure.subplot_mosaic([["torque", "friction"], ["residual", "friction"]], width_ratios=[3, 2])
     axes["residual"].sharex(axes["torque"])
     axes["torque"].plot(time, line(measured), color=MEASURED, linewidth=1.2, label="measured")
@@ -45,7 +45,7 @@ def draw(replay: Replay, path: Path) -> None:
         color = SERIES[i % len(SERIES)]
         label = f"{prediction.model}: relative error {100.0 * prediction.relative_error:.2f} %"
         axes["torque"].plot(time, line(prediction.torque), color=color, linewidth=0.8, label=label)
-        axes["residual"].plot(time, line(measured - prediction.torque), color=color, linewidth=0.8)
+        axes["residual"].plot(time, line(prediction.measured - prediction.torque), color=color, linewidth=0.8)
         axes["friction"].plot(replay.velocity[every], prediction.friction[every], color=color, **points)
     axes["torque"].set(ylabel=f"{what} [{first.unit}]")
     axes["residual"].set(ylabel=f"measured - predicted [{first.unit}]", xlabel="time [s]")

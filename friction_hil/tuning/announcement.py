@@ -1,24 +1,32 @@
 """Announcement of the motions of a tuning: which axis moves how far, how fast and how long. Pure."""
 
-from collections.abc import Iterable, Mapping
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-from friction_hil.config import AxisConfig, Configuration, ExperimentBounds
-from friction_hil.config.trajectories import peak_speed
-from friction_hil.daemon.assembly import make_path
+from friction_hil.config import AxisConfig, Configuration, ExperimentBounds, MotionSequence
+from friction_hil.config.trajectories import PeriodicMotion, peak_speed
+from friction_hil.daemon.assembly import periodic_path
 from friction_hil.daemon.safety import SPEED_MARGIN
+from friction_hil.motion.experiment import coarsest, is_fast
 from friction_hil.motion.trajectory import extent
 from friction_hil.numerics.readable import brief
+from friction_hil.tuning.trial_motions import RESTS, SLOW, SMALL, TINY
 
 _ROUNDING = 1e-6
+_JUMP = 0.1  # of limits.velocity: an axis that is slower is not stopped
 
 
 def allowed_speeds(run: Configuration, bounds: Mapping[str, ExperimentBounds]) -> dict[str, float]:
     """Return the highest speed that each of these axes may have in a run, rad/s or m/s.
 
-    It is that of its motion, or of its experiment if that is higher: an axis that breaks away from friction jumps, in a
-    slow motion much faster than the motion is, and the user allows it that speed.
+    It is that of its motion, or of its experiment if that is higher, but at least a part of ``limits.velocity``: an
+    axis that breaks away from friction jumps, however slow its motion is.
     """
-    return {name: max(peak_speed(run.axes[name].trajectory), each.velocity) for name, each in bounds.items()}
+    return {name: _allowed_speed(run.axes[name], each) for name, each in bounds.items()}
+
+
+def _allowed_speed(axis: AxisConfig, bounds: ExperimentBounds) -> float:
+    return max(peak_speed(axis.trajectory), bounds.velocity, _JUMP * axis.limits.velocity / SPEED_MARGIN)
 
 
 def experiment_text(run: Configuration, name: str, bounds: ExperimentBounds, duration_s: float) -> str:
@@ -34,18 +42,33 @@ def experiment_text(run: Configuration, name: str, bounds: ExperimentBounds, dur
     duration_s : float
         Duration of the run, s.
     """
-    unit = _unit(run.axes[name])
+    axis = run.axes[name]
+    unit = _unit(axis)
     return (
         f"{name} moves by up to {bounds.travel:g} {unit} to either side of where it stands, "
-        f"{_speed(run.axes[name], bounds.velocity)}, for {duration_s:.0f} s, without compensation"
-        f"{_others(run, (name,))}"
+        f"{_speed(axis, _allowed_speed(axis, bounds))}, for {duration_s:.0f} s, without compensation"
+        f"{_others(run, (name,))}{_presliding(run, bounds, unit)}"
     )
 
 
+def _presliding(run: Configuration, bounds: ExperimentBounds, unit: str) -> str:
+    """Return what it takes to show presliding: which encoder there is, is known when the drive answers."""
+    if not is_fast(1.0 / run.period_s):
+        return (
+            f"; a period of {1e3 * run.period_s:g} ms does not show presliding: only friction while sliding is sought"
+        )
+    acceleration = math.inf if bounds.acceleration is None else bounds.acceleration
+    count = coarsest(bounds.velocity, bounds.travel, acceleration=acceleration)
+    return f"; to show presliding too, the encoder needs counts of {count:.2g} {unit} or less"
+
+
 def trial_text(
-    run: Configuration, bounds: Mapping[str, ExperimentBounds], labels: Mapping[str, str], duration_s: float
+    run: Configuration,
+    bounds: Mapping[str, ExperimentBounds],
+    labels: Sequence[Mapping[str, str]],
+    duration_s: float,
 ) -> str:
-    """Describe the trial of a model on each axis, given its label.
+    """Describe the runs of a trial: the motions of each axis, and what compensates it in each run.
 
     Parameters
     ----------
@@ -53,24 +76,50 @@ def trial_text(
         From `friction_hil.tuning.motions.trial_run`.
     bounds : dict of ExperimentBounds
         Of these axes.
-    labels : dict of str
-        Label of the model by axis.
+    labels : sequence of dict of str
+        Label of the model by axis, for each run with compensation.
     duration_s : float
-        Duration of the run, s.
+        Duration of each run, s.
     """
-    motions = []
     speeds = allowed_speeds(run, bounds)
-    for name, label in labels.items():
-        axis = run.axes[name]
-        # none of these motions depends on the resolution of the encoder
-        low, high, _ = extent(make_path(axis, 0.0, run.period_s), 1.0 / getattr(axis.trajectory, "frequency", 1.0))
-        motions.append(
-            f"{name} moves between {_distance(low, high)} and {_distance(high, low)} {_unit(axis)} from where it "
-            f"stands ({axis.trajectory.kind}), {_speed(axis, speeds[name])}, compensated by {label}"
-        )
-    return (
-        f"{'; '.join(motions)}; all for {duration_s:.0f} s, the first half without compensation{_others(run, labels)}"
+    lines = [line for name in bounds for line in _motions(name, run, speeds[name])]
+    turns = ", ".join(["without compensation", *(f"compensated by {_models(each)}" for each in labels)])
+    every = "all of it" if len(bounds) == 1 else "all axes at once, all of it"
+    return "\n".join([*lines, f"{every} in {duration_s:.0f} s, {len(labels) + 1} times: {turns}{_others(run, bounds)}"])
+
+
+def _motions(name: str, run: Configuration, allowed: float) -> Iterator[str]:
+    """Yield how far and how fast an axis moves, then a line for each of its motions."""
+    axis = run.axes[name]
+    sequence = axis.trajectory
+    if not isinstance(sequence, MotionSequence):
+        raise TypeError(f"a trial is a sequence of motions, not {sequence.kind}")
+    ends = [_ends(part.motion) for part in sequence.motions]
+    low, high = min(each[0] for each in ends), max(each[1] for each in ends)
+    unit = _unit(axis)
+    yield (
+        f"{name} moves between {_distance(low, high)} and {_distance(high, low)} {unit} from where it stands, "
+        f"{_speed(axis, allowed)}:"
     )
+    for part, (low, high) in zip(sequence.motions, ends, strict=True):
+        yield (
+            f"  {part.name}: {part.motion.kind} between {_distance(low, high)} and {_distance(high, low)} {unit}, "
+            f"at up to {peak_speed(part.motion):.3g} {unit}/s, for {brief(part.moving_s, 2)} s"
+        )
+    names = [part.name for part in sequence.motions]
+    if hidden := [each for each in (SLOW, SMALL, TINY, RESTS) if each not in names]:
+        yield f"  without {', '.join(hidden)}: the encoder does not show such strokes"
+
+
+def _ends(motion: PeriodicMotion) -> tuple[float, float]:
+    """Return the lowest and the highest position of a motion relative to its start."""
+    return extent(periodic_path(motion), 1.0 / motion.frequency)[:2]
+
+
+def _models(labels: Mapping[str, str]) -> str:
+    if len(set(labels.values())) == 1:
+        return next(iter(labels.values()))
+    return " and ".join(f"{label} ({name})" for name, label in labels.items())
 
 
 def _distance(end: float, other: float) -> str:

@@ -3,23 +3,41 @@
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from typing import Literal
+
+import numpy as np
 
 from friction_hil import friction as models
 from friction_hil.config import Configuration
 from friction_hil.errors import RecordingError
 from friction_hil.identification import Fit, Identification, IdentificationSettings, identify
 from friction_hil.identification.choice import is_determined
+from friction_hil.identification.data import prepare
+from friction_hil.identification.fine import is_presliding_excited
 from friction_hil.identification.progress import FitStep
 from friction_hil.identification.refine import is_dynamic
 from friction_hil.identification.settings import chosen_families
-from friction_hil.motion.experiment import is_fast
+from friction_hil.numerics.filtering import lowpass, lowpass_padding
 from friction_hil.recordings import Recording
 from friction_hil.tuning.motions import experiment_of, sliding_part
+from friction_hil.tuning.two_steps import steady_curve, with_steady_curve
 
 CandidateFit = tuple[Identification, Fit]
 """A fit that is to be tried, with the identification that it belongs to."""
 
-_LEAST_SPEED_RATIO = 0.05  # of the highest speed: below, what holds the axis is no friction to a static model
+_LUGRE = "lugre"
+_LEAST_SPEED_RATIO = 0.01  # of the highest speed: below, what holds the axis is no friction to a static model
+_NO_PRESLIDING = (
+    "the recording does not show presliding: its stiffness and damping (sigma0, sigma1) are not determined, and only "
+    "static models are identified; --models lugre fits one nevertheless"
+)
+_LOWPASS_HZ, _LOWPASS_RATIO = 100.0, 0.4  # of the position, and the most of it that a sampling rate allows
+_ROWS_HZ = 100.0  # of a regression with static models
+_SLIDING_PERIODS = 0.5  # of the low-pass: the time before and after a row that it mixes with the row
+_COUNT_PERIODS = 2.0  # of the low-pass: the longest time for a count from which a speed is known
+_NOISY_RATIO = 0.1  # of the velocity
+_TURNING = 5.0  # times level over stiffness of presliding: there a bristle has turned but for 1.3 %
+_MOST_TURNING = 0.02  # of the travel
 
 
 def identified(
@@ -51,14 +69,45 @@ def identified(
         Nothing can be identified.
     """
     found: list[Identification] = []
-    for part, settings in _parts(recording, configuration, tuple(families)):
+    travel = experiment_of(recording.axis, configuration.axes[recording.axis]).travel
+    for part, wanted in _parts(recording, configuration, tuple(families), on_problem):
+        settings = replace(wanted, sliding_distance=_sliding_distance(found, travel)) if wanted.sliding_s else wanted
         try:
             found.append(identify([part], settings, progress=on_fit))
         except RecordingError as error:  # e.g. an axis that hardly slides
             if not found:
                 raise
             on_problem(f"no static model: {error}")
-    return found
+    return [
+        *found[:1],
+        *_in_two_steps(recording, found, chosen_families(tuple(families)), on_fit, on_problem),
+        *found[1:],
+    ]
+
+
+def _in_two_steps(
+    recording: Recording,
+    found: Sequence[Identification],
+    families: Sequence[str],
+    on_fit: Callable[[FitStep], None],
+    on_problem: Callable[[str], None],
+) -> Iterator[Identification]:
+    """Yield identifications of dynamic models whose steady curve is that of the slow sweeps.
+
+    They are LuGre and, if it has such a curve, the family that predicts the whole experiment best. Each is identified
+    by itself: beside the other, one that predicts the torque of the fast sweeps far worse would be given up, and yet it
+    may compensate well.
+    """
+    if len(found) < 2:
+        return
+    best = found[0].best.structure.family
+    for family in with_steady_curve([each for each in families if each in (_LUGRE, best)]):
+        if held := steady_curve(found[1:], family):
+            settings = replace(found[0].settings, families=(family,), held=held, torque=_settled_torque(found[0]))
+            try:
+                yield identify([recording], settings, progress=on_fit)
+            except RecordingError as error:
+                on_problem(f"no {family} model with the steady curve of the slow sweeps: {error}")
 
 
 def candidates(found: Sequence[Identification]) -> list[CandidateFit]:
@@ -74,24 +123,82 @@ def candidates(found: Sequence[Identification]) -> list[CandidateFit]:
     return list(fits.values()) or [(found[0], found[0].best)]
 
 
+def _sliding_distance(found: Sequence[Identification], travel: float) -> float:
+    """Return the distance after a reversal in which the friction turns, by the dynamic model that was found first."""
+    if not found:
+        return 0.0
+    fit = found[0].best
+    parameters, modifiers = fit.friction
+    model = models.create(fit.structure.family, modifiers=modifiers, axis=fit.structure.axis, **parameters)
+    stiffness = model.presliding_stiffness
+    turned = _TURNING * model.level / stiffness if stiffness > 0.0 else 0.0
+    return min(turned, _MOST_TURNING * travel)
+
+
+def _settled_torque(found: Identification) -> Literal["auto", "mean", "instant"]:
+    """Return what an identification took the torque for: one recording has one torque, whatever is fitted to it."""
+    timing = found.torque
+    taken = None if timing is None else timing.meaning or timing.assumed
+    return found.settings.torque if taken is None or taken == "late" else taken
+
+
 def _parts(
-    recording: Recording, configuration: Configuration, wanted: tuple[str, ...]
+    recording: Recording, configuration: Configuration, wanted: tuple[str, ...], on_problem: Callable[[str], None]
 ) -> Iterator[tuple[Recording, IdentificationSettings]]:
     """Yield the parts of an experiment with the families to identify from each: dynamic ones, then static ones."""
-    name = recording.axis
-    axis = configuration.axes[name]
+    kind = configuration.axes[recording.axis].model.axis
     families = chosen_families(wanted)
     static = tuple(family for family in families if models.describe(family).is_static)
     dynamic = tuple(family for family in families if family not in static)
-    least_speed = _LEAST_SPEED_RATIO * experiment_of(name, axis).velocity
-    sliding = IdentificationSettings(families=static, axis=axis.model.axis, least_speed=least_speed)
-    if not is_fast(1.0 / configuration.period_s):  # too slow to see presliding: its experiment has no fast sweeps
-        yield recording, replace(sliding, families=wanted or static)
-        return
+    if dynamic and not wanted and not all(map(is_presliding_excited, prepare(recording))):
+        on_problem(_NO_PRESLIDING)
+        dynamic = ()
     if dynamic:
-        yield recording, IdentificationSettings(families=dynamic, axis=axis.model.axis)
+        lowpass_hz = _lowpass_hz(configuration.period_s) if _is_velocity_noisy(recording) else None
+        yield recording, IdentificationSettings(families=dynamic, axis=kind, lowpass_hz=lowpass_hz)
     if static:
-        yield sliding_part(recording, configuration), sliding
+        yield sliding_part(recording, configuration), _sliding_settings(recording, configuration, static)
+
+
+def _sliding_settings(
+    recording: Recording, configuration: Configuration, families: tuple[str, ...]
+) -> IdentificationSettings:
+    """Return the settings for models without presliding: only rows count about which the axis slides.
+
+    The velocity is the derivative of the position, which has no delay, and whose noise is that of the counts. An
+    axis that takes longer for a count than the low-pass averages has no known velocity.
+    """
+    name, period_s = recording.axis, configuration.period_s
+    axis = configuration.axes[name]
+    [facts] = (each for each in recording.metadata["facts"] if each["name"] == name)
+    lowpass_hz = _lowpass_hz(period_s)
+    seen = facts["position_resolution"] * lowpass_hz / _COUNT_PERIODS
+    return IdentificationSettings(
+        families=families,
+        axis=axis.model.axis,
+        least_speed=max(_LEAST_SPEED_RATIO * experiment_of(name, axis).velocity, seen),
+        sliding_s=_SLIDING_PERIODS / lowpass_hz,
+        lowpass_hz=lowpass_hz,
+        decimation=max(1, round(1.0 / (period_s * _ROWS_HZ))),
+    )
+
+
+def _lowpass_hz(period_s: float) -> float:
+    """Return the cut-off of the position, Hz."""
+    return min(_LOWPASS_HZ, _LOWPASS_RATIO / period_s)
+
+
+def _is_velocity_noisy(recording: Recording) -> bool:
+    """Return True if the drive's velocity jumps with the counts of the encoder, more than the axis can.
+
+    What is faster than the low-pass of the position is mostly noise in both; an axis that moves leaves little there.
+    """
+    velocity = recording["velocity"]
+    known = velocity[np.isfinite(velocity)]
+    if len(known) <= lowpass_padding() or not known.any():
+        return False
+    rest = known - lowpass(known, _lowpass_hz(recording.period_s), 1.0 / recording.period_s)
+    return float(np.std(rest)) > _NOISY_RATIO * float(np.std(known))
 
 
 def _is_sound(fit: Fit) -> bool:
@@ -105,10 +212,3 @@ def _is_sound(fit: Fit) -> bool:
 
 def _at_bound(fit: Fit) -> list[str]:
     return [each.name for each in fit.structure.coordinates if each.name in fit.estimate.at_bound]
-
-
-def why_not_tried(fit: Fit) -> str:
-    """Return the reason for which `candidates` leaves a fit out that is otherwise the best."""
-    if is_determined(fit) and (names := _at_bound(fit)):
-        return f"at a bound: {', '.join(names)}; no model without presliding is tried with that"
-    return "the data do not determine its parameters"

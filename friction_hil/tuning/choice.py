@@ -1,6 +1,8 @@
 """The model of an axis that is kept after the trials, and its file."""
 
 import os
+import sys
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,9 +11,13 @@ from friction_hil.checked_yaml.text import dump
 from friction_hil.config import AxisConfig
 from friction_hil.errors import FrictionHilError, OptionError
 from friction_hil.identification import Fit, Identification
-from friction_hil.identification.export import as_model_file
+from friction_hil.identification.export import add_mechanics, as_model_file
+from friction_hil.identification.inference import VAGUE
+from friction_hil.identification.mechanics import Mechanics
 from friction_hil.models.model_file import ModelFile
 from friction_hil.tuning.trial import Trial
+from friction_hil.tuning.trial_motions import MOTIONS
+from friction_hil.tuning.two_steps import label
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -22,6 +28,11 @@ class TriedModel:
     fit: Fit
     model: dict[str, Any]
     trial: Trial
+
+    @property
+    def label(self) -> str:
+        """Name for tables and messages."""
+        return label(self.identification, self.fit)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,16 +60,51 @@ class AxisTuning:
 
 
 def best_of(candidates: tuple[TriedModel, ...]) -> TriedModel:
-    """Return the model with the smallest following error, RMS times peak, among those that helped if any did."""
+    """Return the model with the smallest following error; one that did harm loses to one that did not.
+
+    First come models that helped (`Trial.has_helped`), among them those by which the axis never oscillated, among
+    these those that made no motion worse. Then the smallest error of all motions decides (`Trial.error`).
+    """
     return min(candidates, key=_rank)
 
 
-def model_content(found: Identification, fit: Fit, axis: AxisConfig) -> dict[str, Any]:
-    """Return the model file of a fit as plain values; delays, which no recording shows, are the axis's former ones."""
+def motion_names(axes: Iterable[AxisTuning]) -> tuple[str, ...]:
+    """Return the names of all motions that the axes made in their trials, in the order of the trials."""
+    made = {motion.name for axis in axes for each in axis.candidates for motion in each.trial.motions}
+    return tuple(name for name in MOTIONS if name in made)
+
+
+def model_content(
+    found: Identification, fit: Fit, axis: AxisConfig, mechanics: Mechanics | None = None
+) -> dict[str, Any]:
+    """Return the model file of a fit as plain values, with what was found behind the motor.
+
+    Delays, which no recording shows, are the axis's former ones. So is an inertia that the recording does not
+    determine: the daemon feeds it forward in mode cst.
+    """
     model = as_model_file(found, fit)
     before = axis.model.mechanics
     model["mechanics"] |= {"delay_s": before.delay_s, "torque_lag_s": before.torque_lag_s}
+    if problem := inertia_problem(fit):
+        former = before.inertia if before.inertia > sys.float_info.min else 0.0  # the stand-in for a missing file
+        model["mechanics"]["inertia"] = former
+        kept = f"the former one, {former:g}, is kept" if former else "0 is written, so that nothing is fed forward"
+        model["fit"]["flags"].append(f"{problem}: {kept}")
+    if mechanics is not None:
+        add_mechanics(model, mechanics)
     return model
+
+
+def inertia_problem(fit: Fit) -> str:
+    """Return why the inertia of a fit is not to be used; empty if the recording determines it."""
+    inertia = fit.mechanics["inertia"]
+    error = fit.inference.standard_errors.get("inertia")
+    if error is None and inertia > 0.0:  # held by the user
+        return ""
+    if error is not None and error <= VAGUE * inertia:
+        return ""
+    stated = "" if error is None else f", its standard error {error:.3g}"
+    return f"the recording does not determine the inertia ({inertia:.3g}{stated})"
 
 
 def keep_best(
@@ -117,6 +163,6 @@ def refuse_unwritable_model(name: str, axis: AxisConfig) -> None:
         raise OptionError(name, "model", f"cannot be made: {wanted.parent} is not writable")
 
 
-def _rank(candidate: TriedModel) -> tuple[bool, float]:
+def _rank(candidate: TriedModel) -> tuple[bool, bool, bool, float]:
     trial = candidate.trial
-    return not trial.has_helped, trial.compensated.rms * trial.compensated.peak
+    return not trial.has_helped, bool(trial.swinging), bool(trial.worse), trial.error

@@ -4,27 +4,28 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 
-from friction_hil.analysis.following import SETTLE_S
 from friction_hil.config import (
     AxisConfig,
+    Circle,
     Compensation,
     Configuration,
     Experiment,
     ExperimentBounds,
     Hold,
     Sine,
-    Trajectory,
+    Strokes,
+    Triangle,
 )
+from friction_hil.config.trajectories import PeriodicMotion
 from friction_hil.daemon.assembly import experiment_sweeps, ramp_s
 from friction_hil.daemon.safety import LoopState
 from friction_hil.errors import FrictionHilError, OptionError
 from friction_hil.models.model_file import ModelFile
 from friction_hil.motion import experiment
 from friction_hil.recordings import Recording
+from friction_hil.tuning.trial_motions import sequences, trial_motions
 
 _REST_S = 0.5  # after a motion
-_TRIAL_S = 4.0  # least duration of steady motion, without and with compensation
-_LEAST_PERIODS = 2
 _TRIAL_HZ = 0.5  # of the trial motion of an axis without a periodic trajectory
 _TRIAL_TRAVEL, _TRIAL_SPEED = 0.5, 0.3  # of travel and velocity of the experiment
 
@@ -98,34 +99,53 @@ def sliding_part(recording: Recording, configuration: Configuration) -> Recordin
     return replace(recording, columns={key: values[is_kept] for key, values in recording.columns.items()})
 
 
-def trial_run(configuration: Configuration, models: Mapping[str, ModelFile]) -> tuple[Configuration, float]:
-    """Return the run that tries models, periods of each axis's motion without then with compensation; duration, s.
+def trial_run(
+    configuration: Configuration, models: Mapping[str, ModelFile], resolutions: Mapping[str, float]
+) -> tuple[Configuration, float]:
+    """Return the run in which axes make the motions of a trial, compensated by these models; its duration, s.
 
-    An axis without a periodic trajectory makes a small sine; one without a model to try is held.
+    The axes begin each motion together (`friction_hil.tuning.trial_motions`). One without a periodic trajectory makes a
+    small sine as its own motion; one without a model to try is held.
+
+    Parameters
+    ----------
+    configuration : Configuration
+    models : dict of ModelFile
+        Model to try, by axis.
+    resolutions : dict of float
+        One count of the encoder by axis, rad or m.
 
     Raises
     ------
     TuningError
         A model lacks the inertia, and the compensation is configured to use it.
     """
-    axes = {name: _held(axis) for name, axis in configuration.axes.items()}
+    motions, accelerations, ramps = {}, {}, [ramp_s(())]
     for name, model in models.items():
         axis = configuration.axes[name]
         _refuse_unknown_inertia(name, axis, model)
-        axes[name] = axis.model_copy(update={"trajectory": _trial_motion(name, axis), "model": model})
-    period = max(period_s(axes[name]) for name in models)
-    steady = period * max(_LEAST_PERIODS, math.ceil(_TRIAL_S / period))
-    fade = max(axes[name].compensation.fade_s for name in models)
-    baseline = ramp_s(axes.values()) + SETTLE_S + steady
-    for name in models:
-        compensation = axes[name].compensation.model_copy(update={"baseline_s": baseline})
-        axes[name] = axes[name].model_copy(update={"compensation": compensation})
-    return configuration.model_copy(update={"axes": axes}), baseline + fade + SETTLE_S + steady
+        bounds, own = experiment_of(name, axis), own_motion(name, axis)
+        motions[name] = trial_motions(own, bounds, resolutions[name])
+        accelerations[name] = math.inf if bounds.acceleration is None else bounds.acceleration
+        ramps += [bounds.ramp_s, getattr(own, "ramp_s", 0.0)]
+    fade_s = max(configuration.axes[name].compensation.fade_s for name in models)
+    paths = sequences(motions, max(ramps), fade_s, accelerations)
+    axes = {name: _held(axis) for name, axis in configuration.axes.items()}
+    for name, model in models.items():
+        axis = configuration.axes[name]
+        compensation = axis.compensation.model_copy(update={"baseline_s": 0.0})
+        axes[name] = axis.model_copy(update={"trajectory": paths[name], "model": model, "compensation": compensation})
+    duration_s = max(path.duration_s for path in paths.values()) + ramp_s(axes.values())
+    return configuration.model_copy(update={"axes": axes}), duration_s + _REST_S
 
 
-def period_s(axis: AxisConfig) -> float:
-    """Return the period of an axis's motion in a trial, s."""
-    return 1.0 / getattr(axis.trajectory, "frequency", _TRIAL_HZ)
+def uncompensated(run: Configuration) -> Configuration:
+    """Return the same run without compensation."""
+    axes = {
+        name: axis.model_copy(update={"compensation": axis.compensation.model_copy(update={"enabled": False})})
+        for name, axis in run.axes.items()
+    }
+    return run.model_copy(update={"axes": axes})
 
 
 def _held(axis: AxisConfig) -> AxisConfig:
@@ -136,8 +156,9 @@ def _held(axis: AxisConfig) -> AxisConfig:
     )
 
 
-def _trial_motion(name: str, axis: AxisConfig) -> Trajectory:
-    if axis.trajectory.kind in ("circle", "sine", "triangle"):
+def own_motion(name: str, axis: AxisConfig) -> PeriodicMotion:
+    """Return the motion of an axis, or a small sine if it has no periodic one."""
+    if isinstance(axis.trajectory, Circle | Sine | Triangle | Strokes):
         return axis.trajectory
     bounds = experiment_of(name, axis)
     amplitude = min(_TRIAL_TRAVEL * bounds.travel, _TRIAL_SPEED * bounds.velocity / (math.tau * _TRIAL_HZ))

@@ -1,17 +1,19 @@
 """Runs of the daemon that record experiments and trials."""
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from friction_hil.config import Configuration
+from friction_hil.daemon.figures import is_limit_cycle
 from friction_hil.daemon.safety import LoopState
 from friction_hil.daemon.session import SessionResult, SessionSettings, run_session
 from friction_hil.daemon.stop import stop_on_signals
 from friction_hil.drive.codes import FaultCode
 from friction_hil.errors import FrictionHilError
-from friction_hil.recordings import read_all
+from friction_hil.recordings import Recording, read_all
 from friction_hil.tuning.motions import TuningError
 from friction_hil.tuning.settings import Dialog, TuneSettings
 
@@ -24,7 +26,7 @@ class TuningRuns:
     recordings : list of Path
         Recordings so far.
     warnings : list of str
-        Warnings of the daemon, each once.
+        Warnings of the daemon, each once; not those of limit cycles, which are results of a trial.
     """
 
     def __init__(self, settings: TuneSettings, dialog: Dialog) -> None:
@@ -56,23 +58,27 @@ class TuningRuns:
         )
         with stop_on_signals() as stop:
             result = run_session(configuration, session, stop, self._report_once)
-        self._check(result, path)
+        self._check(result, path, tuple(configuration.axes), speeds)
         if stop.is_by_user:
             self._dialog.report(f"stopped, the axes are at rest; the results so far are in {self._settings.folder}")
             raise KeyboardInterrupt
         return path
 
-    def _check(self, result: SessionResult, path: Path) -> None:
+    def _check(self, result: SessionResult, path: Path, names: Sequence[str], speeds: Mapping[str, float]) -> None:
         report = result.report
-        self.warnings += [each for each in result.loop.warnings if each not in self.warnings]
+        for warning in result.loop.warnings:
+            # a model that makes an axis oscillate is reported with its trial, by name
+            is_of_trial = any(is_limit_cycle(warning, name) for name in names)
+            if not is_of_trial and warning not in self.warnings:
+                self.warnings.append(warning)
         if report is not None and report.recording:
             self.recordings += map(Path, report.recording)
         if result.loop.faults:
-            where = f"; the run is in {path}"
+            where, advice = f"; the run is in {path}", _advice(result.loop.faults, path, speeds)
             if not _has_run(path):
                 path.unlink(missing_ok=True)
                 where = "; nothing has moved"
-            raise TuningError("; ".join(result.loop.faults) + _advice(result.loop.faults) + where)
+            raise TuningError("; ".join(result.loop.faults) + advice + where)
         if report is None or report.lost or report.pending or not report.recording:
             problems = "; ".join(report.problems) if report is not None and report.problems else "rows were lost"
             raise TuningError(f"{path}: the recording is not complete: {problems}")
@@ -83,19 +89,40 @@ class TuningRuns:
             self._dialog.report(line)
 
 
-def _advice(faults: Sequence[str]) -> str:
+def _advice(faults: Sequence[str], path: Path, speeds: Mapping[str, float]) -> str:
     """Return what may be done about an axis that was faster than announced."""
     if not any(f"[{FaultCode.VELOCITY_LIMIT}]" in fault for fault in faults):
         return ""
+    if driven := ", ".join(_moved_while_disabled(path, speeds)):
+        return (
+            f"; {driven} moved before the drive was enabled, so that a load turns the axis, e.g. the weight on a "
+            "vertical one: a brake or a counterweight has to hold it while the drive is off (a simulated axis has a "
+            "brake with simulation: {mechanics: {has_brake: true}})"
+        )
     return (
         "; a loop that swings needs a lower velocity_gain; one that is soft, so that the axis jumps where it breaks "
         "away, needs a higher one, or a higher velocity in 'experiment'"
     )
 
 
+def _moved_while_disabled(path: Path, speeds: Mapping[str, float]) -> list[str]:
+    """Return the axes that were faster than they may be before their drives were first enabled."""
+    found = []
+    for name, recording in _rows(path).items():
+        before = recording["velocity"][np.isin(recording["state"], (LoopState.IDLE, LoopState.ENABLING))]
+        if np.any(np.abs(before) > speeds.get(name, math.inf)):
+            found.append(name)
+    return found
+
+
 def _has_run(path: Path) -> bool:
     """True if a recording has rows in which an axis was commanded to move."""
+    return any(np.any(each["state"] == LoopState.RUNNING) for each in _rows(path).values())
+
+
+def _rows(path: Path) -> dict[str, Recording]:
+    """Return the recordings of all axes; empty if there is no row, or no file."""
     try:
-        return any(np.any(each["state"] == LoopState.RUNNING) for each in read_all(path).values())
-    except FrictionHilError:  # no row, or no file
-        return False
+        return read_all(path)
+    except FrictionHilError:
+        return {}

@@ -4,29 +4,35 @@ import contextlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from friction_hil.config import Configuration
-from friction_hil.daemon.assembly import ramp_s
-from friction_hil.errors import FrictionHilError, UsageError, choices
+from friction_hil.errors import FrictionHilError, RecordingError, UsageError, choices
 from friction_hil.identification import Identification
+from friction_hil.identification.mechanics import Mechanics, find_mechanics
 from friction_hil.identification.settings import chosen_families
+from friction_hil.identification.torque_timing import TorqueTiming
 from friction_hil.models.model_file import ModelFile
 from friction_hil.recordings import Recording, read, read_all
 from friction_hil.tuning.announcement import allowed_speeds, experiment_text, trial_text
-from friction_hil.tuning.candidates import CandidateFit, candidates, identified, why_not_tried
+from friction_hil.tuning.candidates import CandidateFit, candidates, identified
 from friction_hil.tuning.choice import (
     AxisTuning,
     TriedModel,
+    inertia_problem,
     keep_best,
     model_content,
     refuse_unwritable_model,
     write_model,
 )
 from friction_hil.tuning.experiment import refuse_limit_cycle, with_torque
-from friction_hil.tuning.motions import experiment_of, experiment_run, sliding_part, trial_run
+from friction_hil.tuning.motions import experiment_of, experiment_run, sliding_part, trial_run, uncompensated
+from friction_hil.tuning.rehearsed import RehearsedFit, rehearsal_text, rehearse, to_try
 from friction_hil.tuning.runs import TuningRuns
 from friction_hil.tuning.settings import Dialog, TuneSettings
+from friction_hil.tuning.torque_lag import TorqueLag, find_torque_lag, with_torque_lag
 from friction_hil.tuning.trial import judge
+from friction_hil.tuning.two_steps import label
 
 
 @dataclass(slots=True, eq=False)
@@ -41,12 +47,18 @@ class Tuning:
         Warnings of the daemon and of the tuning.
     report : Path, optional
         Report, if one was written.
+    torque_lags : dict of TorqueLag
+        By axis.
+    rehearsed : dict of tuple of RehearsedFit
+        Models with what they do in simulation, best first, by axis; empty for an axis that could not be simulated.
     """
 
     axes: dict[str, AxisTuning] = field(default_factory=dict)
     recordings: list[Path] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     report: Path | None = None
+    torque_lags: dict[str, TorqueLag] = field(default_factory=dict)
+    rehearsed: dict[str, tuple[RehearsedFit, ...]] = field(default_factory=dict)
 
 
 def tune(configuration: Configuration, settings: TuneSettings, dialog: Dialog) -> Tuning:
@@ -55,10 +67,13 @@ def tune(configuration: Configuration, settings: TuneSettings, dialog: Dialog) -
     1. Experiment: one axis after another moves as its ``experiment`` allows, uncompensated, the others being held.
     2. Identification: friction models and mechanics of each axis from its recording, dynamic models from all of it and
        static ones from where the axis slides.
-    3. Candidates: the best sound static and the best sound dynamic model of each axis.
-    4. Trials: all axes make their own motion, first without and then with compensation by one candidate each.
-    5. Choice: the candidate with the smallest following error. If it helped and the configuration names a model file
-       that does not exist, it is written there; an existing file is left as it is.
+    3. Candidates: each model compensates each plausible axis in simulation, with the loops that the experiment showed;
+       the best two or three that swing nowhere are tried.
+    4. Trials: all axes make their own motion, slow, small, tiny and fast ones, and strokes with rests; first without
+       compensation, then again with each candidate.
+    5. Torque lag: how the reported torque follows the commanded one in the trial.
+    6. Choice: the candidate with the smallest following error that does harm in no motion. If it helped and the
+       configuration names a model file that does not exist, it is written there; an existing file is left as it is.
 
     Parameters
     ----------
@@ -95,6 +110,22 @@ def tune(configuration: Configuration, settings: TuneSettings, dialog: Dialog) -
             settings.folder.rmdir()  # only if it is still empty
 
 
+@dataclass(frozen=True, slots=True)
+class _Turn:
+    """A run of the trial: one candidate of each axis, and its model file."""
+
+    fits: Mapping[str, CandidateFit]
+    files: Mapping[str, dict[str, Any]]
+    run: Configuration
+    duration_s: float
+
+    def judged(self, name: str, without: Recording, compensated: Recording) -> TriedModel:
+        """Compare the recordings of an axis without and with compensation."""
+        fade_s = max(self.run.axes[each].compensation.fade_s for each in self.fits)
+        trial = judge(without, compensated, self.run.axes[name], self.run.period_s, fade_s)
+        return TriedModel(*self.fits[name], self.files[name], trial)
+
+
 class _Tuner:
     def __init__(
         self, configuration: Configuration, settings: TuneSettings, names: Sequence[str], dialog: Dialog
@@ -102,18 +133,28 @@ class _Tuner:
         self._configuration, self._settings, self._names, self._dialog = configuration, settings, names, dialog
         self._runs = TuningRuns(settings, dialog)
         self._warnings: list[str] = []
+        self._mechanics: dict[str, Mechanics] = {}
+        self._resolutions: dict[str, float] = {}  # of the encoders, found in the experiments
+        self._timings: dict[str, TorqueTiming] = {}
+        self._torque_lags: dict[str, TorqueLag] = {}
+        self._all_rehearsed: dict[str, tuple[RehearsedFit, ...]] = {}
 
     def tune(self) -> Tuning:
         """Carry out all steps; see `tune`."""
         recorded = {name: self._experiment(name) for name in self._names}
-        found = {name: self._identification(recorded.pop(name)) for name in self._names}
-        tried = self._trials({name: candidates(each) for name, each in found.items()})
+        tried = self._trials({name: self._candidates(recorded.pop(name)) for name in self._names})
         is_simulated = self._settings.is_simulated
         axes = {
             name: keep_best(self._configuration.axes[name], each, self._file(name), is_simulated=is_simulated)
             for name, each in tried.items()
         }
-        return Tuning(axes, self._runs.recordings, [*self._runs.warnings, *self._warnings])
+        return Tuning(
+            axes,
+            self._runs.recordings,
+            [*self._runs.warnings, *self._warnings],
+            torque_lags=self._torque_lags,
+            rehearsed=self._all_rehearsed,
+        )
 
     def _experiment(self, name: str) -> Recording:
         """Record the experiment of an axis."""
@@ -123,66 +164,130 @@ class _Tuner:
         self._dialog.confirm(experiment_text(run, name, bounds, duration_s))
         speeds = allowed_speeds(run, {name: bounds})
         recording = read(self._runs.run(run, duration_s, f"{name}_experiment.mcap", speeds), name)
+        [facts] = (each for each in recording.metadata["facts"] if each["name"] == name)
+        self._resolutions[name] = facts["position_resolution"]
         if warning := refuse_limit_cycle(sliding_part(recording, self._configuration), bounds.velocity, unit):
             self._dialog.report(warning)
         return recording
 
-    def _identification(self, recording: Recording) -> list[Identification]:
-        """Identify an axis from its experiment, and write the best model of the first identification."""
+    def _candidates(self, recording: Recording) -> list[CandidateFit]:
+        """Identify an axis from its experiment; return the models to try on it, and write the first of them."""
         name = recording.axis
         axis = self._configuration.axes[name]
         recording = with_torque(recording, axis.mode)
         for problem in recording.problems:
             self._dialog.report(f"{name}: {problem}")
+        problems: list[str] = []
         with self._dialog.working(f"{name}: identifying friction and inertia") as show:
             found = identified(
                 recording,
                 self._configuration,
                 self._settings.families,
                 on_fit=lambda step: show(f"{name}: {step.stage}: {step.label}", step.number, step.count),
-                on_problem=lambda problem: self._dialog.report(f"{name}: {problem}"),
+                on_problem=problems.append,
             )
-        chosen = [fit for _, fit in candidates(found)]
+        for problem in problems:
+            self._dialog.report(f"{name}: {problem}")
+            self._warnings.append(f"{name}: {problem}")
+        timings = [each.torque for each in found if each.torque is not None]
+        if timings:
+            self._timings.setdefault(name, timings[0])
+        for text in dict.fromkeys(each.text for each in timings):
+            self._dialog.report(f"{name}: {text}")
         for each in found:
-            self._dialog.report(f"{name}: {each.best.label}: {each.reason}")
-            if each.best not in chosen:
-                self._dialog.report(f"{name}: {each.best.label} is not tried: {why_not_tried(each.best)}")
-        write_model(self._file(name), model_content(found[0], found[0].best, axis))
-        return found
+            self._dialog.report(f"{name}: {label(each, each.best)}: {each.reason}")
+        with self._dialog.working(f"{name}: mechanics behind the motor"):
+            mechanics = self._mechanics[name] = find_mechanics([recording], found[0])
+        for line in mechanics.lines:
+            self._dialog.report(f"{name}: {line}")
+        for flag in mechanics.flags:
+            self._dialog.report(f"{name}: {flag}")
+            self._warnings.append(f"{name}: {flag}")
+        chosen = self._rehearsed(recording, found)
+        for each, fit in chosen:
+            if problem := inertia_problem(fit):
+                self._dialog.report(f"{name}: {label(each, fit)}: {problem}; the model file keeps the former one")
+        write_model(self._file(name), model_content(*chosen[0], axis, mechanics))
+        return chosen
+
+    def _rehearsed(self, recording: Recording, found: Sequence[Identification]) -> list[CandidateFit]:
+        """Return the models to try: the best ones of a rehearsal, or where there can be none, the best fits."""
+        name = recording.axis
+        try:
+            with self._dialog.working(f"{name}: rehearsing the models in simulation"):
+                rehearsed = rehearse(recording, self._configuration, found)
+        except RecordingError as error:
+            self._dialog.report(f"{name}: the models are not rehearsed in simulation: {error}")
+            return candidates(found)
+        self._all_rehearsed[name] = rehearsed
+        for each in rehearsed:
+            self._dialog.report(f"{name}: {rehearsal_text(each)}")
+        chosen = to_try(rehearsed)
+        if rehearsed[0].swings:
+            self._dialog.report(f"{name}: each model makes the axis oscillate or follow worse in some simulated motion")
+        self._dialog.report(f"{name}: to be tried on the axis: {', '.join(label(*each) for each in chosen)}")
+        return chosen
 
     def _trials(self, chosen: Mapping[str, Sequence[CandidateFit]]) -> dict[str, tuple[TriedModel, ...]]:
-        """Try every candidate of each axis; an axis with fewer than the others repeats its last one, uncounted."""
+        """Try every candidate of each axis; an axis with fewer than the others repeats its last one, uncounted.
+
+        All runs are the same motion; the first is without compensation, for all candidates.
+        """
+        turns = self._turns(chosen)
+        bounds = {name: experiment_of(name, self._configuration.axes[name]) for name in self._names}
+        first = turns[0]
+        labels = [{name: label(*pair) for name, pair in turn.fits.items()} for turn in turns]
+        self._dialog.confirm(trial_text(first.run, bounds, labels, first.duration_s))
+        speeds = allowed_speeds(first.run, bounds)
+
+        def recorded(run: Configuration, file: str) -> dict[str, Recording]:
+            return read_all(self._runs.run(run, first.duration_s, file, speeds))
+
+        without = recorded(uncompensated(first.run), "trial_without.mcap")
         tried: dict[str, list[TriedModel]] = {name: [] for name in self._names}
-        for k in range(max(map(len, chosen.values()))):
-            fits = {name: each[min(k, len(each) - 1)] for name, each in chosen.items()}
+        runs: dict[str, list[Recording]] = {name: [] for name in self._names}
+        for k, turn in enumerate(turns):
             try:
-                found = self._trial(fits, k + 1)
+                compensated = recorded(turn.run, f"trial_{k + 1}.mcap")
+                found = {name: turn.judged(name, without[name], compensated[name]) for name in self._names}
             except FrictionHilError as error:
                 if not k:
                     raise  # later, the first models have been tried and are worth keeping
-                self._warnings.append(f"the second models could not be tried: {error}")
+                self._warnings.append(f"the models of trial {k + 1} could not be tried: {error}")
                 break
             for name in self._names:
+                runs[name].append(compensated[name])
                 if k < len(chosen[name]):
                     tried[name].append(found[name])
-        return {name: tuple(each) for name, each in tried.items()}
+        return {name: self._with_torque_lag(each, without[name], runs[name]) for name, each in tried.items()}
 
-    def _trial(self, fits: Mapping[str, CandidateFit], number: int) -> dict[str, TriedModel]:
-        """Run the machine without and with one candidate for each axis."""
-        files = {name: model_content(*each, self._configuration.axes[name]) for name, each in fits.items()}
-        run, duration_s = trial_run(
-            self._configuration, {name: ModelFile.model_validate(model) for name, model in files.items()}
-        )
-        labels = {name: fit.label for name, (_, fit) in fits.items()}
-        bounds = {name: experiment_of(name, self._configuration.axes[name]) for name in fits}
-        self._dialog.confirm(trial_text(run, bounds, labels, duration_s))
-        speeds = allowed_speeds(run, bounds)
-        recordings = read_all(self._runs.run(run, duration_s, f"trial_{number}.mcap", speeds))
-        start_s = ramp_s(run.axes.values())
-        return {
-            name: TriedModel(*each, files[name], judge(recordings[name], run.axes[name], run.period_s, start_s))
-            for name, each in fits.items()
-        }
+    def _with_torque_lag(
+        self, tried: Sequence[TriedModel], without: Recording, compensated: Sequence[Recording]
+    ) -> tuple[TriedModel, ...]:
+        """Return the tried models of an axis with the torque lag that the trial shows."""
+        name = without.axis
+        lag = find_torque_lag(without, compensated, self._configuration.axes[name], self._timings.get(name))
+        self._torque_lags[name] = lag
+        return tuple(with_torque_lag(each, lag) for each in tried)
+
+    def _turns(self, chosen: Mapping[str, Sequence[CandidateFit]]) -> list["_Turn"]:
+        """Return the runs of the trial, each with one candidate of each axis."""
+        turns: list[_Turn] = []
+        for k in range(max(map(len, chosen.values()))):
+            fits = {name: each[min(k, len(each) - 1)] for name, each in chosen.items()}
+            files = {
+                name: model_content(*each, self._configuration.axes[name], self._mechanics[name])
+                for name, each in fits.items()
+            }
+            models = {name: ModelFile.model_validate(model) for name, model in files.items()}
+            try:
+                turns.append(_Turn(fits, files, *trial_run(self._configuration, models, self._resolutions)))
+            except FrictionHilError as error:
+                if not k:
+                    raise
+                self._warnings.append(f"the models of trial {k + 1} could not be tried: {error}")
+                break
+        return turns
 
     def _file(self, name: str) -> Path:
         return self._settings.folder / f"{name}.yaml"

@@ -149,7 +149,8 @@ def test_a_restarted_node_gets_no_rpdo_and_the_other_axis_is_disabled_in_its_own
         result = rig.result()
         assert result["exit"] == 1
         told = [*result["faults"], *result["notices"]]
-        assert "x: node 1 restarted (boot-up message) [FH-231]" in told
+        # a busy computer may have missed periods before, which is then said in the same message
+        assert any(each.startswith("x: node 1 restarted (boot-up message)") and "[FH-231]" in each for each in told)
         assert "x: another master has appeared on the bus: NMT reset node to node 1 [FH-220]" in told
         assert result["drive_states"] == {"x": "switch on disabled", "y": "switch on disabled"}
         assert not [fault for fault in result["faults"] if "standstill" in fault or "powered" in fault]

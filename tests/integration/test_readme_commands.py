@@ -85,9 +85,15 @@ ELSEWHERE = (
         "friction-hil train --linear --column --structure --inputs",
         "test_a_residual_of_the_emps_axis_beats_the_physical_model_on_held_out_blocks",
     ),
+    (
+        "friction-hil train --output --report",
+        "test_without_a_structure_the_network_is_kept_only_if_held_out_data_show_that_it_is_better",
+    ),
     ("friction-hil train --from-model --report --json", "test_a_network_learns_a_model_and_runs_where_a_model_runs"),
     ("friction-hil identify --linear", "test_emps_published_parameters_to_the_printed_digits"),
     ("friction-hil identify --where --group-by --unknown-gain", "test_servo_has_friction_that_grows_with_its_load"),
+    ("friction-hil identify --rate --column", "test_commands_take_a_rate_and_a_file_beside"),
+    ("friction-hil convert --rate --column", "test_commands_take_a_rate_and_a_file_beside"),
     ("friction-hil replay --scheduler", "test_a_worker_that_is_killed_costs_no_bit"),
     ("friction-hil convert", "test_convert_writes_it"),
     ("friction-hil config new --simulated --bus", "test_readmes_commands_in_their_order_in_an_empty_folder"),
@@ -109,6 +115,7 @@ ELSEWHERE = (
     ("./tools/bench serial", "test_cycles_without_time_for_a_rehearsal_are_measured_all_the_same"),
     ("./tools/bench latency", "test_the_benchmark_of_latency_compares_sleeping_and_spinning"),
     ("./tools/bench exchange", "test_the_benchmark_of_the_exchange_times_each_part"),
+    ("./tools/bench servo", "test_the_benchmark_of_the_servo_compares_parts_rigid_and_c"),
     ("./tools/bench neural", "test_the_benchmark_of_networks_measures_an_iteration"),
 )
 

@@ -54,6 +54,15 @@ def test_whole_periods_of_settled_motion_count_as_many_without_as_with():
     assert before.figures.times(after.figures).rms == pytest.approx(4.0)
 
 
+def test_the_offset_of_the_motor_across_the_transmission_is_no_error():
+    plain, offset = recorded(), recorded()
+    offset.columns["motor_offset"] = 0.01 * np.sign(np.sin(np.arange(len(offset)) * CYCLE_S))
+    offset.columns["position"] = offset.columns["position"] + offset.columns["motor_offset"]
+    for expected, found in zip(phases(plain), phases(offset), strict=True):
+        assert found.figures.rms == pytest.approx(expected.figures.rms)
+        assert found.figures.peak == pytest.approx(expected.figures.peak)
+
+
 def test_of_the_longer_part_the_last_periods_count():
     before, after = phases(recorded(on=(2000, RUNNING)))
     assert before.intervals_s == [pytest.approx((0.8, 1.8))]

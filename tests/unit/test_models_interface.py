@@ -10,6 +10,7 @@ from scipy.interpolate import PchipInterpolator
 
 import friction_hil as fh
 from friction_hil.errors import UsageError
+from friction_hil.friction import kernel, sensitivity
 from friction_hil.friction.model import as_dict
 from tests.compensators import PERIOD_S, columns, compensator
 
@@ -76,6 +77,20 @@ def test_a_number_that_is_not_finite_is_found_anywhere_in_a_long_record(index):
                 model.simulate(v, 1e-3)
     with pytest.raises(UsageError, match=f"velocity must be finite; element {index} is nan"):
         model.simulate(v, np.full(v.size, 1e-3))  # one dt per sample selects another kernel
+
+
+def test_read_only_input_uses_the_kernels_that_are_compiled_already():
+    """As columns of pandas and Arrow are."""
+    model, velocity = fh.models.create("lugre", **LUGRE), np.sin(np.arange(100.0))
+    frozen = velocity.copy()
+    frozen.flags.writeable = False
+    expected = model.simulate_with_gradient(velocity, 1e-3, position=velocity)
+    kernels = (kernel.run, kernel.run_plain, sensitivity.run)
+    before = [len(each.signatures) for each in kernels]
+    torque, gradient = model.simulate_with_gradient(frozen, 1e-3, position=frozen)
+    np.testing.assert_array_equal(torque, expected[0])
+    np.testing.assert_array_equal(gradient, expected[1])
+    assert [len(each.signatures) for each in kernels] == before
 
 
 def test_what_a_modifier_depends_on_must_be_given():

@@ -177,13 +177,13 @@ def test_a_choice_does_not_call_parameters_determined_that_it_flags():
 
 
 def test_fits_that_do_not_compare_are_in_groups_of_their_own():
-    result = found(recorded("coulomb"), families=("coulomb", "stribeck"))
+    result = found(recorded("coulomb"), families=("coulomb", "dahl"))
     assert [heading for heading, _ in result.groups] == [""]
-    one = plain(result, "stribeck")
+    one = plain(result, "dahl")
     others = [each for each in result.fits if each is not one]
     mixed = dataclasses.replace(result, fits=(dataclasses.replace(one, is_refined=True), *others))
     (first, refined), (second, rest) = mixed.groups
-    assert [each.label for each in refined] == ["stribeck"]
+    assert [each.label for each in refined] == ["dahl"]
     assert rest == tuple(others)
     assert "Fitted once more" in first
     assert "do not compare" in second

@@ -9,8 +9,8 @@ from friction_hil.checked_yaml.text import dump
 from friction_hil.cli.colour import echo_problem
 from friction_hil.cli.output import print_json
 from friction_hil.cli.work.tables import say
-from friction_hil.config import file_problems, json_schema, load, missing_models, self_contained
-from friction_hil.errors import ConfigurationError, Problem
+from friction_hil.config import Configuration, file_problems, json_schema, load, located, missing_models, self_contained
+from friction_hil.errors import ConfigurationError, OptionError, Problem
 
 
 def check_files(files: Sequence[str], as_json: bool) -> int:
@@ -21,7 +21,7 @@ def check_files(files: Sequence[str], as_json: bool) -> int:
         try:
             configuration = load(file, needs_models=False)
             reports[file] = tuple(file_problems(file, configuration))
-            notes[file] = missing_models(file, configuration)
+            notes[file] = [*missing_models(file, configuration), *_inert_adaptations(file, configuration)]
         except ConfigurationError as error:
             reports[file] = error.problems
     if as_json:
@@ -39,6 +39,20 @@ def check_files(files: Sequence[str], as_json: bool) -> int:
                 for note in notes[file]:
                     say(f"note: {note}", stderr=False)
     return 2 if any(reports.values()) else 0
+
+
+def _inert_adaptations(file: str, configuration: Configuration) -> list[Problem]:
+    """Return a note for each axis whose adaptation will learn nothing in the configured motion."""
+    adapting = {name: axis for name, axis in configuration.axes.items() if axis.compensation.adaptation is not None}
+    if not adapting:
+        return []
+    from friction_hil.daemon.adaptation_check import adaptation_problem  # imported here: it is slow to load
+
+    found: list[Problem] = []
+    for name, axis in adapting.items():
+        if text := adaptation_problem(name, axis, configuration.period_s):
+            found += located(file, OptionError(name, "compensation.adaptation", text)).problems
+    return found
 
 
 def show_file(file: str) -> None:

@@ -15,8 +15,10 @@ from friction_hil.cli.work.result_files import check_result_files
 from friction_hil.cli.work.tables import new_table, number, print_files, print_table, prose, say
 from friction_hil.errors import UsageError
 from friction_hil.identification import Fit, Identification, IdentificationSettings, free_run, identify
+from friction_hil.identification.export import add_mechanics, as_model_file, mechanics_as_json, model_file
 from friction_hil.identification.export import as_json as result_as_json
-from friction_hil.identification.export import as_model_file, model_file
+from friction_hil.identification.mechanics import Mechanics, find_mechanics
+from friction_hil.identification.plausibility import Finding, check_result
 from friction_hil.numerics.readable import brief
 from friction_hil.reports.identification_report import write_report
 
@@ -32,18 +34,22 @@ def identify_axis(
     columns: dict[str, str],
     scale: dict[str, float],
     where: str | None,
+    rate_hz: float | None,
     controller: dict[str, float],
     output: Path | None,
     report: Path | None,
     as_json: bool,
     **options: Any,
 ) -> int:
-    """Identify an axis, write model file and report, and print the result; ``options`` become settings."""
+    """Identify an axis, write model file and report, and print the result; ``options`` become settings.
+
+    Returns 1, and writes no model file, if the result explains nothing.
+    """
     settings = _settings(**options)
     check_result_files(output, report)
     if settings.has_unknown_gain and controller:
         raise click.UsageError("--controller needs a measured torque: not with --unknown-gain")
-    reading: dict[str, Any] = {"columns": columns, "scale": scale, "where": where}
+    reading: dict[str, Any] = {"columns": columns, "scale": scale, "where": where, "rate_hz": rate_hz}
     recordings = read_recordings(sources, axis, **reading)
     validation = read_recordings(kept_apart, axis, **reading)
     with status_line("reading") as show:
@@ -53,18 +59,35 @@ def identify_axis(
             validation=validation,
             progress=lambda step: show(f"{step.stage}: {step.label}", step.number, step.count),
         )
-    free = _free_run(result, controller)
-    if output is not None:
-        model_file(result)  # raises before a file that could not be read again is written
-        output.write_text(dump(as_model_file(result)), encoding="utf-8")
+        findings = check_result(result, recordings)
+        is_worthless = any(each.is_fatal for each in findings)
+        mechanics = (
+            None if is_worthless else find_mechanics(recordings, result, report=lambda step: show(f"mechanics: {step}"))
+        )
+    free = {"relative_error": None, "reason": "no usable model"} if is_worthless else _free_run(result, controller)
+    if output is not None and not is_worthless:
+        signal = recordings[0].sources.get("torque", "torque")
+        model_file(result, signal=signal)  # raises before a file that could not be read again is written
+        content = as_model_file(result, signal=signal)
+        content["fit"]["flags"] += [each.text for each in findings]
+        if mechanics is not None:
+            add_mechanics(content, mechanics)
+        output.write_text(dump(content), encoding="utf-8")
     if report is not None:
-        write_report(report, result, free)
+        write_report(report, result, free, [each.text for each in findings], mechanics)
+    written = None if is_worthless else output
     if as_json:
-        print_json({**result_as_json(result), "free_run": free, "output": output, "report": report})
+        told = {"is_usable": not is_worthless, "findings": [each.text for each in findings]}
+        found = {"mechanics": None if mechanics is None else mechanics_as_json(mechanics)}
+        print_json({**result_as_json(result), **found, **told, "free_run": free, "output": written, "report": report})
     else:
-        _print(result, free)
-        print_files({"model file": output, "report": report})
-    return 0
+        _print(result, free, findings)
+        if mechanics is not None:
+            _print_mechanics(mechanics)
+        print_files({"model file": written, "report": report})
+        if is_worthless and output is not None:
+            say(f"{output} is not written.")
+    return int(is_worthless)
 
 
 def _settings(
@@ -110,7 +133,7 @@ def _free_run(result: Identification, controller: dict[str, float]) -> dict[str,
     return {"relative_error": run.relative_error(record.torque, record.begin), "reason": None}
 
 
-def _print(result: Identification, free: dict[str, Any]) -> None:
+def _print(result: Identification, free: dict[str, Any], findings: Sequence[Finding]) -> None:
     for problem in dict.fromkeys(each for record in result.records for each in record.problems):
         say(problem)
     for note in result.notes:
@@ -119,13 +142,41 @@ def _print(result: Identification, free: dict[str, Any]) -> None:
     click.echo()
     _print_parameters(result.best)
     click.echo()
-    say(f"Chosen: {result.best.label}. {result.reason[0].upper()}{result.reason[1:]}.", stderr=False)
+    fatal = [each.text for each in findings if each.is_fatal]
+    if fatal:
+        say(f"No usable model; the best candidate is {result.best.label}.", stderr=False)
+    else:
+        say(f"Chosen: {result.best.label}. {result.reason[0].upper()}{result.reason[1:]}.", stderr=False)
+    for text in (*fatal, *(each.text for each in findings if not each.is_fatal)):
+        say(f"! {text[0].upper()}{text[1:]}.", stderr=False)
+    if fatal:
+        return
     for flag in result.best.flags:
         say(f"- {flag}", stderr=False)
     if free["relative_error"] is None:
         say(f"No closed-loop simulation: {free['reason']}.", stderr=False)
     else:
         click.echo(f"Closed-loop simulation: relative error of the torque {100.0 * free['relative_error']:.2f} %.")
+
+
+def _print_mechanics(found: Mechanics) -> None:
+    """Print what was found behind the motor, and what was not with the motion that would show it."""
+    click.echo()
+    known = [each for each in found.quantities if each.value is not None]
+    table = new_table("mechanics", number("value"), number("standard error"), "unit", "from")
+    for each in known:
+        table.add_row(each.label, brief(each.value or 0.0, 4), brief(_or_nan(each.error), 2), each.unit, each.source)
+    print_table(table)
+    for line in found.missing:
+        say(f"- {line}", stderr=False)
+    for note in found.notes:
+        say(f"- {note}", stderr=False)
+    for flag in found.flags:
+        say(f"! {flag[0].upper()}{flag[1:]}.", stderr=False)
+
+
+def _or_nan(value: float | None) -> float:
+    return math.nan if value is None else value
 
 
 def _print_candidates(result: Identification) -> None:

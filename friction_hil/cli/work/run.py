@@ -108,6 +108,7 @@ def _axis_summary(figures: "AxisFigures") -> dict[str, Any]:
         "stale": figures.stale,
         "bridged": figures.bridged,
         "bridged_reasons": figures.bridged_reasons,
+        **({} if figures.load is None else {"load": _axis_summary(figures.load)}),
     }
 
 
@@ -153,9 +154,14 @@ def _print(result: "SessionResult", configuration: "Configuration", *, dry_run: 
 
 def _print_errors(axes: "dict[str, AxisFigures]", configuration: "Configuration") -> None:
     """Print the following error without and with compensation, and why one of them is missing."""
+    shown = {}
+    for name, figures in axes.items():
+        shown[name] = figures
+        if figures.load is not None:
+            shown[f"{name}, load"] = figures.load
     rows = [
         Compared((name,), each.unit, each.without, each.compensated, each.reduction)
-        for name, each in axes.items()
+        for name, each in shown.items()
         if each.without is not None or each.compensated is not None
     ]
     if rows:
@@ -178,7 +184,7 @@ def _hint(figures: "AxisFigures", axis: "AxisConfig") -> str:
     if trajectory.kind == "none" or figures.reduction is not None:
         return ""
     if figures.without is not None and figures.compensated is not None:
-        return "the motion of an experiment is never the same, so that the two do not compare"
+        return f"a motion of kind {trajectory.kind} does not repeat itself, so that the two do not compare"
     if figures.without is None and figures.compensated is None:
         return f"nothing to compare: the run ended before the motion was steady, {SETTLE_S:g} s after its ramp"
     if not given.enabled:

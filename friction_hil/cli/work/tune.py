@@ -15,14 +15,17 @@ from friction_hil.cli.output import print_json
 from friction_hil.cli.work.following import Compared, following_table
 from friction_hil.cli.work.progress import status_line
 from friction_hil.cli.work.simulated import simulated_drives
-from friction_hil.cli.work.tables import Table, print_table, prose, say
+from friction_hil.cli.work.tables import Table, new_table, number, print_table, prose, say
 from friction_hil.config import Configuration, file_problems, load, located
 from friction_hil.daemon.companion import free_path
 from friction_hil.errors import ConfigurationError, FrictionHilError, OptionError
+from friction_hil.numerics.readable import digits
 from friction_hil.reports.figures import require_matplotlib
 from friction_hil.reports.tuning_report import write_reports
-from friction_hil.tuning import AxisTuning, TuneSettings, Tuning, tune
+from friction_hil.tuning import AxisTuning, TriedModel, TuneSettings, Tuning, tune
+from friction_hil.tuning.choice import motion_names
 from friction_hil.tuning.settings import ShowStep
+from friction_hil.tuning.torque_lag import TorqueLag
 
 _FOLDER = Path("out/tune")
 
@@ -70,7 +73,8 @@ def tune_machine(
         echo_labelled("warning:", warning, yellow)
     failed = [name for name, axis in tuning.axes.items() if not axis.best.trial.has_helped]
     for name in failed:
-        say(f"{name}: compensation did not help: its model is not used")
+        why = "makes it oscillate" if tuning.axes[name].best.trial.own.is_swinging else "did not help"
+        say(f"{name}: compensation {why}: its model is not used")
     return 1 if failed else 0
 
 
@@ -117,28 +121,30 @@ class _Terminal:
 
 def _as_dict(tuning: Tuning) -> dict[str, Any]:
     return {
-        "axes": {name: _axis(axis) for name, axis in tuning.axes.items()},
+        "axes": {name: _axis(axis, tuning.torque_lags.get(name)) for name, axis in tuning.axes.items()},
         "recordings": tuning.recordings,
         "report": tuning.report,
         "warnings": tuning.warnings,
     }
 
 
-def _axis(axis: AxisTuning) -> dict[str, Any]:
+def _axis(axis: AxisTuning, lag: TorqueLag | None) -> dict[str, Any]:
     best = axis.best
     return {
-        "model": best.fit.label,
+        "model": best.label,
         "file": axis.file,
         "in_place": axis.is_in_place,
         "reason": best.identification.reason,
         "flags": best.fit.flags,
         "parameters": best.fit.friction[0],
         "mechanics": best.model["mechanics"],
+        "torque_lag": None if lag is None else lag.figures,
         "tried": [
             {
-                "model": each.fit.label,
+                "model": each.label,
                 **each.trial.figures,
                 "reduction": asdict(each.trial.reduction),
+                "has_helped": each.trial.has_helped,
             }
             for each in axis.candidates
         ],
@@ -147,9 +153,18 @@ def _axis(axis: AxisTuning) -> dict[str, Any]:
 
 def _print(tuning: Tuning, config: Path, *, is_simulated: bool) -> None:
     print_table(_table(tuning))
+    click.echo()
+    print_table(_motions_table(tuning))
+    click.echo()
+    for name, axis in tuning.axes.items():
+        for each in axis.candidates:
+            for problem in each.trial.problems:
+                say(f"{name}: {each.label}: {problem}", stderr=False)
     for name, axis in tuning.axes.items():
         for flag in axis.best.fit.flags:
             say(f"{name}: {flag}", stderr=False)
+    for name, lag in tuning.torque_lags.items():
+        say(f"{name}: {lag.text}", stderr=False)
     for name, axis in tuning.axes.items():
         say(f"{name}: model file: {axis.file}; {_use(axis, config, is_simulated=is_simulated)}", stderr=False)
     if tuning.report is not None:
@@ -161,11 +176,31 @@ def _table(tuning: Tuning) -> Table:
     for name, axis in tuning.axes.items():
         unit = "rad" if axis.best.identification.settings.axis == "rotary" else "m"
         for each in axis.candidates:
-            kept = " (kept)" if each is axis.best and each.trial.has_helped else ""
-            trial = each.trial
-            labels = name, f"{each.fit.label}{kept}"
-            rows.append(Compared(labels, unit, trial.uncompensated, trial.compensated, trial.reduction))
+            own = each.trial.own
+            labels = name, _label(axis, each)
+            rows.append(Compared(labels, unit, own.uncompensated, own.compensated, own.reduction))
     return following_table(("axis", prose("model")), rows)
+
+
+def _motions_table(tuning: Tuning) -> Table:
+    """Return how many times lower the following error of each motion is with each model."""
+    motions = motion_names(tuning.axes.values())
+    table = new_table("axis", prose("model"), "times\nlower", *map(number, motions), keys=3)
+    for name, axis in tuning.axes.items():
+        for each in axis.candidates:
+            found = {motion.name: motion.reduction for motion in each.trial.motions}
+            cells = (
+                "\n".join(digits(value, 2) for value in (found[motion].rms, found[motion].peak))
+                if motion in found
+                else "-"
+                for motion in motions
+            )
+            table.add_row(name, _label(axis, each), "rms\npeak", *cells)
+    return table
+
+
+def _label(axis: AxisTuning, each: TriedModel) -> str:
+    return f"{each.label}{' (kept)' if each is axis.best and each.trial.has_helped else ''}"
 
 
 def _use(axis: AxisTuning, config: Path, *, is_simulated: bool) -> str:

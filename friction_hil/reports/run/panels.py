@@ -81,7 +81,7 @@ def following_error(
     if missing:
         notes.append(f"no following error: no column {', '.join(missing)}")
         return []
-    columns = {name: recording[name] for name in ("position_demand", "position")}
+    columns = following.columns_of(recording, slice(None), ("position_demand", "position"))
     is_fresh = recording["is_fresh"] if "is_fresh" in recording else np.ones(len(recording))
     error = following.error({**columns, "is_fresh": is_fresh})
     known = [each.figures.peak for each in phases if each] or [largest(error)]

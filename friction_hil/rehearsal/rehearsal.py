@@ -1,0 +1,152 @@
+"""Rehearsal of one axis: what a model does to the following error, simulated before the axis moves."""
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from friction_hil import compensator as compensation
+from friction_hil.daemon.assembly import lead_s, make_compensator, make_controller
+from friction_hil.motion.trajectory import Path, PathTime, Trajectory
+from friction_hil.numerics.jit import Array
+from friction_hil.rehearsal import kernel
+from friction_hil.servo import plant
+from friction_hil.servo.servo import Servo
+
+if TYPE_CHECKING:
+    from friction_hil.config import AxisConfig
+    from friction_hil.drive import AxisFacts
+    from friction_hil.models.model_file import ModelFile
+    from friction_hil.servo.config import ServoConfig
+
+_MODES = {"csp": plant.CSP, "csv": plant.CSV, "cst": plant.CST}
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """A motion to rehearse.
+
+    Attributes
+    ----------
+    path : callable
+        Position, velocity and acceleration over path time.
+    duration_s : float
+        Length of the part that is scored, s: whole periods.
+    ramp_s : float
+        Time in which path time starts, s.
+    start_s : float
+        Time before the part that is scored, s.
+    """
+
+    path: Path
+    duration_s: float
+    ramp_s: float = 1.0
+    start_s: float = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """Following error of a motion, and the factor on the gain that the guard against limit cycles has left.
+
+    Attributes
+    ----------
+    rms, peak : float
+        rad or m; infinity if the simulation diverged.
+    gain_factor : float
+        1: no limit cycle was found.
+    """
+
+    rms: float
+    peak: float
+    gain_factor: float
+
+
+class Rehearsal:
+    """Closed loop of the daemon with a simulated servo, without a bus.
+
+    The loop samples and commands as on a bus paced by SYNC: what it computes from a sample acts after the actuation
+    delay that the driver states. A set-point of the position is a whole number of counts, as a drive takes it: with a
+    coarse encoder its steps shake the axis.
+
+    Parameters
+    ----------
+    axis : AxisConfig
+        Mode, controller, limits and compensation.
+    facts : AxisFacts
+        Resolution and delays.
+    period_s : float
+        Period of the loop.
+    """
+
+    def __init__(self, axis: "AxisConfig", facts: "AxisFacts", period_s: float) -> None:
+        self._axis, self._facts, self._period_s = axis, facts, period_s
+        self._demands: dict[tuple[Motion, float], Array] = {}
+
+    def run(self, servo: "ServoConfig", model: "ModelFile", motion: Motion, *, is_compensated: bool = True) -> Outcome:
+        """Simulate a motion, with compensation by ``model`` or without; return the following error.
+
+        The model gives the inertia to the loop's own controller (CST) in both cases.
+
+        Parameters
+        ----------
+        servo : ServoConfig
+            Mechanics, friction, encoder, motor and loops of the drive. The resolution of the encoder is that of the
+            facts.
+        model : ModelFile
+        motion : Motion
+        is_compensated : bool
+        """
+        error, _, gain_factor = self.trace(servo, model, motion, is_compensated=is_compensated)
+        scored = error[-round(motion.duration_s / self._period_s) :]
+        rms = math.sqrt(float(np.mean(scored**2)))
+        if not math.isfinite(rms):
+            return Outcome(math.inf, math.inf, 0.0)
+        return Outcome(rms, float(np.max(np.abs(scored))), float(gain_factor[-1]))
+
+    def trace(self, servo: "ServoConfig", model: "ModelFile", motion: Motion, *, is_compensated: bool = True) -> Array:
+        """Return following error, compensation and gain factor of each cycle, (3, n)."""
+        axis = self._axis.model_copy(update={"model": model})
+        facts, period_s = self._facts, self._period_s
+        demand = self._demand(motion, lead_s(model, facts, period_s))
+        simulated = Servo(servo, float(demand[0, 0]))
+        simulated.set_period(period_s)
+        compensator = make_compensator(axis, model, facts, period_s)
+        daemon = np.zeros(1, kernel.DAEMON)
+        d = daemon[0]
+        d["mode"], d["is_compensated"] = _MODES[axis.mode], is_compensated
+        d["period_s"], d["period_steps"] = period_s, round(period_s * simulated.steps_per_second)
+        delay_s = facts.actuation_delay_s - 0.5 * period_s
+        d["delay_steps"] = min(
+            max(round(delay_s * simulated.steps_per_second), 0), kernel.MOST_DELAY_CYCLES * int(d["period_steps"])
+        )
+        d["torque_limit"] = axis.limits.torque
+        d["torque_slew"] = math.inf if axis.limits.torque_slew is None else axis.limits.torque_slew
+        trace = np.empty((3, len(demand)))
+        kernel.run(
+            daemon,
+            make_controller(axis),
+            *simulated.records,
+            compensator.record,
+            compensator.state.view(compensation.STATE),
+            demand,
+            trace,
+        )
+        return trace
+
+    def _demand(self, motion: Motion, ahead_s: float) -> Array:
+        """Return the demand of each cycle as `kernel.run` takes it, (n, 6)."""
+        key = (motion, ahead_s)
+        if key not in self._demands:
+            time = PathTime(motion.ramp_s)
+            time.start(0.0)
+            trajectory = Trajectory(motion.path, time)
+            rows = []
+            delay_s, resolution = self._facts.setpoint_delay_s, self._facts.position_resolution
+            for k in range(round((motion.start_s + motion.duration_s) / self._period_s)):
+                t = k * self._period_s
+                now, sent = trajectory.at(t), trajectory.at(t + delay_s)
+                counts = round(sent.position / resolution)
+                rows.append((*now, trajectory.at(t + ahead_s).velocity, counts * resolution, sent.velocity))
+            self._demands[key] = np.array(rows)
+        return self._demands[key]

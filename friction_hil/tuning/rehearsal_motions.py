@@ -1,0 +1,34 @@
+"""Motions on which candidates are rehearsed: those of the trial, and constant speed with reversals. Pure."""
+
+import math
+
+from friction_hil.config import ExperimentBounds, Triangle
+from friction_hil.config.trajectories import PeriodicMotion
+from friction_hil.daemon.assembly import periodic_path
+from friction_hil.rehearsal import Motion
+from friction_hil.tuning.trial_motions import amplitude_of, trial_motions
+
+TRIANGLE = "triangle"
+
+_STROKE, _FREQUENCY, _ROUNDING = 0.3, 0.5, 0.1  # of the triangle, in those of the own motion
+_PERIODS, _LEAST_S = 2, 2.0  # that are scored
+_START_S = 2.0  # for the axis to start and the compensation to fade in
+
+
+def rehearsal_motions(own: PeriodicMotion, bounds: ExperimentBounds, resolution: float) -> dict[str, Motion]:
+    """Return the motions of a rehearsal by name; the parameters are those of `trial_motions`."""
+    motions = trial_motions(own, bounds, resolution)
+    motions[TRIANGLE] = Triangle(
+        kind="triangle",
+        amplitude=_STROKE * amplitude_of(own),
+        frequency=_FREQUENCY * own.frequency,
+        rounding=_ROUNDING,
+    )
+    return {name: _rehearsed(each) for name, each in motions.items()}
+
+
+def _rehearsed(motion: PeriodicMotion) -> Motion:
+    """Return two periods of a motion, and at least two seconds, after one in which the compensation fades in."""
+    period_s = 1.0 / motion.frequency
+    periods = max(_PERIODS, math.ceil(_LEAST_S / period_s))
+    return Motion(periodic_path(motion), periods * period_s, start_s=_START_S + period_s)

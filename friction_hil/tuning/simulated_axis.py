@@ -1,0 +1,100 @@
+"""The axis that was identified, as a simulated servo: its loops, its mechanics, and each plausible friction. Pure."""
+
+import math
+from typing import Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from friction_hil.config import AxisConfig
+from friction_hil.errors import RecordingError
+from friction_hil.identification.drive_loop import DriveLoops, identify_loops
+from friction_hil.models.model_file import NETWORK, ModelFile
+from friction_hil.recordings import Recording
+from friction_hil.servo.config import Encoder, Loops, Motor, ServoConfig, ServoMechanics, TrueFriction
+
+_INTEGRATION_HZ = (40_000.0, 80_000.0, 160_000.0, 320_000.0, 640_000.0)  # tried in turn, for stiff friction
+_WHOLE = 1e-6  # of an integration step
+_PEAK_RATIO = 3.0  # torque of the drive over the largest that was recorded
+
+
+def drive_loops(recording: Recording, axis: AxisConfig, resolution: float) -> DriveLoops | None:
+    """Return the identified loops of the drive, or None in CST, where the loops are those of the daemon.
+
+    Raises
+    ------
+    RecordingError
+        The torque of the drive does not follow the usual loops.
+    """
+    if axis.mode == "cst":
+        return None
+    gain = axis.controller.position_gain if axis.controller is not None else 0.0
+    return identify_loops(recording, axis.mode, resolution, gain)
+
+
+def simulated_axis(
+    model: ModelFile,
+    inertia: float,
+    loops: DriveLoops | None,
+    recording: Recording,
+    period_s: float,
+    resolution: float,
+) -> ServoConfig | None:
+    """Return a servo with the friction of a model; None if no simulation has such a friction.
+
+    Parameters
+    ----------
+    model : ModelFile
+    inertia : float
+        Identified inertia, kg m^2 or kg; that of the model file may be a former one. If it is zero, the recording does
+        not show it, and that of the drive's feed-forward is taken.
+    loops : DriveLoops or None
+        From `drive_loops`.
+    recording : Recording
+        Experiment; its largest torque sets what the drive can give.
+    period_s : float
+        Period of the loop: a whole number of integration steps.
+    resolution : float
+        Step of the position, SI.
+    """
+    mechanics = model.mechanics
+    if not inertia > 0.0 and loops is not None:
+        inertia = loops.inertia
+    if model.friction.model == NETWORK or not inertia > 0.0:
+        return None
+    turn = math.tau if model.axis == "rotary" else 1.0
+    lag_s = mechanics.torque_lag_s if loops is None else loops.torque_lag_s
+    parts: dict[str, Any] = {
+        "mechanics": ServoMechanics(axis=model.axis, inertia=inertia, load_torque=mechanics.offset),
+        "encoder": Encoder(counts=turn / resolution),
+        "motor": Motor(torque_lag_s=lag_s, peak_torque=_PEAK_RATIO * _largest_torque(recording)),
+        "loops": Loops() if loops is None else _loops(loops, inertia),
+    }
+    for rate_hz in _INTEGRATION_HZ:
+        if abs(period_s * rate_hz - round(period_s * rate_hz)) > _WHOLE:
+            continue
+        try:
+            friction = TrueFriction(
+                model=model.friction.model, parameters=model.friction.parameters, modifiers=model.friction.modifiers
+            )
+            return ServoConfig(friction=friction, integration_hz=rate_hz, **parts)
+        except ValidationError:
+            continue  # stiffer than this rate can integrate
+    return None
+
+
+def _loops(loops: DriveLoops, inertia: float) -> Loops:
+    return Loops(
+        position_gain=loops.position_gain,
+        velocity_gain=loops.velocity_gain,
+        integral_hz=max(loops.integral_hz, 0.0),
+        velocity_feedforward=max(loops.velocity_feedforward, 0.0),
+        inertia_feedforward=max(loops.inertia / inertia, 0.0),
+    )
+
+
+def _largest_torque(recording: Recording) -> float:
+    largest = float(np.nanmax(np.abs(recording["torque"])))
+    if not 0.0 < largest < math.inf:
+        raise RecordingError(f"{recording.path}: {recording.axis}: no torque was recorded")
+    return largest
