@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import can
+import numpy as np
 import pytest
 import yaml
 from friction_hil_drivers.canopen.simulated import SimulatedCanopenDrives
@@ -15,17 +16,19 @@ from friction_hil_drivers.canopen.simulated import SimulatedCanopenDrives
 from friction_hil.checked_yaml.text import dump
 from friction_hil.config import from_dict, load, self_contained
 from friction_hil.config.simulation import simulated_servos
+from friction_hil.daemon.safety import LoopState
 from friction_hil.errors import ConfigurationError, OptionError
 from friction_hil.tuning import TuneSettings, tune
+from tests.servo_drives import ServoDrives, make_loop
 
 FOLDER = Path(__file__).parents[2] / "config/machines"
 TEXT = (FOLDER / "gantry.yaml").read_text()
 _channels = itertools.count()
 
 
-def edited(**changes: Any) -> dict[str, Any]:
-    """The gantry's file as plain values; keys with double underscores reach into it, None removes."""
-    data = yaml.safe_load(dump(self_contained(load(FOLDER / "gantry.yaml"))))
+def edited(machine: str = "gantry", **changes: Any) -> dict[str, Any]:
+    """A machine's file as plain values; keys with double underscores reach into it, None removes."""
+    data = yaml.safe_load(dump(self_contained(load(FOLDER / f"{machine}.yaml"))))
     for path, value in changes.items():
         *steps, last = path.split("__")
         place = data
@@ -147,6 +150,31 @@ def test_tune_refuses_to_twist_a_gantry(tmp_path: Path) -> None:
         tune(configuration, settings, None)  # type: ignore[arg-type]
     assert "friction-hil identify" in str(caught.value)
     assert not settings.folder.exists()
+
+
+# --- in the loop of the daemon
+
+
+@pytest.mark.parametrize("machine", ["gantry", "two_link_arm"])
+def test_the_compensator_helps_each_axis_of_a_mechanism(machine: str) -> None:
+    """One period before and one after the compensation begins, both axes in motion."""
+    data = edited(machine, bus={"interface": "virtual", "channel": f"coupled-{next(_channels)}"})
+    for axis in data["axes"].values():
+        axis["compensation"]["baseline_s"] = 4.0
+    configuration = from_dict(data, "test")
+    drives = ServoDrives(configuration)
+    drives.servos = list(simulated_servos(configuration, configuration.axes).values())
+    for servo in drives.servos:
+        servo.set_period(configuration.period_s)
+    loop, sink, _ = make_loop(configuration, drives, duration_s=7.6)
+    assert loop.run().faults == []
+    for name, axis in configuration.axes.items():
+        demand, position = (np.array(sink.column(name, column)) for column in ("position_demand", "position"))
+        error = (demand - position)[np.array(sink.column(name, "state")) == LoopState.RUNNING]
+        period = round(1e3 / axis.trajectory.frequency)  # type: ignore[union-attr]
+        without, compensated = error[4000 - period : 4000], error[7500 - period : 7500]
+        assert np.std(compensated) < 0.7 * np.std(without)
+        assert np.abs(compensated).max() < 0.7 * np.abs(without).max()
 
 
 # --- nodes on a bus
