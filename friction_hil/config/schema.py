@@ -84,8 +84,7 @@ def _mistakes(configuration: Configuration) -> Iterator[Mistake]:
             text = f"must be below half of the set-points per second, {highest:g} Hz, not {frequency:g}"
             yield ("axes", name, "trajectory", "frequency"), text
     if configuration.simulation is not None:
-        for steps, text in mechanism_mistakes(configuration.simulation.mechanism, configuration.axes):
-            yield steps, text
+        yield from mechanism_mistakes(configuration.simulation.mechanism, configuration.axes)
     by_driver: dict[str, dict[str, AxisConfig]] = {}
     for name, axis in configuration.axes.items():
         by_driver.setdefault(axis.driver, {})[name] = axis

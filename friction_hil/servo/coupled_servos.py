@@ -117,7 +117,10 @@ class CoupledServos:
 
     @property
     def energy(self) -> Energy:
-        """Energies of both axes and the mechanism since the start, J; ``coupling_heat`` is that of the yaw damping."""
+        """Energies of both axes and the mechanism since the start, J.
+
+        ``load_work`` includes that of the force at the tool; ``coupling_heat`` is that of the yaw damping.
+        """
         first, second = self.servos
         stored = coupled.stored_energy(
             self._record, first.true_position, second.true_position, first.true_velocity, second.true_velocity
@@ -132,8 +135,14 @@ class CoupledServos:
 
     @property
     def tool(self) -> tuple[float, float]:
-        """Position of the tool of an arm (x to the right, y upwards from the shoulder, m), or of the payload of a
-        gantry and its yaw (m, rad)."""
+        """What the motors move.
+
+        Returns
+        -------
+        tuple of float
+            Arm: position of the tool from the shoulder, x to the right and y upwards, m. Gantry: position of the
+            payload, m, and yaw of the beam, rad.
+        """
         q1, q2 = (servo.true_position for servo in self.servos)
         if isinstance(self.mechanism, Gantry):
             yaw = (q2 - q1) / self.mechanism.span
