@@ -347,8 +347,8 @@ GANTRIES = st.builds(
 def test_no_mechanism_creates_energy(mechanism, start, inertias, levels, torques):
     """Random arms, gantries, frictions and pushes: the account closes to rounding, and heat is never negative."""
     friction = coulomb(levels[0], levels[0] + levels[1], levels[2])
-    if mechanism["kind"] == "gantry":
-        start = (start[0], start[0] + 1e-3 * start[1])
+    if mechanism["kind"] == "gantry":  # near 0, where a small yaw is not lost in the rounding of the positions
+        start = (0.0, 1e-3 * start[1])
     both = couple(mechanism, *start, inertias=inertias, friction=friction)
     before = at_start = both.energy
     scale = abs(at_start.stored) + 1e-6
