@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from friction_hil.errors import UsageError
 
 if TYPE_CHECKING:
+    from friction_hil.numerics.jit import Array
     from friction_hil.servo.config import ServoConfig
     from friction_hil.servo.servo import Servo
 
@@ -21,14 +22,25 @@ def simulated_servo(config: "ServoConfig", position: float = 0.0) -> "Servo":
     UsageError
         The file cannot be read, or a line of it is wrong; the message names the line.
     """
-    import numpy as np
-
     from friction_hil.servo.servo import Servo
+
+    return Servo(config, position, external_content(config))
+
+
+def external_content(config: "ServoConfig") -> "Array | None":
+    """Return the content of the file with the external torque of a servo, (n, 2); None if it has none.
+
+    Raises
+    ------
+    UsageError
+        As for `simulated_servo`.
+    """
+    import numpy as np
 
     external = config.mechanics.external
     if external is None or external.file is None:
-        return Servo(config, position)
-    return Servo(config, position, np.array(read_table(external.file), dtype=np.float64))
+        return None
+    return np.array(read_table(external.file), dtype=np.float64)
 
 
 def read_table(path: Path) -> list[tuple[float, float]]:

@@ -10,6 +10,7 @@ from friction_hil.checked_yaml.messages import Mistake, refuse
 from friction_hil.checked_yaml.section import Section, key
 from friction_hil.config.axis import AxisConfig, Name
 from friction_hil.config.bus import BusConfig
+from friction_hil.config.simulation import SimulationConfig, mechanism_mistakes
 
 
 class RecordingConfig(Section):
@@ -47,6 +48,7 @@ class Configuration(Section):
         le=60,
     )
     realtime: Realtime = key("scheduling of the loop", default=Realtime())
+    simulation: SimulationConfig | None = key("what the simulated drives of several axes share", default=None)
 
     _source_path: Path | None = PrivateAttr(default=None)
 
@@ -81,6 +83,8 @@ def _mistakes(configuration: Configuration) -> Iterator[Mistake]:
         if frequency >= highest:
             text = f"must be below half of the set-points per second, {highest:g} Hz, not {frequency:g}"
             yield ("axes", name, "trajectory", "frequency"), text
+    if configuration.simulation is not None:
+        yield from mechanism_mistakes(configuration.simulation.mechanism, configuration.axes)
     by_driver: dict[str, dict[str, AxisConfig]] = {}
     for name, axis in configuration.axes.items():
         by_driver.setdefault(axis.driver, {})[name] = axis

@@ -78,15 +78,15 @@ def _revolution(config: ServoConfig) -> float:
     return 2.0 * math.pi if config.mechanics.axis == "rotary" else 1.0
 
 
-def controller_record(config: ServoConfig) -> StructuredArray:
-    """Return the `CONTROLLER` record of the drive's loops."""
+def controller_record(config: ServoConfig, inertia: float | None = None) -> StructuredArray:
+    """Return the `CONTROLLER` record of the drive's loops; ``inertia`` is by default that of motor and load."""
     record = np.zeros(1, CONTROLLER)
     k = record[0]
     k["position_gain"] = config.loops.position_gain
     k["velocity_gain"] = config.loops.velocity_gain
     k["integral_hz"] = config.loops.integral_hz
     k["velocity_feedforward"] = config.loops.velocity_feedforward
-    k["inertia"] = config.loops.inertia_feedforward * config.mechanics.total_inertia
+    k["inertia"] = config.loops.inertia_feedforward * (config.mechanics.total_inertia if inertia is None else inertia)
     return record
 
 

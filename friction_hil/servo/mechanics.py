@@ -20,9 +20,9 @@ import math
 
 from friction_hil.friction import kernel
 from friction_hil.numerics.dual import borrowed_at
-from friction_hil.numerics.jit import Array, StructuredArray, compiled
+from friction_hil.numerics.jit import Array, StructuredArray, compiled, inlined
 
-_BALANCE = 1e-12  # relative difference of torque and friction below which they balance
+BALANCE = 1e-12  # relative difference of torque and friction below which they balance
 _PASSES = 5  # each but the last holds or releases one of the two masses
 _HALVINGS = 200
 
@@ -158,8 +158,16 @@ def external_torque(plant: StructuredArray, s: StructuredArray, time: float) -> 
     return torque
 
 
+@inlined
+def static_load(plant: StructuredArray, outside: float, position: float) -> float:
+    """Return the load torque at a position, ``outside`` and that of gravity and spring, N m."""
+    c = plant[0]
+    load = outside + c.gravity_sine * math.sin(position) + c.gravity_cosine * math.cos(position)
+    return load + c.spring_stiffness * (position - c.spring_rest)
+
+
 @compiled
-def _ahead(velocity: float, before: float) -> float:
+def velocity_ahead(velocity: float, before: float) -> float:
     """Return the velocity extrapolated by half a step; not across zero."""
     ahead = velocity + 0.5 * (velocity - before)
     return ahead if ahead * velocity > 0.0 else 0.0
@@ -171,10 +179,9 @@ def _move_one_mass(plant: StructuredArray, s: StructuredArray, torque: float, is
     c, r = plant[0], s[0]
     dt, v = c.step_s, r.velocity
     middle = r.position + 0.5 * dt * v
-    ahead = _ahead(v, r.velocity_before)
+    ahead = velocity_ahead(v, r.velocity_before)
     outside = c.load_torque + external_torque(plant, s, (r.steps + 0.5) * dt)
-    load = outside + c.gravity_sine * math.sin(middle) + c.gravity_cosine * math.cos(middle)
-    load += c.spring_stiffness * (middle - c.spring_rest)
+    load = static_load(plant, outside, middle)
     variation, slope = harmonics(c.inertia_variation, middle)
     inertia = c.inertia + variation
     applied = torque - load - 0.5 * slope * ahead * ahead
@@ -194,7 +201,7 @@ def _move_one_mass(plant: StructuredArray, s: StructuredArray, torque: float, is
     )
     u = v + dt / inertia * (applied - friction)
     if c.is_friction_static > 0.0:
-        is_balanced = abs(applied - friction) <= _BALANCE * abs(applied) and abs(v) <= c.stick_velocity
+        is_balanced = abs(applied - friction) <= BALANCE * abs(applied) and abs(v) <= c.stick_velocity
         if is_balanced:
             u = 0.0
         elif u * v < 0.0:
@@ -221,7 +228,7 @@ def _move_two_masses(plant: StructuredArray, s: StructuredArray, torque: float, 
     c, r = plant[0], s[0]
     dt, v1, v2 = c.step_s, r.velocity, r.load_velocity
     middle, load_middle = r.position + 0.5 * dt * v1, r.load_position + 0.5 * dt * v2
-    ahead, load_ahead = _ahead(v1, r.velocity_before), _ahead(v2, r.load_velocity_before)
+    ahead, load_ahead = velocity_ahead(v1, r.velocity_before), velocity_ahead(v2, r.load_velocity_before)
     error, ratio = 0.0, 1.0
     if c.transmission_error[0] > 0.0:
         error = harmonics(c.transmission_error, r.position)[0]
@@ -276,9 +283,9 @@ def _move_two_masses(plant: StructuredArray, s: StructuredArray, torque: float, 
             r.friction_factor,
             0.0,
         )
-    is_balanced = c.is_friction_static > 0.0 and abs(applied - friction) <= _BALANCE * abs(applied)
+    is_balanced = c.is_friction_static > 0.0 and abs(applied - friction) <= BALANCE * abs(applied)
     is_held = is_braked or (is_balanced and abs(v1) <= c.stick_velocity)
-    is_load_balanced = abs(load_applied - load_friction) <= _BALANCE * abs(load_applied)
+    is_load_balanced = abs(load_applied - load_friction) <= BALANCE * abs(load_applied)
     is_load_held = c.is_load_friction_static > 0.0 and is_load_balanced and abs(v2) <= c.load_stick_velocity
     is_free, is_load_free = c.is_friction_static == 0.0 or is_held, c.is_load_friction_static == 0.0 or is_load_held
     u1 = u2 = coupled = 0.0

@@ -6,7 +6,7 @@ from typing import Any
 from friction_hil.friction import kernel
 from friction_hil.motion.controller import cascade
 from friction_hil.numerics.dual import overloaded
-from friction_hil.numerics.jit import StructuredArray, compiled
+from friction_hil.numerics.jit import StructuredArray, compiled, inlined
 from friction_hil.servo import actuator, mechanics, sensors
 from friction_hil.servo.records import MACHINE, has_parts
 
@@ -19,6 +19,8 @@ __all__ = [
     "QUICK_STOP",
     "advance",
     "control",
+    "driven",
+    "is_braked",
     "measured_position",
     "measured_torque",
 ]
@@ -252,21 +254,33 @@ def _advance_rigid(plant: StructuredArray, controller: StructuredArray, s: Struc
         r.position += c.step_s * velocity
 
 
+@inlined
+def driven(plant: StructuredArray, controller: StructuredArray, s: StructuredArray) -> float:
+    """Advance drive and motor of a servo with further parts by one step; return the torque at the shaft, N m."""
+    c, r = plant[0], s[0]
+    if r.control_phase <= 0.0:
+        control(plant, controller, s)
+        actuator.pass_on(plant, s, r.mode == OFF)
+        if c.is_aging > 0.0:
+            actuator.warm(plant, s, c.steps_per_control * c.step_s)
+        r.control_phase = c.steps_per_control
+    r.control_phase -= 1.0
+    r.phase += 1.0
+    return actuator.shaft_torque(plant, s, r.acting_demand)
+
+
+@inlined
+def is_braked(plant: StructuredArray, s: StructuredArray) -> bool:
+    """Return True while the brake holds the motor."""
+    return s[0].mode == OFF and plant[0].has_brake > 0.0
+
+
 @compiled
 def _advance_machine(plant: StructuredArray, controller: StructuredArray, s: StructuredArray, steps: int) -> None:
     """Integrate a servo with further parts; see `friction_hil.servo.mechanics`."""
-    c, r = plant[0], s[0]
     for _ in range(steps):
-        if r.control_phase <= 0.0:
-            control(plant, controller, s)
-            actuator.pass_on(plant, s, r.mode == OFF)
-            if c.is_aging > 0.0:
-                actuator.warm(plant, s, c.steps_per_control * c.step_s)
-            r.control_phase = c.steps_per_control
-        r.control_phase -= 1.0
-        r.phase += 1.0
-        torque = actuator.shaft_torque(plant, s, r.acting_demand)
-        mechanics.move(plant, s, torque, r.mode == OFF and c.has_brake > 0.0)
+        torque = driven(plant, controller, s)
+        mechanics.move(plant, s, torque, is_braked(plant, s))
 
 
 def advance(plant: StructuredArray, controller: StructuredArray, s: StructuredArray, steps: int) -> None:

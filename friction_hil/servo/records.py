@@ -2,7 +2,7 @@
 
 A rigid servo has the records `PLANT` and `STATE`. One with any further part has `MACHINE` and `MACHINE_STATE`, which
 begin with the same fields. Kernels are compiled for the type of the record, so that a rigid servo contains no code of
-parts that it does not have.
+parts that it does not have. Two servos that share a mechanism are `MACHINE` too, with a `MECHANISM` between them.
 """
 
 from typing import Any
@@ -166,6 +166,34 @@ MACHINE_STATE = np.dtype(
         ("notch", "f8", (2,)),
         ("demand_head", "i8"),
         ("demand_history", "f8", (HISTORY_ROOM,)),
+    ]
+)
+
+FORCES_ROOM = 1 + 3 * MOST_TIMES  # number of times; time and both components of each
+GANTRY, TWO_LINK_ARM = 0, 1
+
+MECHANISM = np.dtype(
+    [
+        ("kind", "f8"),
+        ("inertia11", "f8"),  # constant part of the inertia matrix, without the motors
+        ("inertia12", "f8"),
+        ("inertia22", "f8"),
+        ("swing", "f8"),  # factor of the cosine of the elbow in it
+        ("gravity1", "f8"),  # N m; factor of the sine of the first link's angle from hanging down
+        ("gravity2", "f8"),  # of the second one's
+        ("length1", "f8"),
+        ("length2", "f8"),
+        ("tool_forces", "f8", (FORCES_ROOM,)),
+        ("span", "f8"),
+        ("yaw_stiffness", "f8"),
+        ("yaw_damping", "f8"),
+    ]
+)
+
+MECHANISM_STATE = np.dtype(
+    [
+        ("heat", "f8"),  # dissipated by the mechanism, J
+        ("tool_work", "f8"),  # by the force at the tool, J
     ]
 )
 

@@ -100,15 +100,23 @@ class Servo:
         self.config = config
         self.steps_per_second = round(config.integration_hz)
         self._external = external_table(config, external)  # the record has its address
-        self._plant = plant_record(config, self._external)
+        self._plant = self._plant_record()
         self._is_rigid = self._plant.dtype != MACHINE
         self.counts_per_unit: float = self._plant[0]["counts_per_unit" if self._is_rigid else "load_counts_per_unit"]
-        self._controller = controller_record(config)
+        self._controller = controller_record(config, self.total_inertia)
         self._state = servo_state(config, self._plant, position)
         # a flat view of the record: access by index is five times faster than by field name
         self._s = self._state.view(np.float64)
         self._get = self._s.item
         self.set_period(1e-3)
+
+    def _plant_record(self) -> StructuredArray:
+        return plant_record(self.config, self._external)
+
+    @property
+    def total_inertia(self) -> float:
+        """Of motor and load, without its variation, kg m^2 or kg."""
+        return self.config.mechanics.total_inertia
 
     def set_period(self, period_s: float) -> None:
         """Set the interpolation period (60C2h), the time between two `command` calls, s."""

@@ -23,6 +23,7 @@ from friction_hil.errors import FrictionHilError, OptionError
 from friction_hil.models.model_file import ModelFile
 from friction_hil.motion import experiment
 from friction_hil.recordings import Recording
+from friction_hil.servo.mechanisms import Gantry
 from friction_hil.tuning.trial_motions import sequences, trial_motions
 
 _REST_S = 0.5  # after a motion
@@ -32,6 +33,27 @@ _TRIAL_TRAVEL, _TRIAL_SPEED = 0.5, 0.3  # of travel and velocity of the experime
 
 class TuningError(FrictionHilError):
     """A run failed, or its recording cannot be used. Example: a fault of a drive."""
+
+
+def refuse_shared_beam(name: str, configuration: Configuration) -> None:
+    """Refuse an axis that cannot move while the others stand still.
+
+    Raises
+    ------
+    OptionError
+        It is an axis of a gantry.
+    """
+    shared = configuration.simulation
+    if shared is None or not isinstance(shared.mechanism, Gantry) or name not in shared.mechanism.axes:
+        return
+    [other] = (each for each in shared.mechanism.axes if each != name)
+    raise OptionError(
+        name,
+        "simulation",
+        f"moves one beam with {other} (simulation.mechanism), which would twist while tune moves {name} and holds "
+        f"{other}: record a 'friction-hil run' in which both move, and identify the friction from the recording with "
+        f"'friction-hil identify RECORDING --axis {name}'",
+    )
 
 
 def experiment_of(name: str, axis: AxisConfig) -> ExperimentBounds:

@@ -26,7 +26,14 @@ from friction_hil.tuning.choice import (
     write_model,
 )
 from friction_hil.tuning.experiment import refuse_limit_cycle, with_torque
-from friction_hil.tuning.motions import experiment_of, experiment_run, sliding_part, trial_run, uncompensated
+from friction_hil.tuning.motions import (
+    experiment_of,
+    experiment_run,
+    refuse_shared_beam,
+    sliding_part,
+    trial_run,
+    uncompensated,
+)
 from friction_hil.tuning.rehearsed import RehearsedFit, rehearsal_text, rehearse, to_try
 from friction_hil.tuning.runs import TuningRuns
 from friction_hil.tuning.settings import Dialog, TuneSettings
@@ -99,6 +106,7 @@ def tune(configuration: Configuration, settings: TuneSettings, dialog: Dialog) -
     names = _names(configuration, settings.names)
     chosen_families(settings.families)
     for name in names:
+        refuse_shared_beam(name, configuration)
         experiment_of(name, configuration.axes[name])
         if not settings.is_simulated:
             refuse_unwritable_model(name, configuration.axes[name])

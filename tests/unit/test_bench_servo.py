@@ -34,8 +34,9 @@ def test_the_benchmark_of_the_servo_compares_parts_rigid_and_c(monkeypatch, caps
     monkeypatch.setattr(bench, "STEPS", 800)
     rows = bench.run()
     assert "gcc" in capsys.readouterr().err
-    assert [row.unit for row in rows] == ["ns", "ns", "ns", "1"]
+    assert [row.unit for row in rows] == ["ns", "ns", "ns", "ns", "1"]
     assert all(row.value > 0.0 and row.ratio > 0.0 for row in rows)
     assert rows[1].reference == rows[2].reference
+    assert rows[3].reference == 2.0 * rows[2].reference
     axes = bench.AXES * 80_000 * rows[2].value * 1e-9
-    assert rows[3].value == pytest.approx(axes)
+    assert rows[4].value == pytest.approx(axes)

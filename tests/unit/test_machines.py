@@ -11,6 +11,7 @@ import pytest
 from friction_hil.checked_yaml.text import read
 from friction_hil.config import load, self_contained
 from friction_hil.config.external_torque import simulated_servo
+from friction_hil.config.simulation import simulated_servos
 from friction_hil.daemon.assembly import periodic_path
 from friction_hil.motion.trajectory import PathTime, Trajectory
 
@@ -25,17 +26,25 @@ def axis_of(name):
     return axis
 
 
-def followed(axis, seconds, offset=0.0):
+def followed(axis, seconds):
     """Follow the trajectory without compensation: following error and twist of each millisecond."""
-    one, time = simulated_servo(axis.simulation), PathTime(1.0)
+    one = simulated_servo(axis.simulation)
+    return one, followed_together([one], [axis], seconds)[:, 0]
+
+
+def followed_together(servos, axes, seconds):
+    """Follow the trajectories of some axes at once: following error and twist, (milliseconds, axes, 2)."""
+    time = PathTime(1.0)
     time.start(0.0)
-    trajectory = Trajectory(periodic_path(axis.trajectory), time)
+    trajectories = [Trajectory(periodic_path(axis.trajectory), time) for axis in axes]
     rows = []
     for k in range(round(1e3 * seconds)):
-        one.command(CSP, trajectory.at(1e-3 * k).position, 0.0, offset)
-        one.advance(one.steps_per_second // 1000)
-        rows.append((one.following_error, one.load_position - one.true_position))
-    return one, np.array(rows)
+        for one, trajectory in zip(servos, trajectories, strict=True):
+            one.command(CSP, trajectory.at(1e-3 * k).position)
+        for one in servos:
+            one.advance(one.steps_per_second // 1000)
+        rows.append([(one.following_error, one.load_position - one.true_position) for one in servos])
+    return np.array(rows)
 
 
 def test_there_are_machines():
@@ -43,9 +52,11 @@ def test_there_are_machines():
         "ball_screw",
         "belt",
         "direct_drive",
+        "gantry",
         "harmonic_drive",
         "hobby_servo",
         "telescope",
+        "two_link_arm",
         "worm_gear",
     }
 
@@ -57,15 +68,15 @@ def test_a_machine_fits_the_schema_and_follows_its_motion(path):
     assert list(VALIDATOR.iter_errors(read(path).value)) == []
     assert list(VALIDATOR.iter_errors(self_contained(configuration))) == []
     assert f"config/machines/{path.name} --simulate" in path.read_text()
-    for axis in configuration.axes.values():
-        assert not axis.simulation.is_rigid
-        servo, rows = followed(axis, 3.0)
-        error = np.abs(rows[1000:, 0])
+    servos = simulated_servos(configuration, configuration.axes)
+    rows = followed_together(servos.values(), configuration.axes.values(), 3.0)
+    for index, (servo, axis) in enumerate(zip(servos.values(), configuration.axes.values(), strict=True)):
+        assert configuration.simulation is not None or not axis.simulation.is_rigid
+        error = np.abs(rows[1000:, index, 0])
         assert error.max() < 0.2 * axis.limits.following_error
         assert error.max() > 3.0 / servo.counts_per_unit
         assert abs(servo.torque_demand) < servo.torque_limit
-        believed, true = axis.model.mechanics.inertia, axis.simulation.mechanics.total_inertia
-        assert believed == pytest.approx(true, rel=0.1)
+        assert axis.model.mechanics.inertia == pytest.approx(servo.total_inertia, rel=0.1)
 
 
 def test_every_machine_has_a_bus_of_its_own():
@@ -98,3 +109,19 @@ def test_the_coupling_of_the_ball_screw_crosses_its_play():
     axis = axis_of("ball_screw")
     _, rows = followed(axis, 4.0)
     assert np.ptp(rows[2000:, 1]) > axis.simulation.mechanics.load.backlash
+
+
+def test_the_shoulder_feels_the_elbow():
+    """Held still, it takes the reaction of an elbow that moves; alone it would hang without any error."""
+    configuration = load(FOLDER / "two_link_arm.yaml")
+    both = simulated_servos(configuration, configuration.axes)
+    trajectory = configuration.axes["elbow"].trajectory
+    largest = 0.0
+    for k in range(1500):
+        phase = 2e-3 * math.pi * trajectory.frequency * k
+        both["shoulder"].command(CSP, 0.0)
+        both["elbow"].command(CSP, 0.3 * trajectory.radius * (1.0 - math.cos(phase)))
+        for one in both.values():
+            one.advance(one.steps_per_second // 1000)
+        largest = max(largest, abs(both["shoulder"].following_error))
+    assert 2e-5 < largest < 0.2 * configuration.axes["shoulder"].limits.following_error

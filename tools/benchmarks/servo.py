@@ -1,4 +1,4 @@
-"""Time of the simulated servo: rigid against plain C (``servo.c``), and with all parts against rigid.
+"""Time of the simulated servo: rigid against plain C (``servo.c``); all parts, and two coupled axes, against rigid.
 
 gcc compiles the C code at each run with -O3 -march=native. Figures are processor time of one integration step.
 """
@@ -15,6 +15,8 @@ import numpy as np
 from friction_hil.friction import describe
 from friction_hil.numerics.jit import Array
 from friction_hil.servo.config import ServoConfig
+from friction_hil.servo.coupled_servos import CoupledServos
+from friction_hil.servo.mechanisms import Link, TwoLinkArm
 from friction_hil.servo.servo import Servo
 from tools.benchmarks.c_library import COMMAND, load
 from tools.benchmarks.models import Work, in_turns
@@ -47,6 +49,11 @@ ALL_PARTS: dict[str, Any] = {
         "motor": {"capacity": 150.0, "resistance": 2.0},
     },
 }
+ARM = TwoLinkArm(
+    kind="two_link_arm",
+    axes=("shoulder", "elbow"),
+    links=(Link(length=0.3, mass=0.01, center=0.15), Link(length=0.2, mass=0.005, center=0.1)),
+)
 
 
 class CServo:
@@ -106,8 +113,10 @@ def run() -> list[Row]:
         "rigid": (STEPS, _following({})),
         "two masses": (STEPS, _following(TWO_MASSES)),
         "all parts": (STEPS, _following(ALL_PARTS)),
+        "arm": (STEPS, _moving(*_arm())),
     }
     times = in_turns(work, "servo")
+    two_rigid = [2.0 * time for time in times["rigid"]]
     busy = AXES * ServoConfig().integration_hz * median(times["all parts"]) * 1e-9
     return [
         compare("rigid servo, torque mode (C)", "ns", times["torque"], times["C"]),
@@ -115,6 +124,7 @@ def run() -> list[Row]:
             f"two masses, friction at both (rigid; target {PARTS_TARGET:g})", "ns", times["two masses"], times["rigid"]
         ),
         compare(f"all parts (rigid; target {PARTS_TARGET:g})", "ns", times["all parts"], times["rigid"]),
+        compare(f"two-link arm, both axes (two rigid servos; target {PARTS_TARGET:g})", "ns", times["arm"], two_rigid),
         against(CORE_TARGET, f"{AXES} axes with all parts: share of one core in real time (target)", "1", busy),
     ]
 
@@ -123,15 +133,25 @@ def _servo(parts: dict[str, Any]) -> Servo:
     return Servo(ServoConfig.model_validate({"friction": LUGRE, **parts}))
 
 
+def _arm() -> tuple[Servo, ...]:
+    config = ServoConfig.model_validate({"friction": LUGRE})
+    return CoupledServos(ARM, (config, config)).servos
+
+
 def _following(parts: dict[str, Any]) -> Callable[[], None]:
-    """Return a function that lets a servo follow a sine of positions over `STEPS` steps."""
-    servo = _servo(parts)
-    period = servo.steps_per_second // 1000
+    return _moving(_servo(parts))
+
+
+def _moving(*servos: Servo) -> Callable[[], None]:
+    """Return a function that lets servos follow a sine of positions over `STEPS` steps."""
+    period = servos[0].steps_per_second // 1000
     targets = (0.3 * np.sin(np.arange(STEPS // period) * 6e-3)).tolist()
 
-    def follow() -> None:
+    def move() -> None:
         for target in targets:
-            servo.command(CSP, target)
-            servo.advance(period)
+            for servo in servos:
+                servo.command(CSP, target)
+            for servo in servos:
+                servo.advance(period)
 
-    return follow
+    return move

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from friction_hil.config.external_torque import simulated_servo
 from friction_hil.drive import Mode
 from friction_hil.errors import UsageError
 from friction_hil.servo.servo import Servo
@@ -19,9 +18,14 @@ if TYPE_CHECKING:
 
 
 def make_node(
-    configuration: "Configuration", axis: "AxisConfig", send: Callable[[int, bytes], None], *, is_real: bool
+    configuration: "Configuration",
+    axis: "AxisConfig",
+    servo: Servo,
+    send: Callable[[int, bytes], None],
+    *,
+    is_real: bool,
 ) -> SimulatedNode:
-    """Make the node of an axis, with its servo compiled.
+    """Make the node of an axis.
 
     Parameters
     ----------
@@ -29,6 +33,8 @@ def make_node(
         Its period and the folder of its files.
     axis : AxisConfig
         With its ``simulation``.
+    servo : Servo
+        Its servo, compiled; see `compile_servo`.
     send : callable
         Called with identifier and data of each frame that the node sends.
     is_real : bool
@@ -42,10 +48,8 @@ def make_node(
     simulation = axis.simulation
     assert isinstance(simulation, SimulationOptions)
     number: int = getattr(axis.options, "node")  # noqa: B009 - the driver's options, known to it alone
-    servo = simulated_servo(simulation)
     names = simulation.canopen.supported_modes
     modes = None if names is None else [Mode[name.upper()] for name in names]
-    _compile(simulated_servo(simulation))
     steps = _steps_per_period(configuration.period_s, servo)
     return SimulatedNode(
         number,
@@ -99,8 +103,8 @@ def _steps_per_period(period_s: float, servo: Servo) -> int:
     return steps
 
 
-def _compile(servo: Servo) -> None:
-    """Let numba compile the servo in each mode, before time counts."""
+def compile_servo(servo: Servo) -> None:
+    """Let numba compile a servo like this one in each mode, before time counts; this one is used up."""
     for mode in Mode:
         servo.command(mode, 0.0)
         servo.advance(1)

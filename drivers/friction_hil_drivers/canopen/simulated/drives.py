@@ -40,6 +40,7 @@ class SimulatedCanopenDrives:
     """
 
     Options = SimulationOptions
+    have_common_time = True  # all nodes sample at one SYNC and take set-points before the next: axes may be coupled
 
     def __init__(
         self,
@@ -91,8 +92,9 @@ class SimulatedCanopenDrives:
             An EDS is invalid, or the period is not a whole number of integration steps.
         """
         # imported here: python-can, canopen and numba take a second, and reading a configuration needs none of them
+        from friction_hil.config.simulation import simulated_servos
         from friction_hil_drivers.canopen.bus import open_frame_bus
-        from friction_hil_drivers.canopen.simulated.assembly import make_node
+        from friction_hil_drivers.canopen.simulated.assembly import compile_servo, make_node
 
         config = self._configuration.bus
         assert config is not None  # the driver's options have checked it
@@ -101,8 +103,11 @@ class SimulatedCanopenDrives:
         self._bus = open_frame_bus(config, self._given_bus)
         if self._presence is not None:
             self._presence.ask(self._bus)
+        for servo in simulated_servos(self._configuration, self._axes).values():
+            compile_servo(servo)
+        servos = simulated_servos(self._configuration, self._axes)
         nodes = {
-            name: make_node(self._configuration, axis, self._send, is_real=self._is_real)
+            name: make_node(self._configuration, axis, servos[name], self._send, is_real=self._is_real)
             for name, axis in self._axes.items()
         }
         self._nodes = list(nodes.values())

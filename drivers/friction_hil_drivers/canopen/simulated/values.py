@@ -63,7 +63,7 @@ def set_defaults(
     which modes there are.
     """
     window = servo.config.loops.following_error_window
-    motor, inertia = servo.config.motor, servo.config.mechanics.total_inertia
+    motor, inertia = servo.config.motor, servo.total_inertia
     strongest = motor.rated_torque / inertia * units.increments  # velocity units per second
     defaults = {
         objects.RATED_TORQUE: units.rated_torque,
