@@ -10,12 +10,7 @@ from friction_hil.checked_yaml.messages import Mistake, refuse
 from friction_hil.checked_yaml.section import Section, key
 from friction_hil.config.axis import AxisConfig, Name
 from friction_hil.config.bus import BusConfig
-
-
-class RecordingConfig(Section):
-    """Recording by ``run``."""
-
-    path: Path = key("MCAP file, relative to the directory in which 'run' starts; '--record' overrides it")
+from friction_hil.config.recording import RecordingConfig
 
 
 class Realtime(Section):

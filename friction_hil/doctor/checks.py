@@ -137,7 +137,7 @@ def _hardware(root: Path) -> Iterator[Finding]:
 
 def _daemon(configuration: Configuration) -> Iterator[Finding]:
     """Yield what a run of this configuration would meet before its first cycle."""
-    if configuration.recording is not None:
+    if configuration.recording is not None and configuration.recording.path is not None:
         yield machine.recording_folder(configuration.recording.path)
     for name, axis in configuration.axes.items():
         for note in axis.model.friction_model.notes:
