@@ -220,7 +220,7 @@ def test_after_a_power_cut_all_that_was_forced_to_the_disk_is_read(bench, tmp_pa
     recorder.close()
     path, whole = tmp_path / "run.mcap", (tmp_path / "run.mcap").stat().st_size
     assert whole in sizes
-    steps = sorted({rows: size for rows, size in reversed(kept)}.items())
+    steps = sorted(dict(reversed(kept)).items())
     assert [rows for rows, _ in steps] == [0, 5, 10, 15]
     first = steps[1][1]
     for size in range(whole, first - 1, -1):
