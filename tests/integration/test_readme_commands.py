@@ -29,6 +29,8 @@ WITHOUT_DRIVES = (
     ("friction-hil config schema", 0),
     ("friction-hil doctor", 0),
     ("friction-hil doctor machine.yaml --json", 0),
+    ("friction-hil latency machine.yaml --duration 0.1 --output latency.png", 0),
+    ("friction-hil latency --period 0.0005 --spin 100 --priority 80 --duration 0.1 --json", 0),
     ("friction-hil study --models coulomb --output study --json", 0),
     ("friction-hil train --from-model coulomb:coulomb=0.1 --speed 1 --samples 1000 --hidden 2 --output net.yaml", 0),
 )

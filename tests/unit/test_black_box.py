@@ -108,7 +108,7 @@ def test_faults_that_follow_each_other_are_in_one_file_of_bounded_length(tmp_pat
     cycle, events = read(path)
     assert cycle[0] == 10 * RATE
     assert cycle[-1] == pytest.approx(130 * RATE - 1, abs=1.0)
-    assert len(events) == 12
+    assert len(events) == 13
     bench.finish()
 
 

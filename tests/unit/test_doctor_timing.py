@@ -165,6 +165,17 @@ def test_a_system_that_tells_nothing_passes_nothing(tmp_path):
         assert (found[name].result, "unknown" in found[name].detail) == ("warn", True)
 
 
+def test_a_recording_goes_into_a_folder_that_is_not_there_yet_and_is_not_made(tmp_path):
+    assert result(disk.recording_folder(tmp_path / "new" / "deep" / "run.mcap", 1.0, None))[0] == "pass"
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_recording_below_a_file_cannot_be_written(tmp_path):
+    (tmp_path / "out").write_text("")
+    found = disk.recording_folder(tmp_path / "out" / "run.mcap", 1.0, None)
+    assert (found.result, f"{tmp_path / 'out'} is no folder" in found.detail) == ("fail", True)
+
+
 def test_space_is_judged_by_the_rate_of_the_recording_and_its_budget(tmp_path, monkeypatch):
     path = tmp_path / "later" / "run.mcap"
     usage = type("usage", (), {"free": 4 * 10**9})
