@@ -54,12 +54,19 @@ def parts_of(path: Path) -> list[Path]:
     (folder, stem, started), _ = own
     pattern = re.compile(rf"{re.escape(stem)}(?:-(\d+))?{re.escape(path.suffix)}")
     found = {}
-    for each in folder.iterdir():
+    for each in _entries(folder):
         name = pattern.fullmatch(each.name)
         if name and part_of(each) == (started, int(name[1] or 1)):
             found[int(name[1] or 1)] = each
     files = [found[key] for key in sorted(found)]
     return files if files[:1] == [path] else [path]
+
+
+def _entries(folder: Path) -> list[Path]:
+    try:
+        return list(folder.iterdir())
+    except PermissionError:  # the folder of a file that the user may read nevertheless
+        return []
 
 
 def _place(path: Path) -> tuple[tuple[Path, str, int], int] | None:

@@ -1,6 +1,7 @@
 """The work of ``friction-hil latency``."""
 
 import math
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -8,7 +9,6 @@ from typing import Any
 import click
 
 from friction_hil.cli.output import print_json
-from friction_hil.cli.work.progress import status_line
 from friction_hil.cli.work.tables import new_table, number, print_table, say
 from friction_hil.config import Realtime, load
 from friction_hil.daemon.latency import (
@@ -92,13 +92,19 @@ def _measure_all(period_s: float, spin_us: int, priority: int, cycles: int) -> d
         for line in complaints(findings):
             say(line)
         for name, spin in clocks.items():
-            with status_line(f"measuring: {name}"):
-                found[name] = measure(RealClock(spin), period_s, cycles)
+            _announce(name, cycles * period_s)
+            found[name] = measure(RealClock(spin), period_s, cycles)
     if has_cyclictest():
-        with status_line("measuring: cyclictest"):
-            granted = priority if priority and is_fifo_allowed(priority) else 0
-            found["cyclictest"] = cyclictest(granted, period_s, cycles)
+        _announce("cyclictest", cycles * period_s)
+        granted = priority if priority and is_fifo_allowed(priority) else 0
+        found["cyclictest"] = cyclictest(granted, period_s, cycles)
     return found
+
+
+def _announce(name: str, duration_s: float) -> None:
+    """Say what is measured now; a live line would need a thread, which the loop does not have either."""
+    if sys.stderr.isatty():
+        say(f"measuring for {duration_s:.3g} s: {name}")
 
 
 def _summary(found: Mapping[str, Latency], period_s: float, priority: int, output: Path | None) -> dict[str, Any]:

@@ -84,6 +84,7 @@ class BlackBox:
             self.take([(self._history.last_cycle, *ABANDONED)])
         while self._writer is not None and self._next < self._history.count:
             self.advance()
+            say(progress=self._next)  # the control process waits for the end, but not forever
         if self._writer is not None:
             try:
                 self._end()

@@ -1,4 +1,4 @@
-"""Files of a recording in its folder: their numbers, and the disk space that they may take."""
+"""Disk space that the recordings of a path may take."""
 
 import re
 from collections.abc import Iterator
@@ -8,24 +8,6 @@ from friction_hil.daemon.companion.job import say, warn
 from friction_hil.recordings.parts import part_of
 
 _STARTED = r"-\d{8}-\d{6}"  # what `free_path` adds to a name
-
-
-def segment_path(path: Path, number: int) -> Path:
-    """Return the file of part ``number``: ``path``, then ``run-2.mcap``, or with a higher number than any there."""
-    if number == 1:
-        return path
-    pattern = re.compile(rf"{re.escape(path.stem)}-(\d+){re.escape(path.suffix)}")
-    taken = [int(found[1]) for each in _names(path.parent) if (found := pattern.fullmatch(each))]
-    return path.with_stem(f"{path.stem}-{max(number, *(each + 1 for each in taken), 2)}")
-
-
-def segment_number(path: Path, first: Path) -> int:
-    """Return the number of the part ``path`` of a recording whose first file is ``first``."""
-    return 1 if path == first else int(path.stem.removeprefix(f"{first.stem}-"))
-
-
-def _names(folder: Path) -> list[str]:
-    return [each.name for each in folder.iterdir()]
 
 
 class Budget:

@@ -32,7 +32,7 @@ class CompanionReport:
     Attributes
     ----------
     recording : tuple of str
-        Its files, in order; more than one when the worker had to be restarted, none without a path.
+        Its files that are there, in order; none without a path.
     rows, lost : int
         Number of rows that are safe, and of those that are not.
     problems : tuple of str
@@ -163,7 +163,7 @@ class Companion:
         self.close()
 
     def _launch(self, death: str = "") -> None:
-        """Start a supervisor, whose first worker writes the next segment of the recording.
+        """Start a supervisor, whose first worker writes the next file of the recording.
 
         Raises
         ------

@@ -128,7 +128,7 @@ def say(**message: Any) -> None:
     """Send the control process a message.
 
     ``opened`` (path or None), of a first or further file, with ``pid``; ``removed`` and ``black_box`` (paths);
-    ``failed``; or ``problem``.
+    ``failed``; ``problem``; or ``progress``, while the end of the work takes long.
     """
     # the control process may be gone: the recording still has to be finished
     with contextlib.suppress(BrokenPipeError):

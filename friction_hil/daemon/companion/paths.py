@@ -26,16 +26,29 @@ def free_path(path: str | Path, started_unix_ns: int) -> Path:
         Wall-clock time of the start, ns since 1970; 0 for now.
     """
     path = Path(path)
-    if not path.exists() and not any(is_later_part(each, path) for each in path.parent.glob("*")):
+    if not path.exists() and not any(part_number(each, path) for each in path.parent.glob("*")):
         return path
     started = datetime.fromtimestamp((started_unix_ns or time.time_ns()) * 1e-9).astimezone()
     return path.with_stem(f"{path.stem}-{started:%Y%m%d-%H%M%S}")
 
 
-def is_later_part(path: Path, first: Path) -> bool:
-    """True if ``path`` has the name of a further file of the recording that begins with ``first``: ``run-2.mcap``."""
-    name = rf"{re.escape(first.stem)}-\d+{re.escape(first.suffix)}"
-    return bool(first.suffix) and re.fullmatch(name, path.name) is not None
+def part_number(path: Path, first: Path) -> int | None:
+    """Return the number of a file by its name, in the recording that begins with ``first``; None if it is no part.
+
+    ``run.mcap`` is 1, ``run-2.mcap`` is 2.
+    """
+    if path == first:
+        return 1
+    found = re.fullmatch(rf"{re.escape(first.stem)}-(\d+){re.escape(first.suffix)}", path.name)
+    return int(found[1]) if found and first.suffix else None
+
+
+def part_path(first: Path, number: int) -> Path:
+    """Return the file of part ``number`` of a recording; it has a higher number if there are such files already."""
+    if number == 1:
+        return first
+    taken = (part_number(each, first) or 0 for each in first.parent.iterdir())
+    return first.with_stem(f"{first.stem}-{max(number, 2, *(each + 1 for each in taken))}")
 
 
 def prepare(path: Path, *, overwrite: bool) -> None:

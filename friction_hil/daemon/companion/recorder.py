@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from friction_hil.daemon.companion.black_box import ABANDONED
-from friction_hil.daemon.companion.budget import Budget, segment_number, segment_path
+from friction_hil.daemon.companion.budget import Budget
 from friction_hil.daemon.companion.job import Job, say, warn
+from friction_hil.daemon.companion.paths import part_number, part_path
 from friction_hil.daemon.ring import RingReader
 from friction_hil.errors import RecordingError
 from friction_hil.recordings.columns import CYCLE, TIME
@@ -67,8 +68,8 @@ class Recorder:
         OSError, RecordingError
             It cannot be written.
         """
-        path = segment_path(self._first, number)
-        self._number = number = segment_number(path, self._first)
+        path = part_path(self._first, number)
+        self._number = number = part_number(path, self._first) or number
         self._rows = self._events = 0
         self._file_start_s = self._open_since_s = None
         self._writer = McapWriter(
