@@ -97,7 +97,7 @@ class BlackBox:
             first, _ = self._history.fault
             self._history.fault = first, min(last_s + AFTER_S, self._latest_end_s)
             return
-        first = max(self._history.oldest, self._history.count - self._history.before)
+        first = self._history.minute_before()
         self._left = deque(self._events)
         self._history.fault = first, last_s + AFTER_S
         self._open(first, last_s + AFTER_S)

@@ -31,8 +31,7 @@ class History:
     Attributes
     ----------
     before : int
-        Number of rows that a file of a fault begins with: those of a minute, or fewer where they would take too much
-        memory.
+        Number of rows of a minute, or fewer where they would take too much memory.
     """
 
     def __init__(self, job: Job, memory: mmap.mmap | bytearray) -> None:
@@ -79,6 +78,16 @@ class History:
     @fault.setter
     def fault(self, value: tuple[int, float] | None) -> None:
         self._header[_FAULT_ROW], self._header[_FAULT_END_S] = (0, 0.0) if value is None else value
+
+    def minute_before(self) -> int:
+        """Return the first row of the last minute, or one shortly before it that has a state: a replay starts there.
+
+        With more gaps than there is room for states, it is the first row that has one.
+        """
+        first = max(self.oldest, self.count - self.before)
+        numbers = self._states[: min(int(self._header[_STATE_COUNT]), STATES), 0]
+        numbers = numbers[numbers >= self.oldest]
+        return int(max(numbers[numbers <= first], default=min(numbers, default=first)))
 
     def append(self, rows: Array) -> None:
         """Append rows (n, axes * (columns + states)); those that a dead worker had appended already are left out."""
