@@ -235,10 +235,11 @@ def test_torque_goes_on_when_the_adapter_is_back(tmp_path):
     assert running.returncode == 0, errors
     recording = fh.recordings.read(path)
     running_states = recording["state"] == LoopState.RUNNING
-    lost = np.flatnonzero(running_states & (recording["is_fresh"] == 0.0))
-    assert len(lost) > 5
-    after = running_states & (np.arange(len(recording)) > lost[-1])
-    assert np.count_nonzero(after) > 20
+    fresh = np.flatnonzero(running_states & (recording["is_fresh"] != 0.0))
+    longest = int(np.argmax(np.diff(fresh)))  # a busy computer may lose single answers besides
+    assert fresh[longest + 1] - fresh[longest] > 5
+    after = fresh[longest + 1 :]
+    assert len(after) > 20
     assert np.all(recording["drive_state"][after] == DriveState.OPERATION_ENABLED)
     assert np.abs(recording["command"][after]).max() > 0.05
     assert np.ptp(recording["position"][after]) > 0.1  # it moves by them

@@ -37,7 +37,7 @@ AXIS = {
     "model": "learned.yaml",
     "experiment": EXPERIMENT,
     "limits": {"torque": 0.3, "torque_slew": 300.0, "velocity": 30.0, "following_error": 2.0},
-    "trajectory": {"kind": "sine", "amplitude": 0.5, "frequency": 0.5, "ramp_s": 0.25},
+    "trajectory": {"kind": "sine", "amplitude": 0.25, "frequency": 1.0, "ramp_s": 0.25},
 }
 OWN_LOOPS = {"mode": "cst", "controller": {"position_gain": 15.0, "velocity_gain": 0.03, "integral_hz": 1.0}}
 
@@ -51,9 +51,10 @@ SERVO = {
 STILL = {"node": 2, "trajectory": {"kind": "sine", "amplitude": 0.3, "frequency": 1.0}}
 
 
-def configured(kind, folder, **changes):
+def configured(kind, folder, period_s=4e-3, **changes):
+    """``period_s`` is that of CANopen; a serial line has its own."""
     if kind == "canopen":
-        return write_configuration(folder, period_s=2e-3, x={**AXIS, **changes}, y=STILL)
+        return write_configuration(folder, period_s=period_s, x={**AXIS, **changes}, y=STILL)
     own = SERVO if kind == "dynamixel" else {}
     return write_serial_configuration(folder, "modbus rtu" if own else kind, **{**AXIS, **OWN_LOOPS, **own, **changes})
 
@@ -90,7 +91,7 @@ def test_an_axis_learns_its_friction_on_its_drive(kind, tmp_path) -> None:
     assert (own["is_worse"], own["is_swinging"]) == (False, False)
     assert "x moves by up to 1 rad to either side of where it stands, at up to 4 rad/s (stopped above 6 " in done.stderr
     assert "x moves between -0.85 and 0.85 rad from where it stands, at up to 4 rad/s (stopped above 6 " in done.stderr
-    assert "  own: sine between -0.5 and 0.5 rad, at up to 1.57 rad/s, for " in done.stderr
+    assert "  own: sine between -0.25 and 0.25 rad, at up to 1.57 rad/s, for " in done.stderr
     assert "2 times: without compensation, compensated by coulomb" in done.stderr
     assert [path.name for path in sorted((tmp_path / "tuned").iterdir())] == [
         "report.html",
@@ -131,7 +132,7 @@ def test_an_axis_learns_its_friction_on_its_drive(kind, tmp_path) -> None:
 def test_of_two_kinds_of_model_the_machine_decides_and_a_file_that_is_there_stays(tmp_path) -> None:
     present = "version: 1\naxis: rotary\nfriction: {model: coulomb, parameters: {coulomb: 0.02}}\n"
     (tmp_path / "learned.yaml").write_text(present + "mechanics: {torque_lag_s: 4e-4}\n")
-    configuration = configured("canopen", tmp_path)
+    configuration = configured("canopen", tmp_path, period_s=2e-3)
 
     result, _ = tuned(configuration, "--models", "coulomb,lugre")
 
@@ -161,7 +162,7 @@ def test_a_static_model_is_learned_where_the_axis_slides(tmp_path) -> None:
     linear = {
         "experiment": {"velocity": 0.5, "travel": 0.2, "duration_s": 10.0, "ramp_s": 0.25, "axis": "linear"},
         "simulation": {"mechanics": {"axis": "linear"}, "encoder": {"counts": 1_000_000}},
-        "trajectory": {"kind": "sine", "amplitude": 0.1, "frequency": 0.5, "ramp_s": 0.25},
+        "trajectory": {"kind": "sine", "amplitude": 0.05, "frequency": 1.0, "ramp_s": 0.25},
     }
     configuration = configured("canopen", tmp_path, **linear, counts_per_unit=1e6, rated_torque=0.64)
 
