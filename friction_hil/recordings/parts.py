@@ -29,6 +29,7 @@ SUFFIX = ".mcap"
 _RECORD = struct.Struct("<BQ")
 _LONGEST = 1 << 20  # bytes of a record before that metadata
 _FIRST_RECORDS = 3
+_NAMED = 20  # files in a message
 
 
 def part_of(path: Path) -> tuple[int, int] | None:
@@ -108,7 +109,7 @@ def only_recording(path: Path) -> Path:
         return path
     found = first_files(path)
     if len(found) > 1:
-        names = ", ".join(each.name for each in found)
+        names = ", ".join(each.name for each in found[:_NAMED]) + (", ..." if len(found) > _NAMED else "")
         raise UsageError(f"{path} has {len(found)} recordings; name one of them: {names}")
     return found[0]
 

@@ -133,7 +133,7 @@ def _report_problems(result: "SessionResult") -> int:
     for fault in result.loop.faults:
         echo_labelled("fault:", fault)
     for path in report.black_boxes if report else ():
-        echo_labelled("fault:", f"the minute before it is in {path}")
+        echo_labelled("black box:", f"the minute before the fault is in {path}")
     return 1 if result.loop.faults or is_incomplete else 0
 
 
