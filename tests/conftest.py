@@ -3,11 +3,16 @@
 import gc
 import os
 import signal
+import tempfile
 
 from hypothesis import HealthCheck, settings
 
 # A shell that runs the tests in the background has them ignore Ctrl-C, and with them every process they start.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# Runs that end in a fault leave a file there.
+_STATE = tempfile.TemporaryDirectory(prefix="friction_hil-state-")
+os.environ["XDG_STATE_HOME"] = _STATE.name
 
 # A busy machine and the first call of a kernel, which compiles it, are no failures.
 settings.register_profile("friction_hil", deadline=None, suppress_health_check=[HealthCheck.too_slow])

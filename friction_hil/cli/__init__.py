@@ -39,6 +39,7 @@ COMMANDS = {
     "study": "Show the effect of each friction model on a servo.",
     "models": "List the friction models, or describe one.",
     "doctor": "Check machine, configuration and connection before a run.",
+    "latency": "Measure how late this machine wakes up a loop.",
     "stop": "Take the power of drives that were left enabled.",
     "reset": "Reset the faults of drives, and leave them without power.",
     "drives": "Find, show or stop the drives on a CAN bus.",
@@ -47,7 +48,7 @@ COMMANDS = {
 
 # Commands that connect to drives or simulate them. Their loop relies on Linux: real-time priority, shared memory
 # without a name, SocketCAN, pseudo-terminals. All others run wherever Python does.
-NEED_LINUX = ("demo", "run", "simulate", "tune", "stop", "reset", "drives")
+NEED_LINUX = ("demo", "run", "simulate", "tune", "latency", "stop", "reset", "drives")
 
 
 class Group(click.Group):

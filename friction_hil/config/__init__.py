@@ -4,7 +4,8 @@ from friction_hil.config.axis import AxisConfig, AxisLimits, Compensation, Contr
 from friction_hil.config.bus import BusConfig
 from friction_hil.config.json_schema import json_schema
 from friction_hil.config.load import file_problems, from_dict, load, located, missing_models, self_contained
-from friction_hil.config.schema import Configuration, Realtime, RecordingConfig
+from friction_hil.config.recording import RecordingConfig
+from friction_hil.config.schema import Configuration, Realtime
 from friction_hil.config.trajectories import (
     AxisExperiment,
     Circle,

@@ -16,7 +16,8 @@ from friction_hil.config.annotated import FILL_IN, Page
 from friction_hil.config.axis import AxisConfig, AxisLimits, Compensation, Controller
 from friction_hil.config.bus import MULTICAST, BusConfig
 from friction_hil.config.drivers import load_driver
-from friction_hil.config.schema import Configuration, Realtime, RecordingConfig
+from friction_hil.config.recording import RecordingConfig
+from friction_hil.config.schema import Configuration, Realtime
 from friction_hil.config.trajectories import AxisExperiment, Sine
 from friction_hil.errors import UsageError, choices
 from friction_hil.friction import describe

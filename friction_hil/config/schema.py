@@ -10,13 +10,8 @@ from friction_hil.checked_yaml.messages import Mistake, refuse
 from friction_hil.checked_yaml.section import Section, key
 from friction_hil.config.axis import AxisConfig, Name
 from friction_hil.config.bus import BusConfig
+from friction_hil.config.recording import RecordingConfig
 from friction_hil.config.simulation import SimulationConfig, mechanism_mistakes
-
-
-class RecordingConfig(Section):
-    """Recording by ``run``."""
-
-    path: Path = key("MCAP file, relative to the directory in which 'run' starts; '--record' overrides it")
 
 
 class Realtime(Section):

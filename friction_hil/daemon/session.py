@@ -8,12 +8,12 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from friction_hil.config import self_contained
+from friction_hil.config import RecordingConfig, self_contained
 from friction_hil.config.drivers import load_driver
 from friction_hil.config.load import only_driver
 from friction_hil.daemon.assembly import experiment_note, ramp_s
 from friction_hil.daemon.axis import AxisLoop
-from friction_hil.daemon.companion import Companion, CompanionReport, Job, free_path, prepare
+from friction_hil.daemon.companion import Companion, CompanionReport, Job, free_path, prepare, state_folder
 from friction_hil.daemon.figures import AxisFigures, Condition, adaptation_notice
 from friction_hil.daemon.follower import FollowerAxis
 from friction_hil.daemon.log import LoopResult
@@ -52,6 +52,7 @@ class SessionSettings:
     is_fault_reset_wanted: bool = False
     is_paced_by_sync: bool = False
     is_status_shown: bool = False
+    has_black_box: bool = True  # a file for each fault, with the minute before it
     allowed_speeds: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -270,9 +271,19 @@ def _figures(axis: AxisLoop, config: "AxisConfig") -> AxisFigures:
 
 
 def _recording_path(configuration: "Configuration", settings: SessionSettings, started_ns: int) -> Path | None:
-    if settings.record is None and configuration.recording is not None:
+    if settings.record is None and configuration.recording is not None and configuration.recording.path is not None:
         return free_path(configuration.recording.path, started_ns)
     return settings.record
+
+
+def _black_box_path(configuration: "Configuration", path: Path | None) -> Path:
+    """Return the path from which those of the files of faults are made."""
+    folder = None if configuration.recording is None else configuration.recording.black_box
+    source = configuration.source_path
+    name = f"{'run' if source is None else source.stem}.mcap" if path is None else path.name
+    if folder is None:
+        folder = state_folder() if path is None else path.parent
+    return folder / name
 
 
 def _job(
@@ -285,6 +296,7 @@ def _job(
     shadows: Sequence[str],
 ) -> Job:
     """Return the job of the companion: what to record and to show."""
+    recording = configuration.recording or RecordingConfig()
     return Job(
         axes=[axis.name for axis in axes],
         columns=[*columns.NAMES, *(columns.shadow(name) for name in shadows)],
@@ -300,4 +312,8 @@ def _job(
         },
         status_line=settings.is_status_shown,
         kinds=[configuration.axes[axis.name].model.axis for axis in axes],
+        rotate_s=recording.rotate_s,
+        rotate_bytes=recording.rotate_bytes,
+        budget_bytes=recording.budget_bytes,
+        black_box=str(_black_box_path(configuration, path)) if settings.has_black_box else None,
     )

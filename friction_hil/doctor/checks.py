@@ -8,13 +8,15 @@ from pathlib import Path
 from friction_hil.config import Configuration, Realtime, file_problems, load
 from friction_hil.config.drivers import driver_names, load_driver
 from friction_hil.daemon.realtime import RealClock, punctuality
-from friction_hil.doctor import machine
+from friction_hil.doctor import disk, machine, timing
 from friction_hil.drive.finding import Finding, failure
 from friction_hil.errors import ConfigurationError, FrictionHilError, Problem
 from friction_hil.numerics.jit import cache_folder
+from friction_hil.recordings import columns
 
 CONFIGURATION = "configuration"  # name of the check that reports mistakes
 _ROOT = Path("/")
+_PERIOD_S = 1e-3  # of a loop, without a configuration
 
 
 def examine(path: Path | None, root: Path = _ROOT, *, try_watchdog: bool = False) -> Iterator[Finding]:
@@ -50,6 +52,7 @@ def examine(path: Path | None, root: Path = _ROOT, *, try_watchdog: bool = False
         yield from _findings(path, configuration, problems)
     realtime = Realtime() if configuration is None else configuration.realtime
     yield from _punctuality(realtime.priority)
+    yield from _timing(root, realtime, _PERIOD_S if configuration is None else configuration.period_s)
     if configuration is None:
         yield from _hardware(root)
         return
@@ -110,12 +113,29 @@ def _mistake(problem: Problem) -> Finding:
     return Finding(CONFIGURATION, "fail", detail, f"correct {where}", "FH-402")
 
 
+def _recording_rate(configuration: Configuration) -> float:
+    """Return the bytes per second of a recording before its compression."""
+    shadows = {shadow.name for axis in configuration.axes.values() for shadow in axis.shadows}
+    return 8.0 * len(configuration.axes) * (len(columns.NAMES) + len(shadows)) / configuration.period_s
+
+
 def _punctuality(priority: int) -> list[Finding]:
     if priority == 0:
         detail = "realtime.priority is 0: the loop runs at ordinary priority and makes no real-time settings"
         return [Finding("priority", "warn", detail, "omit realtime.priority if punctuality matters", "FH-313")]
     with punctuality(priority) as findings:
         return findings
+
+
+def _timing(root: Path, realtime: Realtime, period_s: float) -> Iterator[Finding]:
+    """Yield what may delay the wake-ups of a loop."""
+    is_prevented = realtime.priority > 0 and os.access(root / "dev/cpu_dma_latency", os.W_OK)
+    yield timing.isolation(root, timing.own_cpus())
+    yield timing.interrupts(root)
+    yield timing.throttling(root, 1e-6 * realtime.spin_us / period_s)
+    yield timing.sleep_states(root, is_prevented=is_prevented)
+    yield timing.cgroup_limits(root)
+    yield timing.clock_source(root)
 
 
 def _hardware(root: Path) -> Iterator[Finding]:
@@ -137,8 +157,13 @@ def _hardware(root: Path) -> Iterator[Finding]:
 
 def _daemon(configuration: Configuration) -> Iterator[Finding]:
     """Yield what a run of this configuration would meet before its first cycle."""
-    if configuration.recording is not None:
-        yield machine.recording_folder(configuration.recording.path)
+    recording = configuration.recording
+    if recording is not None and recording.path is not None:
+        rate = _recording_rate(configuration)
+        found = disk.recording_folder(recording.path, rate, recording.budget_bytes)
+        yield found
+        if found.result != "fail":
+            yield disk.recording_speed(recording.path, rate)
     for name, axis in configuration.axes.items():
         for note in axis.model.friction_model.notes:
             yield Finding(f"{name}: model", "warn", note, "check whether the model file is meant so", "FH-404")

@@ -1,19 +1,15 @@
-"""Checks of the machine: kernel, processor clock, compiled kernels, disk.
+"""Checks of the machine: kernel, processor clock, compiled kernels.
 
 Each function takes the root of the file system, so that a test can provide files of its own.
 """
 
-import os
 import platform
 import re
-import shutil
 import sys
 from collections import Counter
 from pathlib import Path
 
 from friction_hil.drive.finding import NOT_REPORTED, Finding, system_text
-
-_LEAST_FREE_BYTES = 1 << 30  # an hour of one axis at 1 kHz takes half of that, uncompressed
 
 
 def operating_system() -> Finding:
@@ -25,7 +21,10 @@ def operating_system() -> Finding:
 
 def preemption(root: Path) -> Finding:
     """Check for a PREEMPT_RT kernel, which lets a real-time process interrupt nearly all work of the kernel."""
-    check, fix = "kernel", "install a kernel with PREEMPT_RT, or measure with cyclictest whether this one is sufficient"
+    check, fix = (
+        "kernel",
+        "install a kernel with PREEMPT_RT, or measure whether this one is sufficient: friction-hil latency",
+    )
     version = system_text(root / "proc/sys/kernel/version")  # "#1 SMP PREEMPT_DYNAMIC Debian 6.1.76-1"
     if system_text(root / "sys/kernel/realtime") == "1" or re.search(r"\bPREEMPT[_ ]RT\b", version or ""):
         return Finding(check, "pass", "PREEMPT_RT")
@@ -82,18 +81,3 @@ def compiled_kernels(folder: str | None) -> Finding:
             "FH-306",
         )
     return Finding(check, "pass", f"{count} are kept in {folder}")
-
-
-def recording_folder(path: Path) -> Finding:
-    """Check whether a recording can be written to ``path``, whose folder need not exist yet."""
-    check = "recording"
-    folder = next(each for each in path.absolute().parents if each.exists())
-    if not (folder.is_dir() and os.access(folder, os.W_OK | os.X_OK)):
-        detail = f"{path} cannot be written: {folder} is no folder that the user may write to"
-        fix = "change recording.path, or give the user write access to the folder"
-        return Finding(check, "fail", detail, fix, "FH-307")
-    free = shutil.disk_usage(folder).free
-    detail = f"{path} can be written; {free / 1e9:.3g} GB are free"
-    if free < _LEAST_FREE_BYTES:
-        return Finding(check, "warn", detail, "free some space: a recording ends when the disk is full", "FH-308")
-    return Finding(check, "pass", detail)

@@ -24,10 +24,12 @@ class Memory:
     """Memory that the content of a file may take: `take` it before it is allocated.
 
     The limit is 1 GB or 64 times the size of the file, whichever is more, and at most half of the available memory.
+    Files that are read as one count together.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *further: Path) -> None:
         self._path = path
+        self._files = (path, *further)
         self._taken = 0
         self._limit: int | None = None
         self._is_machine = False  # True if the machine, not the file, sets the limit
@@ -36,10 +38,14 @@ class Memory:
     def left(self) -> int:
         """Number of bytes that may still be taken."""
         if self._limit is None:
-            self._limit, available = max(_ANY_FILE, _EXPANSION * self._path.stat().st_size), available_memory()
+            self._limit, available = max(_ANY_FILE, _EXPANSION * self._size), available_memory()
             if self._limit > _SHARE * available:
                 self._limit, self._is_machine = int(_SHARE * available), True
         return self._limit - self._taken
+
+    @property
+    def _size(self) -> int:
+        return sum(file.stat().st_size for file in self._files)
 
     def take(self, size: int) -> None:
         """Count ``size`` bytes.
@@ -58,7 +64,7 @@ class Memory:
         left = self.left  # determines the limit
         limit = amount(self._taken + left)
         what = f"{amount(needed)} of memory" if needed is not None else f"more than {limit} of memory"
-        size = amount(self._path.stat().st_size)
+        size = amount(self._size)
         if self._is_machine:
             return RecordingError(
                 f"{self._path}: its content takes {what}, and at most half of the available memory, {limit}, is used: "

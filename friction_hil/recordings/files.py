@@ -2,11 +2,14 @@
 
 import importlib
 from collections.abc import Collection, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from friction_hil.errors import RecordingError, UsageError, choices
+from friction_hil.recordings import parts
 from friction_hil.recordings.beside import add_columns_beside, is_beside
+from friction_hil.recordings.bounds import Memory
 from friction_hil.recordings.columns import TIME
 from friction_hil.recordings.mapping import Mapped, mapping_beside
 from friction_hil.recordings.matrices import array_of
@@ -56,6 +59,7 @@ def read(
     rate_hz: float | None = None,
     only: Collection[str] | None = None,
     configuration: "Configuration | None" = None,
+    is_alone: bool = False,
 ) -> Recording:
     """Read one axis of a recording; `formats` lists the suffixes.
 
@@ -81,6 +85,9 @@ def read(
         friction_hil's names of the columns to load, if they exist; all by default.
     configuration : Configuration, optional
         Configuration of the machine; required for a CAN log.
+    is_alone : bool
+        True to read this file alone, also if it is the first of several into which the daemon has divided a recording;
+        otherwise those that follow are read with it.
 
     Raises
     ------
@@ -100,7 +107,7 @@ def read(
 
     mapped = mapping_beside(Path(path)).overridden(columns or {}, scale or {}, rate_hz)
     source = Source(Path(path), axis, _wanted(only, mapped, where), one, configuration)
-    (recording,) = _read(source, mapped, where, only).values()
+    (recording,) = _read(source, mapped, where, only, is_alone=is_alone).values()
     return recording
 
 
@@ -113,11 +120,12 @@ def read_all(
     rate_hz: float | None = None,
     only: Collection[str] | None = None,
     configuration: "Configuration | None" = None,
+    is_alone: bool = False,
 ) -> dict[str, Recording]:
     """Read all axes of a recording; return them by name. Parameters are as of `read`."""
     mapped = mapping_beside(Path(path)).overridden(columns or {}, scale or {}, rate_hz)
     source = Source(Path(path), None, _wanted(only, mapped, where), configuration=configuration)
-    return _read(source, mapped, where, only)
+    return _read(source, mapped, where, only, is_alone=is_alone)
 
 
 def write(path: str | Path, recording: Recording, *, overwrite: bool = False) -> None:
@@ -158,8 +166,10 @@ def _wanted(only: Collection[str] | None, mapped: Mapped, where: str | None) -> 
     return frozenset(condition.union(*map(mapped.sources, only)))
 
 
-def _read(source: Source, mapped: Mapped, where: str | None, only: Collection[str] | None) -> dict[str, Recording]:
-    recordings = _read_as_it_is(source)
+def _read(
+    source: Source, mapped: Mapped, where: str | None, only: Collection[str] | None, *, is_alone: bool
+) -> dict[str, Recording]:
+    recordings = _read_as_it_is(source) if is_alone else _read_parts(source)
     for recording in recordings:
         fitting = mapped.fitting({*recording.columns, *recording.others})
         if only is not None:
@@ -195,6 +205,14 @@ def _not_looked_at(mapped: Mapped, only: Collection[str], recording: Recording) 
             for each in columns_of(source)
         )
     }
+
+
+def _read_parts(source: Source) -> list[Recording]:
+    """Read the axes of a file with the files that continue it, if there are any."""
+    if source.path.suffix.lower() != parts.SUFFIX or not (files := parts.parts_of(source.path))[1:]:
+        return _read_as_it_is(source)
+    memory = Memory(*files)
+    return parts.read_as_one(files, lambda path: _read_as_it_is(replace(source, path=path, shared=memory)))
 
 
 def _read_as_it_is(source: Source) -> list[Recording]:

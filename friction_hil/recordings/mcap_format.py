@@ -26,6 +26,8 @@ EVENT_TEXT = "float64 cycle\nstring name\nstring text\n"
 STATE_SUFFIX = "/state"
 EVENT_TOPIC = "/events"
 RECORDING_METADATA = "recording"  # name of the metadata record about the file itself
+PART = "part"  # its key: number of this file among those of one recording
+IS_OF_FAULT = "is_of_fault"  # its key: the file is a copy of the rows around a fault
 JSON_KEY = "json"  # its only key, as in all metadata records of friction_hil
 
 _FIELD_NAME = re.compile(r"[a-z](_?[a-z0-9]+)*")  # what ROS 2 allows

@@ -1,8 +1,11 @@
 """Write recordings as MCAP, chunk by chunk."""
 
+import contextlib
 import io
 import json
 import math
+import os
+import stat
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,6 +13,7 @@ from typing import Any
 import numpy as np
 from mcap.well_known import MessageEncoding, Profile, SchemaEncoding
 from mcap.writer import CompressionType, Writer
+from numpy.typing import NDArray
 
 from friction_hil.errors import RecordingError
 from friction_hil.recordings import mcap_format as layout
@@ -42,15 +46,23 @@ class McapWriter:
         Wall-clock time at ``time_s`` = 0, ns since 1970.
     metadata : dict
         Content that JSON can hold, by name; each entry becomes a metadata record.
+    about : dict
+        Further entries of the metadata record about the file itself.
     overwrite : bool
         True to replace an existing file.
+    is_durable : bool
+        True to force each chunk to the disk: flushed rows survive a power cut, too.
     on_flush : callable
         Called after ``rows_kept`` and ``events_kept`` have changed.
 
     Attributes
     ----------
     rows_kept, events_kept : int
-        Rows and events that have been handed to the operating system; the others are in the open chunk.
+        Rows and events that have been handed to the operating system, or are on the disk if ``is_durable``; the others
+        are in the open chunk.
+    size : int
+        Bytes of the file up to the end of the last chunk.
+    path : Path
 
     Raises
     ------
@@ -69,7 +81,9 @@ class McapWriter:
         state_width: int = 0,
         started_unix_ns: int = 0,
         metadata: Mapping[str, Any] | None = None,
+        about: Mapping[str, Any] | None = None,
         overwrite: bool = False,
+        is_durable: bool = False,
         on_flush: Callable[[], None] = lambda: None,
     ) -> None:
         _check_names(path, columns)
@@ -86,24 +100,35 @@ class McapWriter:
         self._chunk_rows = 0
         self._chunk_rows_limit = max(1, _CHUNK_BYTES // (len(axes) * (self._width * 8 + 35)))
         self._last_log_time = started_unix_ns
+        self.path = path
+        self.size = 0
         self._file: io.BufferedWriter = path.open("wb" if overwrite else "xb")
+        # only files have a disk to be forced to; a link to /dev/null has none
+        self._is_durable = is_durable and stat.S_ISREG(os.fstat(self._file.fileno()).st_mode)
         try:
             # This class ends the chunks: the library's own limit is set out of reach.
             self._mcap = Writer(self._file, chunk_size=1 << 62, compression=CompressionType.LZ4, enable_data_crcs=True)
             self._mcap.start(profile=Profile.ROS2, library="friction_hil")
-            about = {
+            own = {
                 "version": layout.VERSION,
                 "axes": list(axes),
                 "columns": list(columns),
                 "state_width": state_width,
                 "started_unix_ns": started_unix_ns,
+                **(about or {}),
             }
-            for name, content in {layout.RECORDING_METADATA: about, **(metadata or {})}.items():
+            for name, content in {layout.RECORDING_METADATA: own, **(metadata or {})}.items():
                 self._mcap.add_metadata(name, {layout.JSON_KEY: json.dumps(content)})
             self._register(axes, columns, state_width)
             self._mcap.flush()  # type: ignore[no-untyped-call]
+            self._force()
+            if self._is_durable:
+                force_folder(path)
         except BaseException:
-            self._file.close()
+            with contextlib.suppress(OSError):  # what is buffered cannot be written: the same error once more
+                self._file.close()
+            if not overwrite:
+                path.unlink(missing_ok=True)
             raise
 
     def _register(self, axes: Sequence[str], columns: Sequence[str], state_width: int) -> None:
@@ -122,8 +147,14 @@ class McapWriter:
         if state_width:
             self._state_channels = channels(layout.STATE_SUFFIX, schema(layout.STATE_SCHEMA, layout.STATE_TEXT))
 
-    def write(self, rows: Array) -> None:
+    def write(self, rows: Array, has_state: NDArray[np.bool_] | None = None) -> None:
         """Append rows (n, axes * (columns + state)): for each axis its columns, then its state.
+
+        Parameters
+        ----------
+        rows : (n, width) array
+        has_state : (n,) array of bool, optional
+            Rows whose state is known and written; without it all are known, and written where a replay needs them.
 
         Raises
         ------
@@ -143,7 +174,8 @@ class McapWriter:
             is_gap = self._cycle is not None and cycle != self._previous_cycle + 1.0
             if self._chunk_rows == 0:
                 self._chunk_start = time
-            self._write_row(row, time, cycle, with_state=self._chunk_rows == 0 or is_gap)
+            with_state = self._chunk_rows == 0 or is_gap if has_state is None else bool(has_state[i])
+            self._write_row(row, time, cycle, with_state=with_state)
             self._previous_cycle = cycle
 
     def _write_row(self, row: bytes, time: float, cycle: float, *, with_state: bool) -> None:
@@ -172,11 +204,25 @@ class McapWriter:
         self._mcap.add_message(self._event_channel, self._last_log_time, message, self._last_log_time)
         self._events += 1
 
+    @property
+    def has_open_chunk(self) -> bool:
+        """True if rows or events have been written since the last flush."""
+        return (self._rows, self._events) != (self.rows_kept, self.events_kept)
+
     def flush(self) -> None:
-        """End the open chunk and hand it to the operating system."""
+        """End the open chunk and hand it to the operating system, or to the disk if ``is_durable``."""
         self._mcap.flush()  # type: ignore[no-untyped-call]
+        self._force()
         self._chunk_rows = 0
         self._note_kept()
+
+    def abandon(self) -> None:
+        """Close the file after an error, without a summary; what was flushed remains."""
+        with contextlib.suppress(OSError):  # what is buffered cannot be written: the same error once more
+            self._file.close()
+        with contextlib.suppress(OSError):
+            if self.path.is_file():
+                os.truncate(self.path, self.size)  # part of a chunk, of no use, may have been written
 
     def close(self) -> None:
         """Write the summary, and close the file; safe to call twice."""
@@ -184,14 +230,30 @@ class McapWriter:
             return
         try:
             self._mcap.finish()  # type: ignore[no-untyped-call]
+            self._force()
             self._file.close()
             self._note_kept()
         finally:
             self._file.close()
 
+    def _force(self) -> None:
+        self._file.flush()
+        if self._is_durable:
+            os.fsync(self._file.fileno())
+        self.size = self._file.tell() if self._file.seekable() else 0
+
     def _note_kept(self) -> None:
         self.rows_kept, self.events_kept = self._rows, self._events
         self._on_flush()
+
+
+def force_folder(path: Path) -> None:
+    """Force the entry of a new file to the disk: without it, a power cut can lose the file's name."""
+    descriptor = os.open(path.parent, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def write(path: Path, recording: Recording, *, overwrite: bool) -> None:

@@ -5,7 +5,7 @@ import os
 import secrets
 import shutil
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import InitVar, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, TypeVar
 
@@ -37,6 +37,8 @@ class Source:
         From the names of all axes in the file to those to read.
     configuration : Configuration or None
         Configuration of the machine, for formats that require it.
+    shared : Memory, optional
+        Memory that files which are read as one share.
     memory : Memory
         Memory that the content of the file may take.
     """
@@ -46,10 +48,11 @@ class Source:
     wanted: frozenset[str] | None = None
     select: Callable[[list[str]], list[str]] = field(default=lambda names: names)
     configuration: "Configuration | None" = None
+    shared: InitVar[Memory | None] = None
     memory: Memory = field(init=False, compare=False, repr=False)
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "memory", Memory(self.path))
+    def __post_init__(self, shared: Memory | None) -> None:
+        object.__setattr__(self, "memory", shared or Memory(self.path))
 
     @property
     def name(self) -> str:

@@ -54,6 +54,7 @@ class TuningRuns:
             is_fault_reset_wanted=self._settings.is_fault_reset_wanted,
             is_paced_by_sync=self._settings.is_paced_by_sync,
             is_status_shown=self._settings.is_status_shown,
+            has_black_box=False,  # all of a trial is recorded
             allowed_speeds=speeds,
         )
         with stop_on_signals() as stop:

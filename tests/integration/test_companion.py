@@ -62,7 +62,7 @@ def cycles(paths: tuple[str, ...], axis: str = "x") -> list[float]:
     """Cycles of all segments, in order; every row is checked."""
     found: list[float] = []
     for path in paths:
-        recording = fh.recordings.read(path, axis)
+        recording = fh.recordings.read(path, axis, is_alone=True)
         cycle = recording["cycle"]
         np.testing.assert_array_equal(recording["position"], cycle if axis == "x" else -cycle)
         assert recording.metadata["configuration"] == {"period_s": PERIOD_S, "level": float("inf")}
@@ -108,6 +108,8 @@ def test_a_killed_worker_is_replaced_and_nothing_is_lost(companion: Companion, j
     assert (report.rows, report.lost) == (12_000, 0)
     assert cycles(report.recording, "y") == list(range(12_000))
     assert len(report.problems) == 1
+    whole = fh.recordings.read(report.recording[0], "x")
+    np.testing.assert_array_equal(whole["position"], np.arange(12_000))
 
 
 def test_rows_that_come_while_nobody_reads_are_counted_when_the_ring_is_full(companion: Companion) -> None:
@@ -345,6 +347,7 @@ def test_a_killed_control_process_leaves_a_whole_file(job: Job) -> None:
     import json
     from dataclasses import asdict
 
+    job = replace(job, black_box=str(Path(str(job.path)).parent / "axes.mcap"))
     with subprocess.Popen(
         [sys.executable, "-c", CONTROL, json.dumps(asdict(job)), str(Path(__file__).parent)],
         stdin=subprocess.PIPE,
@@ -360,20 +363,21 @@ def test_a_killed_control_process_leaves_a_whole_file(job: Job) -> None:
     read = fh.recordings.read(str(job.path), "x")
     assert read.problems == []
     assert [(event.cycle, event.name) for event in read.events] == [(1499.0, "abandoned")]
+    (fault,) = Path(str(job.path)).parent.glob("axes-fault-*.mcap")  # the death of the daemon is one
+    assert cycles((str(fault),)) == list(range(1500))
 
 
-def test_a_full_disk_ends_the_recording_and_not_the_run(job: Job, capfd: pytest.CaptureFixture[str]) -> None:
+def test_a_full_disk_stops_the_recording_and_not_the_run(job: Job, capfd: pytest.CaptureFixture[str]) -> None:
     companion = Companion.start(job)
     resource.prlimit(companion.worker_pid, resource.RLIMIT_FSIZE, (100_000, 100_000))
     push(companion, 0, 20_000)
     report = companion.close()
-    assert report.problems == ("the recording ended early: File too large",)
-    assert "the recording ended early: File too large" in capfd.readouterr().err
+    (problem,) = report.problems
+    assert problem.startswith("the recording stops: File too large; it goes on in another file")
+    assert problem in capfd.readouterr().err
     assert 0 < report.rows < 20_000
     assert report.rows + report.lost == 20_000
-    found = cycles(report.recording)
-    assert len(found) >= report.rows  # a chunk may be there whose index is not
-    assert found == list(range(len(found)))
+    assert cycles(report.recording) == list(range(report.rows))
 
 
 def test_a_file_that_cannot_be_made_is_told_before_anything_moves(job: Job, tmp_path: Path) -> None:
@@ -436,3 +440,52 @@ def test_the_companion_needs_no_compiler() -> None:
     )
     done = subprocess.run([sys.executable, "-P", "-c", code], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_a_fault_leaves_a_file_with_the_minute_before_also_after_a_worker_died(job: Job, tmp_path: Path) -> None:
+    companion = Companion.start(replace(job, path=None, black_box=str(tmp_path / "axes.mcap")))
+    push(companion, 0, 3000)
+    while companion.free_slots() < 8000:
+        os.sched_yield()
+    os.kill(companion.worker_pid, signal.SIGKILL)
+    assert "died (signal SIGKILL)" in str(companion.next_message())
+    assert companion.next_message() == {"opened": None, "pid": companion.worker_pid}
+    companion.push_event(2999, "fault", "x: following error [FH-109]")
+    push(companion, 3000, 3500)
+    report = companion.close()
+    assert (report.recording, report.rows, report.lost) == ((), 3500, 0)
+    (path,) = report.black_boxes
+    assert [path] == [str(each) for each in tmp_path.iterdir()]
+    assert cycles((path,)) == list(range(3500))
+    assert [event.name for event in fh.recordings.read(path, "y").events] == ["fault"]
+
+
+def test_a_run_without_a_fault_leaves_no_file_of_one(job: Job, tmp_path: Path) -> None:
+    with Companion.start(replace(job, black_box=str(tmp_path / "axes.mcap"), rotate_s=1.0)) as companion:
+        push(companion, 0, 2500)
+        companion.push_event(2499, "warning", "periods are missed")
+        report = companion.close()
+    assert report.black_boxes == ()
+    assert [Path(each).name for each in report.recording] == ["run.mcap", "run-2.mcap", "run-3.mcap"]
+    assert {each.name for each in tmp_path.iterdir()} == {Path(each).name for each in report.recording}
+
+
+def test_a_killed_companion_and_its_successor_number_their_files_on(job: Job, tmp_path: Path) -> None:
+    job = replace(job, rotate_s=1.0, budget_bytes=10_000_000, black_box=str(tmp_path / "axes.mcap"))
+    with Companion.start(job) as companion:
+        push(companion, 0, 2500)
+        while companion.free_slots() < 8000 - 500:
+            os.sched_yield()
+        for pid in (companion._process.pid, companion.worker_pid):
+            os.kill(pid, signal.SIGKILL)
+        while not companion.tend():
+            os.sched_yield()
+        push(companion, 2500, 4600)
+        report = companion.close()
+    assert (report.rows, report.lost) == (4600, 0)
+    numbers = [int(Path(path).stem.partition("-")[2] or 1) for path in report.recording]
+    assert numbers == sorted(set(numbers))  # one that was killed while it began a file leaves its number out
+    assert len(numbers) >= 4
+    whole = fh.recordings.read(job.path or "", "x")
+    np.testing.assert_array_equal(whole["cycle"], np.arange(4600))
+    assert all(state.tolist() == [1, -1] for _, state in whole.restarts)

@@ -41,6 +41,8 @@ WITH_DRIVES = (
     "friction-hil run machine.yaml --pace sync --duration 3 --record run.mcap --json",
     "friction-hil run machine.yaml --pace sync --duration 0.2 --record listen.mcap --dry-run --reset-fault --force",
     "friction-hil run --simulate machine.yaml --pace sync --duration 0.2",
+    "friction-hil latency machine.yaml --duration 0.1 --output latency.png",
+    "friction-hil latency --period 0.0005 --spin 100 --priority 80 --duration 0.1 --json",
 )
 ON_THE_RECORDING = (
     ("friction-hil convert run.mcap run.csv", 0),

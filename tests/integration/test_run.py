@@ -141,7 +141,8 @@ def test_a_dry_run_writes_no_command(tmp_path):
     assert len(fh.recordings.read(tmp_path / "run.mcap")) > 400
 
 
-def test_a_killed_daemon_leaves_no_torque_behind(tmp_path):
+def test_a_killed_daemon_leaves_no_torque_behind(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
     configuration = write_configuration(tmp_path)
     with simulated_drives(configuration), listening(configuration) as bus:
         daemon = start_daemon(configuration)
@@ -163,7 +164,12 @@ def test_a_killed_daemon_leaves_no_torque_behind(tmp_path):
         assert "fault" in refused["faults"][0]
         assert "--reset-fault" in done.stderr
         result, _ = run_daemon(configuration, "--duration", 0.3, "--reset-fault")
-        assert result["faults"] == []
+        assert (result["faults"], result["black_boxes"]) == ([], [])
+    boxes = sorted((tmp_path / "friction-hil").iterdir())  # of the killed daemon, and of the run that was refused
+    assert refused["black_boxes"] == [str(boxes[1])]
+    assert f"black box: the minute before the fault is in {boxes[1]}" in done.stderr
+    events = [[event.name for event in fh.recordings.read(path).events] for path in boxes]
+    assert ("abandoned" in events[0], "fault" in events[1]) == (True, True)
 
 
 def test_the_second_daemon_on_an_axis_is_refused(tmp_path):

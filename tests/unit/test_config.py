@@ -131,6 +131,13 @@ CASES = [
     ("      radius: 1.0", "      radius: 0", "axes.x.trajectory.radius", "must be above 0 rad or m"),
     ("      rate_hz: 4000.0", "      rate: 1", "axes.x.simulation.rate", "did you mean 'rate_hz'?"),
     ("  path: out/run.mcap", "  path: 3", "recording.path", "3"),
+    (
+        "  path: out/run.mcap",
+        "  budget_mb: 20\n  rotate_mb: 15",
+        "recording.rotate_mb",
+        "at most half of budget_mb, 10",
+    ),
+    ("  path: out/run.mcap", "  rotate_s: 0.5", "recording.rotate_s", "1"),
     ("  priority: 0", "  priority: 100", "realtime.priority", "at most 99"),
     ("  priority: 0", "  spin_us: 1000", "realtime.spin_us", "below the period, 1000 µs"),
 ]

@@ -99,22 +99,3 @@ def test_processes_that_start_at_the_same_time_all_keep_their_kernels(monkeypatc
 def test_kernels_of_every_room_decide_which_compiled_code_is_current():
     names = {path.parent.name for path in jit.kernel_sources()}
     assert {"friction", "compensator", "servo", "motion", "training"} <= names
-
-
-def test_a_recording_goes_into_a_folder_that_is_not_there_yet_and_is_not_made(tmp_path):
-    found = machine.recording_folder(tmp_path / "new" / "deep" / "run.mcap")
-    assert found.result == "pass"
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_recording_below_a_file_cannot_be_written(tmp_path):
-    (tmp_path / "out").write_text("")
-    found = machine.recording_folder(tmp_path / "out" / "run.mcap")
-    assert found.result == "fail"
-    assert f"{tmp_path / 'out'} is no folder" in found.detail
-
-
-def test_a_disk_that_is_nearly_full_is_reported(tmp_path, monkeypatch):
-    monkeypatch.setattr(machine, "_LEAST_FREE_BYTES", 1 << 62)
-    found = machine.recording_folder(tmp_path / "run.mcap")
-    assert (found.result, found.fix != "") == ("warn", True)

@@ -230,7 +230,7 @@ def test_a_value_that_no_picture_can_show_is_named(tmp_path, capsys):
     assert "position reaches 1e+300 at 0.001 s" in capsys.readouterr().err
     plotted(capsys, tmp_path / "huge.csv", "--from", "0.0015")
     assert main(["plot", str(tmp_path)]) == 2
-    assert "is a folder" in capsys.readouterr().err
+    assert "no recording (.mcap) is in this folder" in capsys.readouterr().err
 
 
 class Page(HTMLParser):

@@ -137,7 +137,7 @@ def test_a_folder_in_the_place_of_a_recording_is_named(
     folder: Path, words: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(words) == 2
-    assert ". is a folder; name a recording in it" in capsys.readouterr().err
+    assert ".: no recording (.mcap) is in this folder" in capsys.readouterr().err
 
 
 def test_headings_of_the_models_are_bold_on_a_terminal() -> None:

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from friction_hil.errors import FrictionHilError
@@ -396,8 +397,8 @@ def test_the_benchmark_of_networks_measures_an_iteration(monkeypatch: pytest.Mon
 def test_the_benchmark_of_latency_compares_sleeping_and_spinning(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(latency, "ROUNDS", 1)
     monkeypatch.setattr(latency, "CYCLES", 20)
-    monkeypatch.setattr(latency.shutil, "which", lambda name: name)
-    monkeypatch.setattr(latency, "cyclictest", lambda priority: [50.0] * 20)
+    monkeypatch.setattr(latency, "has_cyclictest", lambda: True)
+    monkeypatch.setattr(latency, "cyclictest", lambda *_: latency.Latency(np.full(20, 50.0), 0))
     monkeypatch.setattr(latency, "is_fifo_allowed", lambda priority: False)
     rows = latency.run()
     assert [row.reference for row in rows] == [50.0] * 4

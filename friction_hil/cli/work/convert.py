@@ -16,6 +16,7 @@ from friction_hil.numerics.readable import brief
 from friction_hil.recordings import Recording
 from friction_hil.recordings.columns import TIME, unit
 from friction_hil.recordings.even import what_to_repair
+from friction_hil.recordings.parts import only_recording
 from friction_hil.recordings.quality import resolution, time_facts, without_overflow
 from friction_hil.recordings.source import new_file
 
@@ -42,6 +43,7 @@ def convert(
     if target is not None and target.suffix.lower() == ".onnx":
         _write_onnx(source, target, force)
         return
+    source = only_recording(source)
     options["configuration"] = None if config is None else load(config)
     found = recordings.read_all(source, **options) if axis is None else {axis: recordings.read(source, axis, **options)}
     if target is None:

@@ -17,6 +17,7 @@ from friction_hil.cli.work.tables import print_table, say
 from friction_hil.config import Configuration, from_dict, load
 from friction_hil.errors import ConfigurationError, FrictionHilError, Problem, UsageError
 from friction_hil.recordings import Recording
+from friction_hil.recordings.parts import only_recording
 from friction_hil.reports.figures import new_figure_for
 from friction_hil.reports.run.page import require_plotly, write_run_page
 from friction_hil.reports.run.picture import draw_run
@@ -38,8 +39,7 @@ def plot(
 ) -> None:
     """Draw a recording into a file for each axis, or all axes into one page, and print the figures."""
     window = _window(begin, end)
-    if source.is_dir():
-        raise UsageError(f"{source} is a folder; name a recording in it")
+    source = only_recording(source)
     target = source.with_suffix(".png") if output is None else output
     _check_target(source, target)
     configuration = None if config is None else load(config)

@@ -8,20 +8,26 @@ from typing import Any
 from friction_hil import recordings
 from friction_hil.errors import UsageError
 from friction_hil.recordings import Recording
+from friction_hil.recordings.parts import first_files, without_later_parts
 
 
 def expanded(words: Iterable[str | Path]) -> list[str]:
     """Replace each pattern (``*``, ``?``, ``[..]``, ``**``) by the files that it matches, sorted by name.
 
-    The shell does so unless a pattern is quoted. A file whose name looks like a pattern is taken as it is.
+    The shell does so unless a pattern is quoted. A file whose name looks like a pattern is taken as it is. A folder
+    stands for the recordings of the daemon in it. Of the files of one recording only the first remains: it is read with
+    those that follow.
 
     Raises
     ------
     UsageError
-        A pattern matches nothing.
+        A pattern matches nothing, or a folder has no recording.
     """
     found: list[str] = []
     for word in map(str, words):
+        if Path(word).is_dir():
+            found += map(str, first_files(Path(word)))
+            continue
         if not glob.has_magic(word) or Path(word).exists():
             found.append(word)
             continue
@@ -29,7 +35,7 @@ def expanded(words: Iterable[str | Path]) -> list[str]:
         if not matches:
             raise UsageError(f"{word}: no file matches")
         found += matches
-    return list(dict.fromkeys(found))
+    return without_later_parts(dict.fromkeys(found))
 
 
 def read_recordings(sources: Iterable[Path], axis: str | None, **options: Any) -> list[Recording]:

@@ -93,6 +93,7 @@ def _summary(result: "SessionResult") -> dict[str, Any]:
         "axes": {name: _axis_summary(figures) for name, figures in result.axes.items()},
         "recording": paths[0] if paths else None,
         "recordings": paths,
+        "black_boxes": result.report.black_boxes if result.report else (),
     }
 
 
@@ -131,6 +132,8 @@ def _report_problems(result: "SessionResult") -> int:
         echo_labelled("warning:", warning, yellow)
     for fault in result.loop.faults:
         echo_labelled("fault:", fault)
+    for path in report.black_boxes if report else ():
+        echo_labelled("black box:", f"the minute before the fault is in {path}")
     return 1 if result.loop.faults or is_incomplete else 0
 
 

@@ -3,6 +3,7 @@
 It imports nothing heavy, so each fork starts clean.
 """
 
+import mmap
 import os
 import signal
 import sys
@@ -18,6 +19,7 @@ from friction_hil.daemon.companion.job import (
     signal_text,
     warn,
 )
+from friction_hil.daemon.companion.memory import allocate
 
 
 def main(ring_descriptor: int, job_descriptor: int, number: int, death: str) -> int:
@@ -40,9 +42,10 @@ def main(ring_descriptor: int, job_descriptor: int, number: int, death: str) -> 
     if death:
         warn(f"the companion process died ({death}); the next one takes over")
     job, lives = read_job(job_descriptor), Lives()
+    memory = None if job.black_box is None else allocate(job)
     while True:
         lives.begin()
-        _, status = os.waitpid(_fork_worker(job, ring_descriptor, number), 0)
+        _, status = os.waitpid(_fork_worker(job, ring_descriptor, number, memory), 0)
         code = os.waitstatus_to_exitcode(status)
         if code == 0:
             return 0
@@ -56,7 +59,7 @@ def main(ring_descriptor: int, job_descriptor: int, number: int, death: str) -> 
         number += 1
 
 
-def _fork_worker(job: Job, ring_descriptor: int, number: int) -> int:
+def _fork_worker(job: Job, ring_descriptor: int, number: int, memory: mmap.mmap | None) -> int:
     parent, pid = os.getpid(), os.fork()
     if pid:
         return pid
@@ -68,7 +71,7 @@ def _fork_worker(job: Job, ring_descriptor: int, number: int) -> int:
         # imported here: only the worker needs numpy
         from friction_hil.daemon.companion.worker import work
 
-        status = work(job, ring_descriptor, number)
+        status = work(job, ring_descriptor, number, memory)
     except BaseException:  # noqa: BLE001 - a fork must not return into the code of its parent
         traceback.print_exc()
     finally:

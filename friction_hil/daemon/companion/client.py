@@ -32,13 +32,15 @@ class CompanionReport:
     Attributes
     ----------
     recording : tuple of str
-        Its files, in order; more than one when the worker had to be restarted, none without a path.
+        Its files that are there, in order; none without a path.
     rows, lost : int
         Number of rows that are safe, and of those that are not.
     problems : tuple of str
         Problems during the run, one sentence each.
     pending : int
         Number of rows that a companion which does not end has yet to write; they are neither safe nor lost.
+    black_boxes : tuple of str
+        Files of faults, each with the minute before it.
     """
 
     recording: tuple[str, ...]
@@ -46,6 +48,7 @@ class CompanionReport:
     lost: int
     problems: tuple[str, ...]
     pending: int = 0
+    black_boxes: tuple[str, ...] = ()
 
 
 class Companion:
@@ -68,6 +71,8 @@ class Companion:
         self._lives = Lives()
         self._received = b""
         self._paths: list[str] = []
+        self._opened = 0  # files so far, also those that were removed since
+        self._black_boxes: list[str] = []
         self._problems: list[str] = []
         self._report: CompanionReport | None = None
         self._is_woken = False
@@ -147,7 +152,8 @@ class Companion:
                 f"has yet to write {pending} rows, and goes on in the background"
             )
         self._close_descriptors()
-        self._report = CompanionReport(tuple(self._paths), rows, lost, tuple(self._problems), pending)
+        files, black_boxes = tuple(self._paths), tuple(self._black_boxes)
+        self._report = CompanionReport(files, rows, lost, tuple(self._problems), pending, black_boxes)
         return self._report
 
     def __enter__(self) -> "Companion":
@@ -157,7 +163,7 @@ class Companion:
         self.close()
 
     def _launch(self, death: str = "") -> None:
-        """Start a supervisor, whose first worker writes the next segment of the recording.
+        """Start a supervisor, whose first worker writes the next file of the recording.
 
         Raises
         ------
@@ -167,7 +173,7 @@ class Companion:
         descriptors = [self._ring.descriptor, self._job_descriptor]
         # -P: do not import modules from the current directory, which may be the user's
         command = [sys.executable, "-P", "-m", "friction_hil.daemon.companion"]
-        command += map(str, (*descriptors, len(self._paths) + 1, death))
+        command += map(str, (*descriptors, self._opened + 1, death))
         with prompt_children():
             process = subprocess.Popen(
                 command,
@@ -253,6 +259,11 @@ class Companion:
         message: dict[str, Any] = json.loads(line)
         if message.get("opened"):
             self._paths.append(message["opened"])
+            self._opened += 1
+        if message.get("removed") in self._paths:
+            self._paths.remove(message["removed"])
+        if "black_box" in message:
+            self._black_boxes.append(message["black_box"])
         if "problem" in message:
             self._problems.append(message["problem"])
         self.worker_pid = message.get("pid", self.worker_pid)

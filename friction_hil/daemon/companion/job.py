@@ -8,7 +8,6 @@ import signal
 import sys
 import time
 from dataclasses import asdict, dataclass, field
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from friction_hil.printable import printable
@@ -51,6 +50,12 @@ class Job:
         True to print a live line to standard error.
     kinds : list of {"rotary", "linear"}
         Kind of each axis, for the units of the status line; all rotary when empty.
+    rotate_s, rotate_bytes : optional
+        Duration, s, and size of a file, after which the recording goes on in the next one.
+    budget_bytes : int, optional
+        Disk space of all recordings that were started with this path.
+    black_box : str, optional
+        Where files of faults are written: ``run.mcap`` makes ``run-fault-20260131-142530.mcap``; none when absent.
     """
 
     axes: list[str]
@@ -63,6 +68,10 @@ class Job:
     metadata: dict[str, Any] = field(default_factory=dict)
     status_line: bool = False
     kinds: "list[AxisKind]" = field(default_factory=list)
+    rotate_s: float | None = None
+    rotate_bytes: int | None = None
+    budget_bytes: int | None = None
+    black_box: str | None = None
 
     @property
     def row_width(self) -> int:
@@ -116,7 +125,11 @@ def signal_text(number: int) -> str:
 
 
 def say(**message: Any) -> None:
-    """Send the control process a message: ``opened`` (path or None) and ``pid``, ``failed`` or ``problem``."""
+    """Send the control process a message.
+
+    ``opened`` (path or None), of a first or further file, with ``pid``; ``removed`` and ``black_box`` (paths);
+    ``failed``; ``problem``; or ``progress``, while the end of the work takes long.
+    """
     # the control process may be gone: the recording still has to be finished
     with contextlib.suppress(BrokenPipeError):
         os.write(_OUTPUT, json.dumps(message).encode() + b"\n")
@@ -128,13 +141,3 @@ def warn(problem: str) -> None:
         sys.stderr.write(f"\nfriction-hil: {printable(problem)}\n")
         sys.stderr.flush()
     say(problem=problem)
-
-
-def segment_path(path: Path, number: int) -> Path:
-    """Return the file of the ``number``-th worker: ``path`` for the first, ``run-2.mcap`` beside it for the second."""
-    while number > 1:
-        candidate = path.with_stem(f"{path.stem}-{number}")
-        if not candidate.exists():
-            return candidate
-        number += 1
-    return path

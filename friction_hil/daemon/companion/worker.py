@@ -1,16 +1,17 @@
-"""Worker: drains the ring, writes the recording, prints the status line."""
+"""Worker: drains the ring, writes the recording and the files of faults, prints the status line."""
 
+import mmap
 import os
 import select
 import time
-from pathlib import Path
 
-from friction_hil.daemon.companion.job import CANNOT_OPEN, Job, die_with_parent, say, segment_path, warn
+from friction_hil.daemon.companion.black_box import BlackBox
+from friction_hil.daemon.companion.history import History
+from friction_hil.daemon.companion.job import CANNOT_OPEN, Job, die_with_parent, say, warn
+from friction_hil.daemon.companion.recorder import Recorder
 from friction_hil.daemon.companion.status import StatusLine
 from friction_hil.daemon.ring import RingReader
 from friction_hil.errors import RecordingError
-from friction_hil.recordings.columns import CYCLE
-from friction_hil.recordings.mcap_writer import McapWriter
 from friction_hil.recordings.recording import Array
 
 _INPUT = 0
@@ -18,7 +19,7 @@ _PAUSE_MS = 20
 _STANDSTILL_S = 2.0  # between two looks at the ring
 
 
-def work(job: Job, ring_descriptor: int, number: int) -> int:
+def work(job: Job, ring_descriptor: int, number: int, memory: mmap.mmap | None) -> int:
     """Serve the ring until it is closed and drained, or the control process is gone.
 
     Parameters
@@ -27,7 +28,9 @@ def work(job: Job, ring_descriptor: int, number: int) -> int:
     ring_descriptor : int
         File descriptor of the ring's memory.
     number : int
-        1 for the first worker of a run; a later one writes the next segment of the recording.
+        1 for the first worker of a run; a later one writes the next file of the recording.
+    memory : mmap or None
+        Memory of the last minute, which all workers of a supervisor share; None if faults get no files.
 
     Returns
     -------
@@ -35,19 +38,17 @@ def work(job: Job, ring_descriptor: int, number: int) -> int:
         Exit status: 0, or ``CANNOT_OPEN`` after the reason was reported to the control process.
     """
     ring = RingReader(ring_descriptor)
-    recorder = _Recorder(job, ring)
+    outputs = _Outputs(job, ring, memory)
     path = None
-    if job.path is not None:
-        path = segment_path(Path(job.path), number)
+    if outputs.recorder is not None:
         try:
-            recorder.open(path, overwrite=job.overwrite and number == 1)
+            path = outputs.recorder.open(number)
         except (OSError, RecordingError) as error:
-            reason = f"{path} cannot be written: {error.strerror if isinstance(error, OSError) else error}"
+            reason = error.strerror if isinstance(error, OSError) else str(error)
             if number == 1:
-                say(failed=reason)
+                say(failed=f"{job.path} cannot be written: {reason}")
                 return CANNOT_OPEN
-            warn(reason)
-            path = None
+            warn(f"the recording cannot go on: {reason}; it is tried again")
     parent = os.getppid()  # read while its death would end this process too: so it is the supervisor
     die_with_parent(is_wanted=False)  # only while the file is being opened, which may take forever
     say(opened=path and str(path), pid=os.getpid())
@@ -65,80 +66,40 @@ def work(job: Job, ring_descriptor: int, number: int) -> int:
         is_gone = bool(control.poll(0))
         is_last = is_gone or ring.is_closed
         rows = ring.drain()
-        recorder.take(rows, ring.drain_events())
+        outputs.take(rows, ring.drain_events())
         if status:
             status.show(rows, ring.lost)
         if is_last and ring.is_drained:
             break
         if not len(rows):
             control.poll(_PAUSE_MS)
-    recorder.close(was_abandoned=is_gone and not ring.is_closed)
+    outputs.close(was_abandoned=is_gone and not ring.is_closed)
     if status:
         status.close(ring.lost)
     return 0
 
 
-class _Recorder:
-    """Write rows and events of the ring to the recording, and release in the ring what is safe on disk.
+class _Outputs:
+    """The recording, if there is one, and the files of faults."""
 
-    If a worker is killed between the two, its successor writes that chunk once more: better twice than not at all.
-    """
-
-    def __init__(self, job: Job, ring: RingReader) -> None:
-        self._job = job
+    def __init__(self, job: Job, ring: RingReader, memory: mmap.mmap | None) -> None:
         self._ring = ring
-        self._writer: McapWriter | None = None
-        self._cycle_column = job.columns.index(CYCLE) if CYCLE in job.columns else None
-        self._rows = self._events = 0  # released in the ring
-        self._cycle = 0.0
-
-    def open(self, path: Path, *, overwrite: bool) -> None:
-        self._writer = McapWriter(
-            path,
-            self._job.axes,
-            self._job.columns,
-            state_width=self._job.state_width,
-            started_unix_ns=self._job.started_unix_ns,
-            metadata=self._job.metadata,
-            overwrite=overwrite,
-            on_flush=self._release,
-        )
+        self.recorder = None if job.path is None else Recorder(job, ring)
+        self._history = None if memory is None else History(job, memory)
+        self._black_box = None if self._history is None else BlackBox(job, self._history)
 
     def take(self, rows: Array, events: list[tuple[float, str, str]]) -> None:
-        if self._job.path is None:
+        if self._history is not None and self._black_box is not None:
+            self._history.append(rows)
+            self._black_box.take(events)
+            self._black_box.advance()
+        if self.recorder is None:
             self._ring.release(len(rows), len(events))
-            return
-        if self._writer is None:
-            self._ring.discard()
-            return
-        if len(rows) and self._cycle_column is not None:
-            self._cycle = float(rows[-1, self._cycle_column])
-        try:
-            self._writer.write(rows)
-            for event in events:
-                self._writer.write_event(*event)
-        except OSError as error:
-            self._give_up(error)
+        else:
+            self.recorder.take(rows, events)
 
     def close(self, *, was_abandoned: bool) -> None:
-        if self._writer is None:
-            return
-        try:
-            if was_abandoned:
-                self._writer.write_event(self._cycle, "abandoned", "the control process ended without closing the run")
-                self._events += 1  # this one is not from the ring
-            self._writer.close()
-        except OSError as error:
-            self._give_up(error)
-
-    def _release(self) -> None:
-        if self._writer is None:  # it is being created
-            return
-        self._ring.release(self._writer.rows_kept - self._rows, self._writer.events_kept - self._events)
-        self._rows, self._events = self._writer.rows_kept, self._writer.events_kept
-
-    def _give_up(self, error: OSError) -> None:
-        """Report that the disk is full or gone; the run goes on without a recording."""
-        warn(f"the recording ended early: {error.strerror}")
-        self._ring.discard()
-        self._writer = None
+        if self.recorder is not None:
+            self.recorder.close(was_abandoned=was_abandoned)
+        if self._black_box is not None:
+            self._black_box.finish(was_abandoned=was_abandoned)

@@ -1,0 +1,278 @@
+"""The recorder of the companion: files of bounded duration and size, within a disk space, on a disk that fails."""
+
+import itertools
+import os
+import resource
+import signal
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import friction_hil as fh
+from friction_hil.cli import main
+from friction_hil.daemon.companion import Job, free_path
+from friction_hil.daemon.companion import recorder as recorder_module
+from friction_hil.daemon.companion.recorder import Recorder
+from friction_hil.daemon.ring import RingReader, RingWriter
+from friction_hil.recordings.parts import first_files
+
+COLUMNS = ["time_s", "cycle", "position"]
+PERIOD_S = 0.01
+RATE = round(1.0 / PERIOD_S)
+
+
+class Bench:
+    """A recorder in this process, fed by a ring; ``now_s`` is its monotonic clock."""
+
+    def __init__(self, path, period_s=PERIOD_S, **options):
+        given = {"started_unix_ns": 1_700_000_000_000_000_000, "metadata": {"configuration": {"version": 1}}} | options
+        self.job = Job(["x"], COLUMNS, 1, period_s, path=str(path), **given)
+        self.writer = RingWriter(self.job.row_width, 4096)
+        self.ring = RingReader(self.writer.descriptor)
+        self.now_s = 0.0
+        self.recorder = Recorder(self.job, self.ring, lambda: self.now_s)
+        self.recorder.open(1)
+        self.cycle = 0
+
+    def push(self, count, *events):
+        """Record ``count`` more rows; random positions, which no compression makes small."""
+        for cycle in range(self.cycle, self.cycle + count):
+            self.writer.push(np.array([cycle * self.job.period_s, cycle, np.random.default_rng(cycle).random(), cycle]))
+        self.cycle += count
+        for name in events:
+            self.writer.push_event(self.cycle, name, "text")
+        self.recorder.take(self.ring.drain(), self.ring.drain_events())
+
+    def close(self):
+        self.recorder.close(was_abandoned=False)
+
+
+@pytest.fixture
+def bench(tmp_path):
+    """Make a bench whose files are in ``tmp_path``."""
+    made = []
+
+    def make(**options):
+        made.append(Bench(tmp_path / "run.mcap", **options))
+        return made[-1]
+
+    yield make
+    for each in made:
+        each.close()
+        os.close(each.ring.descriptor)
+
+
+def cycles(path, **options):
+    return fh.recordings.read(path, **options)["cycle"].tolist()
+
+
+def test_a_file_ends_after_its_time_and_all_files_are_read_as_one(bench, tmp_path):
+    recorder = bench(rotate_s=2.0)
+    for _ in range(11):
+        recorder.push(50, "state")
+    recorder.close()
+    names = ["run.mcap", "run-2.mcap", "run-3.mcap"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(names)
+    alone = [fh.recordings.read(tmp_path / name, is_alone=True) for name in names]
+    assert [len(each) for each in alone] == [200, 200, 150]
+    for each in alone:  # each stands alone
+        assert each.metadata["configuration"] == {"version": 1}
+        assert each.restarts[0][0] == 0
+        assert each.restarts[0][1] == each["cycle"][0]
+        assert each.problems == []
+    whole = fh.recordings.read(tmp_path / "run.mcap")
+    assert whole["cycle"].tolist() == list(range(550))
+    assert [(row, float(state[0])) for row, state in whole.restarts] == [(row, row) for row in range(0, 550, 100)]
+    assert [event.cycle for event in whole.events] == list(range(50, 600, 50))
+    assert whole.problems == ["run.mcap is read with the 2 files that follow it, up to run-3.mcap"]
+    assert cycles(tmp_path / "run-2.mcap") == list(range(200, 400))
+
+
+def test_a_file_stays_below_its_size(bench, tmp_path):
+    recorder = bench(rotate_bytes=12_000)
+    for _ in range(40):
+        recorder.push(50)
+    recorder.close()
+    files = list(tmp_path.iterdir())
+    assert len(files) > 3
+    assert max(path.stat().st_size for path in files) < 12_000 + 3_000  # a table of contents follows the last chunk
+    assert cycles(tmp_path / "run.mcap") == list(range(2000))
+
+
+def test_the_oldest_files_go_and_those_of_faults_and_of_others_stay(bench, tmp_path):
+    older = bench(rotate_s=2.0, started_unix_ns=1_600_000_000_000_000_000)
+    older.push(600)
+    older.close()
+    kept = {"run-fault-20200101-000000.mcap": 9_000, "run-2 of May.mcap": 9_000, "other.mcap": 9_000, "run-9.mcap": 9}
+    for name, size in kept.items():
+        (tmp_path / name).write_bytes(bytes(size))
+    path = free_path(tmp_path / "run.mcap", 1_700_000_000_000_000_000)
+    recorder = Bench(path, rotate_s=2.0, budget_bytes=40_000)
+    for _ in range(20):
+        recorder.push(100)
+        own = [each for each in tmp_path.iterdir() if each.name not in ("other.mcap", "run-2 of May.mcap")]
+        assert sum(each.stat().st_size for each in own) < 40_000 + 8_000  # rows of two seconds, not yet flushed
+    recorder.close()
+    names = {each.name for each in tmp_path.iterdir()}
+    assert kept.keys() <= names
+    assert not {"run.mcap", "run-2.mcap", "run-3.mcap"} & names  # of the older run
+    assert path.name not in names
+    first = next(each for each in first_files_that_can_be_read(tmp_path) if each.name.startswith(path.stem))
+    assert cycles(first) == list(range(2000 - len(cycles(first)), 2000))  # the newest are there, without a gap
+    os.close(recorder.ring.descriptor)
+
+
+def first_files_that_can_be_read(folder):
+    return [path for path in first_files(folder) if path.stat().st_size > 9 and path.name.startswith("run-20")]
+
+
+def test_a_budget_that_files_of_faults_exceed_is_reported_once(bench, tmp_path, capfd):
+    (tmp_path / "run-fault-20200101-000000.mcap").write_bytes(bytes(100_000))
+    recorder = bench(rotate_s=1.0, budget_bytes=50_000)
+    for _ in range(5):
+        recorder.push(100)
+    recorder.close()
+    assert capfd.readouterr().err.count("0.1 MB in") == 1
+    assert cycles(tmp_path / "run-5.mcap")  # the file that is being written is never removed
+
+
+def test_a_disk_that_is_full_loses_rows_until_there_is_room(bench, tmp_path, capfd, monkeypatch):
+    recorder = bench()
+    recorder.push(250)
+    assert recorder.ring.rows_kept == 200
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, ((tmp_path / "run.mcap").stat().st_size + 100, before[1]))
+        recorder.push(200)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, handler)
+    assert "the recording stops: File too large" in capfd.readouterr().err
+    recorder.push(100)  # too soon to try again
+    monkeypatch.setattr(recorder_module, "_free_bytes", lambda _: 1000)
+    recorder.now_s = 6.0
+    recorder.push(100)  # no room yet
+    monkeypatch.undo()
+    recorder.push(100)  # too soon after that
+    assert [path.name for path in tmp_path.iterdir()] == ["run.mcap"]
+    recorder.now_s = 12.0
+    recorder.push(100)
+    assert f"goes on in {tmp_path / 'run-2.mcap'}" in capfd.readouterr().err
+    recorder.close()
+    whole = fh.recordings.read(tmp_path / "run.mcap")
+    assert whole["cycle"].tolist() == [*range(200), *range(750, 850)]
+    assert any("550 cycles are missing" in problem for problem in whole.problems)
+    assert (recorder.ring.rows_kept, recorder.ring.rows_lost) == (300, 550)
+
+
+def test_what_waits_for_a_row_is_flushed_all_the_same(bench, tmp_path):
+    recorder = bench()
+    recorder.push(10, "fault")
+    for recorder.now_s in (0.5, 1.4):
+        recorder.push(0)
+        assert recorder.ring.rows_kept == 0
+    recorder.now_s = 1.6
+    recorder.push(0)
+    assert recorder.ring.rows_kept == 10
+    assert cycles(tmp_path / "run.mcap") == list(range(10))
+
+
+def test_in_simulated_time_files_do_not_depend_on_the_clock(bench, tmp_path):
+    recorder = bench(started_unix_ns=0)
+    recorder.push(10)
+    recorder.now_s = 100.0
+    recorder.push(0)
+    assert recorder.ring.rows_kept == 0
+
+
+@pytest.mark.parametrize("command", [("replay", "--verify"), ("convert", "--info"), ("plot",)])
+def test_a_folder_of_several_recordings_is_refused_by_name_or_read_one_by_one(bench, tmp_path, capsys, command):
+    for name in ("a.mcap", "b.mcap"):
+        other = Bench(tmp_path / name, rotate_s=1.0)
+        other.push(200)
+        other.close()
+        os.close(other.ring.descriptor)
+    status = main([*command[:1], str(tmp_path), *command[1:]])
+    error = capsys.readouterr().err
+    if command[0] == "replay":  # takes several; these have no inputs of a compensator
+        assert (status, error.count("only the daemon's own")) == (1, 2)
+    else:
+        assert (status, "has 2 recordings; name one of them: a.mcap, b.mcap" in error) == (2, True)
+
+
+def test_after_a_power_cut_all_that_was_forced_to_the_disk_is_read(bench, tmp_path, monkeypatch):
+    """The file is cut at every byte: it holds at least the rows that were released before it had that size."""
+    sizes, force = [], os.fsync
+
+    def spy(descriptor):
+        force(descriptor)
+        sizes.append(os.fstat(descriptor).st_size)
+
+    monkeypatch.setattr(os, "fsync", spy)
+    recorder = bench(metadata={}, period_s=0.2)
+    kept = []
+    for _ in range(8):
+        recorder.push(2)
+        kept.append((recorder.ring.rows_kept, (tmp_path / "run.mcap").stat().st_size))
+        assert kept[-1][1] in sizes  # nothing is released that was not forced
+    recorder.close()
+    path, whole = tmp_path / "run.mcap", (tmp_path / "run.mcap").stat().st_size
+    assert whole in sizes
+    steps = sorted(dict(reversed(kept)).items())
+    assert [rows for rows, _ in steps] == [0, 5, 10, 15]
+    first = steps[1][1]
+    for size in range(whole, first - 1, -1):
+        os.truncate(path, size)
+        found = cycles(path)
+        assert found == list(range(len(found)))
+        assert len(found) >= max(rows for rows, at in steps if at <= size)
+    assert len(found) == 5
+    for command in (["convert", "--info", path], ["plot", path]):
+        assert main(list(map(str, command))) == 0
+
+
+def test_numbers_of_files_are_never_used_again(bench, tmp_path):
+    recorder = bench(rotate_s=1.0)
+    recorder.push(300)
+    (tmp_path / "run-2.mcap").unlink()
+    recorder.push(100)
+    recorder.close()
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["run-3.mcap", "run-4.mcap", "run.mcap"]
+    (tmp_path / "run.mcap").unlink()
+    assert cycles(tmp_path / "run-3.mcap") == list(range(200, 400))  # the first one that is left
+    assert free_path(tmp_path / "run.mcap", 1) != tmp_path / "run.mcap"
+
+
+def test_files_of_two_runs_of_one_name_are_not_mixed(tmp_path):
+    for started, count in ((1_600_000_000_000_000_000, 300), (1_700_000_000_000_000_000, 200)):
+        recorder = Bench(tmp_path / "run.mcap", rotate_s=1.0, started_unix_ns=started, overwrite=True)
+        recorder.push(count)
+        recorder.close()
+        os.close(recorder.ring.descriptor)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["run-2.mcap", "run-3.mcap", "run-4.mcap", "run.mcap"]
+    whole = fh.recordings.read(tmp_path / "run.mcap")
+    assert whole["cycle"].tolist() == list(range(200))
+    assert "up to run-4.mcap" in whole.problems[0]
+
+
+def test_a_part_without_rows_is_left_out_and_reported(bench, tmp_path):
+    recorder = bench(rotate_s=1.0)
+    recorder.push(300)
+    recorder.close()
+    data = (tmp_path / "run-2.mcap").read_bytes()
+    start = data.index(b"\x06", 1500)  # of the first chunk
+    for size in itertools.takewhile(lambda size: size < start + 400, itertools.count(start - 200, 40)):
+        (tmp_path / "run-2.mcap").write_bytes(data[:size])
+        whole = fh.recordings.read(tmp_path / "run.mcap")
+        assert whole["cycle"].tolist() == [*range(100), *range(200, 300)]
+        assert any("run-2.mcap" in problem for problem in whole.problems[1:])
+
+
+def test_a_job_without_limits_makes_one_file(bench, tmp_path):
+    recorder = bench()
+    assert replace(recorder.job) == recorder.job
+    recorder.push(2000)
+    recorder.close()
+    assert [path.name for path in tmp_path.iterdir()] == ["run.mcap"]
