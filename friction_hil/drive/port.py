@@ -269,7 +269,8 @@ class SimulatedDriver(Protocol):
 
     It may have the static methods ``make_master`` (see ``simulate --master``) and ``make_private(configuration,
     folder)``, which returns the configuration on a bus or lines that nothing else uses, and the name of what it
-    replaces (see ``run --simulate``).
+    replaces (see ``run --simulate``), and ``simulated_facts(name, axis, period_s)``, which returns the `AxisFacts` that
+    the driver finds of such a drive, for simulations without a bus (see ``friction-hil study MACHINE``).
     """
 
     Options: "type[BaseModel]"  # keys of ``simulation`` of an axis

@@ -11,11 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from friction_hil_drivers.canopen.delays import ACTUATION_CYCLES, SETPOINT_CYCLES
+from friction_hil_drivers.canopen.simulated.drives import SimulatedCanopenDrives
 
 from friction_hil.checked_yaml.text import dump
 from friction_hil.config import AxisConfig, load
-from friction_hil.drive import AxisFacts, Mode
 from friction_hil.models.files import load_model_file
 from friction_hil.models.model_file import ModelFile
 from friction_hil.motion.trajectory import Path as MotionPath
@@ -102,15 +101,7 @@ class Rehearsals:
     def __init__(self, axis: AxisConfig, period_s: float, names: Sequence[str] = (OWN, *OTHERS)) -> None:
         servo = axis.simulation
         assert isinstance(servo, ServoConfig)
-        turn = math.tau if servo.mechanics.axis == "rotary" else 1.0
-        facts = AxisFacts(
-            name="x",
-            identity="",
-            position_resolution=turn / servo.encoder.counts,
-            torque_resolution=servo.motor.rated_torque / 1000.0,
-            setpoint_delay_s=SETPOINT_CYCLES[Mode[axis.mode.upper()]] * period_s,
-            actuation_delay_s=ACTUATION_CYCLES * period_s,
-        )
+        facts = SimulatedCanopenDrives.simulated_facts("x", axis, period_s)
         self._servo, self._rehearsal = servo, Rehearsal(axis, facts, period_s)
         motions = judged_motions(axis)
         self._motions = {name: motions[name] for name in names}

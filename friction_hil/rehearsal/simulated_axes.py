@@ -1,0 +1,70 @@
+"""Axes of a configuration with their simulated drives, ready to be rehearsed without a bus."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from friction_hil.config.drivers import SIMULATED_DRIVES, load_driver
+from friction_hil.errors import UsageError
+from friction_hil.servo.config import ServoConfig
+
+if TYPE_CHECKING:
+    from friction_hil.config import AxisConfig, Configuration
+    from friction_hil.drive import AxisFacts
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatedAxis:
+    """An axis with its simulated drive.
+
+    Attributes
+    ----------
+    name : str
+    config : AxisConfig
+        As in the configuration.
+    servo : ServoConfig
+        Its ``simulation``.
+    facts : AxisFacts
+        What the driver finds of this drive: resolution and delays.
+    period_s : float
+        Period of the loop.
+    """
+
+    name: str
+    config: "AxisConfig"
+    servo: ServoConfig
+    facts: "AxisFacts"
+    period_s: float
+
+    @property
+    def unit(self) -> str:
+        """Unit of the position."""
+        return "rad" if self.config.model.axis == "rotary" else "m"
+
+
+def simulated_axes(configuration: "Configuration") -> tuple[SimulatedAxis, ...]:
+    """Return the axes of a configuration that have a simulated drive, in its order.
+
+    Raises
+    ------
+    UsageError
+        No axis has one, or its driver cannot say what it would find of one.
+    """
+    found = []
+    for name, axis in configuration.axes.items():
+        if isinstance(axis.simulation, ServoConfig):
+            facts = _facts(name, axis, configuration.period_s)
+            found.append(SimulatedAxis(name, axis, axis.simulation, facts, configuration.period_s))
+    if not found:
+        raise UsageError("no axis has a simulation: that is the machine that moves (config/machines has examples)")
+    return tuple(found)
+
+
+def _facts(name: str, axis: "AxisConfig", period_s: float) -> "AxisFacts":
+    find = getattr(load_driver(axis.driver, SIMULATED_DRIVES), "simulated_facts", None)
+    if find is None:
+        raise UsageError(
+            f"{name}: the delays of simulated drives of the driver {axis.driver} are known only while a line is open, "
+            "so that the axis cannot be simulated without one; use driver: canopen"
+        )
+    facts: AxisFacts = find(name, axis, period_s)
+    return facts
