@@ -8,10 +8,8 @@ import numpy as np
 from friction_hil import compensator
 from friction_hil.compensator.limiter import limit_torque
 from friction_hil.motion.controller import cascade
-from friction_hil.numerics.dual import overloaded
 from friction_hil.numerics.jit import Array, StructuredArray, compiled
 from friction_hil.servo import plant
-from friction_hil.servo.records import has_parts
 
 MOST_DELAY_CYCLES = 4
 
@@ -22,27 +20,14 @@ DAEMON = np.dtype(
         ("period_s", "f8"),
         ("period_steps", "f8"),  # integration steps in a period
         ("delay_steps", "f8"),  # from the sample to the beginning of the torque computed from it
-        ("resolution", "f8"),  # of the set-point of the position, SI
         ("torque_limit", "f8"),
         ("torque_slew", "f8"),
     ]
 )
 
-TRACE = ("error", "compensation", "gain_factor", "demand", "motor_error", "load_error")
+TRACE = ("error", "compensation", "gain_factor", "demand", "load_error")
 
 _compensate = compensator.whole_step
-
-
-def _load_position(state: StructuredArray) -> float:
-    """Return the true position of the load, which is that of the motor on a rigid servo."""
-    raise NotImplementedError  # exists in compiled code only
-
-
-@overloaded(_load_position)
-def _choose_load_position(state: Any) -> Any:
-    if has_parts(state):
-        return lambda state: state[0].load_position
-    return lambda state: state[0].position
 
 
 @compiled
@@ -56,23 +41,17 @@ def _latch(state: StructuredArray, target: float, torque_offset: float) -> None:
 
 @compiled
 def _control(
-    d: Any,
-    controller: StructuredArray,
-    integral: float,
-    row: Array,
-    offset: tuple[float, float, float],
-    error: float,
-    velocity: float,
+    d: Any, controller: StructuredArray, integral: float, row: Array, r: Any, error: float
 ) -> tuple[float, float, float]:
     """Return the target of one cycle, the torque of the loop's own controller (CST), and its integral.
 
-    ``offset`` is that of the motor: its velocity now, then position and velocity for the set-point that is sent.
+    ``r`` is the state of the compensator, which has the velocity and the offset of the motor; ``error`` includes it.
     """
     if d.mode == plant.CSP:
-        return round((row[4] + offset[1]) / d.resolution) * d.resolution, 0.0, integral
+        return row[5] + r.offset_sent, 0.0, integral
     if d.mode == plant.CSV:
-        return row[5] + offset[2] + controller[0].position_gain * error, 0.0, integral
-    demand = row[1] + offset[0]
+        return row[6] + r.offset_sent_velocity + controller[0].position_gain * error, 0.0, integral
+    demand, velocity = row[1] + r.offset_now_velocity, r.motion.velocity
     torque, integral = cascade(controller, integral, error, demand, row[2], velocity, d.period_s, d.torque_limit)
     return 0.0, torque, integral
 
@@ -102,13 +81,12 @@ def run(
     settings, compensator_state
         Record and state of a `friction_hil.compensator.Compensator`.
     demand
-        (n, 7) array, a row for each cycle: position, velocity and acceleration now, velocity when this cycle's torque
-        acts, position and velocity to send, acceleration when this cycle's torque acts. SI.
+        (n, 7) array, a row for each cycle: position, velocity and acceleration now, velocity and acceleration when this
+        cycle's torque acts, position and velocity as sent. SI.
     trace
-        (6, n) array that is filled, in the order of `TRACE`: following error as measured, compensation, gain factor of
-        the compensator, demanded position, demand less true position of the motor, and of the load. Where the
-        compensation shifts the motor (`friction_hil.compensator.transmission`), the errors of encoder and motor count
-        from the shifted demand.
+        (5, n) array that is filled, in the order of `TRACE`: following error, compensation, gain factor of the
+        compensator, demanded position, and demanded less true position of the load. The following error is that of the
+        encoder, from the demand with the offset of the motor (`friction_hil.compensator.transmission`).
     """
     d, r = daemon[0], state[0]
     steps, delay = int(d.period_steps), int(d.delay_steps)
@@ -133,22 +111,14 @@ def run(
             row[3],
             1.0,
             d.is_compensated,
-            row[6],
+            row[4],
             math.nan,
         )
-        shift = compensator_state[0].offset_now
-        offset = (
-            compensator_state[0].offset_now_velocity,
-            compensator_state[0].offset_sent,
-            compensator_state[0].offset_sent_velocity,
-        )
-        error = row[0] + shift - position
-        velocity = compensator_state[0].motion.velocity
-        target, own, integral = _control(d, own_controller, integral, row, offset, error, velocity)
+        error = row[0] + compensator_state[0].offset_now - position
+        target, own, integral = _control(d, own_controller, integral, row, compensator_state[0], error)
         command = limit_torque(own + compensation, command, d.torque_limit, d.torque_slew * d.period_s)
         trace[0, k], trace[1, k], trace[2, k] = error, compensation, compensator_state[0].gain_factor
-        trace[3, k], trace[4, k] = row[0], row[0] + shift - r.position
-        trace[5, k] = row[0] - _load_position(state)
+        trace[3, k], trace[4, k] = row[0], row[0] - plant.load_position(state)
         for j in range(MOST_DELAY_CYCLES + 1, 0, -1):
             targets[j], torques[j] = targets[j - 1], torques[j - 1]
         targets[0], torques[0] = target, command

@@ -122,7 +122,6 @@ class Rehearsal:
         d["delay_steps"] = min(
             max(round(delay_s * simulated.steps_per_second), 0), kernel.MOST_DELAY_CYCLES * int(d["period_steps"])
         )
-        d["resolution"] = facts.position_resolution
         d["torque_limit"] = axis.limits.torque
         d["torque_slew"] = math.inf if axis.limits.torque_slew is None else axis.limits.torque_slew
         trace = np.empty((len(kernel.TRACE), len(demand)))
@@ -145,10 +144,12 @@ class Rehearsal:
             time.start(0.0)
             trajectory = Trajectory(motion.path, time)
             rows = []
-            delay_s = self._facts.setpoint_delay_s
+            delay_s, resolution = self._facts.setpoint_delay_s, self._facts.position_resolution
             for k in range(round((motion.start_s + motion.duration_s) / self._period_s)):
                 t = k * self._period_s
-                now, sent, ahead = trajectory.at(t), trajectory.at(t + delay_s), trajectory.at(t + ahead_s)
-                rows.append((*now, ahead.velocity, sent.position, sent.velocity, ahead.acceleration))
+                now, sent = trajectory.at(t), trajectory.at(t + delay_s)
+                counts = round(sent.position / resolution)
+                ahead = trajectory.at(t + ahead_s)
+                rows.append((*now, ahead.velocity, ahead.acceleration, counts * resolution, sent.velocity))
             self._demands[key] = np.array(rows)
         return self._demands[key]

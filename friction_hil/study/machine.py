@@ -39,8 +39,11 @@ class Course:
         Since then.
     demand : (n,) array
         Demanded position, rad or m.
-    motor, load : (n,) array
-        Demand less true position of motor and load, without quantisation of an encoder.
+    motor : (n,) array
+        Following error of the drive: demand less position by the encoder of its position loop, at the motor or, where
+        the machine has one there, at the load.
+    load : (n,) array
+        Demand less true position of the load.
     gain_factor : float
         What the guard against limit cycles has left of the gain at the end; 1: there was none.
     """
@@ -66,8 +69,11 @@ class Course:
         return Errors(rms, float(np.max(np.abs(error)))) if math.isfinite(rms) else Errors(math.inf, math.inf)
 
     @property
-    def twist(self) -> float:
-        """RMS of what the load deviates from the motor, less its mean; no torque at the motor takes it away."""
+    def unseen(self) -> float:
+        """RMS of what the load deviates from the encoder, less its mean: twist, play, errors of gear and encoder.
+
+        No torque of the motor takes it away.
+        """
         return float(np.std(self.motor - self.load))
 
 
@@ -76,9 +82,9 @@ def scored(trace: Mapping[str, Array], period_s: float, duration_s: float) -> Co
     samples = round(duration_s / period_s)
     last = {name: values[-samples:] for name, values in trace.items()}
     return Course(
-        period_s * np.arange(samples),
+        period_s * np.arange(samples, dtype=np.float64),
         last["demand"],
-        last["motor_error"],
+        last["error"],
         last["load_error"],
         float(last["gain_factor"][-1]),
     )

@@ -38,7 +38,7 @@ def simulated_motions(axis: SimulatedAxis) -> dict[str, Motion]:
         The axis has neither a periodic trajectory nor an experiment.
     """
     config, given = axis.config, axis.config.trajectory
-    bounds = config.experiment
+    bounds: ExperimentBounds | None = config.experiment
     if isinstance(given, Circle | Sine | Triangle | Strokes):
         own: PeriodicMotion = given
         if bounds is None:  # as fast and as far as the own motion

@@ -17,12 +17,13 @@ from friction_hil.study.result import thin
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-_TWIST = 0.5  # of the error of the load with compensation: more is named
+_UNSEEN = 0.5  # of the error of the load with compensation: more is named
 _MOST_POINTS = 2000
 
 MEANING = (
-    "Demanded less true position of motor and load, each without its mean. own: the motion of the axis; slow: a tenth "
-    "of its speed; fast: as fast as its experiment; small: a tenth of its stroke."
+    "Motor: demanded position less that of the encoder of the position loop; load: less the true position of the load. "
+    "Each without its mean. own: the motion of the axis; slow: a tenth of its speed; fast: as fast as its experiment; "
+    "small: a tenth of its stroke."
 )
 
 
@@ -57,15 +58,15 @@ def write_machine_report(folder: Path, name: str, study: MachineStudy) -> Path:
 
 
 def notes(study: MachineStudy) -> Iterator[str]:
-    """Yield what limits the compensation: the twist between motor and load, and limit cycles."""
+    """Yield what limits the compensation: what the load deviates from the encoder, and limit cycles."""
     for axis, motions in study.motions.items():
         for motion, result in motions.items():
-            twist, error = result.compensated.twist, result.compensated.errors("load").rms
-            if twist > _TWIST * error:
-                amount = quantity(twist, study.units[axis])
+            unseen, error = result.compensated.unseen, result.compensated.errors("load").rms
+            if unseen > _UNSEEN * error:
+                amount = quantity(unseen, study.units[axis])
                 yield (
-                    f"{axis}, {motion}: of the error at the load, {amount} RMS is what motor and load deviate from "
-                    "each other (twist, play, transmission error), which no torque of the motor takes away"
+                    f"{axis}, {motion}: at the load, {amount} RMS is what it deviates from the encoder (twist, play, "
+                    "errors of gear and encoder), which no torque of the motor takes away"
                 )
             if result.compensated.gain_factor < 1.0:
                 yield (

@@ -75,9 +75,8 @@ def tune_axis(name: str, content: dict[str, Any]) -> AxisResult:
         configuration = load(file, needs_models=False)
         [(axis_name, axis)] = configuration.axes.items()
         output = Path(folder) / "tuned"
-        words = ["tune", str(file), "--simulate", "--pace", "sync", "--yes", "--json", "--output", str(output)]
         start = time.monotonic()
-        done = subprocess.run([sys.executable, "-m", "friction_hil", *words], capture_output=True, text=True)
+        done = run_tune(file, output)
         tune_s = time.monotonic() - start
         model = output / f"{axis_name}.yaml"
         is_found = done.stdout.startswith("{") and model.is_file()
@@ -89,10 +88,21 @@ def tune_axis(name: str, content: dict[str, Any]) -> AxisResult:
             rehearsals.reductions(truth(axis)),
             {} if tuned is None else rehearsals.reductions(tuned),
             "" if tuned is None else tuned.friction.model,
-            "" if is_found else (done.stderr.strip().splitlines() or ["no message"])[-1],
+            "" if is_found else last_line(done),
             tune_s,
             sum(_length_s(Path(each), axis_name) for each in recordings),
         )
+
+
+def run_tune(file: Path, output: Path) -> "subprocess.CompletedProcess[str]":
+    """Run the command for all axes of a configuration, against simulated drives and paced by SYNC."""
+    words = ["tune", str(file), "--simulate", "--pace", "sync", "--yes", "--json", "--output", str(output)]
+    return subprocess.run([sys.executable, "-m", "friction_hil", *words], capture_output=True, text=True)
+
+
+def last_line(done: "subprocess.CompletedProcess[str]") -> str:
+    """Return the last line that a command has written to stderr."""
+    return (done.stderr.strip().splitlines() or ["no message"])[-1]
 
 
 class Rehearsals:
