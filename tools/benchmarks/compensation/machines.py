@@ -16,7 +16,7 @@ from friction_hil.tuning.rehearsal_motions import simulated_motions
 from tools.benchmarks.compensation.belief import changed, converted
 from tools.benchmarks.compensation.grid import SAME, CompensatorKeys, Condition
 from tools.benchmarks.compensation.progress import with_progress
-from tools.benchmarks.compensation.truth import model_file, true_friction, without_known_torques
+from tools.benchmarks.compensation.truth import model_file, true_friction, without_torques
 
 FILE, IDENTIFIED = "file", "identified"  # conditions: the model of the machine file, and the one that `tune` keeps
 OWN, SOFT = "own", "soft"  # drives
@@ -43,9 +43,9 @@ class MachineResult:
     reduction : dict of Errors
         Factors by which the following error of motor and load is lower.
     bound : dict of float
-        Factors for the RMS that a torque at the motor cannot exceed. Motor: the error that is left without friction,
-        weight, cogging and ripple. Load: what it deviates from the encoder, by twist, play, and errors of gear and
-        encoder.
+        Factors for the RMS that no torque at the motor exceeds. Motor: what the lag of the drive leaves, without any
+        friction, weight and disturbance. Load: what it deviates from the encoder leaves, by twist, play, and errors of
+        gear and encoder.
     gain_factor : float
         What the guard against limit cycles has left of the gain.
     """
@@ -215,4 +215,4 @@ def _plain(axis: BenchAxis, drive: str, motion: str) -> Course:
 
 
 def _ideal(axis: BenchAxis, drive: str, motion: str) -> Course:
-    return axis.uncompensated(without_known_torques(axis.drives[drive]), motion)
+    return axis.uncompensated(without_torques(axis.drives[drive]), motion)

@@ -50,10 +50,15 @@ def _with_cogging(servo: ServoConfig) -> FrictionModel:
     return models.create(own.name, modifiers=modifiers, axis=own.axis, **own.given)
 
 
-def without_known_torques(servo: ServoConfig) -> ServoConfig:
-    """Return a servo without the torques that a model can know: friction, gear losses, weight, cogging and ripple."""
+def without_torques(servo: ServoConfig) -> ServoConfig:
+    """Return a servo without the torques that move it off its demand, known or not: only the lag of its drive is left.
+
+    These are friction, losses of the gear, weight, spring, cogging, ripple and external torque.
+    """
     none = TrueFriction(**_NONE)
-    mechanics = servo.mechanics.model_copy(update={"load_torque": 0.0, "gravity": None})
+    mechanics = servo.mechanics.model_copy(
+        update={"load_torque": 0.0, "gravity": None, "spring": None, "external": None}
+    )
     if mechanics.load is not None:
         update = {"load": mechanics.load.model_copy(update={"friction": None})}
         mechanics = mechanics.model_copy(update=update)
