@@ -86,7 +86,9 @@ def benched(machine, tmp_path_factory):
     content = {**MACHINE["axes"]["x"]["model"], "version": 1, "friction": {**FRICTION, "parameters": parameters}}
     (folder / "small/x.yaml").write_text(yaml.safe_dump(content))
     grid = load_grid(OTHERS)
-    grid = grid.model_copy(update={"conditions": {"exact": grid.conditions["exact"]}})
+    grid = grid.model_copy(
+        update={"conditions": {name: grid.conditions[name] for name in ("exact", "two_cycles", "encoder_14")}}
+    )
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("tools.benchmarks.compensation.machines.simulated_motions", some_motions)
         return run_machines([machine], grid, folder)
@@ -220,13 +222,14 @@ def test_the_true_friction_reduces_more_than_a_level_that_is_half_too_high(bench
     by_condition = {}
     for each in benched:
         by_condition.setdefault(each.case.condition, {})[each.case.drive, each.case.motion] = each
-    assert list(by_condition) == ["file", "identified", "exact"]
+    assert list(by_condition) == ["file", "identified", "exact", "two_cycles"]
     assert list(by_condition["exact"]) == [("own", "own"), ("own", "triangle"), ("soft", "own"), ("soft", "triangle")]
     for case, exact in by_condition["exact"].items():
         assert exact.reduction["motor"].rms > 1.0
         assert exact.reduction["motor"].rms > by_condition["file"][case].reduction["motor"].rms
     own = {name: each["own", "own"].reduction["motor"].rms for name, each in by_condition.items()}
     assert own["identified"] != own["file"]
+    assert own["two_cycles"] > 0.5 * own["exact"]  # commands act later, and are sent as much earlier
 
 
 def test_the_load_is_bounded_by_what_it_deviates_from_the_encoder(benched):
@@ -239,7 +242,7 @@ def test_the_load_is_bounded_by_what_it_deviates_from_the_encoder(benched):
 def test_json_and_tables_have_motor_load_and_bound(benched, capsys):
     found = json.loads(json.dumps(as_json(benched)))
     assert len(found["cases"]) == len(benched)
-    assert set(found["summary"]) == {"file", "identified", "exact"}
+    assert set(found["summary"]) == {"file", "identified", "exact", "two_cycles"}
     exact = found["summary"]["exact"]["load"]["all"]["rms"]
     assert exact["geomean"] >= exact["worst"] > 1.0
     show_machines(benched)

@@ -43,9 +43,9 @@ class MachineResult:
     reduction : dict of Errors
         Factors by which the following error of motor and load is lower.
     bound : dict of float
-        Factors for the RMS that no torque at the motor exceeds. Motor: what the lag of the drive leaves, without any
-        friction, weight and disturbance. Load: what it deviates from the encoder leaves, by twist, play, and errors of
-        gear and encoder.
+        Factors for the RMS that a feed-forward can be expected to reach. Motor: what the lag of the drive leaves, without
+        any friction, weight and disturbance. Load: also with what it deviates from the encoder, by twist, play, and
+        errors of gear and encoder.
     gain_factor : float
         What the guard against limit cycles has left of the gain.
     """
@@ -116,9 +116,14 @@ class BenchAxis:
         return found
 
     def _rehearsal(self, config: AxisConfig | None = None, more_cycles: int = 0) -> Rehearsal:
-        """Return the loop, with a torque that acts some cycles later than the drive's own."""
+        """Return the loop, with commands that act some cycles later than the drive takes them."""
         facts, period_s = self.axis.facts, self.axis.period_s
-        facts = replace(facts, actuation_delay_s=facts.actuation_delay_s + more_cycles * period_s)
+        later_s = more_cycles * period_s
+        facts = replace(
+            facts,
+            actuation_delay_s=facts.actuation_delay_s + later_s,
+            setpoint_delay_s=facts.setpoint_delay_s + later_s,
+        )
         return Rehearsal(self.axis.config if config is None else config, facts, period_s)
 
     def cases(self) -> Iterator[MachineCase]:
@@ -203,7 +208,8 @@ def simulate_machines(axes: Sequence[BenchAxis]) -> list[MachineResult]:
         axis, case = job
         without, ideal = plain[case.machine, case.drive, case.motion]
         both = MotionResult(without, axis.course(case))
-        left = {MOTOR: ideal.errors(MOTOR).rms, LOAD: both.compensated.unseen}
+        lag = ideal.errors(MOTOR).rms
+        left = {MOTOR: lag, LOAD: math.hypot(lag, both.compensated.unseen)}
         bound = {side: without.errors(side).rms / left[side] if left[side] > 0.0 else math.inf for side in SIDES}
         return MachineResult(case, {side: both.reduction(side) for side in SIDES}, bound, both.compensated.gain_factor)
 
