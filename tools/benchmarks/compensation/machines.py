@@ -43,9 +43,9 @@ class MachineResult:
     reduction : dict of Errors
         Factors by which the following error of motor and load is lower.
     bound : dict of float
-        Factors for the RMS that a feed-forward can be expected to reach. Motor: what the lag of the drive leaves, without
-        any friction, weight and disturbance. Load: also with what it deviates from the encoder, by twist, play, and
-        errors of gear and encoder.
+        Factors for the RMS that a feed-forward can be expected to reach. Motor: what the lag of the drive leaves,
+        without any friction, weight and disturbance. Load: also with what it deviates from the encoder, by twist, play,
+        and errors of gear and encoder.
     gain_factor : float
         What the guard against limit cycles has left of the gain.
     """
