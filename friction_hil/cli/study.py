@@ -1,5 +1,6 @@
-"""``friction-hil study``: the effect of each friction model on a servo."""
+"""``friction-hil study``: the effect of each friction model on a servo, and of compensation on a machine."""
 
+from pathlib import Path
 from typing import Any
 
 import click
@@ -9,23 +10,36 @@ from friction_hil.cli.options import folder_option, option_json
 
 
 @click.command("study")
+@click.argument("machine", required=False, type=click.Path(path_type=Path))
 @click.option(
     "--models",
     "names",
     metavar="A,B,...",
     shell_complete=complete_models,
-    help="Friction models, separated by commas.  [default: all]",
+    help="Friction models of the experiments, separated by commas.  [default: all]",
 )
 @folder_option("out/study", "the report")
 @option_json
-def command(**options: Any) -> int:
-    """Show what friction does to a servo, model by model, in nine experiments.
+def command(machine: Path | None, names: str | None, **options: Any) -> int:
+    """Show what friction does to a servo, model by model, or what compensation does on a MACHINE.
 
-    Static curves, velocity pulse, presliding, stress and strain, frictional lag, break-away, stick-slip, hunting and
-    reversal spikes; the last three without and with compensation by each model. Writes report.html with figures,
-    numbers and explanations; this takes less than a minute, and gives the same numbers each time. Exit status 1 if a
-    number is not finite.
+    Without MACHINE: nine experiments with each friction model. Static curves, velocity pulse, presliding, stress and
+    strain, frictional lag, break-away, stick-slip, hunting and reversal spikes; the last three without and with
+    compensation by each model.
+
+    MACHINE is a configuration file whose axes have a simulation, e.g. config/machines/belt.yaml. Each axis makes its
+    own motion, and a slow, a fast and a small one, without and with the compensation and the model of the file. RMS
+    and peak of the following error are printed, at the motor and at the load.
+
+    Writes report.html with figures, numbers and explanations; this takes less than a minute, and gives the same numbers
+    each time. Exit status 1 if a number is not finite.
     """
+    if machine is not None:
+        if names is not None:
+            raise click.UsageError("--models goes without MACHINE, whose file has the model of each axis")
+        from friction_hil.cli.work.study_machine import run_machine_study  # imported here: as below
+
+        return run_machine_study(machine=machine, **options)
     from friction_hil.cli.work.study import run_study  # imported here: --help must not wait for numba
 
-    return run_study(**options)
+    return run_study(names=names, **options)

@@ -269,8 +269,10 @@ class SimulatedDriver(Protocol):
 
     It may have the static methods ``make_master`` (see ``simulate --master``) and ``make_private(configuration,
     folder)``, which returns the configuration on a bus or lines that nothing else uses, and the name of what it
-    replaces (see ``run --simulate``). Drives whose class has ``have_common_time = True`` advance together, so that axes
-    may share a mechanism: their servos are those of `friction_hil.config.simulation.simulated_servos`.
+    replaces (see ``run --simulate``), and ``simulated_facts(name, axis, period_s)``, which returns the `AxisFacts` that
+    the driver finds of such a drive, for simulations without a bus (see ``friction-hil study MACHINE``). Drives whose
+    class has ``have_common_time = True`` advance together, so that axes may share a mechanism: their servos are those
+    of `friction_hil.config.simulation.simulated_servos`.
     """
 
     Options: "type[BaseModel]"  # keys of ``simulation`` of an axis

@@ -1,5 +1,6 @@
 """Closed loop of the daemon and a simulated servo over a whole motion, compiled."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,9 @@ DAEMON = np.dtype(
     ]
 )
 
-_compensate = compensator.step
+TRACE = ("error", "compensation", "gain_factor", "demand", "load_error")
+
+_compensate = compensator.whole_step
 
 
 @compiled
@@ -38,14 +41,18 @@ def _latch(state: StructuredArray, target: float, torque_offset: float) -> None:
 
 @compiled
 def _control(
-    d: Any, controller: StructuredArray, integral: float, row: Array, error: float, velocity: float
+    d: Any, controller: StructuredArray, integral: float, row: Array, r: Any, error: float
 ) -> tuple[float, float, float]:
-    """Return the target of one cycle, the torque of the loop's own controller (CST), and its integral."""
+    """Return the target of one cycle, the torque of the loop's own controller (CST), and its integral.
+
+    ``r`` is the state of the compensator, which has the velocity and the offset of the motor; ``error`` includes it.
+    """
     if d.mode == plant.CSP:
-        return row[4], 0.0, integral
+        return row[5] + r.offset_sent, 0.0, integral
     if d.mode == plant.CSV:
-        return row[5] + controller[0].position_gain * error, 0.0, integral
-    torque, integral = cascade(controller, integral, error, row[1], row[2], velocity, d.period_s, d.torque_limit)
+        return row[6] + r.offset_sent_velocity + controller[0].position_gain * error, 0.0, integral
+    demand, velocity = row[1] + r.offset_now_velocity, r.motion.velocity
+    torque, integral = cascade(controller, integral, error, demand, row[2], velocity, d.period_s, d.torque_limit)
     return 0.0, torque, integral
 
 
@@ -74,10 +81,12 @@ def run(
     settings, compensator_state
         Record and state of a `friction_hil.compensator.Compensator`.
     demand
-        (n, 6) array, a row for each cycle: position, velocity and acceleration now, velocity when this cycle's torque
-        acts, position and velocity as sent. SI.
+        (n, 7) array, a row for each cycle: position, velocity and acceleration now, velocity and acceleration when this
+        cycle's torque acts, position and velocity as sent. SI.
     trace
-        (3, n) array that is filled: following error, compensation, gain factor of the compensator.
+        (5, n) array that is filled, in the order of `TRACE`: following error, compensation, gain factor of the
+        compensator, demanded position, and demanded less true position of the load. The following error is that of the
+        encoder, from the demand with the offset of the motor (`friction_hil.compensator.transmission`).
     """
     d, r = daemon[0], state[0]
     steps, delay = int(d.period_steps), int(d.delay_steps)
@@ -102,12 +111,14 @@ def run(
             row[3],
             1.0,
             d.is_compensated,
+            row[4],
+            math.nan,
         )
-        error = row[0] - position
-        velocity = compensator_state[0].motion.velocity
-        target, own, integral = _control(d, own_controller, integral, row, error, velocity)
+        error = row[0] + compensator_state[0].offset_now - position
+        target, own, integral = _control(d, own_controller, integral, row, compensator_state[0], error)
         command = limit_torque(own + compensation, command, d.torque_limit, d.torque_slew * d.period_s)
         trace[0, k], trace[1, k], trace[2, k] = error, compensation, compensator_state[0].gain_factor
+        trace[3, k], trace[4, k] = row[0], row[0] - plant.load_position(state)
         for j in range(MOST_DELAY_CYCLES + 1, 0, -1):
             targets[j], torques[j] = targets[j - 1], torques[j - 1]
         targets[0], torques[0] = target, command

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from friction_hil import compensator as compensation
+from friction_hil.config.external_torque import simulated_servo
 from friction_hil.daemon.assembly import lead_s, make_compensator, make_controller
 from friction_hil.motion.trajectory import Path, PathTime, Trajectory
 from friction_hil.numerics.jit import Array
 from friction_hil.rehearsal import kernel
 from friction_hil.servo import plant
-from friction_hil.servo.servo import Servo
 
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig
@@ -97,19 +97,21 @@ class Rehearsal:
         motion : Motion
         is_compensated : bool
         """
-        error, _, gain_factor = self.trace(servo, model, motion, is_compensated=is_compensated)
-        scored = error[-round(motion.duration_s / self._period_s) :]
+        found = self.trace(servo, model, motion, is_compensated=is_compensated)
+        scored = found["error"][-round(motion.duration_s / self._period_s) :]
         rms = math.sqrt(float(np.mean(scored**2)))
         if not math.isfinite(rms):
             return Outcome(math.inf, math.inf, 0.0)
-        return Outcome(rms, float(np.max(np.abs(scored))), float(gain_factor[-1]))
+        return Outcome(rms, float(np.max(np.abs(scored))), float(found["gain_factor"][-1]))
 
-    def trace(self, servo: "ServoConfig", model: "ModelFile", motion: Motion, *, is_compensated: bool = True) -> Array:
-        """Return following error, compensation and gain factor of each cycle, (3, n)."""
+    def trace(
+        self, servo: "ServoConfig", model: "ModelFile", motion: Motion, *, is_compensated: bool = True
+    ) -> dict[str, Array]:
+        """Return the signals of each cycle from the start on, (n,) each, by the names `kernel.TRACE`."""
         axis = self._axis.model_copy(update={"model": model})
         facts, period_s = self._facts, self._period_s
         demand = self._demand(motion, lead_s(model, facts, period_s))
-        simulated = Servo(servo, float(demand[0, 0]))
+        simulated = simulated_servo(servo, float(demand[0, 0]))
         simulated.set_period(period_s)
         compensator = make_compensator(axis, model, facts, period_s)
         daemon = np.zeros(1, kernel.DAEMON)
@@ -122,7 +124,7 @@ class Rehearsal:
         )
         d["torque_limit"] = axis.limits.torque
         d["torque_slew"] = math.inf if axis.limits.torque_slew is None else axis.limits.torque_slew
-        trace = np.empty((3, len(demand)))
+        trace = np.empty((len(kernel.TRACE), len(demand)))
         kernel.run(
             daemon,
             make_controller(axis),
@@ -132,10 +134,10 @@ class Rehearsal:
             demand,
             trace,
         )
-        return trace
+        return dict(zip(kernel.TRACE, trace, strict=True))
 
     def _demand(self, motion: Motion, ahead_s: float) -> Array:
-        """Return the demand of each cycle as `kernel.run` takes it, (n, 6)."""
+        """Return the demand of each cycle as `kernel.run` takes it, (n, 7)."""
         key = (motion, ahead_s)
         if key not in self._demands:
             time = PathTime(motion.ramp_s)
@@ -147,6 +149,7 @@ class Rehearsal:
                 t = k * self._period_s
                 now, sent = trajectory.at(t), trajectory.at(t + delay_s)
                 counts = round(sent.position / resolution)
-                rows.append((*now, trajectory.at(t + ahead_s).velocity, counts * resolution, sent.velocity))
+                ahead = trajectory.at(t + ahead_s)
+                rows.append((*now, ahead.velocity, ahead.acceleration, counts * resolution, sent.velocity))
             self._demands[key] = np.array(rows)
         return self._demands[key]

@@ -21,6 +21,7 @@ __all__ = [
     "control",
     "driven",
     "is_braked",
+    "load_position",
     "measured_position",
     "measured_torque",
 ]
@@ -102,6 +103,18 @@ def measured_position(plant: StructuredArray, s: StructuredArray) -> float:
 def _choose_position(plant: Any, s: Any) -> Any:
     chosen = _position_of_encoder if has_parts(plant) else _position_of_motor
     return lambda plant, s: chosen(plant, s)
+
+
+def load_position(s: StructuredArray) -> float:
+    """Return the true position of the load, rad or m; that of the motor on a rigid servo."""
+    raise NotImplementedError  # exists in compiled code only
+
+
+@overloaded(load_position)
+def _choose_load(s: Any) -> Any:
+    if has_parts(s):
+        return lambda s: s[0].load_position
+    return lambda s: s[0].position
 
 
 @compiled

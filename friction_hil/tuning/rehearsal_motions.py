@@ -2,10 +2,12 @@
 
 import math
 
-from friction_hil.config import ExperimentBounds, Triangle
-from friction_hil.config.trajectories import PeriodicMotion
+from friction_hil.config import Circle, ExperimentBounds, Sine, Strokes, Triangle
+from friction_hil.config.trajectories import PeriodicMotion, peak_speed
 from friction_hil.daemon.assembly import periodic_path
-from friction_hil.rehearsal import Motion
+from friction_hil.errors import OptionError
+from friction_hil.rehearsal import Motion, SimulatedAxis
+from friction_hil.tuning.motions import own_motion
 from friction_hil.tuning.trial_motions import amplitude_of, trial_motions
 
 TRIANGLE = "triangle"
@@ -25,6 +27,28 @@ def rehearsal_motions(own: PeriodicMotion, bounds: ExperimentBounds, resolution:
         rounding=_ROUNDING,
     )
     return {name: _rehearsed(each) for name, each in motions.items()}
+
+
+def simulated_motions(axis: SimulatedAxis) -> dict[str, Motion]:
+    """Return the motions by which compensation on a simulated axis is judged, by name: those of a rehearsal.
+
+    Raises
+    ------
+    OptionError
+        The axis has neither a periodic trajectory nor an experiment.
+    """
+    config, given = axis.config, axis.config.trajectory
+    bounds: ExperimentBounds | None = config.experiment
+    if isinstance(given, Circle | Sine | Triangle | Strokes):
+        own: PeriodicMotion = given
+        if bounds is None:  # as fast and as far as the own motion
+            bounds = ExperimentBounds(velocity=peak_speed(given), travel=amplitude_of(given))
+    elif bounds is None:
+        text = f"is {given.kind}, and the axis has no experiment: there is no motion to simulate; try kind: sine"
+        raise OptionError(axis.name, "trajectory.kind", text)
+    else:
+        own = own_motion(axis.name, config)
+    return rehearsal_motions(own, bounds, axis.facts.position_resolution)
 
 
 def _rehearsed(motion: PeriodicMotion) -> Motion:

@@ -30,6 +30,7 @@ WITHOUT_DRIVES = (
     ("friction-hil doctor", 0),
     ("friction-hil doctor machine.yaml --json", 0),
     ("friction-hil study --models coulomb --output study --json", 0),
+    ("friction-hil study machine.yaml --output machine_study --json", 0),
     ("friction-hil train --from-model coulomb:coulomb=0.1 --speed 1 --samples 1000 --hidden 2 --output net.yaml", 0),
 )
 WITH_DRIVES = (
@@ -112,6 +113,7 @@ ELSEWHERE = (
     ("./tools/test", "test_arguments_reach_pytest"),
     ("./tools/bench", "test_unknown_benchmark_is_answered_with_what_there_is"),
     ("./tools/bench compensation --grid --json", "test_command_prints_one_json_object"),
+    ("./tools/bench compensation --identified", "test_the_command_takes_machines_and_simulates_only_them"),
     ("./tools/bench models --json", "test_every_figure_of_the_benchmark_has_its_row"),
     ("./tools/bench recordings --json", "test_benchmark_of_recordings_has_every_format"),
     ("./tools/bench serial", "test_cycles_without_time_for_a_rehearsal_are_measured_all_the_same"),

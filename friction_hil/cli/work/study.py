@@ -26,7 +26,7 @@ def run_study(*, names: str | None, output: Path, as_json: bool) -> int:
     study.check_names(chosen)
     require_matplotlib()
     claim(output)
-    with _progress() as show:
+    with study_progress() as show:
         result = study.run(chosen, lambda text, done: show(text, _EXPERIMENTS * done))
         report = write_report(output, result, lambda text, done: show(text, _EXPERIMENTS + (1 - _EXPERIMENTS) * done))
     if as_json:
@@ -42,7 +42,7 @@ def run_study(*, names: str | None, output: Path, as_json: bool) -> int:
 
 
 @contextmanager
-def _progress() -> Iterator[Callable[[str, float], None]]:
+def study_progress() -> Iterator[Callable[[str, float], None]]:
     """Yield a function that shows a text and the completed fraction on a terminal, on stderr."""
     if not sys.stderr.isatty():
         yield lambda text, done: None

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterator
+from glob import glob
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -109,6 +110,9 @@ class Grid(Section):
     motions: list[GridMotion] = key("demanded motions", min_length=1)
     conditions: dict[str, Condition] = key("knowledge and feedback of the compensator", min_length=1)
     compensator: CompensatorKeys = key("compensator that is compared with the other methods")
+    machines: list[str] = key(
+        "machine files, relative to this file, with * as in a shell; each is combined with the conditions", default=[]
+    )
     duration_s: float = key("of each run", "s", default=6.0, gt=0, le=3600)
     settling_s: float = key("at the beginning of each run, not scored", "s", default=3.0, ge=0)
     period_s: float = key("of the compensator", "s", default=1e-3, gt=0)
@@ -174,6 +178,23 @@ def load(path: str | Path) -> Grid:
     if problems or grid is None:
         raise ConfigurationError(sorted(dict.fromkeys(problems), key=lambda problem: problem.line or 0))
     return grid
+
+
+def machine_files(grid: Grid, path: Path) -> list[Path]:
+    """Return the machine files that a grid file names.
+
+    Raises
+    ------
+    UsageError
+        There is none of a name.
+    """
+    found: list[Path] = []
+    for pattern in grid.machines:
+        files = sorted(Path(name) for name in glob(str(path.parent / pattern)))
+        if not files:
+            raise UsageError(f"{path}: machines: there is no file {pattern}")
+        found += files
+    return found
 
 
 def _with_inherited_keys(value: Any) -> Any:

@@ -1,7 +1,6 @@
 """Results of a grid: geometric means and worst cases, as JSON and as tables."""
 
-import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from itertools import product
 from typing import Any
 
@@ -10,18 +9,10 @@ import click
 from friction_hil.cli.work.tables import new_table, number, print_table
 from tools.benchmarks.compensation.grid import Grid
 from tools.benchmarks.compensation.methods import METHODS, OURS
+from tools.benchmarks.compensation.numbers import brief, geometric_mean
 from tools.benchmarks.compensation.simulation import CaseResult
-from tools.benchmarks.report import machine
 
 _WORST_SHOWN = 10
-
-
-def geometric_mean(values: Iterable[float]) -> float:
-    """Return the geometric mean of numbers that are not negative; 0 if one of them is 0."""
-    logarithms = [math.log(value) if value > 0.0 else -math.inf for value in values]
-    if -math.inf in logarithms:
-        return 0.0
-    return math.exp(math.fsum(logarithms) / len(logarithms))
 
 
 def summary(results: Sequence[CaseResult]) -> dict[str, dict[str, dict[str, float]]]:
@@ -36,7 +27,7 @@ def summary(results: Sequence[CaseResult]) -> dict[str, dict[str, dict[str, floa
 
 
 def as_json(grid: Grid, source: str, results: Sequence[CaseResult]) -> dict[str, Any]:
-    """Return the JSON object of ``tools/bench compensation --json``."""
+    """Return the figures of the plants of a grid, for ``tools/bench compensation --json``."""
     cases = [
         {
             "plant": result.case.plant,
@@ -50,7 +41,7 @@ def as_json(grid: Grid, source: str, results: Sequence[CaseResult]) -> dict[str,
     by_condition = {
         name: summary([each for each in results if each.case.condition == name]) for name in grid.conditions
     }
-    return {"machine": machine(), "grid": source, "cases": cases, "summary": by_condition}
+    return {"grid": source, "cases": cases, "summary": by_condition}
 
 
 def show(grid: Grid, source: str, results: Sequence[CaseResult]) -> None:
@@ -63,7 +54,6 @@ def show(grid: Grid, source: str, results: Sequence[CaseResult]) -> None:
     if len(grid.plants) > 1:
         _print_groups(("plant", "drive"), results)
     _print_worst(grid, results)
-    click.echo(machine())
 
 
 def _print_groups(headings: tuple[str, str], results: Sequence[CaseResult]) -> None:
@@ -83,7 +73,7 @@ def _cells(results: Sequence[CaseResult]) -> list[str]:
     cells = []
     for figures in summary(results).values():
         rms, peak = figures["rms"], figures["peak"]
-        means, worst = (f"{_brief(rms[each])}/{_brief(peak[each])}" for each in ("geomean", "worst"))
+        means, worst = (f"{brief(rms[each])}/{brief(peak[each])}" for each in ("geomean", "worst"))
         cells.append(f"{means}\n[{worst}]")
     return cells
 
@@ -98,13 +88,9 @@ def _print_worst(grid: Grid, results: Sequence[CaseResult]) -> None:
             case.drive,
             grid.motions[case.motion].name,
             case.condition,
-            _brief(ours.rms),
-            _brief(ours.peak),
-            f"{_brief(late.rms)}/{_brief(late.peak)}",
+            brief(ours.rms),
+            brief(ours.peak),
+            f"{brief(late.rms)}/{brief(late.peak)}",
         )
     print_table(table)
     click.echo()
-
-
-def _brief(value: float) -> str:
-    return f"{value:.2f}" if value < 3.0 else f"{value:.1f}" if value < 100.0 else f"{value:.0f}"

@@ -1,15 +1,10 @@
 """The cases of a grid, each simulated with every method and without compensation, on all cores."""
 
 import math
-import os
-import sys
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cache
-from typing import NamedTuple, TypeVar
+from typing import NamedTuple
 
-import click
 import numpy as np
 
 from friction_hil import compensator as compensation
@@ -22,11 +17,9 @@ from friction_hil.servo.parts import Load
 from tools.benchmarks.compensation import machine
 from tools.benchmarks.compensation.grid import DriveLoops, Grid, Plant
 from tools.benchmarks.compensation.methods import METHODS, NONE, feedforward
+from tools.benchmarks.compensation.progress import with_progress
 
 INTEGRATION_HZ = 80_000.0  # unless a plant needs more
-
-Item = TypeVar("Item")
-Result = TypeVar("Result")
 
 
 class Error(NamedTuple):
@@ -181,7 +174,7 @@ def simulate(grid: Grid) -> list[CaseResult]:
     # without compensation all conditions are equal
     plain = list(dict.fromkeys(case._replace(condition=first) for case in cases))
     jobs = [(case, NONE) for case in plain] + [(case, method) for case in cases for method in METHODS]
-    errors = dict(zip(jobs, _with_progress(lambda job: simulation.run(*job), jobs), strict=True))
+    errors = dict(zip(jobs, with_progress(lambda job: simulation.run(*job), jobs, "compensation"), strict=True))
     for case in plain:
         if not 0.0 < errors[case, NONE].rms < math.inf:
             raise FrictionHilError(
@@ -198,13 +191,3 @@ def simulate(grid: Grid) -> list[CaseResult]:
 
 def _reduction(before: Error, after: Error) -> Error:
     return Error(*(b / a if a > 0.0 else math.inf for b, a in zip(before, after, strict=True)))
-
-
-def _with_progress(work: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
-    """Do ``work`` on all ``items`` in threads, and yield the results in order; compiled code runs in parallel."""
-    items = list(items)
-    with (
-        ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool,
-        click.progressbar(pool.map(work, items), len(items), "compensation", file=sys.stderr) as results,
-    ):
-        yield from results

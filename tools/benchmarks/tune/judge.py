@@ -11,11 +11,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from friction_hil_drivers.canopen.delays import ACTUATION_CYCLES, SETPOINT_CYCLES
+from friction_hil_drivers.canopen.simulated.drives import SimulatedCanopenDrives
 
 from friction_hil.checked_yaml.text import dump
 from friction_hil.config import AxisConfig, load
-from friction_hil.drive import AxisFacts, Mode
 from friction_hil.models.files import load_model_file
 from friction_hil.models.model_file import ModelFile
 from friction_hil.motion.trajectory import Path as MotionPath
@@ -76,9 +75,8 @@ def tune_axis(name: str, content: dict[str, Any]) -> AxisResult:
         configuration = load(file, needs_models=False)
         [(axis_name, axis)] = configuration.axes.items()
         output = Path(folder) / "tuned"
-        words = ["tune", str(file), "--simulate", "--pace", "sync", "--yes", "--json", "--output", str(output)]
         start = time.monotonic()
-        done = subprocess.run([sys.executable, "-m", "friction_hil", *words], capture_output=True, text=True)
+        done = run_tune(file, output)
         tune_s = time.monotonic() - start
         model = output / f"{axis_name}.yaml"
         is_found = done.stdout.startswith("{") and model.is_file()
@@ -90,10 +88,21 @@ def tune_axis(name: str, content: dict[str, Any]) -> AxisResult:
             rehearsals.reductions(truth(axis)),
             {} if tuned is None else rehearsals.reductions(tuned),
             "" if tuned is None else tuned.friction.model,
-            "" if is_found else (done.stderr.strip().splitlines() or ["no message"])[-1],
+            "" if is_found else last_line(done),
             tune_s,
             sum(_length_s(Path(each), axis_name) for each in recordings),
         )
+
+
+def run_tune(file: Path, output: Path) -> "subprocess.CompletedProcess[str]":
+    """Run the command for all axes of a configuration, against simulated drives and paced by SYNC."""
+    words = ["tune", str(file), "--simulate", "--pace", "sync", "--yes", "--json", "--output", str(output)]
+    return subprocess.run([sys.executable, "-m", "friction_hil", *words], capture_output=True, text=True)
+
+
+def last_line(done: "subprocess.CompletedProcess[str]") -> str:
+    """Return the last line that a command has written to stderr."""
+    return (done.stderr.strip().splitlines() or ["no message"])[-1]
 
 
 class Rehearsals:
@@ -102,15 +111,7 @@ class Rehearsals:
     def __init__(self, axis: AxisConfig, period_s: float, names: Sequence[str] = (OWN, *OTHERS)) -> None:
         servo = axis.simulation
         assert isinstance(servo, ServoConfig)
-        turn = math.tau if servo.mechanics.axis == "rotary" else 1.0
-        facts = AxisFacts(
-            name="x",
-            identity="",
-            position_resolution=turn / servo.encoder.counts,
-            torque_resolution=servo.motor.rated_torque / 1000.0,
-            setpoint_delay_s=SETPOINT_CYCLES[Mode[axis.mode.upper()]] * period_s,
-            actuation_delay_s=ACTUATION_CYCLES * period_s,
-        )
+        facts = SimulatedCanopenDrives.simulated_facts("x", axis, period_s)
         self._servo, self._rehearsal = servo, Rehearsal(axis, facts, period_s)
         motions = judged_motions(axis)
         self._motions = {name: motions[name] for name in names}

@@ -1,12 +1,15 @@
 """Simulated drives of some axes on one bus, in one thread."""
 
+import math
 import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from friction_hil.drive import AxisFacts, Mode
 from friction_hil.errors import BusError
 from friction_hil_drivers.canopen import objects
+from friction_hil_drivers.canopen.delays import ACTUATION_CYCLES, SETPOINT_CYCLES
 from friction_hil_drivers.canopen.interfaces import bus_name
 from friction_hil_drivers.canopen.options import canopen_options
 from friction_hil_drivers.canopen.presence import Presence
@@ -75,6 +78,21 @@ class SimulatedCanopenDrives:
         from friction_hil_drivers.canopen.simulated.private import private_configuration
 
         return private_configuration(configuration)
+
+    @staticmethod
+    def simulated_facts(name: str, axis: "AxisConfig", period_s: float) -> AxisFacts:
+        """Return what the driver finds of the simulated drive of an axis, which takes set-points at SYNC."""
+        servo, mode = axis.simulation, Mode[axis.mode.upper()]
+        assert isinstance(servo, SimulationOptions)
+        turn = math.tau if servo.mechanics.axis == "rotary" else 1.0
+        return AxisFacts(
+            name,
+            identity="",
+            position_resolution=turn / servo.encoder.position_counts,
+            torque_resolution=servo.motor.rated_torque / 1000.0,
+            setpoint_delay_s=SETPOINT_CYCLES[mode] * period_s,
+            actuation_delay_s=ACTUATION_CYCLES * period_s,
+        )
 
     def open(self) -> str:
         """Compile the servos, open the bus and let every node send its boot-up message.

@@ -1,0 +1,42 @@
+"""The models that `tune` identifies on machine files, kept in a folder."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import click
+
+from friction_hil.config import load
+from friction_hil.errors import FrictionHilError
+from friction_hil.models.files import load_model_file
+from friction_hil.models.model_file import ModelFile
+from tools.benchmarks.tune.judge import last_line, run_tune
+
+
+def identified_models(files: Sequence[Path], folder: Path) -> dict[tuple[str, str], ModelFile]:
+    """Return the models of all axes, by stem of the file and name of the axis.
+
+    Parameters
+    ----------
+    files : sequence of Path
+        Machine files.
+    folder : Path
+        Holds STEM/AXIS.yaml. A machine without its subfolder is tuned, into it.
+
+    Raises
+    ------
+    FrictionHilError
+        `tune` ended without a model.
+    """
+    found = {}
+    for file in files:
+        models = folder / file.stem
+        if not models.exists():
+            click.echo(f"tuning {file.stem} ...", err=True)
+            done = run_tune(file, models)
+            if done.returncode:
+                raise FrictionHilError(f"{file}: tune found no model: {last_line(done)}")
+        for axis in load(file, needs_models=False).axes:
+            path = models / f"{axis}.yaml"
+            if path.is_file():
+                found[file.stem, axis] = load_model_file(path)
+    return found
