@@ -100,7 +100,8 @@ class RunStateMachine:
         if state is LoopState.WAITING:
             if inputs.is_stop_requested:
                 return LoopState.DONE
-            return state if inputs.is_pause_requested or inputs.has_fault else LoopState.ENABLING
+            is_kept = self._is_listening or inputs.is_pause_requested or inputs.has_fault
+            return state if is_kept else LoopState.ENABLING
         if state is LoopState.ENABLING:
             return LoopState.DISABLING if is_ending else self._enabling(elapsed_s, inputs)
         if state is LoopState.FIRST_MOTION:

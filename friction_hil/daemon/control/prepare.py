@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from friction_hil.checked_yaml.messages import show
 from friction_hil.checked_yaml.section import keys
 from friction_hil.compensator import INPUTS, Compensator
 from friction_hil.config import AxisConfig, Configuration, from_dict, self_contained
@@ -17,6 +18,7 @@ from friction_hil.daemon.axis import check_torque
 from friction_hil.daemon.control.message import AxisChange
 from friction_hil.drive import AxisFacts
 from friction_hil.errors import ConfigurationError, FrictionHilError, OptionError, UsageError, choices
+from friction_hil.models.files import load_model_file
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import columns
 
@@ -90,6 +92,8 @@ def prepare(
     for key, value in values.items():
         try:
             axis, steps = _place(key, configuration["axes"])
+            if steps == ["model"]:
+                _check_kind(axis, value, configuration["axes"][axis]["model"]["axis"])
             _put(wanted["axes"][axis], steps, value)
         except UsageError as error:
             problems.append(str(error))
@@ -105,13 +109,13 @@ def prepare(
         raise UsageError("\n".join(_shortened(str(problem), source) for problem in error.problems)) from None
     changes: list[AxisChange | None] = []
     for fact in facts:
-        before, after = configuration["axes"][fact.name], new.axes[fact.name]
+        after = new.axes[fact.name]
         try:
             one = AxisChange()
             if fact.name in changed:
                 is_other = fact.name in models
                 if is_other:
-                    _check_model(fact.name, before, after, has_network=has_network)
+                    _check_model(fact.name, after, has_network=has_network)
                 one = _change(after, new, fact, rows.get(fact.name), is_other=is_other)
             if fact.name in switched:
                 one = AxisChange(after.compensation.enabled, one.record, one.friction)
@@ -171,7 +175,25 @@ def _shortened(problem: str, source: str) -> str:
     return problem.removeprefix(f"{source}: ").replace("axes.", "", 1).replace(".compensation.", ".", 1)
 
 
-def _check_model(name: str, before: Mapping[str, Any], after: AxisConfig, *, has_network: bool) -> None:
+def _check_kind(name: str, path: Any, kind: str) -> None:
+    """Refuse the model of another kind of axis: as part of the configuration it would ask for other units first.
+
+    Raises
+    ------
+    UsageError
+        The model is for a linear axis and this one is rotary, or the other way round; or the path is none.
+    """
+    if not isinstance(path, str):
+        raise UsageError(f"{name}.model: must be the path of a model file, not {show(path)}")
+    try:
+        given = load_model_file(path).axis
+    except FrictionHilError:
+        return  # the check of the whole configuration says what is wrong with the file
+    if given != kind:
+        raise UsageError(f"{name}.model: is for a {given} axis, but {name} is {kind}")
+
+
+def _check_model(name: str, after: AxisConfig, *, has_network: bool) -> None:
     """Refuse a model that cannot take the place of the present one.
 
     Raises
@@ -179,9 +201,6 @@ def _check_model(name: str, before: Mapping[str, Any], after: AxisConfig, *, has
     UsageError
         It cannot; the message says why.
     """
-    kind = before["model"]["axis"]
-    if after.model.axis != kind:
-        raise UsageError(f"{name}.model: is for a {after.model.axis} axis, but {name} is {kind}")
     if after.compensation.transmission is not None:
         raise UsageError(
             f"{name}.model: cannot be changed while the daemon runs, because compensation.transmission is on and "
