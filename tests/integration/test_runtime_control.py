@@ -1,6 +1,7 @@
 """A daemon that is changed, stopped and started while it runs: real processes, and a recording that replays."""
 
 import contextlib
+import io
 import json
 import os
 import signal
@@ -70,7 +71,7 @@ def controlled(tmp_path_factory):
     config, record, model = folder / "mill.yaml", folder / "run.mcap", folder / "other.yaml"
     config.write_text(yaml.safe_dump({**values, "realtime": {"priority": 0}, "axes": {"x": axis}}))
     model.write_text(yaml.safe_dump(STRIBECK))
-    found = {"record": record, "said": {}}
+    found = {"record": record}
     words = ("run", "--simulate", config, "--pace", "sync", "--wait", "--record", record, "--json")
     with start(*words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as daemon:
         reader = threading.Thread(target=lambda: found.update(stderr=daemon.stderr.read()))
@@ -82,7 +83,7 @@ def controlled(tmp_path_factory):
 
             until(lambda: (answered("mill", {"do": "status"}) or {}).get("state") == "waiting")
             found["waiting"] = ask(find("mill"), {"do": "status"})
-            found["started"] = command("start", "mill")
+            found["started"] = command("start", "mill", "--json")
             found["set"] = [
                 command("set", "mill", "x.gain=0.7"),
                 command("set", "mill", f"x.model={model}", "x.adaptation={time_s: 1}"),
@@ -100,6 +101,10 @@ def controlled(tmp_path_factory):
             found["at rest"] = ask(find("mill"), {"do": "status"})
             found["reset"] = command("reset", "mill")
             found["again"] = command("start", "mill")
+            capture = io.StringIO()
+            with contextlib.redirect_stdout(capture):
+                found["shown"] = command("status", "--json"), command("status", "mill")
+            found["status of all"] = capture.getvalue()
             daemon.send_signal(signal.SIGINT)
             found["stdout"] = daemon.stdout.read()
             daemon.wait(60)
@@ -133,6 +138,17 @@ def test_every_change_is_in_force_and_named(controlled):
     assert [text.startswith(who) for text in summary["notices"]] == [True] * 9
     assert summary["notices"][1].endswith("set x.gain=0.7")
     assert summary["notices"][2].endswith('set x.model=other.yaml, x.adaptation={"time_s": 1}')
+
+
+def test_status_shows_every_daemon(controlled):
+    assert controlled["shown"] == (0, 0)
+    text = controlled["status of all"]
+    daemons, end = json.JSONDecoder().raw_decode(text)
+    assert daemons["daemons"]["mill"]["changes"] >= 5
+    lines = text[end:].strip().splitlines()
+    assert lines[0].startswith("mill: running, ")
+    assert lines[1] == "  x: drive operation enabled, gain 0.8, stribeck (other.yaml)"
+    assert "position" in lines[2]
 
 
 def test_the_loop_outlives_the_process_of_its_socket_which_knows_what_is_in_force(controlled):
