@@ -63,6 +63,8 @@ class AxisLoop:
     ----------
     is_stopped_by_gaps : bool
         The axis stops where set-points are missing: it has a path of positions. Velocity or torque would be kept.
+    is_broken : bool
+        Its computation has failed: it gets no torque any more.
     """
 
     # slots here and in its parts: with a __dict__, the deep copy that warms the caches would be laid out differently,
@@ -78,7 +80,6 @@ class AxisLoop:
         "_follow_check",
         "_has_offset",
         "_held",
-        "_is_broken",
         "_is_compensation_enabled",
         "_is_standing",
         "_last_cycle",
@@ -94,6 +95,7 @@ class AxisLoop:
         "compensator",
         "following_errors",
         "gaps",
+        "is_broken",
         "is_stopped_by_gaps",
         "lead_s",
         "load_errors",
@@ -154,7 +156,7 @@ class AxisLoop:
         self._fault_reset = FaultReset(is_wanted=False)
         self._make_checks = functools.partial(_checks, name, unit, config, limits, facts, period_s, self.motion)
         self._first_motion, self._follow_check = self._make_checks()
-        self._is_broken = False
+        self.is_broken = False
         self._is_standing = False  # in the last cycle with usable feedback
         self._held = 0  # cycles since then
         self._last_cycle = -1
@@ -228,11 +230,11 @@ class AxisLoop:
         gets no torque, and its row holds NaN.
         """
         fault = warning = None
-        if not self._is_broken:
+        if not self.is_broken:
             try:
                 return self.compute(cycle, state, running_s, feedback, command, row)
             except Exception as error:  # noqa: BLE001 - whatever it is, the machine must come to rest
-                self._is_broken = True
+                self.is_broken = True
                 text = f"{self.name}: the computation failed: {type(error).__name__}: {error}"
                 fault = FaultCode.COMPUTATION_FAILED.append_to(text)
                 warning = self._notices.next(self.compensator, self.compensator.velocity_estimate)

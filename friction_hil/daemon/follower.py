@@ -34,9 +34,11 @@ class FollowerStateMachine(RunStateMachine):
     def _next(self, elapsed_s: float, inputs: RunInputs, has_stood: bool) -> LoopState:
         state = self.state
         if state is LoopState.IDLE:
-            if inputs.is_stop_requested or inputs.has_fault or inputs.is_pause_requested:
+            if inputs.is_stop_requested or inputs.has_fault:
                 return after_the_stop(inputs)
-            return state if self._is_listening or elapsed_s < SETTLE_S else LoopState.RUNNING
+            if self._is_listening or elapsed_s < SETTLE_S:
+                return state
+            return LoopState.WAITING if inputs.is_pause_requested else LoopState.RUNNING
         if state in (LoopState.RUNNING, LoopState.STOPPING) and inputs.has_fault:
             return LoopState.FAULT_STOPPING
         if state is LoopState.RUNNING:
@@ -114,7 +116,7 @@ class FollowerAxis(AxisLoop):
     ) -> AxisUpdate:
         """Compute one cycle; see `AxisLoop.update`. After an exception nothing is left to fade out."""
         update = super().update(cycle, state, running_s, feedback, command, row)
-        return update._replace(is_faded_out=True) if self._is_broken else update
+        return update._replace(is_faded_out=True) if self.is_broken else update
 
     def compute(
         self, cycle: int, state: LoopState, running_s: float, feedback: Feedback, command: Command, row: AxisRow

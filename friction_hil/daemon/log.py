@@ -80,9 +80,10 @@ class RunLog:
     def fault(self, cycle: int, text: str) -> None:
         """Keep a fault, with the periods that were missed shortly before; the same text counts once.
 
-        Of many, the first ones are kept.
+        Of many, the first ones are kept, and after a reset the first ones again.
         """
-        if len(self.result.faults) < _MOST_FAULTS:
+        self.has_fault = True
+        if len(self._said) < _MOST_FAULTS:
             self._keep_fault(cycle, text)
 
     def _keep_fault(self, cycle: int, text: str) -> None:
@@ -96,7 +97,7 @@ class RunLog:
     def _with_missed(self, cycle: int, text: str) -> str:
         """Return the text of a fault with the missed periods before it, ahead of its code."""
         ago_s = (cycle - self._missed_cycle) * self._period_s
-        if not self._missed or ago_s < 0.0 or ago_s > _NAMED_S or self.result.faults:
+        if not self._missed or ago_s < 0.0 or ago_s > _NAMED_S or len(self._said) > 1:
             return text
         periods = "1 period was" if self._missed == 1 else f"{self._missed} periods were"
         when = "right" if ago_s == 0.0 else f"{1e3 * ago_s:.3g} ms"

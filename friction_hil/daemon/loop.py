@@ -76,7 +76,7 @@ class Loop:
             self._pacer.start()
             while self._run.state is not LoopState.DONE:
                 cycle = self._pacer.wait(cycle)
-                if self._pacer.skipped and not self._run.is_idle:
+                if self._pacer.skipped and not (self._run.is_idle or self._run.state is LoopState.WAITING):
                     self._log.missed(cycle, self._pacer.skipped, self._pacer.overslept_ns, self._settings.max_missed)
                     self._run.hold_path(cycle, self._pacer.skipped)
                 self._cycle(cycle)

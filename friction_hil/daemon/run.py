@@ -117,6 +117,8 @@ class RunControl:
             return "it is still stopping: start it when it has stopped"
         if self._log.has_fault:
             return "it has a fault: remove the cause and reset it first"
+        if broken := [axis.name for axis in self._axes if axis.is_broken]:
+            return f"{broken[0]}: its computation has failed: start the daemon again"
         if not self._settings.is_follower and (obstacle := self._obstacle(feedback)):
             return obstacle
         self._is_paused = False
@@ -241,6 +243,9 @@ class RunControl:
             names = [axis.name for axis in self._axes]
             for text in timeout_faults(timeout, left, names, feedback, is_standing, is_silent):
                 self._log.fault(cycle, text)
+        if left is LoopState.WAITING and self._machine.state is not LoopState.DONE:
+            for axis in self._axes:
+                axis.begin_again()
         self._enter(self._machine.state, cycle, time_s)
 
     def _inputs(self, time_s: float, feedback: Sequence[Feedback], updates: Sequence[AxisUpdate]) -> RunInputs:
@@ -285,6 +290,4 @@ class RunControl:
             self._path_time.stop(later_s)
         elif state is LoopState.WAITING:
             self._running_since_s = math.nan
-            for axis in self._axes:
-                axis.begin_again()
         self._log.state(cycle, state)

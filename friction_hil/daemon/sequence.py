@@ -94,9 +94,11 @@ class RunStateMachine:
         state = self.state
         is_ending = inputs.is_stop_requested or inputs.has_fault or inputs.is_pause_requested
         if state is LoopState.IDLE:
-            if is_ending:
+            if inputs.is_stop_requested or inputs.has_fault:
                 return after_the_stop(inputs)
-            return state if self._is_listening or elapsed_s < SETTLE_S else LoopState.ENABLING
+            if self._is_listening or elapsed_s < SETTLE_S:
+                return state
+            return LoopState.WAITING if inputs.is_pause_requested else LoopState.ENABLING
         if state is LoopState.WAITING:
             if inputs.is_stop_requested:
                 return LoopState.DONE

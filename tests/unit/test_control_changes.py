@@ -12,6 +12,7 @@ from friction_hil.daemon.control.mailbox import MailboxReader, MailboxWriter
 from friction_hil.daemon.control.message import Action, Change, pack
 from friction_hil.daemon.control.packed import room
 from friction_hil.daemon.control.prepare import entry_of, prepare
+from friction_hil.daemon.figures import Condition
 from friction_hil.daemon.safety import LoopState
 from friction_hil.daemon.stop import StopRequest
 from friction_hil.drive import DriveState, Request
@@ -294,6 +295,39 @@ def test_a_fault_of_a_daemon_that_waits_is_reset_by_somebody_before_a_start():
     assert Request.ENABLE not in requests[402:699]
     assert Request.RESET_FAULT in requests[650:652]
     assert Request.RESET_FAULT not in requests[:650]
+
+
+def test_an_axis_whose_computation_failed_is_not_started_again():
+    def disturb(cycle, feedback):
+        if cycle == 400:
+            feedback[0].velocity = "fast"
+
+    plan = {200: Action.START, 600: Action.RESET, 700: Action.START}
+    run = Changed(configuration(x=quick()), plan, until=900, disturb=disturb, is_waiting=True)
+    assert [refusal for _, refusal in run.answers] == [
+        *("", "", "x: its computation has failed: start the daemon again"),
+    ]
+    assert Request.ENABLE not in [command.request for command in run.drives.commands[0]][402:]
+
+
+def test_what_is_not_possible_now_is_refused_with_the_reason():
+    plan = {100: Action.START, 300: Action.RESET, 400: Action.STOP, 405: Action.START}
+    run = Changed(configuration(x=quick()), plan, until=700)
+    assert [refusal for _, refusal in run.answers] == [
+        "it is started already",
+        "it has not stopped: faults are reset once it waits without power",
+        "",
+        "it is still stopping: start it when it has stopped",
+    ]
+    dry = Changed(configuration(x=quick()), {50: Action.START, 60: Action.STOP}, until=100, dry_run=True)
+    assert [refusal for _, refusal in dry.answers] == ["a dry run enables nothing", "a dry run has enabled nothing"]
+
+
+def test_figures_are_those_of_the_last_motion_also_when_the_run_ends_while_it_waits():
+    run = Changed(configuration(x=quick()), {3000: Action.STOP}, until=3600)
+    figures = run.axes[0].following_errors.figures(Condition.WITH)
+    assert figures is not None
+    assert figures.counted >= 500
 
 
 def test_garbage_in_the_mailbox_is_reported_once_and_changes_nothing():

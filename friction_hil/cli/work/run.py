@@ -62,6 +62,8 @@ def run(
             name or default_name(config), group, is_next_taken=name is None and (simulate or dry_run)
         )
         stack.callback(control.close)
+        if control.path.stem != (name or default_name(config)):
+            say(f"note: another daemon has the name of the configuration; this one is called {control.path.stem}")
         if simulate:
             drives = simulated_drives(configuration, pace, say, lambda: stop.is_requested)
             configuration = stack.enter_context(drives)
