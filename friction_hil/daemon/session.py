@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from friction_hil.compensator import Compensator, CompensatorSettings
 from friction_hil.config import self_contained
 from friction_hil.config.drivers import load_driver
 from friction_hil.config.load import only_driver
@@ -28,6 +29,7 @@ from friction_hil.daemon.run import LoopSettings
 from friction_hil.daemon.stop import StopRequest
 from friction_hil.drive import AxisFacts, Clock, Drives, unit_table
 from friction_hil.drive.finding import complaints
+from friction_hil.models import create
 from friction_hil.motion.trajectory import PathTime
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import columns
@@ -221,9 +223,17 @@ def _prepare(
     control = None
     if settings.control is not None:
         control_job = _control_job(configuration, settings, facts, job)
+        if control_job.has_network:
+            _compile_plain(configuration.period_s)
         control = ControlService(settings.control, companion.ring_descriptor, journal, control_job)
         stack.callback(control.close)
     return _Prepared(drives, axes, path_time, companion, control)
+
+
+def _compile_plain(period_s: float) -> None:
+    """Compile the step for models without a network: one may take the place of a model that has one."""
+    settings = CompensatorSettings(period_s, 1e-6, 1.0)
+    Compensator(create("coulomb", coulomb=0.0), settings).compile()
 
 
 def _control_job(

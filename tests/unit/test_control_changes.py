@@ -5,12 +5,14 @@ from dataclasses import asdict
 
 import numpy as np
 import pytest
+import yaml
 
 from friction_hil import recordings
+from friction_hil.compensator import kernel
 from friction_hil.config import self_contained
 from friction_hil.daemon.control.mailbox import MailboxReader, MailboxWriter
-from friction_hil.daemon.control.message import Action, Change, pack
-from friction_hil.daemon.control.packed import room
+from friction_hil.daemon.control.message import Action, AxisChange, Change, pack
+from friction_hil.daemon.control.packed import room, unpack
 from friction_hil.daemon.control.prepare import entry_of, prepare
 from friction_hil.daemon.figures import Condition
 from friction_hil.daemon.safety import LoopState
@@ -22,6 +24,7 @@ from friction_hil.recordings.fingerprint import fingerprint
 from friction_hil.recordings.mcap_writer import McapWriter
 from friction_hil.replay.verify import verify
 from tests.loop_run import Drives
+from tests.networks import model_file, random_network
 from tests.servo_drives import TRUE_FRICTION, axis_dict, configuration, make_loop
 
 MOTION = {"kind": "sine", "amplitude": 0.3, "frequency": 2.0, "ramp_s": 0.1}
@@ -157,6 +160,16 @@ def changed(models):
     }
     axes = {"x": quick(), "y": quick(node=2)}
     return Changed(configuration(**axes), plan, until=1700, disturb=warm)
+
+
+def test_no_change_makes_the_loop_compile(changed):
+    """The kernel runs for the record of any model: it was compiled before the loop began."""
+    known = len(kernel.whole_step.signatures)
+    axis = changed.axes[0]
+    record = unpack(pack(Change(1, axes=[AxisChange(None, axis.compensator.record)])), [axis.compensator.record])
+    axis.compensator.adopt(record.axes[0].record, None)
+    axis.compensator.step(9999.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, True, False)
+    assert len(kernel.whole_step.signatures) == known
 
 
 def test_every_bit_is_reproduced_through_all_changes(changed, tmp_path):
@@ -370,6 +383,19 @@ def test_values_are_refused_with_the_words_of_the_configuration(changed, values,
     config = configuration(x=quick())
     with pytest.raises(UsageError, match=message):
         prepare(self_contained(config), "test", values, changed.facts[:1], {}, has_network=False)
+
+
+def test_a_network_is_refused_by_a_daemon_that_has_not_loaded_its_code(changed, tmp_path):
+    path = tmp_path / "net.yaml"
+    path.write_text(yaml.safe_dump(model_file(random_network())))
+    config, values = self_contained(configuration(x=quick())), {"x.model": str(path)}
+    with pytest.raises(UsageError, match=r"x\.model: has a network, whose code this daemon has not loaded"):
+        prepare(config, "test", values, changed.facts[:1], {}, has_network=False)
+    (change,) = prepare(config, "test", values, changed.facts[:1], {}, has_network=True).axes
+    message = pack(Change(1, axes=[change]))
+    present = [changed.axes[0].compensator.record]
+    with pytest.raises(ValueError, match="have the wrong size"):
+        unpack(message, present)
 
 
 def test_models_that_cannot_take_the_place_of_the_present_one_are_refused(changed, tmp_path):

@@ -7,6 +7,7 @@ from friction_hil.daemon.control.mailbox import MailboxReader
 from friction_hil.daemon.control.message import Action, Change
 from friction_hil.daemon.control.packed import unpack
 from friction_hil.drive import Feedback
+from friction_hil.friction.kernel import PLAIN_ROOM
 
 if TYPE_CHECKING:
     from friction_hil.daemon.axis import AxisLoop
@@ -30,11 +31,13 @@ class Changes:
         Number of the last change of settings that was applied; 0 before the first.
     """
 
-    __slots__ = ("_axes", "_is_garbage_told", "_log", "_mailbox", "_run", "last")
+    __slots__ = ("_axes", "_is_garbage_told", "_log", "_mailbox", "_rooms", "_run", "last")
 
     def __init__(self, mailbox: MailboxReader, axes: "Sequence[AxisLoop]", log: "RunLog", run: "RunControl") -> None:
         self._mailbox, self._axes, self._log, self._run = mailbox, axes, log, run
         self._is_garbage_told = False
+        models = [one for axis in axes for one in (axis.compensator, *axis.shadows.values())]
+        self._rooms = {PLAIN_ROOM, *(one.record[0]["friction"].size for one in models)}
         self.last = 0.0
 
     @property
@@ -59,7 +62,7 @@ class Changes:
                 self._tell_garbage(cycle, self._mailbox.garbage)
             return
         try:
-            change = unpack(message, [axis.compensator.record for axis in self._axes])
+            change = unpack(message, [axis.compensator.record for axis in self._axes], self._rooms)
         except ValueError as error:
             self._tell_garbage(cycle, str(error))
             return

@@ -5,7 +5,7 @@ period, resolution, limits and velocity estimator as they are.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
@@ -41,7 +41,7 @@ def room(axes: int) -> int:
     return 8 * (HEAD + axes * (AXIS_HEAD + largest + STATE_ROOM)) + TEXT_BYTES
 
 
-def unpack(message: bytes, records: Sequence[StructuredArray]) -> Change:
+def unpack(message: bytes, records: Sequence[StructuredArray], rooms: Collection[int] = (PLAIN_ROOM,)) -> Change:
     """Return the change that a message holds.
 
     Parameters
@@ -49,6 +49,8 @@ def unpack(message: bytes, records: Sequence[StructuredArray]) -> Change:
     message : bytes
     records : sequence of record
         Present settings of each axis.
+    rooms : collection of int
+        Numbers of model parameters for which the loop has compiled code; any other would be compiled within a cycle.
 
     Raises
     ------
@@ -65,7 +67,7 @@ def unpack(message: bytes, records: Sequence[StructuredArray]) -> Change:
     axes: list[AxisChange | None] = []
     at = HEAD
     for record in records[:count]:
-        change, at = _unpack_axis(numbers, at, record)
+        change, at = _unpack_axis(numbers, at, record, rooms)
         axes.append(change)
     if at != numbers.size:
         raise ValueError("its length is wrong")
@@ -73,7 +75,9 @@ def unpack(message: bytes, records: Sequence[StructuredArray]) -> Change:
     return Change(number, Action(action), axes, text)
 
 
-def _unpack_axis(numbers: Array, at: int, present: StructuredArray) -> tuple[AxisChange | None, int]:
+def _unpack_axis(
+    numbers: Array, at: int, present: StructuredArray, rooms: Collection[int]
+) -> tuple[AxisChange | None, int]:
     head = numbers[at : at + AXIS_HEAD].tolist()
     if len(head) < AXIS_HEAD:
         raise ValueError("its length is wrong")
@@ -84,7 +88,7 @@ def _unpack_axis(numbers: Array, at: int, present: StructuredArray) -> tuple[Axi
     at += AXIS_HEAD
     record = friction = None
     if record_size:
-        record = _record(numbers[at : at + record_size], present)
+        record = _record(numbers[at : at + record_size], present, rooms)
         at += record_size
     if friction_size:
         friction = numbers[at : at + friction_size].copy()
@@ -99,9 +103,9 @@ def _unpack_axis(numbers: Array, at: int, present: StructuredArray) -> tuple[Axi
     return AxisChange(is_enabled, record, friction), at
 
 
-def _record(numbers: Array, present: StructuredArray) -> StructuredArray:
+def _record(numbers: Array, present: StructuredArray, rooms: Collection[int]) -> StructuredArray:
     """Return settings that are fit for the axis whose settings are ``present``."""
-    for parameters in (PLAIN_ROOM, PARAMETER_ROOM):
+    for parameters in rooms:
         kind = settings_type(parameters)
         if numbers.size * 8 == kind.itemsize:
             record = numbers.copy().view(kind)
