@@ -14,8 +14,9 @@ from friction_hil.errors import ConfigurationError, RecordingError
 from friction_hil.friction.kernel import STATE_ROOM
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
+from friction_hil.recordings.recording import CHANGE
 
-_COLUMN, _EVENT = "change", "change"
+_COLUMN = "change"
 
 
 class RecordedChanges:
@@ -116,7 +117,7 @@ def _entries(recording: Recording) -> dict[int, dict[str, Any]]:
     """Return the settings of the axes after each change, by its number."""
     found = {}
     for event in recording.events:
-        if event.name != _EVENT:
+        if event.name != CHANGE:
             continue
         try:
             entry = json.loads(event.text)

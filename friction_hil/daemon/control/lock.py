@@ -69,7 +69,8 @@ class ControlSocket:
         except OSError as error:
             self.close()
             reason = error.strerror or str(error)
-            raise FrictionHilError(f"the control socket {self.path} cannot be made: {reason}") from error
+            text = f"the control socket {self.path} cannot be made: {reason}"
+            raise FrictionHilError(text, "set XDG_RUNTIME_DIR to a folder of your own") from error
         except BaseException:
             self.close()
             raise
