@@ -94,7 +94,7 @@ class Changed:
             self.writer.post(pack(Change(number, wanted, [], f"user 7: {wanted.name.lower()}")))
             return
         prepared = prepare(self.present, "test", wanted, self.facts, {}, has_network=False)
-        entry = entry_of(number, prepared, self.present, self.models_of, "user 7")
+        entry = entry_of(number, prepared, self.models_of, "user 7")
         self.entries.append((drives.cycle, entry))
         self.writer.post(pack(Change(number, Action.NONE, prepared.axes, f"user 7 set {len(wanted)}")))
         self.present = prepared.configuration

@@ -8,6 +8,7 @@ import threading
 
 import pytest
 
+from friction_hil.daemon.control import lock
 from friction_hil.daemon.control.ask import ask
 from friction_hil.daemon.control.desk import _request
 from friction_hil.daemon.control.lock import ControlSocket, control_socket
@@ -88,12 +89,13 @@ def test_the_socket_of_a_killed_daemon_is_replaced(folder):
     opened.close()
 
 
-def test_a_socket_that_somebody_serves_is_never_replaced(folder):
+def test_a_socket_that_somebody_serves_is_never_replaced(folder, monkeypatch):
     """In a container that shares the folder, the lock is not seen."""
     folder.mkdir()
     with socket.socket(socket.AF_UNIX) as other:
         other.bind(str(folder / "mill.sock"))
         other.listen()
+        monkeypatch.setattr(lock, "_ORPHAN_S", 0.0)
         inode = (folder / "mill.sock").stat().st_ino
         with pytest.raises(UsageError, match="called 'mill' runs already"):
             ControlSocket("mill")

@@ -32,7 +32,7 @@ class RefusedError(FrictionHilError):
 
 
 class Desk:
-    """Answers requests; one that changes something waits for those before it.
+    """Answers requests.
 
     Parameters
     ----------
@@ -46,7 +46,8 @@ class Desk:
         self._mailbox = MailboxWriter(mailbox_descriptor)
         self._journal = journal_descriptor
         self._state = DaemonState(ring_descriptor, self._names, job.columns, job.state_width)
-        self._lock = threading.Lock()
+        self._preparing = threading.Lock()  # one change of settings is prepared upon the other
+        self._sending = threading.Lock()  # a stop does not wait for what is being prepared
         self._looking = threading.Lock()
         self._do: dict[str, Callable[[Mapping[str, Any], str], dict[str, Any]]] = {
             "status": self._status,
@@ -78,7 +79,7 @@ class Desk:
             faults, warnings, notices = (
                 list(each) for each in (self._state.faults, self._state.warnings, self._state.notices)
             )
-        configuration, models_of, _ = self._present()
+        configuration, models_of = self._present()
         axes = {}
         for name in self._names:
             given = configuration["axes"][name]["compensation"]
@@ -112,8 +113,8 @@ class Desk:
         # imported here: only what changes settings needs numba and the models
         from friction_hil.daemon.control.prepare import entry_of, latest_inputs, prepare
 
-        with self._lock:
-            before, models_of, _ = self._present()
+        with self._preparing:
+            before, models_of = self._present()
             rows = self._state.rows(_LATEST)
             latest = {
                 name: found
@@ -122,12 +123,13 @@ class Desk:
             }
             facts = [AxisFacts(**{**fact, "units": ()}) for fact in self._job.facts]
             prepared = prepare(before, self._job.source, values, facts, latest, has_network=self._job.has_network)
-            number = self._next_number()
             shown = ", ".join(f"{key}={_shown(value)}" for key, value in values.items())
             text = f"{who} set {shown}"
-            entry = entry_of(number, prepared, before, models_of, text)
-            journal.append(self._journal, {**entry, "files": prepared.models})
-            cycle = self._send(Change(number, Action.NONE, prepared.axes, text))
+            with self._sending:
+                number = self._next_number()
+                entry = entry_of(number, prepared, models_of, text)
+                journal.append(self._journal, {**entry, "files": prepared.models})
+                cycle = self._send(Change(number, Action.NONE, prepared.axes, text))
         return {"cycle": cycle, "change": number}
 
     def _start(self, request: Mapping[str, Any], who: str) -> dict[str, Any]:
@@ -141,7 +143,7 @@ class Desk:
 
     def _act(self, action: Action, who: str, timeout_s: float, is_done: Callable[[], bool]) -> dict[str, Any]:
         """Ask something of the run, and wait until it is done; what the drives reported last is in the answer."""
-        with self._lock:
+        with self._sending:
             number = self._next_number()
             cycle = self._send(Change(number, action, [], f"{who}: {action.name.lower()}"))
         end_s = time.monotonic() + timeout_s
@@ -201,8 +203,8 @@ class Desk:
         numbers: list[int] = [entry["number"] for entry in journal.entries(self._journal)]
         return max([self._mailbox.answered, *numbers]) + 1
 
-    def _present(self) -> tuple[dict[str, Any], dict[str, int], int]:
-        """Return the present configuration, the change that brought each model, and the number of the last change."""
+    def _present(self) -> tuple[dict[str, Any], dict[str, int]]:
+        """Return the present configuration, and the number of the change that brought each model."""
         configuration = json.loads(json.dumps(self._job.configuration))
         number = self._state.last_change()
         entries = {entry["number"]: entry for entry in journal.entries(self._journal)}
@@ -212,7 +214,7 @@ class Desk:
             models_of[name] = axis["model_of"]
             if axis["model_of"]:
                 configuration["axes"][name]["model"] = entries[axis["model_of"]]["axes"][name]["model"]
-        return configuration, models_of, number
+        return configuration, models_of
 
     def _file_of(self, number: int, name: str) -> str | None:
         entries = {entry["number"]: entry for entry in journal.entries(self._journal)}

@@ -5,6 +5,7 @@ import grp
 import hashlib
 import os
 import socket
+import time
 
 from friction_hil.daemon.control.names import is_live, socket_path
 from friction_hil.drive.socket_owner import owner
@@ -12,6 +13,8 @@ from friction_hil.errors import FrictionHilError, UsageError
 
 _BACKLOG = 64
 _MOST_NAMES = 100
+_ORPHAN_S = 2.0
+_LOOK_S = 0.02
 
 
 class NameTakenError(UsageError):
@@ -90,6 +93,9 @@ class ControlSocket:
         folder.mkdir(mode=0o700 if group_id < 0 else 0o755, parents=True, exist_ok=True)
         if folder.stat().st_uid not in (os.geteuid(), 0):
             raise FrictionHilError(f"{folder} belongs to another user: set XDG_RUNTIME_DIR to a folder of your own")
+        end_s = time.monotonic() + _ORPHAN_S
+        while is_live(self.path) and time.monotonic() < end_s:
+            time.sleep(_LOOK_S)  # the server of a daemon that was killed ends by itself
         if is_live(self.path):  # of a daemon in a container that shares this folder, but not the lock
             raise NameTakenError(_taken(self.path.stem, owner(os.fspath(self.path))))
         with contextlib.suppress(FileNotFoundError):

@@ -248,17 +248,13 @@ def _state(compensator: Compensator, latest: tuple[Mapping[str, Array], Array] |
     return compensator.friction_state
 
 
-def entry_of(
-    number: int, prepared: Prepared, before: Mapping[str, Any], models_of: Mapping[str, int], text: str
-) -> dict[str, Any]:
+def entry_of(number: int, prepared: Prepared, models_of: Mapping[str, int], text: str) -> dict[str, Any]:
     """Return what the journal and the recording keep of a change.
 
     Parameters
     ----------
     number : int
     prepared : Prepared
-    before : dict
-        Configuration before the change.
     models_of : dict of int
         Number of the change that brought the present model of each axis; 0: the configuration of the run.
     text : str
