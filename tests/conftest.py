@@ -13,6 +13,9 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 # Runs that end in a fault leave a file there.
 _STATE = tempfile.TemporaryDirectory(prefix="friction_hil-state-")
 os.environ["XDG_STATE_HOME"] = _STATE.name
+# Daemons of one name exclude each other; those of parallel workers are to be strangers. A short path: it names sockets.
+_runtime = tempfile.TemporaryDirectory(prefix="fh")
+os.environ["XDG_RUNTIME_DIR"] = _runtime.name
 
 # A busy machine and the first call of a kernel, which compiles it, are no failures.
 settings.register_profile("friction_hil", deadline=None, suppress_health_check=[HealthCheck.too_slow])

@@ -64,12 +64,15 @@ class RunLog:
     Attributes
     ----------
     result : LoopResult
+    has_fault : bool
+        There is a fault that nobody has reset.
     """
 
     def __init__(self, sink: Sink, period_s: float) -> None:
         self._sink = sink
         self._period_s = period_s
         self._said: set[str] = set()  # faults, as they came
+        self.has_fault = False
         self._missed = 0  # periods
         self._missed_cycle = -1  # that followed them
         self.result = LoopResult()
@@ -77,14 +80,16 @@ class RunLog:
     def fault(self, cycle: int, text: str) -> None:
         """Keep a fault, with the periods that were missed shortly before; the same text counts once.
 
-        Of many, the first ones are kept.
+        Of many, the first ones are kept, and after a reset the first ones again.
         """
-        if len(self.result.faults) < _MOST_FAULTS:
+        self.has_fault = True
+        if len(self._said) < _MOST_FAULTS:
             self._keep_fault(cycle, text)
 
     def _keep_fault(self, cycle: int, text: str) -> None:
         if text not in self._said:
             self._said.add(text)
+            self.has_fault = True
             text = self._with_missed(cycle, text)
             self.result.faults.append(text)
             self._sink.event(cycle, "fault", text)
@@ -92,13 +97,31 @@ class RunLog:
     def _with_missed(self, cycle: int, text: str) -> str:
         """Return the text of a fault with the missed periods before it, ahead of its code."""
         ago_s = (cycle - self._missed_cycle) * self._period_s
-        if not self._missed or ago_s < 0.0 or ago_s > _NAMED_S or self.result.faults:
+        if not self._missed or ago_s < 0.0 or ago_s > _NAMED_S or len(self._said) > 1:
             return text
         periods = "1 period was" if self._missed == 1 else f"{self._missed} periods were"
         when = "right" if ago_s == 0.0 else f"{1e3 * ago_s:.3g} ms"
         said = f"; {periods} missed {when} before"
         words, bracket, code = text.rpartition(" [FH-")
         return f"{words}{said}{bracket}{code}" if bracket else text + said
+
+    def reset(self, cycle: int) -> None:
+        """Forget that there is a fault; it stays in the result. If it comes again, it counts again."""
+        if self.has_fault:
+            self._sink.event(cycle, "reset", "the fault is reset")
+        self.has_fault = False
+        self._said.clear()
+
+    def change(self, cycle: int, number: int, text: str) -> None:
+        """Keep a change that somebody made while the daemon runs; ``number`` is that of the message."""
+        self._sink.event(cycle, "change", str(number))
+        self.act(cycle, text)
+
+    def act(self, cycle: int, text: str) -> None:
+        """Keep what somebody asked for while the daemon runs; unlike `notice` each time."""
+        self._sink.event(cycle, "notice", text)
+        if len(self.result.notices) < _MOST_NOTICES:
+            self.result.notices.append(text)
 
     def notice(self, cycle: int, text: str) -> None:
         """Keep what a drive said; the same text counts once."""

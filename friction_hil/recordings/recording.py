@@ -15,6 +15,7 @@ from friction_hil.recordings.units import unit_problem
 
 Array = NDArray[np.float64]
 
+CHANGE = "change"  # name of the event that holds settings for replay; a notice of the same cycle has it in words
 _MOST_NAMED = 100  # columns that a message lists
 
 

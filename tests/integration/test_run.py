@@ -179,6 +179,9 @@ def test_the_second_daemon_on_an_axis_is_refused(tmp_path):
         try:
             wait_for_frames(bus, SYNC, 100)
             _, second = run_daemon(configuration, "--duration", 0.3, check=False)
+            assert second.returncode == 2
+            assert "a daemon called 'axes' runs already" in second.stderr
+            _, second = run_daemon(configuration, "--duration", 0.3, "--name", "second", check=False)
             assert second.returncode == 1
             assert "another daemon" in second.stderr
             assert "Traceback" not in second.stderr

@@ -24,12 +24,16 @@ def children(pid: int) -> list[int]:
     return own + [grandchild for child in own for grandchild in children(child)]
 
 
+def _command(pid: int) -> bytes:
+    return Path(f"/proc/{pid}/cmdline").read_bytes()
+
+
 def test_a_run_whose_companion_is_killed_goes_on_and_names_all_its_files(tmp_path: Path) -> None:
     configuration = write_configuration(tmp_path)
     with simulated_drives(configuration), listening(configuration) as bus:
         daemon = start_daemon(configuration, "--duration", 3, "--record", tmp_path / "run.mcap")
         wait_for_frames(bus, SYNC, 1600)  # until a chunk of 1 s is on disk
-        companion = children(daemon.pid)
+        companion = [pid for pid in children(daemon.pid) if b"daemon.companion" in _command(pid)]
         assert len(companion) == 2
         for pid in companion:
             os.kill(pid, signal.SIGKILL)

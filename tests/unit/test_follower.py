@@ -5,6 +5,9 @@ import math
 import pytest
 
 from friction_hil.config import from_dict
+from friction_hil.daemon.control.mailbox import MailboxReader, MailboxWriter
+from friction_hil.daemon.control.message import Action, Change, pack
+from friction_hil.daemon.control.packed import room
 from friction_hil.daemon.figures import SETTLE_S, Condition
 from friction_hil.daemon.follower import FollowerAxis
 from friction_hil.daemon.loop import Loop
@@ -99,7 +102,7 @@ class Machine:
         return []
 
 
-def run(machine, *, config=None, stop=None, **settings):
+def run(machine, *, config=None, stop=None, mailbox=None, **settings):
     config = config or configuration()
     path_time = PathTime(0.25)
     axes = [
@@ -108,7 +111,7 @@ def run(machine, *, config=None, stop=None, **settings):
     ]
     sink = Rows(config)
     settings = LoopSettings(period_s=PERIOD_S, is_follower=True, **{"duration_s": 1.0, **settings})
-    loop = Loop(machine, axes, path_time, SteppedClock(), sink, settings, stop or StopRequest())
+    loop = Loop(machine, axes, path_time, SteppedClock(), sink, settings, stop or StopRequest(), mailbox)
     return loop.run(), sink, axes[0]
 
 
@@ -128,6 +131,30 @@ def test_compensation_is_faded_in_and_out_and_the_last_offset_is_zero():
     assert max(steps) <= 300.0 * PERIOD_S * 1.001
     running = sink.column("x", "state").count(LoopState.RUNNING)
     assert running == pytest.approx(1000, abs=2)
+    assert set(machine.states) == {ENABLED}
+
+
+def test_a_stop_and_a_start_at_the_control_socket_fade_the_offset_and_leave_the_drive_to_its_master():
+    mailbox = MailboxReader(room(1))
+    writer = MailboxWriter(mailbox.descriptor)
+    asked = {400: Action.STOP, 700: Action.START, 900: Action.RESET}
+    answers = []
+
+    def disturb(cycle, heard):
+        if cycle in asked:
+            writer.post(pack(Change(cycle, asked[cycle])))
+        elif cycle - 1 in asked:
+            answers.append(writer.wait(cycle - 1, 0.0))
+
+    machine = Machine(disturb=disturb)
+    result, sink, _axis = run(machine, mailbox=mailbox, duration_s=0.5)
+    assert result.faults == []
+    assert states_of(sink) == ["running", "stopping", "waiting", "running", "stopping", "done"]
+    assert [refusal for _, refusal in answers] == [
+        *("", "", "it commands no drive: their faults are not its own to reset"),
+    ]
+    assert set(machine.sent[600:700]) == {0.0}
+    assert max(map(abs, machine.sent[800:1100])) > 0.05
     assert set(machine.states) == {ENABLED}
 
 

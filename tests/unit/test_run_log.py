@@ -34,3 +34,16 @@ def test_a_drive_that_may_have_power_at_the_end_is_a_fault_after_any_number_of_o
     assert last.startswith("x: ")
     assert (1000, "fault", last) in sink.events
     assert log.result.drive_states == [state, DriveState.SWITCH_ON_DISABLED]
+
+
+def test_after_a_reset_the_same_fault_counts_again_however_many_there_were():
+    sink = Events()
+    log = RunLog(sink, 1e-3)
+    for k in range(1000):
+        log.fault(k, f"fault {k}")
+    log.reset(1000)
+    assert not log.has_fault
+    log.fault(1001, "fault 0")
+    assert log.has_fault
+    assert log.result.faults[-1] == "fault 0"
+    assert [event for event in sink.events if event[1] == "reset"] == [(1000, "reset", "the fault is reset")]

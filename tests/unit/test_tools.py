@@ -408,7 +408,13 @@ def test_the_benchmark_of_latency_compares_sleeping_and_spinning(monkeypatch: py
 def test_the_benchmark_of_the_exchange_times_each_part(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(exchange, "DURATION_S", 0.5)
     names = [row.name for row in exchange.run()]
-    assert [name.split(" p")[0] for name in names[2:]] == ["receive", "step", "send", "whole cycle"]
+    assert [name.split(" p")[0] for name in names[2:]] == [
+        "receive",
+        "step",
+        "send",
+        "whole cycle",
+        "mailbox without news",
+    ]
 
 
 def test_benchmark_of_recordings_compares_equal_work(tmp_path: Path) -> None:

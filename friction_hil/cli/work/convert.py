@@ -18,6 +18,7 @@ from friction_hil.recordings.columns import TIME, unit
 from friction_hil.recordings.even import what_to_repair
 from friction_hil.recordings.parts import only_recording
 from friction_hil.recordings.quality import resolution, time_facts, without_overflow
+from friction_hil.recordings.recording import CHANGE
 from friction_hil.recordings.source import new_file
 
 if TYPE_CHECKING:
@@ -174,4 +175,6 @@ def _print(name: str, facts: dict[str, Any]) -> None:
     if facts["metadata"]:
         click.echo(f"{facts['restart_points']} restart points; metadata: {', '.join(facts['metadata'])}")
     for event in facts["events"]:
+        if event["name"] == CHANGE:
+            continue
         click.echo(f"cycle {event['cycle']:.0f}: {event['name']}: {event['text']}")

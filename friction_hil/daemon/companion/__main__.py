@@ -22,13 +22,13 @@ from friction_hil.daemon.companion.job import (
 from friction_hil.daemon.companion.memory import allocate
 
 
-def main(ring_descriptor: int, job_descriptor: int, number: int, death: str) -> int:
+def main(ring_descriptor: int, job_descriptor: int, journal_descriptor: int, number: int, death: str) -> int:
     """Serve the job; return the exit status.
 
     Parameters
     ----------
-    ring_descriptor, job_descriptor : int
-        Shared memory of the rows, and of the job.
+    ring_descriptor, job_descriptor, journal_descriptor : int
+        Shared memory of the rows, of the job, and of the changes of the run (-1: none).
     number : int
         Number of the first worker: 1 at the start of a run.
     death : str
@@ -45,7 +45,7 @@ def main(ring_descriptor: int, job_descriptor: int, number: int, death: str) -> 
     memory = None if job.black_box is None else allocate(job)
     while True:
         lives.begin()
-        _, status = os.waitpid(_fork_worker(job, ring_descriptor, number, memory), 0)
+        _, status = os.waitpid(_fork_worker(job, ring_descriptor, journal_descriptor, number, memory), 0)
         code = os.waitstatus_to_exitcode(status)
         if code == 0:
             return 0
@@ -59,7 +59,7 @@ def main(ring_descriptor: int, job_descriptor: int, number: int, death: str) -> 
         number += 1
 
 
-def _fork_worker(job: Job, ring_descriptor: int, number: int, memory: mmap.mmap | None) -> int:
+def _fork_worker(job: Job, ring_descriptor: int, journal_descriptor: int, number: int, memory: mmap.mmap | None) -> int:
     parent, pid = os.getpid(), os.fork()
     if pid:
         return pid
@@ -69,9 +69,10 @@ def _fork_worker(job: Job, ring_descriptor: int, number: int, memory: mmap.mmap 
         if os.getppid() != parent:  # it died before that
             os._exit(status)
         # imported here: only the worker needs numpy
+        from friction_hil.daemon.companion.changes import Changes
         from friction_hil.daemon.companion.worker import work
 
-        status = work(job, ring_descriptor, number, memory)
+        status = work(job, ring_descriptor, number, memory, Changes(journal_descriptor))
     except BaseException:  # noqa: BLE001 - a fork must not return into the code of its parent
         traceback.print_exc()
     finally:
@@ -80,5 +81,5 @@ def _fork_worker(job: Job, ring_descriptor: int, number: int, memory: mmap.mmap 
 
 
 if __name__ == "__main__":
-    _ring, _job, _number = map(int, sys.argv[1:4])
-    sys.exit(main(_ring, _job, _number, sys.argv[4]))
+    _ring, _job, _journal, _number = map(int, sys.argv[1:5])
+    sys.exit(main(_ring, _job, _journal, _number, sys.argv[5]))

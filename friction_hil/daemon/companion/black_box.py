@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from friction_hil.daemon.companion.changes import Changes
 from friction_hil.daemon.companion.history import History
 from friction_hil.daemon.companion.job import Job, say, warn
 from friction_hil.errors import RecordingError
@@ -34,11 +35,13 @@ class BlackBox:
         With a ``black_box``.
     history : History
         To which the rows are appended before this is told of them.
+    changes : Changes
     """
 
-    def __init__(self, job: Job, history: History) -> None:
+    def __init__(self, job: Job, history: History, changes: Changes) -> None:
         assert job.black_box is not None
         self._job, self._history, self._path = job, history, Path(job.black_box)
+        self._changes = changes
         self._time, self._cycle = job.columns.index(TIME), job.columns.index(CYCLE)
         self._events: deque[tuple[float, str, str]] = deque(maxlen=_MOST_EVENTS)
         self._left: deque[tuple[float, str, str]] = deque()  # events of the file that are not written yet
@@ -117,13 +120,15 @@ class BlackBox:
                 about={IS_OF_FAULT: True},
                 is_durable=True,
             )
+            for event in self._changes.earlier():
+                self._writer.write_event(*event)
         except (OSError, RecordingError) as error:
             self._give_up(error, path)
 
     def _write_events(self, cycle: float) -> None:
         assert self._writer is not None
         while self._left and self._left[0][0] <= cycle:
-            self._writer.write_event(*self._left.popleft())
+            self._writer.write_event(*self._changes.whole(self._left.popleft()))
 
     def _end(self) -> None:
         assert self._writer is not None

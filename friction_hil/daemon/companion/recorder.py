@@ -9,6 +9,7 @@ import numpy as np
 
 from friction_hil.daemon.companion.black_box import ABANDONED
 from friction_hil.daemon.companion.budget import Budget
+from friction_hil.daemon.companion.changes import Changes
 from friction_hil.daemon.companion.job import Job, say, warn
 from friction_hil.daemon.companion.paths import part_number, part_path
 from friction_hil.daemon.ring import RingReader
@@ -37,13 +38,16 @@ class Recorder:
     job : Job
         With a path.
     ring : RingReader
+    changes : Changes
     clock : callable
         Monotonic time, s.
     """
 
-    def __init__(self, job: Job, ring: RingReader, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self, job: Job, ring: RingReader, changes: Changes, clock: Callable[[], float] = time.monotonic
+    ) -> None:
         assert job.path is not None
-        self._job, self._ring, self._clock = job, ring, clock
+        self._job, self._ring, self._changes, self._clock = job, ring, changes, clock
         self._first = Path(job.path)
         self._number = 0
         self._writer: McapWriter | None = None
@@ -52,6 +56,7 @@ class Recorder:
         self._cycle_column = job.columns.index(CYCLE) if CYCLE in job.columns else None
         self._rows_per_s = max(1, round(1.0 / job.period_s))
         self._rows = self._events = 0  # of this file, released in the ring
+        self._added = 0  # events in this file that are not from the ring
         self._cycle = 0.0
         self._file_start_s: float | None = None
         self._chunk_bytes = 0  # of the largest chunk so far
@@ -70,7 +75,8 @@ class Recorder:
         """
         path = part_path(self._first, number)
         self._number = number = part_number(path, self._first) or number
-        self._rows = self._events = 0
+        self._rows = self._events = self._added = 0
+        self._writer = None
         self._file_start_s = self._open_since_s = None
         self._writer = McapWriter(
             path,
@@ -84,6 +90,9 @@ class Recorder:
             is_durable=True,
             on_flush=self._release,
         )
+        for event in self._changes.earlier():
+            self._writer.write_event(*event)
+            self._added += 1
         self._size = self._writer.size
         if self._budget is not None:
             self._budget.look(path)
@@ -107,7 +116,7 @@ class Recorder:
                 self._writer.write(rows[:count])
                 rows = rows[count:]
             for event in events:
-                self._writer.write_event(*event)
+                self._writer.write_event(*self._changes.whole(event))
             self._flush_idle_chunk()
         except (OSError, RecordingError) as error:
             self._suspend(error)
@@ -119,7 +128,7 @@ class Recorder:
         try:
             if was_abandoned:
                 self._writer.write_event(self._cycle, *ABANDONED)
-                self._events += 1  # this one is not from the ring
+                self._added += 1
             self._writer.close()
         except OSError as error:
             self._suspend(error)
@@ -155,8 +164,9 @@ class Recorder:
     def _release(self) -> None:
         if self._writer is None:  # it is being created
             return
-        self._ring.release(self._writer.rows_kept - self._rows, self._writer.events_kept - self._events)
-        self._rows, self._events = self._writer.rows_kept, self._writer.events_kept
+        events = max(self._writer.events_kept - self._added, self._events)
+        self._ring.release(self._writer.rows_kept - self._rows, events - self._events)
+        self._rows, self._events = self._writer.rows_kept, events
         self._chunk_bytes = max(self._chunk_bytes, self._writer.size - self._size)
         self._size = self._writer.size
         self._open_since_s = None

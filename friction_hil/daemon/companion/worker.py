@@ -6,6 +6,7 @@ import select
 import time
 
 from friction_hil.daemon.companion.black_box import BlackBox
+from friction_hil.daemon.companion.changes import Changes
 from friction_hil.daemon.companion.history import History
 from friction_hil.daemon.companion.job import CANNOT_OPEN, Job, die_with_parent, say, warn
 from friction_hil.daemon.companion.recorder import Recorder
@@ -19,7 +20,7 @@ _PAUSE_MS = 20
 _STANDSTILL_S = 2.0  # between two looks at the ring
 
 
-def work(job: Job, ring_descriptor: int, number: int, memory: mmap.mmap | None) -> int:
+def work(job: Job, ring_descriptor: int, number: int, memory: mmap.mmap | None, changes: Changes) -> int:
     """Serve the ring until it is closed and drained, or the control process is gone.
 
     Parameters
@@ -31,6 +32,7 @@ def work(job: Job, ring_descriptor: int, number: int, memory: mmap.mmap | None) 
         1 for the first worker of a run; a later one writes the next file of the recording.
     memory : mmap or None
         Memory of the last minute, which all workers of a supervisor share; None if faults get no files.
+    changes : Changes
 
     Returns
     -------
@@ -38,7 +40,7 @@ def work(job: Job, ring_descriptor: int, number: int, memory: mmap.mmap | None) 
         Exit status: 0, or ``CANNOT_OPEN`` after the reason was reported to the control process.
     """
     ring = RingReader(ring_descriptor)
-    outputs = _Outputs(job, ring, memory)
+    outputs = _Outputs(job, ring, memory, changes)
     path = None
     if outputs.recorder is not None:
         try:
@@ -82,11 +84,11 @@ def work(job: Job, ring_descriptor: int, number: int, memory: mmap.mmap | None) 
 class _Outputs:
     """The recording, if there is one, and the files of faults."""
 
-    def __init__(self, job: Job, ring: RingReader, memory: mmap.mmap | None) -> None:
+    def __init__(self, job: Job, ring: RingReader, memory: mmap.mmap | None, changes: Changes) -> None:
         self._ring = ring
-        self.recorder = None if job.path is None else Recorder(job, ring)
+        self.recorder = None if job.path is None else Recorder(job, ring, changes)
         self._history = None if memory is None else History(job, memory)
-        self._black_box = None if self._history is None else BlackBox(job, self._history)
+        self._black_box = None if self._history is None else BlackBox(job, self._history, changes)
 
     def take(self, rows: Array, events: list[tuple[float, str, str]]) -> None:
         if self._history is not None and self._black_box is not None:

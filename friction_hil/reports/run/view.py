@@ -16,6 +16,7 @@ from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
 from friction_hil.recordings.columns import CYCLE, TIME
 from friction_hil.recordings.quality import time_facts
+from friction_hil.recordings.recording import CHANGE
 from friction_hil.reports.numbers import comparison_rows, readable
 from friction_hil.reports.run.friction import FrictionOverVelocity, friction_over_velocity
 from friction_hil.reports.run.panels import Panel, following_error, largest, motion, per_second, timing, torques
@@ -271,7 +272,8 @@ def _marks(part: Recording, whole: Recording) -> tuple[Mark, ...]:
         return ()
     cycle, time = whole[CYCLE], whole[TIME]
     first, last = part[TIME][0], part[TIME][-1]
-    marks = [Mark(float(np.interp(each.cycle, cycle, time)), each.name, each.text) for each in whole.events]
+    shown = [each for each in whole.events if each.name != CHANGE]
+    marks = [Mark(float(np.interp(each.cycle, cycle, time)), each.name, each.text) for each in shown]
     return tuple(mark for mark in marks if first <= mark.time_s <= last)
 
 

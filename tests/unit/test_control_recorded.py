@@ -1,0 +1,60 @@
+"""Changes of a running daemon in the files that the companion writes."""
+
+import json
+import os
+
+import numpy as np
+
+from friction_hil import recordings
+from friction_hil.daemon.companion.changes import Changes
+from friction_hil.daemon.companion.job import Job
+from friction_hil.daemon.companion.recorder import Recorder
+from friction_hil.daemon.control import journal
+from friction_hil.daemon.ring import RingObserver, RingReader, RingWriter
+
+COLUMNS = ["time_s", "cycle", "change"]
+
+
+def entry(number):
+    """A change whose settings are too long for an event of the ring."""
+    return {"number": number, "text": "user 7", "axes": {"x": {"friction": [0.1 * number] * 200}}}
+
+
+def test_each_file_holds_the_settings_of_its_rows_whole(tmp_path):
+    """Also the second file of a run: its worker has not seen the changes that came before."""
+    ring = RingWriter(len(COLUMNS), 64)
+    job = Job(["x"], COLUMNS, 0, 1e-3, 0, path=str(tmp_path / "run.mcap"))
+    changes = journal.make_journal()
+    journal.append(changes, entry(1))
+    recorder = Recorder(job, reader := RingReader(ring.descriptor), Changes(changes))
+    recorder.open(1)
+    for cycle in range(20):
+        if cycle == 10:
+            journal.append(changes, entry(2))
+            ring.push_event(cycle, "change", "2")
+            ring.push_event(cycle, "fault", "something")
+        ring.push(np.array([1e-3 * cycle, cycle, 1.0 + (cycle >= 10)]))
+    recorder.take(reader.drain(), reader.drain_events())
+    recorder.close(was_abandoned=False)
+    events = recordings.read(tmp_path / "run.mcap").events
+    assert [(event.cycle, event.name) for event in events] == [(0.0, "change"), (10.0, "change"), (10.0, "fault")]
+    assert [json.loads(event.text) for event in events[:2]] == [entry(1), entry(2)]
+    # all is released, nothing twice: a successor would begin after it
+    successor = RingReader(ring.descriptor)
+    assert (len(successor.drain()), successor.drain_events(), successor.lost) == (0, [], 0)
+    os.close(changes)
+
+
+def test_an_observer_takes_nothing_from_the_reader():
+    ring = RingWriter(2, 32)
+    observer, reader = RingObserver(ring.descriptor), RingReader(ring.descriptor)
+    assert observer.newest(5).shape == (0, 2)
+    for k in range(100):
+        ring.push(np.array([k, -k], float))
+    np.testing.assert_array_equal(observer.newest(3)[:, 0], [97.0, 98.0, 99.0])
+    assert len(observer.newest(1000)) == 16  # the older half may be overwritten at any moment
+    ring.push_event(3, "fault", "first")
+    assert observer.new_events() == [(3.0, "fault", "first")]
+    assert observer.new_events() == []
+    assert len(reader.drain()) == 32
+    assert reader.drain_events() == [(3.0, "fault", "first")]
