@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from friction_hil.identification.data import RegressionSegment
+from friction_hil.identification.data import RegressionSegment, prepare
 from friction_hil.identification.encoder_error import EncoderError, find_encoder_error
 from friction_hil.identification.fits import Fit
 from friction_hil.identification.frequency_response import FrequencyResponse, frequency_response
@@ -28,9 +28,10 @@ _FORM = 0.02  # of each value: no axis is two masses with Coulomb friction to be
 _FELT = 0.1  # of the friction: a load that changes by less is none
 _VAGUE = 0.5  # standard error over value
 
+_UNEXCITED = "the recording excites no band of frequencies while the axis slides"
 _SHAKEN = (
-    "record a motion that shakes the axis while it slides: a chirp or multisine of small amplitude on slow strokes, up "
-    "to the frequencies of interest, with the column position_demand"
+    "friction-hil tune --mechanics records such a motion, or trajectory {kind: multisine}, with higher high_hz and a "
+    "shorter period_s for stiffer axes"
 )
 _REVERSALS = "reversals at several speeds, faster ones with oscillations above 8 Hz: trajectory {kind: experiment}"
 _STROKES = "record strokes with rests, trajectory {kind: strokes}, on a load that nothing pulls to one side"
@@ -115,7 +116,11 @@ class Mechanics:
 
 
 def find_mechanics(
-    recordings: Sequence[Recording], result: Identification, *, report: Callable[[str], None] = lambda _: None
+    recordings: Sequence[Recording],
+    result: Identification,
+    *,
+    shaken: Sequence[Recording] = (),
+    report: Callable[[str], None] = lambda _: None,
 ) -> Mechanics:
     """Find the mechanics behind the motor.
 
@@ -124,6 +129,8 @@ def find_mechanics(
     recordings : sequence of Recording
         Those that ``result`` was fitted to; a column ``load_position`` is used where it exists.
     result : Identification
+    shaken : sequence of Recording
+        Further ones, of an axis that is shaken while it slides: the frequency response is then theirs alone.
     report : callable
         Called with the name of each step.
     """
@@ -133,8 +140,9 @@ def find_mechanics(
         return Mechanics(tuple(replace(each, missing=why) for each in _nothing(units)))
     records = [each for each in result.records if not each.is_thinned] or list(result.records)
     report("frequency response")
-    response = frequency_response(records) if _one_rate(records) else None
-    resonance = None if response is None else fit_resonance(response)
+    excited = [segment for each in shaken for segment in prepare(each)] or records
+    response = frequency_response(excited) if _one_rate(excited) else None
+    resonance, why = (None, _UNEXCITED) if response is None else fit_resonance(response)
     report("two masses")
     torques = torque_fits(records, result)
     report("load side")
@@ -147,7 +155,7 @@ def find_mechanics(
         errors = find_encoder_error(
             torques.motions, accepted.residual, inertia, is_linear=result.settings.axis == "linear"
         )
-    return _assembled(result, units, records, response, resonance, torques, side, errors)
+    return _assembled(result, units, records, response, resonance, why, torques, side, errors)
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,6 +210,7 @@ def _assembled(
     records: Sequence[RegressionSegment],
     response: FrequencyResponse | None,
     resonance: Resonance | None,
+    why: str,
     torques: TorqueFits | None,
     side: LoadSide | None,
     encoder_errors: tuple[EncoderError, ...],
@@ -214,7 +223,7 @@ def _assembled(
         if there:
             value, error, name = min(there, key=lambda each: each[1])
             known[key] = replace(known[key], value=value, error=error, source=name)
-    missing = _missing(result, response, torques)
+    missing = _missing(why, torques)
     known |= {key: replace(known[key], missing=why) for key, why in missing.items() if known[key].value is None}
     if known["inertia"].value is None:
         known["inertia"] = _rigid_inertia(known["inertia"], result.best)
@@ -327,16 +336,16 @@ def _modifiers(known: dict[str, Quantity], result: Identification) -> dict[str, 
     return {"load_dependence": per_load, "cogging": cogging}
 
 
-def _missing(result: Identification, response: FrequencyResponse | None, torques: TorqueFits | None) -> dict[str, str]:
-    """Return why quantities are not determined, each with the motion that would show it."""
-    if response is not None:
-        low, high = response.band_hz
-        why = f"no resonance from {low:.3g} to {high:.3g} Hz"
-        stiff = f"{why}, where the recording excites it; {_SHAKEN}"
-    elif torques is None:
-        stiff = f"the recording is too short, or its encoder too coarse for its accelerations; {_SHAKEN}"
+def _missing(why: str, torques: TorqueFits | None) -> dict[str, str]:
+    """Return why quantities are not determined, each with the motion that would show it.
+
+    ``why`` is the reason of the frequency response, empty if it shows a resonance.
+    """
+    if torques is None:
+        other = "is too short, or its encoder too coarse for its accelerations"
     else:
-        stiff = f"one mass explains the torque as well as two; {_SHAKEN}"
+        other = "shows one mass that explains the torque over time as well as two"
+    stiff = f"{why or _UNEXCITED}; the recording {other}; {_SHAKEN}"
     keys = ("motor_inertia", "load_inertia", "antiresonance_hz", "resonance_hz", "stiffness", "damping")
     found = dict.fromkeys(keys, stiff)
     if torques is None or torques.two is None:
