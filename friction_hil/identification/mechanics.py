@@ -17,6 +17,7 @@ from friction_hil.identification.encoder_error import EncoderError, find_encoder
 from friction_hil.identification.fits import Fit
 from friction_hil.identification.frequency_response import FrequencyResponse, frequency_response
 from friction_hil.identification.identify import Identification
+from friction_hil.identification.load_dependence import find_load_dependence
 from friction_hil.identification.load_side import LoadSide, find_load_side
 from friction_hil.identification.refine import is_dynamic
 from friction_hil.identification.resonance import Resonance, fit_resonance
@@ -25,13 +26,16 @@ from friction_hil.recordings import Recording
 
 _LIKE = 3.0  # a stiffness within this factor of another is like it
 _FORM = 0.02  # of each value: no axis is two masses with Coulomb friction to better than a few per cent
-_FELT = 0.1  # of the friction: a load that changes by less is none
 _VAGUE = 0.5  # standard error over value
 
 _UNEXCITED = "the recording excites no band of frequencies while the axis slides"
 _SHAKEN = (
     "friction-hil tune --mechanics records such a motion, or trajectory {kind: multisine}, with higher high_hz and a "
     "shorter period_s for stiffer axes"
+)
+_LOADED = (
+    "the load hardly changes: record motions with larger accelerations, or the same motion with another weight or "
+    "against a force, with its torque in the column load_torque"
 )
 _REVERSALS = "reversals at several speeds, faster ones with oscillations above 8 Hz: trajectory {kind: experiment}"
 _STROKES = "record strokes with rests, trajectory {kind: strokes}, on a load that nothing pulls to one side"
@@ -228,6 +232,7 @@ def _assembled(
     if known["inertia"].value is None:
         known["inertia"] = _rigid_inertia(known["inertia"], result.best)
     known |= _modifiers(known, result)
+    known["load_dependence"] = _per_load(known, result, records)
     if encoder_errors:
         first = encoder_errors[0]
         label = f"encoder error, order {first.order:g} (amplitude)"
@@ -299,28 +304,33 @@ def _rigid_inertia(quantity: Quantity, best: Fit) -> Quantity:
     return replace(quantity, value=value, error=error, source="friction model")
 
 
+def _per_load(
+    known: Mapping[str, Quantity], result: Identification, records: Sequence[RegressionSegment]
+) -> Quantity:
+    """Return friction per load: of the chosen model if a load was recorded, else by weight and inertia of the load."""
+    best, quantity = result.best, known["load_dependence"]
+    factors = {name: value for name, value in best.values.items() if name.startswith("load.")}
+    if factors and any(each.load_torque is not None for each in records):
+        name, value = max(factors.items(), key=lambda each: abs(each[1]))
+        error = best.inference.standard_errors.get(name, math.nan)
+        return replace(quantity, label=f"friction per load ({name})", value=value, error=error, source="friction model")
+    load_inertia = known["load_inertia"].value
+    whole = max(known["inertia"].value or best.mechanics["inertia"], 0.0)
+    turn = 1.0 if result.settings.axis == "linear" else math.tau
+    orders = [each["order"] * math.tau / turn for each in best.friction[1].get("ripple", [])]
+    found = find_load_dependence(records, best.mechanics, whole if load_inertia is None else load_inertia, orders)
+    if found is not None and found.is_clear:
+        return replace(quantity, value=found.factor, error=found.error, source="weight and inertia of the load")
+    if found is not None and found.is_excluded:
+        why = f"the load changes, and friction does not change with it ({found.factor:.2g}, standard error {found.error:.1g})"
+        return replace(quantity, missing=why)
+    return replace(quantity, missing=_LOADED)
+
+
 def _modifiers(known: dict[str, Quantity], result: Identification) -> dict[str, Quantity]:
-    """Return friction per load and cogging, from the modifiers of the chosen model."""
+    """Return cogging, from the ripple of the chosen model."""
     best, errors = result.best, result.best.inference.standard_errors
     modifiers = best.friction[1]
-    per_load = known["load_dependence"]
-    factors = {name: value for name, value in best.values.items() if name.startswith("load.")}
-    if factors:
-        name, value = max(factors.items(), key=lambda each: abs(each[1]))
-        error = errors.get(name, math.nan)
-        per_load = replace(per_load, label=f"friction per load ({name})", value=value, error=error)
-        per_load = replace(per_load, source="friction model")
-    else:
-        has_load = any(each.load_torque is not None for each in result.records)
-        level = float(np.median(np.abs(best.curves.friction)))
-        swings = any(abs(best.mechanics[each]) > _FELT * level for each in ("gravity.sine", "gravity.cosine"))
-        why = (
-            "the load changes, and friction does not change with it"
-            if (has_load or swings) and result.settings.has_modifiers
-            else "the load did not change: record the same motion with another weight or against a force, with its "
-            "torque in the column load_torque"
-        )
-        per_load = replace(per_load, missing=why)
     cogging = known["cogging"]
     harmonics = modifiers.get("ripple", [])
     if harmonics:
@@ -333,7 +343,7 @@ def _modifiers(known: dict[str, Quantity], result: Identification) -> dict[str, 
         cogging = replace(
             cogging, missing="none stands out: slow motion over at least two periods of it would show a smaller one"
         )
-    return {"load_dependence": per_load, "cogging": cogging}
+    return {"cogging": cogging}
 
 
 def _missing(why: str, torques: TorqueFits | None) -> dict[str, str]:

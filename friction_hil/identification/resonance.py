@@ -178,10 +178,11 @@ def _derived(
 ) -> tuple[dict[str, float], dict[str, float]]:
     """Return all values and their standard errors, linearised.
 
-    The larger error by any of the covariances counts; ``between_lines`` is the least error of a frequency, Hz.
+    The covariances add up; ``between_lines`` is the least error of a frequency, Hz.
     """
     values = _with_derived(at)
-    scale = np.maximum(np.sqrt(np.diag(covariances[0])), 1e-12)
+    covariance = np.sum(covariances, axis=0)
+    scale = np.maximum(np.sqrt(np.diag(covariance)), 1e-12)
     steps = [1e-3 * size * np.eye(len(at))[i] for i, size in enumerate(scale)]
     sides = [(_with_derived(at + step), _with_derived(at - step)) for step in steps]
     errors = {}
@@ -189,8 +190,8 @@ def _derived(
         slope = np.array(
             [(up[name] - down[name]) / (2e-3 * size) for (up, down), size in zip(sides, scale, strict=True)]
         )
-        largest = max(0.0, *(float(slope @ each @ slope) for each in covariances))
-        errors[name] = math.hypot(math.sqrt(largest), between_lines if name.endswith("_hz") else 0.0)
+        variance = max(float(slope @ covariance @ slope), 0.0)
+        errors[name] = math.hypot(math.sqrt(variance), between_lines if name.endswith("_hz") else 0.0)
     return values, errors
 
 
