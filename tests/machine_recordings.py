@@ -47,7 +47,9 @@ def record(
         rows.append((k * period_s, servo.position, servo.torque, servo.position_demand, servo.load_position))
         servo.command(_CSP, demanded.position, 0.0, 0.0)
         servo.advance(steps)
-    columns = dict(zip(("time_s", "position", "torque", "position_demand", "load_position"), np.array(rows).T, strict=True))
+    columns = dict(
+        zip(("time_s", "position", "torque", "position_demand", "load_position"), np.array(rows).T, strict=True)
+    )
     if not has_load:
         del columns["load_position"]
     return Recording(name, "x", {key: np.ascontiguousarray(values) for key, values in columns.items()})

@@ -10,11 +10,12 @@ at a resonance, which the loop damps. Without a demand the plain ratio is used, 
 not come from the measured position.
 
 A window that tapers would smear a lightly damped resonance over its main lobe. Here the windows have hard edges, and
-the response and what the edges leak are fitted together, as polynomials over a few neighbouring lines (local polynomial
-method). The response is common to all windows; each has its own leakage.
+the response and what the edges leak are fitted together over a few neighbouring lines, as a rational function and a
+polynomial. The response is common to all windows; each has its own leakage.
 
-Sources: R. Pintelon, J. Schoukens, G. Vandersteen, K. Barbe, Mechanical Systems and Signal Processing 24(3), 2010 (local
-polynomials, and the reference in a loop); B. Efron, The Jackknife, the Bootstrap and Other Resampling Plans, 1982.
+Sources: R. Pintelon, J. Schoukens, G. Vandersteen, K. Barbe, Mechanical Systems and Signal Processing 24(3), 2010
+(local polynomials, and the reference in a loop); T. McKelvey, G. Guerin, IFAC Proceedings Volumes 45(16), 2012 (local
+rational functions); B. Efron, The Jackknife, the Bootstrap and Other Resampling Plans, 1982.
 """
 
 import math
@@ -34,7 +35,7 @@ LEAST_WINDOWS = 8  # of fewer, a jackknife does not know the scatter
 _WINDOWS_S = (4.0, 2.0, 1.0, 0.5, 0.25)
 _LEAST_SPEED_RATIO = 0.02  # of the top speed: what is slower does not slide
 _TOP_RATIO = 0.4  # of the sampling rate: highest line
-_REACH, _DEGREE = 3, 2  # lines to either side of a line, and degree of the polynomials over them
+_REACH, _DEGREE = 3, 2  # lines to either side of a line, and degree of numerators and leakage over them
 _LEAST_LINES = 8
 _RIDGE = 1e-12  # of the power of the reference
 
@@ -166,8 +167,8 @@ def _estimate(
     def without_leakage(values: Complex) -> Complex:
         return np.asarray(values - np.einsum("...j,jk,lk->...l", values, leakage, leakage))
 
-    # torque and velocity share the poles of the loop, hence the denominator 1 + pole j over the neighbours j; each output
-    # is scaled by its size at the line
+    # torque and velocity share the poles of the loop, hence the denominator 1 + pole j over the neighbours j; each
+    # output is scaled by its size at the line
     sizes = np.sqrt(np.mean(np.abs(near[:, :2]) ** 2, axis=(0, 3)))[None, :, :, None]
     scaled = near[:, :2] / np.where(sizes > 0.0, sizes, 1.0)
     outputs = without_leakage(scaled)
@@ -186,7 +187,7 @@ def _estimate(
 
     def ratio(gram: Complex, right: Complex) -> tuple[Complex, Complex]:
         """Return velocity over torque (m,), and all coefficients (m, p)."""
-        found = np.linalg.solve(gram + ridge, right[..., None])[..., 0]
+        found = np.asarray(np.linalg.solve(gram + ridge, right[..., None])[..., 0], dtype=np.complex128)
         torque, velocity = found[:, 0] * sizes[0], found[:, _DEGREE + 1] * sizes[1]
         return np.asarray(velocity / np.where(torque == 0.0, 1e-300, torque)), found
 

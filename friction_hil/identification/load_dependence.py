@@ -3,8 +3,8 @@
     torque = inertia a + gravity(q) + ripple(q) + friction(v) + factor abs(load) sign(v)
 
 ``load`` is the weight and the inertia of the load, as the compensator computes it. ``friction`` may be any curve of the
-velocity, one for each direction, so that a load that depends on the speed is not taken for it. A factor that differs for
-a load that drives the motor looks like gravity and inertia themselves: one factor stands for both.
+velocity, one for each direction, so that friction of the speed is not taken for that of the load. A factor that differs
+where the load drives the motor looks like gravity and inertia themselves: one factor stands for both.
 """
 
 import math
@@ -100,7 +100,7 @@ def find_load_dependence(
     mechanics : dict
         Identified mechanics: ``offset``, ``gravity.sine`` and others.
     load_inertia : float
-        Inertia of the load, or of motor and load where they are not known by themselves; kg m^2 or kg.
+        Inertia of the load, kg m^2 or kg; 0 if it is not known: then the weight has to change with the position.
     orders : sequence of float
         Of ripple of the torque, periods per rad or m times 2 pi.
     """

@@ -34,8 +34,8 @@ _SHAKEN = (
     "shorter period_s for stiffer axes"
 )
 _LOADED = (
-    "the load hardly changes: record motions with larger accelerations, or the same motion with another weight or "
-    "against a force, with its torque in the column load_torque"
+    "let friction-hil tune --mechanics find the inertia of the load, whose acceleration is a load, or record the same "
+    "motion with another weight or against a force, with its torque in the column load_torque"
 )
 _REVERSALS = "reversals at several speeds, faster ones with oscillations above 8 Hz: trajectory {kind: experiment}"
 _STROKES = "record strokes with rests, trajectory {kind: strokes}, on a load that nothing pulls to one side"
@@ -231,7 +231,7 @@ def _assembled(
     known |= {key: replace(known[key], missing=why) for key, why in missing.items() if known[key].value is None}
     if known["inertia"].value is None:
         known["inertia"] = _rigid_inertia(known["inertia"], result.best)
-    known |= _modifiers(known, result)
+    known["cogging"] = _cogging(known["cogging"], result)
     known["load_dependence"] = _per_load(known, result, records)
     if encoder_errors:
         first = encoder_errors[0]
@@ -304,9 +304,7 @@ def _rigid_inertia(quantity: Quantity, best: Fit) -> Quantity:
     return replace(quantity, value=value, error=error, source="friction model")
 
 
-def _per_load(
-    known: Mapping[str, Quantity], result: Identification, records: Sequence[RegressionSegment]
-) -> Quantity:
+def _per_load(known: Mapping[str, Quantity], result: Identification, records: Sequence[RegressionSegment]) -> Quantity:
     """Return friction per load: of the chosen model if a load was recorded, else by weight and inertia of the load."""
     best, quantity = result.best, known["load_dependence"]
     factors = {name: value for name, value in best.values.items() if name.startswith("load.")}
@@ -315,24 +313,24 @@ def _per_load(
         error = best.inference.standard_errors.get(name, math.nan)
         return replace(quantity, label=f"friction per load ({name})", value=value, error=error, source="friction model")
     load_inertia = known["load_inertia"].value
-    whole = max(known["inertia"].value or best.mechanics["inertia"], 0.0)
+    swings = any(best.mechanics[each] for each in ("gravity.sine", "gravity.cosine"))
+    if load_inertia is None and not swings:
+        return replace(quantity, missing=f"the weight is constant, and the inertia of the load is not known; {_LOADED}")
     turn = 1.0 if result.settings.axis == "linear" else math.tau
     orders = [each["order"] * math.tau / turn for each in best.friction[1].get("ripple", [])]
-    found = find_load_dependence(records, best.mechanics, whole if load_inertia is None else load_inertia, orders)
+    found = find_load_dependence(records, best.mechanics, load_inertia or 0.0, orders)
     if found is not None and found.is_clear:
         return replace(quantity, value=found.factor, error=found.error, source="weight and inertia of the load")
     if found is not None and found.is_excluded:
-        why = f"the load changes, and friction does not change with it ({found.factor:.2g}, standard error {found.error:.1g})"
-        return replace(quantity, missing=why)
-    return replace(quantity, missing=_LOADED)
+        figures = f"{found.factor:.2g}, standard error {found.error:.1g}"
+        return replace(quantity, missing=f"the load changes, and friction does not change with it ({figures})")
+    return replace(quantity, missing=f"the load hardly changes; {_LOADED}")
 
 
-def _modifiers(known: dict[str, Quantity], result: Identification) -> dict[str, Quantity]:
+def _cogging(cogging: Quantity, result: Identification) -> Quantity:
     """Return cogging, from the ripple of the chosen model."""
     best, errors = result.best, result.best.inference.standard_errors
-    modifiers = best.friction[1]
-    cogging = known["cogging"]
-    harmonics = modifiers.get("ripple", [])
+    harmonics = best.friction[1].get("ripple", [])
     if harmonics:
         sizes = [math.hypot(each["cosine"], each["sine"]) for each in harmonics]
         index = int(np.argmax(sizes))
@@ -343,7 +341,7 @@ def _modifiers(known: dict[str, Quantity], result: Identification) -> dict[str, 
         cogging = replace(
             cogging, missing="none stands out: slow motion over at least two periods of it would show a smaller one"
         )
-    return {"cogging": cogging}
+    return cogging
 
 
 def _missing(why: str, torques: TorqueFits | None) -> dict[str, str]:

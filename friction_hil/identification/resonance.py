@@ -198,9 +198,9 @@ def _derived(
 def _covariances(jacobian: Array, residual: Array, response: FrequencyResponse, sigma: Array) -> tuple[Array, Array]:
     """Return the covariance of the parameters by scatter, and by mismatch.
 
-    The first is that of a jackknife over windows, which knows that neighbouring lines are correlated. It is so large that
-    a 90-% interval of a normal distribution is as wide as that of Student's with so few windows. The second takes the
-    residual for what the form leaves out, which is alike over a whole band of frequencies.
+    The first is that of a jackknife over windows, which knows that neighbouring lines are correlated. It is so large
+    that a 90-% interval of a normal distribution is as wide as that of Student's with so few windows. The second takes
+    the residual for what the form leaves out, which is alike over a whole band of frequencies.
     """
     from scipy.stats import norm, t  # imported here: commands that do not need it start faster
 

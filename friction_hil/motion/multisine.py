@@ -116,9 +116,7 @@ def plan(
     if not LEAST_S <= duration_s < math.inf:
         raise UsageError(f"a multisine takes {LEAST_S:g} s or more, not {duration_s:g} s")
     amplitude, corner = _TRAVEL_FRACTION * travel, _CORNER_SHARE * acceleration
-    speed = min(
-        velocity / (1.0 + _SHARE), 2.0 * amplitude / _LEAST_STROKE_S, math.sqrt(corner * _ROUNDING * amplitude)
-    )
+    speed = min(velocity / (1.0 + _SHARE), 2.0 * amplitude / _LEAST_STROKE_S, math.sqrt(corner * _ROUNDING * amplitude))
     periods = math.floor(duration_s / REPEAT_S)
     strokes = max(1, math.floor(0.25 * speed / amplitude * periods * REPEAT_S))
     while strokes > 1 and math.gcd(strokes, periods) > 1:  # else parts of the multisine come back

@@ -26,7 +26,14 @@ from friction_hil.tuning.choice import (
     write_model,
 )
 from friction_hil.tuning.experiment import refuse_limit_cycle, with_torque
-from friction_hil.tuning.motions import experiment_of, experiment_run, shaken_run, sliding_part, trial_run, uncompensated
+from friction_hil.tuning.motions import (
+    experiment_of,
+    experiment_run,
+    shaken_run,
+    sliding_part,
+    trial_run,
+    uncompensated,
+)
 from friction_hil.tuning.rehearsed import RehearsedFit, rehearsal_text, rehearse, to_try
 from friction_hil.tuning.runs import TuningRuns
 from friction_hil.tuning.settings import Dialog, TuneSettings

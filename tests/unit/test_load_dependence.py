@@ -31,7 +31,9 @@ def moved(factor: float, weight: dict[str, float], amplitude: float = 1.0, seed:
     return Recording("x.csv", "x", {"time_s": time, "position": q, "torque": torque})
 
 
-def found(factor: float, weight: dict[str, float], load_inertia: float = LOAD_INERTIA, **given: float) -> LoadDependence:
+def found(
+    factor: float, weight: dict[str, float], load_inertia: float = LOAD_INERTIA, **given: float
+) -> LoadDependence:
     result = find_load_dependence(prepare(moved(factor, weight, **given)), weight, load_inertia, ())
     assert result is not None
     return result

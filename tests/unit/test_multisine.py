@@ -1,4 +1,4 @@
-"""Strokes with a multisine on top: bounds, continuity, sliding, crest factor, and what a configuration may say of it."""
+"""Strokes with a multisine on top: bounds, continuity, sliding, crest factor, and how a configuration is checked."""
 
 import math
 
@@ -87,7 +87,12 @@ def test_bounds_without_room_are_refused(given, message):
 def configured(**trajectory):
     content = {"kind": "multisine", "velocity": 2.0, "travel": 0.5, **trajectory}
     axis = {**axis_dict(), "trajectory": content, "limits": {"torque": 0.3, "velocity": 5.0, "position": [-1.0, 1.0]}}
-    return {"version": 1, "period_s": 2e-3, "bus": {"interface": "virtual", "channel": "multisine"}, "axes": {"x": axis}}
+    return {
+        "version": 1,
+        "period_s": 2e-3,
+        "bus": {"interface": "virtual", "channel": "multisine"},
+        "axes": {"x": axis},
+    }
 
 
 @pytest.mark.parametrize(
