@@ -25,7 +25,7 @@ AXES = {
     "Stribeck friction on either side": Axis(
         resonance_hz=80.0, motor=Side(0.03, 0.05, 0.05, viscous=1e-3), load=Side(0.04, 0.06, 0.05)
     ),
-    "LuGre friction": Axis(motor=Side(0.03, 0.04, 0.05, viscous=2e-3, sigma0=300.0, sigma1=0.05), torque_noise=1e-3),
+    "LuGre friction": Axis(motor=Side(0.03, 0.04, 0.05, viscous=2e-3, sigma0=300.0, sigma1=0.05)),
 }
 PLAN = multisine.plan(2.0, 1.0, period_s=1e-3, high_hz=150.0, duration_s=24.0)
 

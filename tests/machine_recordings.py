@@ -1,4 +1,4 @@
-"""Recordings of the example machines and of variants of them: the servo in this process, without daemon and bus."""
+"""Recordings of the example machines: the servo in this process, without daemon and bus."""
 
 import math
 from pathlib import Path
@@ -13,6 +13,7 @@ from friction_hil.recordings import Recording
 from friction_hil.servo.servo import Servo
 
 FOLDER = Path(__file__).parents[1] / "config/machines"
+PERIOD_S = 1e-3
 _CSP = 8
 
 
@@ -22,37 +23,22 @@ def axis_of(name: str) -> AxisConfig:
     return axis
 
 
-def record(
-    axis: AxisConfig,
-    path: MotionPath,
-    duration_s: float,
-    *,
-    period_s: float = 1e-3,
-    ramp_s: float = 1.0,
-    start: float = 0.0,
-    has_load: bool = False,
-    name: str = "machine.csv",
-) -> Recording:
-    """Move the simulated drive of an axis along a path in CSP; the torque is its mean over the period."""
-    servo: Servo = simulated_servo(axis.simulation, start)
-    servo.set_period(period_s)
-    time = PathTime(ramp_s)
+def record(axis: AxisConfig, path: MotionPath, duration_s: float) -> Recording:
+    """Move the simulated drive of an axis along a path in CSP at 1 kHz; it reports its torque at the sample."""
+    servo: Servo = simulated_servo(axis.simulation)
+    time = PathTime(1.0)
     time.start(0.0)
     trajectory = Trajectory(path, time)
-    trajectory.begin_at(start)
-    steps = round(servo.steps_per_second * period_s)
+    trajectory.begin_at(0.0)
+    steps = round(servo.steps_per_second * PERIOD_S)
     rows = []
-    for k in range(round(duration_s / period_s)):
-        demanded = trajectory.at(k * period_s)
-        rows.append((k * period_s, servo.position, servo.torque, servo.position_demand, servo.load_position))
-        servo.command(_CSP, demanded.position, 0.0, 0.0)
+    for k in range(round(duration_s / PERIOD_S)):
+        rows.append((k * PERIOD_S, servo.position, servo.torque, servo.position_demand))
+        servo.command(_CSP, trajectory.at(k * PERIOD_S).position)
         servo.advance(steps)
-    columns = dict(
-        zip(("time_s", "position", "torque", "position_demand", "load_position"), np.array(rows).T, strict=True)
-    )
-    if not has_load:
-        del columns["load_position"]
-    return Recording(name, "x", {key: np.ascontiguousarray(values) for key, values in columns.items()})
+    names = ("time_s", "position", "torque", "position_demand")
+    columns = {name: np.ascontiguousarray(values) for name, values in zip(names, np.array(rows).T, strict=True)}
+    return Recording("machine.csv", "x", columns)
 
 
 def true_frequencies(axis: AxisConfig) -> dict[str, float]:

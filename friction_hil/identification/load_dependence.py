@@ -55,8 +55,8 @@ class LoadDependence:
 
     @property
     def is_excluded(self) -> bool:
-        """True if the load changes enough to show that friction does not depend on it."""
-        return not self.is_clear and abs(self.factor) + self.error < _SHOWN
+        """True if the load changes enough to show that friction does not grow with it."""
+        return not self.is_clear and self.factor + self.error < _SHOWN
 
 
 def load_torque(mechanics: Mapping[str, float], load_inertia: float, position: Array, acceleration: Array) -> Array:

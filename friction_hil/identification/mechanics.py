@@ -19,6 +19,7 @@ from friction_hil.identification.frequency_response import FrequencyResponse, fr
 from friction_hil.identification.identify import Identification
 from friction_hil.identification.load_dependence import find_load_dependence
 from friction_hil.identification.load_side import LoadSide, find_load_side
+from friction_hil.identification.quantities import Quantity, Units, undetermined
 from friction_hil.identification.refine import is_dynamic
 from friction_hil.identification.resonance import Resonance, fit_resonance
 from friction_hil.identification.torque_fits import TorqueFits, model_of, swings, torque_fits
@@ -39,35 +40,6 @@ _LOADED = (
 )
 _REVERSALS = "reversals at several speeds, faster ones with oscillations above 8 Hz: trajectory {kind: experiment}"
 _STROKES = "record strokes with rests, trajectory {kind: strokes}, on a load that nothing pulls to one side"
-
-
-@dataclass(frozen=True, slots=True)
-class Quantity:
-    """A property of the axis with its standard error, or why it is not determined.
-
-    Attributes
-    ----------
-    key : str
-        Name in ``--json``.
-    label : str
-        For people.
-    unit : str
-        SI, of the axis.
-    value, error : float or None
-        None if it is not determined.
-    source : str
-        Method.
-    missing : str
-        Why it is not determined, and the motion that would show it; else empty.
-    """
-
-    key: str
-    label: str
-    unit: str
-    value: float | None = None
-    error: float | None = None
-    source: str = ""
-    missing: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -138,10 +110,10 @@ def find_mechanics(
     report : callable
         Called with the name of each step.
     """
-    units = _Units.of(result)
+    units = Units.of(result)
     if result.settings.has_unknown_gain:
         why = "it needs a torque of known gain"
-        return Mechanics(tuple(replace(each, missing=why) for each in _nothing(units)))
+        return Mechanics(tuple(replace(each, missing=why) for each in undetermined(units)))
     records = [each for each in result.records if not each.is_thinned] or list(result.records)
     report("frequency response")
     excited = [segment for each in shaken for segment in prepare(each)] or records
@@ -162,44 +134,6 @@ def find_mechanics(
     return _assembled(result, units, records, response, resonance, why, torques, side, errors)
 
 
-@dataclass(frozen=True, slots=True)
-class _Units:
-    position: str
-    torque: str
-    inertia: str
-
-    @classmethod
-    def of(cls, result: Identification) -> "_Units":
-        return cls("m", "N", "kg") if result.settings.axis == "linear" else cls("rad", "N m", "kg m^2")
-
-    @property
-    def stiffness(self) -> str:
-        return f"{self.torque}/{self.position}"
-
-    @property
-    def damping(self) -> str:
-        return f"{self.torque} s/{self.position}"
-
-
-def _nothing(units: _Units) -> list[Quantity]:
-    """Return all quantities, none of them determined, in the order in which they are shown."""
-    return [
-        Quantity("inertia", "inertia of motor and load", units.inertia),
-        Quantity("motor_inertia", "inertia of the motor", units.inertia),
-        Quantity("load_inertia", "inertia of the load", units.inertia),
-        Quantity("antiresonance_hz", "anti-resonance", "Hz"),
-        Quantity("resonance_hz", "resonance", "Hz"),
-        Quantity("stiffness", "stiffness of the coupling", units.stiffness),
-        Quantity("damping", "damping of the coupling", units.damping),
-        Quantity("backlash", "backlash", units.position),
-        Quantity("motor_friction", "friction of the motor", units.torque),
-        Quantity("load_friction", "friction of the load", units.torque),
-        Quantity("load_dependence", "friction per load", ""),
-        Quantity("cogging", "cogging", units.torque),
-        Quantity("encoder_error", "periodic encoder error", units.position),
-    ]
-
-
 def _one_rate(records: Sequence[RegressionSegment]) -> bool:
     rates = [each.rate_hz for each in records]
     return max(rates) - min(rates) < 1e-3 * max(rates)
@@ -210,7 +144,7 @@ def _one_rate(records: Sequence[RegressionSegment]) -> bool:
 
 def _assembled(
     result: Identification,
-    units: _Units,
+    units: Units,
     records: Sequence[RegressionSegment],
     response: FrequencyResponse | None,
     resonance: Resonance | None,
@@ -219,7 +153,7 @@ def _assembled(
     side: LoadSide | None,
     encoder_errors: tuple[EncoderError, ...],
 ) -> Mechanics:
-    known = {each.key: each for each in _nothing(units)}
+    known = {each.key: each for each in undetermined(units)}
     methods = _methods(resonance, torques, side)
     for key in known:
         there = [(values[key], errors[key], name) for values, errors, name in methods if key in values]
@@ -323,7 +257,7 @@ def _per_load(known: Mapping[str, Quantity], result: Identification, records: Se
         return replace(quantity, value=found.factor, error=found.error, source="weight and inertia of the load")
     if found is not None and found.is_excluded:
         figures = f"{found.factor:.2g}, standard error {found.error:.1g}"
-        return replace(quantity, missing=f"the load changes, and friction does not change with it ({figures})")
+        return replace(quantity, missing=f"the load changes, and friction does not grow with it ({figures})")
     return replace(quantity, missing=f"the load hardly changes; {_LOADED}")
 
 
@@ -370,7 +304,7 @@ def _missing(why: str, torques: TorqueFits | None) -> dict[str, str]:
 
 
 def _flags(
-    result: Identification, units: _Units, known: dict[str, Quantity], torques: TorqueFits | None
+    result: Identification, units: Units, known: dict[str, Quantity], torques: TorqueFits | None
 ) -> tuple[str, ...]:
     """Return what speaks against the friction model: a bristle that is the spring of the coupling."""
     if not is_dynamic(result.best.structure):

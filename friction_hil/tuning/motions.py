@@ -22,7 +22,7 @@ from friction_hil.daemon.assembly import experiment_sweeps, multisine_plan, ramp
 from friction_hil.daemon.safety import LoopState
 from friction_hil.errors import FrictionHilError, OptionError
 from friction_hil.models.model_file import ModelFile
-from friction_hil.motion import experiment
+from friction_hil.motion import experiment, multisine
 from friction_hil.recordings import Recording
 from friction_hil.tuning.trial_motions import sequences, trial_motions
 
@@ -85,7 +85,8 @@ def shaken_run(configuration: Configuration, name: str) -> tuple[Configuration, 
     """
     bounds = experiment_of(name, configuration.axes[name])
     given = {key: getattr(bounds, key) for key in ("velocity", "travel", "acceleration", "ramp_s")}
-    motion = Multisine(kind="multisine", **given)
+    duration_s = min(max(bounds.duration_s, multisine.LEAST_S), multisine.DURATION_S)
+    motion = Multisine(kind="multisine", duration_s=duration_s, **given)
     plan = multisine_plan(motion, configuration.period_s)
     axes = {each: _held(axis) for each, axis in configuration.axes.items()}
     axes[name] = axes[name].model_copy(update={"trajectory": motion})

@@ -19,11 +19,13 @@ from friction_hil.identification.load_side import find_load_side
 from friction_hil.identification.mechanics import Mechanics, find_mechanics
 from friction_hil.identification.resonance import fit_resonance
 from friction_hil.models.model_file import ModelFile
-from friction_hil.motion import experiment
+from friction_hil.motion import experiment, multisine
 from friction_hil.recordings import Recording
 from tests.coverage_of_errors import AXES, INTERVAL, QUANTITIES, true_values
 from tests.coverage_of_errors import found as coverage
 from tests.coverage_of_errors import shaken as product_shaken
+from tests.machine_recordings import axis_of, true_frequencies
+from tests.machine_recordings import record as record_machine
 from tests.two_mass_axis import Axis, Side, record, sweeps, there_and_back
 
 COULOMB_LOAD = Axis(motor=Side(0.0, viscous=1e-3), load=Side(0.07), resonance_hz=60.0)
@@ -139,6 +141,20 @@ def test_intervals_hold_the_true_values_as_often_as_they_say() -> None:
     held = np.abs(scores) < INTERVAL
     assert np.count_nonzero(held) >= 8  # 90 % of 12, less two standard deviations and a half
     assert np.std(scores) > 0.4  # and not by errors that are far too large
+
+
+def test_the_telescope_is_found_as_its_file_has_it() -> None:
+    axis = axis_of("telescope")
+    bounds = axis.experiment
+    assert bounds is not None
+    plan = multisine.plan(bounds.velocity, bounds.travel, period_s=1e-3, duration_s=24.0)
+    response = response_of(record_machine(axis, multisine.multisine_path(plan), plan.duration_s))
+    assert response is not None
+    resonance, why = fit_resonance(response)
+    assert resonance is not None, why
+    for name, expected in true_frequencies(axis).items():
+        limit = 0.15 if name == "damping" else 0.02
+        assert resonance.values[name] == pytest.approx(expected, rel=limit), name
 
 
 def test_a_rigid_axis_has_no_resonance() -> None:

@@ -180,7 +180,7 @@ def test_an_axis_is_shaken_alone_within_the_bounds_of_its_experiment_and_that_is
     assert path(duration - 0.5 * EXPERIMENT["ramp_s"]) == (0.0, 0.0, 0.0)  # path time lags by half of its ramp
     assert text == (
         "x moves by up to 0.8 rad to either side of where it stands, at up to 5 rad/s (stopped above 7.5 rad/s), "
-        "for 34 s, without compensation: strokes of constant speed, shaken by up to 44 rad/s^2 from 2 to 250 Hz, which "
+        "for 18 s, without compensation: strokes of constant speed, shaken by up to 44 rad/s^2 from 2 to 250 Hz, which "
         "can be heard; y free"
     )
 
