@@ -36,7 +36,7 @@ from friction_hil.cli.options import (
 @click.option(
     "--mechanics",
     is_flag=True,
-    help="Shake each axis too while it slides, for half a minute, to find masses, resonance and stiffness behind the motor.",
+    help="Shake each axis too while it slides, for half a minute, to find masses and resonance behind the motor.",
 )
 @click.option("--yes", is_flag=True, help="Do not ask for confirmation before the axes move.")
 @option_simulate
