@@ -1,6 +1,6 @@
 """How often the 90-% intervals of resonance, anti-resonance and stiffness hold the true value, over repetitions.
 
-python -m tests.coverage_of_errors            # 20 repetitions of each of four axes: 2 minutes
+python -m tests.coverage_of_errors            # 20 repetitions of each of four axes: minutes
 python -m tests.coverage_of_errors 40
 """
 
