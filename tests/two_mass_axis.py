@@ -186,16 +186,6 @@ def sweeps(sweeps_of_plan: tuple, seconds: float) -> Array:  # type: ignore[type
     return np.column_stack(experiment.demand(np.arange(round(seconds * LOOP_HZ)) / LOOP_HZ, sweeps_of_plan))
 
 
-def multisine(amplitude: float, low_hz: float, high_hz: float, seconds: float, random: np.random.Generator) -> Array:
-    """Return a torque (n,) at 8 kHz: random phases, lines of equal amplitude, RMS ``amplitude``."""
-    n = round(seconds * LOOP_HZ)
-    spectrum = np.zeros(n // 2 + 1, dtype=complex)
-    lines = slice(round(low_hz * seconds), round(high_hz * seconds))
-    spectrum[lines] = np.exp(2j * np.pi * random.uniform(size=lines.stop - lines.start))
-    signal = np.fft.irfft(spectrum, n)
-    return amplitude * signal / np.sqrt(np.mean(signal**2))
-
-
 def there_and_back(speed: float, travel: float, seconds: float) -> Array:
     """Return the demand (n, 2) at 8 kHz of constant speed back and forth, with corners of 20 ms."""
     from friction_hil.motion.trajectory import triangle_path

@@ -33,6 +33,11 @@ from friction_hil.cli.options import (
     help="Folder for recordings, models and report; it must be new or empty.  [default: out/tune, with the time in its "
     "name if it exists]",
 )
+@click.option(
+    "--mechanics",
+    is_flag=True,
+    help="Shake each axis too while it slides, for half a minute, to find masses and resonance behind the motor.",
+)
 @click.option("--yes", is_flag=True, help="Do not ask for confirmation before the axes move.")
 @option_simulate
 @option_reset_fault

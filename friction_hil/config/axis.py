@@ -177,7 +177,7 @@ class AxisConfig(Section):
     compensation: Compensation = key("application of the model's torque", default=Compensation())
     shadows: tuple[Shadow, ...] = key("further models, recorded for comparison but not commanded", default=())
     trajectory: Trajectory = key(
-        "motion: kind circle, sine, triangle, strokes, sequence, experiment, hold, none or master"
+        "motion: kind circle, sine, triangle, strokes, sequence, experiment, multisine, hold, none or master"
     )
     controller: Controller | None = key("controller of the daemon (modes cst and csv)", default=None)
     experiment: AxisExperiment | None = key(

@@ -74,10 +74,12 @@ def _mistakes(configuration: Configuration) -> Iterator[Mistake]:
         elif axis.trajectory.kind == "master" and not is_sidecar:
             text = "'master' needs bus.role: sidecar; without it the daemon itself moves the axis"
             yield ("axes", name, "trajectory", "kind"), text
-        frequency, highest = getattr(axis.trajectory, "frequency", 0.0), 0.5 / configuration.period_s
-        if frequency >= highest:
-            text = f"must be below half of the set-points per second, {highest:g} Hz, not {frequency:g}"
-            yield ("axes", name, "trajectory", "frequency"), text
+        highest = 0.5 / configuration.period_s
+        for field in ("frequency", "high_hz"):
+            frequency = getattr(axis.trajectory, field, None) or 0.0
+            if frequency >= highest:
+                text = f"must be below half of the set-points per second, {highest:g} Hz, not {frequency:g}"
+                yield ("axes", name, "trajectory", field), text
     if configuration.simulation is not None:
         yield from mechanism_mistakes(configuration.simulation.mechanism, configuration.axes)
     by_driver: dict[str, dict[str, AxisConfig]] = {}

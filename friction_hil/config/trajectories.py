@@ -17,6 +17,7 @@ from friction_hil.checked_yaml.section import (
     Section,
     key,
 )
+from friction_hil.motion.multisine import DURATION_S, LEAST_S, LOW_HZ
 from friction_hil.motion.sequence import STROKE_SPEED, moving_s
 
 LONGEST_EXPERIMENT_S = 600.0  # 60 s are usual, and the whole path is examined before the first motion
@@ -78,6 +79,35 @@ class Experiment(ExperimentBounds):
     """Sines of increasing amplitude, from presliding to full speed, for `identify`; then back to the start and rest."""
 
     kind: Literal["experiment"]
+
+
+class Multisine(Section):
+    """Strokes of constant speed with many small sines on top, to show resonances to `identify`; then rest at the start.
+
+    The velocity never changes its sign within a stroke, so that the axis slides.
+    """
+
+    kind: Literal["multisine"]
+    velocity: float = key("highest speed", VELOCITY, gt=0, le=MOST_VELOCITY)
+    travel: float = key("largest distance from the start, to either side", POSITION, gt=0, le=MOST_POSITION)
+    acceleration: float | None = key(
+        "highest acceleration, if it is to be less than a quarter of that of an experiment of the same velocity",
+        f"{VELOCITY} per s",
+        default=None,
+        gt=0,
+        le=MOST_ACCELERATION,
+    )
+    high_hz: float | None = key(
+        "highest frequency; null: 250 Hz, but at most 0.4 of the loop rate",
+        "Hz",
+        default=None,
+        ge=2.0 * LOW_HZ,
+        le=MOST_FREQUENCY_HZ,
+    )
+    duration_s: float = key(
+        "duration, rounded down to multiples of 8 s", "s", default=DURATION_S, ge=LEAST_S, le=LONGEST_EXPERIMENT_S
+    )
+    ramp_s: float = _RAMP
 
 
 class Strokes(Section):
@@ -151,7 +181,7 @@ class Master(Section):
 
 
 Trajectory = Annotated[
-    Circle | Sine | Triangle | Strokes | Experiment | MotionSequence | Hold | NoTrajectory | Master,
+    Circle | Sine | Triangle | Strokes | Experiment | Multisine | MotionSequence | Hold | NoTrajectory | Master,
     Field(discriminator="kind"),
 ]
 
@@ -166,7 +196,7 @@ def peak_speed(trajectory: Trajectory) -> float:
         return 4.0 * trajectory.frequency * trajectory.amplitude
     if trajectory.kind == "strokes":
         return STROKE_SPEED * trajectory.stroke * 2.0 * trajectory.frequency / (1.0 - trajectory.rest)
-    if trajectory.kind == "experiment":
+    if trajectory.kind == "experiment" or trajectory.kind == "multisine":
         return trajectory.velocity
     if trajectory.kind == "sequence":
         return max(peak_speed(part.motion) for part in trajectory.motions)

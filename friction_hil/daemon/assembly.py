@@ -9,14 +9,14 @@ import numpy as np
 from friction_hil.compensator import Compensator, CompensatorSettings, ThermalObserver
 from friction_hil.daemon.safety import SafetyLimits
 from friction_hil.drive import AxisFacts
-from friction_hil.motion import experiment
+from friction_hil.motion import experiment, multisine
 from friction_hil.motion.controller import CONTROLLER
 from friction_hil.motion.sequence import Part, sequence_path, strokes_path
 from friction_hil.motion.trajectory import Path, Sweep, circle_path, sine_path, still_path, sweeps_path, triangle_path
 from friction_hil.numerics.jit import StructuredArray
 
 if TYPE_CHECKING:
-    from friction_hil.config import AxisConfig, ExperimentBounds
+    from friction_hil.config import AxisConfig, ExperimentBounds, Multisine
     from friction_hil.config.trajectories import PeriodicMotion
     from friction_hil.models.model_file import ModelFile
 
@@ -120,11 +120,14 @@ def make_path(config: "AxisConfig", position_resolution: float, period_s: float)
     Raises
     ------
     UsageError
-        The encoder is too coarse for an experiment.
+        The encoder is too coarse for an experiment, or the bounds of a multisine leave no room for it.
     """
     motion = config.trajectory
     if motion.kind == "experiment":
         return sweeps_path(experiment_sweeps(motion, position_resolution, period_s))
+    if motion.kind == "multisine":
+        plan = multisine_plan(motion, period_s)
+        return sequence_path([Part(multisine.multisine_path(plan), plan.duration_s, motion.ramp_s, 0.0)])
     if motion.kind == "sequence":
         return sequence_path(
             [Part(periodic_path(part.motion), part.length_s, part.ramp_s, part.rest_s) for part in motion.motions]
@@ -143,6 +146,24 @@ def periodic_path(motion: "PeriodicMotion") -> Path:
     if motion.kind == "triangle":
         return triangle_path(motion.amplitude, motion.frequency, motion.rounding)
     return strokes_path(motion.stroke, motion.frequency, motion.rest)
+
+
+def multisine_plan(motion: "Multisine", period_s: float) -> multisine.MultisinePlan:
+    """Return strokes and multisine within the bounds of a configuration.
+
+    Raises
+    ------
+    UsageError
+        The bounds leave no room for them.
+    """
+    return multisine.plan(
+        motion.velocity,
+        motion.travel,
+        period_s=period_s,
+        high_hz=motion.high_hz,
+        acceleration=motion.acceleration,
+        duration_s=motion.duration_s,
+    )
 
 
 def experiment_sweeps(motion: "ExperimentBounds", position_resolution: float, period_s: float) -> tuple[Sweep, ...]:

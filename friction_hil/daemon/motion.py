@@ -81,7 +81,7 @@ class AxisMotion:
             path = make_path(config, facts.position_resolution, period_s)
         except UsageError as error:
             raise UsageError(f"{name}: {error}") from None
-        if given.kind in ("experiment", "sequence"):
+        if given.kind in ("experiment", "multisine", "sequence"):
             duration_s = given.duration_s
             self._extent = extent(path, duration_s, round(_EXTENT_HZ * duration_s))
         else:

@@ -306,7 +306,7 @@ def _load_figures(axis: AxisLoop, config: "AxisConfig") -> AxisFigures | None:
         unit="rad" if config.model.axis == "rotary" else "m",
         without=axis.load_errors.figures(Condition.WITHOUT),
         compensated=axis.load_errors.figures(Condition.WITH),
-        is_comparable=config.trajectory.kind not in ("experiment", "sequence"),
+        is_comparable=config.trajectory.kind not in ("experiment", "multisine", "sequence"),
         stale=axis.stale_cycles,
     )
 
@@ -316,7 +316,7 @@ def _figures(axis: AxisLoop, config: "AxisConfig") -> AxisFigures:
         unit="rad" if config.model.axis == "rotary" else "m",
         without=axis.following_errors.figures(Condition.WITHOUT),
         compensated=axis.following_errors.figures(Condition.WITH),
-        is_comparable=config.trajectory.kind not in ("experiment", "sequence"),
+        is_comparable=config.trajectory.kind not in ("experiment", "multisine", "sequence"),
         stale=axis.stale_cycles,
         bridged=axis.gaps.bridged,
         bridged_reasons=axis.gaps.reasons,

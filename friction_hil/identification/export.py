@@ -8,8 +8,9 @@ import numpy as np
 from friction_hil import __version__
 from friction_hil.identification.fits import Fit
 from friction_hil.identification.identify import Identification
-from friction_hil.identification.mechanics import Mechanics, Quantity
+from friction_hil.identification.mechanics import Mechanics
 from friction_hil.identification.prediction_errors import PredictionError
+from friction_hil.identification.quantities import Quantity
 from friction_hil.identification.regression import BACK_EMF
 from friction_hil.models.model_file import ModelFile
 

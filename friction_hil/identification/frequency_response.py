@@ -5,17 +5,22 @@ one direction; there Coulomb friction is a constant, which the detrending remove
 
 The torque of a drive comes from its control loops, which see disturbances, and noise of the encoder: the plain ratio
 of spectra then mixes the axis with the inverse of the controller. Where a recording has the demand of the motion, it is
-the instrument: the ratio of the cross spectra demand-velocity and demand-torque has no such bias. Without a demand the
-plain ratio is used, which is right only if the torque did not come from the measured position.
+the reference: the response of the velocity to it over that of the torque to it has no such bias, and both are smooth
+at a resonance, which the loop damps. Without a demand the plain ratio is used, which is right only if the torque did
+not come from the measured position.
 
-Sources: P. D. Welch, IEEE Transactions on Audio and Electroacoustics 15(2), 1967 (averaging); P. E. Wellstead,
-Automatica 17(1), 1981 (instrument in a loop); B. Efron, The Jackknife, the Bootstrap and Other Resampling Plans, 1982.
+A window that tapers would smear a lightly damped resonance over its main lobe. Here the windows have hard edges, and
+the response and what the edges leak are fitted together over a few neighbouring lines, as a rational function and a
+polynomial. The response is common to all windows; each has its own leakage.
+
+Sources: R. Pintelon, J. Schoukens, G. Vandersteen, K. Barbe, Mechanical Systems and Signal Processing 24(3), 2010
+(local polynomials, and the reference in a loop); T. McKelvey, G. Guerin, IFAC Proceedings Volumes 45(16), 2012 (local
+rational functions); B. Efron, The Jackknife, the Bootstrap and Other Resampling Plans, 1982.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,11 +31,13 @@ from friction_hil.recordings.segments import Segment
 Complex = NDArray[np.complex128]
 
 LEAST_COHERENCE = 0.8
-LEAST_WINDOWS = 12  # of fewer, the coherence of noise is not small
+LEAST_WINDOWS = 8  # of fewer, a jackknife does not know the scatter
 _WINDOWS_S = (4.0, 2.0, 1.0, 0.5, 0.25)
 _LEAST_SPEED_RATIO = 0.02  # of the top speed: what is slower does not slide
 _TOP_RATIO = 0.4  # of the sampling rate: highest line
+_REACH, _DEGREE = 3, 2  # lines to either side of a line, and degree of numerators and leakage over them
 _LEAST_LINES = 8
+_RIDGE = 1e-12  # of the power of the reference
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,14 +50,15 @@ class FrequencyResponse:
     response : array of complex
         Velocity over torque, rad/s per N m or m/s per N.
     coherence : array
-        Between velocity and torque; with an instrument the smaller one of those between the instrument and either.
+        Part of the power that is a linear response: of the velocity to the torque; with a reference the smaller one of
+        those of velocity and torque to the reference.
     is_used : array of bool
         Lines with enough coherence.
     deviations : (b, m) array of complex
-        Logarithm of the response without one of ``b`` blocks of windows, less its mean, scaled so that the sum of
-        squares is the variance (jackknife).
+        Logarithm of the response without one of ``b`` windows, less its mean, scaled so that the sum of squares is the
+        variance (jackknife).
     windows : int
-        Number of windows, which overlap by half.
+        Number of windows.
     window_s : float
         Length of each, s.
     has_instrument : bool
@@ -109,82 +117,102 @@ def frequency_response(
 
 
 def sliding_windows(segment: Segment, count: int) -> list[slice]:
-    """Return windows of ``count`` rows, half of each in the next one, in which the axis slides in one direction."""
+    """Return windows of ``count`` rows, one after another, in which the axis slides in one direction."""
     least = _LEAST_SPEED_RATIO * float(np.max(np.abs(segment.velocity), initial=0.0))
     found = []
     for sign in (1.0, -1.0):
         edges = np.diff(np.concatenate([[0], (sign * segment.velocity > least).astype(int), [0]]))
         for begin, end in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):
-            found += [slice(at, at + count) for at in range(int(begin), int(end) - count + 1, count // 2)]
+            number = int(end - begin) // count
+            begin += (end - begin - number * count) // 2  # the rows beside a reversal count least
+            found += [slice(int(begin) + k * count, int(begin) + (k + 1) * count) for k in range(number)]
     return sorted(found, key=lambda each: each.start)
 
 
 def _windows(segments: Sequence[Segment], window_s: float, *, has_instrument: bool) -> tuple[Complex, int]:
-    """Return the spectra (w, 3, m) of torque, velocity and instrument of all windows, and their number of rows."""
+    """Return the spectra (w, 3, m) of torque, velocity and reference of all windows, and their number of rows."""
     count = 2 * round(0.5 * window_s * segments[0].rate_hz)
-    if count < 2 * _LEAST_LINES:
+    if count < 2 * (2 * _REACH + 1 + _LEAST_LINES):
         return np.empty((0, 3, 0), dtype=complex), count
-    shape = np.hanning(count + 1)[:count]
     time = np.arange(count) - 0.5 * (count - 1)
     found = []
     for each in segments:
         # differences have no leakage of a motion that goes on; what they do to a sine is undone in the spectrum
         velocity = np.diff(each.encoder, prepend=each.encoder[0]) * each.rate_hz
-        signals = [each.torque, velocity]
+        signals = [each.torque, velocity, each.torque]
         if has_instrument and each.demand is not None:
-            signals.append(np.diff(each.demand, prepend=each.demand[0]) * each.rate_hz)
+            signals[2] = np.diff(each.demand, prepend=each.demand[0]) * each.rate_hz
         for rows in sliding_windows(each, count):
             parts = np.array([signal[rows] for signal in signals])
             if not np.all(np.isfinite(parts)):
                 continue
             parts = parts - parts.mean(axis=1, keepdims=True)
             parts -= np.outer(parts @ time / (time @ time), time)
-            found.append(np.fft.rfft(parts * shape, axis=1))
+            found.append(np.fft.rfft(parts, axis=1))
     return (np.array(found) if found else np.empty((0, 3, 0), dtype=complex)), count
 
 
 def _estimate(
     spectra: Complex, count: int, rate_hz: float, has_instrument: bool, least_coherence: float
 ) -> FrequencyResponse:
-    frequency = np.arange(count // 2 + 1) * rate_hz / count
-    kept = (frequency > 1.5 * rate_hz / count) & (frequency <= _TOP_RATIO * rate_hz)
-    frequency, spectra = frequency[kept], spectra[:, :, kept]
+    lines = np.arange(1 + _REACH, min(count // 2 - _REACH, math.floor(_TOP_RATIO * count) + 1))
+    frequency = lines * rate_hz / count
     turn = np.exp(-2j * math.pi * frequency / rate_hz)
     of_difference = (2j * math.pi * frequency / rate_hz) / (1.0 - turn)  # derivative over backward difference
-    spectra = spectra.copy()
-    spectra[:, 1] *= of_difference
-    torque, velocity = spectra[:, 0], spectra[:, 1]
-    instrument = spectra[:, 2] if has_instrument else torque
+    # (w, 3, m, 2 reach + 1): each line with its neighbours
+    near = np.lib.stride_tricks.sliding_window_view(spectra, 2 * _REACH + 1, axis=2)[:, :, lines - _REACH]
+    powers = (np.arange(-_REACH, _REACH + 1)[:, None] / _REACH) ** np.arange(_DEGREE + 1)
+    leakage = np.linalg.qr(powers)[0]
 
-    def ratio(weights: Any) -> Complex:
-        up, down = (np.tensordot(weights, np.conj(instrument) * each, 1) for each in (velocity, torque))
-        return np.asarray(up / np.where(down == 0.0, 1e-300, down))
+    def without_leakage(values: Complex) -> Complex:
+        return np.asarray(values - np.einsum("...j,jk,lk->...l", values, leakage, leakage))
 
-    coherence = _coherence(instrument, velocity)
-    if has_instrument:
-        coherence = np.minimum(coherence, _coherence(instrument, torque))
-    response = ratio(np.ones(len(spectra)))
-    blocks = np.arange(len(spectra)) // 2  # windows overlap by half: neighbours are no independent data
-    number = int(blocks[-1]) + 1
-    left_out = np.array([ratio((blocks != b).astype(float)) for b in range(number)])
-    logs = np.log(left_out / response)
+    # torque and velocity share the poles of the loop, hence the denominator 1 + pole j over the neighbours j; each
+    # output is scaled by its size at the line
+    sizes = np.sqrt(np.mean(np.abs(near[:, :2]) ** 2, axis=(0, 3)))[None, :, :, None]
+    scaled = near[:, :2] / np.where(sizes > 0.0, sizes, 1.0)
+    outputs = without_leakage(scaled)
+    inputs = without_leakage(near[:, 2, :, None, :] * powers.T)  # (w, m, degree + 1, 2 reach + 1)
+    shape = inputs.shape
+    rows = np.zeros((shape[0], shape[1], 2 * _DEGREE + 3, 2, shape[3]), dtype=complex)
+    rows[:, :, : _DEGREE + 1, 0] = rows[:, :, _DEGREE + 1 : -1, 1] = inputs
+    rows[:, :, -1] = -np.moveaxis(without_leakage(scaled * powers[:, 1]), 1, 2)
+    rows = rows.reshape(*shape[:2], 2 * _DEGREE + 3, -1)
+    target = np.moveaxis(outputs, 1, 2).reshape(*shape[:2], -1)
+    gram = np.einsum("wmpj,wmqj->wmpq", np.conj(rows), rows)
+    right = np.einsum("wmpj,wmj->wmp", np.conj(rows), target)
+    scale = np.trace(gram.sum(axis=0), axis1=-2, axis2=-1).real[:, None, None]
+    ridge = (_RIDGE * np.where(scale > 0.0, scale, 1.0)) * np.eye(2 * _DEGREE + 3)
+    sizes = sizes[0, :, :, 0]
+
+    def ratio(gram: Complex, right: Complex) -> tuple[Complex, Complex]:
+        """Return velocity over torque (m,), and all coefficients (m, p)."""
+        found = np.asarray(np.linalg.solve(gram + ridge, right[..., None])[..., 0], dtype=np.complex128)
+        torque, velocity = found[:, 0] * sizes[0], found[:, _DEGREE + 1] * sizes[1]
+        return np.asarray(velocity / np.where(torque == 0.0, 1e-300, torque)), found
+
+    all_gram, all_right = gram.sum(axis=0), right.sum(axis=0)
+    response, found = ratio(all_gram, all_right)
+    left = (target - np.einsum("mp,wmpj->wmj", found, rows)).reshape(*shape[:2], 2, -1)
+    number = len(spectra)
+    freedom = number * (2 * _REACH - _DEGREE)
+    noise = np.sum(np.abs(left) ** 2, axis=(0, 3)) / (freedom - _DEGREE - 1.5)
+    power = np.sum(np.abs(outputs) ** 2, axis=(0, 3)).T / freedom
+    coherences = np.clip(1.0 - noise / np.where(power > 0.0, power, 1.0), 0.0, 1.0)
+    coherence = np.min(coherences, axis=1) if has_instrument else coherences[:, 1]
+    left_out = np.array([ratio(all_gram - gram[w], all_right - right[w])[0] for w in range(number)])
+    with np.errstate(all="ignore"):  # a line without any power has no response
+        logs = np.log(left_out / response)
     deviations = (logs - logs.mean(axis=0)) * math.sqrt((number - 1) / number)
     is_used = (coherence >= least_coherence) & np.all(np.isfinite(deviations), axis=0)
     return FrequencyResponse(
         frequency,
-        response,
+        response * of_difference,
         coherence,
         is_used,
         deviations,
-        len(spectra),
+        number,
         count / rate_hz,
         has_instrument,
         1.0 / rate_hz,
     )
-
-
-def _coherence(one: Complex, other: Complex) -> Array:
-    """Return the coherence (m,) of two signals by their spectra (w, m)."""
-    cross = np.abs(np.sum(np.conj(one) * other, axis=0)) ** 2
-    powers = np.sum(np.abs(one) ** 2, axis=0) * np.sum(np.abs(other) ** 2, axis=0)
-    return np.where(powers > 0.0, cross / np.where(powers > 0.0, powers, 1.0), 0.0)

@@ -12,12 +12,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from friction_hil.identification.data import RegressionSegment
+from friction_hil.identification.data import RegressionSegment, prepare
 from friction_hil.identification.encoder_error import EncoderError, find_encoder_error
 from friction_hil.identification.fits import Fit
 from friction_hil.identification.frequency_response import FrequencyResponse, frequency_response
 from friction_hil.identification.identify import Identification
+from friction_hil.identification.load_dependence import find_load_dependence
 from friction_hil.identification.load_side import LoadSide, find_load_side
+from friction_hil.identification.quantities import Quantity, Units, undetermined
 from friction_hil.identification.refine import is_dynamic
 from friction_hil.identification.resonance import Resonance, fit_resonance
 from friction_hil.identification.torque_fits import TorqueFits, model_of, swings, torque_fits
@@ -25,44 +27,19 @@ from friction_hil.recordings import Recording
 
 _LIKE = 3.0  # a stiffness within this factor of another is like it
 _FORM = 0.02  # of each value: no axis is two masses with Coulomb friction to better than a few per cent
-_FELT = 0.1  # of the friction: a load that changes by less is none
 _VAGUE = 0.5  # standard error over value
 
+_UNEXCITED = "the recording excites no band of frequencies while the axis slides"
 _SHAKEN = (
-    "record a motion that shakes the axis while it slides: a chirp or multisine of small amplitude on slow strokes, up "
-    "to the frequencies of interest, with the column position_demand"
+    "friction-hil tune --mechanics records such a motion, or trajectory {kind: multisine}, with higher high_hz and a "
+    "shorter period_s for stiffer axes"
+)
+_LOADED = (
+    "let friction-hil tune --mechanics find the inertia of the load, whose acceleration is a load, or record the same "
+    "motion with another weight or against a force, with its torque in the column load_torque"
 )
 _REVERSALS = "reversals at several speeds, faster ones with oscillations above 8 Hz: trajectory {kind: experiment}"
 _STROKES = "record strokes with rests, trajectory {kind: strokes}, on a load that nothing pulls to one side"
-
-
-@dataclass(frozen=True, slots=True)
-class Quantity:
-    """A property of the axis with its standard error, or why it is not determined.
-
-    Attributes
-    ----------
-    key : str
-        Name in ``--json``.
-    label : str
-        For people.
-    unit : str
-        SI, of the axis.
-    value, error : float or None
-        None if it is not determined.
-    source : str
-        Method.
-    missing : str
-        Why it is not determined, and the motion that would show it; else empty.
-    """
-
-    key: str
-    label: str
-    unit: str
-    value: float | None = None
-    error: float | None = None
-    source: str = ""
-    missing: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,7 +92,11 @@ class Mechanics:
 
 
 def find_mechanics(
-    recordings: Sequence[Recording], result: Identification, *, report: Callable[[str], None] = lambda _: None
+    recordings: Sequence[Recording],
+    result: Identification,
+    *,
+    shaken: Sequence[Recording] = (),
+    report: Callable[[str], None] = lambda _: None,
 ) -> Mechanics:
     """Find the mechanics behind the motor.
 
@@ -124,17 +105,20 @@ def find_mechanics(
     recordings : sequence of Recording
         Those that ``result`` was fitted to; a column ``load_position`` is used where it exists.
     result : Identification
+    shaken : sequence of Recording
+        Further ones, of an axis that is shaken while it slides: the frequency response is then theirs alone.
     report : callable
         Called with the name of each step.
     """
-    units = _Units.of(result)
+    units = Units.of(result)
     if result.settings.has_unknown_gain:
         why = "it needs a torque of known gain"
-        return Mechanics(tuple(replace(each, missing=why) for each in _nothing(units)))
+        return Mechanics(tuple(replace(each, missing=why) for each in undetermined(units)))
     records = [each for each in result.records if not each.is_thinned] or list(result.records)
     report("frequency response")
-    response = frequency_response(records) if _one_rate(records) else None
-    resonance = None if response is None else fit_resonance(response)
+    excited = [segment for each in shaken for segment in prepare(each)] or records
+    response = frequency_response(excited) if _one_rate(excited) else None
+    resonance, why = (None, _UNEXCITED) if response is None else fit_resonance(response)
     report("two masses")
     torques = torque_fits(records, result)
     report("load side")
@@ -147,45 +131,7 @@ def find_mechanics(
         errors = find_encoder_error(
             torques.motions, accepted.residual, inertia, is_linear=result.settings.axis == "linear"
         )
-    return _assembled(result, units, records, response, resonance, torques, side, errors)
-
-
-@dataclass(frozen=True, slots=True)
-class _Units:
-    position: str
-    torque: str
-    inertia: str
-
-    @classmethod
-    def of(cls, result: Identification) -> "_Units":
-        return cls("m", "N", "kg") if result.settings.axis == "linear" else cls("rad", "N m", "kg m^2")
-
-    @property
-    def stiffness(self) -> str:
-        return f"{self.torque}/{self.position}"
-
-    @property
-    def damping(self) -> str:
-        return f"{self.torque} s/{self.position}"
-
-
-def _nothing(units: _Units) -> list[Quantity]:
-    """Return all quantities, none of them determined, in the order in which they are shown."""
-    return [
-        Quantity("inertia", "inertia of motor and load", units.inertia),
-        Quantity("motor_inertia", "inertia of the motor", units.inertia),
-        Quantity("load_inertia", "inertia of the load", units.inertia),
-        Quantity("antiresonance_hz", "anti-resonance", "Hz"),
-        Quantity("resonance_hz", "resonance", "Hz"),
-        Quantity("stiffness", "stiffness of the coupling", units.stiffness),
-        Quantity("damping", "damping of the coupling", units.damping),
-        Quantity("backlash", "backlash", units.position),
-        Quantity("motor_friction", "friction of the motor", units.torque),
-        Quantity("load_friction", "friction of the load", units.torque),
-        Quantity("load_dependence", "friction per load", ""),
-        Quantity("cogging", "cogging", units.torque),
-        Quantity("encoder_error", "periodic encoder error", units.position),
-    ]
+    return _assembled(result, units, records, response, resonance, why, torques, side, errors)
 
 
 def _one_rate(records: Sequence[RegressionSegment]) -> bool:
@@ -198,15 +144,16 @@ def _one_rate(records: Sequence[RegressionSegment]) -> bool:
 
 def _assembled(
     result: Identification,
-    units: _Units,
+    units: Units,
     records: Sequence[RegressionSegment],
     response: FrequencyResponse | None,
     resonance: Resonance | None,
+    why: str,
     torques: TorqueFits | None,
     side: LoadSide | None,
     encoder_errors: tuple[EncoderError, ...],
 ) -> Mechanics:
-    known = {each.key: each for each in _nothing(units)}
+    known = {each.key: each for each in undetermined(units)}
     methods = _methods(resonance, torques, side)
     for key in known:
         there = [(values[key], errors[key], name) for values, errors, name in methods if key in values]
@@ -214,11 +161,12 @@ def _assembled(
         if there:
             value, error, name = min(there, key=lambda each: each[1])
             known[key] = replace(known[key], value=value, error=error, source=name)
-    missing = _missing(result, response, torques)
+    missing = _missing(why, torques)
     known |= {key: replace(known[key], missing=why) for key, why in missing.items() if known[key].value is None}
     if known["inertia"].value is None:
         known["inertia"] = _rigid_inertia(known["inertia"], result.best)
-    known |= _modifiers(known, result)
+    known["cogging"] = _cogging(known["cogging"], result)
+    known["load_dependence"] = _per_load(known, result, records)
     if encoder_errors:
         first = encoder_errors[0]
         label = f"encoder error, order {first.order:g} (amplitude)"
@@ -290,30 +238,33 @@ def _rigid_inertia(quantity: Quantity, best: Fit) -> Quantity:
     return replace(quantity, value=value, error=error, source="friction model")
 
 
-def _modifiers(known: dict[str, Quantity], result: Identification) -> dict[str, Quantity]:
-    """Return friction per load and cogging, from the modifiers of the chosen model."""
-    best, errors = result.best, result.best.inference.standard_errors
-    modifiers = best.friction[1]
-    per_load = known["load_dependence"]
+def _per_load(known: Mapping[str, Quantity], result: Identification, records: Sequence[RegressionSegment]) -> Quantity:
+    """Return friction per load: of the chosen model if a load was recorded, else by weight and inertia of the load."""
+    best, quantity = result.best, known["load_dependence"]
     factors = {name: value for name, value in best.values.items() if name.startswith("load.")}
-    if factors:
+    if factors and any(each.load_torque is not None for each in records):
         name, value = max(factors.items(), key=lambda each: abs(each[1]))
-        error = errors.get(name, math.nan)
-        per_load = replace(per_load, label=f"friction per load ({name})", value=value, error=error)
-        per_load = replace(per_load, source="friction model")
-    else:
-        has_load = any(each.load_torque is not None for each in result.records)
-        level = float(np.median(np.abs(best.curves.friction)))
-        swings = any(abs(best.mechanics[each]) > _FELT * level for each in ("gravity.sine", "gravity.cosine"))
-        why = (
-            "the load changes, and friction does not change with it"
-            if (has_load or swings) and result.settings.has_modifiers
-            else "the load did not change: record the same motion with another weight or against a force, with its "
-            "torque in the column load_torque"
-        )
-        per_load = replace(per_load, missing=why)
-    cogging = known["cogging"]
-    harmonics = modifiers.get("ripple", [])
+        error = best.inference.standard_errors.get(name, math.nan)
+        return replace(quantity, label=f"friction per load ({name})", value=value, error=error, source="friction model")
+    load_inertia = known["load_inertia"].value
+    swings = any(best.mechanics[each] for each in ("gravity.sine", "gravity.cosine"))
+    if load_inertia is None and not swings:
+        return replace(quantity, missing=f"the weight is constant, and the inertia of the load is not known; {_LOADED}")
+    turn = 1.0 if result.settings.axis == "linear" else math.tau
+    orders = [each["order"] * math.tau / turn for each in best.friction[1].get("ripple", [])]
+    found = find_load_dependence(records, best.mechanics, load_inertia or 0.0, orders)
+    if found is not None and found.is_clear:
+        return replace(quantity, value=found.factor, error=found.error, source="weight and inertia of the load")
+    if found is not None and found.is_excluded:
+        figures = f"{found.factor:.2g}, standard error {found.error:.1g}"
+        return replace(quantity, missing=f"the load changes, and friction does not grow with it ({figures})")
+    return replace(quantity, missing=f"the load hardly changes; {_LOADED}")
+
+
+def _cogging(cogging: Quantity, result: Identification) -> Quantity:
+    """Return cogging, from the ripple of the chosen model."""
+    best, errors = result.best, result.best.inference.standard_errors
+    harmonics = best.friction[1].get("ripple", [])
     if harmonics:
         sizes = [math.hypot(each["cosine"], each["sine"]) for each in harmonics]
         index = int(np.argmax(sizes))
@@ -324,19 +275,19 @@ def _modifiers(known: dict[str, Quantity], result: Identification) -> dict[str, 
         cogging = replace(
             cogging, missing="none stands out: slow motion over at least two periods of it would show a smaller one"
         )
-    return {"load_dependence": per_load, "cogging": cogging}
+    return cogging
 
 
-def _missing(result: Identification, response: FrequencyResponse | None, torques: TorqueFits | None) -> dict[str, str]:
-    """Return why quantities are not determined, each with the motion that would show it."""
-    if response is not None:
-        low, high = response.band_hz
-        why = f"no resonance from {low:.3g} to {high:.3g} Hz"
-        stiff = f"{why}, where the recording excites it; {_SHAKEN}"
-    elif torques is None:
-        stiff = f"the recording is too short, or its encoder too coarse for its accelerations; {_SHAKEN}"
+def _missing(why: str, torques: TorqueFits | None) -> dict[str, str]:
+    """Return why quantities are not determined, each with the motion that would show it.
+
+    ``why`` is the reason of the frequency response, empty if it shows a resonance.
+    """
+    if torques is None:
+        other = "is too short, or its encoder too coarse for its accelerations"
     else:
-        stiff = f"one mass explains the torque as well as two; {_SHAKEN}"
+        other = "shows one mass that explains the torque over time as well as two"
+    stiff = f"{why or _UNEXCITED}; the recording {other}; {_SHAKEN}"
     keys = ("motor_inertia", "load_inertia", "antiresonance_hz", "resonance_hz", "stiffness", "damping")
     found = dict.fromkeys(keys, stiff)
     if torques is None or torques.two is None:
@@ -353,7 +304,7 @@ def _missing(result: Identification, response: FrequencyResponse | None, torques
 
 
 def _flags(
-    result: Identification, units: _Units, known: dict[str, Quantity], torques: TorqueFits | None
+    result: Identification, units: Units, known: dict[str, Quantity], torques: TorqueFits | None
 ) -> tuple[str, ...]:
     """Return what speaks against the friction model: a bristle that is the spring of the coupling."""
     if not is_dynamic(result.best.structure):

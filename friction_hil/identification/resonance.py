@@ -11,11 +11,12 @@ Source: G. Ferretti, G. Magnani, P. Rocco, Control Engineering Practice 12(1), 2
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from friction_hil.identification.compliance import sandwich
 from friction_hil.identification.frequency_response import Complex, FrequencyResponse
 from friction_hil.numerics.jit import Array
 
@@ -29,6 +30,8 @@ _LARGEST_ERRORS = {"antiresonance_hz": 0.1, "resonance_hz": 0.1, "load_inertia":
 _MOST_MISFIT = 0.3
 _LEAST_USED = 0.5  # of the lines between the first and the last used one: else harmonics of something, no response
 _NEAR_MEAN = 0.15  # of a period between the delay of a torque and that of a mean
+_BANDS = 16  # over which a mismatch is alike, evenly spaced on a logarithmic scale
+_BETWEEN_LINES = 0.01  # of the distance of two lines: error of a frequency by what the polynomials leave out
 _LEAST_ERROR = 1e-3  # of a line: an interpolated, short or noiseless window is no better
 
 
@@ -51,27 +54,29 @@ class Resonance:
     misfit: float
 
 
-def fit_resonance(response: FrequencyResponse) -> Resonance | None:
+def fit_resonance(response: FrequencyResponse) -> tuple[Resonance | None, str]:
     """Fit two masses to a frequency response.
 
     Returns
     -------
     Resonance or None
-        None if the response does not show a resonance: a rigid mass fits as well, or the band ends before it.
+        None if the response does not show a resonance.
+    str
+        Why it does not; empty if it does.
     """
     low, high = response.band_hz
     inside = (response.frequency_hz >= low) & (response.frequency_hz <= high)
     if np.mean(response.is_used[inside]) < _LEAST_USED:
-        return None
-    found = _fit(response, response.response)
+        return None, f"the recording excites only some frequencies between {low:.3g} and {high:.3g} Hz"
+    found, why = _fit(response, response.response)
     if found is None or abs(found.values["delay_s"] / response.period_s - 0.5) > _NEAR_MEAN:
-        return found
+        return found, why
     # half a period old, the torque is a mean over the period, which is smaller than the torque at high frequencies
     mean = np.sinc(response.frequency_hz * response.period_s)
     return _fit(response, response.response * mean)
 
 
-def _fit(response: FrequencyResponse, corrected: Complex) -> Resonance | None:
+def _fit(response: FrequencyResponse, corrected: Complex) -> tuple[Resonance | None, str]:
     from scipy.optimize import least_squares  # imported here: commands that do not need it start faster
 
     omega = math.tau * response.frequency_hz[response.is_used]
@@ -110,20 +115,24 @@ def _fit(response: FrequencyResponse, corrected: Complex) -> Resonance | None:
     best = least_squares(fit, best.x, x_scale=[1.0, 1.0, 0.1, 1.0, inertia, 1e-3])
     freedom = max(2 * len(omega) - len(best.x), 1)
     variance = 2.0 * best.cost / freedom
-    if 2.0 * (rigid.cost - best.cost) < _EVIDENT * max(variance, 1.0):
-        return None
-    covariance = _covariance(best.jac, response, sigma)
-    values, errors = _derived(best.x, covariance * max(variance, 1.0))
-    load, total = values["load_inertia"], values["inertia"]
     low, high = response.band_hz
+    if 2.0 * (rigid.cost - best.cost) < _EVIDENT * max(variance, 1.0):
+        return None, f"no resonance from {low:.3g} to {high:.3g} Hz, where the recording excites the axis"
+    values, errors = _derived(
+        best.x, _covariances(best.jac, fit(best.x), response, sigma), _BETWEEN_LINES / response.window_s
+    )
+    load, total = values["load_inertia"], values["inertia"]
+    rows = fit(best.x) * np.concatenate([sigma, sigma])
+    misfit = float(np.sqrt(np.mean(rows**2)))
     is_inside = low < values["antiresonance_hz"] and values["resonance_hz"] * _EDGE < high
     is_damped = _LEAST_DAMPING < values["damping_ratio"] < _MOST_DAMPING
     is_clear = all(errors[name] < most * values[name] for name, most in _LARGEST_ERRORS.items())
-    rows = fit(best.x) * np.concatenate([sigma, sigma])
-    misfit = float(np.sqrt(np.mean(rows**2)))
     if not (is_inside and is_damped and is_clear and load > _LEAST_LOAD * total and misfit < _MOST_MISFIT):
-        return None
-    return Resonance(values, errors, misfit)
+        return None, (
+            f"the response from {low:.3g} to {high:.3g} Hz is neither that of one mass nor clearly that of two: a "
+            "resonance beyond this band, backlash, losses of a gear or a third mass look so"
+        )
+    return Resonance(values, errors, misfit), ""
 
 
 def two_mass_response(values: dict[str, float], frequency_hz: Array) -> Complex:
@@ -164,9 +173,15 @@ def _with_derived(at: Array) -> dict[str, float]:
     }
 
 
-def _derived(at: Array, covariance: Array) -> tuple[dict[str, float], dict[str, float]]:
-    """Return all values and their standard errors, linearised."""
+def _derived(
+    at: Array, covariances: Sequence[Array], between_lines: float
+) -> tuple[dict[str, float], dict[str, float]]:
+    """Return all values and their standard errors, linearised.
+
+    The covariances add up; ``between_lines`` is the least error of a frequency, Hz.
+    """
     values = _with_derived(at)
+    covariance = np.sum(covariances, axis=0)
     scale = np.maximum(np.sqrt(np.diag(covariance)), 1e-12)
     steps = [1e-3 * size * np.eye(len(at))[i] for i, size in enumerate(scale)]
     sides = [(_with_derived(at + step), _with_derived(at - step)) for step in steps]
@@ -175,13 +190,27 @@ def _derived(at: Array, covariance: Array) -> tuple[dict[str, float], dict[str, 
         slope = np.array(
             [(up[name] - down[name]) / (2e-3 * size) for (up, down), size in zip(sides, scale, strict=True)]
         )
-        errors[name] = float(np.sqrt(max(slope @ covariance @ slope, 0.0)))
+        variance = max(float(slope @ covariance @ slope), 0.0)
+        errors[name] = math.hypot(math.sqrt(variance), between_lines if name.endswith("_hz") else 0.0)
     return values, errors
 
 
-def _covariance(jacobian: Array, response: FrequencyResponse, sigma: Array) -> Array:
-    """Return the covariance of the parameters by the jackknife, which knows that neighbouring lines are correlated."""
+def _covariances(jacobian: Array, residual: Array, response: FrequencyResponse, sigma: Array) -> tuple[Array, Array]:
+    """Return the covariance of the parameters by scatter, and by mismatch.
+
+    The first is that of a jackknife over windows, which knows that neighbouring lines are correlated. It is so large
+    that a 90-% interval of a normal distribution is as wide as that of Student's with so few windows. The second takes
+    the residual for what the form leaves out, which is alike over a whole band of frequencies.
+    """
+    from scipy.stats import norm, t  # imported here: commands that do not need it start faster
+
+    few = float(t.ppf(0.95, response.windows - 1) / norm.ppf(0.95))
     changes = -np.linalg.pinv(jacobian)
     deviations = response.deviations[:, response.is_used] / sigma
     shifts = np.concatenate([deviations.real, deviations.imag], axis=1) @ changes.T
-    return np.asarray(shifts.T @ shifts)
+    frequency = response.frequency_hz[response.is_used]
+    bands = np.floor(_BANDS * np.log(frequency / frequency[0]) / np.log(frequency[-1] / frequency[0] * (1.0 + 1e-9)))
+    both = np.concatenate([bands, bands])
+    order = np.argsort(both, kind="stable")
+    starts = np.flatnonzero(np.diff(both[order], prepend=-1.0))
+    return np.asarray(few**2 * shifts.T @ shifts), sandwich(jacobian[order], residual[order], starts)

@@ -242,6 +242,11 @@ def _fast_amplitude(frequency: float, rated_velocity: float, acceleration: float
     return min(_PRESLIDING_SPEED * rated_velocity / omega, acceleration / omega**2)
 
 
+def fastest_acceleration(rated_velocity: float) -> float:
+    """Return the largest acceleration of the fast sweeps if nothing bounds it, rad/s^2 or m/s^2."""
+    return _PRESLIDING_SPEED * rated_velocity * math.tau * _PRESLIDING_HZ[-1]
+
+
 def demand(time_s: ArrayLike, sweeps: tuple[Sweep, ...]) -> tuple[Array, Array]:
     """Return position and velocity of the motion relative to its start; both are zero before and after it.
 

@@ -3,9 +3,9 @@
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-from friction_hil.config import AxisConfig, Configuration, ExperimentBounds, MotionSequence
+from friction_hil.config import AxisConfig, Configuration, ExperimentBounds, MotionSequence, Multisine
 from friction_hil.config.trajectories import PeriodicMotion, peak_speed
-from friction_hil.daemon.assembly import periodic_path
+from friction_hil.daemon.assembly import multisine_plan, periodic_path
 from friction_hil.daemon.safety import SPEED_MARGIN
 from friction_hil.motion.experiment import coarsest, is_fast
 from friction_hil.motion.trajectory import extent
@@ -48,6 +48,21 @@ def experiment_text(run: Configuration, name: str, bounds: ExperimentBounds, dur
         f"{name} moves by up to {bounds.travel:g} {unit} to either side of where it stands, "
         f"{_speed(axis, _allowed_speed(axis, bounds))}, for {duration_s:.0f} s, without compensation"
         f"{_others(run, (name,))}{_presliding(run, bounds, unit)}"
+    )
+
+
+def shaken_text(run: Configuration, name: str, bounds: ExperimentBounds, duration_s: float) -> str:
+    """Describe the motion that shakes an axis; parameters as of `experiment_text`, of `motions.shaken_run`."""
+    axis = run.axes[name]
+    if not isinstance(axis.trajectory, Multisine):
+        raise TypeError(f"an axis is shaken by a multisine, not by {axis.trajectory.kind}")
+    plan = multisine_plan(axis.trajectory, run.period_s)
+    unit = _unit(axis)
+    return (
+        f"{name} moves by up to {bounds.travel:g} {unit} to either side of where it stands, "
+        f"{_speed(axis, _allowed_speed(axis, bounds))}, for {duration_s:.0f} s, without compensation: strokes of "
+        f"constant speed, shaken by up to {plan.sine_acceleration:.3g} {unit}/s^2 from {plan.low_hz:g} to "
+        f"{plan.high_hz:g} Hz, which can be heard{_others(run, (name,))}"
     )
 
 

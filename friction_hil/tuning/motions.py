@@ -12,16 +12,17 @@ from friction_hil.config import (
     Experiment,
     ExperimentBounds,
     Hold,
+    Multisine,
     Sine,
     Strokes,
     Triangle,
 )
 from friction_hil.config.trajectories import PeriodicMotion
-from friction_hil.daemon.assembly import experiment_sweeps, ramp_s
+from friction_hil.daemon.assembly import experiment_sweeps, multisine_plan, ramp_s
 from friction_hil.daemon.safety import LoopState
 from friction_hil.errors import FrictionHilError, OptionError
 from friction_hil.models.model_file import ModelFile
-from friction_hil.motion import experiment
+from friction_hil.motion import experiment, multisine
 from friction_hil.recordings import Recording
 from friction_hil.servo.mechanisms import Gantry
 from friction_hil.tuning.trial_motions import sequences, trial_motions
@@ -94,6 +95,25 @@ def experiment_run(configuration: Configuration, name: str) -> tuple[Configurati
     axes[name] = axes[name].model_copy(update={"trajectory": motion})
     run = configuration.model_copy(update={"axes": axes})
     return run, motion.duration_s + ramp_s(axes.values()) + _REST_S
+
+
+def shaken_run(configuration: Configuration, name: str) -> tuple[Configuration, float]:
+    """Return the run in which one axis is shaken while it slides and the others are held, uncompensated; duration, s.
+
+    Raises
+    ------
+    UsageError
+        The bounds of the experiment leave no room for it.
+    """
+    bounds = experiment_of(name, configuration.axes[name])
+    given = {key: getattr(bounds, key) for key in ("velocity", "travel", "acceleration", "ramp_s")}
+    duration_s = min(max(bounds.duration_s, multisine.LEAST_S), multisine.DURATION_S)
+    motion = Multisine(kind="multisine", duration_s=duration_s, **given)
+    plan = multisine_plan(motion, configuration.period_s)
+    axes = {each: _held(axis) for each, axis in configuration.axes.items()}
+    axes[name] = axes[name].model_copy(update={"trajectory": motion})
+    run = configuration.model_copy(update={"axes": axes})
+    return run, plan.duration_s + motion.ramp_s + ramp_s(axes.values()) + _REST_S
 
 
 def sliding_part(recording: Recording, configuration: Configuration) -> Recording:

@@ -20,6 +20,8 @@ class TuneSettings:
         Families of friction models to fit; empty for all.
     is_fault_reset_wanted, is_paced_by_sync, is_status_shown : bool
         As of `friction_hil.daemon.session.SessionSettings`.
+    is_shaken : bool
+        True if each axis is shaken too, to find resonances and what is behind the motor.
     is_simulated : bool
         True if the drives are simulated: their friction is not written to the file that the configuration names.
     """
@@ -30,6 +32,7 @@ class TuneSettings:
     is_fault_reset_wanted: bool = False
     is_paced_by_sync: bool = False
     is_status_shown: bool = False
+    is_shaken: bool = False
     is_simulated: bool = False
 
 

@@ -14,7 +14,7 @@ from friction_hil.identification.settings import chosen_families
 from friction_hil.identification.torque_timing import TorqueTiming
 from friction_hil.models.model_file import ModelFile
 from friction_hil.recordings import Recording, read, read_all
-from friction_hil.tuning.announcement import allowed_speeds, experiment_text, trial_text
+from friction_hil.tuning.announcement import allowed_speeds, experiment_text, shaken_text, trial_text
 from friction_hil.tuning.candidates import CandidateFit, candidates, identified
 from friction_hil.tuning.choice import (
     AxisTuning,
@@ -30,6 +30,7 @@ from friction_hil.tuning.motions import (
     experiment_of,
     experiment_run,
     refuse_shared_beam,
+    shaken_run,
     sliding_part,
     trial_run,
     uncompensated,
@@ -71,7 +72,8 @@ class Tuning:
 def tune(configuration: Configuration, settings: TuneSettings, dialog: Dialog) -> Tuning:
     """Identify the friction of axes on their drives, and keep the models that reduce the following error.
 
-    1. Experiment: one axis after another moves as its ``experiment`` allows, uncompensated, the others being held.
+    1. Experiment: one axis after another moves as its ``experiment`` allows, uncompensated, the others being held; if
+       wanted, it is shaken while it slides, too.
     2. Identification: friction models and mechanics of each axis from its recording, dynamic models from all of it and
        static ones from where the axis slides.
     3. Candidates: each model compensates each plausible axis in simulation, with the loops that the experiment showed;
@@ -142,6 +144,7 @@ class _Tuner:
         self._runs = TuningRuns(settings, dialog)
         self._warnings: list[str] = []
         self._mechanics: dict[str, Mechanics] = {}
+        self._shaken: dict[str, Recording] = {}
         self._resolutions: dict[str, float] = {}  # of the encoders, found in the experiments
         self._timings: dict[str, TorqueTiming] = {}
         self._torque_lags: dict[str, TorqueLag] = {}
@@ -150,6 +153,8 @@ class _Tuner:
     def tune(self) -> Tuning:
         """Carry out all steps; see `tune`."""
         recorded = {name: self._experiment(name) for name in self._names}
+        if self._settings.is_shaken:
+            self._shaken = {name: self._shake(name) for name in self._names}
         tried = self._trials({name: self._candidates(recorded.pop(name)) for name in self._names})
         is_simulated = self._settings.is_simulated
         axes = {
@@ -178,6 +183,15 @@ class _Tuner:
             self._dialog.report(warning)
         return recording
 
+    def _shake(self, name: str) -> Recording:
+        """Record an axis that is shaken while it slides."""
+        bounds = experiment_of(name, self._configuration.axes[name])
+        run, duration_s = shaken_run(self._configuration, name)
+        self._dialog.confirm(shaken_text(run, name, bounds, duration_s))
+        speeds = allowed_speeds(run, {name: bounds})
+        recording = read(self._runs.run(run, duration_s, f"{name}_shaken.mcap", speeds), name)
+        return with_torque(recording, run.axes[name].mode)
+
     def _candidates(self, recording: Recording) -> list[CandidateFit]:
         """Identify an axis from its experiment; return the models to try on it, and write the first of them."""
         name = recording.axis
@@ -205,7 +219,8 @@ class _Tuner:
         for each in found:
             self._dialog.report(f"{name}: {label(each, each.best)}: {each.reason}")
         with self._dialog.working(f"{name}: mechanics behind the motor"):
-            mechanics = self._mechanics[name] = find_mechanics([recording], found[0])
+            shaken = [self._shaken[name]] if name in self._shaken else []
+            mechanics = self._mechanics[name] = find_mechanics([recording], found[0], shaken=shaken)
         for line in mechanics.lines:
             self._dialog.report(f"{name}: {line}")
         for flag in mechanics.flags:

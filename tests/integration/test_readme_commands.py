@@ -82,6 +82,7 @@ ELSEWHERE = (
     ("friction-hil doctor --try-watchdog", "test_doctor_tries_the_watchdogs_of_simulated_drives"),
     ("friction-hil tune --output --json --yes --pace", "test_an_axis_learns_its_friction_on_its_drive"),
     ("friction-hil tune --simulate", "test_simulated_drives_are_tuned_and_the_model_of_the_machine_stays_as_it_is"),
+    ("friction-hil tune --mechanics", "test_an_axis_learns_its_friction_on_its_drive"),
     ("friction-hil tune --models --axis", "test_mistakes_are_reported_before_anything_moves"),
     ("friction-hil tune --reset-fault", "test_a_drive_in_fault_is_tuned_only_if_its_fault_may_be_reset"),
     (

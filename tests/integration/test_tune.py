@@ -72,8 +72,9 @@ def test_an_axis_learns_its_friction_on_its_drive(kind, tmp_path) -> None:
     if kind == "dynamixel":
         pytest.importorskip("dynamixel_sdk", reason="the extra 'dynamixel' is not installed")
     configuration = configured(kind, tmp_path)
+    is_shaken = kind == "canopen"
 
-    result, done = tuned(configuration, "--models", "coulomb")
+    result, done = tuned(configuration, "--models", "coulomb", *(["--mechanics"] if is_shaken else []))
 
     learned = load_model_file(tmp_path / "learned.yaml")
     friction = learned.friction_model.parameters
@@ -100,7 +101,13 @@ def test_an_axis_learns_its_friction_on_its_drive(kind, tmp_path) -> None:
         "x.yaml",
         "x_experiment.mcap",
         "x_identification.html",
+        *(["x_shaken.mcap"] if is_shaken else []),
     ]
+    if is_shaken:  # a rigid axis, of which nothing else is made
+        assert "strokes of constant speed, shaken by up to " in done.stderr
+        assert "anti-resonance, resonance" in done.stderr
+        assert re.search(r"no resonance from \d+ to 200 Hz", done.stderr)
+        assert "load" not in x["mechanics"]
 
     experiment = fh.recordings.read(tmp_path / "tuned" / "x_experiment.mcap", "x")
     way = experiment["position"] - experiment["position"][0]

@@ -22,10 +22,17 @@ from friction_hil.identification import IdentificationSettings, identify
 from friction_hil.motion.trajectory import PathTime, Trajectory, extent
 from friction_hil.recordings import Recording
 from friction_hil.tuning import AxisTuning, TriedModel, Tuning
-from friction_hil.tuning.announcement import experiment_text
+from friction_hil.tuning.announcement import experiment_text, shaken_text
 from friction_hil.tuning.candidates import candidates
 from friction_hil.tuning.experiment import refuse_limit_cycle
-from friction_hil.tuning.motions import TuningError, experiment_of, experiment_run, sliding_part, trial_run
+from friction_hil.tuning.motions import (
+    TuningError,
+    experiment_of,
+    experiment_run,
+    shaken_run,
+    sliding_part,
+    trial_run,
+)
 from friction_hil.tuning.trial import MotionTrial, Trial
 from tests.servo_drives import PERIOD_S, axis_dict
 
@@ -155,6 +162,26 @@ def test_an_axis_that_is_moved_by_hand_is_not_said_to_be_held() -> None:
         "x moves by up to 0.8 rad to either side of where it stands, at up to 5 rad/s (stopped above 7.5 rad/s), "
         "for 21 s, without compensation; y free; "
         "to show presliding too, the encoder needs counts of 0.00064 rad or less"
+    )
+
+
+def test_an_axis_is_shaken_alone_within_the_bounds_of_its_experiment_and_that_is_announced() -> None:
+    configuration = machine(x=axis(), y=axis(**BY_HAND))
+    run, duration = shaken_run(configuration, "x")
+
+    text = shaken_text(run, "x", experiment_of("x", configuration.axes["x"]), duration)
+
+    assert [each.trajectory.kind for each in run.axes.values()] == ["multisine", "none"]
+    assert not any(each.compensation.enabled for each in run.axes.values())
+    path = make_path(run.axes["x"], COUNT, PERIOD_S)
+    low, high, speed = extent(path, duration, 20_000)
+    assert max(-low, high) <= EXPERIMENT["travel"]
+    assert speed <= EXPERIMENT["velocity"]
+    assert path(duration - 0.5 * EXPERIMENT["ramp_s"]) == (0.0, 0.0, 0.0)  # path time lags by half of its ramp
+    assert text == (
+        "x moves by up to 0.8 rad to either side of where it stands, at up to 5 rad/s (stopped above 7.5 rad/s), "
+        "for 18 s, without compensation: strokes of constant speed, shaken by up to 44 rad/s^2 from 2 to 250 Hz, which "
+        "can be heard; y free"
     )
 
 

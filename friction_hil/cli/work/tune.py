@@ -36,6 +36,7 @@ def tune_machine(
     names: tuple[str, ...],
     models: tuple[str, ...],
     output: Path | None,
+    mechanics: bool,
     yes: bool,
     simulate: bool,
     reset_fault: bool,
@@ -56,6 +57,7 @@ def tune_machine(
         is_fault_reset_wanted=reset_fault,
         is_paced_by_sync=pace == "sync",
         is_status_shown=not as_json and sys.stderr.isatty(),
+        is_shaken=mechanics,
         is_simulated=simulate,
     )
     terminal = _Terminal(is_asked=not yes)

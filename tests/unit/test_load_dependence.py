@@ -1,0 +1,88 @@
+"""Friction that grows with the torque of the load, found from the motion of the axis alone."""
+
+import math
+
+import numpy as np
+import pytest
+
+import friction_hil as fh
+from friction_hil.compensator import Compensator, CompensatorSettings
+from friction_hil.identification.data import prepare
+from friction_hil.identification.load_dependence import LoadDependence, find_load_dependence, load_torque
+from friction_hil.recordings import Recording
+from tests.compensators import row
+
+PERIOD_S = 1e-3
+INERTIA, LOAD_INERTIA = 1.15, 0.7
+
+
+def moved(factor: float, weight: dict[str, float], amplitude: float = 1.0, seed: int = 0) -> Recording:
+    """Sines of two frequencies that swell and fade; Stribeck friction, and more of it with the load."""
+    time = PERIOD_S * np.arange(30_000)
+    swell = amplitude * np.sin(math.pi * time / 30.0) ** 2
+    q = swell * (0.7 * np.sin(math.tau * 0.6 * time) + 0.2 * np.sin(math.tau * 1.7 * time))
+    v = np.gradient(q, PERIOD_S)
+    a = np.gradient(v, PERIOD_S)
+    gravity = weight.get("offset", 0.0) + weight.get("gravity.sine", 0.0) * np.sin(q)
+    load = gravity + LOAD_INERTIA * a
+    friction = 6.0 + 2.0 * np.exp(-((v / 0.1) ** 2)) + factor * np.abs(load)
+    torque = INERTIA * a + gravity + np.sign(v) * friction + 5.0 * v
+    torque += 0.1 * np.random.default_rng(seed).standard_normal(len(time))
+    return Recording("x.csv", "x", {"time_s": time, "position": q, "torque": torque})
+
+
+def found(
+    factor: float, weight: dict[str, float], load_inertia: float = LOAD_INERTIA, **given: float
+) -> LoadDependence:
+    result = find_load_dependence(prepare(moved(factor, weight, **given)), weight, load_inertia, ())
+    assert result is not None
+    return result
+
+
+@pytest.mark.parametrize("weight", [{"gravity.sine": 15.7}, {"offset": 20.0}], ids=["pendulum", "weight"])
+@pytest.mark.parametrize("factor", [0.25, 1.2])
+def test_the_factor_is_found_with_its_error(factor: float, weight: dict[str, float]) -> None:
+    result = found(factor, weight)
+    assert result.is_clear
+    assert result.error < 0.05 * factor
+    assert result.factor == pytest.approx(factor, abs=4.0 * result.error + 0.01)
+
+
+def test_friction_without_load_dependence_has_none() -> None:
+    result = found(0.0, {"gravity.sine": 15.7})
+    assert not result.is_clear
+    assert result.is_excluded
+
+
+def test_an_axis_whose_load_hardly_changes_tells_nothing() -> None:
+    result = found(0.25, {"offset": 20.0}, amplitude=0.01)
+    assert not result.is_clear
+    assert not result.is_excluded
+
+
+def test_an_axis_that_does_not_slide_tells_nothing() -> None:
+    recording = moved(0.25, {})
+    recording.columns["position"] = np.sin(math.tau * 60.0 * recording["time_s"])
+    assert find_load_dependence(prepare(recording), {}, LOAD_INERTIA, ()) is None
+
+
+def test_the_load_is_that_of_the_compensator() -> None:
+    mechanics = {"gravity.constant": 0.5, "gravity.sine": 2.0, "gravity.cosine": -1.0}
+    settings = CompensatorSettings(
+        period_s=PERIOD_S,
+        position_resolution=1e-6,
+        torque_limit=1.0,
+        lead_s=0.0,
+        inertia=INERTIA,
+        load_inertia=LOAD_INERTIA,
+        gravity=(0.5, 2.0, -1.0),
+        gain=1.0,
+        fade_s=0.1,
+    )
+    model = fh.models.create("coulomb", coulomb=0.03, modifiers={"load": {"motoring": 0.3, "driven": 0.3}})
+    for position, acceleration in ((0.3, 2.0), (-1.2, -30.0)):
+        unit = Compensator(model, settings)
+        demand = {"position_demand": position, "velocity_demand": 0.0, "velocity_demand_ahead": 0.0}
+        unit.step(*row(0, position=position, **demand)[:9], acceleration)
+        [load] = load_torque(mechanics, LOAD_INERTIA, np.array([position]), np.array([acceleration]))
+        assert load == pytest.approx(unit.load_estimate, rel=1e-12)
