@@ -1,10 +1,12 @@
 """Closed loop of the daemon and a simulated servo over a whole motion, compiled."""
 
+import math
 from typing import Any
 
 import numpy as np
 
 from friction_hil import compensator
+from friction_hil.compensator import load
 from friction_hil.compensator.limiter import limit_torque
 from friction_hil.motion.controller import cascade
 from friction_hil.numerics.jit import Array, StructuredArray, compiled
@@ -21,10 +23,12 @@ DAEMON = np.dtype(
         ("delay_steps", "f8"),  # from the sample to the beginning of the torque computed from it
         ("torque_limit", "f8"),
         ("torque_slew", "f8"),
+        ("feeds_gravity", "f8"),  # and the offset; of the loop's own controller (CST)
+        ("offset", "f8"),
     ]
 )
 
-_compensate = compensator.step
+_compensate = compensator.whole_step
 
 
 @compiled
@@ -38,14 +42,18 @@ def _latch(state: StructuredArray, target: float, torque_offset: float) -> None:
 
 @compiled
 def _control(
-    d: Any, controller: StructuredArray, integral: float, row: Array, error: float, velocity: float
+    d: Any, controller: StructuredArray, integral: float, row: Array, r: Any, error: float
 ) -> tuple[float, float, float]:
-    """Return the target of one cycle, the torque of the loop's own controller (CST), and its integral."""
+    """Return the target of one cycle, the torque of the loop's own controller (CST), and its integral.
+
+    ``r`` is the state of the compensator, which has the velocity and the offset of the motor; ``error`` includes it.
+    """
     if d.mode == plant.CSP:
-        return row[4], 0.0, integral
+        return row[5] + r.offset_sent, 0.0, integral
     if d.mode == plant.CSV:
-        return row[5] + controller[0].position_gain * error, 0.0, integral
-    torque, integral = cascade(controller, integral, error, row[1], row[2], velocity, d.period_s, d.torque_limit)
+        return row[6] + r.offset_sent_velocity + controller[0].position_gain * error, 0.0, integral
+    demand, velocity = row[1] + r.offset_now_velocity, r.motion.velocity
+    torque, integral = cascade(controller, integral, error, demand, row[2], velocity, d.period_s, d.torque_limit)
     return 0.0, torque, integral
 
 
@@ -74,8 +82,8 @@ def run(
     settings, compensator_state
         Record and state of a `friction_hil.compensator.Compensator`.
     demand
-        (n, 6) array, a row for each cycle: position, velocity and acceleration now, velocity when this cycle's torque
-        acts, position and velocity as sent. SI.
+        (n, 7) array, a row for each cycle: position, velocity and acceleration now, velocity and acceleration when this
+        cycle's torque acts, position and velocity as sent. SI.
     trace
         (3, n) array that is filled: following error, compensation, gain factor of the compensator.
     """
@@ -102,10 +110,13 @@ def run(
             row[3],
             1.0,
             d.is_compensated,
+            row[4],
+            math.nan,
         )
-        error = row[0] - position
-        velocity = compensator_state[0].motion.velocity
-        target, own, integral = _control(d, own_controller, integral, row, error, velocity)
+        error = row[0] + compensator_state[0].offset_now - position
+        target, own, integral = _control(d, own_controller, integral, row, compensator_state[0], error)
+        if d.feeds_gravity > 0.0:
+            own += d.offset + load.gravity(settings[0], row[0] + settings[0].lead_s * row[1])
         command = limit_torque(own + compensation, command, d.torque_limit, d.torque_slew * d.period_s)
         trace[0, k], trace[1, k], trace[2, k] = error, compensation, compensator_state[0].gain_factor
         for j in range(MOST_DELAY_CYCLES + 1, 0, -1):

@@ -86,7 +86,7 @@ class Rehearsal:
     def run(self, servo: "ServoConfig", model: "ModelFile", motion: Motion, *, is_compensated: bool = True) -> Outcome:
         """Simulate a motion, with compensation by ``model`` or without; return the following error.
 
-        The model gives the inertia to the loop's own controller (CST) in both cases.
+        The model gives inertia, gravity and offset to the loop's own controller (CST) in both cases.
 
         Parameters
         ----------
@@ -122,6 +122,7 @@ class Rehearsal:
         )
         d["torque_limit"] = axis.limits.torque
         d["torque_slew"] = math.inf if axis.limits.torque_slew is None else axis.limits.torque_slew
+        d["feeds_gravity"], d["offset"] = axis.mode == "cst" and axis.compensation.gravity, model.mechanics.offset
         trace = np.empty((3, len(demand)))
         kernel.run(
             daemon,
@@ -135,7 +136,7 @@ class Rehearsal:
         return trace
 
     def _demand(self, motion: Motion, ahead_s: float) -> Array:
-        """Return the demand of each cycle as `kernel.run` takes it, (n, 6)."""
+        """Return the demand of each cycle as `kernel.run` takes it, (n, 7)."""
         key = (motion, ahead_s)
         if key not in self._demands:
             time = PathTime(motion.ramp_s)
@@ -147,6 +148,7 @@ class Rehearsal:
                 t = k * self._period_s
                 now, sent = trajectory.at(t), trajectory.at(t + delay_s)
                 counts = round(sent.position / resolution)
-                rows.append((*now, trajectory.at(t + ahead_s).velocity, counts * resolution, sent.velocity))
+                ahead = trajectory.at(t + ahead_s)
+                rows.append((*now, ahead.velocity, ahead.acceleration, counts * resolution, sent.velocity))
             self._demands[key] = np.array(rows)
         return self._demands[key]
