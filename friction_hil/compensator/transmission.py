@@ -8,8 +8,8 @@ other side before it stops.
 
 The offset goes to its new value as fast as the drive can follow: in the shortest time within a velocity and an
 acceleration, by the discrete time-optimal control of a double integrator (J. Han, "From PID to active disturbance
-rejection control", IEEE Trans. Ind. Electron. 56, 2009). The gain of the compensation applies to the twist as well: with
-half of the true stiffness, or twice the friction, the error of the load is then no larger than without the offset.
+rejection control", IEEE Trans. Ind. Electron. 56, 2009). The gain of the compensation applies to the twist as well:
+with half of the true stiffness, or twice the friction, the error of the load is then no larger than without the offset.
 
 The friction of the load reaches the motor through that spring: after a reversal the motor feels it as the spring is
 wound up, and that much of it is compensated.

@@ -20,9 +20,9 @@ _ENABLED = (LoopState.ENABLING, LoopState.FIRST_MOTION)
 class CommandWriter:
     """Fills the command of one axis.
 
-    The compensator limits its own torque, which replay repeats from a recording. Here the sum is limited that the drive
-    receives, with the torque of the loop's own controller (CST) and the feed-forward of gravity and offset: from zero at
-    each enabling, and in steps of one period even after missed ones. Both call
+    The compensator limits its own torque, which replay repeats from a recording. Here the sum is limited that the
+    drive receives, with the torque of the loop's own controller (CST) and the feed-forward of gravity and offset: from
+    zero at each enabling, and in steps of one period even after missed ones. Both call
     `friction_hil.compensator.limiter.limit_torque`.
 
     Parameters
