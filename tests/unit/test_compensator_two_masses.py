@@ -125,7 +125,7 @@ machines = st.builds(
 motions = st.tuples(st.floats(0.1, 0.4), st.sampled_from([0.5, 1.0, 2.0]))
 
 
-@settings(max_examples=8, deadline=None, derandomize=True)
+@settings(max_examples=6, deadline=None, derandomize=True)
 @given(machines, motions, st.floats(0.7, 1.1), st.booleans(), st.floats(0.5, 2.0))
 def test_compensation_at_the_motor_makes_neither_motor_nor_load_worse(machine, motion, believed, is_known, stiffness):
     known = coupling(machine, stiffness) if is_known else {}
@@ -135,7 +135,7 @@ def test_compensation_at_the_motor_makes_neither_motor_nor_load_worse(machine, m
     assert load < 1.0
 
 
-@settings(max_examples=5, deadline=None, derandomize=True)
+@settings(max_examples=4, deadline=None, derandomize=True)
 @given(machines, motions, st.floats(0.55, 1.5), st.floats(0.5, 1.5), st.floats(0.5, 1.5))
 def test_the_offset_of_the_motor_makes_no_load_worse(machine, motion, stiffness, share, gap):
     """Each factor for itself: together, both wrong, they tell a twist of three times the true one."""
