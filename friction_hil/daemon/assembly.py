@@ -84,8 +84,7 @@ def largest_static_torque(config: "AxisConfig") -> float:
     compensation of one direction away. In cst, ``limits.torque`` is the limit of the whole.
     """
     given, model = config.compensation, config.model
-    has_controller = config.mode == "cst" and config.controller is not None
-    if not given.gravity or not (given.enabled or has_controller):
+    if not _feeds_static_torque(config):
         return 0.0
     if config.mode == "cst":
         return config.limits.torque
@@ -93,12 +92,17 @@ def largest_static_torque(config: "AxisConfig") -> float:
     return max(config.limits.torque - gain * model.friction_model.level, 0.0)
 
 
+def _feeds_static_torque(config: "AxisConfig") -> bool:
+    has_controller = config.mode == "cst" and config.controller is not None
+    return config.compensation.gravity and (config.compensation.enabled or has_controller)
+
+
 def static_torque_note(config: "AxisConfig") -> str:
     """Return that ``limits.torque`` is too small for gravity and offset; empty where it is not."""
     mechanics, bound = config.model.mechanics, largest_static_torque(config)
     gravity = mechanics.gravity
     most = abs(mechanics.offset + gravity.constant) + math.hypot(gravity.sine, gravity.cosine)
-    if most <= bound or bound == 0.0:
+    if most <= bound or not _feeds_static_torque(config):
         return ""
     unit = "N m" if config.model.axis == "rotary" else "N"
     return (

@@ -100,6 +100,9 @@ def test_it_stays_within_the_limit_and_the_slew(mode):
     if mode != "cst":
         assert "limits.torque leaves 0.092 N m" in static_torque_note(given.axes["x"])
     assert static_torque_note(axis(mode).axes["x"]) == ""
+    if mode != "cst":
+        assert "limits.torque leaves 0 N m" in static_torque_note(axis(mode, torque=0.1).axes["x"])
+    assert static_torque_note(axis(mode, torque=0.1, gravity=False).axes["x"]) == ""
 
 
 def test_it_leaves_the_friction_its_torque_in_both_directions():

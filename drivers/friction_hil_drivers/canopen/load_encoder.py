@@ -73,7 +73,7 @@ class LoadEncoder:
     def __init__(self, tpdos: Sequence[MappedPdo], options: LoadEncoderOptions) -> None:
         self._number, self._place = place(tpdos, options.entry)
         self._unpack = tpdos[self._number].layout.unpack_from
-        assert options.counts_per_unit is not None  # by `load_scale`
+        assert options.counts_per_unit is not None  # `with_scale` has set it
         self._scale = (-1.0 if options.is_inverted else 1.0) / options.counts_per_unit
         self._counts: int | None = None
         self.position = math.nan
