@@ -17,7 +17,7 @@ from friction_hil.compensator.compensator import (
     ThermalObserver,
     input_checksum,
 )
-from friction_hil.compensator.kernel import RESULTS, step, whole_step
+from friction_hil.compensator.kernel import RESULTS, whole_step
 from friction_hil.compensator.records import STATE
 from friction_hil.compensator.reference import SOURCES
 
@@ -31,6 +31,5 @@ __all__ = [
     "CompensatorSettings",
     "ThermalObserver",
     "input_checksum",
-    "step",
     "whole_step",
 ]

@@ -457,6 +457,8 @@ def _record(model: FrictionModel, settings: CompensatorSettings, estimator: Velo
         c["ambient"], c["first_temperature"] = thermal.ambient, thermal.initial
         c["copper_loss"] = thermal.copper_loss
     c["gap"], c["compliance"] = settings.backlash, 1.0 / settings.stiffness
+    is_wound_up = c["compliance"] > 0.0 and c["load_friction"] > 0.0 and model.level > 0.0
+    c["load_share"] = min(c["load_friction"] / model.level, 1.0) if is_wound_up else 0.0
     c["offset_velocity"], c["offset_acceleration"] = settings.offset_velocity, settings.offset_acceleration
     c["offset_limit"] = settings.offset_limit
     c["velocity_limit"] = settings.velocity_limit

@@ -103,8 +103,8 @@ def _friction(
     celsius: float,
     has_demand: bool,
     dt: float,
-) -> tuple[float, float]:
-    """Run the friction model; return its torque and the velocity of its level."""
+) -> tuple[float, float, float]:
+    """Run the friction model; return its torque, the part that the motor feels, and the velocity of its level."""
     state_velocity, level_velocity = reference.model_velocities(c, r, velocity_demand_ahead, dt)
     reached = position + c.lead_s * level_velocity  # position at which the torque will act
     r.load_torque = load.transmitted_torque(c, reached, position_demand, velocity_demand_ahead, acceleration)
@@ -122,7 +122,10 @@ def _friction(
         c.epsilon_of_demand if has_demand and c.source != reference.MEASURED else c.epsilon,
     )
     r.friction_torque = friction
-    return friction, level_velocity
+    felt = friction
+    if c.load_share > 0.0:
+        felt = transmission.felt_at_motor(c, r, friction, state_velocity, dt)
+    return friction, felt, level_velocity
 
 
 @inlined
@@ -196,51 +199,19 @@ def whole_step(
         motor_velocity += r.offset_now_velocity
         motor_velocity_ahead += r.offset_ahead_velocity
     dt = _estimate(c, r, cycle, position, velocity, torque, motor_demand, motor_velocity, has_demand, is_fresh > 0.0)
-    friction, level_velocity = _friction(
+    friction, felt, level_velocity = _friction(
         c, r, position, position_demand, motor_velocity_ahead, acceleration_demand_ahead, celsius, has_demand, dt
     )
     if c.heat_capacity > 0.0:
         temperature.observe(c, r, friction, level_velocity, torque, dt)
     if c.adaptation_s > 0.0 and is_fresh > 0.0:
         adaptation.learn(c, r, friction, torque, load.gravity(c, position), dt)
-    wanted = _gain(c, r, position, friction, level_velocity, keeps_torque, is_enabled, dt) * friction
+    wanted = _gain(c, r, position, felt, level_velocity, keeps_torque, is_enabled, dt) * felt
     r.is_faulty = 0.0 if math.isfinite(wanted) else 1.0
     wanted = bridge.cross(c, r, friction, wanted, dt)
     r.compensation = limit_torque(wanted, r.compensation, c.torque_limit, c.torque_slew * dt)
     limit_cycle.watch(c, r, r.compensation, motor_velocity_ahead, dt)
     return float(r.compensation)
-
-
-@compiled
-def step(
-    settings: StructuredArray,
-    state: StructuredArray,
-    cycle: float,
-    position: float,
-    velocity: float,
-    torque: float,
-    position_demand: float,
-    velocity_demand: float,
-    velocity_demand_ahead: float,
-    is_fresh: float,
-    is_enabled: float,
-) -> float:
-    """Compute one cycle where neither the demanded acceleration nor the temperature is known; see `whole_step`."""
-    return whole_step(
-        settings,
-        state,
-        cycle,
-        position,
-        velocity,
-        torque,
-        position_demand,
-        velocity_demand,
-        velocity_demand_ahead,
-        is_fresh,
-        is_enabled,
-        math.nan,
-        math.nan,
-    )
 
 
 @compiled

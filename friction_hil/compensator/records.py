@@ -71,6 +71,8 @@ STATE = np.dtype(
         ("offset_ahead_velocity", "f8"),  # when this cycle's torque acts
         ("offset_sent", "f8"),  # for the set-point of this cycle
         ("offset_sent_velocity", "f8"),
+        ("twist", "f8"),  # of the coupling, as the load's friction winds it up
+        ("sliding_torque", "f8"),  # absolute torque of the model when the load last slid
         ("compensation", "f8"),
         ("bridge_left", "f8"),  # of the difference at a change of settings, 1 to 0; see `bridge`
         ("bridge_directed", "f8"),  # part of that difference which changes sign with the friction
@@ -103,6 +105,7 @@ def settings_type(parameter_room: int) -> "np.dtype[np.void]":
             ("copper_loss", "f8"),
             ("gap", "f8"),  # whole backlash that is crossed; 0 for none
             ("compliance", "f8"),  # of the transmission, whose twist is taken up; 0: stiff
+            ("load_share", "f8"),  # of the friction that reaches the motor through the compliance
             ("offset_acceleration", "f8"),  # 0: there is no offset
             ("offset_velocity", "f8"),
             ("offset_limit", "f8"),

@@ -8,7 +8,11 @@ other side before it stops.
 
 The offset goes to its new value as fast as the drive can follow: in the shortest time within a velocity and an
 acceleration, by the discrete time-optimal control of a double integrator (J. Han, "From PID to active disturbance
-rejection control", IEEE Trans. Ind. Electron. 56, 2009).
+rejection control", IEEE Trans. Ind. Electron. 56, 2009). The gain of the compensation applies to the twist as well:
+with half of the true stiffness, or twice the friction, the error of the load is then no larger than without the offset.
+
+The friction of the load reaches the motor through that spring: after a reversal the motor feels it as the spring is
+wound up, and that much of it is compensated.
 """
 
 import math
@@ -43,7 +47,8 @@ def _target(c: Any, r: Any, position: float, velocity: float, acceleration: floa
     carried = driven + r.direction * c.load_friction
     if carried != 0.0 and (velocity != 0.0 or abs(driven) > c.load_friction):
         r.side = math.copysign(1.0, carried)
-    offset = r.side * 0.5 * c.gap + c.compliance * carried
+    twist = min(c.gain_positive, 1.0) * c.compliance  # of a unit of torque, as much as is taken up
+    offset = r.side * 0.5 * c.gap + twist * carried
     return float(min(max(offset, -c.offset_limit), c.offset_limit))
 
 
@@ -107,3 +112,29 @@ def follow(
     r.offset_ahead_velocity = _at(r.offset_velocities, newest - lead)
     sent = newest - c.setpoint_cycles
     r.offset_sent, r.offset_sent_velocity = _at(r.offsets, sent), _at(r.offset_velocities, sent)
+
+
+@inlined
+def felt_at_motor(c: Any, r: Any, friction: float, velocity: float, dt: float) -> float:
+    """Return the part of the friction that the motor feels, with that of the load behind the spring of the coupling.
+
+    After a reversal the load rests until the spring is wound up to its friction. A gap is left out of this: on which
+    side of it the load is, its inertia decides as well.
+
+    Parameters
+    ----------
+    c, r : record
+        Settings and state of the compensator.
+    friction : float
+        Torque of the model, of motor and load, N m.
+    velocity : float
+        Of the motor.
+    dt : float
+        Since the last step, s.
+    """
+    wound = c.compliance * c.load_friction
+    r.twist = min(max(r.twist + velocity * dt, -wound), wound)
+    part = r.twist / wound
+    if abs(part) == 1.0 and friction * part > 0.0:
+        r.sliding_torque = abs(friction)
+    return float((1.0 - c.load_share) * friction + c.load_share * part * r.sliding_torque)

@@ -129,6 +129,11 @@ class Compensation(Section):
         ge=0,
         le=MOST_VELOCITY,
     )
+    gravity: bool = key(
+        "feed gravity and offset of the model file forward; false: the drive does so itself. In csp and csv it needs "
+        "enabled: true, in cst a controller is enough",
+        default=True,
+    )
     adaptation: Adaptation | None = key("slow adaptation of the friction level; by default off", default=None)
     transmission: MotorOffset | None = key(
         "offset of the motor across mechanics.backlash and twist (mechanics.load.stiffness) of the model file; by "

@@ -145,7 +145,7 @@ class AxisLoop:
         self._fade_s = config.compensation.fade_s
         self._faded_in_s = self._baseline_s + self._fade_s
         self._standstill = max(_STANDSTILL_RATIO * limits.velocity, 2.0 * facts.position_resolution / period_s)
-        self._command = CommandWriter(config, limits, self.motion, period_s)
+        self._command = CommandWriter(config, limits, self.motion, period_s, self.lead_s)
         # of the load, against the path, where it has an encoder
         self.load_errors = None
         if facts.has_load_encoder:

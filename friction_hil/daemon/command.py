@@ -4,7 +4,7 @@ import math
 from typing import TYPE_CHECKING
 
 from friction_hil.compensator.limiter import limit_torque
-from friction_hil.daemon.assembly import make_controller
+from friction_hil.daemon.assembly import largest_static_torque, make_controller
 from friction_hil.daemon.motion import AxisMotion
 from friction_hil.daemon.safety import MOVING, LoopState, SafetyLimits
 from friction_hil.drive import Command, Mode
@@ -14,13 +14,16 @@ from friction_hil.motion.trajectory import Setpoint
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig
 
+_ENABLED = (LoopState.ENABLING, LoopState.FIRST_MOTION)
+
 
 class CommandWriter:
     """Fills the command of one axis.
 
-    The compensator limits its own torque, which replay repeats from a recording; here the sum is limited that the
-    drive receives, with the torque of the loop's own controller (CST), from zero at each enabling, and in steps of
-    one period even after missed ones. Both call `friction_hil.compensator.limiter.limit_torque`.
+    The compensator limits its own torque, which replay repeats from a recording. Here the sum is limited that the
+    drive receives, with the torque of the loop's own controller (CST) and the feed-forward of gravity and offset: from
+    zero at each enabling, and in steps of one period even after missed ones. Both call
+    `friction_hil.compensator.limiter.limit_torque`.
 
     Parameters
     ----------
@@ -28,6 +31,8 @@ class CommandWriter:
     limits : SafetyLimits
     motion : AxisMotion
     period_s : float
+    lead_s : float
+        Time from sampling the position until the torque acts.
 
     Attributes
     ----------
@@ -39,22 +44,33 @@ class CommandWriter:
 
     __slots__ = (
         "_controller",
+        "_gravity",
         "_integral",
+        "_largest_static",
         "_largest_step",
+        "_lead_s",
         "_limits",
         "_mode",
         "_motion",
+        "_offset",
         "_period_s",
         "_torque",
         "held_position",
         "offset_sent",
     )
 
-    def __init__(self, config: "AxisConfig", limits: SafetyLimits, motion: AxisMotion, period_s: float) -> None:
+    def __init__(
+        self, config: "AxisConfig", limits: SafetyLimits, motion: AxisMotion, period_s: float, lead_s: float
+    ) -> None:
         self._mode = Mode[config.mode.upper()]
         self._limits = limits
         self._motion = motion
         self._period_s = period_s
+        self._lead_s = lead_s
+        mechanics = config.model.mechanics
+        self._gravity, self._offset = mechanics.gravity, mechanics.offset
+        is_needed = mechanics.offset != 0.0 or mechanics.gravity != type(mechanics.gravity)()
+        self._largest_static = largest_static_torque(config) if is_needed else 0.0
         self._largest_step = limits.torque_slew * period_s
         self._controller, self._integral = make_controller(config), 0.0
         self._torque = 0.0
@@ -78,7 +94,10 @@ class CommandWriter:
         compensation: float,
         is_operation_enabled: bool,
     ) -> None:
-        """Write set-point and torque; outside of the moving states the axis is held where it is, without torque.
+        """Write set-point and torque; outside of the moving states the axis is held where it is.
+
+        There it gets no torque but the feed-forward of gravity and offset, and that from the request to enable on: an
+        axis that is enabled without it sags before its loops hold it.
 
         Parameters
         ----------
@@ -96,6 +115,7 @@ class CommandWriter:
             True if the drive is in Operation enabled.
         """
         command.velocity = 0.0
+        static = self._static_torque(position, velocity, now)
         if state not in MOVING:
             # While it waits for the others, an enabled axis is held at one position: following itself, it would sink.
             # In another axis's first motion, one with torque alone is held by the loop.
@@ -105,16 +125,30 @@ class CommandWriter:
             command.position = self.held_position
             if is_waiting and self._mode is Mode.CST and self._motion.has_setpoint:
                 held = Setpoint(self.held_position, 0.0, 0.0)
-                command.torque = self._limited(self._control(held, position, velocity))
+                command.torque = self._limited(self._control(held, position, velocity) + static)
                 return
             self._integral = 0.0
-            self._torque = command.torque = self._limited(compensation) if state is LoopState.FAULT_STOPPING else 0.0
+            if state is LoopState.FAULT_STOPPING:
+                command.torque = self._limited(compensation + static)
+            elif state in _ENABLED:
+                command.torque = self._limited(static)
+            else:
+                self._torque = command.torque = 0.0
         elif self._mode is Mode.CST:
-            command.torque = self._limited(self._control(now, position, velocity) + compensation)
+            command.torque = self._limited(self._control(now, position, velocity) + compensation + static)
         else:
-            command.torque = self._limited(compensation)
+            command.torque = self._limited(compensation + static)
             if now is not None:
                 self._write_setpoint(command, time_s, position, now)
+
+    def _static_torque(self, position: float, velocity: float, now: Setpoint | None) -> float:
+        """Return the feed-forward of gravity and offset, N m: on the demanded path, without one at the axis."""
+        if self._largest_static == 0.0:
+            return 0.0
+        if now is not None:
+            position, velocity = now.position, now.velocity
+        wanted = self._offset + float(self._gravity.at(position + self._lead_s * velocity))
+        return min(max(wanted, -self._largest_static), self._largest_static)
 
     def _limited(self, wanted: float) -> float:
         """Return the torque within limit and slew, and keep it as the last one."""

@@ -13,7 +13,7 @@ from friction_hil.compensator import Compensator, CompensatorSettings
 from friction_hil.config import RecordingConfig, self_contained
 from friction_hil.config.drivers import load_driver
 from friction_hil.config.load import only_driver
-from friction_hil.daemon.assembly import experiment_note, ramp_s
+from friction_hil.daemon.assembly import experiment_note, ramp_s, static_torque_note
 from friction_hil.daemon.axis import AxisLoop
 from friction_hil.daemon.companion import Companion, CompanionReport, Job, free_path, prepare, state_folder
 from friction_hil.daemon.control.job import ControlJob
@@ -190,6 +190,8 @@ def _prepare(
         for line in unit_table(fact.name, fact.units):
             report(line)
         for note in (*fact.notes, *configuration.axes[fact.name].model.friction_model.notes):
+            report(f"{fact.name}: {note}")
+        if not _is_follower(drives) and (note := static_torque_note(configuration.axes[fact.name])):
             report(f"{fact.name}: {note}")
     path_time = PathTime(ramp_s(configuration.axes.values()))
     shadows = sorted({shadow.name for axis in configuration.axes.values() for shadow in axis.shadows})

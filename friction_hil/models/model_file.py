@@ -2,7 +2,7 @@
 
 import re
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Literal, Self, TypeVar
 
 import numpy as np
 from pydantic import PrivateAttr, ValidationError, model_validator
@@ -15,7 +15,9 @@ from friction_hil.errors import UsageError
 from friction_hil.friction import Axis, FrictionModel, InvalidParameterError, Network, NetworkStructure
 from friction_hil.friction.modifiers import check_modifiers
 from friction_hil.friction.parameters import check_all
+from friction_hil.numerics.jit import Array
 
+_Position = TypeVar("_Position", float, Array)
 _TORQUE = {"ge": -MOST_TORQUE, "le": MOST_TORQUE}
 _CELSIUS: dict[str, float] = {"ge": LOWEST, "le": HIGHEST}
 _LEAST_THERMAL_S = 1.0  # time constant
@@ -153,6 +155,11 @@ class Gravity(Section):
     constant: float = key("constant part", "N m or N", default=0.0, **_TORQUE)
     sine: float = key("factor of sin(position)", "N m or N", default=0.0, **_TORQUE)
     cosine: float = key("factor of cos(position)", "N m or N", default=0.0, **_TORQUE)
+
+    def at(self, position: _Position) -> _Position:
+        """Return the torque at a position or at each of an array, N m or N, positive if it opposes positive motion."""
+        torque: _Position = self.constant + self.sine * np.sin(position) + self.cosine * np.cos(position)
+        return torque
 
 
 class Load(Section):

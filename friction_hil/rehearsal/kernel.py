@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from friction_hil import compensator
+from friction_hil.compensator import load
 from friction_hil.compensator.limiter import limit_torque
 from friction_hil.motion.controller import cascade
 from friction_hil.numerics.jit import Array, StructuredArray, compiled
@@ -22,6 +23,8 @@ DAEMON = np.dtype(
         ("delay_steps", "f8"),  # from the sample to the beginning of the torque computed from it
         ("torque_limit", "f8"),
         ("torque_slew", "f8"),
+        ("largest_static", "f8"),  # feed-forward of gravity and offset
+        ("offset", "f8"),
     ]
 )
 
@@ -116,6 +119,9 @@ def run(
         )
         error = row[0] + compensator_state[0].offset_now - position
         target, own, integral = _control(d, own_controller, integral, row, compensator_state[0], error)
+        if d.largest_static > 0.0:
+            static = d.offset + load.gravity(settings[0], row[0] + settings[0].lead_s * row[1])
+            own += min(max(static, -d.largest_static), d.largest_static)
         command = limit_torque(own + compensation, command, d.torque_limit, d.torque_slew * d.period_s)
         trace[0, k], trace[1, k], trace[2, k] = error, compensation, compensator_state[0].gain_factor
         trace[3, k], trace[4, k] = row[0], row[0] - plant.load_position(state)

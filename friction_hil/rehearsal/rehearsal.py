@@ -8,7 +8,7 @@ import numpy as np
 
 from friction_hil import compensator as compensation
 from friction_hil.config.external_torque import simulated_servo
-from friction_hil.daemon.assembly import lead_s, make_compensator, make_controller
+from friction_hil.daemon.assembly import largest_static_torque, lead_s, make_compensator, make_controller
 from friction_hil.motion.trajectory import Path, PathTime, Trajectory
 from friction_hil.numerics.jit import Array
 from friction_hil.rehearsal import kernel
@@ -86,7 +86,7 @@ class Rehearsal:
     def run(self, servo: "ServoConfig", model: "ModelFile", motion: Motion, *, is_compensated: bool = True) -> Outcome:
         """Simulate a motion, with compensation by ``model`` or without; return the following error.
 
-        The model gives the inertia to the loop's own controller (CST) in both cases.
+        The model gives inertia, gravity and offset to the loop's own controller (CST) in both cases.
 
         Parameters
         ----------
@@ -124,6 +124,7 @@ class Rehearsal:
         )
         d["torque_limit"] = axis.limits.torque
         d["torque_slew"] = math.inf if axis.limits.torque_slew is None else axis.limits.torque_slew
+        d["largest_static"], d["offset"] = largest_static_torque(axis), model.mechanics.offset
         trace = np.empty((len(kernel.TRACE), len(demand)))
         kernel.run(
             daemon,

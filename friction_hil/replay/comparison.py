@@ -146,7 +146,7 @@ def predict(model: ModelFile, segment: Segment) -> tuple[Array, Array]:
     """
     mechanics = model.mechanics
     carried = mechanics.inertia if mechanics.load is None else mechanics.load.inertia
-    load = _gravity(model, segment) + carried * segment.acceleration
+    load = mechanics.gravity.at(segment.position) + carried * segment.acceleration
     friction = model.friction_model.simulate(
         segment.velocity,
         segment.dt,
@@ -162,7 +162,7 @@ def mechanics_torque(model: ModelFile, segment: Segment) -> Array:
 
     What is left of a measured torque is friction. Parameters are those of `predict`.
     """
-    static = _gravity(model, segment) + model.mechanics.offset
+    static = model.mechanics.gravity.at(segment.position) + model.mechanics.offset
     return model.mechanics.inertia * segment.acceleration + segment.lowpass(static)
 
 
@@ -183,14 +183,6 @@ def _other_signal(name: str, signal: TorqueSignal, recording: Recording) -> list
         f"the gain of {name}, {signal.gain:.4g}, belongs to the signal {signal.column}; it is applied to {column}: if "
         f"that is in another unit, read --column torque='{signal.column}'"
     ]
-
-
-def _gravity(model: ModelFile, segment: Segment) -> Array:
-    gravity = model.mechanics.gravity
-    torque: Array = (
-        gravity.sine * np.sin(segment.position) + gravity.cosine * np.cos(segment.position) + gravity.constant
-    )
-    return torque
 
 
 def _prediction(name: str, model: ModelFile, measured: Array, friction: Array, mechanics: Array) -> Prediction:

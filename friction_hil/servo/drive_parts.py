@@ -20,7 +20,9 @@ class Encoder(Part):
         description="where it is; both: the position loop has one at the load, the velocity loop one at the motor",
     )
     load_counts: Positive | None = Field(
-        None, description="counts of the encoder at the load, with both; the same as counts by default"
+        None,
+        description="counts of the encoder at the load, of the position loop with both, of none with motor (CANopen: "
+        "60E4h); the same as counts by default",
     )
     periodic_error: Harmonics = Field(
         (), description="position error over position, rad: eccentricity (order 1), interpolation (order: lines)"
@@ -30,13 +32,18 @@ class Encoder(Part):
 
     @model_validator(mode="after")
     def _has_second(self) -> "Encoder":
-        if self.load_counts is not None and self.at != "both":
-            raise ValueError("load_counts is the resolution of a second encoder, which 'at: both' adds")
+        if self.load_counts is not None and self.at == "load":
+            raise ValueError("load_counts is the resolution of a second encoder; with 'at: load', counts is that one's")
         return self
 
     @property
     def position_counts(self) -> float:
         """Counts per revolution or metre of the encoder that the position loop reads, and the drive reports."""
+        return self.counts_at_load if self.at == "both" else self.counts
+
+    @property
+    def counts_at_load(self) -> float:
+        """Counts per revolution or metre of the encoder at the load."""
         return self.load_counts or self.counts
 
     @property

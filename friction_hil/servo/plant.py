@@ -195,9 +195,10 @@ def control(plant: StructuredArray, controller: StructuredArray, s: StructuredAr
         velocity_demand, acceleration = interpolate_velocity(s, u, period)
         r.velocity_demand = velocity_demand + r.velocity_offset
         r.position_demand += dt * r.velocity_demand
-        torque, r.integral = cascade(
-            controller, r.integral, 0.0, r.velocity_demand, acceleration, r.velocity_estimate, dt, bound
-        )
+        # the target is no feed-forward here: the part of it that the gain leaves out comes back
+        target = (1.0 - controller[0].velocity_feedforward) * r.velocity_demand
+        velocity = r.velocity_estimate - target
+        torque, r.integral = cascade(controller, r.integral, 0.0, r.velocity_demand, acceleration, velocity, dt, bound)
         torque += r.torque_offset
     elif r.mode == QUICK_STOP:
         change = r.deceleration * dt

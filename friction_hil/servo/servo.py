@@ -103,6 +103,8 @@ class Servo:
         self._plant = self._plant_record()
         self._is_rigid = self._plant.dtype != MACHINE
         self.counts_per_unit: float = self._plant[0]["counts_per_unit" if self._is_rigid else "load_counts_per_unit"]
+        turn = config.encoder.position_counts / self.counts_per_unit  # rad or m
+        self.load_counts_per_unit: float = config.encoder.counts_at_load / turn
         self._controller = controller_record(config, self.total_inertia)
         self._state = servo_state(config, self._plant, position)
         # a flat view of the record: access by index is five times faster than by field name

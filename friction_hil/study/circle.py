@@ -62,9 +62,9 @@ def _following_error(name: str, assumed: str | None) -> Array:
         servo.command(CSP, target, torque_offset=offset)
         # the feedback of this period determines the command at the beginning of the next
         if compensator is not None:
-            ahead = path(time + lead_s)[1]
+            _, ahead, acceleration = path(time + lead_s)
             feedback = float(k), servo.position, servo.velocity, servo.torque
-            offset = compensator.step(*feedback, demand[0], demand[1], ahead, True, True)
+            offset = compensator.step(*feedback, demand[0], demand[1], ahead, True, True, acceleration)
         target = path(time + (1.0 + _DRIVE_DELAY) * PERIOD_S)[0]
         servo.advance(steps)
     return np.roll(error[_SETTLING:], _SETTLING)

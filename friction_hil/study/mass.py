@@ -42,7 +42,7 @@ MOVED = np.dtype(
     ]
 )
 
-_compensate = compensation.step
+_compensate = compensation.whole_step
 
 
 @compiled
@@ -64,7 +64,7 @@ def _run(moved: StructuredArray, settings: StructuredArray, state: StructuredArr
             measured = math.floor(x / c.resolution) * c.resolution
             # also needed without compensation, because the controller uses its velocity estimate
             torque = c.is_compensated * _compensate(
-                settings, state, float(k), measured, 0.0, 0.0, c.target, c.demand, c.demand, 1.0, 1.0
+                settings, state, float(k), measured, 0.0, 0.0, c.target, c.demand, c.demand, 1.0, 1.0, 0.0, math.nan
             )
             command = torque
             if math.isfinite(c.target):

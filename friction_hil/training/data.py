@@ -63,8 +63,7 @@ def of_records(records: Sequence[RegressionSegment], mechanics: Mechanics, base:
 
 
 def _of_record(record: RegressionSegment, mechanics: Mechanics, base: FrictionModel | None) -> Samples:
-    gravity = mechanics.gravity
-    load = gravity.constant + gravity.sine * np.sin(record.position) + gravity.cosine * np.cos(record.position)
+    load = mechanics.gravity.at(record.position)
     load_torque = load if record.load_torque is None else record.load_torque
     torque = record.torque - mechanics.offset - load
     if base is not None:

@@ -95,9 +95,9 @@ class Given:
 
     def left(self, data: Data, rows: Mask | None = None) -> Array:
         """See `Physical.left`."""
-        mechanics, gravity, torques = self._known.mechanics, self._known.mechanics.gravity, []
+        mechanics, torques = self._known.mechanics, []
         for record in data.records:
-            load = gravity.constant + gravity.sine * np.sin(record.position) + gravity.cosine * np.cos(record.position)
+            load = mechanics.gravity.at(record.position)
             friction = self._model.simulate(
                 record.velocity,
                 record.dt,

@@ -12,6 +12,7 @@ from friction_hil.identification.drive_loop import DriveLoops, identify_loops
 from friction_hil.models.model_file import NETWORK, ModelFile
 from friction_hil.recordings import Recording
 from friction_hil.servo.config import Encoder, Loops, Motor, ServoConfig, ServoMechanics, TrueFriction
+from friction_hil.servo.parts import Gravity
 
 _INTEGRATION_HZ = (40_000.0, 80_000.0, 160_000.0, 320_000.0, 640_000.0)  # tried in turn, for stiff friction
 _WHOLE = 1e-6  # of an integration step
@@ -65,7 +66,7 @@ def simulated_axis(
     turn = math.tau if model.axis == "rotary" else 1.0
     lag_s = mechanics.torque_lag_s if loops is None else loops.torque_lag_s
     parts: dict[str, Any] = {
-        "mechanics": ServoMechanics(axis=model.axis, inertia=inertia, load_torque=mechanics.offset),
+        "mechanics": _mechanics(model, inertia, has_gravity=loops is None),
         "encoder": Encoder(counts=turn / resolution),
         "motor": Motor(torque_lag_s=lag_s, peak_torque=_PEAK_RATIO * _largest_torque(recording)),
         "loops": Loops() if loops is None else _loops(loops, inertia),
@@ -81,6 +82,16 @@ def simulated_axis(
         except ValidationError:
             continue  # stiffer than this rate can integrate
     return None
+
+
+def _mechanics(model: ModelFile, inertia: float, *, has_gravity: bool) -> ServoMechanics:
+    """Return the rigid axis; with gravity where the daemon's loops carry it, and not those of the drive."""
+    offset, gravity = model.mechanics.offset, model.mechanics.gravity
+    if not has_gravity or gravity == type(gravity)():
+        return ServoMechanics(axis=model.axis, inertia=inertia, load_torque=offset)
+    has_swing = model.axis == "rotary" and (gravity.sine or gravity.cosine)
+    swing = Gravity(sine=gravity.sine, cosine=gravity.cosine) if has_swing else None
+    return ServoMechanics(axis=model.axis, inertia=inertia, load_torque=offset + gravity.constant, gravity=swing)
 
 
 def _loops(loops: DriveLoops, inertia: float) -> Loops:

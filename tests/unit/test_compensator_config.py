@@ -35,6 +35,7 @@ def test_the_defaults():
         "acceleration": None,
         "max_acceleration": None,
         "dead_band": 0.0,
+        "gravity": True,
         "adaptation": None,
         "transmission": None,
     }

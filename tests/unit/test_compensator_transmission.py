@@ -176,6 +176,7 @@ def test_weight_and_inertia_twist_the_transmission_too():
     t = np.arange(2000) * PERIOD_S
     position, speed, acceleration = 0.3 * np.sin(2.0 * t), 0.6 * np.cos(2.0 * t), -1.2 * np.sin(2.0 * t)
     unit = one(0.0, stiffness=10.0, gravity=(0.05, 0.02, 0.01), load_friction=0.0, load_inertia=0.02, offset_limit=1.0)
+    unit = Compensator(COULOMB, replace(unit.settings, gain=1.0))
     found = offsets(unit, speed, acceleration, position)
     carried = 0.05 + 0.02 * np.sin(position) + 0.01 * np.cos(position) + 0.02 * acceleration
     np.testing.assert_allclose(found[500:], carried[500:] / 10.0, atol=2e-5)

@@ -3,11 +3,13 @@
 import math
 import struct
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from friction_hil_drivers.canopen.drives import CanopenDrives
 from friction_hil_drivers.canopen.load_encoder import LoadEncoder, LoadEncoderOptions
+from friction_hil_drivers.canopen.load_scale import with_scale
 from friction_hil_drivers.canopen.mapping import MappedPdo
 from hypothesis import given
 from hypothesis import strategies as st
@@ -15,7 +17,7 @@ from hypothesis import strategies as st
 from friction_hil.daemon.realtime import SteppedClock
 from friction_hil.daemon.safety import LoopState
 from friction_hil.drive import Command, Feedback, Request
-from friction_hil.errors import ConfigurationError, DriveError
+from friction_hil.errors import DriveError
 from tests.canopen_bench import NODE, Bench, BenchBus
 from tests.servo_drives import ServoDrives, axis_dict, configuration, make_loop
 
@@ -62,7 +64,7 @@ def test_the_object_is_mapped_beside_the_others_and_decoded():
 
 @pytest.mark.parametrize(
     ("wrong", "text"),
-    [({"counts_per_unit": 1.0}, "object 60E4h:01 load position"), ({"index": 0x6041, "subindex": 0}, "has 16 bits")],
+    [({"subindex": 2}, "object 60E4h:02 load position"), ({"index": 0x6041, "subindex": 0}, "has 16 bits")],
 )
 def test_an_object_that_is_not_there_is_refused(wrong, text):
     _, bus, _, drives = driven(**{"counts_per_unit": 1.0} | wrong)
@@ -72,9 +74,61 @@ def test_an_object_that_is_not_there_is_refused(wrong, text):
     bus.shutdown()
 
 
-def test_its_scale_must_be_given():
-    with pytest.raises(ConfigurationError, match=r"axes\.x\.load_encoder\.counts_per_unit"):
-        configuration(x=axis_dict(load_encoder={}))
+TWO_MASSES = {
+    "mechanics": {"inertia": 1e-4, "load": {"inertia": 1e-4, "stiffness": 5.0, "damping": 5e-3}},
+    "encoder": {"load_counts": 40000},
+}
+
+
+def turning(servo, **load_encoder):
+    """Drive of two masses whose motor runs ahead of its load; return it with what the driver reads of the load."""
+    bench = Bench(servo)
+    bus = BenchBus(bench)
+    config = configuration(x=axis_dict(node=NODE, load_encoder=load_encoder))
+    clock = SteppedClock()
+    drives = CanopenDrives(config, config.axes, clock, dry_run=False, bus=bus)
+    (facts,) = drives.connect()
+    drives.start()
+    feedback, rows = Feedback(), []
+    for k in range(200):
+        clock.sleep_until(clock.now_ns() + 1_000_000)
+        rows.append((bench.servo.load_position, bench.servo.true_position))
+        drives.receive([feedback], 0)
+        assert feedback.is_fresh
+        rows[-1] += (feedback.load_position,)
+        drives.send([Command(Request.ENABLE, position=2e-5 * k * k)])
+    drives.close()
+    bus.shutdown()
+    return facts, np.array(rows)[50:]
+
+
+def test_the_drive_itself_says_what_a_count_of_the_load_is():
+    facts, rows = turning(TWO_MASSES)
+    assert "encoder at the load: 6366.198 counts per rad (60E6h)" in facts.notes
+    load, motor, read = rows.T
+    assert np.ptp(motor - load) > 5.0 * math.tau / 40000
+    counts = math.tau / 40000
+    np.testing.assert_allclose(read[:-1], counts * np.floor(load[1:] / counts), atol=1e-9)
+
+
+def test_a_scale_that_the_drive_contradicts_is_told_but_taken():
+    facts, rows = turning(TWO_MASSES, counts_per_unit=63661.977)  # behind a gear of 10
+    (note,) = [each for each in facts.notes if "encoder at the load" in each]
+    assert "63661.98 counts per rad (load_encoder.counts_per_unit), although 60E6h of the drive says 6366.198" in note
+    load, _, read = rows.T
+    np.testing.assert_allclose(10.0 * read[:-1], load[1:], atol=math.tau / 40000)
+
+
+@pytest.mark.parametrize(("index", "counts"), [(0x60E6, 1), (0x60E8, 10)])
+def test_a_scale_that_is_not_told_must_be_given(index, counts):
+    """Increments of 1, which is a default, or a gear, on either side of which the encoder may turn."""
+    options = LoadEncoderOptions()
+    values = {0x60E6: 40000, 0x60EB: 1, 0x60E8: 1, 0x60ED: 1} | {index: counts}
+    access = SimpleNamespace(axis="x", where="node 5", find=lambda entry: values[entry.index])
+    with pytest.raises(DriveError, match=r"give load_encoder\.counts_per_unit \(counts per rad of the axis\)"):
+        with_scale(access, options, "rotary")
+    with pytest.raises(DriveError, match="counts per m of the axis"):
+        with_scale(access, options, "linear")
 
 
 class WithLoad(ServoDrives):

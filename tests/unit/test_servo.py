@@ -275,6 +275,14 @@ def test_a_velocity_target_is_reached_in_one_straight_period():
     assert one.true_velocity == pytest.approx(4.0, rel=1e-3)
 
 
+@pytest.mark.parametrize("feedforward", [0.0, 0.5, 1.0])
+def test_a_velocity_target_is_no_feed_forward(feedforward):
+    """That gain belongs to the position loop: a drive without it follows the targets of csv as well."""
+    one = servo(friction=FREE, loops={"velocity_feedforward": feedforward})
+    stream(one, CSV, [4.0] * 300)
+    assert one.true_velocity == pytest.approx(4.0, rel=1e-3)
+
+
 def test_offsets_are_added():
     plain, pushed = instant(FREE), instant(FREE)
     plain.command(CST, 0.05)

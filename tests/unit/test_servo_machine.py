@@ -512,7 +512,7 @@ def test_the_encoder_is_where_the_configuration_puts_it(at, is_load):
     [
         ({"encoder": {"at": "load"}}, "encoder.at: load or both needs mechanics.load"),
         ({"gear": {"hysteresis": {"torque": 1, "stiffness": 1}}}, "gear.hysteresis needs mechanics.load"),
-        ({"encoder": {"load_counts": 100}}, "which 'at: both' adds"),
+        ({"encoder": {"at": "load", "load_counts": 100}}, "counts is that one's"),
         ({"mechanics": {"axis": "linear", "gravity": {"sine": 1.0}}}, "load_torque"),
         ({"mechanics": {"inertia_variation": [{"order": 1, "sine": 1.0}]}}, "negative somewhere"),
         ({"mechanics": {"load": {"inertia": 1e-4}}}, "mechanics.load.stiffness"),

@@ -208,19 +208,30 @@ def test_readings_that_fail_are_told_once_and_end_the_temperature(answer, why):
     assert why in read.notice
 
 
-def canopen(temperature, **changes):
+def canopen(temperature, is_mappable=True, **changes):
     """A drive of the bench that shows 25.0 °C in 5FF0h, as INTEGER16 of 0.1 °C, and 61.2 °C after 150 ms."""
     event = {"at_s": 0.15, "do": "write", "index": 0x5FF0, "value": 612}
     bench = Bench(manners={"events": [event]})
+    bench.node._dictionary.of(objects.SIMULATED_MOTOR_TEMPERATURE).is_mappable = is_mappable
     bus = BenchBus(bench)
     config = configuration(x=axis_dict(node=NODE, temperature=temperature, **changes))
     clock = SteppedClock()
     return bus, clock, CanopenDrives(config, config.axes, clock, dry_run=False, bus=bus)
 
 
-def test_a_drive_is_asked_for_its_temperature_beside_the_cycles():
-    bus, clock, drives = canopen({"index": 0x5FF0, "scale": 0.1, "interval_s": 0.1})
-    drives.connect()
+@pytest.mark.parametrize(
+    ("is_mappable", "changes", "requests", "late"),
+    [
+        (True, {}, 0, 0),  # in the three bytes that the second TPDO has left
+        (True, {"load_encoder": {}}, 0, 0),
+        (False, {}, 3, 100),
+    ],
+)
+def test_the_temperature_comes_with_the_feedback_or_beside_it(is_mappable, changes, requests, late):
+    bus, clock, drives = canopen({"index": 0x5FF0, "scale": 0.1, "interval_s": 0.1}, is_mappable, **changes)
+    found = mappings(bus.bench)
+    (facts,) = drives.connect()
+    assert any("no TPDO of the drive takes 5FF0h temperature" in note for note in facts.notes) is not is_mappable
     drives.start()
     feedback, heard, begin = Feedback(), [], len(bus.sent)
     for _ in range(350):
@@ -229,12 +240,35 @@ def test_a_drive_is_asked_for_its_temperature_beside_the_cycles():
         assert feedback.is_fresh
         drives.send([Command(Request.ENABLE)])
         heard.append(feedback.temperature)
-    requests = [data for can_id, data in bus.sent[begin:] if can_id == objects.SDO_REQUEST_BASE + NODE]
+    asked_for = [data for can_id, data in bus.sent[begin:] if can_id == objects.SDO_REQUEST_BASE + NODE]
     drives.close()
+    assert mappings(bus.bench) == found
     bus.shutdown()
     assert heard[0] == pytest.approx(25.0)
     assert heard[-1] == pytest.approx(61.2)
-    assert sum(data[:4] == bytes.fromhex("40f05f00") for data in requests) == 3
+    changed = np.flatnonzero(np.diff(heard))
+    assert 100 < changed[0] <= 150 + late  # the drive writes it 150 ms after it was switched on
+    assert sum(data[:4] == bytes.fromhex("40f05f00") for data in asked_for) == requests
+
+
+def mappings(bench):
+    """Entries of all TPDOs of the drive."""
+    return {
+        number: [
+            bench.read(0x1A00 + number, position) for position in range(1, bench.read(0x1A00 + number, 0, "B") + 1)
+        ]
+        for number in range(objects.PDO_COUNT)
+    }
+
+
+def test_no_further_frame_is_sent_in_each_cycle_for_a_temperature():
+    """An INTEGER32 has no room in the two TPDOs of the feedback."""
+    temperature = {"index": 0x6062, "type": "int32", "interval_s": 0.1}
+    bus, _, drives = canopen(temperature)
+    drives.connect()
+    assert all(0x60620020 not in words for words in mappings(bus.bench).values())
+    drives.close()
+    bus.shutdown()
 
 
 @pytest.mark.parametrize(

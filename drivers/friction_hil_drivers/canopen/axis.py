@@ -25,7 +25,7 @@ from friction_hil_drivers.canopen.monitor import NodeCondition, NodeMonitor
 from friction_hil_drivers.canopen.notices import Notices
 from friction_hil_drivers.canopen.sdo_stop import CyclicSdo
 from friction_hil_drivers.canopen.sync_answers import SyncAnswers
-from friction_hil_drivers.canopen.temperature import TemperatureRead
+from friction_hil_drivers.canopen.temperature import MappedTemperature, TemperatureRead
 from friction_hil_drivers.cia402 import profile
 
 Handler = Callable[[bytes], None]  # takes the data of a frame
@@ -86,6 +86,7 @@ class CanopenAxis:
         "_is_reported",
         "_left_ns",
         "_load",
+        "_mapped_temperature",
         "_measured",
         "_message",
         "_missed",
@@ -123,7 +124,12 @@ class CanopenAxis:
         self._answers = SyncAnswers(len(drive.tpdos))
         standstill = max(1.0, _STANDSTILL_PER_S * abs(drive.units.velocity_per_unit))
         self._load = None if drive.load_encoder is None else LoadEncoder(drive.tpdos, drive.load_encoder)
-        self._temperature = TemperatureRead(drive.temperature, drive.first_temperature)
+        temperature = drive.temperature
+        self._mapped_temperature: MappedTemperature | None = None
+        if temperature is not None and any(temperature.entry in pdo.entries for pdo in drive.tpdos):
+            self._mapped_temperature = MappedTemperature(drive.tpdos, temperature)
+            temperature = None
+        self._temperature = TemperatureRead(temperature, drive.first_temperature)
         self._sdo = CyclicSdo(node, standstill, drive.axis_number, self._temperature)
         self._notices = Notices()
         self._now_ns = self._heard_ns = self._left_ns = self._nmt_start_ns = 0
@@ -338,6 +344,8 @@ class CanopenAxis:
         """Decode the TPDOs of this cycle."""
         if self._load is not None:
             self._load.take(self._frames)
+        if self._mapped_temperature is not None:
+            self._temperature.value = self._mapped_temperature.take(self._frames)
         before = self._measured
         measured = self._decoder.decode(self._frames, before, self._missed + 1)
         state_before, was, _, _, _, _, statusword_before = before

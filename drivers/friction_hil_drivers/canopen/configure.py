@@ -10,8 +10,9 @@ from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes, delays, objects
 from friction_hil_drivers.canopen.eds import load_eds
 from friction_hil_drivers.canopen.load_encoder import LoadEncoderOptions, require_object
+from friction_hil_drivers.canopen.load_scale import with_scale
 from friction_hil_drivers.canopen.mapping import COMMANDS, FEEDBACK, MappedPdo, PdoRecord, switch_off
-from friction_hil_drivers.canopen.negotiation import FoundPdo, PdoNegotiator
+from friction_hil_drivers.canopen.negotiation import FoundPdo, Negotiated, PdoNegotiator, grouped
 from friction_hil_drivers.canopen.objects import Object
 from friction_hil_drivers.canopen.options import CanopenOptions, canopen_options
 from friction_hil_drivers.canopen.scales import read_scales, require_agreement, require_velocity_unit
@@ -96,8 +97,11 @@ def configure(
     feedback, absent = _feedback_objects(access)
     commands, without = _command_objects(access, mode, is_compensated=axis.compensation.enabled)
     notes += absent + without
-    if options.load_encoder is not None:
-        feedback.append(require_object(access, options.load_encoder))
+    load_encoder = options.load_encoder
+    if load_encoder is not None:
+        feedback.append(require_object(access, load_encoder))
+        load_encoder, note = with_scale(access, load_encoder, axis.model.axis)
+        notes.append(note)
     if options.eds is not None:
         _check_eds(options, access, (*feedback, *commands))
     scales = read_scales(access, options, axis.model.axis)
@@ -106,6 +110,7 @@ def configure(
         require_velocity_unit(access, options)
     units = scales.units(is_inverted=options.is_inverted)
     notes += resolution_notes(scales, axis)
+    first = math.nan if options.temperature is None else read_first(access, options.temperature)
     state = profile.drive_state(access.read(objects.STATUSWORD))
     rpdos: tuple[MappedPdo, ...] = ()
     watch = NOT_WATCHED
@@ -129,9 +134,8 @@ def configure(
         torque_delay_s=0.0 if has_torque else None,
         velocity_resolution=1.0 / abs(units.velocity_per_unit),
         units=unit_rows(scales, axis.limits, mode, axis.model.axis),
-        has_load_encoder=options.load_encoder is not None,
+        has_load_encoder=load_encoder is not None,
     )
-    first = math.nan if options.temperature is None else read_first(access, options.temperature)
     code = access.find(objects.ERROR_CODE) if state is DriveState.FAULT else None
     error = profile.error_text(code) if code else ""
     return ConfiguredDrive(
@@ -146,7 +150,7 @@ def configure(
         options.axis_number,
         options.temperature,
         first,
-        options.load_encoder,
+        load_encoder,
     )
 
 
@@ -308,14 +312,37 @@ def _set_up_feedback(
     access: "SdoClient", options: CanopenOptions, entries: Sequence[Object], taken: set[int], *, dry_run: bool
 ) -> tuple[tuple[MappedPdo, ...], list[str]]:
     """Map the TPDOs of the feedback and, unless it is a dry run, switch the others off."""
-    negotiator = PdoNegotiator(access, is_receive=False, node=options.node, axis=options.axis_number, taken=taken)
-    result = negotiator.negotiate(entries, optional=tuple(_WITHOUT))
+    temperature = None if options.temperature is None or dry_run else options.temperature.entry
+    result = _negotiate_feedback(access, options, entries, taken, temperature)
     notes = list(result.notes)
     if not dry_run:
         on = [pdo.record.name for pdo in result.unused if not switch_off(access, pdo.record)]
         if on:
             notes.append(f"the drive does not let {', '.join(on)} be switched off: they load the bus for nothing")
     return result.pdos, notes
+
+
+def _negotiate_feedback(
+    access: "SdoClient", options: CanopenOptions, entries: Sequence[Object], taken: set[int], spare: Object | None
+) -> Negotiated:
+    """Map the feedback, and ``spare`` beside it where that costs no further frame in each cycle."""
+
+    def negotiated(wanted: Sequence[Object], optional: Sequence[Object], identifiers: set[int]) -> Negotiated:
+        negotiator = PdoNegotiator(
+            access, is_receive=False, node=options.node, axis=options.axis_number, taken=identifiers
+        )
+        return negotiator.negotiate(wanted, optional=optional)
+
+    if spare is not None:
+        bits = {entry: access.width(entry) or entry.type.bits for entry in (*entries, spare)}
+        count = len(grouped(entries, bits))
+        if len(grouped((*entries, spare), bits)) == count:
+            identifiers = set(taken)
+            result = negotiated((*entries, spare), (spare, *_WITHOUT), identifiers)
+            if len(result.pdos) <= count:
+                taken |= identifiers
+                return result
+    return negotiated(entries, tuple(_WITHOUT), taken)
 
 
 def ensure(access: "SdoClient", entry: Object, value: int, bits: int | None = None) -> None:

@@ -9,13 +9,14 @@ from pydantic import BaseModel, ConfigDict, Field
 from friction_hil.drive.encoder import unwrap
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes
-from friction_hil_drivers.canopen.mapping import MappedPdo
+from friction_hil_drivers.canopen.mapping import MappedPdo, place
 from friction_hil_drivers.canopen.objects import DataType, Object
 
 if TYPE_CHECKING:
     from friction_hil_drivers.canopen.object_reader import ObjectReader
 
 _BITS = 32
+_FIX = "correct or remove the key load_encoder of the axis"
 
 
 class LoadEncoderOptions(BaseModel):
@@ -25,8 +26,10 @@ class LoadEncoderOptions(BaseModel):
 
     index: int = Field(0x60E4, ge=0x2000, le=0x9FFF, description="index of the object, INTEGER32")
     subindex: int = Field(1, ge=0, le=255, description="sub-index of the object")
-    counts_per_unit: Annotated[float, Field(gt=0.0, le=1e15, allow_inf_nan=False)] = Field(
-        description="counts of this encoder per rad (m) of the axis, whose position is that of the motor's encoder"
+    counts_per_unit: Annotated[float, Field(gt=0.0, le=1e15, allow_inf_nan=False)] | None = Field(
+        None,
+        description="counts of this encoder per rad (m) of the axis, whose position is that of the motor's encoder; by "
+        "default from the drive (60E6h and 60EBh)",
     )
     is_inverted: bool = Field(False, description="the counts fall while the position of the motor rises")
 
@@ -46,13 +49,12 @@ def require_object(access: "ObjectReader", options: LoadEncoderOptions) -> Objec
     """
     entry = options.entry
     bits = access.width(entry)
-    fix = "correct or remove the key load_encoder of the axis"
     if bits is None:
         text = f"{access.axis}: {access.where} {access.why_absent(entry)} object {entry}"
-        raise DriveError(text, fix, codes.OBJECT_MISSING)
+        raise DriveError(text, _FIX, codes.OBJECT_MISSING)
     if bits != _BITS:
         text = f"{access.axis}: {entry} of {access.where} has {bits} bits; a position has {_BITS}"
-        raise DriveError(text, fix, codes.OBJECT_SIZE)
+        raise DriveError(text, _FIX, codes.OBJECT_SIZE)
     return entry
 
 
@@ -69,9 +71,9 @@ class LoadEncoder:
     __slots__ = ("_counts", "_number", "_place", "_scale", "_unpack", "position")
 
     def __init__(self, tpdos: Sequence[MappedPdo], options: LoadEncoderOptions) -> None:
-        places = [(n, k) for n, pdo in enumerate(tpdos) for k, each in enumerate(pdo.entries) if each == options.entry]
-        ((self._number, self._place),) = places
+        self._number, self._place = place(tpdos, options.entry)
         self._unpack = tpdos[self._number].layout.unpack_from
+        assert options.counts_per_unit is not None  # `with_scale` has set it
         self._scale = (-1.0 if options.is_inverted else 1.0) / options.counts_per_unit
         self._counts: int | None = None
         self.position = math.nan

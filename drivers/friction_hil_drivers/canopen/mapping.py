@@ -144,6 +144,14 @@ class PdoRecord:
         return self.parameter(objects.PDO_EVENT_TIMER, "event timer", DataType.UNSIGNED16)
 
 
+def place(pdos: Sequence[MappedPdo], entry: Object) -> tuple[int, int]:
+    """Return the number of the PDO that carries an object, and the object's place in it."""
+    ((number, position),) = [
+        (n, k) for n, pdo in enumerate(pdos) for k, each in enumerate(pdo.entries) if each == entry
+    ]
+    return number, position
+
+
 def field_format(entry: Object, bits: int) -> str:
     """Return the format character of `struct` for an object of ``bits`` bits."""
     return _FORMATS[bits] if entry.type.is_signed else _FORMATS[bits].upper()

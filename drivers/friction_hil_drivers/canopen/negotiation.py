@@ -67,7 +67,9 @@ class Negotiated:
 # Decisions
 
 
-def grouped(entries: Sequence[Object], bits: Mapping[Object, int], most: int) -> list[tuple[Object, ...]]:
+def grouped(
+    entries: Sequence[Object], bits: Mapping[Object, int], most: int = _MOST_ENTRIES
+) -> list[tuple[Object, ...]]:
     """Distribute objects over PDOs of eight bytes and ``most`` entries: each goes into the first with room for it."""
     groups: list[list[Object]] = []
     for entry in entries:

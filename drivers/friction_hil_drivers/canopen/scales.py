@@ -38,7 +38,7 @@ TOLERANCE = 2e-3  # relative; users round counts per rad
 _TORQUE_TOLERANCE = 1e-2
 _TORQUE_STEP = 0.5e-3  # N m; half a step of 6076h
 _TURN = 2.0 * math.pi  # rad
-_LEAST_RESOLUTION = 2.0  # counts per revolution: 1/1 is the default of an object that is not used
+LEAST_RESOLUTION = 2.0  # counts per revolution: 1/1 is the default of an object that is not used
 
 
 @dataclass(frozen=True, slots=True)
@@ -192,7 +192,7 @@ def _reported_positions(access: ObjectReader, kind: Kind, *, is_needed: bool) ->
     if feed is not None and feed != 1.0:
         name = f"6092h {feed:g} and 6091h {gear:g}" if gear is not None and has_gear else f"6092h {feed:g}"
         reported.append(Reported(feed / (gear or 1.0) / _TURN, name))
-    if resolution is not None and resolution >= _LEAST_RESOLUTION:
+    if resolution is not None and resolution >= LEAST_RESOLUTION:
         reported.append(Reported(resolution / _TURN, f"608Fh {resolution:.10g} per revolution"))
         if gear is not None and has_gear and len(reported) == 1:
             reported.append(Reported(resolution / gear / _TURN, f"608Fh behind the gear 6091h of {gear:g}"))
@@ -242,7 +242,7 @@ def _increments(access: ObjectReader, unit: Unit, kind: Kind, counts: float, whe
     """Return the increments per rad/s (m/s) of a unit of velocity."""
     if unit.measure is Measure.COUNTS:
         resolution = None if kind == "linear" else _ratio(access, *_VELOCITY_RESOLUTION)
-        if where == "60A9h" and resolution is not None and resolution >= _LEAST_RESOLUTION:
+        if where == "60A9h" and resolution is not None and resolution >= LEAST_RESOLUTION:
             return resolution / _TURN / unit.scale
         return counts / unit.scale
     if not _fits(unit, kind):

@@ -1,7 +1,11 @@
-"""Temperature of a motor or drive, read by SDO now and then. Neither CiA 301 nor CiA 402 has an object for it."""
+"""Temperature of a motor or drive, in a TPDO that has room for it, else read by SDO now and then.
+
+Neither CiA 301 nor CiA 402 has an object for it.
+"""
 
 import math
 import struct
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
@@ -9,6 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from friction_hil.drive.codes import coded
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes
+from friction_hil_drivers.canopen.mapping import MappedPdo, place
 from friction_hil_drivers.canopen.objects import DataType, Object
 
 if TYPE_CHECKING:
@@ -16,14 +21,14 @@ if TYPE_CHECKING:
     from friction_hil_drivers.canopen.raw_sdo import SdoAnswer
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
-_FORMATS = {
-    "int8": "<b",
-    "int16": "<h",
-    "int32": "<i",
-    "uint8": "<B",
-    "uint16": "<H",
-    "uint32": "<I",
-    "float32": "<f",
+_TYPES = {
+    "int8": DataType.INTEGER8,
+    "int16": DataType.INTEGER16,
+    "int32": DataType.INTEGER32,
+    "uint8": DataType.UNSIGNED8,
+    "uint16": DataType.UNSIGNED16,
+    "uint32": DataType.UNSIGNED32,
+    "float32": DataType.UNSIGNED32,  # its bits, as a PDO carries them
 }
 _PATIENCE = 5  # readings that may fail in a row
 NEVER_NS = 1 << 62
@@ -41,7 +46,7 @@ class TemperatureOptions(BaseModel):
     )
     scale: Finite = Field(1.0, description="deg C per unit of the object, e.g. 0.1")
     offset: Finite = Field(0.0, description="deg C at 0 of the object, e.g. -273.15 for kelvin")
-    interval_s: float = Field(1.0, ge=0.1, le=3600.0, description="time between two readings, s")
+    interval_s: float = Field(1.0, ge=0.1, le=3600.0, description="time between two readings by SDO, s")
 
     @model_validator(mode="after")
     def _check_scale(self) -> "TemperatureOptions":
@@ -52,18 +57,25 @@ class TemperatureOptions(BaseModel):
     @property
     def entry(self) -> Object:
         """The object."""
-        return Object(self.index, "temperature", DataType.INTEGER32, self.subindex)
+        return Object(self.index, "temperature", _TYPES[self.type], self.subindex)
 
     @property
     def size(self) -> int:
         """Number of bytes of the object."""
-        return struct.calcsize(_FORMATS[self.type])
+        return self.entry.type.bits // 8
 
     def decode(self, data: bytes) -> float:
         """Return the temperature, deg C; NaN where the data have another size than the type."""
         if len(data) != self.size:
             return math.nan
-        return float(struct.unpack(_FORMATS[self.type], data)[0]) * self.scale + self.offset
+        return self.convert(int.from_bytes(data, "little", signed=self.entry.type.is_signed))
+
+    def convert(self, raw: int) -> float:
+        """Return the temperature of the object's integer, or of the bits of its float, deg C."""
+        number: float = raw
+        if self.type == "float32":
+            (number,) = struct.unpack("<f", raw.to_bytes(4, "little"))
+        return number * self.scale + self.offset
 
 
 def read_first(access: "ObjectReader", options: TemperatureOptions) -> float:
@@ -85,6 +97,28 @@ def read_first(access: "ObjectReader", options: TemperatureOptions) -> float:
         )
         raise DriveError(text, "correct temperature.type of the axis", codes.OBJECT_SIZE)
     return options.decode(data)
+
+
+class MappedTemperature:
+    """Temperature from the TPDOs of each cycle.
+
+    Parameters
+    ----------
+    tpdos : sequence of MappedPdo
+        One of them carries the object.
+    options : TemperatureOptions
+    """
+
+    __slots__ = ("_convert", "_number", "_place", "_unpack")
+
+    def __init__(self, tpdos: Sequence[MappedPdo], options: TemperatureOptions) -> None:
+        self._number, self._place = place(tpdos, options.entry)
+        self._unpack = tpdos[self._number].layout.unpack_from
+        self._convert = options.convert
+
+    def take(self, frames: Sequence[bytes]) -> float:
+        """Return the temperature in the data of all TPDOs of a complete cycle, deg C; NaN for a float that is none."""
+        return self._convert(self._unpack(frames[self._number])[self._place])
 
 
 class TemperatureRead:

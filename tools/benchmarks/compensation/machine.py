@@ -42,7 +42,7 @@ FEEDFORWARD = np.dtype(
 
 TRACE = ("position", "velocity", "load_position", "load_velocity", "friction", "compensation")
 
-_compensate = compensation.step
+_compensate = compensation.whole_step
 
 
 @compiled
@@ -104,6 +104,7 @@ def run(
     velocity_demand: Array,
     acceleration_demand: Array,
     velocity_ahead: Array,
+    acceleration_ahead: Array,
     score: Array,
     trace: Array,
 ) -> None:
@@ -122,8 +123,8 @@ def run(
         Structured array and state of a `Compensator`.
     position_demand, velocity_demand, acceleration_demand
         (n,) arrays at the drive's samples.
-    velocity_ahead
-        (m,) array: the demanded velocity at the time when the torque of each period acts.
+    velocity_ahead, acceleration_ahead
+        (m,) arrays: demanded velocity and acceleration at the time when the torque of each period acts.
     score
         (2,) array.
     trace
@@ -169,6 +170,8 @@ def run(
                 velocity_ahead[k],
                 1.0,
                 1.0,
+                acceleration_ahead[k],
+                math.nan,
             )
         pending[delay] = torque
         if k == int(c.settling_cycles):

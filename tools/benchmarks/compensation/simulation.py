@@ -104,7 +104,7 @@ class Simulation:
             compensator.record,
             compensator.state.view(compensation.STATE),
             *self._demands_of(case.motion, drive.rate_hz),
-            self._velocity(case.motion, grid.lead_s(case.drive, case.condition)),
+            *self._ahead(case.motion, grid.lead_s(case.drive, case.condition)),
             score,
             np.empty((len(machine.TRACE), 0)) if trace is None else trace,
         )
@@ -117,10 +117,11 @@ class Simulation:
         t = np.arange(samples, dtype=np.float64) / rate_hz
         return self.grid.motions[motion].at(t, self.grid.seed)
 
-    def _velocity(self, motion: int, lead_s: float) -> Array:
-        """Return the velocity demanded ``lead_s`` after the beginning of each period."""
+    def _ahead(self, motion: int, lead_s: float) -> tuple[Array, Array]:
+        """Return velocity and acceleration demanded ``lead_s`` after the beginning of each period."""
         t = np.arange(self.cycles, dtype=np.float64) * self.grid.period_s + lead_s
-        return self.grid.motions[motion].at(t, self.grid.seed)[1]
+        _, velocity, acceleration = self.grid.motions[motion].at(t, self.grid.seed)
+        return velocity, acceleration
 
 
 def servo_config(plant: Plant, drive: DriveLoops) -> ServoConfig:

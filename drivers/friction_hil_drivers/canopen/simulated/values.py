@@ -1,5 +1,6 @@
 """Objects of a simulated drive that mirror the servo, and those whose defaults depend on it."""
 
+import math
 from collections.abc import Iterable
 from fractions import Fraction
 from functools import partial
@@ -40,6 +41,10 @@ def connect_live_values(dictionary: Dictionary, servo: Servo, units: SimulatedUn
         (objects.TORQUE_DEMAND, lambda: saturated(servo.torque_demand / torque, INT16)),
     ):
         dictionary.of(known).connect(read, known)
+    load_counts = servo.load_counts_per_unit
+    dictionary.of(objects.ADDITIONAL_POSITION).connect(
+        lambda: wrap(units.sign * math.floor(servo.load_position * load_counts)), objects.ADDITIONAL_POSITION
+    )
     if servo.config.thermal is not None:
         for known, node in (
             (objects.SIMULATED_MOTOR_TEMPERATURE, "motor"),
@@ -64,6 +69,7 @@ def set_defaults(
     """
     window = servo.config.loops.following_error_window
     motor, inertia = servo.config.motor, servo.total_inertia
+    load_resolution = Fraction(servo.config.encoder.counts_at_load).limit_denominator(1000)
     strongest = motor.rated_torque / inertia * units.increments  # velocity units per second
     defaults = {
         objects.RATED_TORQUE: units.rated_torque,
@@ -74,6 +80,8 @@ def set_defaults(
     in_counts = {
         objects.ENCODER_INCREMENTS: units.resolution.numerator,
         objects.MOTOR_REVOLUTIONS: units.resolution.denominator,
+        objects.ADDITIONAL_INCREMENTS: load_resolution.numerator,
+        objects.ADDITIONAL_REVOLUTIONS: load_resolution.denominator,
         objects.FOLLOWING_ERROR_WINDOW: round(units.resolution / 20 if window is None else window * units.counts),
         objects.PROFILE_DECELERATION: max(1, round(0.25 * strongest)),
         objects.QUICK_STOP_DECELERATION: max(1, round(0.5 * strongest)),

@@ -1,0 +1,142 @@
+"""Feed-forward of gravity and offset, in each mode: a simulated pendulum that neither sags nor drifts."""
+
+import math
+
+import numpy as np
+import pytest
+
+from friction_hil.daemon.assembly import static_torque_note
+from friction_hil.daemon.safety import LoopState
+from friction_hil.models.model_file import Gravity
+from friction_hil.motion.trajectory import sine_path
+from friction_hil.rehearsal import Motion, Rehearsal
+from friction_hil.servo.config import ServoConfig, ServoMechanics
+from friction_hil.servo.parts import Gravity as Pendulum
+from tests.servo_drives import PERIOD_S, axis_dict, configuration, run
+from tests.unit.test_rehearsal import facts
+
+SINE, COSINE = 0.3, 0.25  # N m
+CONTROLLERS = {
+    "csp": {},
+    "csv": {"controller": {"position_gain": 30.0}},
+    "cst": {"controller": {"position_gain": 25.0, "velocity_gain": 0.03, "integral_hz": 4.0}},
+}
+
+
+def axis(mode, *, torque=1.0, guided=False, error=1.0, offset=0.0, **compensation):
+    given = axis_dict(mode=mode, **({} if guided else CONTROLLERS[mode]))
+    given["limits"] |= {"torque": torque}
+    given["model"]["mechanics"] |= {"gravity": {"sine": SINE * error, "cosine": COSINE * error}, "offset": offset}
+    given["compensation"] |= compensation
+    given["trajectory"] = {"kind": "sine", "amplitude": 0.5, "frequency": 0.5, "ramp_s": 0.25}
+    if guided:
+        given["trajectory"] = {"kind": "none"}
+        del given["limits"]["following_error"]
+    return configuration(x=given)
+
+
+def pendulum(load_torque=0.0):
+    """With a brake, so that it stands until it is enabled."""
+    gravity = Pendulum(sine=SINE, cosine=COSINE)
+    return ServoConfig(mechanics=ServoMechanics(has_brake=True, gravity=gravity, load_torque=load_torque))
+
+
+def moved(config, servo=None, duration_s=3.0):
+    """Following error while it moves, position, and torque sent, of a run without fault."""
+    result, rows, _ = run(config, servo=servo or pendulum(), duration_s=duration_s)
+    assert result.faults == []
+    state, position, demand, command = (
+        np.array(rows.column("x", name)) for name in ("state", "position", "position_demand", "command")
+    )
+    running = state == LoopState.RUNNING
+    return (demand - position)[running], position, command
+
+
+@pytest.mark.parametrize(("mode", "rms", "peak"), [("csp", 2.0, 2.5), ("csv", 4.0, 3.0), ("cst", 6.0, 5.0)])
+def test_it_follows_better_and_does_not_sag_when_it_is_enabled(mode, rms, peak):
+    without, _, _ = moved(axis(mode, gravity=False))
+    fed, _, _ = moved(axis(mode))
+    later = round(1.0 / PERIOD_S)
+    assert np.std(fed[later:]) < np.std(without[later:]) / rms
+    assert np.abs(fed[:later]).max() < np.abs(without[:later]).max() / peak
+
+
+@pytest.mark.parametrize("error", [1.0, 1.15, 0.85])
+def test_a_guided_pendulum_stays_where_it_is(error):
+    """Friction holds what an error of 15 % leaves."""
+    _, position, _ = moved(axis("cst", guided=True, error=error), duration_s=1.0)
+    assert np.ptp(position) < 1e-3
+    _, fallen, _ = moved(axis("cst", guided=True, gravity=False), duration_s=1.0)
+    assert np.ptp(fallen) > 0.3
+
+
+@pytest.mark.parametrize("mode", ["csp", "cst"])
+def test_the_offset_of_the_model_is_fed_forward_too(mode):
+    """A constant weight, which identification without a pendulum finds as an offset."""
+    servo = ServoConfig(mechanics=ServoMechanics(has_brake=True, load_torque=0.25))
+    given = axis(mode, offset=0.25)
+    given = given.model_copy(update={"axes": {"x": without_pendulum(given.axes["x"])}})
+    fed, _, _ = moved(given, servo, 1.0)
+    left, _, _ = moved(given.model_copy(update={"axes": {"x": without_gravity(given.axes["x"])}}), servo, 1.0)
+    assert np.abs(fed).max() < 0.5 * np.abs(left).max()
+
+
+def without_pendulum(one):
+    mechanics = one.model.mechanics.model_copy(update={"gravity": Gravity()})
+    return one.model_copy(update={"model": one.model.model_copy(update={"mechanics": mechanics})})
+
+
+def without_gravity(one):
+    return one.model_copy(update={"compensation": one.compensation.model_copy(update={"gravity": False})})
+
+
+@pytest.mark.parametrize("mode", ["csp", "csv", "cst"])
+def test_it_stays_within_the_limit_and_the_slew(mode):
+    given = axis(mode, torque=0.2)
+    _, rows, _ = run(given, servo=pendulum(), duration_s=1.0)
+    command = np.array(rows.column("x", "command"))
+    assert np.abs(command).max() <= 0.2
+    assert np.abs(np.diff(command)).max() <= 300.0 * PERIOD_S * (1.0 + 1e-9)
+    if mode != "cst":
+        assert "limits.torque leaves 0.092 N m" in static_torque_note(given.axes["x"])
+    assert static_torque_note(axis(mode).axes["x"]) == ""
+    if mode != "cst":
+        assert "limits.torque leaves 0 N m" in static_torque_note(axis(mode, torque=0.1).axes["x"])
+    assert static_torque_note(axis(mode, torque=0.1, gravity=False).axes["x"]) == ""
+
+
+def test_it_leaves_the_friction_its_torque_in_both_directions():
+    """0.39 N m of gravity would leave nothing of 0.2 N m to one direction, if only the sum were limited."""
+    result, rows, _ = run(axis("csp", torque=0.2), servo=pendulum(), duration_s=3.0)
+    command, compensation = (np.array(rows.column("x", name)) for name in ("command", "compensation"))
+    assert result.faults == []
+    faded_in = slice(round(1.0 / PERIOD_S), round(3.0 / PERIOD_S))
+    fed = (command - compensation)[faded_in]
+    assert 0.075 < fed.min() < fed.max() < 0.092 + 1e-9  # 0.0755 N m of gravity at one end of the path
+    assert np.ptp(compensation[faded_in]) > 0.15
+
+
+@pytest.mark.parametrize("changes", [{"enabled": False}, {"gravity": False}])
+def test_nothing_is_commanded_in_csp_where_it_is_off(changes):
+    _, _, command = moved(axis("csp", gain=0.0, **changes), duration_s=1.0)
+    assert not command.any()
+
+
+def test_without_power_nothing_is_commanded():
+    _, rows, drives = run(axis("cst"), servo=pendulum(), duration_s=1.0)
+    command, state = np.array(rows.column("x", "command")), np.array(rows.column("x", "state"))
+    assert not command[(state < LoopState.ENABLING) | (state >= LoopState.DISABLING)].any()
+    assert command[state == LoopState.ENABLING].any()
+    assert math.isfinite(drives.servos[0].position)
+
+
+@pytest.mark.parametrize("has_gravity", [True, False])
+def test_a_rehearsal_has_the_error_of_the_loop(has_gravity):
+    config = axis("cst", gravity=has_gravity)
+    error, _, _ = moved(config, duration_s=5.0)
+    scored = error[round(2.5 / PERIOD_S) :][: round(2.0 / PERIOD_S)]
+    motion = Motion(sine_path(0.5, 0.5, 0.0), 2.0, ramp_s=0.25, start_s=2.5)
+    outcome = Rehearsal(config.axes["x"], facts("cst", pendulum()), PERIOD_S).run(
+        pendulum(), config.axes["x"].model, motion
+    )
+    assert outcome.rms == pytest.approx(np.sqrt(np.mean(scored**2)), rel=0.05)
