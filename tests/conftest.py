@@ -3,11 +3,16 @@
 import gc
 import os
 import signal
+import tempfile
 
 from hypothesis import HealthCheck, settings
 
 # A shell that runs the tests in the background has them ignore Ctrl-C, and with them every process they start.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# Daemons of one name exclude each other; those of parallel workers are to be strangers. A short path: it names sockets.
+_runtime = tempfile.TemporaryDirectory(prefix="fh")
+os.environ["XDG_RUNTIME_DIR"] = _runtime.name
 
 # A busy machine and the first call of a kernel, which compiles it, are no failures.
 settings.register_profile("friction_hil", deadline=None, suppress_health_check=[HealthCheck.too_slow])

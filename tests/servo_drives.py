@@ -153,7 +153,7 @@ class Rows:
         return [float(row[index]) for row in self.rows]
 
 
-def make_loop(config, drives, *, stop=None, clock=None, **settings):
+def make_loop(config, drives, *, stop=None, clock=None, mailbox=None, **settings):
     """Return a loop over ``drives``, its sink and its axes."""
     path_time = PathTime(0.25)
     axes = [
@@ -162,7 +162,8 @@ def make_loop(config, drives, *, stop=None, clock=None, **settings):
     ]
     sink = Rows(config)
     settings = LoopSettings(period_s=config.period_s, **settings)
-    return Loop(drives, axes, path_time, clock or SteppedClock(), sink, settings, stop or StopRequest()), sink, axes
+    clock, stop = clock or SteppedClock(), stop or StopRequest()
+    return Loop(drives, axes, path_time, clock, sink, settings, stop, mailbox), sink, axes
 
 
 def run(config, **settings) -> tuple[LoopResult, Rows, ServoDrives]:

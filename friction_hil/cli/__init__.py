@@ -39,15 +39,20 @@ COMMANDS = {
     "study": "Show the effect of each friction model on a servo.",
     "models": "List the friction models, or describe one.",
     "doctor": "Check machine, configuration and connection before a run.",
-    "stop": "Take the power of drives that were left enabled.",
-    "reset": "Reset the faults of drives, and leave them without power.",
+    "status": "Show the daemons that run, their axes and drives.",
+    "set": "Change gain, model or other settings of a running daemon.",
+    "start": "Enable the axes of a daemon that waits.",
+    "stop": "Stop a running daemon, or drives that were left enabled.",
+    "reset": "Reset the faults of a daemon or of drives, without power.",
     "drives": "Find, show or stop the drives on a CAN bus.",
     "config": "Make, check, show and describe configurations.",
 }
 
+_MODULES = {"set": "set_values"}  # a module called set would hide the built-in one from this package
+
 # Commands that connect to drives or simulate them. Their loop relies on Linux: real-time priority, shared memory
 # without a name, SocketCAN, pseudo-terminals. All others run wherever Python does.
-NEED_LINUX = ("demo", "run", "simulate", "tune", "stop", "reset", "drives")
+NEED_LINUX = ("demo", "run", "simulate", "tune", "status", "set", "start", "stop", "reset", "drives")
 
 
 class Group(click.Group):
@@ -85,7 +90,7 @@ class LazyGroup(Group):
         """Import one command; return None for an unknown name."""
         if cmd_name not in COMMANDS:
             return None
-        command = importlib.import_module(f"friction_hil.cli.{cmd_name}").command
+        command = importlib.import_module(f"friction_hil.cli.{_MODULES.get(cmd_name, cmd_name)}").command
         assert isinstance(command, click.Command)
         command.short_help = COMMANDS[cmd_name]
         return command

@@ -48,6 +48,14 @@ def complete_axis(context: click.Context, parameter: click.Parameter, incomplete
     return [CompletionItem(name) for name in names if name.startswith(incomplete)]
 
 
+def complete_daemon(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Complete the name of a daemon; where the command takes a file too and none begins so, that of a file."""
+    from friction_hil.daemon.control.names import running  # imported here: only this needs it
+
+    found = [CompletionItem(name) for name, _ in running() if name.startswith(incomplete)]
+    return found if found or parameter.name != "config" else [CompletionItem(incomplete, type="file")]
+
+
 def _axes(path: Path) -> Iterable[str]:
     """Return the names of the axes in a file; none if it cannot be read: Tab has no place for a message."""
     try:

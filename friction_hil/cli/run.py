@@ -21,6 +21,13 @@ from friction_hil.cli.options import option_daemon_pace, option_json, option_res
 @option_simulate
 @option_reset_fault
 @option_daemon_pace
+@click.option(
+    "--name", metavar="NAME", help="Name of the daemon for status, set, start, stop and reset. Default: CONFIG's stem."
+)
+@click.option("--group", metavar="GROUP", help="Let the members of GROUP use the control socket too.")
+@click.option(
+    "--wait", is_flag=True, help="Enable nothing before 'friction-hil start NAME', nor after a stop or fault."
+)
 @option_json
 def command(**options: Any) -> int:
     """Run the daemon with the drives of CONFIG.
@@ -28,6 +35,8 @@ def command(**options: Any) -> int:
     It moves the axes along their trajectories and compensates their friction. Ctrl-C brings them to rest, fades the
     compensation out and disables the drives; so does every fault. At the end it prints the following error without
     compensation (compensation.baseline_s) and with it. Exit status 1 after a fault.
+
+    While it runs, 'friction-hil set NAME' changes gains and models, 'stop NAME' and 'start NAME' take and give power.
     """
     from friction_hil.cli.work.run import run  # imported here: --help must not wait for numba
 

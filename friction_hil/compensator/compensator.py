@@ -10,11 +10,12 @@ from typing import NamedTuple
 import numpy as np
 
 from friction_hil.compensator import adaptation, kernel, prediction, records, reference, velocity
+from friction_hil.compensator.change import carry_over
 from friction_hil.compensator.kernel import RESULTS
 from friction_hil.compensator.reference import SOURCES
 from friction_hil.compensator.velocity import VelocityEstimator
 from friction_hil.errors import UsageError
-from friction_hil.friction import FrictionModel
+from friction_hil.friction import FrictionModel, network
 from friction_hil.numerics.jit import Array, StructuredArray
 
 
@@ -287,6 +288,25 @@ class Compensator:
         kernel.replay(self._settings, self._state, *inputs, results)  # type: ignore[call-arg]
         return dict(zip(RESULTS, results, strict=True))
 
+    def adopt(self, record: StructuredArray, friction: Array | None) -> None:
+        """Go on with other settings from the next `step` on, without a step of torque.
+
+        ``model``, ``settings`` and ``estimator`` stay those of the start; ``record`` is what counts.
+
+        Parameters
+        ----------
+        record : record
+            Settings and model, as the `record` of a compensator made for them; kept.
+        friction : (n,) array or None
+            State in which another model begins; None: the model stays.
+        """
+        carry_over(self._settings, record, self._state, friction)
+        self._settings = record
+
+    def use(self, record: StructuredArray) -> None:
+        """Take settings that belong to a `state` that is assigned: nothing is carried over."""
+        self._settings = record
+
     @property
     def record(self) -> StructuredArray:
         """Settings and model as a record for the compiled `step`."""
@@ -296,6 +316,12 @@ class Compensator:
     def state(self) -> Array:
         """Whole state as a flat array, a live view: copy it to keep it, assign to it to restore it."""
         return self._flat
+
+    @property
+    def friction_state(self) -> Array:
+        """State of the friction model, a copy."""
+        state: Array = self._state[0]["friction"].copy()
+        return state
 
     @property
     def velocity_estimate(self) -> float:
@@ -340,12 +366,26 @@ class Compensator:
     @property
     def slowest_learning(self) -> float:
         """Velocity below which adaptation learns nothing, because it is no more than noise, SI."""
-        return adaptation.MOVING_NOISES * self.estimator.noise
+        return adaptation.MOVING_NOISES * float(self.record[0]["noise"])
 
     @property
     def sliding_travel(self) -> float:
         """Travel in one direction before adaptation learns: the presliding of a reversal is behind, rad or m."""
         return float(self.record[0]["sliding_travel"])
+
+    @property
+    def trained_speed(self) -> float:
+        """Speed up to which the model's network was trained, SI; infinity without one."""
+        p = self._settings[0]["friction"]
+        begin = int(p[3])
+        return float(p[begin + network.SPEED_LIMIT]) if begin else math.inf
+
+    @property
+    def has_residual(self) -> bool:
+        """True if the model's network adds to a base model."""
+        p = self._settings[0]["friction"]
+        begin = int(p[3])
+        return begin > 0 and p[begin + network.IS_RESIDUAL] != 0.0
 
     @property
     def gain_factor(self) -> float:

@@ -3,7 +3,16 @@
 import math
 from typing import Any
 
-from friction_hil.compensator import adaptation, limit_cycle, load, reference, temperature, transmission, velocity
+from friction_hil.compensator import (
+    adaptation,
+    bridge,
+    limit_cycle,
+    load,
+    reference,
+    temperature,
+    transmission,
+    velocity,
+)
 from friction_hil.compensator.limiter import limit_torque
 from friction_hil.friction import kernel
 from friction_hil.numerics.jit import Array, StructuredArray, compiled, inlined
@@ -196,6 +205,7 @@ def whole_step(
         adaptation.learn(c, r, friction, torque, load.gravity(c, position), dt)
     wanted = _gain(c, r, position, friction, level_velocity, keeps_torque, is_enabled, dt) * friction
     r.is_faulty = 0.0 if math.isfinite(wanted) else 1.0
+    wanted = bridge.cross(c, r, friction, wanted, dt)
     r.compensation = limit_torque(wanted, r.compensation, c.torque_limit, c.torque_slew * dt)
     limit_cycle.watch(c, r, r.compensation, motor_velocity_ahead, dt)
     return float(r.compensation)

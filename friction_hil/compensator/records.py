@@ -72,6 +72,9 @@ STATE = np.dtype(
         ("offset_sent", "f8"),  # for the set-point of this cycle
         ("offset_sent_velocity", "f8"),
         ("compensation", "f8"),
+        ("bridge_left", "f8"),  # of the difference at a change of settings, 1 to 0; see `bridge`
+        ("bridge_directed", "f8"),  # part of that difference which changes sign with the friction
+        ("bridge_fixed", "f8"),  # part which does not
         ("is_faulty", "f8"),  # the model gave a torque that is not finite
     ]
 )

@@ -1,5 +1,6 @@
 """One axis in the loop: feedback and set-point in, command and a row of the recording out. No bus, no clock."""
 
+import functools
 import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
@@ -7,12 +8,13 @@ from typing import TYPE_CHECKING, NamedTuple
 from friction_hil.compensator import CompensatorInputs
 from friction_hil.daemon.assembly import lead_s, make_compensator, make_limits, make_shadows
 from friction_hil.daemon.command import CommandWriter
+from friction_hil.daemon.control.message import AxisChange
 from friction_hil.daemon.figures import CompensationNotices, Condition, FeedbackGaps, FollowingErrors
 from friction_hil.daemon.first_motion import FirstMotion
 from friction_hil.daemon.follow_check import FollowCheck
 from friction_hil.daemon.motion import AxisMotion
 from friction_hil.daemon.row import AxisRow, row_width
-from friction_hil.daemon.safety import ENDING, MAX_STALE_CYCLES, FaultReset, LoopState, Supervisor
+from friction_hil.daemon.safety import ENDING, MAX_STALE_CYCLES, FaultReset, LoopState, SafetyLimits, Supervisor
 from friction_hil.daemon.sequence import STANDSTILL_S
 from friction_hil.daemon.temperature import TemperatureNotices
 from friction_hil.drive import AxisFacts, Command, DriveState, Feedback
@@ -68,6 +70,8 @@ class AxisLoop:
     __slots__ = (
         "_baseline_s",
         "_command",
+        "_configured_baseline_s",
+        "_fade_s",
         "_faded_in_s",
         "_fault_reset",
         "_first_motion",
@@ -80,6 +84,7 @@ class AxisLoop:
         "_last_cycle",
         "_load_position",
         "_load_zero",
+        "_make_checks",
         "_most_held",
         "_notices",
         "_period_s",
@@ -113,9 +118,10 @@ class AxisLoop:
         shadow_names: Sequence[str] = (),
         max_stale_cycles: int = MAX_STALE_CYCLES,
     ) -> None:
-        _check_torque(name, config, facts)
+        check_torque(name, config, facts)
         unit, limits = ("rad" if config.model.axis == "rotary" else "m"), make_limits(config)
         self.name = name
+        self._period_s = period_s
         self.lead_s = lead_s(config.model, facts, period_s)
         self.setpoint_delay_s = facts.setpoint_delay_s
         self.shadow_names = list(shadow_names)
@@ -130,11 +136,12 @@ class AxisLoop:
         self.following_errors = FollowingErrors(period_s, path_time.ramp_s, motion_s)
         self.stale_cycles = 0  # without usable feedback
         self.gaps = FeedbackGaps()
-        self._period_s = period_s
         self._has_offset = config.compensation.transmission is not None
         self._is_compensation_enabled = config.compensation.enabled
-        self._baseline_s = config.compensation.baseline_s if config.compensation.enabled else math.inf
-        self._faded_in_s = self._baseline_s + config.compensation.fade_s
+        self._configured_baseline_s = config.compensation.baseline_s
+        self._baseline_s = self._configured_baseline_s if config.compensation.enabled else math.inf
+        self._fade_s = config.compensation.fade_s
+        self._faded_in_s = self._baseline_s + self._fade_s
         self._standstill = max(_STANDSTILL_RATIO * limits.velocity, 2.0 * facts.position_resolution / period_s)
         self._command = CommandWriter(config, limits, self.motion, period_s)
         # of the load, against the path, where it has an encoder
@@ -143,26 +150,10 @@ class AxisLoop:
             self.load_errors = FollowingErrors(period_s, path_time.ramp_s, motion_s)
         self._load_zero = self._load_position = math.nan
         self._notices = CompensationNotices(name, unit, self.compensator)
-        self._temperature_notices = None
-        if self.compensator.model.depends_on_temperature:
-            self._temperature_notices = TemperatureNotices(name, self.compensator, period_s)
+        self._watch_temperature()
         self._fault_reset = FaultReset(is_wanted=False)
-        self._first_motion = None
-        if config.mode == "csv" and self.motion.has_setpoint and facts.velocity_resolution > 0.0:
-            self._first_motion = FirstMotion(
-                name, unit, limits, period_s, facts.position_resolution, facts.velocity_resolution
-            )
-        self._follow_check = None
-        if self.motion.has_setpoint:
-            self._follow_check = FollowCheck(
-                name,
-                unit,
-                limits,
-                self.motion.distance,
-                period_s,
-                facts.position_resolution,
-                is_torque_ours=config.mode == "cst",
-            )
+        self._make_checks = functools.partial(_checks, name, unit, config, limits, facts, period_s, self.motion)
+        self._first_motion, self._follow_check = self._make_checks()
         self._is_broken = False
         self._is_standing = False  # in the last cycle with usable feedback
         self._held = 0  # cycles since then
@@ -178,6 +169,45 @@ class AxisLoop:
     def allow_fault_reset(self) -> None:
         """Allow to reset the fault in which the drive is found at the start."""
         self._fault_reset = FaultReset(is_wanted=True)
+
+    def apply(self, change: AxisChange, running_s: float) -> None:
+        """Change settings, model or the switch of the compensation before the next cycle; see `AxisChange`.
+
+        Parameters
+        ----------
+        change : AxisChange
+        running_s : float
+            Time since the motion began, s; NaN before.
+        """
+        if change.record is not None:
+            self.compensator.adopt(change.record, change.friction)
+            self._fade_s = change.record[0]["fade_s"].item()
+        if change.friction is not None:
+            self.lead_s = self.motion.lead_s = self.compensator.record[0]["lead_s"].item()
+            self._notices.renew(self.compensator)
+            self._watch_temperature()
+        if change.is_enabled is not None:
+            self._is_compensation_enabled = change.is_enabled
+            begins_s = max(self._configured_baseline_s, running_s if math.isfinite(running_s) else 0.0)
+            self._baseline_s = begins_s if change.is_enabled else math.inf
+        self._faded_in_s = self._baseline_s + self._fade_s
+
+    def begin_again(self) -> None:
+        """Prepare for another motion after the axis was disabled: checks and figures are those of the new motion."""
+        first_motion, self._follow_check = self._make_checks()
+        if self.is_first_motion_due:
+            self._first_motion = first_motion
+        self.following_errors = self.following_errors.anew()
+        if self.load_errors is not None:
+            self.load_errors = self.load_errors.anew()
+        self._baseline_s = self._configured_baseline_s if self._is_compensation_enabled else math.inf
+        self._faded_in_s = self._baseline_s + self._fade_s
+
+    def _watch_temperature(self) -> None:
+        """Begin to watch the temperature, if the present model depends on it."""
+        self._temperature_notices = None
+        if math.isfinite(self.compensator.record[0]["reference_temperature"]):
+            self._temperature_notices = TemperatureNotices(self.name, self.compensator, self._period_s)
 
     @property
     def is_first_motion_due(self) -> bool:
@@ -294,9 +324,9 @@ class AxisLoop:
             load_position = self._take_load(feedback.load_position, position)
             row.write_load(load_position)
         if setpoint is not None and state is LoopState.RUNNING:
-            condition = (
-                _WITHOUT if running_s < self._baseline_s else _WITH if running_s >= self._faded_in_s else _FADING
-            )
+            condition = _WITH if running_s >= self._faded_in_s else _FADING
+            if running_s < self._baseline_s and compensator.is_faded_out:
+                condition = _WITHOUT
             self.following_errors.take(condition, setpoint.position - position, missed, is_usable)
             if self.load_errors is not None:
                 error = inputs.position_demand - load_position
@@ -365,7 +395,33 @@ def compensator_inputs(
     )
 
 
-def _check_torque(name: str, config: "AxisConfig", facts: AxisFacts) -> None:
+def _checks(
+    name: str,
+    unit: str,
+    config: "AxisConfig",
+    limits: SafetyLimits,
+    facts: AxisFacts,
+    period_s: float,
+    motion: AxisMotion,
+) -> tuple[FirstMotion | None, FollowCheck | None]:
+    """Return what watches the beginning of a motion, None for what is not needed."""
+    first_motion = follow_check = None
+    if config.mode == "csv" and motion.has_setpoint and facts.velocity_resolution > 0.0:
+        first_motion = FirstMotion(name, unit, limits, period_s, facts.position_resolution, facts.velocity_resolution)
+    if motion.has_setpoint:
+        follow_check = FollowCheck(
+            name,
+            unit,
+            limits,
+            motion.distance,
+            period_s,
+            facts.position_resolution,
+            is_torque_ours=config.mode == "cst",
+        )
+    return first_motion, follow_check
+
+
+def check_torque(name: str, config: "AxisConfig", facts: AxisFacts) -> None:
     """Refuse settings that need the torque of a drive that does not report it."""
     if facts.torque_delay_s is not None:
         return

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from enum import IntEnum
 
 from friction_hil.compensator import Compensator, adaptation
+from friction_hil.friction.network_model import beyond_speed
 
 _LONGEST_GAP = 10_000  # cycles; a longer one is a fault in any configuration
 _MOST_REASONS = 20
@@ -158,6 +159,7 @@ class FollowingErrors:
         "_count",
         "_cycle",
         "_first",
+        "_given",
         "_left_out",
         "_length",
         "_parts",
@@ -171,6 +173,7 @@ class FollowingErrors:
     )
 
     def __init__(self, period_s: float, start_s: float, motion_s: float) -> None:
+        self._given = period_s, start_s, motion_s
         self._settle = SETTLE_S / period_s
         self._recovery = RECOVERY_S / period_s
         self._first = start_s / period_s + self._settle  # cycle of the motion from which on it is steady
@@ -183,6 +186,10 @@ class FollowingErrors:
         # of the period that has not ended yet: plain numbers, because every cycle adds to them
         self._count = self._left_out = 0
         self._square = self._peak = 0.0
+
+    def anew(self) -> "FollowingErrors":
+        """Return an accumulator for another motion of the same kind."""
+        return FollowingErrors(*self._given)
 
     def take(self, condition: Condition, error: float, missed: int, is_usable: bool) -> None:
         """Take one cycle of the motion.
@@ -335,36 +342,39 @@ class CompensationNotices:
     """
 
     __slots__ = (
+        "_beyond",
         "_gain_factor",
         "_name",
-        "_network",
         "_trained_speed",
         "_unit",
     )
 
     def __init__(self, name: str, unit: str, compensator: Compensator) -> None:
         self._name, self._unit = name, unit
-        self._network = compensator.model.network
-        self._trained_speed = math.inf if self._network is None else self._network.speed_limit
-        self._gain_factor = 1.0
+        self.renew(compensator)
+
+    def renew(self, compensator: Compensator) -> None:
+        """Begin anew with the present model of the compensator."""
+        self._trained_speed, self._beyond = compensator.trained_speed, beyond_speed(compensator.has_residual)
+        self._gain_factor = compensator.gain_factor
 
     def next(self, compensator: Compensator, velocity: float) -> str | None:
         """Return the warning of this cycle, given the estimated velocity; each once, and None in most cycles."""
         if compensator.gain_factor != self._gain_factor:
             self._gain_factor = compensator.gain_factor
             return f"{self._name}: {_OVER_COMPENSATED}: the gain is now {self._gain_factor:.0%} of the configured one"
-        if self._network is not None and abs(velocity) > self._trained_speed:
+        if abs(velocity) > self._trained_speed:
             limit, self._trained_speed = self._trained_speed, math.inf
             return (
                 f"{self._name}: faster than the {limit:g} {self._unit}/s that the network was trained for; beyond, "
-                f"{self._network.beyond}"
+                f"{self._beyond}"
             )
         return None
 
 
 def adaptation_notice(name: str, unit: str, compensator: Compensator) -> str | None:
     """Return the notice that adaptation learned nothing in a whole run, and what it needs; None if it did."""
-    if compensator.settings.adaptation_s == 0.0 or compensator.learned_s > 0.0:
+    if compensator.record[0]["adaptation_s"] == 0.0 or compensator.learned_s > 0.0:
         return None
     return f"{name}: compensation.adaptation learned nothing: {adaptation_needs(unit, compensator)}"
 

@@ -14,7 +14,7 @@ from friction_hil.daemon.demand import DemandEstimator
 from friction_hil.daemon.figures import Condition, FollowingErrors
 from friction_hil.daemon.row import AxisRow
 from friction_hil.daemon.safety import MAX_STALE_CYCLES, LoopState, Supervisor
-from friction_hil.daemon.sequence import SETTLE_S, RunInputs, RunStateMachine
+from friction_hil.daemon.sequence import SETTLE_S, RunInputs, RunStateMachine, after_the_stop
 from friction_hil.drive import AxisFacts, Command, DriveState, Feedback
 from friction_hil.drive.codes import FaultCode
 from friction_hil.motion.trajectory import PathTime
@@ -34,14 +34,18 @@ class FollowerStateMachine(RunStateMachine):
     def _next(self, elapsed_s: float, inputs: RunInputs, has_stood: bool) -> LoopState:
         state = self.state
         if state is LoopState.IDLE:
-            if inputs.is_stop_requested or inputs.has_fault:
-                return LoopState.DONE
+            if inputs.is_stop_requested or inputs.has_fault or inputs.is_pause_requested:
+                return after_the_stop(inputs)
             return state if self._is_listening or elapsed_s < SETTLE_S else LoopState.RUNNING
         if state in (LoopState.RUNNING, LoopState.STOPPING) and inputs.has_fault:
             return LoopState.FAULT_STOPPING
         if state is LoopState.RUNNING:
-            return LoopState.STOPPING if inputs.is_stop_requested else state
-        return LoopState.DONE if inputs.is_faded_out else state
+            return LoopState.STOPPING if inputs.is_stop_requested or inputs.is_pause_requested else state
+        if state is LoopState.WAITING:
+            if inputs.is_stop_requested:
+                return LoopState.DONE
+            return state if inputs.is_pause_requested or inputs.has_fault else LoopState.RUNNING
+        return after_the_stop(inputs) if inputs.is_faded_out else state
 
 
 class FollowerSupervisor(Supervisor):
@@ -78,7 +82,7 @@ class FollowerAxis(AxisLoop):
     Its following error counts while the drive operates. The motion is the other controller's: its period is not known.
     """
 
-    __slots__ = ("_baseline_left_s", "_demand", "_drive_notice", "_fade_s", "_faded_s")
+    __slots__ = ("_baseline_left_s", "_demand", "_drive_notice", "_faded_s")
 
     supervisor: FollowerSupervisor
 
@@ -99,7 +103,6 @@ class FollowerAxis(AxisLoop):
         self.following_errors = FollowingErrors(period_s, 0.0, math.inf)
         self._demand = DemandEstimator(period_s, facts.setpoint_delay_s, self.lead_s)
         self._baseline_left_s = config.compensation.baseline_s
-        self._fade_s = config.compensation.fade_s
         self._faded_s = 0.0  # time for which the compensation has been enabled
         self._drive_notice = _DriveNotice(name, period_s)
 

@@ -64,12 +64,15 @@ class RunLog:
     Attributes
     ----------
     result : LoopResult
+    has_fault : bool
+        There is a fault that nobody has reset.
     """
 
     def __init__(self, sink: Sink, period_s: float) -> None:
         self._sink = sink
         self._period_s = period_s
         self._said: set[str] = set()  # faults, as they came
+        self.has_fault = False
         self._missed = 0  # periods
         self._missed_cycle = -1  # that followed them
         self.result = LoopResult()
@@ -85,6 +88,7 @@ class RunLog:
     def _keep_fault(self, cycle: int, text: str) -> None:
         if text not in self._said:
             self._said.add(text)
+            self.has_fault = True
             text = self._with_missed(cycle, text)
             self.result.faults.append(text)
             self._sink.event(cycle, "fault", text)
@@ -99,6 +103,24 @@ class RunLog:
         said = f"; {periods} missed {when} before"
         words, bracket, code = text.rpartition(" [FH-")
         return f"{words}{said}{bracket}{code}" if bracket else text + said
+
+    def reset(self, cycle: int) -> None:
+        """Forget that there is a fault; it stays in the result. If it comes again, it counts again."""
+        if self.has_fault:
+            self._sink.event(cycle, "reset", "the fault is reset")
+        self.has_fault = False
+        self._said.clear()
+
+    def change(self, cycle: int, number: int, text: str) -> None:
+        """Keep a change that somebody made while the daemon runs; ``number`` is that of the message."""
+        self._sink.event(cycle, "change", str(number))
+        self.act(cycle, text)
+
+    def act(self, cycle: int, text: str) -> None:
+        """Keep what somebody asked for while the daemon runs; unlike `notice` each time."""
+        self._sink.event(cycle, "notice", text)
+        if len(self.result.notices) < _MOST_NOTICES:
+            self.result.notices.append(text)
 
     def notice(self, cycle: int, text: str) -> None:
         """Keep what a drive said; the same text counts once."""

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from friction_hil.daemon.axis import AxisLoop, AxisUpdate
+from friction_hil.daemon.control.changes import Changes
+from friction_hil.daemon.control.mailbox import MailboxReader
 from friction_hil.daemon.log import LoopResult, RunLog, Sink
 from friction_hil.daemon.pacing import CacheWarmer, make_pacer
 from friction_hil.daemon.row import AxisRow
@@ -33,6 +35,8 @@ class Loop:
     sink : Sink
     settings : LoopSettings
     stop : StopRequest
+    mailbox : MailboxReader, optional
+        Brings changes while the loop runs.
     """
 
     def __init__(
@@ -44,6 +48,7 @@ class Loop:
         sink: Sink,
         settings: LoopSettings,
         stop: StopRequest,
+        mailbox: MailboxReader | None = None,
     ) -> None:
         self._drives, self._axes, self._clock, self._sink, self._settings = drives, axes, clock, sink, settings
         self._feedback = [Feedback() for _ in axes]
@@ -57,6 +62,7 @@ class Loop:
         self._log = RunLog(sink, settings.period_s)
         self._run = RunControl(axes, path_time, settings, stop, self._log)
         self._warmer = CacheWarmer(drives, axes[0], self._parts[0])
+        self._changes = None if mailbox is None else Changes(mailbox, axes, self._log, self._run)
         self._pacer = make_pacer(drives, clock, settings.period_s, self._warm_caches)
 
     def run(self) -> LoopResult:
@@ -89,13 +95,16 @@ class Loop:
             return
         if any([feedback.is_setpoint_lost for feedback in self._feedback]):  # noqa: C419 - quicker than a generator
             self._run.hold_path_for_lost(cycle)
+        if self._changes is not None and self._changes.has_news:
+            self._changes.take(cycle, self._run.running_s(time_s), self._feedback)
         self._note_states(cycle)
         updates = self._update_axes(cycle, self._run.state, self._run.running_s(time_s))
         self._drives.send(self._commands)
         exchange_us = (self._clock.now_ns() - began_ns) * 1e-3
         path_lag_s = self._run.path_lag_s(time_s)
+        change = 0.0 if self._changes is None else self._changes.last
         for part in self._parts:
-            part.write_timing(self._pacer.late_us, exchange_us, path_lag_s)
+            part.write_timing(self._pacer.late_us, exchange_us, path_lag_s, change)
         self._sink.push(self._row)
         self._log.result.cycles += 1
         self._run.advance(cycle, self._feedback, updates, exchange_us)
@@ -108,20 +117,24 @@ class Loop:
             updates.append(update)
             if update.warning is not None:
                 self._log.warn(cycle, update.warning)
-            if update.fault is not None:
+            if update.fault is not None and state is not LoopState.WAITING:  # without power nothing has to be stopped
                 self._log.fault(cycle, update.fault)
-        request = (REQUESTS_AFTER_FAULT if self._log.result.faults else REQUESTS)[state]
+        request = (REQUESTS_AFTER_FAULT if self._log.has_fault else REQUESTS)[state]
+        if state is LoopState.WAITING and not self._is_commanded:
+            request = Request.LISTEN  # nothing was enabled so far
         if self._settings.is_follower:
             request = Request.LISTEN  # another controller enables and stops the drives
-        for command, update in zip(self._commands, updates, strict=True):
+        is_resetting = self._run.is_resetting(cycle)
+        for command, update, feedback in zip(self._commands, updates, self._feedback, strict=True):
             is_reset = state is LoopState.ENABLING and update.is_reset_due
+            is_reset = is_reset or (is_resetting and feedback.state is DriveState.FAULT)
             command.request = Request.RESET_FAULT if is_reset else request
-        self._is_commanded = self._is_commanded or request is not Request.LISTEN
+        self._is_commanded = self._is_commanded or request is not Request.LISTEN or is_resetting
         return updates
 
     def _note_states(self, cycle: int) -> None:
         """Record what the drives said beside their feedback; keep the states to which they were disabled."""
-        if self._run.state is LoopState.DISABLING:
+        if self._run.state in (LoopState.DISABLING, LoopState.WAITING):
             for k, feedback in enumerate(self._feedback):
                 if feedback.is_fresh or not feedback.state.is_powered:
                     self._states_while_disabling[k] = feedback.state

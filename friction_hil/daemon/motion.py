@@ -41,6 +41,8 @@ class AxisMotion:
     ----------
     has_setpoint : bool
         False with ``trajectory: {kind: none}``.
+    lead_s : float
+        As given; another model may need another one.
 
     Raises
     ------
@@ -50,13 +52,13 @@ class AxisMotion:
 
     __slots__ = (
         "_extent",
-        "_lead_s",
         "_limits",
         "_name",
         "_setpoint_delay_s",
         "_trajectory",
         "_unit",
         "has_setpoint",
+        "lead_s",
     )
 
     def __init__(
@@ -71,7 +73,7 @@ class AxisMotion:
         path_time: PathTime,
     ) -> None:
         self._name, self._unit, self._limits = name, unit, limits
-        self._lead_s = lead_s
+        self.lead_s = lead_s
         self._setpoint_delay_s = facts.setpoint_delay_s
         given = config.trajectory
         self.has_setpoint = given.kind != "none"
@@ -131,7 +133,7 @@ class AxisMotion:
         if not self.has_setpoint or state not in MOVING:
             return None, _NO_DEMAND
         setpoint = self._trajectory.at(time_s)
-        _, velocity_ahead, acceleration_ahead = self._trajectory.at(time_s + self._lead_s)
+        _, velocity_ahead, acceleration_ahead = self._trajectory.at(time_s + self.lead_s)
         return setpoint, (setpoint.position, setpoint.velocity, velocity_ahead, acceleration_ahead)
 
     def to_send(self, time_s: float) -> Setpoint:

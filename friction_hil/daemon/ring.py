@@ -68,6 +68,17 @@ class _Ring:
         """True once the writer has closed the ring."""
         return bool(self._header[_CLOSED])
 
+    def _event(self, number: int) -> tuple[float, str, str] | None:
+        """Return cycle, name and text of an event, counted from 0; None if it has been overwritten."""
+        at = _HEADER_BYTES + number % EVENT_SLOTS * _EVENT_BYTES
+        record = self._memory[at : at + _EVENT_BYTES]
+        first, cycle, name_size, text_size = _EVENT_HEAD.unpack_from(record)
+        (last,) = struct.unpack_from("<q", record, _EVENT_BYTES - 8)
+        if not (first == last == number + 1 and self._memory[at : at + 8] == record[:8]):
+            return None
+        text_at = _EVENT_HEAD.size + name_size
+        return cycle, record[_EVENT_HEAD.size : text_at].decode(), record[text_at : text_at + text_size].decode()
+
     def close_writing(self) -> None:
         """Mark the end of writing; called by the writer, or by whoever notices its death."""
         self._header[_CLOSED] = 1
@@ -193,15 +204,10 @@ class RingReader(_Ring):
         start, end = self._event_cursor.available(EVENT_SLOTS)
         events, numbers = [], []
         for number in range(start, end):
-            at = _HEADER_BYTES + number % EVENT_SLOTS * _EVENT_BYTES
-            record = self._memory[at : at + _EVENT_BYTES]
-            first, cycle, name_size, text_size = _EVENT_HEAD.unpack_from(record)
-            (last,) = struct.unpack_from("<q", record, _EVENT_BYTES - 8)
-            if first == last == number + 1 and self._memory[at : at + 8] == record[:8]:
-                text_at = _EVENT_HEAD.size + name_size
-                name = record[_EVENT_HEAD.size : text_at].decode()
-                events.append((cycle, name, record[text_at : text_at + text_size].decode()))
-                numbers.append(first)
+            event = self._event(number)
+            if event is not None:
+                events.append(event)
+                numbers.append(number + 1)
         self._event_cursor.take(np.array(numbers, np.int64), end)
         return events
 
@@ -232,6 +238,32 @@ class RingReader(_Ring):
     def events_lost(self) -> int:
         """Number of events overwritten before a reader took them."""
         return self._event_cursor.lost
+
+
+class RingObserver(_Ring):
+    """An end that only looks: it takes nothing from the reader, and releases nothing."""
+
+    def __init__(self, descriptor: int) -> None:
+        super().__init__(descriptor)
+        self._events_seen = 0
+
+    def newest(self, most: int) -> Array:
+        """Return up to ``most`` of the newest rows as a copy, oldest first, shape (n, width)."""
+        end = self._header[_ROWS]
+        # not the oldest ones, which the loop may be overwriting
+        first = max(0, end - min(most, self.capacity // 2))
+        slots = np.arange(first, end) % self.capacity
+        rows = self._numbers[slots]
+        wanted = np.arange(first + 1, end + 1)
+        whole = (rows[:, -1] == wanted) & (rows[:, 0] == wanted) & (self._numbers[slots, 0] == wanted)
+        return rows[whole, 1:-1].view(np.float64)
+
+    def new_events(self) -> list[tuple[float, str, str]]:
+        """Return the events since the last call that are still there: cycle, name, text."""
+        end = self._header[_EVENTS]
+        found = [self._event(number) for number in range(max(self._events_seen, end - EVENT_SLOTS), end)]
+        self._events_seen = end
+        return [event for event in found if event is not None]
 
 
 def _cut(text: str, size: int) -> bytes:

@@ -33,6 +33,7 @@ _CHECKSUM = columns.NAMES.index("checksum")
 _LATE_US = columns.NAMES.index("late_us")
 _EXCHANGE_US = columns.NAMES.index("exchange_us")
 _PATH_LAG_S = columns.NAMES.index("path_lag_s")
+_CHANGE = columns.NAMES.index("change")
 
 
 def row_width(shadow_names: Sequence[str]) -> int:
@@ -112,11 +113,12 @@ class AxisRow:
             self.values[start : start + state.size] = state
             start += state.size
 
-    def write_timing(self, late_us: float, exchange_us: float, path_lag_s: float) -> None:
-        """Write how late the cycle began, how long the exchange with the drives took, and the lag of the path."""
+    def write_timing(self, late_us: float, exchange_us: float, path_lag_s: float, change: float = 0.0) -> None:
+        """Write how late the cycle began, how long its exchange took, the lag of the path, and the last change."""
         self._cells[_LATE_US] = late_us
         self._cells[_EXCHANGE_US] = exchange_us
         self._cells[_PATH_LAG_S] = path_lag_s
+        self._cells[_CHANGE] = change
 
     def clear(self, time_s: float, cycle: int) -> None:
         """Write NaN to everything but time and cycle."""

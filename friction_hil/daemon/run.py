@@ -14,11 +14,12 @@ from friction_hil.daemon.sequence import ENABLE_TIMEOUT_S, RunInputs, RunStateMa
 from friction_hil.daemon.stop import StopRequest
 from friction_hil.drive import DriveState, Feedback
 from friction_hil.drive.codes import FaultCode
-from friction_hil.errors import DriveError
+from friction_hil.errors import DriveError, UsageError
 from friction_hil.motion.trajectory import PathTime
 
 _FIRST_FEEDBACK_S = 1.0
 _REGULAR_TIMES, _REGULAR_PERIODS = 10, 200  # so often in so many: the loop is too slow for its period
+_RESET_S = 1.0  # for which the reset of a drive's fault is tried
 _BRIDGED_PERIODS = 1  # without a set-point, which a drive bridges; after more, going on with time would be a step
 
 
@@ -41,6 +42,8 @@ class LoopSettings:
         True to reset, before enabling, the fault that a drive is found in.
     is_follower : bool
         Another controller enables and moves the drives.
+    is_waiting : bool
+        True to enable nothing before somebody starts the axes, and to wait again after a stop or a fault.
     """
 
     period_s: float
@@ -50,6 +53,7 @@ class LoopSettings:
     dry_run: bool = False
     is_fault_reset_wanted: bool = False
     is_follower: bool = False
+    is_waiting: bool = False
 
 
 class RunControl:
@@ -83,6 +87,8 @@ class RunControl:
         self._missed_before: deque[tuple[int, int]] = deque(maxlen=_REGULAR_TIMES)  # cycle, and periods missed before
         self._is_slowness_told = False
         self._running_since_s = 0.0 if settings.dry_run else math.nan
+        self._is_paused = settings.is_waiting and not settings.dry_run
+        self._reset_until_s = -math.inf
         if settings.is_fault_reset_wanted:
             for axis in axes:
                 axis.allow_fault_reset()
@@ -100,6 +106,56 @@ class RunControl:
     def running_s(self, time_s: float) -> float:
         """Return the time since the motion began, or in a dry run since its start, s; NaN before."""
         return time_s - self._running_since_s
+
+    def start(self, feedback: Sequence[Feedback]) -> str:
+        """Let the axes be enabled; return why that is not possible, empty if it is."""
+        if self._settings.dry_run:
+            return "a dry run enables nothing"
+        if not self._is_paused:
+            return "it is started already"
+        if self._machine.state is not LoopState.WAITING:
+            return "it is still stopping: start it when it has stopped"
+        if self._log.has_fault:
+            return "it has a fault: remove the cause and reset it first"
+        if not self._settings.is_follower and (obstacle := self._obstacle(feedback)):
+            return obstacle
+        self._is_paused = False
+        return ""
+
+    def _obstacle(self, feedback: Sequence[Feedback]) -> str:
+        """Return why an axis cannot be enabled now; empty if all can."""
+        for axis, heard in zip(self._axes, feedback, strict=True):
+            if not heard.is_fresh or not heard.is_reachable:
+                return f"{axis.name}: the state of the drive is unknown: nothing was read back in this cycle"
+            if heard.state in (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE):
+                reason = heard.error or "it reports no error code"
+                return f"{axis.name}: the drive is in fault: {reason}; remove the cause and reset it first"
+            try:
+                axis.motion.check(axis.supervisor.position)
+            except UsageError as error:
+                return str(error)
+        return ""
+
+    def pause(self) -> str:
+        """Let the axes come to rest and be disabled, and wait; return why that is not possible, empty if it is."""
+        if self._settings.dry_run:
+            return "a dry run has enabled nothing"
+        self._is_paused = True
+        return ""
+
+    def reset(self, cycle: int) -> str:
+        """Reset the fault of the run, and those of the drives; return why that is not possible, empty if it is."""
+        if self._settings.dry_run or self._settings.is_follower:
+            return "it commands no drive: their faults are not its own to reset"
+        if self._machine.state is not LoopState.WAITING:
+            return "it has not stopped: faults are reset once it waits without power"
+        self._log.reset(cycle)
+        self._reset_until_s = cycle * self._settings.period_s + _RESET_S
+        return ""
+
+    def is_resetting(self, cycle: int) -> bool:
+        """Return True while faults of drives are to be reset."""
+        return self._machine.state is LoopState.WAITING and cycle * self._settings.period_s < self._reset_until_s
 
     def hold_path(self, cycle: int, missed: int) -> None:
         """Let the path go on in ``cycle`` from where it was ``missed`` periods before, in which nothing was sent.
@@ -191,7 +247,10 @@ class RunControl:
         """Return what the next state depends on."""
         inputs = RunInputs(is_enabled=True, is_standing=True, is_faded_out=True)
         inputs.is_stop_requested = self._stop.is_requested
-        inputs.has_fault = bool(self._log.result.faults)
+        inputs.has_fault = self._log.has_fault
+        if inputs.has_fault and self._settings.is_waiting:
+            inputs.is_kept_after_fault = self._is_paused = True
+        inputs.is_pause_requested = self._is_paused
         inputs.is_setpoint_standing = self._path_time.is_standing(time_s - self._settings.period_s)
         # one loop: each generator would be several calls, in every cycle
         for axis, heard, update in zip(self._axes, feedback, updates, strict=True):
@@ -224,4 +283,8 @@ class RunControl:
             self._path_time.start(later_s)
         elif state is LoopState.STOPPING:
             self._path_time.stop(later_s)
+        elif state is LoopState.WAITING:
+            self._running_since_s = math.nan
+            for axis in self._axes:
+                axis.begin_again()
         self._log.state(cycle, state)

@@ -32,12 +32,13 @@ class LoopState(IntEnum):
     DISABLING = 5
     DONE = 6
     FIRST_MOTION = 7  # csv: between ENABLING and RUNNING, see `daemon.first_motion`
+    WAITING = 8  # without power, until somebody starts the axes, see `daemon.control`
 
 
 MOVING = (LoopState.RUNNING, LoopState.STOPPING)
 _LIMITED = (LoopState.FIRST_MOTION, *MOVING)
 _NOT_YET_ENABLED = (LoopState.IDLE, LoopState.ENABLING)
-ENDING = (LoopState.FAULT_STOPPING, LoopState.DISABLING, LoopState.DONE)
+ENDING = (LoopState.FAULT_STOPPING, LoopState.DISABLING, LoopState.DONE, LoopState.WAITING)
 
 REQUESTS = {
     LoopState.IDLE: Request.LISTEN,
@@ -48,6 +49,7 @@ REQUESTS = {
     LoopState.FAULT_STOPPING: Request.QUICK_STOP,
     LoopState.DISABLING: Request.DISABLE,
     LoopState.DONE: Request.DISABLE,
+    LoopState.WAITING: Request.DISABLE,
 }
 # in the very cycle in which a fault is found, before the state follows
 REQUESTS_AFTER_FAULT = REQUESTS | {

@@ -25,7 +25,9 @@ class RunInputs:
     wait for it. The driver stops it in another way, as far as it can.
     """
 
-    is_stop_requested: bool = False
+    is_stop_requested: bool = False  # for good: the run ends
+    is_pause_requested: bool = False  # the axes are to be stopped and disabled, and the run waits
+    is_kept_after_fault: bool = False  # a fault does not end the run either: it waits
     has_fault: bool = False
     is_enabled: bool = False  # every drive is in Operation enabled
     is_powered: bool = False  # some drive in reach may give torque
@@ -90,11 +92,16 @@ class RunStateMachine:
 
     def _next(self, elapsed_s: float, inputs: RunInputs, has_stood: bool) -> LoopState:
         state = self.state
-        is_ending = inputs.is_stop_requested or inputs.has_fault
+        is_ending = inputs.is_stop_requested or inputs.has_fault or inputs.is_pause_requested
         if state is LoopState.IDLE:
             if is_ending:
-                return LoopState.DONE
+                return after_the_stop(inputs)
             return state if self._is_listening or elapsed_s < SETTLE_S else LoopState.ENABLING
+        if state is LoopState.WAITING:
+            if inputs.is_stop_requested:
+                return LoopState.DONE
+            is_kept = self._is_listening or inputs.is_pause_requested or inputs.has_fault
+            return state if is_kept else LoopState.ENABLING
         if state is LoopState.ENABLING:
             return LoopState.DISABLING if is_ending else self._enabling(elapsed_s, inputs)
         if state is LoopState.FIRST_MOTION:
@@ -104,7 +111,7 @@ class RunStateMachine:
         if state in (LoopState.RUNNING, LoopState.STOPPING) and inputs.has_fault:
             return LoopState.FAULT_STOPPING
         if state is LoopState.RUNNING:
-            return LoopState.STOPPING if inputs.is_stop_requested else state
+            return LoopState.STOPPING if is_ending else state
         if state is LoopState.STOPPING:
             return self._stopping(elapsed_s, inputs, has_stood)
         if state is LoopState.FAULT_STOPPING:
@@ -141,12 +148,18 @@ class RunStateMachine:
             inputs.is_lost_unknown and elapsed_s <= LOST_UNKNOWN_TIMEOUT_S
         )
         if not inputs.is_powered:
-            return self.state if is_waiting else LoopState.DONE
+            return self.state if is_waiting else after_the_stop(inputs)
         if elapsed_s > DISABLE_TIMEOUT_S:
             text = f"still powered {DISABLE_TIMEOUT_S:g} s after the request to disable"
             self._timeout = Timeout(FaultCode.STILL_POWERED, text)
             return LoopState.DONE
         return self.state
+
+
+def after_the_stop(inputs: RunInputs) -> LoopState:
+    """Return the state that follows once no drive has power: the run waits for a start, or it ends."""
+    is_kept = inputs.is_kept_after_fault or (inputs.is_pause_requested and not inputs.has_fault)
+    return LoopState.WAITING if is_kept and not inputs.is_stop_requested else LoopState.DONE
 
 
 def timeout_faults(

@@ -2,6 +2,7 @@
 
 import contextlib
 import math
+import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -14,6 +15,10 @@ from friction_hil.config.load import only_driver
 from friction_hil.daemon.assembly import experiment_note, ramp_s
 from friction_hil.daemon.axis import AxisLoop
 from friction_hil.daemon.companion import Companion, CompanionReport, Job, free_path, prepare
+from friction_hil.daemon.control.job import ControlJob
+from friction_hil.daemon.control.journal import make_journal
+from friction_hil.daemon.control.lock import ControlSocket
+from friction_hil.daemon.control.service import ControlService
 from friction_hil.daemon.figures import AxisFigures, Condition, adaptation_notice
 from friction_hil.daemon.follower import FollowerAxis
 from friction_hil.daemon.log import LoopResult
@@ -42,7 +47,8 @@ class SessionSettings:
     """Settings that the command line adds to a configuration.
 
     ``allowed_speeds`` are those of the motions that the user was told of, by axis, rad/s or m/s; see
-    `friction_hil.daemon.safety.Supervisor.allow`.
+    `friction_hil.daemon.safety.Supervisor.allow`. ``is_waiting`` is that of `LoopSettings`. ``control`` is the socket
+    at which the daemon is changed while it runs; None for none.
     """
 
     duration_s: float = math.inf
@@ -53,6 +59,8 @@ class SessionSettings:
     is_paced_by_sync: bool = False
     is_status_shown: bool = False
     allowed_speeds: Mapping[str, float] = field(default_factory=dict)
+    is_waiting: bool = False
+    control: ControlSocket | None = None
 
 
 @dataclass(slots=True)
@@ -67,8 +75,9 @@ class SessionResult:
 class _CompanionSink:
     """Sink that hands rows to the companion, and looks after it; in simulated time it waits for room for a row."""
 
-    def __init__(self, companion: Companion, period_s: float, *, is_real: bool) -> None:
+    def __init__(self, companion: Companion, control: ControlService | None, period_s: float, *, is_real: bool) -> None:
         self._companion = companion
+        self._control = control
         self._is_real = is_real
         self._looks = max(1, round(_LOOK_S / period_s))  # rows between two looks at the companion
         self._left = self._looks
@@ -90,6 +99,8 @@ class _CompanionSink:
         self._left = self._looks
         for problem in self._companion.tend():
             self._companion.push_event(row[_CYCLE], "warning", f"recording: {problem}")
+        for problem in () if self._control is None else self._control.tend():
+            self._companion.push_event(row[_CYCLE], "warning", problem)
 
     def _wait_for_room(self, row: Array) -> None:
         """Wait until a row would not be lost, but not forever: the axes have to come to rest all the same."""
@@ -151,6 +162,7 @@ class _Prepared:
     axes: list[AxisLoop]
     path_time: PathTime
     companion: Companion
+    control: ControlService | None
 
 
 def _prepare(
@@ -201,9 +213,38 @@ def _prepare(
         note = experiment_note(configuration.axes[fact.name], fact.position_resolution, configuration.period_s)
         if note:
             report(f"{fact.name}: {note}")
-    companion = Companion.start(_job(configuration, settings, path, started_ns, facts, axes, shadows))
+    journal = make_journal()
+    stack.callback(os.close, journal)
+    job = _job(configuration, settings, path, started_ns, facts, axes, shadows)
+    companion = Companion.start(job, journal)
     stack.callback(companion.close)
-    return _Prepared(drives, axes, path_time, companion)
+    control = None
+    if settings.control is not None:
+        control_job = _control_job(configuration, settings, facts, job)
+        control = ControlService(settings.control, companion.ring_descriptor, journal, control_job)
+        stack.callback(control.close)
+    return _Prepared(drives, axes, path_time, companion, control)
+
+
+def _control_job(
+    configuration: "Configuration", settings: SessionSettings, facts: Sequence[AxisFacts], job: Job
+) -> ControlJob:
+    """Return what the process of the control socket has to know."""
+    assert settings.control is not None
+    models = [axis.model for axis in configuration.axes.values()]
+    models += [shadow.model for axis in configuration.axes.values() for shadow in axis.shadows]
+    files = {name: axis.model.source_path for name, axis in configuration.axes.items()}
+    return ControlJob(
+        name=settings.control.path.stem,
+        configuration=job.metadata["configuration"],
+        source=str(configuration.source_path or "configuration"),
+        facts=[asdict(fact) for fact in facts],
+        columns=job.columns,
+        state_width=job.state_width,
+        has_network=any(model.friction_model.network is not None for model in models),
+        is_follower=configuration.bus is not None and configuration.bus.role == "sidecar",
+        files={name: str(file) for name, file in files.items() if file is not None},
+    )
 
 
 def _is_follower(drives: Drives) -> bool:
@@ -231,9 +272,12 @@ def _run(
             dry_run=settings.dry_run,
             is_fault_reset_wanted=settings.is_fault_reset_wanted,
             is_follower=_is_follower(prepared.drives),
+            is_waiting=settings.is_waiting,
         )
-        sink = _CompanionSink(prepared.companion, configuration.period_s, is_real=clock.is_real)
-        return Loop(prepared.drives, prepared.axes, prepared.path_time, clock, sink, loop_settings, stop).run()
+        control = prepared.control
+        sink = _CompanionSink(prepared.companion, control, configuration.period_s, is_real=clock.is_real)
+        mailbox = None if control is None else control.mailbox
+        return Loop(prepared.drives, prepared.axes, prepared.path_time, clock, sink, loop_settings, stop, mailbox).run()
 
 
 def _close(drives: Drives, report: Callable[[str], None]) -> None:

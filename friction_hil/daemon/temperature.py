@@ -23,10 +23,12 @@ class TemperatureNotices:
 
     def __init__(self, name: str, compensator: Compensator, period_s: float) -> None:
         self._name = name
-        thermal, reference = compensator.settings.thermal, compensator.model.reference_temperature
-        self._instead = f"the friction model is evaluated at its reference temperature, {reference:g} °C"
-        if thermal is not None:
-            self._instead = f"the thermal observer takes its place, which begins at {thermal.initial:g} °C"
+        record = compensator.record[0]
+        self._instead = (
+            f"the friction model is evaluated at its reference temperature, {record['reference_temperature']:g} °C"
+        )
+        if record["heat_capacity"] > 0.0:
+            self._instead = f"the thermal observer takes its place, which begins at {record['first_temperature']:g} °C"
         self._left = round(_PATIENCE_S / period_s)
         self._is_known = False
         self._told: set[str] = set()

@@ -151,6 +151,11 @@ def _rates(p: Array) -> tuple[float, float]:
     return math.exp(middle - half), math.exp(middle + half)
 
 
+def beyond_speed(is_residual: bool) -> str:
+    """Return the behaviour of a network's torque beyond its speed limit, as text."""
+    return "its torque fades out" if is_residual else "its torque stays constant"
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Network:
     """A trained network.
@@ -274,7 +279,7 @@ class Network:
     @property
     def beyond(self) -> str:
         """Behaviour of the torque beyond the speed limit, as text."""
-        return "its torque fades out" if self.is_residual else "its torque stays constant"
+        return beyond_speed(self.is_residual)
 
     @property
     def values(self) -> Array:

@@ -178,8 +178,10 @@ class PathTime:
         return self._ramp_s
 
     def start(self, time_s: float) -> None:
-        """Start at ``time_s``."""
+        """Start at ``time_s``, from the beginning of the path; also again after a stop."""
         self._start_s = time_s
+        self._stop_s = math.inf
+        self._held = None
 
     def stop(self, time_s: float) -> None:
         """Begin to stop at ``time_s``; a second call has no effect."""

@@ -70,6 +70,7 @@ COLUMNS = (
     ColumnMeaning(
         "path_lag_s", "s", "time by which missed periods have put the motion behind; it catches up", is_sparse=True
     ),
+    ColumnMeaning("change", "", "number of the last change of the settings while the daemon runs; 0 before the first"),
 )
 
 NAMES = tuple(column.name for column in COLUMNS)

@@ -13,6 +13,7 @@ from friction_hil.drive import AxisFacts
 from friction_hil.errors import RecordingError
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording, columns, fingerprint
+from friction_hil.replay.changes import RecordedChanges, inputs_of
 
 _RELATIVE_TOLERANCE = 1e-9
 
@@ -86,7 +87,9 @@ def verify(recording: Recording, configuration: Configuration | None = None) -> 
             f"{', '.join(configuration.axes)}"
         )
     axis = configuration.axes[recording.axis]
-    compensators = _compensators(axis, facts_of(metadata, recording), configuration.period_s)
+    facts = facts_of(metadata, recording)
+    compensators = _compensators(axis, facts, configuration.period_s)
+    changes = RecordedChanges(recording, configuration, facts)
     differences = tuple(fingerprint.differences(metadata.get("fingerprint", {}), fingerprint.fingerprint()))
     tolerance = _RELATIVE_TOLERANCE * axis.model.friction_model.level if differences else 0.0
     recording.require(*compensators)
@@ -94,7 +97,7 @@ def verify(recording: Recording, configuration: Configuration | None = None) -> 
     if altered is not None:
         row, reason = altered, "the recorded inputs are not those that the daemon saw (checksum)"
     else:
-        row, reason = _first_difference(recording, compensators, tolerance)
+        row, reason = _first_difference(recording, compensators, changes, tolerance)
     if reason:
         # computed from the time: the recorded cycle number is an input too and may be what was altered
         reason = f"cycle {round(float(recording.columns[columns.TIME][row]) / configuration.period_s)}: {reason}"
@@ -142,13 +145,12 @@ def _altered_row(recording: Recording) -> int | None:
 
 
 def _first_difference(
-    recording: Recording, compensators: Mapping[str, Compensator], tolerance: float
+    recording: Recording, compensators: Mapping[str, Compensator], changes: RecordedChanges, tolerance: float
 ) -> tuple[int, str]:
     """Return row and description of the first difference; the description is empty if there is none."""
     needed = sum(compensator.state.size for compensator in compensators.values())
     bounds = [row for row, _ in recording.restarts] + [len(recording)]
     for (first, state), end in zip(recording.restarts, bounds[1:], strict=True):
-        inputs = [np.ascontiguousarray(recording.columns[name][first:end]) for name in INPUTS]
         if state.size < needed:
             raise RecordingError(
                 f"{recording.path}: the recorded state has {state.size} numbers, but these compensators have {needed}: "
@@ -160,8 +162,10 @@ def _first_difference(
             size = compensator.state.size
             compensator.state[:] = state[offset : offset + size]
             offset += size
-            found = compensator.replay_all(inputs)
-            results = found if column == "compensation" else {column: found["compensation"]}
+            if column == "compensation":
+                results = changes.replay(compensator, first, end)
+            else:
+                results = {column: compensator.replay_all(inputs_of(recording, first, end))["compensation"]}
             for name, values in results.items():
                 row = _first_unequal(recording.columns[name][first:end], values, tolerance)
                 if row is not None and (worst is None or first + row < worst[0]):

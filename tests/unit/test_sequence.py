@@ -1,5 +1,7 @@
 """State machine of a run: its transitions, and that it always ends without power."""
 
+from dataclasses import fields
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -21,12 +23,13 @@ from friction_hil.drive.codes import FaultCode
 
 DT = 0.01
 STANDING = {"is_standing": True, "is_setpoint_standing": True, "is_faded_out": True}
-inputs = st.builds(RunInputs, *[st.booleans()] * 8)
+PLACES = {LoopState.FIRST_MOTION: 1.5, LoopState.WAITING: 5.5}
+inputs = st.builds(RunInputs, **{one.name: st.booleans() for one in fields(RunInputs)})
 
 
 def place(state):
     """Place of a state in the order of a run."""
-    return 1.5 if state is LoopState.FIRST_MOTION else float(state)
+    return PLACES.get(state, float(state))
 
 
 class Run:
@@ -176,23 +179,29 @@ def test_no_inputs_lead_back_or_to_power_after_a_fault(events, is_listening):
             changed = machine.advance(time_s, what)
             after = machine.state
             assert changed is (after is not before)
-            assert place(after) >= place(before)
+            # back to power only from WAITING, where nobody has to be kept from it
+            is_started = before is LoopState.WAITING and after is LoopState.ENABLING
+            assert place(after) >= place(before) or is_started
+            assert not (is_started and (what.has_fault or what.is_stop_requested or what.is_pause_requested))
             if after is not before:
                 assert machine.since_s == time_s
             if is_listening:
-                assert after in (LoopState.IDLE, LoopState.DONE)
+                assert after in (LoopState.IDLE, LoopState.WAITING, LoopState.DONE)
             if before is LoopState.ENABLING and after in (LoopState.FIRST_MOTION, LoopState.RUNNING):
                 assert what.is_enabled
                 assert not what.has_fault
                 assert not what.is_stop_requested
-            faulty = faulty or what.has_fault
+                assert not what.is_pause_requested
+            faulty = what.has_fault or (faulty and not is_started)
             if faulty:
                 assert REQUESTS[after] is not Request.ENABLE
             before = after
 
 
 @settings(max_examples=40, deadline=None)
-@given(st.lists(st.tuples(inputs, st.integers(1, 100)), max_size=8), inputs, st.sampled_from(["stop", "fault"]))
+@given(
+    st.lists(st.tuples(inputs, st.integers(1, 100)), max_size=8), inputs, st.sampled_from(["stop", "fault", "pause"])
+)
 def test_every_run_ends_in_bounded_time(events, last, why):
     """Whatever the drives do: set-point and fading end by themselves, all else has a time-out."""
     machine, time_s = RunStateMachine(is_listening=False), 0.0
@@ -202,10 +211,32 @@ def test_every_run_ends_in_bounded_time(events, last, why):
             machine.advance(time_s, what)
     last.is_stop_requested = last.is_stop_requested or why == "stop"
     last.has_fault = last.has_fault or why == "fault"
+    last.is_kept_after_fault = last.is_kept_after_fault and why == "pause"
+    last.is_pause_requested = last.is_pause_requested or why == "pause"
     last.is_setpoint_standing = last.is_faded_out = True
     disabling_s = max(DISABLE_TIMEOUT_S, LOST_POWERED_TIMEOUT_S)
     bound = time_s + STANDSTILL_TIMEOUT_S + QUICK_STOP_TIMEOUT_S + disabling_s + 0.1
-    while machine.state is not LoopState.DONE:
+    rest = (LoopState.DONE,) if why != "pause" else (LoopState.DONE, LoopState.WAITING)
+    while machine.state not in rest:
         time_s += DT
         machine.advance(time_s, last)
         assert time_s < bound
+
+
+def test_a_pause_disables_and_waits_and_a_start_enables_again():
+    run = Run().reach(LoopState.RUNNING)
+    assert run.pass_time(is_pause_requested=True, is_powered=True, is_enabled=True) is LoopState.STOPPING
+    assert run.pass_time(0.1, is_pause_requested=True, is_powered=True, **STANDING) is LoopState.DISABLING
+    assert run.pass_time(is_pause_requested=True) is LoopState.WAITING
+    assert run.pass_time(30.0, is_pause_requested=True) is LoopState.WAITING
+    assert run.pass_time(has_fault=True) is LoopState.WAITING
+    assert run.pass_time() is LoopState.ENABLING
+
+
+@pytest.mark.parametrize(("is_kept", "after"), [(True, LoopState.WAITING), (False, LoopState.DONE)])
+def test_after_a_fault_a_run_that_is_kept_waits_and_another_ends(is_kept, after):
+    run = Run().reach(LoopState.RUNNING)
+    fault = {"has_fault": True, "is_kept_after_fault": is_kept, "is_pause_requested": True}
+    assert run.pass_time(is_powered=True, **fault) is LoopState.FAULT_STOPPING
+    assert run.pass_time(0.1, is_powered=True, is_standing=True, **fault) is LoopState.DISABLING
+    assert run.pass_time(**fault) is after

@@ -14,11 +14,11 @@ import os
 import re
 import socket
 import stat
-import struct
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from friction_hil.drive.socket_owner import owner
 from friction_hil.errors import DriveError
 from friction_hil_drivers.canopen import codes
 from friction_hil_drivers.canopen.interfaces import bus_name
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from friction_hil.config import BusConfig
 
 _LONGEST_NAME = 107  # bytes behind the leading zero, unix(7)
-_CREDENTIALS = struct.Struct("3i")  # process, user, group
 _MULTICAST_PORT = 43113  # of python-can, where the configuration names none
 
 
@@ -56,7 +55,7 @@ class AxisLock:
             if error.errno != errno.EADDRINUSE:
                 text = f"{axis}: the lock of node {node} on {bus_name(bus)} cannot be taken: {error.strerror}"
                 raise DriveError(text, code=codes.LOCK_FAILED) from error
-            text = f"{axis}: node {node} on {bus_name(bus)} belongs to another daemon already ({_owner(name)})"
+            text = f"{axis}: node {node} on {bus_name(bus)} belongs to another daemon already ({owner(name)})"
             raise DriveError(text, "stop that one first", code=codes.NODE_LOCKED) from None
 
     def release(self) -> None:
@@ -88,18 +87,3 @@ def _bus_identity(bus: "BusConfig") -> str:
         if stat.S_ISCHR(found.st_mode):
             return f"device {os.major(found.st_rdev)}:{os.minor(found.st_rdev)}"
     return f"{bus.interface} {bus.channel}"
-
-
-def _owner(name: bytes) -> str:
-    """Return the process that holds a lock, in words."""
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as asking:
-        asking.setblocking(False)
-        try:
-            asking.connect(name)
-            data = asking.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _CREDENTIALS.size)
-        except OSError:  # it has just ended, or has been asked thousands of times
-            return "process unknown"
-    process, user, _ = _CREDENTIALS.unpack(data)
-    if not process:  # it is in another container
-        return "process unknown"
-    return f"process {process}" + (f" of user {user}" if user != os.geteuid() else "")

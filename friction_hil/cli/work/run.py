@@ -15,6 +15,8 @@ from friction_hil.cli.work.following import Compared, following_table
 from friction_hil.cli.work.simulated import simulated_drives
 from friction_hil.cli.work.tables import print_table, say
 from friction_hil.config import load, located, missing_models
+from friction_hil.daemon.control.lock import control_socket
+from friction_hil.daemon.control.names import default_name
 from friction_hil.daemon.stop import stop_on_signals
 from friction_hil.errors import OptionError
 from friction_hil.interrupts import Interrupted
@@ -39,6 +41,9 @@ def run(
     simulate: bool,
     reset_fault: bool,
     pace: str,
+    name: str | None,
+    group: str | None,
+    wait: bool,
     as_json: bool,
 ) -> int:
     """Run the daemon and print a summary; return 1 after a fault, or if rows of the recording were lost."""
@@ -46,10 +51,17 @@ def run(
         raise click.BadParameter("must be a number of seconds above zero", param_hint="--duration")
     if force and record is None:
         raise click.UsageError("--force goes with --record FILE")
+    if wait and dry_run:
+        raise click.UsageError("--wait and --dry-run exclude each other: a dry run enables nothing")
     configuration = load(config, needs_models=not (dry_run or simulate))
     for note in missing_models(config, configuration) if dry_run or simulate else ():
         say(f"note: {note}; until then its friction counts as zero")
     with stop_on_signals() as stop, ExitStack() as stack:
+        # a simulation or a dry run beside another one moves nothing: it takes the next free name
+        control = control_socket(
+            name or default_name(config), group, is_next_taken=name is None and (simulate or dry_run)
+        )
+        stack.callback(control.close)
         if simulate:
             drives = simulated_drives(configuration, pace, say, lambda: stop.is_requested)
             configuration = stack.enter_context(drives)
@@ -64,6 +76,8 @@ def run(
             is_fault_reset_wanted=reset_fault,
             is_paced_by_sync=pace == "sync",
             is_status_shown=not as_json and sys.stderr.isatty(),
+            is_waiting=wait,
+            control=control,
         )
         try:
             result = run_session(configuration, settings, stop, say)

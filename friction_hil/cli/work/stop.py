@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from friction_hil.cli.output import print_json
+from friction_hil.cli.work.control import act_on_daemon, is_daemon
 from friction_hil.cli.work.tables import say
 from friction_hil.config import AxisConfig, Configuration, load
 from friction_hil.config.drivers import load_driver
@@ -13,13 +14,24 @@ from friction_hil.errors import FrictionHilError, UsageError, choices
 
 
 def stop(*, config: str, axes: Sequence[str], as_json: bool) -> int:
-    """Stop drives; return 1 unless each has been read back without power."""
+    """Stop a daemon or drives; return 1 unless each drive has been read back without power."""
+    if is_daemon(config):
+        _refuse_axes(axes)
+        return act_on_daemon(config, "stop", as_json=as_json)
     return _carry_out("stop_axes", config, axes, as_json=as_json)
 
 
 def reset(*, config: str, axes: Sequence[str], as_json: bool) -> int:
     """Reset faults; return 1 unless each drive has been read back without fault and without power."""
+    if is_daemon(config):
+        _refuse_axes(axes)
+        return act_on_daemon(config, "reset", as_json=as_json)
     return _carry_out("reset_axes", config, axes, as_json=as_json)
+
+
+def _refuse_axes(axes: Sequence[str]) -> None:
+    if axes:
+        raise UsageError("--axis is for the drives of a configuration; a daemon stops and resets all of its axes")
 
 
 def _carry_out(method: str, config: str, names: Sequence[str], *, as_json: bool) -> int:

@@ -20,13 +20,13 @@ from friction_hil.daemon.companion.job import (
 )
 
 
-def main(ring_descriptor: int, job_descriptor: int, number: int, death: str) -> int:
+def main(ring_descriptor: int, job_descriptor: int, journal_descriptor: int, number: int, death: str) -> int:
     """Serve the job; return the exit status.
 
     Parameters
     ----------
-    ring_descriptor, job_descriptor : int
-        Shared memory of the rows, and of the job.
+    ring_descriptor, job_descriptor, journal_descriptor : int
+        Shared memory of the rows, of the job, and of the changes of the run (-1: none).
     number : int
         Number of the first worker: 1 at the start of a run.
     death : str
@@ -42,7 +42,7 @@ def main(ring_descriptor: int, job_descriptor: int, number: int, death: str) -> 
     job, lives = read_job(job_descriptor), Lives()
     while True:
         lives.begin()
-        _, status = os.waitpid(_fork_worker(job, ring_descriptor, number), 0)
+        _, status = os.waitpid(_fork_worker(job, ring_descriptor, journal_descriptor, number), 0)
         code = os.waitstatus_to_exitcode(status)
         if code == 0:
             return 0
@@ -56,7 +56,7 @@ def main(ring_descriptor: int, job_descriptor: int, number: int, death: str) -> 
         number += 1
 
 
-def _fork_worker(job: Job, ring_descriptor: int, number: int) -> int:
+def _fork_worker(job: Job, ring_descriptor: int, journal_descriptor: int, number: int) -> int:
     parent, pid = os.getpid(), os.fork()
     if pid:
         return pid
@@ -68,7 +68,7 @@ def _fork_worker(job: Job, ring_descriptor: int, number: int) -> int:
         # imported here: only the worker needs numpy
         from friction_hil.daemon.companion.worker import work
 
-        status = work(job, ring_descriptor, number)
+        status = work(job, ring_descriptor, number, journal_descriptor)
     except BaseException:  # noqa: BLE001 - a fork must not return into the code of its parent
         traceback.print_exc()
     finally:
@@ -77,5 +77,5 @@ def _fork_worker(job: Job, ring_descriptor: int, number: int) -> int:
 
 
 if __name__ == "__main__":
-    _ring, _job, _number = map(int, sys.argv[1:4])
-    sys.exit(main(_ring, _job, _number, sys.argv[4]))
+    _ring, _job, _journal, _number = map(int, sys.argv[1:5])
+    sys.exit(main(_ring, _job, _journal, _number, sys.argv[5]))

@@ -62,7 +62,8 @@ class Companion:
         True if no companion records any more: it ended by itself, or died again and again.
     """
 
-    def __init__(self, job: Job) -> None:
+    def __init__(self, job: Job, journal_descriptor: int) -> None:
+        self._journal_descriptor = journal_descriptor
         self._ring = RingWriter(job.row_width, max(_RING_ROWS_MIN, math.ceil(_RING_S / job.period_s)))
         self._job_descriptor = job_memory(job)
         self._lives = Lives()
@@ -79,10 +80,11 @@ class Companion:
         self._launch()
 
     @classmethod
-    def start(cls, job: Job) -> "Companion":
+    def start(cls, job: Job, journal_descriptor: int = -1) -> "Companion":
         """Start the process; return when it has opened its file and is ready for rows.
 
-        Missing folders of the path are made.
+        Missing folders of the path are made. ``journal_descriptor`` is the journal of the changes of the run, see
+        `friction_hil.daemon.control.journal`; -1 for none.
 
         Raises
         ------
@@ -94,7 +96,7 @@ class Companion:
         if job.path is not None:
             prepare(Path(job.path), overwrite=job.overwrite)
         try:
-            companion = cls(job)
+            companion = cls(job, journal_descriptor)
         except OSError as error:  # too many processes, no memory
             raise RecordingError(f"the companion process cannot be started: {error.strerror}") from error
         try:
@@ -105,6 +107,11 @@ class Companion:
             companion._close_descriptors()
             raise
         return companion
+
+    @property
+    def ring_descriptor(self) -> int:
+        """Memory of the ring, for those who only look."""
+        return self._ring.descriptor
 
     @property
     def is_alive(self) -> bool:
@@ -164,7 +171,7 @@ class Companion:
         OSError
             The system makes no process; nothing has changed.
         """
-        descriptors = [self._ring.descriptor, self._job_descriptor]
+        descriptors = [self._ring.descriptor, self._job_descriptor, self._journal_descriptor]
         # -P: do not import modules from the current directory, which may be the user's
         command = [sys.executable, "-P", "-m", "friction_hil.daemon.companion"]
         command += map(str, (*descriptors, len(self._paths) + 1, death))
@@ -173,7 +180,7 @@ class Companion:
                 command,
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
-                pass_fds=descriptors,
+                pass_fds=[descriptor for descriptor in descriptors if descriptor >= 0],
                 env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
                 process_group=0,  # Ctrl-C is not meant for it, not even before it can ignore it
             )

@@ -1,5 +1,6 @@
 """Worker: drains the ring, writes the recording, prints the status line."""
 
+import json
 import os
 import select
 import time
@@ -7,6 +8,7 @@ from pathlib import Path
 
 from friction_hil.daemon.companion.job import CANNOT_OPEN, Job, die_with_parent, say, segment_path, warn
 from friction_hil.daemon.companion.status import StatusLine
+from friction_hil.daemon.control import journal
 from friction_hil.daemon.ring import RingReader
 from friction_hil.errors import RecordingError
 from friction_hil.recordings.columns import CYCLE
@@ -18,7 +20,7 @@ _PAUSE_MS = 20
 _STANDSTILL_S = 2.0  # between two looks at the ring
 
 
-def work(job: Job, ring_descriptor: int, number: int) -> int:
+def work(job: Job, ring_descriptor: int, number: int, journal_descriptor: int = -1) -> int:
     """Serve the ring until it is closed and drained, or the control process is gone.
 
     Parameters
@@ -28,6 +30,8 @@ def work(job: Job, ring_descriptor: int, number: int) -> int:
         File descriptor of the ring's memory.
     number : int
         1 for the first worker of a run; a later one writes the next segment of the recording.
+    journal_descriptor : int
+        Memory of the changes of the run; -1 for none.
 
     Returns
     -------
@@ -35,7 +39,7 @@ def work(job: Job, ring_descriptor: int, number: int) -> int:
         Exit status: 0, or ``CANNOT_OPEN`` after the reason was reported to the control process.
     """
     ring = RingReader(ring_descriptor)
-    recorder = _Recorder(job, ring)
+    recorder = _Recorder(job, ring, journal_descriptor)
     path = None
     if job.path is not None:
         path = segment_path(Path(job.path), number)
@@ -84,9 +88,11 @@ class _Recorder:
     If a worker is killed between the two, its successor writes that chunk once more: better twice than not at all.
     """
 
-    def __init__(self, job: Job, ring: RingReader) -> None:
+    def __init__(self, job: Job, ring: RingReader, journal_descriptor: int) -> None:
         self._job = job
         self._ring = ring
+        self._journal_descriptor = journal_descriptor
+        self._added = 0  # events in the file that are not from the ring
         self._writer: McapWriter | None = None
         self._cycle_column = job.columns.index(CYCLE) if CYCLE in job.columns else None
         self._rows = self._events = 0  # released in the ring
@@ -103,6 +109,22 @@ class _Recorder:
             overwrite=overwrite,
             on_flush=self._release,
         )
+        self._write_earlier_changes()
+
+    def _write_earlier_changes(self) -> None:
+        """Write the changes before this file began: what its rows were computed with is in the file itself."""
+        assert self._writer is not None
+        for entry in [] if self._journal_descriptor < 0 else journal.entries(self._journal_descriptor):
+            self._writer.write_event(0.0, "change", json.dumps(entry))
+            self._added += 1
+
+    def _whole(self, cycle: float, name: str, text: str) -> tuple[float, str, str]:
+        """Return an event as it is recorded: a change with its settings and models, which the ring has no room for."""
+        if name == "change" and self._journal_descriptor >= 0:
+            for entry in journal.entries(self._journal_descriptor):
+                if str(entry["number"]) == text:
+                    return cycle, name, json.dumps(entry)
+        return cycle, name, text
 
     def take(self, rows: Array, events: list[tuple[float, str, str]]) -> None:
         if self._job.path is None:
@@ -116,7 +138,7 @@ class _Recorder:
         try:
             self._writer.write(rows)
             for event in events:
-                self._writer.write_event(*event)
+                self._writer.write_event(*self._whole(*event))
         except OSError as error:
             self._give_up(error)
 
@@ -126,7 +148,7 @@ class _Recorder:
         try:
             if was_abandoned:
                 self._writer.write_event(self._cycle, "abandoned", "the control process ended without closing the run")
-                self._events += 1  # this one is not from the ring
+                self._added += 1
             self._writer.close()
         except OSError as error:
             self._give_up(error)
@@ -134,8 +156,9 @@ class _Recorder:
     def _release(self) -> None:
         if self._writer is None:  # it is being created
             return
-        self._ring.release(self._writer.rows_kept - self._rows, self._writer.events_kept - self._events)
-        self._rows, self._events = self._writer.rows_kept, self._writer.events_kept
+        events = max(self._writer.events_kept - self._added, self._events)
+        self._ring.release(self._writer.rows_kept - self._rows, events - self._events)
+        self._rows, self._events = self._writer.rows_kept, events
 
     def _give_up(self, error: OSError) -> None:
         """Report that the disk is full or gone; the run goes on without a recording."""

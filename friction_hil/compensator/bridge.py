@@ -1,0 +1,41 @@
+"""The transition after a change of settings or model while the axis moves: no step of torque.
+
+The first torque after a change equals the last one before it. The difference d from the torque that the new settings
+ask for then vanishes over the fade-in time. It is split by how far friction is developed in one direction,
+s = F / (level / 2) between -1 and 1, into a part that changes sign with the friction and one that does not:
+d = (d s) s + d (1 - s^2). An axis that reverses meanwhile thus gets a torque between those of old and new settings, and
+not a remainder that pushes it.
+"""
+
+import math
+from typing import Any
+
+from friction_hil.numerics.jit import inlined
+
+BEGINNING = 2.0  # value of ``bridge_left`` that a change sets
+
+
+@inlined
+def cross(c: Any, r: Any, friction: float, wanted: float, dt: float) -> float:
+    """Return the torque of this cycle, N m: ``wanted`` and what is left of the difference at the last change.
+
+    Parameters
+    ----------
+    c, r : record
+        Settings and state of the compensator.
+    friction, wanted : float
+        Torque of the model, and that torque with gain and fades, N m.
+    dt : float
+        Time since the last cycle, s.
+    """
+    if r.bridge_left <= 0.0 or not math.isfinite(wanted):
+        return wanted
+    developed = min(max(2.0 * friction / c.level, -1.0), 1.0) if c.level > 0.0 else 0.0
+    if r.bridge_left > 1.0:
+        difference = r.compensation - wanted
+        r.bridge_directed = difference * developed
+        r.bridge_fixed = difference * (1.0 - developed * developed)
+        r.bridge_left = 1.0
+    else:
+        r.bridge_left = max(r.bridge_left - dt / c.fade_s, 0.0)
+    return float(wanted + r.bridge_left * (r.bridge_directed * developed + r.bridge_fixed))

@@ -1,0 +1,40 @@
+"""Change of the settings of a compensator between two cycles; the loop and replay make it in the same way."""
+
+import numpy as np
+
+from friction_hil.compensator.bridge import BEGINNING
+from friction_hil.numerics.jit import Array, StructuredArray
+
+
+def carry_over(old: StructuredArray, new: StructuredArray, state: StructuredArray, friction: Array | None) -> None:
+    """Adapt the state of a compensator to new settings.
+
+    The estimate of the motion and the fades go on. What adaptation has learned goes on as long as it belongs to the
+    model and adaptation stays on. With another model, its own state takes the place of the former model's, and the gain
+    that limit cycles have lowered is whole again. The temperature goes on where both models depend on it.
+
+    Parameters
+    ----------
+    old, new : record
+        Settings before and after.
+    state : record
+        Changed.
+    friction : (n,) array or None
+        State in which another model begins; None: the model stays.
+    """
+    r, before, after = state[0], old[0], new[0]
+    r["bridge_left"] = BEGINNING
+    if friction is not None or after["adaptation_s"] == 0.0:
+        r["factor"] = 1.0
+        r["weight"] = r["product"] = after["level"] ** 2
+        r["sliding_s"] = r["sliding_travel"] = r["learned_s"] = 0.0
+    if friction is None:
+        return
+    r["friction"] = 0.0
+    r["friction"][: friction.size] = friction
+    r["gain_factor"] = 1.0
+    r["alternations"] = 0.0
+    if not (np.isfinite(r["temperature"]) and np.isfinite(after["reference_temperature"])):
+        r["temperature"] = after["reference_temperature"]
+    if not before["heat_capacity"] > 0.0:
+        r["body_temperature"] = after["first_temperature"]

@@ -1,0 +1,56 @@
+"""Process of the control socket. It imports nothing heavy before somebody asks for something that needs it."""
+
+import json
+import os
+import signal
+import sys
+import threading
+from typing import Any
+
+from friction_hil.daemon.control.server import serve
+
+_INPUT = 0
+
+
+class _LazyDesk:
+    """The desk, made at the first request: numpy and what reads the rows are imported then."""
+
+    def __init__(self, ring: int, mailbox: int, journal: int, job: int) -> None:
+        self._descriptors = ring, mailbox, journal
+        self._job = job
+        self._desk: Any = None
+        self._lock = threading.Lock()
+
+    def answer(self, line: bytes, user: int) -> dict[str, Any]:
+        with self._lock:
+            if self._desk is None:
+                self._desk = self._make()
+        try:
+            answer: dict[str, Any] = self._desk.answer(line, user)
+        except Exception as error:  # noqa: BLE001 - an error of this process must not keep others from stopping axes
+            return {"ok": False, "problems": [f"an error in friction-hil: {type(error).__name__}: {error}"]}
+        return answer
+
+    def _make(self) -> Any:
+        from friction_hil.daemon.control.desk import Desk
+        from friction_hil.daemon.control.job import ControlJob
+
+        with os.fdopen(os.dup(self._job), "rb") as file:
+            file.seek(0)
+            job = ControlJob(**json.loads(file.read()))
+        return Desk(job, *self._descriptors)
+
+
+def main(descriptor: int, ring: int, mailbox: int, journal: int, job: int) -> None:
+    """Serve the socket until the daemon ends."""
+    for ignored in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(ignored, signal.SIG_IGN)
+    if hasattr(os, "sched_setscheduler"):
+        # the loop's real-time priority is not meant for checking values
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    serve(descriptor, _LazyDesk(ring, mailbox, journal, job).answer, _INPUT)
+    os._exit(0)  # threads may wait for clients that never hang up
+
+
+if __name__ == "__main__":
+    main(*map(int, sys.argv[1:6]))

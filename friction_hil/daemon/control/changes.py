@@ -1,0 +1,97 @@
+"""Application of changes by the loop: between two cycles, all of a message or nothing of it."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from friction_hil.daemon.control.mailbox import MailboxReader
+from friction_hil.daemon.control.message import Action, Change
+from friction_hil.daemon.control.packed import unpack
+from friction_hil.drive import Feedback
+
+if TYPE_CHECKING:
+    from friction_hil.daemon.axis import AxisLoop
+    from friction_hil.daemon.log import RunLog
+    from friction_hil.daemon.run import RunControl
+
+
+class Changes:
+    """Takes changes from the mailbox.
+
+    Parameters
+    ----------
+    mailbox : MailboxReader
+    axes : sequence of AxisLoop
+    log : RunLog
+    run : RunControl
+
+    Attributes
+    ----------
+    last : float
+        Number of the last change of settings that was applied; 0 before the first.
+    """
+
+    __slots__ = ("_axes", "_is_garbage_told", "_log", "_mailbox", "_run", "last")
+
+    def __init__(self, mailbox: MailboxReader, axes: "Sequence[AxisLoop]", log: "RunLog", run: "RunControl") -> None:
+        self._mailbox, self._axes, self._log, self._run = mailbox, axes, log, run
+        self._is_garbage_told = False
+        self.last = 0.0
+
+    @property
+    def has_news(self) -> bool:
+        """True if there may be a message."""
+        return self._mailbox.has_news
+
+    def take(self, cycle: int, running_s: float, feedback: Sequence[Feedback]) -> None:
+        """Take the message, if it is a whole one, and apply it or refuse it.
+
+        Parameters
+        ----------
+        cycle : int
+        running_s : float
+            Time since the motion began, s; NaN before.
+        feedback : sequence of Feedback
+            Of this cycle.
+        """
+        message = self._mailbox.take(cycle)
+        if message is None:
+            if self._mailbox.garbage:
+                self._tell_garbage(cycle, self._mailbox.garbage)
+            return
+        try:
+            change = unpack(message, [axis.compensator.record for axis in self._axes])
+        except ValueError as error:
+            self._tell_garbage(cycle, str(error))
+            return
+        refusal = self._act(cycle, change, feedback)
+        if not refusal:
+            self._apply(cycle, running_s, change)
+        self._mailbox.answer(change.number, cycle, refusal)
+
+    def _act(self, cycle: int, change: Change, feedback: Sequence[Feedback]) -> str:
+        """Do what the message asks of the run; return why that is refused, empty if it is not."""
+        if change.action is Action.START:
+            return self._run.start(feedback)
+        if change.action is Action.STOP:
+            return self._run.pause()
+        if change.action is Action.RESET:
+            return self._run.reset(cycle)
+        return ""
+
+    def _apply(self, cycle: int, running_s: float, change: Change) -> None:
+        has_settings = False
+        for axis, wanted in zip(self._axes, change.axes, strict=False):
+            if wanted is not None:
+                axis.apply(wanted, running_s)
+                has_settings = True
+        if has_settings:
+            self.last = float(change.number)
+            self._log.change(cycle, change.number, change.text)
+        else:
+            self._log.act(cycle, change.text)
+
+    def _tell_garbage(self, cycle: int, reason: str) -> None:
+        """Warn of a message that is none, once; the process of the control socket never writes one."""
+        if not self._is_garbage_told:
+            self._is_garbage_told = True
+            self._log.warn(cycle, f"the mailbox of the control socket held garbage, which was ignored: {reason}")

@@ -1,0 +1,258 @@
+"""Requests at the control socket, and their answers: JSON objects, one a line."""
+
+import json
+import math
+import pwd
+import threading
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from friction_hil.daemon.control import journal
+from friction_hil.daemon.control.job import ControlJob
+from friction_hil.daemon.control.mailbox import MailboxWriter
+from friction_hil.daemon.control.message import Action, Change, pack
+from friction_hil.daemon.control.state import DaemonState
+from friction_hil.daemon.safety import LoopState
+from friction_hil.drive import AxisFacts, DriveState
+from friction_hil.errors import FrictionHilError, choices
+
+PROTOCOL = 1
+_ANSWER_S = 5.0  # within which the loop takes a message
+_LOOK_S = 0.01
+_STOP_S = 20.0  # more than all time-outs of a stop together
+_START_S = 20.0  # beyond enable_timeout_s: a first motion
+_RESET_S = 2.0
+_LATEST = 500  # cycles over which another model finds the state in which it would be
+_KEYS = {"status": (), "set": ("values",), "start": (), "stop": (), "reset": ()}
+
+
+class RefusedError(FrictionHilError):
+    """A request that is not carried out."""
+
+
+class Desk:
+    """Answers requests; one that changes something waits for those before it.
+
+    Parameters
+    ----------
+    job : ControlJob
+    ring_descriptor, mailbox_descriptor, journal_descriptor : int
+    """
+
+    def __init__(self, job: ControlJob, ring_descriptor: int, mailbox_descriptor: int, journal_descriptor: int) -> None:
+        self._job = job
+        self._names = list(job.configuration["axes"])
+        self._mailbox = MailboxWriter(mailbox_descriptor)
+        self._journal = journal_descriptor
+        self._state = DaemonState(ring_descriptor, self._names, job.columns, job.state_width)
+        self._lock = threading.Lock()
+        self._looking = threading.Lock()
+        self._do: dict[str, Callable[[Mapping[str, Any], str], dict[str, Any]]] = {
+            "status": self._status,
+            "set": self._set,
+            "start": self._start,
+            "stop": self._stop,
+            "reset": self._reset,
+        }
+
+    def answer(self, line: bytes, user: int) -> dict[str, Any]:
+        """Return the answer to a request; ``ok`` is false with ``problems`` where it is refused.
+
+        Parameters
+        ----------
+        line : bytes
+            The request.
+        user : int
+            Number of the user who asks.
+        """
+        try:
+            request = _request(line)
+            return {"ok": True, **self._do[request["do"]](request, _who(user))}
+        except FrictionHilError as error:
+            return {"ok": False, "problems": str(error).splitlines()}
+
+    def _status(self, request: Mapping[str, Any], who: str) -> dict[str, Any]:
+        with self._looking:
+            self._state.look()
+            faults, warnings, notices = (
+                list(each) for each in (self._state.faults, self._state.warnings, self._state.notices)
+            )
+        configuration, models_of, _ = self._present()
+        axes = {}
+        for name in self._names:
+            given = configuration["axes"][name]["compensation"]
+            axes[name] = {
+                **self._state.axis(name),
+                "unit": "rad" if configuration["axes"][name]["model"]["axis"] == "rotary" else "m",
+                "enabled": given["enabled"],
+                "gain": given["gain"],
+                "gain_negative": given["gain_negative"],
+                "adaptation": given["adaptation"],
+                "model": configuration["axes"][name]["model"]["friction"]["model"],
+                "model_file": self._job.files.get(name)
+                if models_of[name] == 0
+                else self._file_of(models_of[name], name),
+            }
+        return {
+            "protocol": PROTOCOL,
+            "name": self._job.name,
+            "configuration": self._job.source,
+            **self._state.loop(),
+            "faults": faults,
+            "warnings": warnings,
+            "notices": notices,
+            "axes": axes,
+        }
+
+    def _set(self, request: Mapping[str, Any], who: str) -> dict[str, Any]:
+        values = request["values"]
+        if not isinstance(values, dict) or not values or not all(isinstance(key, str) for key in values):
+            raise RefusedError('values must be a group of keys and values, e.g. {"x.gain": 0.8}')
+        # imported here: only what changes settings needs numba and the models
+        from friction_hil.daemon.control.prepare import entry_of, latest_inputs, prepare
+
+        with self._lock:
+            before, models_of, _ = self._present()
+            rows = self._state.rows(_LATEST)
+            latest = {
+                name: found
+                for k, name in enumerate(self._names)
+                if (found := latest_inputs(rows, self._job.columns, self._job.state_width, k)) is not None
+            }
+            facts = [AxisFacts(**{**fact, "units": ()}) for fact in self._job.facts]
+            prepared = prepare(before, self._job.source, values, facts, latest, has_network=self._job.has_network)
+            number = self._next_number()
+            shown = ", ".join(f"{key}={_shown(value)}" for key, value in values.items())
+            text = f"{who} set {shown}"
+            entry = entry_of(number, prepared, before, models_of, text)
+            journal.append(self._journal, {**entry, "files": prepared.models})
+            cycle = self._send(Change(number, Action.NONE, prepared.axes, text))
+        return {"cycle": cycle, "change": number}
+
+    def _start(self, request: Mapping[str, Any], who: str) -> dict[str, Any]:
+        return self._act(Action.START, who, _START_S + self._job.configuration["enable_timeout_s"], self._has_started)
+
+    def _stop(self, request: Mapping[str, Any], who: str) -> dict[str, Any]:
+        return self._act(Action.STOP, who, _STOP_S, self._has_stopped)
+
+    def _reset(self, request: Mapping[str, Any], who: str) -> dict[str, Any]:
+        return self._act(Action.RESET, who, _RESET_S, self._is_without_fault)
+
+    def _act(self, action: Action, who: str, timeout_s: float, is_done: Callable[[], bool]) -> dict[str, Any]:
+        """Ask something of the run, and wait until it is done; what the drives reported last is in the answer."""
+        with self._lock:
+            number = self._next_number()
+            cycle = self._send(Change(number, action, [], f"{who}: {action.name.lower()}"))
+        end_s = time.monotonic() + timeout_s
+        is_fulfilled = False
+        while not (is_fulfilled := is_done()) and time.monotonic() < end_s and not self._state.has_ended:
+            time.sleep(_LOOK_S)
+        with self._looking:
+            self._state.look()
+            faults = list(self._state.faults)
+        drives = {name: state.words for name, state in self._state.drive_states().items()}
+        return {"cycle": cycle, "is_done": is_fulfilled, **self._state.loop(), "drives": drives, "faults": faults}
+
+    def _has_started(self) -> bool:
+        return self._state.loop_state() is LoopState.RUNNING
+
+    def _has_stopped(self) -> bool:
+        if self._state.loop_state() is not LoopState.WAITING:
+            return False
+        drives = self._state.drive_states().values()
+        return self._job.is_follower or not any(state.is_powered or state is DriveState.UNKNOWN for state in drives)
+
+    def _is_without_fault(self) -> bool:
+        bad = (DriveState.FAULT, DriveState.FAULT_REACTION_ACTIVE, DriveState.UNKNOWN)
+        return not any(state in bad or state.is_powered for state in self._state.drive_states().values())
+
+    def _send(self, change: Change) -> int:
+        """Hand a change to the loop; return the cycle in which it was applied.
+
+        Raises
+        ------
+        RefusedError
+            The loop refuses it, has ended, or does not answer.
+        """
+        if self._state.has_ended:
+            raise RefusedError("the daemon has ended its loop")
+        self._mailbox.post(pack(change))
+        answer = self._mailbox.wait(change.number, _ANSWER_S)
+        if answer is None:
+            raise RefusedError(
+                f"the loop has not answered within {_ANSWER_S:g} s: it is not known whether it did as asked"
+            )
+        cycle, refusal = answer
+        if refusal:
+            raise RefusedError(refusal)
+        end_s = time.monotonic() + _ANSWER_S
+        while not len(rows := self._state.rows(1)) or self._cycle(rows) < cycle:  # the row of that cycle comes next
+            if time.monotonic() > end_s or self._state.has_ended:
+                break
+            time.sleep(1e-3)
+        return cycle
+
+    def _cycle(self, rows: Any) -> float:
+        value = float(rows[-1, self._job.columns.index("cycle")])
+        return value if math.isfinite(value) else math.inf
+
+    def _next_number(self) -> int:
+        numbers: list[int] = [entry["number"] for entry in journal.entries(self._journal)]
+        return max([self._mailbox.answered, *numbers]) + 1
+
+    def _present(self) -> tuple[dict[str, Any], dict[str, int], int]:
+        """Return the present configuration, the change that brought each model, and the number of the last change."""
+        configuration = json.loads(json.dumps(self._job.configuration))
+        number = self._state.last_change()
+        entries = {entry["number"]: entry for entry in journal.entries(self._journal)}
+        models_of = dict.fromkeys(self._names, 0)
+        for name, axis in entries[number]["axes"].items() if number in entries else ():
+            configuration["axes"][name]["compensation"] = axis["compensation"]
+            models_of[name] = axis["model_of"]
+            if axis["model_of"]:
+                configuration["axes"][name]["model"] = entries[axis["model_of"]]["axes"][name]["model"]
+        return configuration, models_of, number
+
+    def _file_of(self, number: int, name: str) -> str | None:
+        entries = {entry["number"]: entry for entry in journal.entries(self._journal)}
+        found: str | None = entries[number]["files"].get(name)
+        return found
+
+
+def _request(line: bytes) -> dict[str, Any]:
+    """Return a request that has the form of one.
+
+    Raises
+    ------
+    RefusedError
+        It has not; the message says what is wrong.
+    """
+    try:
+        request = json.loads(line)
+    except (ValueError, RecursionError):
+        raise RefusedError('a request is one JSON object a line, e.g. {"do": "status"}') from None
+    if not isinstance(request, dict):
+        raise RefusedError('a request is a JSON object, e.g. {"do": "status"}')
+    what = request.get("do")
+    if not isinstance(what, str) or what not in _KEYS:
+        raise RefusedError(f"do: nothing is called {what!r}; {choices(str(what), _KEYS)}")
+    for key in request:
+        if key != "do" and key not in _KEYS[what]:
+            raise RefusedError(f"{key}: is not a key here; {choices(key, ('do', *_KEYS[what]))}")
+    for key in _KEYS[what]:
+        if key not in request:
+            raise RefusedError(f"{key}: is missing")
+    return request
+
+
+def _who(user: int) -> str:
+    try:
+        return f"user {user} ({pwd.getpwuid(user).pw_name})"
+    except KeyError:
+        return f"user {user}"
+
+
+def _shown(value: Any) -> str:
+    text = value if isinstance(value, str) else json.dumps(value)
+    return text.rpartition("/")[2] if isinstance(value, str) else text

@@ -1,0 +1,129 @@
+"""State of a daemon as the control socket reports it: read from the ring, without any work of the loop."""
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from friction_hil.daemon.ring import RingObserver
+from friction_hil.daemon.safety import LoopState
+from friction_hil.drive import DriveState
+
+if TYPE_CHECKING:
+    from friction_hil.recordings.recording import Array
+
+_SHOWN = {
+    "position": "position",
+    "velocity": "velocity",
+    "torque": "torque",
+    "compensation": "compensation",
+    "command": "command",
+    "temperature": "temperature_estimate",
+}
+_MOST_EVENTS = 20
+
+
+class DaemonState:
+    """Latest rows and events of a daemon.
+
+    Parameters
+    ----------
+    ring_descriptor : int
+    names : sequence of str
+        Axes.
+    columns : sequence of str
+        Columns of each axis's part of a row.
+    state_width : int
+        Values of compensator state that follow them.
+
+    Attributes
+    ----------
+    faults : list of str
+        Faults that nobody has reset.
+    warnings, notices : list of str
+        The last ones.
+    """
+
+    def __init__(self, ring_descriptor: int, names: Sequence[str], columns: Sequence[str], state_width: int) -> None:
+        self._ring = RingObserver(ring_descriptor)
+        self._names, self._columns, self._width = names, list(columns), len(columns) + state_width
+        self.faults: list[str] = []
+        self.warnings: list[str] = []
+        self.notices: list[str] = []
+
+    @property
+    def has_ended(self) -> bool:
+        """True once the loop has written its last row."""
+        return self._ring.is_closed
+
+    def rows(self, most: int) -> "Array":
+        """Return up to ``most`` of the latest rows, oldest first, shape (n, width)."""
+        return self._ring.newest(most)
+
+    def look(self) -> None:
+        """Take the events since the last look."""
+        for _, name, text in self._ring.new_events():
+            if name == "fault" and text not in self.faults:
+                self.faults.append(text)
+            elif name == "reset":
+                self.faults.clear()
+            elif name == "warning":
+                self.warnings = [*self.warnings, text][-_MOST_EVENTS:]
+            elif name == "notice":
+                self.notices = [*self.notices, text][-_MOST_EVENTS:]
+
+    def loop_state(self) -> LoopState | None:
+        """Return the state of the run; None if it is not known."""
+        rows = self.rows(1)
+        value = self._value(rows[-1], 0, "state") if len(rows) else math.nan
+        return LoopState(int(value)) if math.isfinite(value) else None
+
+    def last_change(self) -> int:
+        """Return the number of the last change of settings that the loop has applied."""
+        rows = self.rows(1)
+        value = self._value(rows[-1], 0, "change") if len(rows) else math.nan
+        return int(value) if math.isfinite(value) else 0
+
+    def drive_states(self) -> dict[str, DriveState]:
+        """Return the state of each drive as it was read back in the latest cycle; unknown if nothing was."""
+        rows = self.rows(1)
+        return {name: self._drive_state(rows[-1], k) if len(rows) else DriveState.UNKNOWN for k, name in self._axes()}
+
+    def loop(self) -> dict[str, Any]:
+        """Return what is known of the run."""
+        rows, state = self.rows(1), self.loop_state()
+        has_row = len(rows) > 0
+        return {
+            "state": "ended" if self.has_ended else "unknown" if state is None else state.name.lower(),
+            "time_s": self._value(rows[-1], 0, "time_s") if has_row else None,
+            "cycle": int(self._value(rows[-1], 0, "cycle")) if has_row else None,
+            "changes": self.last_change(),
+        }
+
+    def axis(self, name: str) -> dict[str, Any]:
+        """Return the values of an axis; None for what is not known."""
+        rows, axis = self.rows(1), list(self._names).index(name)
+        if not len(rows) or self.has_ended:
+            return {"drive_state": DriveState.UNKNOWN.words} | dict.fromkeys([*_SHOWN, "following_error"])
+        row = rows[-1]
+        error = self._value(row, axis, "position_demand") - self._value(row, axis, "position")
+        values = {key: _known(self._value(row, axis, column)) for key, column in _SHOWN.items()}
+        return {
+            "drive_state": self._drive_state(row, axis).words,
+            **values,
+            "following_error": _known(error),
+        }
+
+    def _axes(self) -> Sequence[tuple[int, str]]:
+        return list(enumerate(self._names))
+
+    def _drive_state(self, row: "Array", axis: int) -> DriveState:
+        state = self._value(row, axis, "drive_state")
+        is_read = self._value(row, axis, "is_fresh") == 1.0
+        return DriveState(int(state)) if is_read and math.isfinite(state) and not self.has_ended else DriveState.UNKNOWN
+
+    def _value(self, row: "Array", axis: int, column: str) -> float:
+        return float(row[axis * self._width + self._columns.index(column)])
+
+
+def _known(value: float) -> float | None:
+    return value if math.isfinite(value) else None

@@ -1,0 +1,358 @@
+"""Changes while the loop runs: applied between two cycles, without a step of torque, and reproduced by replay."""
+
+import json
+from dataclasses import asdict
+
+import numpy as np
+import pytest
+
+from friction_hil import recordings
+from friction_hil.config import self_contained
+from friction_hil.daemon.control.mailbox import MailboxReader, MailboxWriter
+from friction_hil.daemon.control.message import Action, Change, pack
+from friction_hil.daemon.control.packed import room
+from friction_hil.daemon.control.prepare import entry_of, prepare
+from friction_hil.daemon.safety import LoopState
+from friction_hil.daemon.stop import StopRequest
+from friction_hil.drive import DriveState, Request
+from friction_hil.errors import RecordingError, UsageError
+from friction_hil.recordings import columns
+from friction_hil.recordings.fingerprint import fingerprint
+from friction_hil.recordings.mcap_writer import McapWriter
+from friction_hil.replay.verify import verify
+from tests.loop_run import Drives
+from tests.servo_drives import TRUE_FRICTION, axis_dict, configuration, make_loop
+
+MOTION = {"kind": "sine", "amplitude": 0.3, "frequency": 2.0, "ramp_s": 0.1}
+LIMITS = {"torque": 0.3, "velocity": 30.0, "following_error": 0.5}
+WARM = {"temperature": {"reference": 40.0, "coefficient": -0.004}}
+STRIBECK = {
+    "axis": "rotary",
+    "friction": {
+        "model": "stribeck",
+        "parameters": {"coulomb": 0.05, "static": 0.07, "stribeck_velocity": 0.2},
+        "modifiers": WARM,
+    },
+    "mechanics": {"inertia": 2e-4, "torque_lag_s": 5e-4},
+    "thermal": {"capacity": 100.0, "resistance": 1.0},
+}
+GMS = {
+    "axis": "rotary",
+    "friction": {
+        "model": "gms",
+        "parameters": {
+            "stiffness": [1500.0, 500.0],
+            "weight": [0.6, 0.4],
+            "attraction": 2.0,
+            "coulomb": 0.09,
+            "static": 0.13,
+            "stribeck_velocity": 0.2,
+        },
+    },
+    "mechanics": {"inertia": 2e-4},
+}
+
+
+def quick(**changes):
+    """An axis whose limits have no slew: only the transition itself can keep the torque from stepping."""
+    return axis_dict(**{"trajectory": MOTION, "compensation": {"fade_s": 0.05}, "limits": LIMITS} | changes)
+
+
+class Changed:
+    """A run with changes: ``plan`` is, by cycle, what is set (a dict) or asked of the run (an Action)."""
+
+    def __init__(self, config, plan, *, until, folder=None, disturb=None, **loop):
+        self.config, self.plan = config, dict(plan)
+        self.mailbox = MailboxReader(room(len(config.axes)))
+        self.writer = MailboxWriter(self.mailbox.descriptor)
+        self.present = self_contained(config)
+        self.models_of = dict.fromkeys(config.axes, 0)
+        self.entries, self.asked, self.answers = [], [], []
+        self.stop = StopRequest()
+        self.until = until
+        self.drives = Drives(config, self.before, disturb=disturb)
+        self.facts = self.drives.connect()
+        self.loop, self.sink, self.axes = make_loop(config, self.drives, stop=self.stop, mailbox=self.mailbox, **loop)
+        self.result = self.loop.run()
+        self.rows = np.array(self.sink.rows)
+
+    def before(self, drives):
+        if self.asked and self.writer.answered == self.asked[-1] and len(self.answers) < len(self.asked):
+            self.answers.append(self.writer.wait(self.asked[-1], 0.0))
+        if drives.cycle == self.until:
+            self.stop.is_requested = True
+        wanted = self.plan.get(drives.cycle)
+        if wanted is None:
+            return
+        number = len(self.asked) + 1
+        self.asked.append(number)
+        if isinstance(wanted, Action):
+            self.writer.post(pack(Change(number, wanted, [], f"user 7: {wanted.name.lower()}")))
+            return
+        prepared = prepare(self.present, "test", wanted, self.facts, {}, has_network=False)
+        entry = entry_of(number, prepared, self.present, self.models_of, "user 7")
+        self.entries.append((drives.cycle, entry))
+        self.writer.post(pack(Change(number, Action.NONE, prepared.axes, f"user 7 set {len(wanted)}")))
+        self.present = prepared.configuration
+        self.models_of = {name: axis["model_of"] for name, axis in entry["axes"].items()}
+
+    def write(self, path, entries=None, rows=None):
+        """A recording as the companion writes it, read again."""
+        metadata = {
+            "configuration": self_contained(self.config),
+            "facts": [asdict(fact) for fact in self.facts],
+            "fingerprint": fingerprint(),
+        }
+        writer = McapWriter(
+            path,
+            list(self.config.axes),
+            list(columns.NAMES),
+            state_width=max(axis.state_width for axis in self.axes),
+            metadata=metadata,
+            overwrite=True,
+        )
+        for cycle, entry in self.entries if entries is None else entries:
+            writer.write_event(cycle, "change", json.dumps(entry))
+        writer.write(self.rows if rows is None else rows)
+        writer.close()
+        return recordings.read_all(path)
+
+    def column(self, name, axis="x"):
+        return np.array(self.sink.column(axis, name))
+
+    def texts(self, name):
+        return [text for _, kind, text in self.sink.events if kind == name]
+
+
+@pytest.fixture(scope="module")
+def models(tmp_path_factory):
+    """Model files by name."""
+    folder = tmp_path_factory.mktemp("models")
+    found = {}
+    for name, content in {"stribeck": STRIBECK, "gms": GMS}.items():
+        found[name] = str(folder / f"{name}.yaml")
+        (folder / f"{name}.yaml").write_text(json.dumps({"version": 1, **content}))
+    return found
+
+
+@pytest.fixture(scope="module")
+def changed(models):
+    """A run of two axes through changes of every kind."""
+
+    def warm(cycle, feedback):
+        feedback[0].temperature = 60.0 if 500 < cycle < 900 else np.nan
+
+    plan = {
+        260: {"x.gain": 0.6},
+        261: {"x.gain": 1.1, "x.gain_negative": 0.7, "y.dead_band": 0.1},
+        420: {"x.model": models["stribeck"]},
+        430: {"x.adaptation": {"time_s": 0.5}, "x.source": "measured"},
+        640: {"x.adaptation": None, "y.enabled": False},
+        700: {"x.model": models["gms"], "x.gain": 0.8, "y.gain": 0.5, "y.enabled": True},
+        800: Action.STOP,
+        1100: {"x.compensation.fade_s": 0.02},
+        1300: Action.START,
+        1500: {"x.model": models["stribeck"]},
+    }
+    axes = {"x": quick(), "y": quick(node=2)}
+    return Changed(configuration(**axes), plan, until=1700, disturb=warm)
+
+
+def test_every_bit_is_reproduced_through_all_changes(changed, tmp_path):
+    assert changed.result.faults == []
+    assert [refusal for _, refusal in changed.answers] == [""] * 10
+    for name, recording in changed.write(tmp_path / "run.mcap").items():
+        result = verify(recording)
+        assert (result.axis, result.is_verified, result.reason) == (name, True, "")
+        assert (result.rows, result.tolerance) == (len(changed.rows), 0.0)
+        assert set(recording["change"].astype(int)) == {0, 1, 2, 3, 4, 5, 6, 8, 10}
+
+
+@pytest.mark.parametrize("number", [2, 3, 6])
+def test_a_change_that_is_not_what_was_applied_is_found(changed, tmp_path, number):
+    entries = json.loads(json.dumps(changed.entries))
+    place = [entry["number"] for _, entry in entries].index(number)
+    altered = entries[place][1]["axes"]["x"]["compensation"]
+    altered["gain"] = altered["gain_negative"] = 0.75 + 1e-12
+    result = verify(changed.write(tmp_path / "run.mcap", entries)["x"])
+    cycle = next(cycle for cycle, entry in changed.entries if entry["number"] == number)
+    assert not result.is_verified
+    # the first torque after a change is the one before, whatever the gain: the second shows it
+    assert cycle <= int(result.reason.split(":")[0].removeprefix("cycle ")) <= cycle + 2
+
+
+def test_rows_are_lost_and_files_begin_between_changes(changed, tmp_path):
+    """The settings of a row follow from its number, not from the changes that were seen before."""
+    lost = np.delete(changed.rows, np.r_[250:320, 425:435, 690:720], axis=0)
+    assert verify(changed.write(tmp_path / "lost.mcap", rows=lost)["x"]).is_verified
+    late = changed.write(tmp_path / "late.mcap", rows=changed.rows[1000:])["x"]
+    assert verify(late).is_verified
+    without = changed.write(tmp_path / "without.mcap", entries=changed.entries[:2])["x"]
+    with pytest.raises(RecordingError, match=r"change 3 of the settings, .* is not in the recording"):
+        verify(without)
+
+
+def test_no_change_makes_the_torque_step(changed):
+    """Not even where limits.torque_slew is not given."""
+    for name in ("x", "y"):
+        torque = changed.column("compensation", name)
+        steps = np.abs(np.diff(torque))
+        ordinary = steps[60:255].max()
+        for cycle, entry in changed.entries:
+            if entry["axes"][name]["is_adopted"]:
+                row = int(np.flatnonzero(changed.column("cycle", name) == cycle)[0])
+                assert torque[row] == pytest.approx(torque[row - 1], abs=1e-12)
+                assert steps[row - 1 : row + 2].max() <= 1.1 * ordinary
+
+
+def test_a_change_takes_effect_within_the_time_of_its_fade(changed):
+    """Sliding, the torque is that of the new settings: of negative motion 0.7 instead of 0.9 of the friction."""
+    torque, velocity = changed.column("compensation"), changed.column("velocity_demand")
+    before, after = (torque[(np.abs(velocity) > 1.0) & rows] for rows in _rows_of(changed))
+    assert (np.sign(before[0]), np.sign(after[0])) == (1.0, -1.0)
+    assert np.median(np.abs(after)) / np.median(np.abs(before)) == pytest.approx(0.7 / 0.9, rel=0.1)
+    y = changed.column("compensation", "y")
+    assert np.all(y[692:699] == 0.0)
+    assert np.abs(y[640:690]).max() > 0.0
+    # what adaptation had learned ends with it
+    x = changed.axes[0].compensator
+    assert np.all(x.record[0]["adaptation_s"] == 0.0)
+
+
+def _rows_of(changed):
+    """Rows before any change, and rows with the second one once its transition is over."""
+    cycle = changed.column("cycle")
+    return cycle < 260, (cycle > 355) & (cycle < 420)
+
+
+def test_a_stop_takes_the_power_and_a_start_gives_it_back_from_where_the_axis_stands(changed):
+    states = changed.texts("state")
+    assert states == [
+        *("enabling", "running", "stopping", "disabling", "waiting"),
+        *("enabling", "running", "stopping", "disabling", "done"),
+    ]
+    state, drive = changed.column("state"), changed.column("drive_state")
+    waiting = state == LoopState.WAITING
+    assert waiting.sum() > 100
+    assert set(drive[waiting][2:]) == {DriveState.SWITCH_ON_DISABLED}
+    commands = changed.drives.commands[0]
+    asked = [commands[int(k)].request for k in np.flatnonzero(waiting)]
+    assert set(asked) == {Request.DISABLE}
+    again = int(np.flatnonzero((state == LoopState.RUNNING) & (changed.column("cycle") > 1300))[0])
+    position, demand = changed.column("position"), changed.column("position_demand")
+    assert abs(demand[again] - position[again - 1]) < 1e-4
+    assert changed.texts("notice") == [*changed.result.notices]
+    assert "user 7: stop" in changed.result.notices
+
+
+def test_all_values_of_a_message_are_applied_in_one_cycle(changed):
+    (cycle,) = [cycle for cycle, entry in changed.entries if entry["number"] == 2]
+    for name in ("x", "y"):
+        assert changed.column("cycle", name)[changed.column("change", name) == 2.0].min() == cycle
+
+
+def test_the_state_of_another_model_is_that_of_the_latest_motion(changed, models):
+    from friction_hil.compensator import INPUTS
+
+    part = changed.rows[200:255, : len(columns.NAMES) + changed.axes[0].state_width]
+    inputs = {name: part[:, columns.NAMES.index(name)] for name in INPUTS}
+    latest = {"x": (inputs, part[0, len(columns.NAMES) :])}
+    present = self_contained(changed.config)
+    cold, warm = (
+        prepare(present, "test", {"x.model": models["gms"]}, changed.facts, rows, has_network=False).axes[0].friction
+        for rows in ({}, latest)
+    )
+    assert not cold.any()
+    assert np.abs(warm).max() > 1e-6
+
+
+def test_a_fault_of_a_daemon_that_waits_is_reset_by_somebody_before_a_start():
+    def disturb(cycle, feedback):
+        if cycle == 400:
+            run_drives[0].states[0] = feedback[0].state = DriveState.FAULT
+
+    run_drives = []
+
+    class Kept(Changed):
+        def before(self, drives):
+            run_drives[:] = [drives]
+            super().before(drives)
+
+    plan = {200: Action.START, 600: Action.START, 650: Action.RESET, 700: Action.START}
+    run = Kept(configuration(x=quick()), plan, until=1000, disturb=disturb, is_waiting=True)
+    refusals = [refusal for _, refusal in run.answers]
+    assert refusals == ["", "it has a fault: remove the cause and reset it first", "", ""]
+    assert len(run.result.faults) == 1
+    assert "the drive is in fault" in run.result.faults[0]
+    assert run.texts("state") == [
+        *("waiting", "enabling", "running", "fault_stopping", "disabling", "waiting"),
+        *("enabling", "running", "stopping", "disabling", "done"),
+    ]
+    requests = [command.request for command in run.drives.commands[0]]
+    # nothing is written to a drive before somebody starts it, and after the fault none is enabled before that
+    assert set(requests[:200]) == {Request.LISTEN}
+    assert Request.ENABLE not in requests[402:699]
+    assert Request.RESET_FAULT in requests[650:652]
+    assert Request.RESET_FAULT not in requests[:650]
+
+
+def test_garbage_in_the_mailbox_is_reported_once_and_changes_nothing():
+    class Scribbled(Changed):
+        def before(self, drives):
+            if 100 <= drives.cycle < 900 and drives.cycle % 3 == 0:
+                generator = np.random.default_rng(drives.cycle)
+                self.writer._memory[8:600] = generator.bytes(592)
+            super().before(drives)
+
+    quiet = Changed(configuration(x=quick()), {}, until=1000)
+    run = Scribbled(configuration(x=quick()), {}, until=1000)
+    assert len(run.result.warnings) == 1
+    assert "the mailbox of the control socket held garbage, which was ignored" in run.result.warnings[0]
+    np.testing.assert_array_equal(run.column("compensation"), quiet.column("compensation"))
+    assert run.result.faults == []
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"x.gian": 0.8}, "x.gian: is not a key here; did you mean 'gain'?"),
+        ({"z.gain": 0.8}, "z.gain: there is no axis 'z'; There are: x"),
+        ({"x.gain": 3.0}, "x.gain: must be at least 0 and at most 1.5, not 3.0"),
+        ({"x.gain": "high"}, "x.gain: must be a number, not the text 'high'"),
+        ({"x.enabled": "off"}, "x.enabled: must be true or false, not the text 'off' .* write false"),
+        ({"x.source": "measurd"}, "x.source: must be 'auto', 'measured' or 'demand', not the text 'measurd'"),
+        ({"x.adaptation.time_s": 0.01}, "x.adaptation.time_s: must be at least 0.1"),
+        ({"x.adaptation.time": 1.0}, "x.adaptation.time: is not a key here; did you mean 'time_s'?"),
+        ({"x.gain.more": 1.0}, "x.gain.more|gain has no keys"),
+        ({"x.velocity": "kalman"}, "x.velocity: cannot be changed while the daemon runs, because it would begin"),
+        ({"x.transmission": None}, "x.transmission: .* because it would move the set-point"),
+        ({"x.limits.torque": 1.0}, "x.limits.torque: cannot be changed while the daemon runs: change it in the config"),
+        ({"x.model": "gone.yaml"}, "x.model: there is no model file"),
+        ({"x.gian": 1.0, "x.limits": 1.0}, "(?s)x.gian: .*\n.*x.limits: "),
+        ({"": 1.0}, "there is no axis ''"),
+    ],
+)
+def test_values_are_refused_with_the_words_of_the_configuration(changed, values, message):
+    config = configuration(x=quick())
+    with pytest.raises(UsageError, match=message):
+        prepare(self_contained(config), "test", values, changed.facts[:1], {}, has_network=False)
+
+
+def test_models_that_cannot_take_the_place_of_the_present_one_are_refused(changed, tmp_path):
+    linear = tmp_path / "linear.yaml"
+    linear.write_text(json.dumps({"version": 1, **GMS, "axis": "linear"}))
+    config = self_contained(configuration(x=quick()))
+    with pytest.raises(UsageError, match=r"x.model: is for a linear axis, but x is rotary"):
+        prepare(config, "test", {"x.model": str(linear)}, changed.facts[:1], {}, has_network=False)
+    mechanics = {"inertia": 2e-4, "backlash": 1e-3, "load": {"inertia": 1e-4, "friction": 0.03}}
+    with_gap = {
+        "axis": "rotary",
+        "friction": {"model": "lugre", "parameters": dict(TRUE_FRICTION)},
+        "mechanics": mechanics,
+    }
+    offset = quick(model=with_gap, compensation={"fade_s": 0.05, "transmission": {"acceleration": 300.0}})
+    other = tmp_path / "other.yaml"
+    other.write_text(json.dumps({"version": 1, **with_gap}))
+    config = self_contained(configuration(x=offset))
+    with pytest.raises(UsageError, match=r"because compensation\.transmission is on"):
+        prepare(config, "test", {"x.model": str(other)}, changed.facts[:1], {}, has_network=False)

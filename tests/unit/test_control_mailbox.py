@@ -1,0 +1,152 @@
+"""The mailbox of the loop: whole messages arrive, and nothing else is ever taken for one."""
+
+import math
+import os
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from friction_hil.daemon.assembly import make_compensator
+from friction_hil.daemon.control import journal
+from friction_hil.daemon.control.mailbox import MailboxReader, MailboxWriter
+from friction_hil.daemon.control.message import TEXT_BYTES, Action, AxisChange, Change, pack
+from friction_hil.daemon.control.packed import MOST_GAIN, room, unpack
+from friction_hil.drive import AxisFacts
+from tests.servo_drives import axis_dict, configuration
+
+FACTS = AxisFacts("x", "servo", 1e-4, 6.4e-4, 2.5e-3, 1.5e-3)
+
+
+def made(**changes):
+    config = configuration(x=axis_dict(**changes)).axes["x"]
+    return make_compensator(config, config.model, FACTS, 1e-3)
+
+
+PRESENT = made()
+WANTED = made(compensation={"fade_s": 0.2, "gain": 0.7})
+WHOLE = Change(3, Action.NONE, [AxisChange(False, WANTED.record, WANTED.friction_state)], "user 1 set x.gain=0.7 µ")
+
+
+@pytest.fixture
+def ends():
+    reader = MailboxReader(room(1))
+    yield reader, MailboxWriter(reader.descriptor)
+    os.close(reader.descriptor)
+
+
+def test_a_message_arrives_once_and_its_answer_comes_back(ends):
+    reader, writer = ends
+    assert not reader.has_news
+    writer.post(b"a message")
+    assert reader.has_news
+    assert reader.take(5) == b"a message"
+    assert not reader.has_news
+    assert writer.wait(1, 0.0) is None
+    reader.answer(1, 5)
+    assert writer.wait(1, 0.0) == (5, "")
+    reader.answer(2, 6, "it is not µ-possible")
+    assert writer.wait(2, 0.0) == (6, "it is not µ-possible")
+    with pytest.raises(ValueError, match="does not fit"):
+        writer.post(bytes(writer.capacity + 1))
+
+
+def test_a_message_that_is_being_written_is_left_until_it_is_whole(ends):
+    reader, writer = ends
+    writer.post(b"first")
+    reader.take(0)
+    writer._words[1] |= 1  # as while it is written, or after the death of who wrote it
+    assert reader.has_news
+    assert reader.take(1) is None
+    assert reader.garbage == ""
+    writer.post(b"second")
+    assert reader.take(2) == b"second"
+
+
+@settings(max_examples=60)
+@given(st.binary(min_size=1, max_size=2000), st.integers(8, 1500), st.integers(-(2**62), 2**62))
+def test_no_garbage_is_taken_for_a_message_and_the_next_message_arrives(garbage, at, sequence):
+    reader = MailboxReader(room(1))
+    writer = MailboxWriter(reader.descriptor)
+    writer.post(b"first")
+    reader.take(0)
+    writer._memory[at : at + len(garbage)] = garbage
+    writer._words[1] = sequence
+    assert reader.take(1) in (None, b"first")
+    reader.take(50)  # it rests
+    writer.post(b"second")
+    assert reader.take(500) == b"second"
+    os.close(reader.descriptor)
+
+
+def test_a_change_is_the_same_after_packing():
+    message = pack(WHOLE)
+    assert len(message) <= room(1)
+    found = unpack(message, [PRESENT.record])
+    assert (found.number, found.action, found.text) == (3, Action.NONE, WHOLE.text)
+    (axis,) = found.axes
+    assert axis.is_enabled is False
+    assert axis.record.tobytes() == WANTED.record.tobytes()
+    np.testing.assert_array_equal(axis.friction, WANTED.friction_state)
+    alone = unpack(pack(Change(9, Action.STOP, [], "x" * 500)), [PRESENT.record])
+    assert (alone.action, alone.axes, alone.text) == (Action.STOP, [], "x" * TEXT_BYTES)
+
+
+ODD = [math.nan, math.inf, -math.inf, -1.0, 0.0, 0.5, 1.0, 3.0, 1e9, 1e300, 5e-324]
+
+
+@settings(max_examples=300)
+@given(st.integers(0, len(pack(WHOLE)) // 8 - TEXT_BYTES // 8 - 1), st.sampled_from(ODD) | st.floats())
+def test_a_wrong_number_is_refused_or_harmless(place, value):
+    """Whatever one number is: no other error than a refusal, and no setting that could harm the axis."""
+    numbers = np.frombuffer(pack(WHOLE)[:-TEXT_BYTES], "<f8").copy()
+    numbers[place] = value
+    try:
+        change = unpack(numbers.tobytes() + bytes(TEXT_BYTES), [PRESENT.record])
+    except ValueError:
+        return
+    for axis in change.axes:
+        if axis is None or axis.record is None:
+            continue
+        record, present = axis.record[0], PRESENT.record[0]
+        assert 0.0 <= record["gain_positive"] <= MOST_GAIN
+        assert 0.0 <= record["gain_negative"] <= MOST_GAIN
+        assert 0.0 < record["fade_s"] < math.inf
+        for name in ("period_s", "torque_limit", "torque_slew", "resolution", "velocity_limit"):
+            assert record[name] == present[name]
+        assert not np.isnan(record["friction"]).any()
+        assert axis.friction is None or np.isfinite(axis.friction).all()
+
+
+@settings(max_examples=60)
+@given(st.binary(max_size=3000))
+def test_bytes_that_are_no_change_are_refused(message):
+    with pytest.raises(ValueError, match=r"^(it is|its|the|a) "):
+        unpack(message, [PRESENT.record])
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("torque_limit", 0.4), ("period_s", 2e-3), ("gain_positive", 1.6), ("delay_cycles", 40.0)]
+)
+def test_what_keeps_an_axis_safe_is_not_to_be_changed(name, value):
+    record = WANTED.record.copy()
+    record[name] = value
+    with pytest.raises(ValueError, match=r"is not to be changed|out of its range"):
+        unpack(pack(Change(1, Action.NONE, [AxisChange(None, record)])), [PRESENT.record])
+
+
+def test_another_model_needs_a_state():
+    other = made(model=axis_dict()["model"] | {"friction": {"model": "coulomb", "parameters": {"coulomb": 0.1}}})
+    with pytest.raises(ValueError, match="another model needs a state"):
+        unpack(pack(Change(1, Action.NONE, [AxisChange(None, other.record)])), [PRESENT.record])
+
+
+def test_the_journal_shows_whole_entries_only():
+    descriptor = journal.make_journal()
+    assert journal.entries(descriptor) == []
+    for number in (1, 2):
+        journal.append(descriptor, {"number": number, "axes": {"x": [0.1] * 1000}})
+    os.pwrite(descriptor, b'{"number": 3', 8 + os.fstat(descriptor).st_size)  # of an entry that is being written
+    assert [entry["number"] for entry in journal.entries(descriptor)] == [1, 2]
+    os.close(descriptor)

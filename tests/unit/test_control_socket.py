@@ -1,0 +1,180 @@
+"""The control socket: names, lock, permissions, protocol."""
+
+import json
+import os
+import socket
+import stat
+import threading
+
+import pytest
+
+from friction_hil.daemon.control.ask import ask
+from friction_hil.daemon.control.desk import _request
+from friction_hil.daemon.control.lock import ControlSocket, control_socket
+from friction_hil.daemon.control.names import default_name, find, is_live, running, socket_path
+from friction_hil.daemon.control.server import LONGEST_LINE, ControlServer
+from friction_hil.errors import FrictionHilError, UsageError
+
+
+@pytest.fixture
+def folder(tmp_path_factory, monkeypatch):
+    """A folder of this test for sockets, with a short path."""
+    found = tmp_path_factory.mktemp("s")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(found))
+    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+    return found / "friction-hil"
+
+
+@pytest.fixture
+def daemon(folder):
+    """A daemon that answers with what it was asked."""
+    opened = ControlSocket("echo")
+
+    def answer(line, user):
+        return {"ok": True, "user": user, "asked": line.decode()}
+
+    with ControlServer(opened.descriptor, answer) as server:
+        threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True).start()
+        yield opened
+        server.shutdown()
+    opened.close()
+
+
+def test_the_name_of_a_daemon_is_that_of_its_configuration(folder):
+    from pathlib import Path
+
+    assert default_name(Path("config/two_axes.yaml")) == "two_axes"
+    assert default_name(Path("Prüfstand 1.yaml")) == "Pr-fstand-1"
+    assert default_name(Path(".yaml")) == "yaml"
+    assert socket_path("mill.2") == folder / "mill.2.sock"
+    for wrong in ("", "../x", "a/b", ".hidden", "a b", "x\n"):
+        with pytest.raises(UsageError, match="is no name of a daemon"):
+            socket_path(wrong)
+
+
+def test_a_path_that_no_socket_can_have_is_answered_by_a_message(folder, monkeypatch):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", "/" + "d" * 79)
+    assert len(str(socket_path("x" * 8))) == 107
+    with pytest.raises(UsageError, match="is 1 bytes longer than the 107 bytes that the system allows"):
+        ControlSocket("x" * 9)
+
+
+def test_a_service_has_the_folder_that_systemd_made_for_it(folder, monkeypatch, tmp_path):
+    monkeypatch.setenv("RUNTIME_DIRECTORY", str(tmp_path))
+    assert socket_path("mill") == tmp_path / "mill.sock"
+
+
+def test_a_second_daemon_of_a_name_is_refused_and_the_first_stays(folder):
+    first = ControlSocket("mill")
+    with pytest.raises(UsageError, match=rf"called 'mill' runs already \(process {os.getpid()}\); --name gives"):
+        ControlSocket("mill")
+    assert is_live(first.path)
+    second = control_socket("mill", None, is_next_taken=True)
+    assert {name for name, _ in running() if name.startswith("mill")} == {"mill", "mill-2"}
+    first.close()
+    second.close()
+    assert not list(folder.glob("*.sock"))
+    ControlSocket("mill").close()
+
+
+def test_the_socket_of_a_killed_daemon_is_replaced(folder):
+    folder.mkdir()
+    with socket.socket(socket.AF_UNIX) as dead:
+        dead.bind(str(folder / "mill.sock"))
+    assert (folder / "mill.sock").exists()
+    assert "mill" not in dict(running())
+    opened = ControlSocket("mill")
+    assert is_live(opened.path)
+    opened.close()
+
+
+def test_a_socket_that_somebody_serves_is_never_replaced(folder):
+    """In a container that shares the folder, the lock is not seen."""
+    folder.mkdir()
+    with socket.socket(socket.AF_UNIX) as other:
+        other.bind(str(folder / "mill.sock"))
+        other.listen()
+        inode = (folder / "mill.sock").stat().st_ino
+        with pytest.raises(UsageError, match="called 'mill' runs already"):
+            ControlSocket("mill")
+        assert (folder / "mill.sock").stat().st_ino == inode
+
+
+def test_only_the_user_may_use_the_socket_and_the_group_if_one_is_given(folder):
+    alone = ControlSocket("alone")
+    assert stat.S_IMODE(alone.path.stat().st_mode) == 0o600
+    assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+    alone.close()
+    with pytest.raises(UsageError, match="--group nobody-here: there is no such group"):
+        ControlSocket("shared", "nobody-here")
+    import grp
+
+    group = grp.getgrgid(os.getgid()).gr_name
+    shared = ControlSocket("shared", group)
+    status = shared.path.stat()
+    assert (stat.S_IMODE(status.st_mode), status.st_gid) == (0o660, os.getgid())
+    shared.close()
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
+def test_another_user_is_refused_by_the_kernel(folder, daemon):
+    for part in (folder, *folder.parents[:3]):
+        part.chmod(0o755)
+    read_end, write_end = os.pipe()
+    pid = os.fork()
+    if pid == 0:
+        try:
+            os.setgroups([])
+            os.setgid(65534)
+            os.setuid(65534)
+            ask(daemon.path, {"do": "status"})
+            os.write(write_end, b"it was allowed")
+        except FrictionHilError as error:
+            os.write(write_end, str(error).encode())
+        finally:
+            os._exit(0)
+    os.close(write_end)
+    with os.fdopen(read_end, "rb") as answer:
+        assert b"this user may not use the control socket" in answer.read()
+    os.waitpid(pid, 0)
+
+
+def test_a_line_is_answered_by_a_line_with_the_user_whom_the_kernel_names(daemon):
+    assert find("echo") == daemon.path
+    answer = ask(daemon.path, {"do": "status"})
+    assert (answer["user"], json.loads(answer["asked"])) == (os.geteuid(), {"do": "status"})
+    with socket.socket(socket.AF_UNIX) as client, client.makefile("rb") as file:
+        client.connect(str(daemon.path))
+        client.sendall(b"one\ntwo\n")
+        assert [json.loads(file.readline())["asked"] for _ in range(2)] == ["one\n", "two\n"]
+
+
+def test_a_line_without_an_end_is_refused(daemon):
+    with socket.socket(socket.AF_UNIX) as client, client.makefile("rb") as file:
+        client.connect(str(daemon.path))
+        client.sendall(b"x" * LONGEST_LINE)
+        assert "within 1048576 bytes" in json.loads(file.readline())["problems"][0]
+        assert file.readline() == b""
+
+
+@pytest.mark.parametrize(
+    ("line", "message"),
+    [
+        (b"\xff\n", "a request is one JSON object a line"),
+        (b"[1]\n", "a request is a JSON object"),
+        (b"[" * 100_000, "a request is one JSON object a line"),
+        (b'{"do": "stauts"}', "nothing is called 'stauts'; did you mean 'status'?"),
+        (b'{"do": 7}', "nothing is called 7"),
+        (b'{"do": "set"}', "values: is missing"),
+        (b'{"do": "stop", "now": true}', "now: is not a key here; There are: do"),
+    ],
+)
+def test_what_is_no_request_is_answered_with_what_would_be_one(line, message):
+    with pytest.raises(FrictionHilError) as caught:
+        _request(line)
+    assert message in str(caught.value)
+
+
+def test_a_name_that_nobody_has_lists_those_that_run(daemon):
+    with pytest.raises(UsageError, match="no daemon called 'ehco' runs here; did you mean 'echo'"):
+        find("ehco")
