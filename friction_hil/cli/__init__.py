@@ -45,6 +45,7 @@ COMMANDS = {
     "start": "Enable the axes of a daemon that waits.",
     "stop": "Stop a running daemon, or drives that were left enabled.",
     "reset": "Reset the faults of a daemon or of drives, without power.",
+    "service": "Install, remove or show the daemon as a service of systemd.",
     "drives": "Find, show or stop the drives on a CAN bus.",
     "config": "Make, check, show and describe configurations.",
 }
@@ -53,7 +54,10 @@ _MODULES = {"set": "set_values"}  # a module called set would hide the built-in 
 
 # Commands that connect to drives or simulate them. Their loop relies on Linux: real-time priority, shared memory
 # without a name, SocketCAN, pseudo-terminals. All others run wherever Python does.
-NEED_LINUX = ("demo", "run", "simulate", "tune", "latency", "status", "set", "start", "stop", "reset", "drives")
+NEED_LINUX = (
+    *("demo", "run", "simulate", "tune", "latency", "status", "set", "start", "stop", "reset"),
+    *("service", "drives"),
+)
 
 
 class Group(click.Group):

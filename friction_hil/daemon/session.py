@@ -22,8 +22,9 @@ from friction_hil.daemon.control.lock import ControlSocket
 from friction_hil.daemon.control.service import ControlService
 from friction_hil.daemon.figures import AxisFigures, Condition, adaptation_notice
 from friction_hil.daemon.follower import FollowerAxis
-from friction_hil.daemon.log import LoopResult
+from friction_hil.daemon.log import LoopResult, Sink
 from friction_hil.daemon.loop import Loop
+from friction_hil.daemon.notify import NotifyingSink, ServiceManager
 from friction_hil.daemon.realtime import RealClock, SteppedClock, punctuality
 from friction_hil.daemon.run import LoopSettings
 from friction_hil.daemon.stop import StopRequest
@@ -288,9 +289,15 @@ def _run(
             is_waiting=settings.is_waiting,
         )
         control = prepared.control
-        sink = _CompanionSink(prepared.companion, control, configuration.period_s, is_real=clock.is_real)
+        sink: Sink = _CompanionSink(prepared.companion, control, configuration.period_s, is_real=clock.is_real)
         mailbox = None if control is None else control.mailbox
-        return Loop(prepared.drives, prepared.axes, prepared.path_time, clock, sink, loop_settings, stop, mailbox).run()
+        with contextlib.ExitStack() as stack:
+            if manager := ServiceManager.from_environment(os.environ):
+                stack.callback(manager.close)
+                stack.callback(manager.stopping)
+                sink = NotifyingSink(sink, manager, configuration.period_s)
+            loop = Loop(prepared.drives, prepared.axes, prepared.path_time, clock, sink, loop_settings, stop, mailbox)
+            return loop.run()
 
 
 def _close(drives: Drives, report: Callable[[str], None]) -> None:

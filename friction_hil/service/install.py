@@ -1,0 +1,230 @@
+"""Writing and removing the files of a service."""
+
+import os
+import re
+import shutil
+import subprocess
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from friction_hil.checked_yaml import text as yaml_text
+from friction_hil.config import file_problems, load
+from friction_hil.errors import ConfigurationError, UsageError
+from friction_hil.service import files
+
+CONFIGURATIONS = "etc/friction-hil"
+UNITS = "etc/systemd/system"
+UDEV_RULES = "etc/udev/rules.d/70-friction-hil.rules"
+SYSUSERS = "etc/sysusers.d/friction-hil.conf"
+DATA = "var/lib/friction-hil"
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.]{0,47}")
+_HIDDEN = ("/home/", "/root/", "/run/user/", "/tmp/", "/var/tmp/")  # from the service, by ProtectHome and PrivateTmp
+_BOOTED = "/run/systemd/system"  # exists where systemd is the service manager; see sd_booted(3)
+_PATIENCE_S = 60.0
+
+
+@dataclass(slots=True)
+class Installation:
+    """What an installation or removal did.
+
+    Attributes
+    ----------
+    written, removed, kept : list of Path
+        Files written; removed; and left where they are.
+    commands : list of str
+        Commands that were run.
+    to_run : list of str
+        Commands that are left to the user, because this is not the running system.
+    """
+
+    written: list[Path] = field(default_factory=list)
+    removed: list[Path] = field(default_factory=list)
+    kept: list[Path] = field(default_factory=list)
+    commands: list[str] = field(default_factory=list)
+    to_run: list[str] = field(default_factory=list)
+
+
+def install(name: str, configuration: Path, root: Path, executable: str, *, overwrite: bool) -> Installation:
+    """Write the files of the service ``name``, without enabling or starting it.
+
+    Parameters
+    ----------
+    name : str
+        Name of the service and of its daemon.
+    configuration : Path
+        Configuration that is copied, with the files beside it that it names.
+    root : Path
+        Directory that counts as root of the file system.
+    executable : str
+        Absolute path of the command ``friction-hil``.
+    overwrite : bool
+        True if a service of this name may be replaced.
+
+    Raises
+    ------
+    ConfigurationError
+        The configuration has mistakes.
+    UsageError
+        The name or the place of the executable is unsuitable, or there is such a service already.
+    """
+    _check_name(name)
+    _check_executable(executable)
+    checked = load(configuration)
+    if problems := file_problems(configuration, checked):
+        raise ConfigurationError(problems)
+    folder = root / CONFIGURATIONS / name
+    if folder.exists() and not overwrite:
+        raise UsageError(f"{folder} exists already; --force replaces the service {name}, another name keeps it")
+    document = yaml_text.read(configuration).value
+    texts: dict[Path, bytes] = {
+        root / UNITS / files.UNIT: files.unit(executable, f"/{CONFIGURATIONS}").encode(),
+        root / UDEV_RULES: files.UDEV_RULES.encode(),
+        root / SYSUSERS: files.SYSUSERS.encode(),
+        folder / "config.yaml": configuration.read_bytes(),
+    }
+    for relative in sorted(_named_files(document, configuration.parent)):
+        texts[folder / relative] = (configuration.parent / relative).read_bytes()
+    if devices := _devices(document):
+        texts[_drop_in(root, name)] = files.drop_in(devices).encode()
+    done = Installation()
+    for path, text in texts.items():
+        _write(path, text)
+        done.written.append(path)
+    load(folder / "config.yaml")  # the copy has what it needs
+    _carry_out(
+        done, root, ["systemd-sysusers", "udevadm control --reload", "udevadm trigger", "systemctl daemon-reload"]
+    )
+    return done
+
+
+def remove(name: str, root: Path) -> Installation:
+    """Remove the service ``name``: stop and disable it, and remove its files.
+
+    Recordings stay. What all services share goes with the last of them.
+
+    Raises
+    ------
+    UsageError
+        There is no such service.
+    """
+    _check_name(name)
+    folder = root / CONFIGURATIONS / name
+    if not folder.is_dir():
+        there = ", ".join(services(root)) or "none"
+        raise UsageError(f"no service is called {name!r}: {folder} does not exist. There are: {there}")
+    done = Installation()
+    _carry_out(done, root, [f"systemctl disable --now friction-hil@{name}"])
+    drop_in = _drop_in(root, name)
+    for path in (folder, drop_in.parent):
+        if path.exists():
+            shutil.rmtree(path)
+            done.removed.append(path)
+    if not services(root):
+        for relative in (f"{UNITS}/{files.UNIT}", UDEV_RULES, SYSUSERS):
+            if (root / relative).exists():
+                (root / relative).unlink()
+                done.removed.append(root / relative)
+    if (data := root / DATA / name).exists():
+        done.kept.append(data)
+    _carry_out(done, root, ["systemctl daemon-reload"])
+    return done
+
+
+def services(root: Path) -> list[str]:
+    """Return the names of the installed services."""
+    folder = root / CONFIGURATIONS
+    return sorted(path.parent.name for path in folder.glob("*/config.yaml"))
+
+
+def _check_name(name: str) -> None:
+    if not _NAME.fullmatch(name):
+        raise UsageError(
+            f"NAME: {name!r} is no name of a service; write up to 48 letters, digits, '_' and '.', e.g. x_axis"
+        )
+
+
+def _check_executable(executable: str) -> None:
+    if not os.path.isabs(executable):
+        raise UsageError(f"{executable}: the unit needs the absolute path of the command friction-hil")
+    if hidden := next((each for each in _HIDDEN if os.path.realpath(executable).startswith(each)), None):
+        raise UsageError(
+            f"{executable} lies below {hidden}, which the service does not see; install friction_hil for the whole "
+            "machine, e.g.: sudo python3 -m venv /opt/friction-hil && sudo /opt/friction-hil/bin/pip install "
+            "friction-hil; then run /opt/friction-hil/bin/friction-hil service install"
+        )
+
+
+def _named_files(value: Any, folder: Path) -> Iterator[Path]:
+    """Yield the relative paths of files in ``folder`` and below that the values of a configuration name.
+
+    Raises
+    ------
+    UsageError
+        A file lies elsewhere, relative to the configuration: its copy would not find it.
+    """
+    if isinstance(value, dict):
+        for each in value.values():
+            yield from _named_files(each, folder)
+    elif isinstance(value, list):
+        for each in value:
+            yield from _named_files(each, folder)
+    elif isinstance(value, str) and _is_relative_file(value, folder):
+        path = Path(os.path.normpath(value))
+        if path.parts[0] == "..":
+            raise UsageError(f"{value} lies outside of {folder}; move it beside the configuration, which is copied")
+        yield path
+
+
+def _is_relative_file(value: str, folder: Path) -> bool:
+    return bool(value) and "\0" not in value and not os.path.isabs(value) and (folder / value).is_file()
+
+
+def _devices(document: dict[str, Any]) -> list[str]:
+    """Return the units of the devices that the configuration names: CAN interface, serial ports."""
+    bus = document.get("bus") or {}
+    found = [files.network_device(str(bus["channel"]))] if bus.get("interface") == "socketcan" else []
+    return list(dict.fromkeys([*found, *(files.file_device(path) for path in _device_files(document))]))
+
+
+def _device_files(value: Any) -> Iterator[str]:
+    if isinstance(value, dict):
+        for each in value.values():
+            yield from _device_files(each)
+    elif isinstance(value, list):
+        for each in value:
+            yield from _device_files(each)
+    elif isinstance(value, str) and value.startswith("/dev/tty"):
+        yield value.partition("@")[0]  # slcan: /dev/ttyACM0@115200
+
+
+def _drop_in(root: Path, name: str) -> Path:
+    return root / UNITS / f"friction-hil@{name}.service.d" / "devices.conf"
+
+
+def _write(path: Path, text: bytes) -> None:
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(text)
+        path.chmod(0o644)
+    except PermissionError:
+        raise UsageError(f"{path}: no permission to write; run this command with sudo") from None
+
+
+def _carry_out(done: Installation, root: Path, commands: list[str]) -> None:
+    """Run ``commands`` if ``root`` is the running system; leave them to the user otherwise.
+
+    Raises
+    ------
+    UsageError
+        A command failed.
+    """
+    if root != Path("/") or not os.path.isdir(_BOOTED):
+        done.to_run += commands
+        return
+    for command in commands:
+        result = subprocess.run(command.split(), capture_output=True, text=True, timeout=_PATIENCE_S, check=False)
+        if result.returncode:
+            raise UsageError(f"{command} failed with status {result.returncode}: {result.stderr.strip()}")
+        done.commands.append(command)

@@ -1,0 +1,246 @@
+"""Files of a service of systemd, and the messages to it."""
+
+import json
+import shutil
+import socket
+import subprocess
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given
+from hypothesis import strategies as st
+
+from friction_hil.cli import main
+from friction_hil.daemon.notify import NotifyingSink, ServiceManager
+from friction_hil.errors import ConfigurationError, UsageError
+from friction_hil.service import files, install, remove
+from friction_hil.service.install import services
+from friction_hil.service.state import parse
+from tests.processes import write_configuration
+
+EXECUTABLE = "/opt/friction-hil/bin/friction-hil"
+
+
+@pytest.fixture
+def configuration(tmp_path):
+    """A configuration on SocketCAN, with a model file beside it."""
+    path = write_configuration(tmp_path)
+    values = yaml.safe_load(path.read_text())
+    (tmp_path / "models").mkdir()
+    (tmp_path / "models/x.yaml").write_text(yaml.safe_dump({"version": 1, **values["axes"]["x"]["model"]}))
+    values["axes"]["x"]["model"] = "models/x.yaml"
+    values["bus"] = {"interface": "socketcan", "channel": "can0"}
+    path.write_text(yaml.safe_dump(values))
+    return path
+
+
+def installed(root, configuration, name="table", **options):
+    return install(name, configuration, root, EXECUTABLE, **{"overwrite": False, **options})
+
+
+def test_systemd_finds_no_mistake_in_the_unit(configuration, tmp_path):
+    analyze = shutil.which("systemd-analyze")
+    if analyze is None:
+        pytest.skip("systemd-analyze is not installed")
+    root = tmp_path / "root"
+    installed(root, configuration)
+    command = root / EXECUTABLE[1:]
+    command.parent.mkdir(parents=True)
+    command.touch(mode=0o755)
+    for folder in (
+        "/usr/lib/systemd/system",
+        "/lib/systemd/system",
+    ):  # what the unit refers to: basic.target and others
+        if (source := root.__class__(folder)).is_dir() and not (root / folder[1:]).exists():
+            (root / folder[1:]).parent.mkdir(parents=True, exist_ok=True)
+            (root / folder[1:]).symlink_to(source)
+    words = [analyze, "verify", "--man=no", "--recursive-errors=one", f"--root={root}", "friction-hil@table.service"]
+    done = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
+    about = [line for line in done.stderr.splitlines() if "friction" in line]
+    assert (done.returncode, about) == (0, [])
+
+
+def test_a_service_has_unit_devices_user_and_a_copy_of_what_it_needs(configuration, tmp_path):
+    root = tmp_path / "root"
+    done = installed(root, configuration)
+    assert set(done.written) == {path for path in root.rglob("*") if path.is_file()}
+    folder = root / "etc/friction-hil/table"
+    assert (folder / "config.yaml").read_bytes() == configuration.read_bytes()
+    assert (folder / "models/x.yaml").read_bytes() == (tmp_path / "models/x.yaml").read_bytes()
+    unit = (root / "etc/systemd/system/friction-hil@.service").read_text()
+    start = f"ExecStart={EXECUTABLE} run /etc/friction-hil/%i/config.yaml --name %i --group friction-hil --wait"
+    assert start in unit.splitlines()
+    assert "RestartPreventExitStatus=1 2" in unit.splitlines()
+    devices = (root / "etc/systemd/system/friction-hil@table.service.d/devices.conf").read_text()
+    assert "BindsTo=sys-subsystem-net-devices-can0.device" in devices.splitlines()
+    assert "systemctl daemon-reload" in done.to_run
+    assert not done.commands
+
+    with pytest.raises(UsageError, match=r"table exists already; --force replaces the service table"):
+        installed(root, configuration)
+    installed(root, configuration, overwrite=True)
+    installed(root, configuration, "other")
+
+    data = root / "var/lib/friction-hil/other"
+    data.mkdir(parents=True)
+    assert remove("table", root).removed[0] == folder
+    assert services(root) == ["other"]
+    with pytest.raises(UsageError, match=r"no service is called 'table'.* There are: other"):
+        remove("table", root)
+    assert remove("other", root).kept == [data]
+    assert [path for path in root.rglob("*") if path.is_file()] == []
+
+
+@pytest.mark.parametrize("name", ["", "../x", "a/b", "x y", ".x", "-x", "x" * 49, "x\n", "é"])
+def test_a_name_that_is_none_writes_nothing(name, configuration, tmp_path):
+    with pytest.raises(UsageError, match="is no name of a service"):
+        installed(tmp_path / "root", configuration, name)
+    assert not (tmp_path / "root").exists()
+
+
+def test_what_the_service_could_not_run_is_refused_before_anything_is_written(configuration, tmp_path):
+    root = tmp_path / "root"
+    with pytest.raises(UsageError, match=r"/home/.*the service does not see.*/opt/friction-hil"):
+        install("table", configuration, root, "/home/someone/.venv/bin/friction-hil", overwrite=False)
+    values = yaml.safe_load(configuration.read_text())
+    values["axes"]["x"]["compensation"]["gain"] = 7.0
+    broken = tmp_path / "broken.yaml"
+    broken.write_text(yaml.safe_dump(values))
+    with pytest.raises(ConfigurationError, match=r"broken\.yaml:\d+: axes\.x\.compensation\.gain"):
+        installed(root, broken)
+    inner = tmp_path / "inner"
+    inner.mkdir()
+    values = yaml.safe_load(configuration.read_text())
+    values["axes"]["x"]["model"] = "../models/x.yaml"
+    (inner / "machine.yaml").write_text(yaml.safe_dump(values))
+    with pytest.raises(UsageError, match=r"\.\./models/x\.yaml lies outside of .*inner; move it beside"):
+        installed(root, inner / "machine.yaml")
+    assert not root.exists()
+
+
+@given(st.text(st.characters(codec="utf-8", exclude_characters="\0\n"), min_size=1, max_size=30))
+def test_escaped_names_have_allowed_characters_and_tell_the_name_again(name):
+    escaped = files.escape(name)
+    assert all(each.isascii() and (each.isalnum() or each in ":_.\\-") for each in escaped)
+    raw = escaped.replace("-", "/").encode().decode("unicode_escape").encode("latin-1").decode()
+    assert raw == name
+
+
+@pytest.mark.parametrize(
+    ("path", "unit"),
+    [
+        ("/dev/ttyUSB0", "dev-ttyUSB0.device"),
+        ("/dev/serial/by-id/usb-1", r"dev-serial-by\x2did-usb\x2d1.device"),  # systemd-escape --path prints this
+    ],
+)
+def test_devices_have_the_names_of_systemd(path, unit):
+    assert files.file_device(path) == unit
+
+
+def test_the_state_is_read_from_systemctl():
+    text = "LoadState=loaded\nActiveState=failed\nSubState=failed\nStatusText=fault: x: a=b [FH-103]\nMainPID=0\n"
+    state = parse(text + "NRestarts=2\nResult=watchdog\nExecMainStatus=6\n")
+    assert (state.active, state.pid, state.restarts, state.result, state.exit_status) == (
+        "failed",
+        None,
+        2,
+        "watchdog",
+        6,
+    )
+    assert state.status == "fault: x: a=b [FH-103]"
+    assert not parse("LoadState=not-found\n").is_loaded
+
+
+def test_the_command_says_what_it_wrote_and_what_comes_next(configuration, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("friction_hil.cli.work.service._executable", lambda: EXECUTABLE)
+    root = str(tmp_path / "root")
+    assert main(["service", "install", "table", str(configuration), "--root", root]) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert f"written: {root}/etc/friction-hil/table/models/x.yaml" in said
+    assert said[-2:] == [
+        "next: systemctl enable --now friction-hil@table; it waits, and enables no axis",
+        "then: friction-hil start table; its axes move",
+    ]
+    assert main(["service", "remove", "table", "--root", root, "--json"]) == 0
+    assert f"{root}/etc/friction-hil/table" in json.loads(capsys.readouterr().out)["removed"]
+
+
+def test_services_that_are_not_active_are_exit_status_1(tmp_path, monkeypatch, capsys):
+    systemctl = tmp_path / "systemctl"
+    systemctl.write_text(
+        "#!/bin/sh\necho LoadState=loaded; echo ActiveState=$STATE; echo SubState=$2; echo MainPID=7\n"
+    )
+    systemctl.chmod(0o755)
+    monkeypatch.setenv("PATH", f"{tmp_path}:/usr/bin:/bin")
+    monkeypatch.setenv("STATE", "active")
+    assert main(["service", "status", "table"]) == 0
+    assert capsys.readouterr().out == "table: active (friction-hil@table.service, process 7)\n"
+    monkeypatch.setenv("STATE", "failed")
+    assert main(["service", "status", "table", "--json"]) == 1
+    assert json.loads(capsys.readouterr().out)["services"]["table"]["pid"] == 7
+    systemctl.write_text("#!/bin/sh\necho no bus >&2; exit 1\n")
+    assert main(["service", "status", "table"]) == 1
+    assert "the state of the service is unknown: no bus" in capsys.readouterr().err
+
+
+class _Rows:
+    def __init__(self):
+        self.rows, self.events = 0, []
+
+    def push(self, row):
+        self.rows += 1
+
+    def event(self, cycle, name, text):
+        self.events.append((cycle, name, text))
+
+
+@pytest.fixture
+def manager_socket(tmp_path):
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listening:
+        listening.bind(str(tmp_path / "n"))
+        listening.setblocking(False)
+        yield listening
+
+
+def received(listening):
+    messages = []
+    while True:
+        try:
+            messages.append(listening.recv(4096).decode())
+        except BlockingIOError:
+            return messages
+
+
+def test_rows_and_nothing_else_feed_the_watchdog(manager_socket):
+    environment = {"NOTIFY_SOCKET": manager_socket.getsockname(), "WATCHDOG_USEC": "2000000"}
+    manager = ServiceManager.from_environment(environment)
+    rows = _Rows()
+    sink = NotifyingSink(rows, manager, 1e-3)
+    sink.event(0, "state", "idle")
+    for _ in range(1000):
+        sink.push(np.zeros(1))
+    assert received(manager_socket) == ["STATUS=idle", "READY=1", "WATCHDOG=1", "WATCHDOG=1"]  # every 0.5 s
+    sink.event(1, "fault", "x: the drive\nis gone")
+    sink.event(1, "warning", "late")
+    assert received(manager_socket) == ["STATUS=fault: x: the drive is gone"]
+    assert (rows.rows, len(rows.events)) == (1000, 3)
+    manager.close()
+
+
+def test_without_a_manager_or_with_one_that_is_gone_the_loop_goes_on(tmp_path):
+    assert ServiceManager.from_environment({}) is None
+    gone = ServiceManager.from_environment({"NOTIFY_SOCKET": str(tmp_path / "gone")})
+    assert gone.watchdog_s is None
+    gone.ready()
+    other = {"NOTIFY_SOCKET": str(tmp_path / "gone"), "WATCHDOG_USEC": "2000000", "WATCHDOG_PID": "1"}
+    assert ServiceManager.from_environment(other).watchdog_s is None
+    gone.close()
+
+
+def test_a_full_queue_never_makes_the_loop_wait(manager_socket):
+    manager = ServiceManager(manager_socket.getsockname(), None)
+    for _ in range(5000):  # more than a queue holds
+        manager.alive()
+    assert 0 < len(received(manager_socket)) < 5000
+    manager.close()
