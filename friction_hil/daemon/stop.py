@@ -7,7 +7,8 @@ from types import FrameType
 
 from friction_hil.interrupts import Interrupted, interrupt
 
-SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+# Windows lacks the last one: a study of a machine imports this module there.
+SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 
 class StopRequest:

@@ -35,7 +35,12 @@ def test_two_daemons_on_two_groups_of_one_port_do_not_hear_each_other(pair: list
         for configuration in pair:
             found = json.loads(run("drives", "scan", configuration, "--json").stdout)
             assert [drive["node"] for drive in found["drives"]] == [1]
-        daemons = [start_daemon(path, "--duration", DURATION_S, "--record", path.parent / "run.mcap") for path in pair]
+        daemons = [
+            start_daemon(
+                path, "--duration", DURATION_S, "--record", path.parent / "run.mcap", "--name", path.parent.name
+            )
+            for path in pair
+        ]
         ended = [(*daemon.communicate(timeout=120), daemon.returncode) for daemon in daemons]
     for output, errors, status in ended:
         assert status == 0, errors

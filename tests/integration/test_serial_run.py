@@ -314,7 +314,7 @@ def test_a_line_on_which_nothing_comes_right_is_told_with_its_reason(tmp_path, k
 def test_the_second_daemon_on_a_line_is_refused(tmp_path):
     configuration = write_serial_configuration(tmp_path, "modbus rtu")
     with simulated_drives(configuration), daemon(configuration, tmp_path / "run.mcap") as first:
-        status, text = refused(configuration)
+        status, text = refused(configuration, "--name", "second")
         assert status == 1
         assert text.startswith(f"Error: {port_in(configuration)} cannot be opened: another process has it")
         first.send_signal(signal.SIGINT)

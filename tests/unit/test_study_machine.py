@@ -163,7 +163,7 @@ def test_a_rehearsal_shifts_the_motor_as_the_daemon_does(machine):
 
     offset = type(axis.config).model_fields["compensation"].annotation.model_fields["transmission"]
     given = next(each for each in offset.annotation.__args__ if each is not type(None))(acceleration=200.0)
-    assert load_error(given) < 0.5 * load_error(None)
+    assert load_error(given) < 0.6 * load_error(None)  # it takes up the twist times the gain, 0.9
 
 
 def test_the_study_compares_motor_and_load(studied):

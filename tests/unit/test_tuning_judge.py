@@ -164,16 +164,19 @@ def test_one_count_of_the_encoder_is_no_harm() -> None:
     assert is_worse(1.0 * COUNT, 4.0 * COUNT)
 
 
-class _Lowered:
-    """Stands for a compensator whose gain the guard has lowered."""
+class _Guarded:
+    """Stands for a compensator whose gain the guard lowers."""
 
-    model = type("Model", (), {"network": None})()
-    gain_factor = 0.8
+    trained_speed = float("inf")
+    has_residual = False
+
+    def __init__(self, gain_factor):
+        self.gain_factor = gain_factor
 
 
 def lowered(name="x"):
     """The daemon's own warning."""
-    return CompensationNotices(name, "rad", _Lowered()).next(_Lowered(), 0.0)
+    return CompensationNotices(name, "rad", _Guarded(1.0)).next(_Guarded(0.8), 0.0)
 
 
 @pytest.mark.parametrize("name", MOTIONS)

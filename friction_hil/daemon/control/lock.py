@@ -1,7 +1,6 @@
 """The control socket of a daemon, and the lock of its name."""
 
 import contextlib
-import grp
 import hashlib
 import os
 import socket
@@ -128,6 +127,8 @@ def _taken(name: str, who: str) -> str:
 
 
 def _group_id(group: str) -> int:
+    import grp  # imported here: Windows has none, and some commands import this module there
+
     try:
         return grp.getgrnam(group).gr_gid
     except KeyError:
