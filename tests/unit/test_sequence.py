@@ -199,6 +199,13 @@ def test_no_inputs_lead_back_or_to_power_after_a_fault(events, is_listening):
             before = after
 
 
+def test_a_stop_does_not_wait_longer_for_the_compensation_to_fade_out():
+    run = Run().reach(LoopState.STOPPING)
+    fading = STANDING | {"is_faded_out": False, "is_powered": True}
+    assert run.pass_time(FADE_TIMEOUT_S - 1.0, **fading) is LoopState.STOPPING
+    assert run.pass_time(1.1, **fading) is LoopState.DISABLING
+
+
 @settings(max_examples=40, deadline=None)
 @given(
     st.lists(st.tuples(inputs, st.integers(1, 100)), max_size=8), inputs, st.sampled_from(["stop", "fault", "pause"])
