@@ -120,8 +120,8 @@ class Loop:
             if update.fault is not None and state is not LoopState.WAITING:  # without power nothing has to be stopped
                 self._log.fault(cycle, update.fault)
         request = (REQUESTS_AFTER_FAULT if self._log.has_fault else REQUESTS)[state]
-        if state is LoopState.WAITING and not self._is_commanded:
-            request = Request.LISTEN  # nothing was enabled so far
+        if state is LoopState.WAITING and not (self._is_commanded or self._run.is_stop_asked):
+            request = Request.LISTEN  # nothing was enabled so far, and nobody has asked to take the power of a drive
         if self._settings.is_follower:
             request = Request.LISTEN  # another controller enables and stops the drives
         is_resetting = self._run.is_resetting(cycle)
@@ -134,7 +134,11 @@ class Loop:
 
     def _note_states(self, cycle: int) -> None:
         """Record what the drives said beside their feedback; keep the states to which they were disabled."""
-        if self._run.state in (LoopState.DISABLING, LoopState.WAITING):
+        state = self._run.state
+        if state is LoopState.ENABLING:
+            for k in range(len(self._feedback)):
+                self._states_while_disabling[k] = DriveState.UNKNOWN  # those of an earlier stop prove nothing any more
+        elif state in (LoopState.DISABLING, LoopState.WAITING):
             for k, feedback in enumerate(self._feedback):
                 if feedback.is_fresh or not feedback.state.is_powered:
                     self._states_while_disabling[k] = feedback.state

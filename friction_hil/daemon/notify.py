@@ -66,8 +66,8 @@ class ServiceManager:
         self._socket.close()
 
     def _send(self, message: str) -> None:
-        # It may be busy, or gone: a daemon that moves axes goes on without it.
-        with contextlib.suppress(BlockingIOError, FileNotFoundError, ConnectionRefusedError):
+        # It may be busy, gone, or closed to this user: a daemon that moves axes goes on without it.
+        with contextlib.suppress(OSError):
             self._socket.sendto(message.encode(), self._address)
 
 

@@ -247,6 +247,11 @@ class RingObserver(_Ring):
         super().__init__(descriptor)
         self._events_seen = 0
 
+    @property
+    def rows_written(self) -> int:
+        """Number of rows that were written so far."""
+        return self._header[_ROWS]
+
     def newest(self, most: int) -> Array:
         """Return up to ``most`` of the newest rows as a copy, oldest first, shape (n, width)."""
         end = self._header[_ROWS]

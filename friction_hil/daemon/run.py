@@ -67,6 +67,11 @@ class RunControl:
     settings : LoopSettings
     stop : StopRequest
     log : RunLog
+
+    Attributes
+    ----------
+    is_stop_asked : bool
+        Somebody has asked to stop since the start: drives that are found with power are disabled too.
     """
 
     def __init__(
@@ -89,6 +94,7 @@ class RunControl:
         self._running_since_s = 0.0 if settings.dry_run else math.nan
         self._is_paused = settings.is_waiting and not settings.dry_run
         self._reset_until_s = -math.inf
+        self.is_stop_asked = False
         if settings.is_fault_reset_wanted:
             for axis in axes:
                 axis.allow_fault_reset()
@@ -142,7 +148,7 @@ class RunControl:
         """Let the axes come to rest and be disabled, and wait; return why that is not possible, empty if it is."""
         if self._settings.dry_run:
             return "a dry run has enabled nothing"
-        self._is_paused = True
+        self._is_paused = self.is_stop_asked = True
         return ""
 
     def reset(self, cycle: int) -> str:

@@ -10,6 +10,7 @@ from friction_hil.drive.codes import FaultCode
 SETTLE_S = 0.05  # idle cycles at the start, in which everything runs once
 ENABLE_TIMEOUT_S = 5.0
 STANDSTILL_TIMEOUT_S = 2.0
+FADE_TIMEOUT_S = 10.0  # for the compensation to fade out: of a longer fade_s, what is left ends with the power
 QUICK_STOP_TIMEOUT_S = 5.0
 DISABLE_TIMEOUT_S = 2.0
 LOST_POWERED_TIMEOUT_S = 5.0  # for the driver to stop a drive that commands do not reach, if that still tells its state
@@ -131,7 +132,7 @@ class RunStateMachine:
         return LoopState.FIRST_MOTION if inputs.is_first_motion_due else LoopState.RUNNING
 
     def _stopping(self, elapsed_s: float, inputs: RunInputs, has_stood: bool) -> LoopState:
-        if not (inputs.is_setpoint_standing and inputs.is_faded_out):
+        if not (inputs.is_setpoint_standing and (inputs.is_faded_out or elapsed_s > FADE_TIMEOUT_S)):
             return self.state  # both end with their ramps, which began with this state
         # after the timeout the axis may still move although the set-point rests: it hunts or is moved by hand
         return LoopState.DISABLING if has_stood or elapsed_s > STANDSTILL_TIMEOUT_S else self.state

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from friction_hil.checked_yaml import text as yaml_text
-from friction_hil.config import file_problems, load
+from friction_hil.config import Configuration, file_problems, load
 from friction_hil.errors import ConfigurationError, UsageError
 from friction_hil.service import files
 
@@ -19,6 +19,7 @@ UNITS = "etc/systemd/system"
 UDEV_RULES = "etc/udev/rules.d/70-friction-hil.rules"
 SYSUSERS = "etc/sysusers.d/friction-hil.conf"
 DATA = "var/lib/friction-hil"
+_SEEN = f"/{DATA}"  # by the service
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.]{0,47}")
 _HIDDEN = ("/home/", "/root/", "/run/user/", "/tmp/", "/var/tmp/")  # from the service, by ProtectHome and PrivateTmp
 _BOOTED = "/run/systemd/system"  # exists where systemd is the service manager; see sd_booted(3)
@@ -78,17 +79,22 @@ def install(name: str, configuration: Path, root: Path, executable: str, *, over
     if folder.exists() and not overwrite:
         raise UsageError(f"{folder} exists already; --force replaces the service {name}, another name keeps it")
     document = yaml_text.read(configuration).value
+    _check_recordings(checked)
     texts: dict[Path, bytes] = {
         root / UNITS / files.UNIT: files.unit(executable, f"/{CONFIGURATIONS}").encode(),
         root / UDEV_RULES: files.UDEV_RULES.encode(),
         root / SYSUSERS: files.SYSUSERS.encode(),
         folder / "config.yaml": configuration.read_bytes(),
     }
-    for relative in sorted(_named_files(document, configuration.parent)):
+    read = {key: value for key, value in document.items() if key != "recording"}  # those that the daemon writes stay
+    for relative in sorted(_named_files(read, configuration.parent)):
         texts[folder / relative] = (configuration.parent / relative).read_bytes()
     if devices := _devices(document):
         texts[_drop_in(root, name)] = files.drop_in(devices).encode()
     done = Installation()
+    if not devices and (former := _drop_in(root, name)).exists():  # the service would wait for a device of the past
+        former.unlink()
+        done.removed.append(former)
     for path, text in texts.items():
         _write(path, text)
         done.written.append(path)
@@ -148,12 +154,38 @@ def _check_name(name: str) -> None:
 def _check_executable(executable: str) -> None:
     if not os.path.isabs(executable):
         raise UsageError(f"{executable}: the unit needs the absolute path of the command friction-hil")
-    if hidden := next((each for each in _HIDDEN if os.path.realpath(executable).startswith(each)), None):
+    if unfit := next((each for each in executable if each.isspace() or each in "%$\"'\\;"), None):
+        raise UsageError(f"{executable}: a unit cannot run a command whose path has {unfit!r}; install it elsewhere")
+    interpreter = os.path.join(os.path.dirname(executable), "python")  # of its environment: a link to elsewhere
+    if hidden := _hidden(executable) or _hidden(interpreter):
         raise UsageError(
             f"{executable} lies below {hidden}, which the service does not see; install friction_hil for the whole "
             "machine, e.g.: sudo python3 -m venv /opt/friction-hil && sudo /opt/friction-hil/bin/pip install "
             "friction-hil; then run /opt/friction-hil/bin/friction-hil service install"
         )
+
+
+def _hidden(path: str) -> str | None:
+    """Return the directory, hidden from the service, in which a file lies; None if the service sees it."""
+    return next((each for each in _HIDDEN if os.path.realpath(path).startswith(each)), None)
+
+
+def _check_recordings(configuration: Configuration) -> None:
+    """Refuse recordings where the service may not write.
+
+    Raises
+    ------
+    UsageError
+        A path of ``recording`` is not relative, nor below the directory of the service's data.
+    """
+    given = configuration.recording
+    for key in () if given is None else ("path", "black_box"):
+        path = getattr(given, key)
+        inside = path is None or Path(os.path.normpath(Path(_SEEN) / "NAME" / path)).is_relative_to(_SEEN)
+        if not inside:
+            raise UsageError(
+                f"recording.{key}: the service may not write to {path}; a relative path is one below {_SEEN}/NAME"
+            )
 
 
 def _named_files(value: Any, folder: Path) -> Iterator[Path]:
@@ -170,6 +202,12 @@ def _named_files(value: Any, folder: Path) -> Iterator[Path]:
     elif isinstance(value, list):
         for each in value:
             yield from _named_files(each, folder)
+    elif isinstance(value, str) and os.path.isabs(value) and os.path.isfile(value):
+        if hidden := _hidden(value):
+            raise UsageError(
+                f"{value} lies below {hidden}, which the service does not see; move it beside the configuration, which "
+                "is copied, and name it by its relative path"
+            )
     elif isinstance(value, str) and _is_relative_file(value, folder):
         path = Path(os.path.normpath(value))
         if path.parts[0] == "..":
@@ -178,7 +216,7 @@ def _named_files(value: Any, folder: Path) -> Iterator[Path]:
 
 
 def _is_relative_file(value: str, folder: Path) -> bool:
-    return bool(value) and "\0" not in value and not os.path.isabs(value) and (folder / value).is_file()
+    return bool(value) and "\0" not in value and not os.path.isabs(value) and os.path.isfile(folder / value)
 
 
 def _devices(document: dict[str, Any]) -> list[str]:
@@ -205,11 +243,17 @@ def _drop_in(root: Path, name: str) -> Path:
 
 def _write(path: Path, text: bytes) -> None:
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
+        before = os.umask(0o022)  # the service, which is another user, reads them
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        finally:
+            os.umask(before)
         path.write_bytes(text)
         path.chmod(0o644)
     except PermissionError:
         raise UsageError(f"{path}: no permission to write; run this command with sudo") from None
+    except OSError as error:
+        raise UsageError(f"{path}: cannot be written: {error.strerror}") from None
 
 
 def _carry_out(done: Installation, root: Path, commands: list[str]) -> None:

@@ -132,6 +132,26 @@ def test_what_follows_the_first_cause_is_told_beside_it():
     assert bench.cycle().message == "node 5 left Operational: it is pre-operational [FH-232]"
 
 
+def test_a_loss_that_is_over_and_was_reported_does_not_end_the_next_start():
+    bench = Bench()
+    bench.axis.handlers[HEARTBEAT](OPERATIONAL)
+    bench.heard()
+    bench.axis.handlers[HEARTBEAT](PRE_OPERATIONAL)
+    said = "node 5 left Operational: it is pre-operational [FH-232]"
+    assert bench.heard().message == said
+    bench.command(Request.DISABLE)
+    assert bench.heard(state=0x0237).message == said, "it still has power"
+    bench.axis.handlers[HEARTBEAT](OPERATIONAL)
+    bench.command(Request.DISABLE)
+    assert bench.heard(state=0x0250).message == said
+    bench.command(Request.DISABLE)
+    assert bench.heard(state=0x0250).message == ""
+    bench.axis.handlers[HEARTBEAT](BOOT_UP)  # its configuration is lost: no reset brings that back
+    for _ in range(3):
+        bench.command(Request.DISABLE)
+        assert "restarted" in bench.heard(state=0x0250).message
+
+
 def test_without_an_answer_the_stop_goes_on_and_ends_with_disable_voltage():
     bench = Stopped(PRE_OPERATIONAL)
     sent = []

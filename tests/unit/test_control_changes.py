@@ -18,7 +18,7 @@ from friction_hil.daemon.figures import Condition
 from friction_hil.daemon.safety import LoopState
 from friction_hil.daemon.stop import StopRequest
 from friction_hil.drive import DriveState, Request
-from friction_hil.errors import RecordingError, UsageError
+from friction_hil.errors import DriveError, RecordingError, UsageError
 from friction_hil.recordings import columns
 from friction_hil.recordings.fingerprint import fingerprint
 from friction_hil.recordings.mcap_writer import McapWriter
@@ -334,6 +334,30 @@ def test_what_is_not_possible_now_is_refused_with_the_reason():
     ]
     dry = Changed(configuration(x=quick()), {50: Action.START, 60: Action.STOP}, until=100, dry_run=True)
     assert [refusal for _, refusal in dry.answers] == ["a dry run enables nothing", "a dry run has enabled nothing"]
+
+
+def test_a_stop_takes_the_power_of_a_drive_that_a_waiting_daemon_found_with_power():
+    class Found(Changed):
+        def before(self, drives):
+            if drives.cycle == 0:
+                drives.states[0] = DriveState.OPERATION_ENABLED  # an earlier daemon was killed
+            super().before(drives)
+
+    run = Found(configuration(x=quick()), {200: Action.STOP}, until=300, is_waiting=True)
+    assert {command.request for command in run.drives.commands[0][:200]} == {Request.LISTEN}
+    drive = run.column("drive_state")
+    assert (drive[150], drive[250]) == (DriveState.OPERATION_ENABLED, DriveState.SWITCH_ON_DISABLED)
+    assert run.result.drive_states == [DriveState.SWITCH_ON_DISABLED]
+
+
+def test_a_stop_before_the_last_start_proves_nothing_about_the_power_now():
+    def breaks(cycle, feedback):
+        if cycle == 400:
+            raise DriveError("the line is gone")
+
+    run = Changed(configuration(x=quick()), {200: Action.START}, until=900, disturb=breaks, is_waiting=True)
+    assert run.column("drive_state")[-1] == DriveState.OPERATION_ENABLED
+    assert run.result.drive_states == [DriveState.UNKNOWN]
 
 
 def test_figures_are_those_of_the_last_motion_also_when_the_run_ends_while_it_waits():

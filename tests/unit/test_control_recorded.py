@@ -45,6 +45,32 @@ def test_each_file_holds_the_settings_of_its_rows_whole(tmp_path):
     os.close(changes)
 
 
+def test_a_change_shortly_before_the_next_file_is_in_the_file_of_its_first_rows(tmp_path):
+    ring = RingWriter(len(COLUMNS), 64)
+    job = Job(["x"], COLUMNS, 0, 1e-3, 0, path=str(tmp_path / "run.mcap"), rotate_s=0.01)
+    changes = journal.make_journal()
+    recorder = Recorder(job, reader := RingReader(ring.descriptor), Changes(changes))
+    recorder.open(1)
+    for cycle in range(18):
+        if cycle in (8, 14):
+            number = 1 + (cycle > 8)
+            journal.append(changes, entry(number))
+            ring.push_event(cycle, "change", str(number))
+        ring.push(np.array([1e-3 * cycle, cycle, (cycle >= 8) + (cycle >= 14)], float))
+    recorder.take(reader.drain(), reader.drain_events())  # at once, as after a stall of the disk
+    recorder.close(was_abandoned=False)
+    files = sorted(tmp_path.glob("*.mcap"))
+    assert len(files) == 2
+    for file in files:
+        alone = file.rename(tmp_path / f"alone{file.stem.removeprefix('run')}x.mcap")  # without the others beside it
+        recording = recordings.read(alone)
+        events = [json.loads(event.text)["number"] for event in recording.events if event.name == "change"]
+        assert set(recording.columns["change"]) <= {0.0, *events}
+    successor = RingReader(ring.descriptor)
+    assert (len(successor.drain()), successor.drain_events(), successor.lost) == (0, [], 0)
+    os.close(changes)
+
+
 def test_an_observer_takes_nothing_from_the_reader():
     ring = RingWriter(2, 32)
     observer, reader = RingObserver(ring.descriptor), RingReader(ring.descriptor)

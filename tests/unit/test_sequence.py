@@ -10,6 +10,7 @@ from friction_hil.daemon.safety import REQUESTS, LoopState
 from friction_hil.daemon.sequence import (
     DISABLE_TIMEOUT_S,
     ENABLE_TIMEOUT_S,
+    FADE_TIMEOUT_S,
     LOST_POWERED_TIMEOUT_S,
     QUICK_STOP_TIMEOUT_S,
     SETTLE_S,
@@ -198,12 +199,19 @@ def test_no_inputs_lead_back_or_to_power_after_a_fault(events, is_listening):
             before = after
 
 
+def test_a_stop_does_not_wait_longer_for_the_compensation_to_fade_out():
+    run = Run().reach(LoopState.STOPPING)
+    fading = STANDING | {"is_faded_out": False, "is_powered": True}
+    assert run.pass_time(FADE_TIMEOUT_S - 1.0, **fading) is LoopState.STOPPING
+    assert run.pass_time(1.1, **fading) is LoopState.DISABLING
+
+
 @settings(max_examples=40, deadline=None)
 @given(
     st.lists(st.tuples(inputs, st.integers(1, 100)), max_size=8), inputs, st.sampled_from(["stop", "fault", "pause"])
 )
 def test_every_run_ends_in_bounded_time(events, last, why):
-    """Whatever the drives do: set-point and fading end by themselves, all else has a time-out."""
+    """Whatever the drives do: the set-point ends by itself, all else has a time-out."""
     machine, time_s = RunStateMachine(is_listening=False), 0.0
     for what, repeats in events:
         for _ in range(repeats):
@@ -213,9 +221,9 @@ def test_every_run_ends_in_bounded_time(events, last, why):
     last.has_fault = last.has_fault or why == "fault"
     last.is_kept_after_fault = last.is_kept_after_fault and why == "pause"
     last.is_pause_requested = last.is_pause_requested or why == "pause"
-    last.is_setpoint_standing = last.is_faded_out = True
+    last.is_setpoint_standing = True  # the compensation may fade for a day, by fade_s
     disabling_s = max(DISABLE_TIMEOUT_S, LOST_POWERED_TIMEOUT_S)
-    bound = time_s + STANDSTILL_TIMEOUT_S + QUICK_STOP_TIMEOUT_S + disabling_s + 0.1
+    bound = time_s + FADE_TIMEOUT_S + STANDSTILL_TIMEOUT_S + QUICK_STOP_TIMEOUT_S + disabling_s + 0.1
     rest = (LoopState.DONE,) if why != "pause" else (LoopState.DONE, LoopState.WAITING)
     while machine.state not in rest:
         time_s += DT

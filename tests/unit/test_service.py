@@ -1,9 +1,11 @@
 """Files of a service of systemd, and the messages to it."""
 
 import json
+import os
 import shutil
 import socket
 import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -117,6 +119,63 @@ def test_what_the_service_could_not_run_is_refused_before_anything_is_written(co
     with pytest.raises(UsageError, match=r"\.\./models/x\.yaml lies outside of .*inner; move it beside"):
         installed(root, inner / "machine.yaml")
     assert not root.exists()
+
+
+def test_recordings_are_not_copied_and_are_refused_where_the_service_may_not_write(configuration, tmp_path):
+    values = yaml.safe_load(configuration.read_text())
+    (tmp_path / "run.mcap").write_bytes(b"gigabytes")
+    configuration.write_text(yaml.safe_dump(values | {"recording": {"path": "run.mcap"}}))
+    assert not [path for path in installed(tmp_path / "root", configuration).written if path.suffix == ".mcap"]
+    for path in ("/data/run.mcap", "../../run.mcap"):
+        configuration.write_text(yaml.safe_dump(values | {"recording": {"path": path}}))
+        with pytest.raises(UsageError, match=r"recording\.path: the service may not write to .*/var/lib/friction-hil"):
+            installed(tmp_path / "other", configuration)
+    assert not (tmp_path / "other").exists()
+
+
+def test_files_that_the_service_does_not_see_are_refused(configuration, tmp_path, monkeypatch):
+    monkeypatch.setattr(sys.modules[install.__module__], "_HIDDEN", (f"{tmp_path}/home/",))
+    (tmp_path / "home").mkdir()
+    (tmp_path / "home/x.yaml").write_bytes((tmp_path / "models/x.yaml").read_bytes())
+    values = yaml.safe_load(configuration.read_text())
+    values["axes"]["x"]["model"] = f"{tmp_path}/home/x.yaml"
+    named = tmp_path / "named.yaml"
+    named.write_text(yaml.safe_dump(values))
+    with pytest.raises(UsageError, match=r"home/x\.yaml lies below .*home/, which the service does not see; move it"):
+        installed(tmp_path / "root", named)
+    (tmp_path / "bin").mkdir()
+    (tmp_path / "bin/python").symlink_to(tmp_path / "home/python")  # of an environment whose interpreter is a user's
+    with pytest.raises(UsageError, match=r"home/, which the service does not see; install friction_hil for"):
+        install("table", configuration, tmp_path / "root", f"{tmp_path}/bin/friction-hil", overwrite=False)
+    with pytest.raises(UsageError, match="a unit cannot run a command whose path has ' '"):
+        install("table", configuration, tmp_path / "root", "/opt/my machine/friction-hil", overwrite=False)
+    assert not (tmp_path / "root").exists()
+
+
+def test_a_service_that_is_replaced_does_not_wait_for_the_former_device(configuration, tmp_path):
+    root = tmp_path / "root"
+    devices = root / "etc/systemd/system/friction-hil@table.service.d/devices.conf"
+    installed(root, configuration)
+    assert devices.exists()
+    values = yaml.safe_load(configuration.read_text())
+    configuration.write_text(
+        yaml.safe_dump(values | {"bus": {"interface": "udp_multicast", "channel": "239.74.163.2", "port": 43113}})
+    )
+    assert installed(root, configuration, overwrite=True).removed == [devices]
+    assert not devices.exists()
+
+
+def test_another_user_may_read_what_root_wrote_under_a_strict_umask(configuration, tmp_path):
+    before = os.umask(0o077)
+    try:
+        installed(tmp_path / "root", configuration)
+    finally:
+        os.umask(before)
+    assert (tmp_path / "root/etc/friction-hil/table/models").stat().st_mode & 0o055 == 0o055
+    (tmp_path / "file").mkdir()
+    (tmp_path / "file/etc").touch()
+    with pytest.raises(UsageError, match=r"cannot be written: Not a directory"):
+        installed(tmp_path / "file", configuration)
 
 
 @given(st.text(st.characters(codec="utf-8", exclude_characters="\0\n"), min_size=1, max_size=30))
@@ -236,6 +295,20 @@ def test_without_a_manager_or_with_one_that_is_gone_the_loop_goes_on(tmp_path):
     other = {"NOTIFY_SOCKET": str(tmp_path / "gone"), "WATCHDOG_USEC": "2000000", "WATCHDOG_PID": "1"}
     assert ServiceManager.from_environment(other).watchdog_s is None
     gone.close()
+    for odd in ("vsock:2:1234", "x" * 200, str(tmp_path), "/proc/version/n"):
+        manager = ServiceManager.from_environment({"NOTIFY_SOCKET": odd})
+        manager.alive()
+        manager.close()
+
+
+def test_an_abstract_socket_is_reached():
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listening:
+        listening.bind("")  # the kernel chooses a name
+        listening.setblocking(False)
+        manager = ServiceManager.from_environment({"NOTIFY_SOCKET": "@" + listening.getsockname()[1:].decode()})
+        manager.ready()
+        manager.close()
+        assert received(listening) == ["READY=1"]
 
 
 def test_a_full_queue_never_makes_the_loop_wait(manager_socket):

@@ -327,6 +327,8 @@ class CanopenAxis:
             self.needs_other_frames = self._sdo.is_active or not is_reachable or self._missed > _BLIND_CYCLES
         feedback.error = self._error
         feedback.message = self._message
+        if self._message and is_fresh and is_reachable and self._asked is Request.DISABLE and not state.is_powered:
+            self._message = ""  # it was reported and is over: a daemon that waits may start the drive again
         feedback.is_reachable = is_reachable
         feedback.temperature = self._temperature.value
         if self._temperature.notice:

@@ -137,7 +137,7 @@ def _lines(name: str, answer: dict[str, Any]) -> list[str]:
     if not answer["ok"]:
         return [f"{name}: {problem}" for problem in answer["problems"]]
     time_s = "" if answer["time_s"] is None else f", {answer['time_s']:.1f} s"
-    changes = f", {answer['changes']} changes" if answer["changes"] else ""
+    changes = f", last change {answer['changes']}" if answer["changes"] else ""
     lines = [f"{name}: {_words(answer['state'])}{time_s}{changes} ({answer['configuration']})"]
     for axis, each in answer["axes"].items():
         unit, force = each["unit"], "N m" if each["unit"] == "rad" else "N"

@@ -1,7 +1,9 @@
 """Recorder of a worker: rows and events of the ring to the files of a recording."""
 
+import math
 import os
 import time
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 
@@ -114,12 +116,21 @@ class Recorder:
                     self._rotate()
                     continue
                 self._writer.write(rows[:count])
+                if self._cycle_column is not None:  # a change belongs into the file of its first rows
+                    events = self._write_events(events, float(rows[count - 1, self._cycle_column]))
                 rows = rows[count:]
-            for event in events:
-                self._writer.write_event(*self._changes.whole(event))
+            self._write_events(events, math.inf)
             self._flush_idle_chunk()
         except (OSError, RecordingError) as error:
             self._suspend(error)
+
+    def _write_events(self, events: list[tuple[float, str, str]], cycle: float) -> list[tuple[float, str, str]]:
+        """Write the events up to ``cycle``, in their order; return those that are left."""
+        assert self._writer is not None
+        left = deque(events)
+        while left and left[0][0] <= cycle:
+            self._writer.write_event(*self._changes.whole(left.popleft()))
+        return list(left)
 
     def close(self, *, was_abandoned: bool) -> None:
         """End the recording."""

@@ -19,6 +19,7 @@ from friction_hil.errors import FrictionHilError, choices
 
 PROTOCOL = 1
 _ANSWER_S = 5.0  # within which the loop takes a message
+_LAST_ANSWER_S = 0.1  # of a loop that was taking the message while it was withdrawn
 _LOOK_S = 0.01
 _STOP_S = 20.0  # more than all time-outs of a stop together
 _START_S = 20.0  # beyond enable_timeout_s: a first motion
@@ -49,6 +50,7 @@ class Desk:
         self._preparing = threading.Lock()  # one change of settings is prepared upon the other
         self._sending = threading.Lock()  # a stop does not wait for what is being prepared
         self._looking = threading.Lock()
+        self._waiting_stop = 0  # number of a stop that the loop has not answered
         self._do: dict[str, Callable[[Mapping[str, Any], str], dict[str, Any]]] = {
             "status": self._status,
             "set": self._set,
@@ -69,16 +71,21 @@ class Desk:
         """
         try:
             request = _request(line)
+            with self._looking:  # at each request: the ring holds the last events only
+                self._state.look()
             return {"ok": True, **self._do[request["do"]](request, _who(user))}
         except FrictionHilError as error:
             return {"ok": False, "problems": str(error).splitlines()}
 
     def _status(self, request: Mapping[str, Any], who: str) -> dict[str, Any]:
         with self._looking:
+            self._state.await_row()
             self._state.look()
             faults, warnings, notices = (
                 list(each) for each in (self._state.faults, self._state.warnings, self._state.notices)
             )
+            if self._state.stands:
+                warnings.append("the loop has written no row for a second: it stands, and the drives are unknown")
         configuration, models_of = self._present()
         axes = {}
         for name in self._names:
@@ -146,11 +153,16 @@ class Desk:
         with self._sending:
             number = self._next_number()
             cycle = self._send(Change(number, action, [], f"{who}: {action.name.lower()}"))
+        with self._looking:
+            self._state.await_row()  # the loop goes on: it has answered
         end_s = time.monotonic() + timeout_s
         is_fulfilled = False
         while not (is_fulfilled := is_done()) and time.monotonic() < end_s and not self._state.has_ended:
+            if action is Action.START and self._is_given_up(cycle):
+                break
             time.sleep(_LOOK_S)
         with self._looking:
+            self._state.await_row()
             self._state.look()
             faults = list(self._state.faults)
         drives = {name: state.words for name, state in self._state.drive_states().items()}
@@ -158,6 +170,11 @@ class Desk:
 
     def _has_started(self) -> bool:
         return self._state.loop_state() is LoopState.RUNNING
+
+    def _is_given_up(self, cycle: int) -> bool:
+        """Return True if the run waits again after a start in ``cycle``: a fault or a stop has ended it."""
+        rows = self._state.rows(1)
+        return len(rows) > 0 and self._cycle(rows) > cycle and self._state.loop_state() is LoopState.WAITING
 
     def _has_stopped(self) -> bool:
         if self._state.loop_state() is not LoopState.WAITING:
@@ -179,12 +196,22 @@ class Desk:
         """
         if self._state.has_ended:
             raise RefusedError("the daemon has ended its loop")
+        is_stop = change.action is Action.STOP
+        if self._waiting_stop > self._mailbox.answered and not is_stop:
+            raise RefusedError("the loop stands, and a stop waits for it: nothing else is handed to it before that")
         self._mailbox.post(pack(change))
         answer = self._mailbox.wait(change.number, _ANSWER_S)
-        if answer is None:
+        if answer is None and is_stop:
+            self._waiting_stop = change.number
             raise RefusedError(
-                f"the loop has not answered within {_ANSWER_S:g} s: it is not known whether it did as asked"
+                f"the loop has not answered within {_ANSWER_S:g} s: it stops as soon as it goes on; until then nothing "
+                "is known of the drives"
             )
+        if answer is None:
+            self._mailbox.withdraw()  # an axis must not be enabled, or changed, when nobody expects it any more
+            answer = self._mailbox.wait(change.number, _LAST_ANSWER_S)
+        if answer is None:
+            raise RefusedError(f"the loop has not answered within {_ANSWER_S:g} s: the request was withdrawn")
         cycle, refusal = answer
         if refusal:
             raise RefusedError(refusal)
@@ -234,6 +261,10 @@ def _request(line: bytes) -> dict[str, Any]:
         request = json.loads(line)
     except (ValueError, RecursionError):
         raise RefusedError('a request is one JSON object a line, e.g. {"do": "status"}') from None
+    try:
+        json.dumps(request, ensure_ascii=False).encode()
+    except (UnicodeEncodeError, RecursionError):
+        raise RefusedError("a request is text: it has half of a surrogate pair, or is nested too deep") from None
     if not isinstance(request, dict):
         raise RefusedError('a request is a JSON object, e.g. {"do": "status"}')
     what = request.get("do")

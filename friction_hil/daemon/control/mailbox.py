@@ -129,6 +129,10 @@ class MailboxWriter(_Mailbox):
         self._memory[_DIGEST_AT : _DIGEST_AT + _DIGEST_BYTES] = _digest(sequence + 1, message)
         self._words[_SEQUENCE] = sequence + 1
 
+    def withdraw(self) -> None:
+        """Take back the message; the loop does not take it any more, unless it is doing so at this moment."""
+        self._words[_SEQUENCE] = (self._words[_SEQUENCE] | 1) & 0x7FFFFFFFFFFFFFFF
+
     @property
     def answered(self) -> int:
         """Number of the message that was answered last."""

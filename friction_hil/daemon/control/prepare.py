@@ -30,6 +30,7 @@ _NOT_LIVE = {
     "max_acceleration": _OF_THE_ESTIMATE,
     "baseline_s": "it counts from the beginning of a motion",
     "transmission": "it would move the set-point of the motor",
+    "gravity": "the feed-forward is that of the start: switching it would let the axis sag",
 }
 _ELSEWHERE = "change it in the configuration, and start the daemon again"
 
@@ -183,7 +184,7 @@ def _check_kind(name: str, path: Any, kind: str) -> None:
     UsageError
         The model is for a linear axis and this one is rotary, or the other way round; or the path is none.
     """
-    if not isinstance(path, str):
+    if not isinstance(path, str) or not path or "\0" in path:
         raise UsageError(f"{name}.model: must be the path of a model file, not {show(path)}")
     try:
         given = load_model_file(path).axis

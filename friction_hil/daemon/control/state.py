@@ -1,6 +1,7 @@
 """State of a daemon as the control socket reports it: read from the ring, without any work of the loop."""
 
 import math
+import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +21,8 @@ _SHOWN = {
     "temperature": "temperature_estimate",
 }
 _MOST_EVENTS = 20
+_STANDS_S = 1.0  # without a row: the loop stands
+_LOOK_S = 1e-3
 
 
 class DaemonState:
@@ -41,6 +44,8 @@ class DaemonState:
         Faults that nobody has reset.
     warnings, notices : list of str
         The last ones.
+    stands : bool
+        The loop wrote no row while `await_row` waited for one: what it read last says nothing about the drives now.
     """
 
     def __init__(self, ring_descriptor: int, names: Sequence[str], columns: Sequence[str], state_width: int) -> None:
@@ -49,6 +54,14 @@ class DaemonState:
         self.faults: list[str] = []
         self.warnings: list[str] = []
         self.notices: list[str] = []
+        self.stands = False
+
+    def await_row(self) -> None:
+        """Wait until the loop has written another row, a second at most."""
+        before, end_s = self._ring.rows_written, time.monotonic() + _STANDS_S
+        while not (is_new := self._ring.rows_written != before) and not self.has_ended and time.monotonic() < end_s:
+            time.sleep(_LOOK_S)
+        self.stands = not (is_new or self.has_ended)
 
     @property
     def has_ended(self) -> bool:
@@ -93,7 +106,7 @@ class DaemonState:
         rows, state = self.rows(1), self.loop_state()
         has_row = len(rows) > 0
         return {
-            "state": "ended" if self.has_ended else "unknown" if state is None else state.name.lower(),
+            "state": "ended" if self.has_ended else "unknown" if state is None or self.stands else state.name.lower(),
             "time_s": self._value(rows[-1], 0, "time_s") if has_row else None,
             "cycle": int(self._value(rows[-1], 0, "cycle")) if has_row else None,
             "changes": self.last_change(),
@@ -102,7 +115,7 @@ class DaemonState:
     def axis(self, name: str) -> dict[str, Any]:
         """Return the values of an axis; None for what is not known."""
         rows, axis = self.rows(1), list(self._names).index(name)
-        if not len(rows) or self.has_ended:
+        if not len(rows) or self.has_ended or self.stands:
             return {"drive_state": DriveState.UNKNOWN.words} | dict.fromkeys([*_SHOWN, "following_error"])
         row = rows[-1]
         error = self._value(row, axis, "position_demand") - self._value(row, axis, "position")
@@ -119,7 +132,8 @@ class DaemonState:
     def _drive_state(self, row: "Array", axis: int) -> DriveState:
         state = self._value(row, axis, "drive_state")
         is_read = self._value(row, axis, "is_fresh") == 1.0
-        return DriveState(int(state)) if is_read and math.isfinite(state) and not self.has_ended else DriveState.UNKNOWN
+        is_known = is_read and math.isfinite(state) and not (self.has_ended or self.stands)
+        return DriveState(int(state)) if is_known else DriveState.UNKNOWN
 
     def _value(self, row: "Array", axis: int, column: str) -> float:
         return float(row[axis * self._width + self._columns.index(column)])

@@ -1,0 +1,138 @@
+"""Requests at the control socket, with a loop that stands, goes on or ends a start by a fault."""
+
+import json
+import math
+import os
+import threading
+import time
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+
+from friction_hil.config import self_contained
+from friction_hil.daemon.control import desk, state
+from friction_hil.daemon.control.desk import Desk
+from friction_hil.daemon.control.job import ControlJob
+from friction_hil.daemon.control.journal import make_journal
+from friction_hil.daemon.control.mailbox import MailboxReader
+from friction_hil.daemon.control.message import Action
+from friction_hil.daemon.control.packed import room, unpack
+from friction_hil.daemon.ring import RingWriter
+from friction_hil.daemon.safety import LoopState
+from friction_hil.drive import DriveState
+from friction_hil.recordings import columns
+from tests.servo_drives import axis_dict, configuration
+
+
+class Loop:
+    """The loop's ends of ring and mailbox."""
+
+    def __init__(self):
+        self.ring = RingWriter(len(columns.NAMES) + 1, 64)
+        self.mailbox = MailboxReader(room(1))
+        self.cycle = 0
+        self.row(LoopState.WAITING, DriveState.SWITCH_ON_DISABLED)
+
+    def row(self, run, drive):
+        values = {"cycle": self.cycle, "time_s": 1e-3 * self.cycle, "state": run, "drive_state": drive}
+        values |= {"is_fresh": 1.0, "change": 0.0}
+        self.ring.push(np.array([*(values.get(name, math.nan) for name in columns.NAMES), math.nan]))
+        self.cycle += 1
+
+    def taken(self):
+        """The action of the message that is there for the loop, None for none."""
+        message = self.mailbox.take(self.cycle)
+        return None if message is None else unpack(message, []).action
+
+    @contextmanager
+    def going_on(self, rows):
+        """Write rows in the background, and do at once what is asked for."""
+        is_over = threading.Event()
+
+        def go_on():
+            while not is_over.is_set():
+                if self.mailbox.has_news and (message := self.mailbox.take(self.cycle)) is not None:
+                    self.mailbox.answer(unpack(message, []).number, self.cycle)
+                self.row(*rows[min(self.cycle, len(rows) - 1)])
+                time.sleep(1e-3)
+
+        thread = threading.Thread(target=go_on)
+        thread.start()
+        yield
+        is_over.set()
+        thread.join()
+
+
+@pytest.fixture
+def loop():
+    return Loop()
+
+
+@pytest.fixture
+def ask(loop, monkeypatch):
+    """A function that returns the answer to a request."""
+    monkeypatch.setattr(desk, "_ANSWER_S", 0.05)
+    monkeypatch.setattr(state, "_STANDS_S", 0.05)
+    config = self_contained(configuration(x=axis_dict()))
+    job = ControlJob("mill", config, "mill.yaml", [], list(columns.NAMES), 1)
+    journal = make_journal()
+    asked = Desk(job, loop.ring.descriptor, loop.mailbox.descriptor, journal)
+    yield lambda **request: asked.answer(json.dumps(request).encode(), os.geteuid())
+    os.close(journal)
+
+
+def test_what_a_standing_loop_did_not_answer_is_withdrawn_so_that_no_axis_is_enabled_later(loop, ask):
+    answer = ask(do="start")
+    assert "the request was withdrawn" in answer["problems"][0]
+    assert loop.taken() is None
+
+
+def test_a_stop_waits_for_a_standing_loop_and_nothing_takes_its_place(loop, ask):
+    assert "it stops as soon as it goes on" in ask(do="stop")["problems"][0]
+    assert "a stop waits for it" in ask(do="start")["problems"][0]
+    assert loop.taken() is Action.STOP
+
+
+def test_nothing_is_known_of_drives_while_the_loop_stands(loop, ask):
+    answer = ask(do="status")
+    assert (answer["state"], answer["axes"]["x"]["drive_state"]) == ("unknown", "unknown")
+    assert "it stands" in answer["warnings"][-1]
+    with loop.going_on([(LoopState.WAITING, DriveState.SWITCH_ON_DISABLED)]):
+        answer = ask(do="status")
+        stopped = ask(do="stop")
+    assert (answer["state"], answer["axes"]["x"]["drive_state"]) == ("waiting", "switch on disabled")
+    assert answer["warnings"] == []
+    assert (stopped["is_done"], stopped["drives"]) == (True, {"x": "switch on disabled"})
+
+
+def test_a_start_that_a_fault_ends_is_answered_at_once(loop, ask):
+    rows = [(LoopState.ENABLING, DriveState.READY_TO_SWITCH_ON)] * 20
+    began_s = time.monotonic()
+    with loop.going_on([*rows, (LoopState.WAITING, DriveState.FAULT)]):
+        answer = ask(do="start")
+    assert answer["ok"], answer
+    assert time.monotonic() - began_s < 5.0
+    assert (answer["is_done"], answer["state"], answer["drives"]) == (False, "waiting", {"x": "fault"})
+
+
+def test_a_fault_is_shown_although_many_changes_follow_it_before_anybody_looks(loop, ask):
+    loop.ring.push_event(0, "fault", "x: it failed")
+    for _ in range(20):
+        ask(do="set", values={"x.gian": 1.0})
+        for _ in range(20):
+            loop.ring.push_event(0, "notice", "something")
+    assert ask(do="status")["faults"] == ["x: it failed"]
+
+
+@pytest.mark.parametrize("path", ["", "\0", "\ud800"])
+def test_a_path_that_no_file_can_have_is_refused_in_words(ask, path):
+    (problem,) = ask(do="set", values={"x.model": path})["problems"]
+    assert "error in friction-hil" not in problem
+
+
+def test_gravity_which_the_loop_reads_once_is_not_said_to_be_changed(ask):
+    assert (
+        "x.gravity: cannot be changed while the daemon runs"
+        in ask(do="set", values={"x.gravity": False})["problems"][0]
+    )
