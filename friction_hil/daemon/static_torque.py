@@ -66,12 +66,25 @@ def static_torque_note(config: "AxisConfig") -> str:
     torque = static_torque(config)
     if not _is_fed(config) or torque.largest == 0.0:
         return ""
-    unit = "N m" if config.model.axis == "rotary" else "N"
     text = (
-        f"gravity and offset of the model are fed forward, up to {torque.largest:.3g} {unit}, from enabling on "
+        f"gravity and offset of the model, up to {torque.largest:.3g} {_unit(config)}, are fed forward from enabling on "
         "(compensation.gravity: false turns this off)"
     )
-    if torque.largest <= torque.bound:
-        return text
-    rest = "the axis cannot hold" if config.mode == "cst" else "is left to the loops of the drive"
-    return f"{text}; limits.torque leaves {torque.bound:.3g} {unit} for this, and what is beyond {rest}"
+    shortage = static_torque_shortage(config)
+    return f"{text}; limits.torque {shortage}" if shortage else text
+
+
+def static_torque_shortage(config: "AxisConfig") -> str:
+    """Return that ``limits.torque`` is too small for what is to be fed forward; empty where it is not."""
+    torque = static_torque(config)
+    if not _is_fed(config) or torque.largest <= torque.bound:
+        return ""
+    rest = "the axis cannot hold the rest" if config.mode == "cst" else "the loops of the drive have to hold the rest"
+    return (
+        f"leaves {torque.bound:.3g} {_unit(config)} for gravity and offset of the model, which need up to "
+        f"{torque.largest:.3g} {_unit(config)}: {rest}"
+    )
+
+
+def _unit(config: "AxisConfig") -> str:
+    return "N m" if config.model.axis == "rotary" else "N"
