@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, NamedTuple
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig
 
+_NOTEWORTHY = 0.01  # of limits.torque: identification finds a small offset where there is none
+
 
 class StaticTorque(NamedTuple):
     """Feed-forward torque that depends on nothing but the position.
@@ -62,13 +64,13 @@ def _is_fed(config: "AxisConfig") -> bool:
 
 
 def static_torque_note(config: "AxisConfig") -> str:
-    """Return what is fed forward, and where ``limits.torque`` is too small for it; empty where nothing is."""
+    """Return what is fed forward, and whether ``limits.torque`` is too small for it; empty for next to nothing."""
     torque = static_torque(config)
-    if not _is_fed(config) or torque.largest == 0.0:
+    if not _is_fed(config) or torque.largest <= _NOTEWORTHY * config.limits.torque:
         return ""
     text = (
-        f"gravity and offset of the model, up to {torque.largest:.3g} {_unit(config)}, are fed forward from enabling on "
-        "(compensation.gravity: false turns this off)"
+        f"gravity and offset of the model, up to {torque.largest:.3g} {_unit(config)}, are fed forward as soon as the "
+        "axis is enabled (compensation.gravity: false turns this off)"
     )
     shortage = static_torque_shortage(config)
     return f"{text}; limits.torque {shortage}" if shortage else text

@@ -109,6 +109,7 @@ def test_it_stays_within_the_limit_and_the_slew(mode):
     if mode != "cst":
         assert "limits.torque leaves 0 N m" in static_torque_note(axis(mode, torque=0.1).axes["x"])
     assert static_torque_note(axis(mode, torque=0.1, gravity=False).axes["x"]) == ""
+    assert static_torque_note(axis(mode, error=0.01).axes["x"]) == ""
 
 
 def test_the_check_of_a_configuration_says_where_the_limit_is_too_small(tmp_path, capsys):
