@@ -71,12 +71,22 @@ def mistakes_of(
 ) -> list[Mistake]:
     """Convert pydantic's ``error`` about ``value`` as ``model`` to mistakes, one per field path."""
     found: dict[FieldPath, list[str]] = {}
-    for item in error.errors(include_url=False):
+    items = error.errors(include_url=False)
+    # of the values that a list lacks, the last one says how many it needs
+    last = {item["loc"][:-1]: item["loc"] for item in items if _is_missing_value(item)}
+    for item in items:
+        if _is_missing_value(item) and item["loc"] != last[item["loc"][:-1]]:
+            continue
         steps, message = _translate(item, model, value, known)
         found.setdefault(steps, [])
         if message not in found[steps]:
             found[steps].append(message)
     return [(steps, "; or ".join(messages)) for steps, messages in found.items()]
+
+
+def _is_missing_value(item: ErrorDetails) -> bool:
+    """Return True if a list is too short for a value at this index."""
+    return item["type"] == "missing" and isinstance(item["loc"][-1], int)
 
 
 def _refusal(title: str, mistakes: Sequence[Mistake]) -> ValidationError:

@@ -130,8 +130,8 @@ class Compensation(Section):
         le=MOST_VELOCITY,
     )
     gravity: bool = key(
-        "feed gravity and offset of the model file forward; false: the drive does so itself. In csp and csv it needs "
-        "enabled: true, in cst a controller is enough",
+        "feed gravity and offset of the model file forward, from enabling on; false for a drive that does this itself. "
+        "Without enabled: true this is done in cst with a controller only; beside a master it is never done",
         default=True,
     )
     adaptation: Adaptation | None = key("slow adaptation of the friction level; by default off", default=None)

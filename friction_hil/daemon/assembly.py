@@ -77,40 +77,6 @@ def largest_offset(config: "AxisConfig") -> float:
     return 0.5 * mechanics.backlash + (0.0 if load.stiffness is None else carried / load.stiffness)
 
 
-def largest_static_torque(config: "AxisConfig") -> float:
-    """Return the bound on the feed-forward of gravity and offset, N m or N; 0 where nothing is fed forward.
-
-    In csp and csv it is what ``limits.torque`` leaves beside the friction: a bound on the sum alone would take the
-    compensation of one direction away. In cst, ``limits.torque`` is the limit of the whole.
-    """
-    given, model = config.compensation, config.model
-    if not _feeds_static_torque(config):
-        return 0.0
-    if config.mode == "cst":
-        return config.limits.torque
-    gain = max(given.gain, given.gain if given.gain_negative is None else given.gain_negative)
-    return max(config.limits.torque - gain * model.friction_model.level, 0.0)
-
-
-def _feeds_static_torque(config: "AxisConfig") -> bool:
-    has_controller = config.mode == "cst" and config.controller is not None
-    return config.compensation.gravity and (config.compensation.enabled or has_controller)
-
-
-def static_torque_note(config: "AxisConfig") -> str:
-    """Return that ``limits.torque`` is too small for gravity and offset; empty where it is not."""
-    mechanics, bound = config.model.mechanics, largest_static_torque(config)
-    gravity = mechanics.gravity
-    most = abs(mechanics.offset + gravity.constant) + math.hypot(gravity.sine, gravity.cosine)
-    if most <= bound or not _feeds_static_torque(config):
-        return ""
-    unit = "N m" if config.model.axis == "rotary" else "N"
-    return (
-        f"gravity and offset of the model need up to {most:.3g} {unit}, and limits.torque leaves {bound:.3g} {unit} "
-        "for their feed-forward: what is beyond is left to the loops of the drive"
-    )
-
-
 def thermal_observer(model: "ModelFile") -> ThermalObserver | None:
     """Return the thermal observer of a model file, None if it has none."""
     given = model.thermal

@@ -188,6 +188,8 @@ class AxisLoop:
             self.lead_s = self.motion.lead_s = self.compensator.record[0]["lead_s"].item()
             self._notices.renew(self.compensator)
             self._watch_temperature()
+        if change.static is not None:
+            self._command.adopt(change.static, self._fade_s, self.lead_s)
         if change.is_enabled is not None:
             self._is_compensation_enabled = change.is_enabled
             begins_s = max(self._configured_baseline_s, running_s if math.isfinite(running_s) else 0.0)

@@ -4,9 +4,10 @@ import math
 from typing import TYPE_CHECKING
 
 from friction_hil.compensator.limiter import limit_torque
-from friction_hil.daemon.assembly import largest_static_torque, make_controller
+from friction_hil.daemon.assembly import make_controller
 from friction_hil.daemon.motion import AxisMotion
 from friction_hil.daemon.safety import MOVING, LoopState, SafetyLimits
+from friction_hil.daemon.static_torque import StaticTorque, static_torque
 from friction_hil.drive import Command, Mode
 from friction_hil.motion.controller import cascade
 from friction_hil.motion.trajectory import Setpoint
@@ -44,16 +45,18 @@ class CommandWriter:
 
     __slots__ = (
         "_controller",
-        "_gravity",
+        "_difference",
+        "_fade_left_s",
+        "_fade_s",
         "_integral",
-        "_largest_static",
         "_largest_step",
+        "_last_static",
         "_lead_s",
         "_limits",
         "_mode",
         "_motion",
-        "_offset",
         "_period_s",
+        "_static",
         "_torque",
         "held_position",
         "offset_sent",
@@ -67,10 +70,9 @@ class CommandWriter:
         self._motion = motion
         self._period_s = period_s
         self._lead_s = lead_s
-        mechanics = config.model.mechanics
-        self._gravity, self._offset = mechanics.gravity, mechanics.offset
-        is_needed = mechanics.offset != 0.0 or mechanics.gravity != type(mechanics.gravity)()
-        self._largest_static = largest_static_torque(config) if is_needed else 0.0
+        self._static = static_torque(config)
+        self._last_static = 0.0
+        self._difference, self._fade_s, self._fade_left_s = 0.0, 1.0, 0.0  # from the torque before the last change
         self._largest_step = limits.torque_slew * period_s
         self._controller, self._integral = make_controller(config), 0.0
         self._torque = 0.0
@@ -82,6 +84,12 @@ class CommandWriter:
         self._control(Setpoint(0.0, 0.0, 0.0), 0.0, 0.0)
         self._integral = 0.0
         self._limited(0.0)
+
+    def adopt(self, static: StaticTorque, fade_s: float, lead_s: float) -> None:
+        """Go on with another feed-forward of gravity and offset; what it differs by vanishes over ``fade_s``."""
+        self._static, self._lead_s = static, lead_s
+        self._fade_s = fade_s
+        self._fade_left_s = math.inf
 
     def write(
         self,
@@ -143,12 +151,17 @@ class CommandWriter:
 
     def _static_torque(self, position: float, velocity: float, now: Setpoint | None) -> float:
         """Return the feed-forward of gravity and offset, N m: on the demanded path, without one at the axis."""
-        if self._largest_static == 0.0:
-            return 0.0
         if now is not None:
             position, velocity = now.position, now.velocity
-        wanted = self._offset + float(self._gravity.at(position + self._lead_s * velocity))
-        return min(max(wanted, -self._largest_static), self._largest_static)
+        wanted = self._static.at(position + self._lead_s * velocity)
+        if self._fade_left_s > 0.0:
+            if self._fade_left_s == math.inf:
+                self._difference, self._fade_left_s = self._last_static - wanted, self._fade_s
+            else:
+                self._fade_left_s = max(self._fade_left_s - self._period_s, 0.0)
+            wanted += self._difference * self._fade_left_s / self._fade_s
+        self._last_static = wanted
+        return wanted
 
     def _limited(self, wanted: float) -> float:
         """Return the torque within limit and slew, and keep it as the last one."""

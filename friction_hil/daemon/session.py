@@ -13,7 +13,7 @@ from friction_hil.compensator import Compensator, CompensatorSettings
 from friction_hil.config import RecordingConfig, self_contained
 from friction_hil.config.drivers import load_driver
 from friction_hil.config.load import only_driver
-from friction_hil.daemon.assembly import experiment_note, ramp_s, static_torque_note
+from friction_hil.daemon.assembly import experiment_note, ramp_s
 from friction_hil.daemon.axis import AxisLoop
 from friction_hil.daemon.companion import Companion, CompanionReport, Job, free_path, prepare, state_folder
 from friction_hil.daemon.control.job import ControlJob
@@ -27,6 +27,7 @@ from friction_hil.daemon.loop import Loop
 from friction_hil.daemon.notify import NotifyingSink, ServiceManager
 from friction_hil.daemon.realtime import RealClock, SteppedClock, punctuality
 from friction_hil.daemon.run import LoopSettings
+from friction_hil.daemon.static_torque import static_torque_note
 from friction_hil.daemon.stop import StopRequest
 from friction_hil.drive import AxisFacts, Clock, Drives, unit_table
 from friction_hil.drive.finding import complaints
@@ -192,7 +193,7 @@ def _prepare(
             report(line)
         for note in (*fact.notes, *configuration.axes[fact.name].model.friction_model.notes):
             report(f"{fact.name}: {note}")
-        if not _is_follower(drives) and (note := static_torque_note(configuration.axes[fact.name])):
+        if note := static_torque_note(configuration.axes[fact.name]):
             report(f"{fact.name}: {note}")
     path_time = PathTime(ramp_s(configuration.axes.values()))
     shadows = sorted({shadow.name for axis in configuration.axes.values() for shadow in axis.shadows})

@@ -291,9 +291,9 @@ def _missing(why: str, torques: TorqueFits | None) -> dict[str, str]:
     keys = ("motor_inertia", "load_inertia", "antiresonance_hz", "resonance_hz", "stiffness", "damping")
     found = dict.fromkeys(keys, stiff)
     if torques is None or torques.two is None:
-        found["backlash"] = f"no coupling was found in which it could be; {_STROKES}"
+        found["backlash"] = f"the torque of the reversals shows no coupling in which it could be; {_STROKES}"
         found["motor_friction"] = found["load_friction"] = (
-            f"only their sum is known, because no coupling was found between them; {_REVERSALS}"
+            f"only their sum is known, because the torque of the reversals shows no coupling between them; {_REVERSALS}"
         )
     else:
         found["backlash"] = f"none stands out from the coupling's own twist; a smaller one: {_STROKES}"

@@ -123,7 +123,8 @@ def plan(
         strokes -= 1
     length_s = periods * REPEAT_S
     frequency = strokes / length_s
-    amplitude = min(amplitude, 0.25 * speed / frequency)
+    # one stroke may have to be shorter than it could be: its corners are then nearer to each other
+    amplitude = min(amplitude, 0.25 * speed / frequency, corner * _ROUNDING / (4.0 * frequency) ** 2)
     speed = 4.0 * amplitude * frequency
     return MultisinePlan(
         amplitude, frequency, _SHARE * speed, (1.0 - _CORNER_SHARE) * acceleration, LOW_HZ, top, length_s

@@ -8,7 +8,8 @@ import numpy as np
 
 from friction_hil import compensator as compensation
 from friction_hil.config.external_torque import simulated_servo
-from friction_hil.daemon.assembly import largest_static_torque, lead_s, make_compensator, make_controller
+from friction_hil.daemon.assembly import lead_s, make_compensator, make_controller
+from friction_hil.daemon.static_torque import static_torque
 from friction_hil.motion.trajectory import Path, PathTime, Trajectory
 from friction_hil.numerics.jit import Array
 from friction_hil.rehearsal import kernel
@@ -124,7 +125,7 @@ class Rehearsal:
         )
         d["torque_limit"] = axis.limits.torque
         d["torque_slew"] = math.inf if axis.limits.torque_slew is None else axis.limits.torque_slew
-        d["largest_static"], d["offset"] = largest_static_torque(axis), model.mechanics.offset
+        d["largest_static"], d["offset"] = static_torque(axis).bound, model.mechanics.offset
         trace = np.empty((len(kernel.TRACE), len(demand)))
         kernel.run(
             daemon,

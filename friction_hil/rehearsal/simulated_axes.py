@@ -63,7 +63,10 @@ def simulated_axes(configuration: "Configuration") -> tuple[SimulatedAxis, ...]:
             "'friction-hil run CONFIG --simulate' shows what compensation does on both"
         )
     if not found:
-        raise UsageError("no axis has a simulation: that is the machine that moves (config/machines has examples)")
+        raise UsageError(
+            "no axis has a section 'simulation', which describes the machine to be simulated (config/machines has "
+            "examples)"
+        )
     return tuple(found)
 
 

@@ -157,6 +157,11 @@ def test_a_mistake_is_reported_with_its_line(path, old, new, field, message):
     assert problem.line == expected
 
 
+def test_a_list_without_values_is_reported_once(path):
+    [problem] = problems_in(path, GOOD.replace("position: [-10.0, 10]", "position: []"))
+    assert (problem.field, problem.message) == ("axes.x.limits.position", "needs at least 2 values")
+
+
 def test_a_missing_key_is_reported_at_its_parent(path):
     [problem] = problems_in(path, GOOD.replace("      torque: 0.3\n", ""))
     assert (problem.line, problem.field) == (12, "axes.x.limits.torque")

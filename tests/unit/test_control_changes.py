@@ -16,6 +16,7 @@ from friction_hil.daemon.control.packed import room, unpack
 from friction_hil.daemon.control.prepare import entry_of, prepare
 from friction_hil.daemon.figures import Condition
 from friction_hil.daemon.safety import LoopState
+from friction_hil.daemon.static_torque import StaticTorque
 from friction_hil.daemon.stop import StopRequest
 from friction_hil.drive import DriveState, Request
 from friction_hil.errors import DriveError, RecordingError, UsageError
@@ -440,3 +441,39 @@ def test_models_that_cannot_take_the_place_of_the_present_one_are_refused(change
     config = self_contained(configuration(x=offset))
     with pytest.raises(UsageError, match=r"because compensation\.transmission is on"):
         prepare(config, "test", {"x.model": str(other)}, changed.facts[:1], {}, has_network=False)
+
+
+def test_gravity_follows_each_change_within_the_fade(models, tmp_path):
+    """Switched off, on, with another model, and with the compensation: as a new start would feed it, without a step."""
+    heavier = tmp_path / "heavier.yaml"
+    mechanics = {"inertia": 2e-4, "offset": 0.06, "gravity": {"constant": 0.01}}
+    heavier.write_text(json.dumps({"version": 1, **STRIBECK, "mechanics": mechanics}))
+    x = quick()
+    x["model"] = x["model"] | {"mechanics": {"inertia": 2e-4, "gravity": {"constant": 0.04}}}
+    plan = {
+        300: {"x.gravity": False},
+        400: {"x.gravity": True},
+        500: {"x.model": str(heavier)},
+        600: {"x.enabled": False},
+        700: {"x.gain": 3.0 / 4.0},
+        800: {"x.enabled": True},
+        900: {"x.model": models["stribeck"]},
+    }
+    changed = Changed(configuration(x=x), plan, until=1000)
+    assert changed.result.faults == []
+    assert [refusal for _, refusal in changed.answers] == [""] * len(plan)
+    fed = changed.column("command") - changed.column("compensation")
+    ends = [fed[cycle - 1] for cycle in (*plan, 1000)]
+    assert ends == pytest.approx([0.04, 0.0, 0.04, 0.07, 0.0, 0.0, 0.07, 0.0], abs=1e-9)
+    steps = np.abs(np.diff(fed))[200:1000]
+    assert steps.max() <= 0.07 / 49  # of the 50 cycles of the fade
+
+
+@pytest.mark.parametrize("damage", [{"bound": 0.4}, {"bound": -0.1}, {"sine": np.nan}, {"offset": np.inf}])
+def test_a_damaged_gravity_is_refused(changed, damage):
+    whole = StaticTorque(0.2, 0.1, 0.0, 0.1, 0.0)
+    records = [axis.compensator.record for axis in changed.axes]
+    taken = unpack(pack(Change(1, axes=[AxisChange(static=whole), None])), records)
+    assert taken.axes == [AxisChange(static=whole), None]
+    with pytest.raises(ValueError, match="the feed-forward of gravity is"):
+        unpack(pack(Change(1, axes=[AxisChange(static=whole._replace(**damage)), None])), records)

@@ -158,6 +158,18 @@ def test_a_stop_and_a_start_at_the_control_socket_fade_the_offset_and_leave_the_
     assert set(machine.states) == {ENABLED}
 
 
+def test_gravity_is_left_to_the_master_whose_loops_carry_it_already():
+    """Nor would the fade-out ever end: it waits for an offset of zero."""
+    mechanics = {"inertia": 2e-4, "torque_lag_s": 3e-4, "offset": 0.1, "gravity": {"constant": 0.05, "sine": 0.1}}
+    plain, heavy = Machine(), Machine()
+    run(plain)
+    model = sidecar_dict()["model"] | {"mechanics": mechanics}
+    result, sink, _ = run(heavy, config=configuration(model=model))
+    assert result.faults == []
+    assert heavy.sent == plain.sent
+    assert states_of(sink) == ["running", "stopping", "done"]
+
+
 def test_compensation_reduces_the_following_error():
     machine = Machine()
     config = configuration(compensation={"fade_s": 0.1, "baseline_s": 2.0})

@@ -5,8 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from friction_hil.daemon.assembly import static_torque_note
+from friction_hil.checked_yaml.text import dump
+from friction_hil.cli.work.config import check_files
+from friction_hil.config import self_contained
 from friction_hil.daemon.safety import LoopState
+from friction_hil.daemon.static_torque import static_torque_note
 from friction_hil.models.model_file import Gravity
 from friction_hil.motion.trajectory import sine_path
 from friction_hil.rehearsal import Motion, Rehearsal
@@ -99,10 +102,26 @@ def test_it_stays_within_the_limit_and_the_slew(mode):
     assert np.abs(np.diff(command)).max() <= 300.0 * PERIOD_S * (1.0 + 1e-9)
     if mode != "cst":
         assert "limits.torque leaves 0.092 N m" in static_torque_note(given.axes["x"])
-    assert static_torque_note(axis(mode).axes["x"]) == ""
+    assert "up to 0.391 N m" in static_torque_note(axis(mode).axes["x"])
+    assert "limits.torque" not in static_torque_note(axis(mode).axes["x"])
+    if mode == "cst":
+        assert "limits.torque leaves 0.2 N m for gravity" in static_torque_note(given.axes["x"])
     if mode != "cst":
         assert "limits.torque leaves 0 N m" in static_torque_note(axis(mode, torque=0.1).axes["x"])
     assert static_torque_note(axis(mode, torque=0.1, gravity=False).axes["x"]) == ""
+    assert static_torque_note(axis(mode, error=0.01).axes["x"]) == ""
+
+
+def test_the_check_of_a_configuration_says_where_the_limit_is_too_small(tmp_path, capsys):
+    file = tmp_path / "axis.yaml"
+    file.write_text(dump(self_contained(axis("cst", torque=0.2))))
+    assert check_files([str(file)], as_json=False) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "axes.x.limits.torque: leaves 0.2 N m for gravity and offset of the model, which need up to" in printed
+    assert "0.391 N m: the axis cannot hold the rest" in printed
+    file.write_text(dump(self_contained(axis("csp"))))
+    assert check_files([str(file)], as_json=False) == 0
+    assert "note" not in capsys.readouterr().out
 
 
 def test_it_leaves_the_friction_its_torque_in_both_directions():

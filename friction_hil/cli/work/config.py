@@ -10,6 +10,7 @@ from friction_hil.cli.colour import echo_problem
 from friction_hil.cli.output import print_json
 from friction_hil.cli.work.tables import say
 from friction_hil.config import Configuration, file_problems, json_schema, load, located, missing_models, self_contained
+from friction_hil.daemon.static_torque import static_torque_shortage
 from friction_hil.errors import ConfigurationError, OptionError, Problem
 
 
@@ -21,7 +22,11 @@ def check_files(files: Sequence[str], as_json: bool) -> int:
         try:
             configuration = load(file, needs_models=False)
             reports[file] = tuple(file_problems(file, configuration))
-            notes[file] = [*missing_models(file, configuration), *_inert_adaptations(file, configuration)]
+            notes[file] = [
+                *missing_models(file, configuration),
+                *_inert_adaptations(file, configuration),
+                *_short_limits(file, configuration),
+            ]
         except ConfigurationError as error:
             reports[file] = error.problems
     if as_json:
@@ -52,6 +57,15 @@ def _inert_adaptations(file: str, configuration: Configuration) -> list[Problem]
     for name, axis in adapting.items():
         if text := adaptation_problem(name, axis, configuration.period_s):
             found += located(file, OptionError(name, "compensation.adaptation", text)).problems
+    return found
+
+
+def _short_limits(file: str, configuration: Configuration) -> list[Problem]:
+    """Return a note for each axis whose torque limit is too small for the feed-forward of gravity."""
+    found: list[Problem] = []
+    for name, axis in configuration.axes.items():
+        if text := static_torque_shortage(axis):
+            found += located(file, OptionError(name, "limits.torque", text)).problems
     return found
 
 

@@ -9,10 +9,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 if TYPE_CHECKING:
+    from friction_hil.daemon.static_torque import StaticTorque
     from friction_hil.numerics.jit import Array, StructuredArray
 
 TEXT_BYTES = 160
-HEAD, AXIS_HEAD = 4, 3  # numbers before the axes, and before the arrays of an axis
+HEAD, AXIS_HEAD = 4, 4  # numbers before the axes, and before the arrays of an axis
 
 
 class Action(IntEnum):
@@ -36,11 +37,14 @@ class AxisChange:
         New settings of the compensator; None: as they are.
     friction : array or None
         State in which another model begins; None: the model stays.
+    static : StaticTorque or None
+        New feed-forward of gravity and offset; None: as it is.
     """
 
     is_enabled: bool | None = None
     record: "StructuredArray | None" = None
     friction: "Array | None" = None
+    static: "StaticTorque | None" = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,8 +76,9 @@ def pack(change: Change) -> bytes:
         record = np.empty(0) if one.record is None else one.record.view(np.float64)
         friction = np.empty(0) if one.friction is None else one.friction
         enabled = math.nan if one.is_enabled is None else float(one.is_enabled)
-        parts.append([enabled, record.size, friction.size])
-        parts += [record, friction]
+        static = one.static or ()
+        parts.append([enabled, record.size, friction.size, len(static)])
+        parts += [record, friction, static]
     numbers = np.concatenate([np.asarray(part, np.float64) for part in parts])
     numbers[3] = numbers.size
     text = change.text.encode()[:TEXT_BYTES].decode("utf-8", "ignore").encode()

@@ -12,6 +12,7 @@ import numpy as np
 from friction_hil.compensator import prediction, reference
 from friction_hil.compensator.records import settings_type
 from friction_hil.daemon.control.message import AXIS_HEAD, HEAD, TEXT_BYTES, Action, AxisChange, Change
+from friction_hil.daemon.static_torque import StaticTorque
 from friction_hil.friction.dispatch import BOUC_WEN
 from friction_hil.friction.kernel import PARAMETER_ROOM, PLAIN_ROOM, STATE_ROOM
 from friction_hil.numerics.jit import Array, StructuredArray
@@ -32,13 +33,14 @@ _FIXED = (
     "offset_limit",
 )
 _FINITE = ("level", "inertia", "lead_s", "ahead_s", "ahead_noise_square", "noise", "rest", "epsilon", "gate_square")
+_STATIC_ROOM = len(StaticTorque._fields)
 _NOT_KNOWN = "reference_temperature"  # NaN: the model does not depend on temperature
 
 
 def room(axes: int) -> int:
     """Return the length of the longest message to so many axes, bytes."""
     largest = settings_type(PARAMETER_ROOM).itemsize // 8
-    return 8 * (HEAD + axes * (AXIS_HEAD + largest + STATE_ROOM)) + TEXT_BYTES
+    return 8 * (HEAD + axes * (AXIS_HEAD + largest + STATE_ROOM + _STATIC_ROOM)) + TEXT_BYTES
 
 
 def unpack(message: bytes, records: Sequence[StructuredArray], rooms: Collection[int] = (PLAIN_ROOM,)) -> Change:
@@ -82,8 +84,8 @@ def _unpack_axis(
     if len(head) < AXIS_HEAD:
         raise ValueError("its length is wrong")
     enabled = head[0]
-    record_size, friction_size = (_whole(value, "length") for value in head[1:])
-    if not (math.isnan(enabled) or enabled in (0.0, 1.0)) or record_size < 0 or friction_size < 0:
+    record_size, friction_size, static_size = (_whole(value, "length") for value in head[1:])
+    if not (math.isnan(enabled) or enabled in (0.0, 1.0)) or min(record_size, friction_size, static_size) < 0:
         raise ValueError("the head of an axis is wrong")
     at += AXIS_HEAD
     record = friction = None
@@ -95,12 +97,26 @@ def _unpack_axis(
         if record is None or friction.size != STATE_ROOM or not np.isfinite(friction).all():
             raise ValueError("the state of the model is wrong")
         at += friction_size
+    static = None
+    if static_size:
+        static = _static(numbers[at : at + static_size], present)
+        at += static_size
     if record is not None and friction is None and not _is_same_model(record, present):
         raise ValueError("another model needs a state")
     is_enabled = None if math.isnan(enabled) else bool(enabled)
-    if record is None and is_enabled is None:
+    if record is None and is_enabled is None and static is None:
         return None, at
-    return AxisChange(is_enabled, record, friction), at
+    return AxisChange(is_enabled, record, friction, static), at
+
+
+def _static(numbers: Array, present: StructuredArray) -> StaticTorque:
+    """Return the feed-forward of gravity and offset, which stays within the torque limit of the axis."""
+    if numbers.size != _STATIC_ROOM or not np.isfinite(numbers).all():
+        raise ValueError("the feed-forward of gravity is damaged")
+    static = StaticTorque(*numbers.tolist())
+    if not 0.0 <= static.bound <= present[0]["torque_limit"]:
+        raise ValueError("the feed-forward of gravity is out of its range")
+    return static
 
 
 def _record(numbers: Array, present: StructuredArray, rooms: Collection[int]) -> StructuredArray:

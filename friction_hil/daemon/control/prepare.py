@@ -16,6 +16,7 @@ from friction_hil.config.axis import Compensation
 from friction_hil.daemon.assembly import make_compensator
 from friction_hil.daemon.axis import check_torque
 from friction_hil.daemon.control.message import AxisChange
+from friction_hil.daemon.static_torque import static_torque
 from friction_hil.drive import AxisFacts
 from friction_hil.errors import ConfigurationError, FrictionHilError, OptionError, UsageError, choices
 from friction_hil.models.files import load_model_file
@@ -118,8 +119,8 @@ def prepare(
                 if is_other:
                     _check_model(fact.name, after, has_network=has_network)
                 one = _change(after, new, fact, rows.get(fact.name), is_other=is_other)
-            if fact.name in switched:
-                one = AxisChange(after.compensation.enabled, one.record, one.friction)
+            is_enabled = after.compensation.enabled if fact.name in switched else None
+            one = AxisChange(is_enabled, one.record, one.friction, static_torque(after))
         except OptionError as error:
             problems.append(f"{error.axis}.{error.key}: {error.text}")
         except FrictionHilError as error:

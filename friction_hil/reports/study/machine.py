@@ -58,15 +58,15 @@ def write_machine_report(folder: Path, name: str, study: MachineStudy) -> Path:
 
 
 def notes(study: MachineStudy) -> Iterator[str]:
-    """Yield what limits the compensation: what the load deviates from the encoder, and limit cycles."""
+    """Yield what limits the compensation: the deviation of the load from the encoder, and limit cycles."""
     for axis, motions in study.motions.items():
         for motion, result in motions.items():
             unseen, error = result.compensated.unseen, result.compensated.errors("load").rms
             if unseen > _UNSEEN * error:
                 amount = quantity(unseen, study.units[axis])
                 yield (
-                    f"{axis}, {motion}: at the load, {amount} RMS is what it deviates from the encoder (twist, play, "
-                    "errors of gear and encoder), which no torque of the motor takes away"
+                    f"{axis}, {motion}: the load deviates from the encoder by {amount} RMS (twist, play, errors of "
+                    "gear and encoder); no torque of the motor can reduce this part of its error"
                 )
             if result.compensated.gain_factor < 1.0:
                 yield (
