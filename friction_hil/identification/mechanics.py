@@ -253,19 +253,22 @@ def _per_load(known: Mapping[str, Quantity], result: Identification, records: Se
         name, value = max(factors.items(), key=lambda each: abs(each[1]))
         error = best.inference.standard_errors.get(name, math.nan)
         return replace(quantity, label=f"friction per load ({name})", value=value, error=error, source="friction model")
-    load_inertia = known["load_inertia"].value
-    swings = any(best.mechanics[each] for each in ("gravity.sine", "gravity.cosine"))
-    if load_inertia is None and not swings:
-        return replace(quantity, missing=f"the weight is constant, and the inertia of the load is not known; {_LOADED}")
+    load_inertia, load_friction = known["load_inertia"].value, known["load_friction"].value
     turn = 1.0 if result.settings.axis == "linear" else math.tau
     orders = [each["order"] * math.tau / turn for each in best.friction[1].get("ripple", [])]
-    found = find_load_dependence(records, best.mechanics, load_inertia or 0.0, orders)
+    found = find_load_dependence(records, best.mechanics, load_inertia, orders, load_friction=load_friction)
     if found is not None and found.is_clear:
         return replace(quantity, value=found.factor, error=found.error, source="weight and inertia of the load")
     if found is not None and found.is_excluded:
         figures = f"{found.factor:.2g}, standard error {found.error:.1g}"
-        return replace(quantity, missing=f"the load changes, and friction does not grow with it ({figures})")
-    return replace(quantity, missing=f"the load hardly changes; {_LOADED}")
+        return replace(quantity, missing=f"the load changes, and friction hardly grows with it ({figures})")
+    if found is None:
+        return replace(quantity, missing=f"the axis slides in too few rows, or nothing loads it; {_LOADED}")
+    if not found.is_shown:
+        why = "with friction of the load that would hold it against one side, it looks like inertia and weight"
+        return replace(quantity, missing=f"{why}; {_LOADED}")
+    why = "the load hardly changes, or its inertia and friction are not known well enough"
+    return replace(quantity, missing=f"{why}; {_LOADED}")
 
 
 def _cogging(cogging: Quantity, result: Identification) -> Quantity:

@@ -56,7 +56,11 @@ class SlidingRows:
 
     def compared(self, values: Array) -> Array:
         """Low-pass values (n,) or (n, m), and return the rows."""
-        return np.ascontiguousarray(filtering.lowpass(values, self.low_hz, self.record.rate_hz)[self.rows])
+        return np.ascontiguousarray(self.low(values)[self.rows])
+
+    def low(self, values: Array) -> Array:
+        """Low-pass values (n,) or (n, m)."""
+        return filtering.lowpass(values, self.low_hz, self.record.rate_hz)
 
     @property
     def torque(self) -> Array:
@@ -107,8 +111,13 @@ def _rows(record: RegressionSegment, cut: float, least: float, distance: float) 
     return np.asarray(rows[counts[rows]][::every], dtype=np.intp)
 
 
-def fitted(parts: Sequence[SlidingRows], columns: Sequence[Array]) -> tuple[Array, Array, Array, Array]:
-    """Fit columns (n, m) of each part to its torque.
+def compared(parts: Sequence[SlidingRows], columns: Sequence[Array]) -> Array:
+    """Return the compared rows (k, m) of columns (n, m) of each part."""
+    return np.concatenate([part.compared(each) for part, each in zip(parts, columns, strict=True)])
+
+
+def fitted(parts: Sequence[SlidingRows], matrix: Array) -> tuple[Array, Array, Array, NDArray[np.intp]]:
+    """Fit columns (k, m), as of `compared`, to the torque.
 
     Returns
     -------
@@ -121,7 +130,6 @@ def fitted(parts: Sequence[SlidingRows], columns: Sequence[Array]) -> tuple[Arra
     starts : array of int
         First row of each stretch of time.
     """
-    matrix = np.concatenate([part.compared(each) for part, each in zip(parts, columns, strict=True)])
     torque = np.concatenate([part.torque for part in parts])
     norms = np.linalg.norm(matrix, axis=0)
     norms[norms == 0.0] = 1.0
@@ -176,15 +184,15 @@ def sliding_mechanics(
         np.column_stack([each.record.acceleration, *(wave(each.record.position) for wave in waves), each.friction(top)])
         for each in parts
     ]
-    factors, covariance, _, _ = fitted(parts, columns)
+    matrix = compared(parts, columns)
+    factors, covariance, _, _ = fitted(parts, matrix)
     error = math.sqrt(max(float(covariance[0, 0]), 0.0))
     if not can_swing:
         return SlidingMechanics(float(factors[0]), error, 0.0, 0.0, has_swing=False)
     pair, doubt = factors[1:3], covariance[1:3, 1:3]
     wald = float(pair @ np.linalg.pinv(doubt, hermitian=True) @ pair)
-    varies = np.concatenate([part.compared(each[:, 1:3] @ pair) for part, each in zip(parts, columns, strict=True)])
     torque = np.concatenate([part.torque for part in parts])
-    is_felt = float(np.std(varies)) > _FELT * float(np.sqrt(np.mean(torque**2)))
+    is_felt = float(np.std(matrix[:, 1:3] @ pair)) > _FELT * float(np.sqrt(np.mean(torque**2)))
     return SlidingMechanics(
         float(factors[0]), error, float(pair[0]), float(pair[1]), has_swing=is_felt and wald > _CLEAR**2
     )
