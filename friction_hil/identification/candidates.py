@@ -22,6 +22,7 @@ from friction_hil.identification.regression import BACK_EMF, INVERSE_GAIN, Estim
 from friction_hil.identification.scales import estimate_scales
 from friction_hil.identification.screening import Search, screened
 from friction_hil.identification.settings import IdentificationSettings, chosen_families
+from friction_hil.identification.sliding import LOW_HZ, WIDE_HZ, sliding_mechanics
 from friction_hil.identification.structures import EQUAL_IN_FEEDFORWARD, ModelStructure
 from friction_hil.identification.workers import in_parallel
 from friction_hil.numerics.jit import Array
@@ -100,6 +101,7 @@ class CandidateFitter:
         self._gravity = self._fitted_gravity()
         if self._gravity:
             self.scales = estimate_scales(self.data, ("inertia", "offset", *self._gravity))
+        self._hold_slow_mechanics()
         self._check_held()
 
     def _prepared(self, recordings: Sequence[Recording]) -> list[RegressionSegment]:
@@ -429,10 +431,40 @@ class CandidateFitter:
         if kind == "none" or self.settings.axis == "linear" or self.scales.travel < _PENDULUM_TRAVEL:
             return ()
         without, swinging = (self._coulomb_fit("inertia", "offset", *gravity) for gravity in ((), pendulum))
-        if not is_better(swinging, without):
+        if is_better(swinging, without):
+            self.notes.append("gravity: sine and cosine of the position predict held-out blocks better than none")
+            return pendulum
+        # presliding, whose torque is that of a spring, hides gravity from a Coulomb fit to all rows
+        slow = None if self.known else sliding_mechanics(self.data.records, can_swing=True)
+        if slow is None or not slow.has_swing:
             return ()
-        self.notes.append("gravity: sine and cosine of the position predict held-out blocks better than none")
+        self.notes.append("gravity: sine and cosine of the position are clear where the axis slides")
         return pendulum
+
+    def _hold_slow_mechanics(self) -> None:
+        """Hold inertia and gravity at those of slow motion where faster motion shows another inertia.
+
+        Then the load swings on a coupling, and a model of one mass would take the axis for too light.
+        """
+        if self.known or "inertia" in self._held:
+            return
+        pendulum = ("gravity.sine", "gravity.cosine")
+        can_swing = all(name in self._gravity and name not in self._held for name in pendulum)
+        found = [
+            sliding_mechanics(self.data.records, can_swing=can_swing, low_hz=low_hz) for low_hz in (LOW_HZ, WIDE_HZ)
+        ]
+        slow, fast = found
+        if slow is None or fast is None or not slow.differs(fast):
+            return
+        self._held["inertia"] = slow.inertia
+        if can_swing:
+            self._held |= dict(zip(pendulum, (slow.sine, slow.cosine), strict=True))
+        named = "inertia and gravity are held at those" if can_swing else "inertia is held at that"
+        self.notes.append(
+            f"{named} of motion below {LOW_HZ:g} Hz: inertia {slow.inertia:.4g} (standard error "
+            f"{slow.inertia_error:.2g}); up to {WIDE_HZ:g} Hz it would be {fast.inertia:.4g}, because the load swings "
+            "on its coupling"
+        )
 
     def _linear(self, *mechanics: str) -> list[str]:
         """Return the linear parameters to identify; with an unknown gain, its inverse replaces known ones."""

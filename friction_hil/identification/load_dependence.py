@@ -2,9 +2,15 @@
 
     torque = inertia a + gravity(q) + ripple(q) + friction(v) + factor abs(load) sign(v)
 
-``load`` is the weight and the inertia of the load, as the compensator computes it. ``friction`` may be any curve of the
-velocity, one for each direction, so that friction of the speed is not taken for that of the load. A factor that differs
-where the load drives the motor looks like gravity and inertia themselves: one factor stands for both.
+``load`` is the weight and the inertia of the load, as the compensator computes it, and the load's own friction.
+``friction`` may be any curve of the velocity, one for each direction, so that friction of the speed is not taken for
+that of the load. A factor that differs where the load drives the motor looks like gravity and inertia themselves: one
+factor stands for both.
+
+Inertia and friction of the load are often not known. Each pair that they may be is tried, from none of what the axis
+has to all of it. How far the factor depends on it, among the pairs that explain the torque about as well as the best,
+is a part of its error. A load that its friction or weight holds against one side shows no factor: it then looks like
+inertia and weight.
 """
 
 import math
@@ -15,21 +21,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from friction_hil.compensator.load import transmitted_torque
-from friction_hil.identification.compliance import sandwich
 from friction_hil.identification.data import RegressionSegment
+from friction_hil.identification.sliding import SlidingRows, compared, fitted, sliding_rows, top_speed
 from friction_hil.numerics.jit import Array, StructuredArray, compiled
 
 LOAD = np.dtype(
     [(name, "f8") for name in ("gravity_constant", "gravity_sine", "gravity_cosine", "load_inertia", "lead_s")]
 )
-_KNOTS = 7  # of the curve, over the speeds
-_SLOW = 0.05  # of the highest speed: slower, bristles may not have turned
-_TURNED_S = 0.02  # after such a row
-_STRETCH_S = 0.25  # over which residuals are taken to be correlated
 _CLEAR = 4.0  # standard errors
 _FELT = 0.03  # of the friction: a smaller part is no dependence
-_SHOWN = 0.1  # a factor that is below this for sure is none
-_LEAST_ROWS = 200
+_SHOWN = 0.05  # a factor that is below this for sure is none
+_SURE = 2.0  # standard errors
+_FORM = 0.1  # of the factor: no gear loses one part of all torques, in both directions, to better than that
+_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)  # of the load in inertia and friction
+_WORSE = 3.0  # standard errors by which a pair has to explain less to be excluded
+_INDEPENDENT = 0.02  # of the energy of the load's column, outside all others
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,24 +45,27 @@ class LoadDependence:
     Attributes
     ----------
     factor, error : float
-        And its standard error; N m per N m.
+        And its standard error, which contains what is not known of the load; N m per N m.
     part : float
         RMS of what the load changes of the friction, over the RMS of the friction.
+    is_shown : bool
+        True if the motion tells the factor from inertia and weight, whatever the load may be.
     """
 
     factor: float
     error: float
     part: float
+    is_shown: bool = True
 
     @property
     def is_clear(self) -> bool:
         """True if friction depends on the load."""
-        return self.factor > _CLEAR * self.error and self.part > _FELT
+        return self.is_shown and self.factor > _CLEAR * self.error and self.part > _FELT
 
     @property
     def is_excluded(self) -> bool:
         """True if the load changes enough to show that friction does not grow with it."""
-        return not self.is_clear and self.factor + self.error < _SHOWN
+        return self.is_shown and not self.is_clear and self.factor + _SURE * self.error < _SHOWN
 
 
 def load_torque(mechanics: Mapping[str, float], load_inertia: float, position: Array, acceleration: Array) -> Array:
@@ -89,8 +98,10 @@ def _over_time(record: StructuredArray, position: Array, acceleration: Array) ->
 def find_load_dependence(
     records: Sequence[RegressionSegment],
     mechanics: Mapping[str, float],
-    load_inertia: float,
+    load_inertia: float | None,
     orders: Sequence[float],
+    *,
+    load_friction: float | None = None,
 ) -> LoadDependence | None:
     """Find how much friction grows with the load; None if the axis slides in too few rows.
 
@@ -98,63 +109,90 @@ def find_load_dependence(
     ----------
     records : sequence of RegressionSegment
     mechanics : dict
-        Identified mechanics: ``offset``, ``gravity.sine`` and others.
-    load_inertia : float
-        Inertia of the load, kg m^2 or kg; 0 if it is not known: then the weight has to change with the position.
+        Identified mechanics: ``inertia``, ``offset``, ``gravity.sine`` and others.
+    load_inertia, load_friction : float or None
+        Of the load, kg m^2 or kg, N m or N; None if it is not known: it is then between zero and that of the axis.
     orders : sequence of float
         Of ripple of the torque, periods per rad or m times 2 pi.
     """
-    top = max(float(np.max(np.abs(each.velocity), initial=0.0)) for each in records)
+    parts, top = sliding_rows(records), top_speed(records)
+    if not parts:
+        return None
     swings = any(mechanics.get(f"gravity.{name}", 0.0) for name in ("sine", "cosine"))
-    parts = []
-    for each in records:
-        rows = _sliding(each, _SLOW * top)
-        if np.any(rows):
-            columns = _columns(each, top, orders, swings=swings)
-            load = load_torque(mechanics, load_inertia, each.position, each.acceleration)
-            columns = np.column_stack([np.abs(load) * np.sign(each.velocity), columns])
-            times = np.floor(each.reduced_time()[rows] / _STRETCH_S)
-            parts.append((each.reduce(columns)[rows], each.reduced_torque()[rows], times))
-    if sum(len(each[1]) for each in parts) < _LEAST_ROWS:
-        return None
-    columns, torque = (np.concatenate([each[k] for each in parts]) for k in (0, 1))
-    norms = np.linalg.norm(columns, axis=0)
-    columns, norms = columns[:, norms > 0.0], norms[norms > 0.0]
-    if norms[0] == 0.0:
-        return None
-    factors = np.linalg.lstsq(columns / norms, torque, rcond=1e-9)[0] / norms
-    starts, begin = [], 0
-    for _, _, times in parts:
-        starts.append(begin + np.flatnonzero(np.diff(times, prepend=np.nan)))
-        begin += len(times)
-    covariance = sandwich(columns, torque - columns @ factors, np.concatenate(starts))
-    extra = float(factors[0]) * columns[:, 0]
+    fixed = compared(parts, [_columns(each, top, orders, swings=swings) for each in parts])
+    plain = fitted(parts, fixed)[0]
     ends = 1 + int(swings) * 2 + 2 * len(orders)
-    friction = extra + columns[:, 1 + ends :] @ factors[1 + ends :]
-    part = float(np.std(np.abs(extra)) / np.sqrt(np.mean(friction**2)))
-    return LoadDependence(float(factors[0]), math.sqrt(max(float(covariance[0, 0]), 0.0)), part)
+    # the lowest friction over the speeds, about: no load has more than that
+    level = float(np.quantile(np.abs(fixed[:, ends:] @ plain[ends:]), 0.1))
+    inertias = [share * plain[0] for share in _SHARES] if load_inertia is None else [load_inertia]
+    frictions = [share * level for share in _SHARES] if load_friction is None else [load_friction]
+    tried = [
+        _with_load(parts, fixed, ends, mechanics, inertia, friction) for inertia in inertias for friction in frictions
+    ]
+    known = [each for each in tried if each is not None]
+    if not known:
+        return None
+    best = min(known, key=lambda each: float(each.residual @ each.residual))
+    alike = [each for each in known if best.is_hardly_better(each)]
+    spread = max(abs(each.factor - best.factor) for each in alike)
+    error = math.hypot(max(each.error for each in alike), spread, _FORM * best.factor)
+    return LoadDependence(best.factor, error, best.part, all(each.is_independent for each in alike))
 
 
-def _sliding(record: RegressionSegment, least: float) -> NDArray[np.bool_]:
-    """Return the rows of the regression in which the axis slides, and has slid for a while."""
-    from scipy.ndimage import maximum_filter1d  # imported here: commands start faster without it
+@dataclass(frozen=True, slots=True, eq=False)
+class _Tried:
+    factor: float
+    error: float
+    part: float
+    is_independent: bool
+    residual: Array
+    starts: NDArray[np.intp]
 
-    reach = max(1, round(_TURNED_S * record.rate_hz))
-    velocity = record.velocity
-    is_slow = (np.abs(velocity) < least) | (velocity * np.roll(velocity, 1) < 0.0)
-    rests = maximum_filter1d(is_slow.astype(np.uint8), 2 * reach + 1) > 0
-    rows = ~np.asarray(record.kept_rows(rests))
-    return rows if record.is_moving is None else rows[record.is_moving]
+    def is_hardly_better(self, other: "_Tried") -> bool:
+        """True if it explains no more than another one, stretch of time by stretch, or not clearly."""
+        gains = np.add.reduceat(other.residual**2 - self.residual**2, self.starts)
+        return float(np.sum(gains)) <= _WORSE * float(np.std(gains, ddof=1)) * math.sqrt(len(gains))
 
 
-def _columns(record: RegressionSegment, top: float, orders: Sequence[float], *, swings: bool) -> Array:
+def _with_load(
+    parts: Sequence[SlidingRows],
+    fixed: Array,
+    ends: int,
+    mechanics: Mapping[str, float],
+    inertia: float,
+    friction: float,
+) -> _Tried | None:
+    """Fit with a load of an inertia and a friction; None if there is no load at all."""
+    loads = []
+    for part in parts:
+        record = part.record
+        # the load follows the low-passed acceleration: a faster one is the motor's
+        load = load_torque(mechanics, inertia, record.position, part.low(record.acceleration))
+        direction = np.sign(record.velocity)
+        loads.append(np.abs(load + friction * direction) * direction)
+    matrix = np.column_stack([compared(parts, loads), fixed])
+    if not np.any(matrix[:, 0]):
+        return None
+    factors, covariance, residual, starts = fitted(parts, matrix)
+    others = matrix[:, 1:] / np.maximum(np.linalg.norm(matrix[:, 1:], axis=0), 1e-300)
+    left = matrix[:, 0] - others @ np.linalg.lstsq(others, matrix[:, 0], rcond=1e-9)[0]
+    varies = matrix[:, 0] - np.sign(matrix[:, 0]) * np.mean(np.abs(matrix[:, 0]))
+    extra = float(factors[0]) * matrix[:, 0]
+    total = extra + matrix[:, 1 + ends :] @ factors[1 + ends :]
+    return _Tried(
+        float(factors[0]),
+        math.sqrt(max(float(covariance[0, 0]), 0.0)),
+        float(np.std(np.abs(extra)) / np.sqrt(np.mean(total**2))),
+        float(left @ left) > _INDEPENDENT * float(varies @ varies),
+        residual,
+        starts,
+    )
+
+
+def _columns(part: SlidingRows, top: float, orders: Sequence[float], *, swings: bool) -> Array:
     """Return acceleration, gravity, ripple, and hat functions of the speed in either direction (n, m)."""
-    q, v = record.position, record.velocity
+    position = part.record.position
     waves = [1.0] if swings else []
-    columns = [record.acceleration]
-    columns += [wave(order * q) for order in (*waves, *orders) for wave in (np.cos, np.sin)]
-    speeds = np.geomspace(_SLOW * top, top, _KNOTS)
-    for k in range(_KNOTS):
-        hat = np.interp(np.abs(v), speeds, np.eye(_KNOTS)[k])
-        columns += [hat * (v > 0.0), -hat * (v < 0.0)]
-    return np.column_stack(columns)
+    columns = [part.record.acceleration]
+    columns += [wave(order * position) for order in (*waves, *orders) for wave in (np.cos, np.sin)]
+    return np.column_stack([*columns, part.friction(top)])

@@ -14,7 +14,6 @@ import numpy as np
 
 from friction_hil.identification.data import RegressionSegment, prepare
 from friction_hil.identification.encoder_error import EncoderError, find_encoder_error
-from friction_hil.identification.fits import Fit
 from friction_hil.identification.frequency_response import FrequencyResponse, frequency_response
 from friction_hil.identification.identify import Identification
 from friction_hil.identification.load_dependence import find_load_dependence
@@ -22,6 +21,7 @@ from friction_hil.identification.load_side import LoadSide, find_load_side
 from friction_hil.identification.quantities import Quantity, Units, undetermined
 from friction_hil.identification.refine import is_dynamic
 from friction_hil.identification.resonance import Resonance, fit_resonance
+from friction_hil.identification.sliding import LOW_HZ, sliding_mechanics
 from friction_hil.identification.torque_fits import TorqueFits, model_of, swings, torque_fits
 from friction_hil.recordings import Recording
 
@@ -164,7 +164,7 @@ def _assembled(
     missing = _missing(why, torques)
     known |= {key: replace(known[key], missing=why) for key, why in missing.items() if known[key].value is None}
     if known["inertia"].value is None:
-        known["inertia"] = _rigid_inertia(known["inertia"], result.best)
+        known["inertia"] = _rigid_inertia(known["inertia"], result, records)
     known["cogging"] = _cogging(known["cogging"], result)
     known["load_dependence"] = _per_load(known, result, records)
     if encoder_errors:
@@ -230,9 +230,16 @@ def _add_frequencies(values: dict[str, float], errors: dict[str, float]) -> None
     errors["resonance_hz"] = 0.5 / high / math.tau * math.hypot(*slopes)
 
 
-def _rigid_inertia(quantity: Quantity, best: Fit) -> Quantity:
+def _rigid_inertia(quantity: Quantity, result: Identification, records: Sequence[RegressionSegment]) -> Quantity:
+    best = result.best
     error = best.inference.standard_errors.get("inertia", math.nan)
     value = best.mechanics["inertia"]
+    if not math.isfinite(error) and "inertia" not in result.settings.held:  # held at that of slow motion
+        swings = any(best.mechanics[each] for each in ("gravity.sine", "gravity.cosine"))
+        slow = sliding_mechanics(records, can_swing=swings)
+        if slow is not None and 0.0 < slow.inertia_error < _VAGUE * slow.inertia:
+            source = f"motion below {LOW_HZ:g} Hz"
+            return replace(quantity, value=slow.inertia, error=slow.inertia_error, source=source)
     if not math.isfinite(error) or not error < _VAGUE * abs(value):
         return replace(quantity, missing="record motions with larger accelerations")
     return replace(quantity, value=value, error=error, source="friction model")
@@ -246,19 +253,22 @@ def _per_load(known: Mapping[str, Quantity], result: Identification, records: Se
         name, value = max(factors.items(), key=lambda each: abs(each[1]))
         error = best.inference.standard_errors.get(name, math.nan)
         return replace(quantity, label=f"friction per load ({name})", value=value, error=error, source="friction model")
-    load_inertia = known["load_inertia"].value
-    swings = any(best.mechanics[each] for each in ("gravity.sine", "gravity.cosine"))
-    if load_inertia is None and not swings:
-        return replace(quantity, missing=f"the weight is constant, and the inertia of the load is not known; {_LOADED}")
+    load_inertia, load_friction = known["load_inertia"].value, known["load_friction"].value
     turn = 1.0 if result.settings.axis == "linear" else math.tau
     orders = [each["order"] * math.tau / turn for each in best.friction[1].get("ripple", [])]
-    found = find_load_dependence(records, best.mechanics, load_inertia or 0.0, orders)
+    found = find_load_dependence(records, best.mechanics, load_inertia, orders, load_friction=load_friction)
     if found is not None and found.is_clear:
         return replace(quantity, value=found.factor, error=found.error, source="weight and inertia of the load")
     if found is not None and found.is_excluded:
         figures = f"{found.factor:.2g}, standard error {found.error:.1g}"
-        return replace(quantity, missing=f"the load changes, and friction does not grow with it ({figures})")
-    return replace(quantity, missing=f"the load hardly changes; {_LOADED}")
+        return replace(quantity, missing=f"the load changes, and friction hardly grows with it ({figures})")
+    if found is None:
+        return replace(quantity, missing=f"the axis slides in too few rows, or nothing loads it; {_LOADED}")
+    if not found.is_shown:
+        why = "with friction of the load that would hold it against one side, it looks like inertia and weight"
+        return replace(quantity, missing=f"{why}; {_LOADED}")
+    why = "the load hardly changes, or its inertia and friction are not known well enough"
+    return replace(quantity, missing=f"{why}; {_LOADED}")
 
 
 def _cogging(cogging: Quantity, result: Identification) -> Quantity:
