@@ -53,7 +53,14 @@ def static_torque(config: "AxisConfig") -> StaticTorque:
     if config.mode == "cst":
         return torque._replace(bound=config.limits.torque)
     gain = max(given.gain, given.gain if given.gain_negative is None else given.gain_negative)
-    return torque._replace(bound=max(config.limits.torque - gain * config.model.friction_model.level, 0.0))
+    return torque._replace(bound=max(config.limits.torque - gain * _largest_friction(config, torque.largest), 0.0))
+
+
+def _largest_friction(config: "AxisConfig", weight: float) -> float:
+    """Return the largest torque of the model's friction in slow motion under a weight, N m or N."""
+    friction = config.model.friction_model
+    by_load = friction.modifiers.get("load", {})
+    return friction.level + weight * float(max(by_load.get("motoring", 0.0), by_load.get("driven", 0.0)))
 
 
 def _is_fed(config: "AxisConfig") -> bool:

@@ -7,14 +7,15 @@ import pytest
 
 from friction_hil.checked_yaml.text import dump
 from friction_hil.cli.work.config import check_files
-from friction_hil.config import self_contained
+from friction_hil.config import load, self_contained
 from friction_hil.daemon.safety import LoopState
-from friction_hil.daemon.static_torque import static_torque_note
+from friction_hil.daemon.static_torque import static_torque, static_torque_note
 from friction_hil.models.model_file import Gravity
 from friction_hil.motion.trajectory import sine_path
 from friction_hil.rehearsal import Motion, Rehearsal
 from friction_hil.servo.config import ServoConfig, ServoMechanics
 from friction_hil.servo.parts import Gravity as Pendulum
+from tests.readme_commands import ROOT
 from tests.servo_drives import PERIOD_S, axis_dict, configuration, run
 from tests.unit.test_rehearsal import facts
 
@@ -159,3 +160,12 @@ def test_a_rehearsal_has_the_error_of_the_loop(has_gravity):
         pendulum(), config.axes["x"].model, motion
     )
     assert outcome.rms == pytest.approx(np.sqrt(np.mean(scored**2)), rel=0.05)
+
+
+def test_a_weight_that_raises_the_friction_leaves_less_of_the_limit_for_itself():
+    """Else both together would meet the limit, which would take the compensation of one direction away."""
+    lift = load(ROOT / "config/machines/worm_gear.yaml").axes["lift"]
+    friction = lift.model.friction_model
+    both = max(abs(friction.steady_state([-1e-9, 1e-9], load_torque=20.0)))
+    assert static_torque(lift).largest == 20.0
+    assert static_torque(lift).bound == pytest.approx(lift.limits.torque - lift.compensation.gain * both)

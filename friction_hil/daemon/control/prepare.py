@@ -31,7 +31,6 @@ _NOT_LIVE = {
     "max_acceleration": _OF_THE_ESTIMATE,
     "baseline_s": "it counts from the beginning of a motion",
     "transmission": "it would move the set-point of the motor",
-    "gravity": "the feed-forward is that of the start: switching it would let the axis sag",
 }
 _ELSEWHERE = "change it in the configuration, and start the daemon again"
 
