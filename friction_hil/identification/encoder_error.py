@@ -22,7 +22,7 @@ from friction_hil.numerics import filtering
 from friction_hil.numerics.jit import Array
 
 _MOST_LOOKED_AT = 6  # orders, of torque or encoder
-_MOST_ORDERS = 2000  # that are looked at
+MOST_ORDERS = 2000  # that are looked at
 _CHUNK = 64
 _EVIDENT = 12.0  # least Wald statistic beyond that of the largest of N orders of noise, 2 ln N
 _LEAST_SHARE = 0.3  # of what both ripples of an order explain: friction that varies over the travel looks like less
@@ -71,7 +71,7 @@ def find_encoder_error(
         return ()
     step = 0.5 / travel if is_linear else 1.0
     least = max(_LEAST_PERIODS / travel, step)
-    orders: Array = np.arange(math.ceil(least / step), math.ceil(least / step) + _MOST_ORDERS, dtype=np.float64) * step
+    orders: Array = np.arange(math.ceil(least / step), math.ceil(least / step) + MOST_ORDERS, dtype=np.float64) * step
     orders = orders[[search.is_resolved(each) for each in orders]]
     found: list[EncoderError] = []
     bar = 2.0 * math.log(max(len(orders), 1)) + _EVIDENT

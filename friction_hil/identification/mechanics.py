@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from friction_hil.identification.data import RegressionSegment, prepare
-from friction_hil.identification.encoder_error import EncoderError, find_encoder_error
+from friction_hil.identification.encoder_error import MOST_ORDERS, EncoderError, find_encoder_error
 from friction_hil.identification.frequency_response import FrequencyResponse, frequency_response
 from friction_hil.identification.identify import Identification
 from friction_hil.identification.load_dependence import find_load_dependence
@@ -308,7 +308,8 @@ def _missing(why: str, torques: TorqueFits | None) -> dict[str, str]:
     else:
         found["backlash"] = f"none stands out from the coupling's own twist; a smaller one: {_STROKES}"
     found["encoder_error"] = (
-        "none stands out: it shows at high constant speed and half of it, over several periods of the error"
+        f"none stands out among the {MOST_ORDERS} orders from the lowest on that a stroke covers: it shows at high "
+        "constant speed and half of it, over several periods of the error"
     )
     return found
 
