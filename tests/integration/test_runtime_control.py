@@ -178,4 +178,8 @@ def test_no_torque_steps_by_more_than_the_slew_allows(controlled):
     assert steps.max() <= SLEW * PERIOD_S * (1.0 + 1e-9)
     places = np.flatnonzero(np.diff(recording["change"])) + 1
     assert len(places) == 5
-    np.testing.assert_allclose(recording["compensation"][places], recording["compensation"][places - 1], atol=2e-3)
+    # no more than the motion itself changes it from one cycle to the next
+    natural = np.abs(np.diff(recording["compensation"]))
+    of_changes = natural[places - 1]
+    natural[places - 1] = 0.0
+    assert of_changes.max() <= natural.max()

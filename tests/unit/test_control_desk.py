@@ -129,10 +129,3 @@ def test_a_fault_is_shown_although_many_changes_follow_it_before_anybody_looks(l
 def test_a_path_that_no_file_can_have_is_refused_in_words(ask, path):
     (problem,) = ask(do="set", values={"x.model": path})["problems"]
     assert "error in friction-hil" not in problem
-
-
-def test_gravity_which_the_loop_reads_once_is_not_said_to_be_changed(ask):
-    assert (
-        "x.gravity: cannot be changed while the daemon runs"
-        in ask(do="set", values={"x.gravity": False})["problems"][0]
-    )
