@@ -1,7 +1,6 @@
 """Writing and removing the files of a service."""
 
 import os
-import re
 import shutil
 import subprocess
 from collections.abc import Iterator
@@ -11,6 +10,7 @@ from typing import Any
 
 from friction_hil.checked_yaml import text as yaml_text
 from friction_hil.config import Configuration, file_problems, load
+from friction_hil.daemon.control.names import is_name
 from friction_hil.errors import ConfigurationError, UsageError
 from friction_hil.service import files
 
@@ -20,7 +20,7 @@ UDEV_RULES = "etc/udev/rules.d/70-friction-hil.rules"
 SYSUSERS = "etc/sysusers.d/friction-hil.conf"
 DATA = "var/lib/friction-hil"
 _SEEN = f"/{DATA}"  # by the service
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.]{0,47}")
+_LONGEST_NAME = 48  # characters
 _HIDDEN = ("/home/", "/root/", "/run/user/", "/tmp/", "/var/tmp/")  # from the service, by ProtectHome and PrivateTmp
 _BOOTED = "/run/systemd/system"  # exists where systemd is the service manager; see sd_booted(3)
 _PATIENCE_S = 60.0
@@ -145,9 +145,10 @@ def services(root: Path) -> list[str]:
 
 
 def _check_name(name: str) -> None:
-    if not _NAME.fullmatch(name):
+    if not is_name(name) or len(name) > _LONGEST_NAME:
         raise UsageError(
-            f"NAME: {name!r} is no name of a service; write up to 48 letters, digits, '_' and '.', e.g. x_axis"
+            f"NAME: {name!r} is no name of a service; write up to {_LONGEST_NAME} letters, digits, '.', '_' and '-', "
+            "beginning with a letter or digit, e.g. x_axis"
         )
 
 

@@ -21,6 +21,11 @@ def default_name(config: Path) -> str:
     return re.sub(r"[^A-Za-z0-9_.-]+", "-", config.stem).lstrip("-._") or "daemon"
 
 
+def is_name(name: str) -> bool:
+    """Return True if a daemon may be called ``name``, which is then safe as a part of a path and of a command."""
+    return _NAME.fullmatch(name) is not None
+
+
 def own_folder() -> Path:
     """Return the folder for the sockets of this user's daemons.
 
@@ -45,7 +50,7 @@ def socket_path(name: str) -> Path:
     UsageError
         The name cannot be one, or the path is longer than that of a socket can be.
     """
-    if not _NAME.fullmatch(name):
+    if not is_name(name):
         raise UsageError(
             f"--name {name!r} is no name of a daemon: use letters, digits, '.', '_' and '-', beginning with a letter "
             "or digit"
