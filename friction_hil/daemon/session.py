@@ -5,7 +5,7 @@ import math
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,7 +20,7 @@ from friction_hil.daemon.control.job import ControlJob
 from friction_hil.daemon.control.journal import make_journal
 from friction_hil.daemon.control.lock import ControlSocket
 from friction_hil.daemon.control.service import ControlService
-from friction_hil.daemon.figures import AxisFigures, Condition, adaptation_notice
+from friction_hil.daemon.figures import AxisFigures, Condition, FollowingErrors, adaptation_notice
 from friction_hil.daemon.follower import FollowerAxis
 from friction_hil.daemon.log import LoopResult, Sink
 from friction_hil.daemon.loop import Loop
@@ -308,29 +308,23 @@ def _close(drives: Drives, report: Callable[[str], None]) -> None:
         report(line)
 
 
-def _load_figures(axis: AxisLoop, config: "AxisConfig") -> AxisFigures | None:
-    """Return the figures of the load, None where it has no encoder."""
-    if axis.load_errors is None:
-        return None
-    return AxisFigures(
-        unit="rad" if config.model.axis == "rotary" else "m",
-        without=axis.load_errors.figures(Condition.WITHOUT),
-        compensated=axis.load_errors.figures(Condition.WITH),
-        is_comparable=config.trajectory.kind not in ("experiment", "multisine", "sequence"),
-        stale=axis.stale_cycles,
+def _figures(axis: AxisLoop, config: "AxisConfig") -> AxisFigures:
+    """Return the figures of the axis, with those of its load where that has an encoder."""
+    return replace(
+        _figures_of(axis.following_errors, axis, config),
+        bridged=axis.gaps.bridged,
+        bridged_reasons=axis.gaps.reasons,
+        load=None if axis.load_errors is None else _figures_of(axis.load_errors, axis, config),
     )
 
 
-def _figures(axis: AxisLoop, config: "AxisConfig") -> AxisFigures:
+def _figures_of(errors: FollowingErrors, axis: AxisLoop, config: "AxisConfig") -> AxisFigures:
     return AxisFigures(
         unit="rad" if config.model.axis == "rotary" else "m",
-        without=axis.following_errors.figures(Condition.WITHOUT),
-        compensated=axis.following_errors.figures(Condition.WITH),
+        without=errors.figures(Condition.WITHOUT),
+        compensated=errors.figures(Condition.WITH),
         is_comparable=config.trajectory.kind not in ("experiment", "multisine", "sequence"),
         stale=axis.stale_cycles,
-        bridged=axis.gaps.bridged,
-        bridged_reasons=axis.gaps.reasons,
-        load=_load_figures(axis, config),
     )
 
 
