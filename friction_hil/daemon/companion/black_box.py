@@ -11,6 +11,7 @@ import numpy as np
 from friction_hil.daemon.companion.changes import Changes
 from friction_hil.daemon.companion.history import History
 from friction_hil.daemon.companion.job import Job, say, warn
+from friction_hil.daemon.companion.new_file import begin_file
 from friction_hil.errors import RecordingError
 from friction_hil.recordings.columns import CYCLE, TIME
 from friction_hil.recordings.mcap_format import IS_OF_FAULT
@@ -110,18 +111,7 @@ class BlackBox:
         path = _free_path(self._path)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._writer = McapWriter(
-                path,
-                self._job.axes,
-                self._job.columns,
-                state_width=self._job.state_width,
-                started_unix_ns=self._job.started_unix_ns,
-                metadata=self._job.metadata,
-                about={IS_OF_FAULT: True},
-                is_durable=True,
-            )
-            for event in self._changes.earlier():
-                self._writer.write_event(*event)
+            self._writer = begin_file(path, self._job, self._changes.earlier(), about={IS_OF_FAULT: True})
         except (OSError, RecordingError) as error:
             self._give_up(error, path)
 

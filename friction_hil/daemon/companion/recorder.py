@@ -13,6 +13,7 @@ from friction_hil.daemon.companion.black_box import ABANDONED
 from friction_hil.daemon.companion.budget import Budget
 from friction_hil.daemon.companion.changes import Changes
 from friction_hil.daemon.companion.job import Job, say, warn
+from friction_hil.daemon.companion.new_file import begin_file
 from friction_hil.daemon.companion.paths import part_number, part_path
 from friction_hil.daemon.ring import RingReader
 from friction_hil.errors import RecordingError
@@ -80,21 +81,16 @@ class Recorder:
         self._rows = self._events = self._added = 0
         self._writer = None
         self._file_start_s = self._open_since_s = None
-        self._writer = McapWriter(
+        earlier = self._changes.earlier()
+        self._writer = begin_file(
             path,
-            self._job.axes,
-            self._job.columns,
-            state_width=self._job.state_width,
-            started_unix_ns=self._job.started_unix_ns,
-            metadata=self._job.metadata,
+            self._job,
+            earlier,
             about={PART: number},
             overwrite=self._job.overwrite and number == 1,
-            is_durable=True,
             on_flush=self._release,
         )
-        for event in self._changes.earlier():
-            self._writer.write_event(*event)
-            self._added += 1
+        self._added = len(earlier)
         self._size = self._writer.size
         if self._budget is not None:
             self._budget.look(path)

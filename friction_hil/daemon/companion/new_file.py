@@ -1,0 +1,45 @@
+"""The beginning of every file that the companion writes."""
+
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from friction_hil.daemon.companion.job import Job
+from friction_hil.recordings.mcap_writer import McapWriter
+
+
+def begin_file(
+    path: Path,
+    job: Job,
+    earlier: Sequence[tuple[float, str, str]],
+    *,
+    about: Mapping[str, Any],
+    overwrite: bool = False,
+    on_flush: Callable[[], None] = lambda: None,
+) -> McapWriter:
+    """Create a file for the rows of ``job``, with the changes before it as its first events.
+
+    Raises
+    ------
+    OSError, RecordingError
+        It cannot be written; nothing stays open.
+    """
+    writer = McapWriter(
+        path,
+        job.axes,
+        job.columns,
+        state_width=job.state_width,
+        started_unix_ns=job.started_unix_ns,
+        metadata=job.metadata,
+        about=about,
+        overwrite=overwrite,
+        is_durable=True,
+        on_flush=on_flush,
+    )
+    try:
+        for event in earlier:
+            writer.write_event(*event)
+    except OSError:
+        writer.abandon()
+        raise
+    return writer
