@@ -1,6 +1,5 @@
 """A driver for serial lines with its simulated drive, connected by a pseudo-terminal or a TCP connection."""
 
-import socket
 import threading
 import time
 
@@ -13,6 +12,7 @@ from friction_hil_drivers.modbus.simulated import SimulatedModbusDrives
 
 from friction_hil.daemon.realtime import SteppedClock
 from friction_hil.drive import Command, DriveState, Feedback, Request
+from tests.peers.serial_processes import free_tcp_port
 from tests.servo_drives import axis_dict, configuration
 
 COUNTS = 2**20 / 6.283185307179586
@@ -36,9 +36,7 @@ FAST_LINE = {"baud": 4_000_000, "reply_limit_s": 0.05}
 def port_of(kind, tmp_path):
     if kind != "tcp":
         return str(tmp_path / "line")
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp://127.0.0.1:{probe.getsockname()[1]}"
+    return f"tcp://127.0.0.1:{free_tcp_port()}"
 
 
 class Bench:

@@ -1,7 +1,6 @@
 """The drivers of this project and their simulated drives keep the contract of the drive port."""
 
 import itertools
-import socket
 from abc import abstractmethod
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,6 +11,7 @@ import pytest
 from tests.contract import rig as rigs
 from tests.contract.drives import DrivesContract, ServiceContract, SilentServiceContract, SimulatedDrivesContract
 from tests.contract.rig import COUNTS, RATED_TORQUE, InstalledRig
+from tests.peers.serial_processes import free_tcp_port
 
 _numbers = itertools.count()
 
@@ -69,9 +69,7 @@ class TestModbusTcp(ServiceContract, TestModbusRtu):
     grammar = staticmethod(rigs.modbus_tcp)
 
     def port(self, folder: Path) -> str:
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            return f"tcp://127.0.0.1:{probe.getsockname()[1]}"
+        return f"tcp://127.0.0.1:{free_tcp_port()}"
 
 
 class TestOdrive(SilentServiceContract, _Both):

@@ -16,18 +16,12 @@ import yaml
 
 from friction_hil.cli import main
 from tests.launcher import start
-from tests.processes import multicast_bus
+from tests.processes import free_port, multicast_bus
 
 GROUP = "239.74.163.2"
 INERTIA, FRICTION, RATED = 2e-4, 0.02, 0.5
 COUNTS = 1 << 22
 PATIENCE_S = 60.0  # nothing here is timed: this only ends a test that hangs
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("", 0))
-        return int(probe.getsockname()[1])
 
 
 def configuration(port: int, **bus: Any) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from friction_hil.config import Configuration, from_dict
 from friction_hil.errors import BusError, ConfigurationError, UsageError
 from friction_hil.servo.config import ServoConfig
 from friction_hil.servo.servo import Servo
+from tests.peers.serial_processes import free_tcp_port
 from tests.serial_bench import CIA402, LONG_S, PLAIN, Master, TinyOptions, TinySimulatedDrives
 
 
@@ -73,9 +74,7 @@ def running(config: Configuration, pace: Any = "sync") -> Iterator[str]:
 
 
 def test_several_lines_and_axes_are_served_at_once(tmp_path: Path) -> None:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        number = probe.getsockname()[1]
+    number = free_tcp_port()
     first, second = {"port": str(tmp_path / "one")}, {"port": f"tcp://127.0.0.1:{number}"}
     config = configuration(tmp_path, {"a": {"line": first}, "b": {"line": first}, "c": {"line": second}})
     with running(config) as ready:

@@ -15,6 +15,7 @@ from friction_hil_drivers.serial_line.simulated.port import Port, PtyPort, TcpPo
 from pydantic import ValidationError
 
 from friction_hil.errors import BusError
+from tests.peers.serial_processes import free_tcp_port
 from tests.serial_bench import LONG_S, Master
 
 
@@ -164,9 +165,7 @@ def test_a_link_that_cannot_be_made_is_told(tmp_path: Path) -> None:
 
 @pytest.fixture
 def address() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp://127.0.0.1:{probe.getsockname()[1]}"
+    return f"tcp://127.0.0.1:{free_tcp_port()}"
 
 
 @pytest.fixture
