@@ -97,9 +97,13 @@ class DriveError(FrictionHilError):
 
 
 def choices(wrong: str, available: Iterable[str]) -> str:
-    """Suggest a similar name and list all: ``did you mean 'lugre'? There are: coulomb, dahl, lugre``."""
+    """Suggest a similar name and list all, as the end of a sentence.
+
+    With a similar name it reads ``did you mean 'lugre'? There are: coulomb, dahl, lugre``, else
+    ``there are: coulomb, dahl, lugre``.
+    """
     names = sorted(available)
     close = difflib.get_close_matches(wrong, names, n=1, cutoff=0.6)
-    hint = f"did you mean {close[0]!r}? " if close else ""
+    there_are = f"did you mean {close[0]!r}? There are" if close else "there are"
     more = f" and {len(names) - _MOST_CHOICES} more" if len(names) > _MOST_CHOICES else ""
-    return f"{hint}There are: {', '.join(names[:_MOST_CHOICES]) if names else 'none'}{more}"
+    return f"{there_are}: {', '.join(names[:_MOST_CHOICES]) if names else 'none'}{more}"

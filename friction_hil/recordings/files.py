@@ -100,7 +100,7 @@ def read(
 
     def one(names: list[str]) -> list[str]:
         if axis is None and len(names) > 1:
-            raise UsageError(f"{path} has several axes; choose one with --axis. {choices('', names)}")
+            raise UsageError(f"{path} has several axes; choose one with --axis; {choices('', names)}")
         if axis is not None and axis not in names:
             raise UsageError(f"{path} has no axis {axis!r}; {choices(axis, names)}")
         return names if axis is None else [axis]

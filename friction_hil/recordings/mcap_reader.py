@@ -49,7 +49,7 @@ def read(source: Source) -> list[Recording]:
     chosen = _select(content, list(axes), source.select)
     if len(chosen) > MOST_AXES:
         raise RecordingError(
-            f"{source.path} has {len(chosen)} axes; at most {MOST_AXES} are read at once: choose one with --axis. "
+            f"{source.path} has {len(chosen)} axes; at most {MOST_AXES} are read at once: choose one with --axis; "
             f"{choices('', chosen)}"
         )
     numbers = _numbers(content)

@@ -91,7 +91,7 @@ def test_what_is_not_read_back_is_unknown_and_keeps_no_other_axis_from_being_sto
         assert run("stop", every, "--axis", "x").returncode == 0
     wrong = run("stop", every, "--axis", "y", check=False)
     assert wrong.returncode == 2
-    assert "There are: gone, other, x" in wrong.stderr
+    assert "there are: gone, other, x" in wrong.stderr
 
 
 def test_a_driver_that_can_stop_nothing_leaves_its_drives_unknown(

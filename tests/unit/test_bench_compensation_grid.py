@@ -59,7 +59,7 @@ def test_factors_reach_synonyms_lists_defaults_and_directions():
     ("old", "new", "line", "message"),
     [
         ("inertia: 2e-4", "inertia: -2e-4", 3, "plants.servo.inertia: must be above 0 kg m^2"),
-        ("inertia: 2e-4", "inertia: 2e-4\n    bits: 3", 4, "plants.servo.bits: is not a key here; There are: backlash"),
+        ("inertia: 2e-4", "inertia: 2e-4\n    bits: 3", 4, "plants.servo.bits: is not a key here; there are: backlash"),
         ("model: lugre\n", "model: lugrr\n", 5, "did you mean 'lugre'"),
         ("sigma0: 2000.0", "sigma0: 0.0", 6, "parameters.sigma0"),
         ("inertia: 2e-4", "backlash: 0.1\n    inertia: 2e-4", 3, "backlash: needs compliance"),

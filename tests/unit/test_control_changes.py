@@ -388,7 +388,7 @@ def test_garbage_in_the_mailbox_is_reported_once_and_changes_nothing():
     ("values", "message"),
     [
         ({"x.gian": 0.8}, "x.gian: is not a key here; did you mean 'gain'?"),
-        ({"z.gain": 0.8}, "z.gain: there is no axis 'z'; There are: x"),
+        ({"z.gain": 0.8}, "z.gain: there is no axis 'z'; there are: x"),
         ({"x.gain": 3.0}, "x.gain: must be at least 0 and at most 1.5, not 3.0"),
         ({"x.gain": "high"}, "x.gain: must be a number, not the text 'high'"),
         ({"x.enabled": "off"}, "x.enabled: must be true or false, not the text 'off' .* write false"),

@@ -168,7 +168,7 @@ def test_a_line_without_an_end_is_refused(daemon):
         (b'{"do": "stauts"}', "nothing is called 'stauts'; did you mean 'status'?"),
         (b'{"do": 7}', "nothing is called 7"),
         (b'{"do": "set"}', "values: is missing"),
-        (b'{"do": "stop", "now": true}', "now: is not a key here; There are: do"),
+        (b'{"do": "stop", "now": true}', "now: is not a key here; there are: do"),
     ],
 )
 def test_what_is_no_request_is_answered_with_what_would_be_one(line, message):

@@ -88,14 +88,14 @@ def test_existing_files_are_replaced_only_by_force(
     [
         (["bench.csv"], 2, "give OUT, or --info"),
         (["bench.csv", "x.csv", "--info"], 2, "leave OUT away"),
-        (["bench.csv", "x.txt"], 2, "There are: .csv, .h5,"),
+        (["bench.csv", "x.txt"], 2, "there are: .csv, .h5,"),
         (["none.csv", "x.mcap"], 1, "No such file or directory"),
         (["bench.csv", "x.mcap", "--column", "torque"], 2, "does not have the form 'torque=effort'"),
-        (["bench.csv", "x.mcap", "--column", "torque=efort"], 2, "There are: position, time_s, torque"),
+        (["bench.csv", "x.mcap", "--column", "torque=efort"], 2, "there are: position, time_s, torque"),
         (["bench.csv", "x.mcap", "--scale", "torque=much"], 2, "'much' is not a number"),
         (["bench.csv", "x.mcap", "--scale", "torque=nan"], 2, "finite and not zero"),
         (["run.mcap", "x.mcap"], 2, "is MCAP already"),
-        (["run.mcap", "x.csv", "--axis", "z"], 2, "no axis 'z'; There are: x, y"),
+        (["run.mcap", "x.csv", "--axis", "z"], 2, "no axis 'z'; there are: x, y"),
     ],
 )
 def test_mistakes_are_reported_in_a_sentence(

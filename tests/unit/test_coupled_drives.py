@@ -84,7 +84,7 @@ MODBUS = {
             "axes: [y1, y2]",
             "axes: [y1, z2]",
             "simulation.mechanism.axes[1]",
-            "there is no axis 'z2'; There are: y1, y2",
+            "there is no axis 'z2'; there are: y1, y2",
         ),
         ("axes: [y1, y2]", "axes: [y1, y1]", "simulation.mechanism.axes", "two different axes, not y1 twice"),
         ("kind: gantry", "kind: gantri", "simulation.mechanism.kind", "must be one of 'gantry', 'two_link_arm'"),

@@ -333,7 +333,7 @@ def test_an_interface_that_python_can_does_not_have_is_a_mistake_of_the_configur
     assert main(["config", "check", str(path)]) == 2
     err = capsys.readouterr().err
     line = path.read_text().splitlines().index("  interface: foo") + 1
-    assert err.startswith(f"{path}:{line}: bus.interface: python-can has no interface 'foo'; There are: ")
+    assert err.startswith(f"{path}:{line}: bus.interface: python-can has no interface 'foo'; there are: ")
     assert ", socketcan, " in err
 
 

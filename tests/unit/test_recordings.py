@@ -109,7 +109,7 @@ def test_wrong_mapping_or_scale_is_wrong_use(tmp_path: Path) -> None:
     path = csv(tmp_path, "time_s,effort\n0,1\n1,2\n")
     with pytest.raises(UsageError, match="did you mean 'effort'"):
         fh.recordings.read(path, columns={"torque": "efort"})
-    with pytest.raises(UsageError, match="--scale torque: There are: effort, time_s"):
+    with pytest.raises(UsageError, match="--scale torque: there are: effort, time_s"):
         fh.recordings.read(path, scale={"torque": 2.0})
     for factor in (0.0, np.inf, np.nan):
         with pytest.raises(UsageError, match="finite and not zero"):
@@ -186,7 +186,7 @@ def test_existing_file_is_kept(tmp_path: Path) -> None:
         assert len(fh.recordings.read(path)) == 1
     with pytest.raises(RecordingError, match="cannot be written: No such file or directory"):
         fh.recordings.write(tmp_path / "no" / "x.csv", first)
-    with pytest.raises(UsageError, match=r"There are: \.csv, \.h5, .*\.parquet"):
+    with pytest.raises(UsageError, match=r"there are: \.csv, \.h5, .*\.parquet"):
         fh.recordings.write(tmp_path / "x.log", first)
 
 

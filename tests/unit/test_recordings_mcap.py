@@ -172,9 +172,9 @@ def test_chunks_hold_at_most_a_second_and_long_periods_still_end_them(tmp_path: 
 
 def test_axis_must_be_chosen_where_there_are_several(tmp_path: Path) -> None:
     write(tmp_path / "run.mcap", rows(np.arange(5.0), 2), ["x", "y"])
-    with pytest.raises(UsageError, match=r"several axes; choose one with --axis\. There are: x, y"):
+    with pytest.raises(UsageError, match=r"several axes; choose one with --axis; there are: x, y"):
         fh.recordings.read(tmp_path / "run.mcap")
-    with pytest.raises(UsageError, match="no axis 'z'; There are: x, y"):
+    with pytest.raises(UsageError, match="no axis 'z'; there are: x, y"):
         fh.recordings.read(tmp_path / "run.mcap", "z")
 
 

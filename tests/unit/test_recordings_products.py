@@ -128,7 +128,7 @@ def test_a_mapping_beside_the_file_has_products(log: Path) -> None:
     np.testing.assert_allclose(read["torque"], [-7 / 885, 75 / 885, -800 / 885, np.nan])
     assert "temperature" not in fh.recordings.read(log).columns  # one of its columns is not there
     beside.rename(log.with_name("servo.csv.columns.yaml"))  # of this file alone: a mistake
-    with pytest.raises(UsageError, match="no column 'heat'; There are: angle, is_on, load, t, volts"):
+    with pytest.raises(UsageError, match="no column 'heat'; there are: angle, is_on, load, t, volts"):
         fh.recordings.read(log)
 
 
@@ -146,7 +146,7 @@ def test_a_mapping_beside_the_file_has_products(log: Path) -> None:
         ("angle:int16", "angle is no register of 16 bits: it holds 0.1"),
         ("load:int8", "load is no register of 8 bits: it holds 65535"),
         ("load*1e300*volts*1e8", "too large for a number"),
-        ("2*3", "There are: angle"),
+        ("2*3", "there are: angle"),
     ],
 )
 def test_mistakes_say_what_is_there(source: str, message: str, log: Path, capsys: pytest.CaptureFixture[str]) -> None:

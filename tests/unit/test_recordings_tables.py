@@ -241,14 +241,14 @@ def test_a_gap_in_a_file_beside_is_not_bridged(tmp_path: Path) -> None:
     ("source", "error", "message"),
     [
         ("none.csv:u", UsageError, "there is no file none.csv beside the recording or in the current folder"),
-        ("short.csv:v", UsageError, "short.csv: there is no column 'v'; There are: u"),
+        ("short.csv:v", UsageError, "short.csv: there is no column 'v'; there are: u"),
         ("short.csv:u", RecordingError, "short.csv has 2 rows and .*x.csv has 3: without a column of time stamps t in"),
         (
             "late.csv:u",
             RecordingError,
             "late.csv: its times do not overlap with those of .*: t is 9 to 11 there, 0 to 2",
         ),
-        ("short.exe:u", UsageError, "There are: q, t"),
+        ("short.exe:u", UsageError, "there are: q, t"),
         ("broken.csv:u", RecordingError, "broken.csv:2: u: 'fast' is not a number"),
     ],
 )

@@ -227,7 +227,7 @@ def test_pictures_are_drawn(swing: Path, capsys: pytest.CaptureFixture[str]) -> 
         (["--model", "coulomb:coulomb=1", "--decimate", "1000000"], 1, "too few for these filters"),
         (["--model", "coulomb:coulomb=1", "--scale", "torque=2", "--scale", "torque=3"], 2, "'torque' is given twice"),
         (["--model", "coulomb:coulomb=1", "--column", "a=torque", "--column", "a=position"], 2, "'a' is given twice"),
-        (["--model", "coulomb:coulomb=1", "--column", "torque=curent"], 2, "There are: position, time_s, torque"),
+        (["--model", "coulomb:coulomb=1", "--column", "torque=curent"], 2, "there are: position, time_s, torque"),
     ],
 )
 def test_mistakes_are_reported_in_a_sentence(

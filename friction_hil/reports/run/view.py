@@ -168,7 +168,7 @@ def _config_of(recording: Recording, configuration: Configuration) -> AxisConfig
     axes = configuration.axes
     if recording.axis not in axes and len(axes) > 1:
         raise UsageError(
-            f"{recording.path}: the configuration has no axis {recording.axis!r}; choose one with --axis. "
+            f"{recording.path}: the configuration has no axis {recording.axis!r}; choose one with --axis; "
             f"{choices(recording.axis, axes)}"
         )
     return axes.get(recording.axis) or next(iter(axes.values()))
