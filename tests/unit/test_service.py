@@ -14,6 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from friction_hil.cli import main
+from friction_hil.daemon.control.names import is_name
 from friction_hil.daemon.notify import NotifyingSink, ServiceManager
 from friction_hil.errors import ConfigurationError, UsageError
 from friction_hil.service import files, install, remove
@@ -92,6 +93,12 @@ def test_a_service_has_unit_devices_user_and_a_copy_of_what_it_needs(configurati
         remove("table", root)
     assert remove("other", root).kept == [data]
     assert [path for path in root.rglob("*") if path.is_file()] == []
+
+
+def test_a_daemon_may_be_called_as_its_service(configuration, tmp_path):
+    installed(tmp_path / "root", configuration, "x-axis_1.b")
+    assert services(tmp_path / "root") == ["x-axis_1.b"]
+    assert is_name("x-axis_1.b")
 
 
 @pytest.mark.parametrize("name", ["", "../x", "a/b", "x y", ".x", "-x", "x" * 49, "x\n", "é"])
