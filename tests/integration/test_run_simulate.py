@@ -24,9 +24,9 @@ CAN0 = {"interface": "socketcan", "channel": "can0"}
 SINE = {"kind": "sine", "amplitude": 0.3, "frequency": 2.0, "ramp_s": 0.1}
 
 
-def write(folder, *, bus=CAN0, **changes):
+def write(folder, *, bus=CAN0, period_s=2e-3, **changes):
     """A configuration of one axis on a real bus, without ``simulation``."""
-    values = {"version": 1, "period_s": 2e-3, "bus": bus, "realtime": {"priority": 0}}
+    values = {"version": 1, "period_s": period_s, "bus": bus, "realtime": {"priority": 0}}
     path = folder / "machine.yaml"
     path.write_text(yaml.safe_dump({**values, "axes": {"x": axis_dict(trajectory=SINE, **changes)}}))
     return path
@@ -144,7 +144,7 @@ def test_a_sidecar_gets_its_master_and_the_bus_of_the_file_stays_silent(tmp_path
 
 
 def test_simulated_drives_are_tuned_and_the_model_of_the_machine_stays_as_it_is(tmp_path):
-    path = write(tmp_path, **{key: value for key, value in AXIS.items() if key != "trajectory"})
+    path = write(tmp_path, period_s=4e-3, **{key: value for key, value in AXIS.items() if key != "trajectory"})
     words = (
         "tune",
         path,
