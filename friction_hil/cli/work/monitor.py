@@ -133,22 +133,24 @@ def _show(name: str, view: _View) -> None:
 @contextlib.contextmanager
 def _terminal() -> Iterator[bool]:
     """Take the other screen and single keys, and give both back; the value says if there are keys."""
-    assert sys.platform != "win32"  # as for the whole command, see `friction_hil.cli.NEED_LINUX`
-    import termios  # imported here: Windows has none
-    import tty
+    if sys.platform == "win32":
+        raise UsageError("the monitor needs Linux")
+    else:  # mypy leaves this out for Windows
+        import termios  # imported here: Windows has none
+        import tty
 
-    has_keys = sys.stdin is not None and os.isatty(0)
-    before = termios.tcgetattr(0) if has_keys else None
-    try:
-        if has_keys:
-            tty.setcbreak(0)
-        _write(_BEGIN)
-        yield has_keys
-    finally:
-        with contextlib.suppress(OSError):
-            _write(_END)
-        if before is not None:
-            termios.tcsetattr(0, termios.TCSADRAIN, before)
+        has_keys = os.isatty(0)
+        before = termios.tcgetattr(0) if has_keys else None
+        try:
+            if has_keys:
+                tty.setcbreak(0)
+            _write(_BEGIN)
+            yield has_keys
+        finally:
+            with contextlib.suppress(OSError):
+                _write(_END)
+            if before is not None:
+                termios.tcsetattr(0, termios.TCSADRAIN, before)
 
 
 def _keys(has_keys: bool) -> str:
