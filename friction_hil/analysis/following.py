@@ -53,9 +53,22 @@ def is_recovering(cycle: Array, axes: Sequence[Mapping[str, Array]], period_s: f
     """Return for each row if a period was missed, or feedback of an axis was late, in it or shortly before."""
     missed = np.diff(cycle, prepend=cycle[:1] - 1.0) - 1.0
     is_fresh = np.all([each["is_fresh"] == 1.0 for each in axes], axis=0)
+    return cycle < np.maximum.accumulate(cycle + recovery(missed, is_fresh, period_s))
+
+
+def recovery(missed: Array, is_fresh: Any, period_s: float) -> Array:
+    """Return for how many cycles from each row on (n,) errors do not count.
+
+    Parameters
+    ----------
+    missed : (n,) array
+        Periods that were missed before each row.
+    is_fresh : (n,) array of bool
+    period_s : float
+        Period of the loop, s.
+    """
     after_missed = np.where(missed > 0.0, RECOVERY_S / period_s + RECOVERY_OF_MISSED * missed, 0.0)
-    after_late = np.where(is_fresh, 0.0, RECOVERY_OF_LATE)
-    return cycle < np.maximum.accumulate(cycle + np.maximum(after_missed, after_late))
+    return np.maximum(after_missed, np.where(is_fresh, 0.0, RECOVERY_OF_LATE))
 
 
 def refuse_too_few(path: str, used: int, wanted: int) -> None:

@@ -34,11 +34,15 @@ _NAME_BYTES = 40
 class _Ring:
     """Shared memory with views of its header and rows."""
 
-    def __init__(self, descriptor: int) -> None:
+    def __init__(self, descriptor: int, *, is_written: bool = True) -> None:
         self.descriptor = descriptor
-        # Populated at once: a page fault in the loop could cost a period.
-        flags = mmap.MAP_SHARED | mmap.MAP_POPULATE
-        self._memory = mmap.mmap(descriptor, os.fstat(descriptor).st_size, flags=flags)
+        size = os.fstat(descriptor).st_size
+        if size < _HEADER_BYTES:
+            raise ValueError("the shared memory is no ring")
+        if is_written:  # populated at once: a page fault in the loop could cost a period
+            self._memory = mmap.mmap(descriptor, size, flags=mmap.MAP_SHARED | mmap.MAP_POPULATE)
+        else:
+            self._memory = mmap.mmap(descriptor, size, flags=mmap.MAP_SHARED, prot=mmap.PROT_READ)
         self._header = memoryview(self._memory)[:_HEADER_BYTES].cast("q")
         if self._header[_MAGIC] != _MAGIC_NUMBER:
             raise ValueError("the shared memory is not a ring of this version")
@@ -99,6 +103,7 @@ class RingWriter(_Ring):
         if width < 1 or capacity < 1:
             raise ValueError(f"a ring has at least one row of one value, not {capacity} of {width}")
         descriptor = os.memfd_create("friction_hil-ring")
+        os.fchmod(descriptor, 0o400)  # whoever gets a descriptor for reading cannot open it again for writing
         os.ftruncate(descriptor, _HEADER_BYTES + EVENT_SLOTS * _EVENT_BYTES + capacity * (width + 2) * 8)
         os.pwrite(descriptor, struct.pack("<3q", _MAGIC_NUMBER, width, capacity), 0)
         super().__init__(descriptor)
@@ -241,11 +246,19 @@ class RingReader(_Ring):
 
 
 class RingObserver(_Ring):
-    """An end that only looks: it takes nothing from the reader, and releases nothing."""
+    """An end that only looks: it takes nothing from the reader, and releases nothing. It cannot write.
+
+    Attributes
+    ----------
+    rows_missed : int
+        Number of rows that `new_rows` has not returned, because they were overwritten.
+    """
 
     def __init__(self, descriptor: int) -> None:
-        super().__init__(descriptor)
+        super().__init__(descriptor, is_written=False)
         self._events_seen = 0
+        self._rows_seen: int | None = None
+        self.rows_missed = 0
 
     @property
     def rows_written(self) -> int:
@@ -255,17 +268,42 @@ class RingObserver(_Ring):
     def newest(self, most: int) -> Array:
         """Return up to ``most`` of the newest rows as a copy, oldest first, shape (n, width)."""
         end = self._header[_ROWS]
-        # not the oldest ones, which the loop may be overwriting
-        first = max(0, end - min(most, self.capacity // 2))
+        return self._copy(self._oldest(end, most), end, np.arange(self.width))
+
+    def new_rows(self, wanted: NDArray[np.intp]) -> Array:
+        """Return the rows since the last call as a copy, oldest first, shape (n, m); the first call, those there are.
+
+        Parameters
+        ----------
+        wanted : (m,) array
+            Values of each row that are copied; a row is mostly states of compensators.
+        """
+        end = self._header[_ROWS]
+        oldest = self._oldest(end, self.capacity)
+        if self._rows_seen is None:
+            self._rows_seen = oldest
+        rows = self._copy(max(self._rows_seen, oldest), end, wanted)
+        self.rows_missed += end - self._rows_seen - len(rows)
+        self._rows_seen = end
+        return rows
+
+    def _oldest(self, end: int, most: int) -> int:
+        """Return the first of the newest rows that can be copied: not the oldest, which may be being overwritten."""
+        return max(0, end - min(most, self.capacity // 2))
+
+    def _copy(self, first: int, end: int, values: NDArray[np.intp]) -> Array:
+        """Return some values of the rows ``first`` to ``end`` that are whole."""
         slots = np.arange(first, end) % self.capacity
-        rows = self._numbers[slots]
+        before = self._numbers[slots, -1]
+        rows = self._rows[np.ix_(slots, values + 1)]
         wanted = np.arange(first + 1, end + 1)
-        whole = (rows[:, -1] == wanted) & (rows[:, 0] == wanted) & (self._numbers[slots, 0] == wanted)
-        return rows[whole, 1:-1].view(np.float64)
+        whole = (before == wanted) & (self._numbers[slots, -1] == wanted) & (self._numbers[slots, 0] == wanted)
+        copied: Array = rows[whole]
+        return copied
 
     def new_events(self) -> list[tuple[float, str, str]]:
         """Return the events since the last call that are still there: cycle, name, text."""
-        end = self._header[_EVENTS]
+        end: int = self._header[_EVENTS]
         found = [self._event(number) for number in range(max(self._events_seen, end - EVENT_SLOTS), end)]
         self._events_seen = end
         return [event for event in found if event is not None]

@@ -29,7 +29,7 @@ from friction_hil.daemon.realtime import RealClock, SteppedClock, punctuality
 from friction_hil.daemon.run import LoopSettings
 from friction_hil.daemon.static_torque import static_torque_note
 from friction_hil.daemon.stop import StopRequest
-from friction_hil.drive import AxisFacts, Clock, Drives, unit_table
+from friction_hil.drive import AxisFacts, Clock, Drives, FaultCode, unit_table
 from friction_hil.drive.finding import complaints
 from friction_hil.models import create
 from friction_hil.motion.trajectory import PathTime
@@ -227,7 +227,7 @@ def _prepare(
     stack.callback(companion.close)
     control = None
     if settings.control is not None:
-        control_job = _control_job(configuration, settings, facts, job)
+        control_job = _control_job(configuration, settings, drives, facts, job)
         if control_job.has_network:
             _compile_plain(configuration.period_s)
         control = ControlService(settings.control, companion.ring_descriptor, journal, control_job)
@@ -242,7 +242,7 @@ def _compile_plain(period_s: float) -> None:
 
 
 def _control_job(
-    configuration: "Configuration", settings: SessionSettings, facts: Sequence[AxisFacts], job: Job
+    configuration: "Configuration", settings: SessionSettings, drives: Drives, facts: Sequence[AxisFacts], job: Job
 ) -> ControlJob:
     """Return what the process of the control socket has to know."""
     assert settings.control is not None
@@ -259,6 +259,9 @@ def _control_job(
         has_network=any(model.friction_model.network is not None for model in models),
         is_follower=configuration.bus is not None and configuration.bus.role == "sidecar",
         files={name: str(file) for name, file in files.items() if file is not None},
+        started_unix_ns=job.started_unix_ns,
+        ramp_s=ramp_s(configuration.axes.values()),
+        remedies={str(code): code.remedy for code in FaultCode} | dict(getattr(drives, "remedies", {})),
     )
 
 

@@ -229,6 +229,7 @@ class Drives(Protocol):
 class Driver(Protocol):
     """Class named by an entry point of ``friction_hil.drivers``.
 
+    It may have the attribute ``remedies``: what to do about each of its codes, by code, for those who show its faults.
     It may have these classmethods:
 
     ``check_files(configuration, axes)``

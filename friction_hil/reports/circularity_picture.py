@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from friction_hil.analysis.circularity import Circularity, Laps
+from friction_hil.friction.steady_curve import steady_curve
 from friction_hil.reports.figures import INK, WITH, WITHOUT, new_figure
 from friction_hil.reports.numbers import digits, readable, unit_of_figures
-from friction_hil.reports.run.friction import steady_curve
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

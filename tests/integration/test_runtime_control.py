@@ -20,6 +20,7 @@ from friction_hil.daemon.control.ask import ask
 from friction_hil.daemon.control.names import find
 from friction_hil.daemon.safety import LoopState
 from friction_hil.errors import FrictionHilError
+from friction_hil.live import Watch
 from tests.launcher import start
 from tests.servo_drives import axis_dict
 
@@ -91,6 +92,9 @@ def controlled(tmp_path_factory):
                 command("set", "mill", "x.enabled=true", "x.gain=1"),
             ]
             found["running"] = ask(find("mill"), {"do": "status"})
+            watch, found["readings"] = Watch("mill"), []
+            until(watch.poll)
+            found["readings"] += [watch.live.read()]
             found["too much"] = answered("mill", {"do": "set", "values": {"x.gain": 9}})
             [control] = children(daemon.pid, "friction_hil.daemon.control")
             os.kill(control, signal.SIGKILL)
@@ -105,7 +109,14 @@ def controlled(tmp_path_factory):
             with contextlib.redirect_stdout(capture):
                 found["shown"] = command("status", "--json"), command("status", "mill")
             found["status of all"] = capture.getvalue()
+            found["readings"] += [watch.live.read()]
             daemon.send_signal(signal.SIGINT)
+            until(lambda: found["readings"].append(watch.live.read()) or watch.live.is_over)
+            found["live"] = watch.live.facts, os.fstat(watch.live._ring.descriptor).st_mode
+            with pytest.raises(OSError):  # noqa: PT011 - whoever looks cannot write
+                os.pwrite(watch.live._ring.descriptor, b"x", 0)
+            found["gone"] = watch.poll()
+            watch.close()
             found["stdout"] = daemon.stdout.read()
             daemon.wait(60)
         finally:
@@ -125,6 +136,31 @@ def test_nothing_is_enabled_before_somebody_starts_it_and_again_after_a_stop(con
     run = ["enabling", "running", "stopping", "disabling"]
     assert states == ["waiting", *run, "waiting", *run, "done"]
     assert controlled["status"] == 0, controlled["stderr"]
+
+
+def test_who_looks_from_outside_sees_every_row_as_recorded_and_what_is_in_force(controlled):
+    facts, mode = controlled["live"]
+    first, last = controlled["readings"][0], controlled["readings"][-1]
+    assert (facts.name, facts.axes, facts.period_s) == ("mill", ("x",), PERIOD_S)
+    assert facts.remedy("x: position is outside the limits [FH-108]").startswith("check the motion")
+    assert facts.remedy("no heartbeat from node 5 [FH-230]").startswith("check supply")
+    assert mode & 0o777 == 0o400  # a descriptor for reading cannot be opened again for writing
+    assert (first.settings.change, last.settings.change) == (5, 6)  # the start was the first
+    x = first.settings.axes["x"]
+    assert (x.compensation["gain"], x.model["friction"]["model"]) == (1, "stribeck")
+    assert x.model_file.endswith("other.yaml")
+    assert first.settings.axes["x"].model == last.settings.axes["x"].model
+    assert (last.is_over, controlled["gone"]) == (True, None)
+    readings = controlled["readings"]
+    recording = fh.recordings.read(controlled["record"], "x")
+    seen = np.concatenate([each.rows.of("x", "cycle") for each in readings])
+    rows = np.searchsorted(recording["cycle"], seen)
+    for column in ("position", "compensation", "checksum"):
+        assert np.concatenate([each.rows.of("x", column) for each in readings]).tobytes() == (
+            recording[column][rows].tobytes()
+        )
+    assert len(seen) + sum(each.lost for each in readings) == recording["cycle"][-1] - seen[0] + 1
+    assert [event.text for each in readings for event in each.events if event.name == "state"][-1] == "done"
 
 
 def test_every_change_is_in_force_and_named(controlled):

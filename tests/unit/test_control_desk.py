@@ -73,7 +73,7 @@ def loop():
 def ask(loop, monkeypatch):
     """A function that returns the answer to a request."""
     monkeypatch.setattr(desk, "_ANSWER_S", 0.05)
-    monkeypatch.setattr(state, "_STANDS_S", 0.05)
+    monkeypatch.setattr(state, "STANDS_S", 0.05)
     config = self_contained(configuration(x=axis_dict()))
     job = ControlJob("mill", config, "mill.yaml", [], list(columns.NAMES), 1)
     journal = make_journal()

@@ -22,6 +22,7 @@ def explained():
 def test_every_code_is_explained_on_the_page_and_nothing_else_is():
     assert set(explained()) == {str(code) for code in FaultCode}
     assert all(len(cell) > 3 for cells in explained().values() for cell in cells)
+    assert {str(code): code.remedy for code in FaultCode} == {code: cells[-1] for code, cells in explained().items()}
 
 
 @pytest.mark.parametrize("code", FaultCode, ids=str)
@@ -60,5 +61,5 @@ def test_a_message_gets_one_code():
 def test_the_examples_of_the_module_hold():
     import doctest
 
-    assert doctest.testmod(codes).attempted == 2
+    assert doctest.testmod(codes).attempted == 3
     assert doctest.testmod(codes).failed == 0

@@ -1,4 +1,4 @@
-"""Codes of the CANopen driver's fault messages; README.md has the cause and the remedy of each."""
+"""Codes of the CANopen driver's fault messages, and the remedy of each; README.md has the causes too."""
 
 BUS_NOT_OPENED = "FH-201"
 BUS_FAILED = "FH-202"
@@ -84,4 +84,48 @@ TITLES = {
     SYNC_UNUSABLE: "A sidecar hears no SYNC of its period",
     SYNC_LOST: "A sidecar has lost SYNC, or hears two of them",
     PDO_NOT_AS_STATED: "A PDO is not as the configuration of a sidecar says",
+}
+
+REMEDIES = {
+    BUS_NOT_OPENED: "the command in the message",
+    BUS_FAILED: "`ip -details link show can0`; check wires, terminating resistors, bit rate",
+    SECOND_MASTER: "stop the other master; `--dry-run` listens beside it",
+    NODE_LOCKED: "stop the process that the message names",
+    LOCK_FAILED: "allow the daemon such sockets; the message has the system's reason",
+    NO_ANSWER: "check the drive's supply, node number, bit rate and wires; `candump can0` shows boot-up messages",
+    ANSWER_LOST: "check supply and wires",
+    SDO_ABORT: "look the abort code up in the drive's manual",
+    OBJECT_MISSING: "another mode; newer firmware",
+    OBJECT_SIZE: "another mode",
+    WRONG_IDENTITY: "correct `node` or `identity`",
+    MODE_NOT_SUPPORTED: "a mode from the message; `is_mode_check_required: false` if 6502h is wrong",
+    WRONG_EDS: "the matching EDS, or none",
+    UNIT_UNKNOWN: "`counts_per_unit`, `rated_torque`, `velocity_unit`",
+    ALREADY_POWERED: "`friction-hil stop CONFIG`, once no other master runs",
+    PERIOD_NOT_EXPRESSIBLE: "another `period_s`, e.g. 1e-3 or 2e-3",
+    NO_WATCHDOG: "`is_watchdog_required: false`, with an emergency stop at hand",
+    BUS_OVERLOAD: "longer `period_s`, higher bit rate, fewer axes",
+    MAPPING_NOT_KEPT: "unlock PDO mapping in the drive",
+    MASTER_APPEARED: "stop the other master",
+    NOTHING_TO_HEAR: "let that master map statusword, position, torque, velocity and mode; or stop it",
+    NOT_RESTORED: "write it with the vendor's tool, or switch the drive off and on; the next run tries again",
+    JOURNAL_FILE: "make room; remove the file that the message names",
+    NO_MAPPING: "the message has each refusal; another mode, or map the PDOs with the vendor's tool",
+    UNKNOWN_ENTRY: "take that object out of the mapping with the vendor's tool",
+    NO_TORQUE_OFFSET: "mode `cst`, or `compensation: {enabled: false}`",
+    HEARTBEAT_LOST: "check supply and wires; `heartbeat_s` longer on a busy bus",
+    NODE_RESTARTED: "check the supply; stop other masters",
+    NOT_OPERATIONAL: "the drive's emergency says why; stop other masters",
+    WRONG_MODE: "close the vendor's tool; check 6502h",
+    SYNC_NOT_ANSWERED: "start `friction-hil simulate FILE --pace sync`",
+    FEEDBACK_LATE: "a longer `period_s`; another adapter; less traffic on the bus",
+    PDO_LENGTH: "set the drive up anew; look for a second node with this number",
+    COMMANDS_TOO_OLD: "`friction-hil doctor`; see FH-113",
+    UNITS_CONTRADICT: "correct the key or leave it out; `trust: [KEY]` to insist",
+    UNIT_AMBIGUOUS: "`counts_per_unit`: turn the motor once by hand and read 6064h",
+    NODE_SILENT: "check supply and wires; `friction-hil drives scan`",
+    NODE_TAKEN: "end the other one, or give the axis another `node` or the bus another channel",
+    SYNC_UNUSABLE: "start the master first; `bus.sync_cob_id`; `period_s` as the master's",
+    SYNC_LOST: "the offset was faded out; start again beside a running master",
+    PDO_NOT_AS_STATED: "an RPDO of its own; `entries` as in the master's project",
 }

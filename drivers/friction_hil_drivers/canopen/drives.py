@@ -73,6 +73,7 @@ class CanopenDrives(CanopenService):
     """
 
     Options = CanopenOptions
+    remedies = codes.REMEDIES
     check_machine = staticmethod(interfaces.check_machine)
     check_bus = staticmethod(check_bus)
     check_connection = staticmethod(check_connection)

@@ -1,4 +1,4 @@
-"""Codes of the fault messages of all drives on serial lines; drivers/README.md has cause and remedy of each."""
+"""Codes of the fault messages of all drives on serial lines, and their remedies; drivers/README.md has the causes."""
 
 LINE_NOT_OPENED = "FH-250"
 RS485_NOT_SUPPORTED = "FH-251"
@@ -28,4 +28,22 @@ TITLES = {
     COMMANDS_REFUSED: "The drive refuses the daemon's commands",
     SEQUENCE_STUCK: "The drive does not follow a sequence of its description",
     WATCHDOG_NOT_HELD: "The drive does not hold the watchdog that was written to it",
+}
+
+REMEDIES = {
+    LINE_NOT_OPENED: "the remedy in the message; `friction-hil doctor FILE`",
+    RS485_NOT_SUPPORTED: "`is_rs485: false` if the adapter switches by itself",
+    LINE_LOST: "check cable, adapter and gateway; the drive's own watchdog ends its torque",
+    NO_REPLY: "correct `line` and the address; check termination and wires",
+    STATE_UNKNOWN: "add the state to `states` of the description",
+    ALREADY_POWERED: "`friction-hil stop CONFIG`, once no other master runs",
+    SETUP_REFUSED: "the drive's manual; `prepare` of the description",
+    SETUP_WITHOUT_EFFECT: "`timeout_s` and the steps of the description",
+    PACE_NOT_ANSWERED: "start `friction-hil simulate FILE --pace sync`",
+    STATE_NOT_REPORTED: "the reason at the end of the message; check the line",
+    COMMANDS_REFUSED: "the drive's words in the message; its mode and limits",
+    SEQUENCE_STUCK: (
+        "the error that the drive reports; `enable`, `disable`, `quick_stop` and `reset_fault` of the description"
+    ),
+    WATCHDOG_NOT_HELD: "another `watchdog_s`; `watchdog` and its signals in the description",
 }

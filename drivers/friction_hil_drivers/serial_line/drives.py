@@ -54,6 +54,7 @@ class SerialDrives:
     descriptions: ClassVar[Path]  # directory of the descriptions that come with the driver
     protocol: ClassVar[ProtocolFactory]
     address_key: ClassVar[str]  # key of the drive's address on its line
+    remedies: ClassVar[Mapping[str, str]] = codes.REMEDIES
     simulated: ClassVar[Mapping[str, Any]]  # what a new configuration of a simulated drive has, see `new_keys`
 
     @classmethod

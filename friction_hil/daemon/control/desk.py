@@ -2,12 +2,14 @@
 
 import json
 import math
+import os
 import pwd
 import threading
 import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from friction_hil import __version__
 from friction_hil.daemon.control import journal
 from friction_hil.daemon.control.job import ControlJob
 from friction_hil.daemon.control.mailbox import MailboxWriter
@@ -25,7 +27,7 @@ _STOP_S = 20.0  # more than all time-outs of a stop together
 _START_S = 20.0  # beyond enable_timeout_s: a first motion
 _RESET_S = 2.0
 _LATEST = 500  # cycles over which another model finds the state in which it would be
-_KEYS = {"status": (), "set": ("values",), "start": (), "stop": (), "reset": ()}
+_KEYS = {"status": (), "observe": (), "set": ("values",), "start": (), "stop": (), "reset": ()}
 
 
 class RefusedError(FrictionHilError):
@@ -46,6 +48,8 @@ class Desk:
         self._names = list(job.configuration["axes"])
         self._mailbox = MailboxWriter(mailbox_descriptor)
         self._journal = journal_descriptor
+        # opened again: what is open for reading only can be given to others
+        self._read_only = [os.open(f"/proc/self/fd/{each}", os.O_RDONLY) for each in (ring_descriptor, self._journal)]
         self._state = DaemonState(ring_descriptor, self._names, job.columns, job.state_width)
         self._preparing = threading.Lock()  # one change of settings is prepared upon the other
         self._sending = threading.Lock()  # a stop does not wait for what is being prepared
@@ -53,6 +57,7 @@ class Desk:
         self._waiting_stop = 0  # number of a stop that the loop has not answered
         self._do: dict[str, Callable[[Mapping[str, Any], str], dict[str, Any]]] = {
             "status": self._status,
+            "observe": self._observe,
             "set": self._set,
             "start": self._start,
             "stop": self._stop,
@@ -81,12 +86,11 @@ class Desk:
         with self._looking:
             self._state.await_row()
             self._state.look()
-            faults, warnings, notices = (
-                list(each) for each in (self._state.faults, self._state.warnings, self._state.notices)
-            )
+            messages = self._state.messages
+            faults, warnings, notices = (list(each) for each in (messages.faults, messages.warnings, messages.notices))
             if self._state.stands:
                 warnings.append("the loop has written no row for a second: it stands, and the drives are unknown")
-        configuration, models_of = self._present()
+        configuration, _, files = self._present()
         axes = {}
         for name in self._names:
             given = configuration["axes"][name]["compensation"]
@@ -98,9 +102,7 @@ class Desk:
                 "gain_negative": given["gain_negative"],
                 "adaptation": given["adaptation"],
                 "model": configuration["axes"][name]["model"]["friction"]["model"],
-                "model_file": self._job.files.get(name)
-                if models_of[name] == 0
-                else self._file_of(models_of[name], name),
+                "model_file": files[name],
             }
         return {
             "protocol": PROTOCOL,
@@ -113,6 +115,29 @@ class Desk:
             "axes": axes,
         }
 
+    def _observe(self, request: Mapping[str, Any], who: str) -> dict[str, Any]:
+        """Return what never changes in a run, and the memory in which the rest is: rows, events, changes."""
+        with self._looking:
+            faults = list(self._state.messages.faults)
+        job = self._job
+        return {
+            "protocol": PROTOCOL,
+            "version": __version__,
+            "name": job.name,
+            "source": job.source,
+            "started_unix_ns": job.started_unix_ns,
+            "configuration": job.configuration,
+            "files": job.files,
+            "facts": job.facts,
+            "columns": job.columns,
+            "state_width": job.state_width,
+            "is_follower": job.is_follower,
+            "ramp_s": job.ramp_s,
+            "remedies": job.remedies,
+            "faults": faults,
+            "descriptors": self._read_only,  # the server sends these along
+        }
+
     def _set(self, request: Mapping[str, Any], who: str) -> dict[str, Any]:
         values = request["values"]
         if not isinstance(values, dict) or not values or not all(isinstance(key, str) for key in values):
@@ -121,7 +146,7 @@ class Desk:
         from friction_hil.daemon.control.prepare import entry_of, latest_inputs, prepare
 
         with self._preparing:
-            before, models_of = self._present()
+            before, models_of, _ = self._present()
             rows = self._state.rows(_LATEST)
             latest = {
                 name: found
@@ -164,7 +189,7 @@ class Desk:
         with self._looking:
             self._state.await_row()
             self._state.look()
-            faults = list(self._state.faults)
+            faults = list(self._state.messages.faults)
         drives = {name: state.words for name, state in self._state.drive_states().items()}
         return {"cycle": cycle, "is_done": is_fulfilled, **self._state.loop(), "drives": drives, "faults": faults}
 
@@ -230,23 +255,9 @@ class Desk:
         numbers: list[int] = [entry["number"] for entry in journal.entries(self._journal)]
         return max([self._mailbox.answered, *numbers]) + 1
 
-    def _present(self) -> tuple[dict[str, Any], dict[str, int]]:
-        """Return the present configuration, and the number of the change that brought each model."""
-        configuration = json.loads(json.dumps(self._job.configuration))
-        number = self._state.last_change()
-        entries = {entry["number"]: entry for entry in journal.entries(self._journal)}
-        models_of = dict.fromkeys(self._names, 0)
-        for name, axis in entries[number]["axes"].items() if number in entries else ():
-            configuration["axes"][name]["compensation"] = axis["compensation"]
-            models_of[name] = axis["model_of"]
-            if axis["model_of"]:
-                configuration["axes"][name]["model"] = entries[axis["model_of"]]["axes"][name]["model"]
-        return configuration, models_of
-
-    def _file_of(self, number: int, name: str) -> str | None:
-        entries = {entry["number"]: entry for entry in journal.entries(self._journal)}
-        found: str | None = entries[number]["files"].get(name)
-        return found
+    def _present(self) -> tuple[dict[str, Any], dict[str, int], dict[str, str | None]]:
+        """Return the present configuration, the number of the change that brought each model, and its file."""
+        return journal.present(self._journal, self._job.configuration, self._job.files, self._state.last_change())
 
 
 def _request(line: bytes) -> dict[str, Any]:

@@ -28,6 +28,12 @@ class ControlJob:
         Another controller enables and moves the drives.
     files : dict of str
         Model file of each axis that has one.
+    started_unix_ns : int
+        Wall-clock time of ``time_s`` = 0, ns since 1970; 0 in simulated time.
+    ramp_s : float
+        Time that the axes take to reach full speed, s.
+    remedies : dict of str
+        What to do about each code of a fault, of the daemon and of its driver.
     """
 
     name: str
@@ -39,3 +45,6 @@ class ControlJob:
     has_network: bool = False
     is_follower: bool = False
     files: dict[str, str] = field(default_factory=dict)
+    started_unix_ns: int = 0
+    ramp_s: float = 0.0
+    remedies: dict[str, str] = field(default_factory=dict)

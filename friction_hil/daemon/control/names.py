@@ -77,12 +77,18 @@ def running() -> Iterator[tuple[str, Path]]:
                 yield path.stem, path
 
 
+def candidates(name: str) -> list[Path]:
+    """Return where the socket of a daemon called ``name`` can be: this user's, or that of a service of the system."""
+    return [folder / f"{name}{_SUFFIX}" for folder in dict.fromkeys((own_folder(), _SYSTEM_FOLDER))]
+
+
 def is_live(path: Path) -> bool:
     """Return True if somebody listens on this socket; one that only others may use counts too."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as asking:
+        asking.setblocking(False)
         try:
             asking.connect(os.fspath(path))
-        except PermissionError:
+        except (PermissionError, BlockingIOError):  # not for this user; or many have asked a daemon that is starting
             return True
         except OSError:
             return False

@@ -61,7 +61,13 @@ class _Connection(socketserver.StreamRequestHandler):
             self._say(self.server.answer(line, user))
 
     def _say(self, answer: dict[str, Any]) -> None:
-        self.wfile.write(json.dumps(answer).encode() + b"\n")
+        """Send an answer, and with its first byte the file descriptors that it has; their number stands for them."""
+        descriptors = answer.get("descriptors", ())
+        line = json.dumps({**answer, "descriptors": len(descriptors)} if descriptors else answer).encode() + b"\n"
+        if descriptors:
+            sent = socket.send_fds(self.connection, [line], descriptors)
+            line = line[sent:]
+        self.wfile.write(line)
 
 
 def serve(descriptor: int, answer: Callable[[bytes, int], dict[str, Any]], control: int) -> None:

@@ -3,6 +3,7 @@
 import math
 import time
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from friction_hil.daemon.ring import RingObserver
@@ -21,8 +22,36 @@ _SHOWN = {
     "temperature": "temperature_estimate",
 }
 _MOST_EVENTS = 20
-_STANDS_S = 1.0  # without a row: the loop stands
+STANDS_S = 1.0  # without a row: the loop stands
 _LOOK_S = 1e-3
+
+
+@dataclass(slots=True)
+class Messages:
+    """What a run has said so far.
+
+    Attributes
+    ----------
+    faults : list of str
+        Faults that nobody has reset.
+    warnings, notices : list of str
+        The last ones.
+    """
+
+    faults: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    notices: list[str] = field(default_factory=list)
+
+    def take(self, name: str, text: str) -> None:
+        """Take an event of the ring; those of other names are left out."""
+        if name == "fault" and text not in self.faults:
+            self.faults.append(text)
+        elif name == "reset":
+            self.faults.clear()
+        elif name in ("warning", "notice"):
+            kept = self.warnings if name == "warning" else self.notices
+            kept.append(text)
+            del kept[:-_MOST_EVENTS]
 
 
 class DaemonState:
@@ -40,10 +69,7 @@ class DaemonState:
 
     Attributes
     ----------
-    faults : list of str
-        Faults that nobody has reset.
-    warnings, notices : list of str
-        The last ones.
+    messages : Messages
     stands : bool
         The loop wrote no row while `await_row` waited for one: what it read last says nothing about the drives now.
     """
@@ -51,14 +77,12 @@ class DaemonState:
     def __init__(self, ring_descriptor: int, names: Sequence[str], columns: Sequence[str], state_width: int) -> None:
         self._ring = RingObserver(ring_descriptor)
         self._names, self._columns, self._width = names, list(columns), len(columns) + state_width
-        self.faults: list[str] = []
-        self.warnings: list[str] = []
-        self.notices: list[str] = []
+        self.messages = Messages()
         self.stands = False
 
     def await_row(self) -> None:
         """Wait until the loop has written another row, a second at most."""
-        before, end_s = self._ring.rows_written, time.monotonic() + _STANDS_S
+        before, end_s = self._ring.rows_written, time.monotonic() + STANDS_S
         while not (is_new := self._ring.rows_written != before) and not self.has_ended and time.monotonic() < end_s:
             time.sleep(_LOOK_S)
         self.stands = not (is_new or self.has_ended)
@@ -75,14 +99,7 @@ class DaemonState:
     def look(self) -> None:
         """Take the events since the last look."""
         for _, name, text in self._ring.new_events():
-            if name == "fault" and text not in self.faults:
-                self.faults.append(text)
-            elif name == "reset":
-                self.faults.clear()
-            elif name == "warning":
-                self.warnings = [*self.warnings, text][-_MOST_EVENTS:]
-            elif name == "notice":
-                self.notices = [*self.notices, text][-_MOST_EVENTS:]
+            self.messages.take(name, text)
 
     def loop_state(self) -> LoopState | None:
         """Return the state of the run; None if it is not known."""

@@ -7,7 +7,7 @@ import numpy as np
 from friction_hil.config import AxisConfig
 from friction_hil.daemon.safety import LoopState
 from friction_hil.errors import FrictionHilError
-from friction_hil.friction import FrictionModel
+from friction_hil.friction.steady_curve import steady_curve
 from friction_hil.models.model_file import ModelFile
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
@@ -18,8 +18,6 @@ from friction_hil.replay.preparation import replay_segments
 _MOST_POINTS = 6000
 _BINS = 200
 _GOLDEN = 0.6180339887498949
-_CURVE_POINTS = 300  # on each side
-_SLOWEST = 1e-4  # of the largest speed: where a curve begins beside rest
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,14 +40,6 @@ class FrictionOverVelocity:
     is_friction: bool
     compensation: tuple[Array, Array] | None
     curve: tuple[Array, Array] | None
-
-
-def steady_curve(model: FrictionModel, fastest: float) -> tuple[Array, Array]:
-    """Return velocity and steady torque of a model up to ``fastest``, without load; NaN at rest."""
-    side = np.geomspace(_SLOWEST, 1.0, _CURVE_POINTS) * fastest
-    velocity = np.concatenate([-side[::-1], [0.0], side])
-    load = 0.0 if "load" in model.modifiers else None
-    return velocity, np.where(velocity == 0.0, np.nan, model.steady_state(velocity, load_torque=load))
 
 
 def friction_over_velocity(

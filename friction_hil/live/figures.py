@@ -1,0 +1,181 @@
+"""Rolling figures of a daemon from its rows and events: the one source of what monitor, dashboard and metrics show.
+
+Pure: no clock, no files; the same readings give the same figures.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from friction_hil.daemon.control.state import Messages
+from friction_hil.daemon.figures import Condition
+from friction_hil.daemon.safety import LoopState
+from friction_hil.drive import DriveState
+from friction_hil.drive.codes import code_of
+from friction_hil.live.following_error import RollingErrors, missed_before
+from friction_hil.live.friction_map import FrictionTracer
+from friction_hil.live.lateness import LatenessFigures
+from friction_hil.live.reading import LiveFacts, Reading, Rows, Settings
+from friction_hil.live.snapshot import AxisSnapshot, Message, Snapshot
+from friction_hil.live.window import Window
+from friction_hil.numerics.jit import Array
+
+WINDOW_S = 10.0
+_MAP_WINDOWS = 6  # the friction over velocity is of the last so many windows
+_LAST = (
+    *("position", "velocity", "torque", "position_demand", "velocity_demand", "compensation", "command"),
+    *("temperature", "temperature_estimate", "drive_state", "is_fresh"),
+)
+_UNTIMED = (LoopState.IDLE, LoopState.WAITING)  # nothing moves, and no missed period counts
+
+
+class LiveFigures:
+    """Figures of a daemon.
+
+    Parameters
+    ----------
+    facts : LiveFacts
+    faults : sequence of str
+        Faults that nobody had reset when this was attached, `friction_hil.live.Live.faults`.
+    window_s : float
+        Duration over which following error, compensation and lateness are computed, s. Friction over velocity is of
+        the last six windows.
+    """
+
+    def __init__(self, facts: LiveFacts, faults: Sequence[str] = (), window_s: float = WINDOW_S) -> None:
+        self._facts, self._window_s = facts, window_s
+        self._messages = Messages(faults=list(faults))
+        self._lateness = LatenessFigures(round(window_s / facts.period_s))
+        self._axes = {name: _AxisFigures(facts, name, window_s) for name in facts.axes}
+        self._last: dict[str, float] = dict.fromkeys(("time_s", "cycle", "state", "change"), math.nan)
+        self._missed = self._lost = 0
+        self._stands = self._is_over = False
+
+    def take(self, reading: Reading) -> None:
+        """Take what was read."""
+        for event in reading.events:
+            self._messages.take(event.name, event.text)
+        self._stands, self._is_over = reading.stands, reading.is_over
+        self._lost += reading.lost
+        rows = reading.rows
+        if len(rows):
+            first = self._facts.axes[0]
+            missed = missed_before(rows.of(first, "cycle"), self._last["cycle"], reading.lost)
+            is_timed = ~np.isin(rows.of(first, "state"), _UNTIMED)
+            self._missed += int(np.nansum(missed[is_timed]))
+            self._lateness.take(rows.of(first, "late_us"))
+            self._last = {name: float(rows.of(first, name)[-1]) for name in self._last}
+        for axis in self._axes.values():
+            axis.take(rows, reading.settings, reading.lost)
+
+    def snapshot(self) -> Snapshot:
+        """Return the figures after what was taken so far."""
+        facts, last = self._facts, self._last
+        is_known = not (self._stands or self._is_over)
+        return Snapshot(
+            name=facts.name,
+            source=facts.source,
+            version=facts.version,
+            state=self._state(),
+            stands=self._stands,
+            is_over=self._is_over,
+            time_s=last["time_s"],
+            cycle=_whole(last["cycle"]),
+            change=_whole(last["change"]),
+            period_s=facts.period_s,
+            window_s=self._window_s,
+            missed=self._missed,
+            lost=self._lost,
+            lateness=self._lateness.figures(),
+            faults=self._told(self._messages.faults),
+            warnings=self._told(self._messages.warnings),
+            notices=self._told(self._messages.notices),
+            axes={name: axis.snapshot(is_known=is_known) for name, axis in self._axes.items()},
+        )
+
+    def _state(self) -> str:
+        if self._is_over:
+            return "ended"
+        state = self._last["state"]
+        if self._stands or not math.isfinite(state):
+            return "unknown"
+        return LoopState(int(state)).name.lower().replace("_", " ")
+
+    def _told(self, texts: Sequence[str]) -> tuple[Message, ...]:
+        return tuple(Message(text, code_of(text), self._facts.remedy(text)) for text in texts)
+
+
+class _AxisFigures:
+    """Figures of one axis."""
+
+    def __init__(self, facts: LiveFacts, name: str, window_s: float) -> None:
+        self._facts, self._name = facts, name
+        self._errors = RollingErrors(facts.period_s, facts.ramp_s, window_s)
+        self._compensation = Window(round(window_s / facts.period_s))
+        has_torque = facts.drives.get(name, {}).get("torque_delay_s") is not None
+        self._friction = FrictionTracer(name, facts.period_s, _MAP_WINDOWS * window_s, has_torque=has_torque)
+        self._last = dict.fromkeys(_LAST, math.nan)
+        self._error = math.nan
+        self._settings: Settings | None = None
+
+    def take(self, rows: Rows, settings: Settings, lost: int) -> None:
+        if self._settings is None or settings.change != self._settings.change:
+            self._adopt(settings)
+        if not len(rows):
+            return
+        fade_s = float(settings.axes[self._name].compensation["fade_s"])
+        error = self._errors.take(rows, self._name, fade_s, lost)
+        self._error = float(error[-1])
+        compensation = rows.of(self._name, "compensation")
+        self._compensation.extend(compensation[np.isfinite(compensation)])
+        self._friction.take(rows)
+        self._last = {name: float(rows.of(self._name, name)[-1]) for name in _LAST}
+
+    def _adopt(self, settings: Settings) -> None:
+        before, self._settings = self._settings, settings
+        model = settings.axes[self._name].model
+        if before is None or before.axes[self._name].model != model:
+            self._friction.use(model)
+
+    def snapshot(self, *, is_known: bool) -> AxisSnapshot:
+        assert self._settings is not None
+        last, settings = self._last, self._settings.axes[self._name]
+        state = _drive_state(last, is_known=is_known)
+        measured, estimated = last["temperature"], last["temperature_estimate"]
+        friction = settings.model["friction"]
+        return AxisSnapshot(
+            kind=self._facts.kinds[self._name],
+            unit=self._facts.unit(self._name, "position"),
+            torque_unit=self._facts.unit(self._name, "torque"),
+            drive_state=state.words,
+            is_powered=None if state is DriveState.UNKNOWN else state.is_powered,
+            **{name: last[name] for name in _LAST[:7]},
+            temperature=estimated if math.isfinite(estimated) else measured,
+            error=self._error,
+            without=self._errors.figures(Condition.WITHOUT),
+            compensated=self._errors.figures(Condition.WITH),
+            compensation_rms=_rms(self._compensation.values()),
+            friction=self._friction.figures(),
+            is_enabled=bool(settings.compensation["enabled"]),
+            gain=float(settings.compensation["gain"]),
+            model=friction["model"],
+            model_file=settings.model_file,
+            parameters=friction["parameters"],
+            settings=settings.compensation,
+        )
+
+
+def _drive_state(last: "dict[str, float]", *, is_known: bool) -> DriveState:
+    """Return the state of a drive as it was read back in the last row; unknown if nothing was."""
+    state = last["drive_state"]
+    is_read = is_known and last["is_fresh"] == 1.0 and math.isfinite(state)
+    return DriveState(int(state)) if is_read else DriveState.UNKNOWN
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2))) if values.size else math.nan
+
+
+def _whole(value: float) -> int:
+    return int(value) if math.isfinite(value) else 0

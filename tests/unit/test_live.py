@@ -1,0 +1,241 @@
+"""Live data: figures from rows, attaching to daemons that are starting, standing, gone or of another version."""
+
+import json
+import math
+import os
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from friction_hil import errors
+from friction_hil.config import self_contained
+from friction_hil.daemon.control.desk import Desk
+from friction_hil.daemon.control.job import ControlJob
+from friction_hil.daemon.control.journal import make_journal
+from friction_hil.daemon.control.lock import ControlSocket
+from friction_hil.daemon.control.mailbox import MailboxReader
+from friction_hil.daemon.control.packed import room
+from friction_hil.daemon.control.server import ControlServer
+from friction_hil.daemon.figures import SETTLE_S
+from friction_hil.daemon.ring import RingWriter
+from friction_hil.daemon.safety import LoopState
+from friction_hil.drive import DriveState
+from friction_hil.live import LiveFacts, LiveFigures, Reading, Rows, Settings, Watch, attach
+from friction_hil.live.reading import AxisSettings, LiveEvent
+from friction_hil.recordings import columns
+from tests.servo_drives import axis_dict, configuration
+
+PERIOD_S, FADE_S, RAMP_S = 1e-3, 0.1, 0.2
+CONFIGURATION = self_contained(configuration(x=axis_dict()))
+
+
+def facts(remedies=None):
+    return LiveFacts(
+        *("mill", "1", "mill.yaml", CONFIGURATION, PERIOD_S, RAMP_S, 0, ("x",), {"x": "rotary"}, columns.NAMES),
+        *({"x": {"torque_delay_s": 0.0}}, False, remedies or {}),
+    )
+
+
+def settings(model=None):
+    axis = CONFIGURATION["axes"]["x"]
+    given = {**axis["compensation"], "fade_s": FADE_S}
+    return Settings(0, {"x": AxisSettings(given, model or axis["model"], None)})
+
+
+def rows(count, first=0, **values):
+    """Rows of one axis in motion; each value is a number or (count,)."""
+    cycle = first + np.arange(count)
+    known = {"cycle": cycle, "time_s": cycle * PERIOD_S, "state": LoopState.RUNNING, "is_fresh": 1.0, "is_enabled": 1.0}
+    known |= {"drive_state": DriveState.OPERATION_ENABLED, "position": 0.0, "position_demand": 0.0, "change": 0.0}
+    table = np.full((count, 1, len(columns.NAMES)), math.nan)
+    for name, value in (known | values).items():
+        table[:, 0, columns.NAMES.index(name)] = value
+    return Rows(facts(), table)
+
+
+def reading(found, lost=0, events=(), stands=False, model=None):
+    return Reading(found, lost, tuple(events), settings(model), stands, False)
+
+
+def parts(found, sizes):
+    """The same rows in parts."""
+    ends = np.cumsum(sizes)
+    return [Rows(facts(), each) for each in np.split(found.values, ends[ends < len(found)])]
+
+
+def test_only_steady_motion_counts_and_each_condition_by_itself():
+    count = 4000
+    is_on = np.arange(count) >= 2000
+    error = np.where(is_on, 0.1, 0.5)
+    begin = round((RAMP_S + SETTLE_S) / PERIOD_S)
+    error[:begin] = 9.0  # ramp
+    error[2000 : 2000 + round((FADE_S + SETTLE_S) / PERIOD_S)] = 7.0  # fade
+    found = rows(count, is_enabled=is_on, position_demand=error)
+    figures = LiveFigures(facts(), window_s=20.0)
+    for part in parts(found, [1, 3, 1500, 700, 900]):
+        figures.take(reading(part))
+    x = figures.snapshot().axes["x"]
+    assert (x.without.peak, x.compensated.peak) == (0.5, 0.1)
+    assert x.without.rms == pytest.approx(0.5)
+    assert x.without.seconds == pytest.approx(2.0 - RAMP_S - SETTLE_S)
+    assert x.compensated.seconds == pytest.approx(2.0 - FADE_S - SETTLE_S)
+    assert x.error == 0.1
+
+
+def test_missed_periods_are_told_from_rows_that_were_lost_on_the_way_here():
+    figures = LiveFigures(facts())
+    figures.take(reading(rows(100)))
+    figures.take(reading(rows(100, first=153, late_us=np.arange(100.0)), lost=50))
+    shown = figures.snapshot()
+    assert (shown.missed, shown.lost) == (3, 50)
+    assert (shown.lateness.counts.sum(), shown.lateness.max_us) == (100, 99.0)
+    assert shown.lateness.p50_us == pytest.approx(49.5)
+    np.testing.assert_array_equal(shown.lateness.counts[:4], [2, 1, 3, 5])  # up to 1, 2, 5, 10 us
+
+
+def test_friction_is_the_measured_torque_less_inertia_gravity_and_offset():
+    time_s = np.arange(6000) * PERIOD_S
+    omega, inertia = 4.0, 2e-3
+    velocity, acceleration = 2.0 * np.sin(omega * time_s), 2.0 * omega * np.cos(omega * time_s)
+    position = -2.0 / omega * np.cos(omega * time_s)
+    torque = 0.1 * np.sign(velocity) + 0.02 * velocity + inertia * acceleration + 0.3 * np.sin(position) + 0.05
+    model = {"version": 1, "axis": "rotary", "friction": {"model": "coulomb", "parameters": {"coulomb": 0.1}}}
+    model["friction"]["parameters"]["viscous"] = 0.02
+    model["mechanics"] = {"inertia": inertia, "offset": 0.05, "gravity": {"sine": 0.3}}
+    figures = LiveFigures(facts())
+    found = rows(6000, position=position, velocity=velocity, torque=torque)
+    for part in parts(found, [100] * 60):
+        figures.take(reading(part, model=model))
+    traced = figures.snapshot().axes["x"].friction
+    away = np.abs(traced.velocity) > 0.05
+    expected = 0.1 * np.sign(traced.velocity) + 0.02 * traced.velocity
+    np.testing.assert_allclose(traced.torque[away], expected[away], atol=2e-3)
+    assert traced.count.sum() == pytest.approx(5700 / 3, rel=0.05)  # of the last minute, 20000 points
+    curve = np.interp(1.0, traced.curve_velocity, traced.curve_torque)
+    assert curve == pytest.approx(0.12, rel=1e-3)
+
+
+def test_faults_stay_until_they_are_reset_and_have_their_remedy():
+    figures = LiveFigures(facts({"FH-103": "check the cable"}), faults=["an old one"])
+    none = rows(0)
+    late = LiveEvent(5, 5e-3, "fault", "x: no usable feedback [FH-103]")
+    figures.take(reading(none, events=[late, LiveEvent(6, 6e-3, "warning", "slow")]))
+    shown = figures.snapshot()
+    assert [each.text for each in shown.faults] == ["an old one", late.text]
+    assert (shown.faults[1].code, shown.faults[1].remedy) == ("FH-103", "check the cable")
+    assert [each.text for each in shown.warnings] == ["slow"]
+    figures.take(reading(none, events=[LiveEvent(7, 7e-3, "reset", "the fault is reset")]))
+    assert figures.snapshot().faults == ()
+
+
+def test_a_loop_that_stands_proves_nothing_of_its_drives_and_json_has_no_nan():
+    figures = LiveFigures(facts())
+    figures.take(reading(rows(10)))
+    assert (figures.snapshot().state, figures.snapshot().axes["x"].is_powered) == ("running", True)
+    figures.take(reading(rows(0), stands=True))
+    shown = figures.snapshot()
+    assert (shown.state, shown.axes["x"].drive_state, shown.axes["x"].is_powered) == ("unknown", "unknown", None)
+    assert json.loads(json.dumps(shown.plain(), allow_nan=False))["axes"]["x"]["torque"] is None
+
+
+@pytest.fixture
+def folder(tmp_path_factory, monkeypatch):
+    found = tmp_path_factory.mktemp("s")
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(found))
+    monkeypatch.delenv("RUNTIME_DIRECTORY", raising=False)
+    return found
+
+
+class Daemon:
+    """The control socket of a daemon whose loop is played by the test."""
+
+    def __init__(self, name="mill"):
+        self.socket = ControlSocket(name)
+        self.ring = RingWriter(len(columns.NAMES) + 2, 64)
+        self.journal = make_journal()
+        job = ControlJob(name, CONFIGURATION, "mill.yaml", [], list(columns.NAMES), 2)
+        desk = Desk(job, self.ring.descriptor, MailboxReader(room(1)).descriptor, self.journal)
+        self.answer = desk.answer
+
+    def push(self, count):
+        for _ in range(count):
+            row = np.full(len(columns.NAMES) + 2, math.nan)
+            row[columns.NAMES.index("cycle")] = self.ring.rows_pushed
+            self.ring.push(row)
+
+    def serve(self):
+        self.server = ControlServer(self.socket.descriptor, lambda line, user: self.answer(line, user))
+        threading.Thread(target=self.server.serve_forever, kwargs={"poll_interval": 0.01}, daemon=True).start()
+
+    def end(self):
+        self.ring.close_writing()
+        self.server.shutdown()
+        self.server.server_close()
+        self.socket.close()
+
+
+def polled(watch):
+    end_s = time.monotonic() + 10.0
+    while (live := watch.poll()) is None:
+        assert time.monotonic() < end_s
+        time.sleep(0.01)
+    return live
+
+
+def test_a_watch_waits_for_a_daemon_that_starts_and_goes_over_to_the_next_one(folder):
+    with Watch("mill") as watch:
+        assert watch.poll() is None
+        first = Daemon()
+        assert watch.poll() is None  # it listens, and answers once it has started
+        first.serve()
+        first.push(5)
+        live = polled(watch)
+        assert [len(live.read().rows), len(live.read().rows)] == [5, 0]
+        first.push(60)
+        late = live.read()
+        np.testing.assert_array_equal(late.rows.of("x", "cycle"), np.arange(33.0, 65.0))
+        assert late.lost == 28
+        first.push(1)
+        first.end()
+        last = live.read()
+        assert (last.is_over, len(last.rows)) == (True, 1)
+        assert watch.poll() is None
+        second = Daemon()
+        second.serve()
+        assert polled(watch) is not live
+        second.end()
+
+
+def test_a_daemon_that_was_killed_is_over_and_one_that_stands_is_not(folder, monkeypatch):
+    monkeypatch.setattr("friction_hil.live.attachment.STANDS_S", 0.0)
+    monkeypatch.setattr("friction_hil.live.attachment._SIGHT_S", 0.0)
+    daemon = Daemon()
+    daemon.serve()
+    with attach("mill") as live:
+        standing = live.read()
+        assert (standing.stands, standing.is_over) == (True, False)
+        daemon.server.shutdown()
+        daemon.server.server_close()
+        daemon.socket._socket.close()  # as the kernel does it; the file stays
+        assert live.read().is_over
+
+
+def test_what_cannot_be_attached_is_named(folder):
+    with pytest.raises(errors.UsageError, match="no daemon called 'mill' runs here"):
+        attach("mill")
+    daemon = Daemon()
+    daemon.serve()
+    answer = daemon.answer
+    try:
+        daemon.answer = lambda line, user: {"ok": False, "problems": ["do: nothing is called 'observe'; there are: x"]}
+        with pytest.raises(errors.FrictionHilError, match="of an earlier version of friction-hil; look at it with"):
+            attach("mill")
+        daemon.answer = lambda line, user: answer(line, user) | {"version": "99", "columns": ["cycle"]}
+        before = len(os.listdir("/proc/self/fd"))
+        with pytest.raises(errors.FrictionHilError, match="is of friction-hil 99, and this is"):
+            attach("mill")
+        assert len(os.listdir("/proc/self/fd")) <= before + 1  # of the server's side
+    finally:
+        daemon.end()
