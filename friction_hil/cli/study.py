@@ -28,8 +28,9 @@ def command(machine: Path | None, names: str | None, **options: Any) -> int:
     compensation by each model.
 
     MACHINE is a configuration file whose axes have a simulation, e.g. config/machines/belt.yaml. Each axis makes its
-    own motion, and a slow, a fast and a small one, without and with the compensation and the model of the file. RMS
-    and peak of the following error are printed, at the motor and at the load.
+    own motion, and a slow, a fast and a small one, without and with the compensation and the model of the file. Axes of
+    one mechanism (gantry, arm) move together. RMS and peak of the following error are printed, at the motor and at
+    the load.
 
     Writes report.html with figures, numbers and explanations; this takes less than a minute, and gives the same numbers
     each time. Exit status 1 if a number is not finite.

@@ -6,17 +6,38 @@ Without a demand only the weight is known, at the measured position.
 """
 
 import math
-from typing import Any
+from typing import Any, TypeVar
 
-from friction_hil.numerics.jit import inlined
+import numpy as np
+
+from friction_hil.numerics.jit import Array, inlined
+
+Position = TypeVar("Position", float, Array)
+
+
+def gravity_torque(constant: float, sine: float, cosine: float, position: Position) -> Position:
+    """Return the torque of gravity at a position or at each of an array, positive if it opposes positive motion.
+
+    Parameters
+    ----------
+    constant, sine, cosine : float
+        Constant part, and factors of sine and cosine of the position, N m or N.
+    position : float or (n,) array
+        rad or m.
+    """
+    torque: Position = constant + sine * np.sin(position) + cosine * np.cos(position)
+    return torque
+
+
+_compiled_gravity_torque = inlined(gravity_torque)
 
 
 @inlined
 def gravity(c: Any, position: float) -> float:
-    """Return the torque of gravity at a position, N m, positive if it opposes positive motion."""
+    """Return the torque of gravity in the settings ``c`` of a compensator at a position, N m; see `gravity_torque`."""
     if c.gravity_sine == 0.0 and c.gravity_cosine == 0.0:
         return float(c.gravity_constant)
-    return float(c.gravity_constant + c.gravity_sine * math.sin(position) + c.gravity_cosine * math.cos(position))
+    return float(_compiled_gravity_torque(c.gravity_constant, c.gravity_sine, c.gravity_cosine, position))
 
 
 @inlined

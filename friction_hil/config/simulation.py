@@ -1,6 +1,6 @@
 """What the simulated drives of several axes share: the mechanism that two of them move."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from friction_hil.checked_yaml.messages import Mistake
@@ -14,6 +14,7 @@ from friction_hil.servo.mechanisms import Gantry, Mechanism, TwoLinkArm, axis_mi
 if TYPE_CHECKING:
     from friction_hil.config.axis import AxisConfig
     from friction_hil.config.schema import Configuration
+    from friction_hil.servo.coupled_servos import CoupledServos
     from friction_hil.servo.servo import Servo
 
 
@@ -70,13 +71,25 @@ def simulated_servos(configuration: "Configuration", axes: "Mapping[str, AxisCon
     shared = configuration.simulation
     if shared is None:
         return {name: simulated_servo(config) for name, config in servos.items()}
-    from friction_hil.servo.coupled_servos import CoupledServos
-
     mechanism = shared.mechanism
-    configs = [servos[name] for name in mechanism.axes]
-    coupled = CoupledServos(mechanism, configs, externals=[external_content(config) for config in configs])
+    coupled = coupled_servos(mechanism, [servos[name] for name in mechanism.axes])
     together = dict(zip(mechanism.axes, coupled.servos, strict=True))
     return {name: together.get(name) or simulated_servo(config) for name, config in servos.items()}
+
+
+def coupled_servos(
+    mechanism: Gantry | TwoLinkArm, configs: Sequence[ServoConfig], positions: Sequence[float] = (0.0, 0.0)
+) -> "CoupledServos":
+    """Return the simulated servos of a mechanism, with the files of their external torques read.
+
+    Raises
+    ------
+    UsageError
+        A file cannot be read.
+    """
+    from friction_hil.servo.coupled_servos import CoupledServos
+
+    return CoupledServos(mechanism, configs, positions, [external_content(config) for config in configs])
 
 
 def _config(axis: "AxisConfig") -> ServoConfig:

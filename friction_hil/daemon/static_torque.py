@@ -3,6 +3,8 @@
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
+from friction_hil.compensator.load import gravity_torque
+
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig
 
@@ -30,8 +32,8 @@ class StaticTorque(NamedTuple):
         """Return the torque at a position (rad or m), N m or N; 0 where the position is not finite."""
         if self.bound == 0.0 or not math.isfinite(position):
             return 0.0
-        swing = self.sine * math.sin(position) + self.cosine * math.cos(position)
-        return min(max(self.offset + self.constant + swing, -self.bound), self.bound)
+        torque = self.offset + float(gravity_torque(self.constant, self.sine, self.cosine, position))
+        return min(max(torque, -self.bound), self.bound)
 
     @property
     def largest(self) -> float:

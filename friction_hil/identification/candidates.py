@@ -6,9 +6,8 @@ from dataclasses import replace
 from functools import partial
 from typing import TypeVar
 
-import numpy as np
-
 from friction_hil import friction as models
+from friction_hil.compensator.load import gravity_torque
 from friction_hil.errors import RecordingError, UsageError, choices
 from friction_hil.friction.modifiers import SIDES
 from friction_hil.identification import humps, modifiers, structures, unknown_gain
@@ -497,7 +496,7 @@ class CandidateFitter:
         if not any(factors):
             return None
         constant, sine, cosine = factors
-        return [constant + sine * np.sin(record.position) + cosine * np.cos(record.position) for record in data.records]
+        return [gravity_torque(constant, sine, cosine, record.position) for record in data.records]
 
     def _check_held(self) -> None:
         """Raise `UsageError` if a held parameter belongs to no candidate or its value is not a number."""

@@ -4,7 +4,6 @@ A prediction error compares torques along the measured motion. In a free run the
 that its errors accumulate. This requires the control law that commanded the torque.
 """
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -114,7 +113,7 @@ def simulate_axis(
         torque = controller(k, q, v)
         trace[0, k], trace[1, k], trace[2, k] = q, v, torque
         for _ in range(steps):
-            load = gravity.constant + gravity.sine * math.sin(q) + gravity.cosine * math.cos(q)
+            load = gravity.at(q)
             applied = torque - offset - load
             resistance = runner.step(v, h, position=q, load_torque=load, applied_torque=applied)
             after = v + h * (applied - resistance) / inertia

@@ -2,7 +2,7 @@
 
 import re
 from pathlib import Path
-from typing import Any, Literal, Self, TypeVar
+from typing import Any, Literal, Self
 
 import numpy as np
 from pydantic import PrivateAttr, ValidationError, model_validator
@@ -10,14 +10,13 @@ from pydantic import PrivateAttr, ValidationError, model_validator
 from friction_hil import friction
 from friction_hil.checked_yaml.messages import Mistake, refuse
 from friction_hil.checked_yaml.section import MOST_TORQUE, Section, key
+from friction_hil.compensator.load import Position, gravity_torque
 from friction_hil.compensator.temperature import HIGHEST, LOWEST
 from friction_hil.errors import UsageError
 from friction_hil.friction import Axis, FrictionModel, InvalidParameterError, Network, NetworkStructure
 from friction_hil.friction.modifiers import check_modifiers
 from friction_hil.friction.parameters import check_all
-from friction_hil.numerics.jit import Array
 
-_Position = TypeVar("_Position", float, Array)
 _TORQUE = {"ge": -MOST_TORQUE, "le": MOST_TORQUE}
 _CELSIUS: dict[str, float] = {"ge": LOWEST, "le": HIGHEST}
 _LEAST_THERMAL_S = 1.0  # time constant
@@ -156,10 +155,9 @@ class Gravity(Section):
     sine: float = key("factor of sin(position)", "N m or N", default=0.0, **_TORQUE)
     cosine: float = key("factor of cos(position)", "N m or N", default=0.0, **_TORQUE)
 
-    def at(self, position: _Position) -> _Position:
+    def at(self, position: Position) -> Position:
         """Return the torque at a position or at each of an array, N m or N, positive if it opposes positive motion."""
-        torque: _Position = self.constant + self.sine * np.sin(position) + self.cosine * np.cos(position)
-        return torque
+        return gravity_torque(self.constant, self.sine, self.cosine, position)
 
 
 class Load(Section):

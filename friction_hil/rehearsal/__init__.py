@@ -1,6 +1,16 @@
-"""Rehearsal: the closed loop of daemon, compensator and a simulated servo, without a bus, in milliseconds."""
+"""Rehearsal: the closed loop of daemon, compensator and simulated servos, without a bus, in milliseconds."""
 
 from friction_hil.rehearsal.rehearsal import Motion, Outcome, Rehearsal
-from friction_hil.rehearsal.simulated_axes import SimulatedAxis, simulated_axes
+from friction_hil.rehearsal.simulated_axes import SimulatedAxis, SimulatedMachine, simulated_machines
+from friction_hil.rehearsal.together import AxisRun, rehearse
 
-__all__ = ["Motion", "Outcome", "Rehearsal", "SimulatedAxis", "simulated_axes"]
+__all__ = [
+    "AxisRun",
+    "Motion",
+    "Outcome",
+    "Rehearsal",
+    "SimulatedAxis",
+    "SimulatedMachine",
+    "rehearse",
+    "simulated_machines",
+]

@@ -1,7 +1,11 @@
-"""Closed loop of the daemon and a simulated servo over a whole motion, compiled."""
+"""Closed loop of the daemon and simulated servos over a whole motion, compiled.
+
+A cycle of an axis is a decision on a sample, which moves nothing, and its commands, which act after the delay of the
+axis. Between the two, time passes: for one servo, or for two that share a mechanism.
+"""
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -9,8 +13,8 @@ from friction_hil import compensator
 from friction_hil.compensator import load
 from friction_hil.compensator.limiter import limit_torque
 from friction_hil.motion.controller import cascade
-from friction_hil.numerics.jit import Array, StructuredArray, compiled
-from friction_hil.servo import plant
+from friction_hil.numerics.jit import Array, StructuredArray, compiled, inlined
+from friction_hil.servo import coupled, plant
 
 MOST_DELAY_CYCLES = 4
 
@@ -28,18 +32,51 @@ DAEMON = np.dtype(
     ]
 )
 
+LOOP = np.dtype(
+    [
+        ("targets", "f8", (MOST_DELAY_CYCLES + 1,)),  # set-points of the cycles, newest first
+        ("torques", "f8", (MOST_DELAY_CYCLES + 1,)),
+        ("integral", "f8"),  # of the loop's own controller
+    ]
+)
+
 TRACE = ("error", "compensation", "gain_factor", "demand", "load_error")
 
 _compensate = compensator.whole_step
 
 
-@compiled
-def _latch(state: StructuredArray, target: float, torque_offset: float) -> None:
-    """Give the drive a new set-point, as `friction_hil.servo.servo.Servo.command` does where none is missing."""
-    r = state[0]
-    r.phase = 0.0
-    r.torque_offset = torque_offset
-    r.target0, r.target1, r.target2 = r.target1, r.target2, target
+class Axis(NamedTuple):
+    """Records of an axis, each an array of length 1.
+
+    Attributes
+    ----------
+    daemon, loop
+        `DAEMON` and `LOOP`.
+    own_controller
+        `friction_hil.motion.controller.CONTROLLER` of the daemon's loop.
+    servo, controller, state
+        Of a `friction_hil.servo.servo.Servo`.
+    settings, compensator_state
+        Record and state of a `friction_hil.compensator.Compensator`.
+    """
+
+    daemon: StructuredArray
+    loop: StructuredArray
+    own_controller: StructuredArray
+    servo: StructuredArray
+    controller: StructuredArray
+    state: StructuredArray
+    settings: StructuredArray
+    compensator_state: StructuredArray
+
+
+@inlined
+def _begin(axis: Axis) -> None:
+    """Hold the axis where it is."""
+    d, r, loop = axis.daemon[0], axis.state[0], axis.loop[0]
+    if d.mode == plant.CSP:
+        loop.targets[:] = r.position
+    r.mode, r.target0, r.target1, r.target2 = d.mode, loop.targets[0], loop.targets[0], loop.targets[0]
 
 
 @compiled
@@ -59,30 +96,60 @@ def _control(
     return 0.0, torque, integral
 
 
+@inlined
+def _decide(axis: Axis, k: int, row: Array, trace: Array) -> None:
+    """Sample the axis in cycle ``k``, compute its commands, and fill a column of the trace; see `run`."""
+    d, loop, c, r = axis.daemon[0], axis.loop[0], axis.settings[0], axis.compensator_state[0]
+    position = plant.measured_position(axis.servo, axis.state)
+    compensation = _compensate(
+        axis.settings,
+        axis.compensator_state,
+        float(k),
+        position,
+        axis.state[0].velocity_estimate,
+        plant.measured_torque(axis.servo, axis.state),
+        row[0],
+        row[1],
+        row[3],
+        1.0,
+        d.is_compensated,
+        row[4],
+        math.nan,
+    )
+    error = row[0] + r.offset_now - position
+    target, own, loop.integral = _control(d, axis.own_controller, loop.integral, row, r, error)
+    if d.largest_static > 0.0:
+        static = d.offset + load.gravity(c, row[0] + c.lead_s * row[1])
+        own += min(max(static, -d.largest_static), d.largest_static)
+    torque = limit_torque(own + compensation, loop.torques[0], d.torque_limit, d.torque_slew * d.period_s)
+    trace[0, k], trace[1, k], trace[2, k] = error, compensation, r.gain_factor
+    trace[3, k], trace[4, k] = row[0], row[0] - plant.load_position(axis.state)
+    for j in range(MOST_DELAY_CYCLES, 0, -1):
+        loop.targets[j], loop.torques[j] = loop.targets[j - 1], loop.torques[j - 1]
+    loop.targets[0], loop.torques[0] = target, torque
+
+
+@inlined
+def _act(axis: Axis) -> None:
+    """Give the drive the set-point that is due, as `friction_hil.servo.servo.Servo.command` does if none is missing."""
+    d, r, loop = axis.daemon[0], axis.state[0], axis.loop[0]
+    late = int(d.delay_steps) // int(d.period_steps)
+    target, offset = loop.targets[late], loop.torques[late]
+    if d.mode == plant.CST:
+        target, offset = offset, 0.0
+    r.phase = 0.0
+    r.torque_offset = offset
+    r.target0, r.target1, r.target2 = r.target1, r.target2, target
+
+
 @compiled
-def run(
-    daemon: StructuredArray,
-    own_controller: StructuredArray,
-    servo: StructuredArray,
-    controller: StructuredArray,
-    state: StructuredArray,
-    settings: StructuredArray,
-    compensator_state: StructuredArray,
-    demand: Array,
-    trace: Array,
-) -> None:
-    """Simulate a motion.
+def run(axis: Axis, demand: Array, trace: Array) -> None:
+    """Simulate a motion of one axis.
 
     Parameters
     ----------
-    daemon
-        `DAEMON` record array of length 1.
-    own_controller
-        `friction_hil.motion.controller.CONTROLLER` of the daemon's loop.
-    servo, controller, state
-        Record arrays of a `friction_hil.servo.servo.Servo`.
-    settings, compensator_state
-        Record and state of a `friction_hil.compensator.Compensator`.
+    axis
+        Records at rest; their states are those at the end afterwards.
     demand
         (n, 7) array, a row for each cycle: position, velocity and acceleration now, velocity and acceleration when this
         cycle's torque acts, position and velocity as sent. SI.
@@ -91,47 +158,67 @@ def run(
         compensator, demanded position, and demanded less true position of the load. The following error is that of the
         encoder, from the demand with the offset of the motor (`friction_hil.compensator.transmission`).
     """
-    d, r = daemon[0], state[0]
-    steps, delay = int(d.period_steps), int(d.delay_steps)
-    whole, part = delay // steps, delay % steps
-    targets, torques = np.zeros(MOST_DELAY_CYCLES + 2), np.zeros(MOST_DELAY_CYCLES + 2)  # newest first
-    if d.mode == plant.CSP:
-        targets[:] = r.position
-    r.mode, r.target0, r.target1, r.target2 = d.mode, targets[0], targets[0], targets[0]
-    integral = command = 0.0
+    steps = int(axis.daemon[0].period_steps)
+    until = int(axis.daemon[0].delay_steps) % steps  # in the period, when a set-point takes effect
+    _begin(axis)
     for k in range(demand.shape[0]):
-        row = demand[k]
-        position = plant.measured_position(servo, state)
-        compensation = _compensate(
-            settings,
-            compensator_state,
-            float(k),
-            position,
-            r.velocity_estimate,
-            plant.measured_torque(servo, state),
-            row[0],
-            row[1],
-            row[3],
-            1.0,
-            d.is_compensated,
-            row[4],
-            math.nan,
-        )
-        error = row[0] + compensator_state[0].offset_now - position
-        target, own, integral = _control(d, own_controller, integral, row, compensator_state[0], error)
-        if d.largest_static > 0.0:
-            static = d.offset + load.gravity(settings[0], row[0] + settings[0].lead_s * row[1])
-            own += min(max(static, -d.largest_static), d.largest_static)
-        command = limit_torque(own + compensation, command, d.torque_limit, d.torque_slew * d.period_s)
-        trace[0, k], trace[1, k], trace[2, k] = error, compensation, compensator_state[0].gain_factor
-        trace[3, k], trace[4, k] = row[0], row[0] - plant.load_position(state)
-        for j in range(MOST_DELAY_CYCLES + 1, 0, -1):
-            targets[j], torques[j] = targets[j - 1], torques[j - 1]
-        targets[0], torques[0] = target, command
-        if part > 0:
-            plant.advance(servo, controller, state, part)
-        if d.mode == plant.CST:
-            _latch(state, torques[whole], 0.0)
-        else:
-            _latch(state, targets[whole], torques[whole])
-        plant.advance(servo, controller, state, steps - part)
+        _decide(axis, k, demand[k], trace)
+        plant.advance(axis.servo, axis.controller, axis.state, until)
+        _act(axis)
+        plant.advance(axis.servo, axis.controller, axis.state, steps - until)
+
+
+@inlined
+def _pass(mechanism: StructuredArray, mechanism_state: StructuredArray, one: Axis, other: Axis, steps: int) -> None:
+    coupled.advance(
+        mechanism,
+        mechanism_state,
+        one.servo,
+        one.controller,
+        one.state,
+        other.servo,
+        other.controller,
+        other.state,
+        steps,
+    )
+
+
+@compiled
+def run_coupled(
+    mechanism: StructuredArray,
+    mechanism_state: StructuredArray,
+    one: Axis,
+    other: Axis,
+    demands: tuple[Array, Array],
+    traces: tuple[Array, Array],
+) -> None:
+    """Simulate a motion of the two axes of a mechanism, which are sampled at the same time.
+
+    Parameters
+    ----------
+    mechanism, mechanism_state
+        `friction_hil.servo.records.MECHANISM` and `MECHANISM_STATE`.
+    one, other
+        Records of the axes, in the order of the mechanism, with one period.
+    demands, traces
+        As for `run`, of each axis.
+    """
+    steps = int(one.daemon[0].period_steps)
+    until, other_until = int(one.daemon[0].delay_steps) % steps, int(other.daemon[0].delay_steps) % steps
+    first, last = min(until, other_until), max(until, other_until)
+    _begin(one)
+    _begin(other)
+    for k in range(demands[0].shape[0]):
+        _decide(one, k, demands[0][k], traces[0])
+        _decide(other, k, demands[1][k], traces[1])
+        _pass(mechanism, mechanism_state, one, other, first)
+        if until == first:
+            _act(one)
+        if other_until == first:
+            _act(other)
+        _pass(mechanism, mechanism_state, one, other, last - first)
+        if until > first:
+            _act(one)
+        if other_until > first:
+            _act(other)
+        _pass(mechanism, mechanism_state, one, other, steps - last)

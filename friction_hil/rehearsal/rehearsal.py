@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from friction_hil.drive import AxisFacts
     from friction_hil.models.model_file import ModelFile
     from friction_hil.servo.config import ServoConfig
+    from friction_hil.servo.servo import Servo
 
 _MODES = {"csp": plant.CSP, "csv": plant.CSV, "cst": plant.CST}
 
@@ -78,10 +79,14 @@ class Rehearsal:
         Resolution and delays.
     period_s : float
         Period of the loop.
+
+    Attributes
+    ----------
+    period_s : float
     """
 
     def __init__(self, axis: "AxisConfig", facts: "AxisFacts", period_s: float) -> None:
-        self._axis, self._facts, self._period_s = axis, facts, period_s
+        self._axis, self._facts, self.period_s = axis, facts, period_s
         self._demands: dict[tuple[Motion, float], Array] = {}
 
     def run(self, servo: "ServoConfig", model: "ModelFile", motion: Motion, *, is_compensated: bool = True) -> Outcome:
@@ -99,7 +104,7 @@ class Rehearsal:
         is_compensated : bool
         """
         found = self.trace(servo, model, motion, is_compensated=is_compensated)
-        scored = found["error"][-round(motion.duration_s / self._period_s) :]
+        scored = found["error"][-round(motion.duration_s / self.period_s) :]
         rms = math.sqrt(float(np.mean(scored**2)))
         if not math.isfinite(rms):
             return Outcome(math.inf, math.inf, 0.0)
@@ -109,10 +114,16 @@ class Rehearsal:
         self, servo: "ServoConfig", model: "ModelFile", motion: Motion, *, is_compensated: bool = True
     ) -> dict[str, Array]:
         """Return the signals of each cycle from the start on, (n,) each, by the names `kernel.TRACE`."""
-        axis = self._axis.model_copy(update={"model": model})
-        facts, period_s = self._facts, self._period_s
-        demand = self._demand(motion, lead_s(model, facts, period_s))
+        demand = self.demand(model, motion)
         simulated = simulated_servo(servo, float(demand[0, 0]))
+        trace = np.empty((len(kernel.TRACE), len(demand)))
+        kernel.run(self.records(simulated, model, is_compensated=is_compensated), demand, trace)
+        return dict(zip(kernel.TRACE, trace, strict=True))
+
+    def records(self, simulated: "Servo", model: "ModelFile", *, is_compensated: bool) -> kernel.Axis:
+        """Return the axis with a simulated servo at rest, as the kernels take it."""
+        axis = self._axis.model_copy(update={"model": model})
+        facts, period_s = self._facts, self.period_s
         simulated.set_period(period_s)
         compensator = make_compensator(axis, model, facts, period_s)
         daemon = np.zeros(1, kernel.DAEMON)
@@ -126,20 +137,18 @@ class Rehearsal:
         d["torque_limit"] = axis.limits.torque
         d["torque_slew"] = math.inf if axis.limits.torque_slew is None else axis.limits.torque_slew
         d["largest_static"], d["offset"] = static_torque(axis).bound, model.mechanics.offset
-        trace = np.empty((len(kernel.TRACE), len(demand)))
-        kernel.run(
+        return kernel.Axis(
             daemon,
+            np.zeros(1, kernel.LOOP),
             make_controller(axis),
             *simulated.records,
             compensator.record,
             compensator.state.view(compensation.STATE),
-            demand,
-            trace,
         )
-        return dict(zip(kernel.TRACE, trace, strict=True))
 
-    def _demand(self, motion: Motion, ahead_s: float) -> Array:
-        """Return the demand of each cycle as `kernel.run` takes it, (n, 7)."""
+    def demand(self, model: "ModelFile", motion: Motion) -> Array:
+        """Return the demand of each cycle of a motion as `kernel.run` takes it, (n, 7)."""
+        ahead_s = lead_s(model, self._facts, self.period_s)
         key = (motion, ahead_s)
         if key not in self._demands:
             time = PathTime(motion.ramp_s)
@@ -147,8 +156,8 @@ class Rehearsal:
             trajectory = Trajectory(motion.path, time)
             rows = []
             delay_s, resolution = self._facts.setpoint_delay_s, self._facts.position_resolution
-            for k in range(round((motion.start_s + motion.duration_s) / self._period_s)):
-                t = k * self._period_s
+            for k in range(round((motion.start_s + motion.duration_s) / self.period_s)):
+                t = k * self.period_s
                 now, sent = trajectory.at(t), trajectory.at(t + delay_s)
                 counts = round(sent.position / resolution)
                 ahead = trajectory.at(t + ahead_s)

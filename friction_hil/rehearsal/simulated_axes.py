@@ -1,4 +1,4 @@
-"""Axes of a configuration with their simulated drives, ready to be rehearsed without a bus."""
+"""Axes of a configuration with their simulated drives, ready to be rehearsed without a bus, alone or coupled."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 from friction_hil.config.drivers import SIMULATED_DRIVES, load_driver
 from friction_hil.errors import UsageError
 from friction_hil.servo.config import ServoConfig
+from friction_hil.servo.mechanisms import Gantry, TwoLinkArm
 
 if TYPE_CHECKING:
     from friction_hil.config import AxisConfig, Configuration
@@ -41,33 +42,49 @@ class SimulatedAxis:
         return "rad" if self.config.model.axis == "rotary" else "m"
 
 
-def simulated_axes(configuration: "Configuration") -> tuple[SimulatedAxis, ...]:
-    """Return the axes of a configuration that have a simulated drive of their own, in its order.
+@dataclass(frozen=True, slots=True)
+class SimulatedMachine:
+    """Axes that are simulated together.
 
-    Axes of a common mechanism are left out: each of them moves with the other only.
+    Attributes
+    ----------
+    axes : tuple of SimulatedAxis
+        One, or the two of the mechanism, in its order.
+    mechanism : Gantry or TwoLinkArm or None
+        What two axes move.
+    """
+
+    axes: tuple[SimulatedAxis, ...]
+    mechanism: Gantry | TwoLinkArm | None = None
+
+
+def simulated_machines(configuration: "Configuration") -> tuple[SimulatedMachine, ...]:
+    """Return the axes of a configuration that have a simulated drive, in its order; those of a mechanism together.
 
     Raises
     ------
     UsageError
         No axis has one, or its driver cannot say what it would find of one.
     """
-    found = []
-    coupled = () if configuration.simulation is None else configuration.simulation.mechanism.axes
+    found = {}
     for name, axis in configuration.axes.items():
-        if isinstance(axis.simulation, ServoConfig) and name not in coupled:
+        if isinstance(axis.simulation, ServoConfig):
             facts = _facts(name, axis, configuration.period_s)
-            found.append(SimulatedAxis(name, axis, axis.simulation, facts, configuration.period_s))
-    if not found and coupled:
-        raise UsageError(
-            f"{' and '.join(coupled)} move a mechanism together, and one axis cannot be simulated without the other; "
-            "'friction-hil run CONFIG --simulate' shows what compensation does on both"
-        )
+            found[name] = SimulatedAxis(name, axis, axis.simulation, facts, configuration.period_s)
     if not found:
         raise UsageError(
             "no axis has a section 'simulation', which describes the machine to be simulated (config/machines has "
             "examples)"
         )
-    return tuple(found)
+    mechanism = None if configuration.simulation is None else configuration.simulation.mechanism
+    coupled = () if mechanism is None else mechanism.axes
+    machines = []
+    for name, each in found.items():
+        if name not in coupled:
+            machines.append(SimulatedMachine((each,)))
+        elif mechanism is not None and not any(machine.mechanism for machine in machines):
+            machines.append(SimulatedMachine(tuple(found[other] for other in coupled), mechanism))
+    return tuple(machines)
 
 
 def _facts(name: str, axis: "AxisConfig", period_s: float) -> "AxisFacts":

@@ -23,8 +23,15 @@ iteration, which gains some four digits each time.
 
 import math
 
-from friction_hil.numerics.jit import StructuredArray, compiled
-from friction_hil.servo.mechanics import BALANCE, external_torque, friction_step, static_load, velocity_ahead
+from friction_hil.numerics.jit import StructuredArray, compiled, inlined
+from friction_hil.servo.mechanics import (
+    BALANCE,
+    external_torque,
+    finish_rigid,
+    friction_step,
+    static_load,
+    velocity_ahead,
+)
 from friction_hil.servo.plant import driven, is_braked
 from friction_hil.servo.records import TWO_LINK_ARM
 
@@ -135,28 +142,20 @@ def _friction(
     return friction, is_balanced and abs(v) <= c.stick_velocity
 
 
-@compiled
+@inlined
 def _finish(
     plant: StructuredArray,
     s: StructuredArray,
     torque: float,
-    u: float,
+    velocity: float,
     friction: float,
     outside: float,
-    reaction: float,
+    inertial: float,
 ) -> None:
-    """Move an axis to the end of the step and keep its account; see `friction_hil.servo.mechanics`."""
-    c, r = plant[0], s[0]
-    v, dt = r.velocity, c.step_s
-    mean = 0.5 * (v + u)
-    r.friction_torque, r.transmitted_torque, r.shaft_torque = friction, reaction, torque
-    r.position += dt * mean
-    r.velocity_before, r.velocity = v, u
-    r.load_position, r.load_velocity = r.position, r.velocity
-    r.motor_work += torque * mean * dt
-    r.load_work -= outside * mean * dt
-    r.friction_heat += friction * mean * dt
-    r.steps += 1.0
+    """Move an axis to the end of the step; ``inertial`` is the torque that accelerates its motor, N m."""
+    finish_rigid(plant, s, torque, velocity, friction, outside, torque - friction - inertial)
+    s[0].shaft_torque = torque
+    s[0].steps += 1.0
 
 
 @compiled
@@ -273,9 +272,8 @@ def move(
     w1, w2 = 0.5 * (v1 + u1), 0.5 * (v2 + u2)
     m[0].heat += damping * (w2 - w1) * (w2 - w1) * dt
     m[0].tool_work += (tool1 * w1 + tool2 * w2) * dt
-    inertial1, inertial2 = rate * j1 * d1, rate * j2 * d2
-    _finish(plant1, s1, torque1, u1, friction1, outside1, torque1 - friction1 - inertial1)
-    _finish(plant2, s2, torque2, u2, friction2, outside2, torque2 - friction2 - inertial2)
+    _finish(plant1, s1, torque1, u1, friction1, outside1, rate * j1 * d1)
+    _finish(plant2, s2, torque2, u2, friction2, outside2, rate * j2 * d2)
 
 
 @compiled

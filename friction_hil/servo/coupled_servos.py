@@ -116,6 +116,11 @@ class CoupledServos:
             self._ahead[1 - index] += steps - done
 
     @property
+    def records(self) -> tuple[StructuredArray, StructuredArray]:
+        """Mechanism and its state as the compiled functions of `friction_hil.servo.coupled` take them, live."""
+        return self._record, self._state
+
+    @property
     def energy(self) -> Energy:
         """Energies of both axes and the mechanism since the start, J.
 

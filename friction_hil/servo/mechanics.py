@@ -173,6 +173,38 @@ def velocity_ahead(velocity: float, before: float) -> float:
     return ahead if ahead * velocity > 0.0 else 0.0
 
 
+@inlined
+def finish_rigid(
+    plant: StructuredArray,
+    s: StructuredArray,
+    torque: float,
+    velocity: float,
+    friction: float,
+    outside: float,
+    transmitted: float,
+) -> None:
+    """Move a rigid axis to the end of a step, and keep its account.
+
+    Parameters
+    ----------
+    plant, s
+        `MACHINE` and `MACHINE_STATE` records.
+    torque, friction, outside, transmitted
+        Torques over the step, N m: of the motor, of friction, load torque from outside, and what the gear transmits.
+    velocity
+        At the end of the step, rad/s.
+    """
+    r, dt = s[0], plant[0].step_s
+    mean = 0.5 * (r.velocity + velocity)
+    r.friction_torque, r.transmitted_torque = friction, transmitted
+    r.position += dt * mean
+    r.velocity_before, r.velocity = r.velocity, velocity
+    r.load_position, r.load_velocity = r.position, r.velocity
+    r.motor_work += torque * mean * dt
+    r.load_work -= outside * mean * dt
+    r.friction_heat += friction * mean * dt
+
+
 @compiled
 def _move_one_mass(plant: StructuredArray, s: StructuredArray, torque: float, is_braked: bool) -> None:
     """Advance one mass by a step; see `move`."""
@@ -212,14 +244,7 @@ def _move_one_mass(plant: StructuredArray, s: StructuredArray, torque: float, is
                 u, friction = v + dt / inertia * applied, 0.0
     if is_braked:
         u = 0.0
-    mean = 0.5 * (v + u)
-    r.friction_torque, r.transmitted_torque = friction, load
-    r.position += dt * mean
-    r.velocity_before, r.velocity = v, u
-    r.load_position, r.load_velocity = r.position, r.velocity
-    r.motor_work += torque * mean * dt
-    r.load_work -= outside * mean * dt
-    r.friction_heat += friction * mean * dt
+    finish_rigid(plant, s, torque, u, friction, outside, load)
 
 
 @compiled

@@ -12,7 +12,15 @@ from friction_hil.servo.config import ServoConfig
 from friction_hil.servo.parts import Finite, NotNegative, Part, Positive
 from friction_hil.servo.records import GANTRY, MECHANISM, MOST_TIMES, TWO_LINK_ARM
 
-__all__ = ["Gantry", "Mechanism", "TwoLinkArm", "axis_mistakes", "mechanism_record", "reflected_inertias"]
+__all__ = [
+    "Gantry",
+    "Mechanism",
+    "TwoLinkArm",
+    "axis_mistakes",
+    "hanging_gravity",
+    "mechanism_record",
+    "reflected_inertias",
+]
 
 AxisName = Annotated[str, Field(min_length=1)]
 
@@ -131,6 +139,15 @@ def reflected_inertias(mechanism: Gantry | TwoLinkArm) -> tuple[float, float]:
     k = mechanism_record(mechanism)[0]
     shared = float(k["inertia12"]) if isinstance(mechanism, Gantry) else 0.0
     return float(k["inertia11"]) + shared, float(k["inertia22"]) + shared
+
+
+def hanging_gravity(mechanism: Gantry | TwoLinkArm) -> tuple[float, float]:
+    """Return the torque of gravity at each motor per sine of its position, while the other one is at 0, N m or N.
+
+    Of an arm that hangs straight down this is what a model of one axis can know. A gantry has none.
+    """
+    k = mechanism_record(mechanism)[0]
+    return float(k["gravity1"]) + float(k["gravity2"]), float(k["gravity2"])
 
 
 def _set_gantry(k: np.void, gantry: Gantry) -> None:

@@ -6,9 +6,10 @@ from friction_hil.config import Circle, ExperimentBounds, Sine, Strokes, Triangl
 from friction_hil.config.trajectories import PeriodicMotion, peak_speed
 from friction_hil.daemon.assembly import periodic_path
 from friction_hil.errors import OptionError
-from friction_hil.rehearsal import Motion, SimulatedAxis
+from friction_hil.rehearsal import Motion, SimulatedAxis, SimulatedMachine
+from friction_hil.servo.mechanisms import Gantry
 from friction_hil.tuning.motions import own_motion
-from friction_hil.tuning.trial_motions import amplitude_of, trial_motions
+from friction_hil.tuning.trial_motions import OWN, amplitude_of, trial_motions
 
 TRIANGLE = "triangle"
 
@@ -29,14 +30,26 @@ def rehearsal_motions(own: PeriodicMotion, bounds: ExperimentBounds, resolution:
     return {name: _rehearsed(each) for name, each in motions.items()}
 
 
-def simulated_motions(axis: SimulatedAxis) -> dict[str, Motion]:
-    """Return the motions by which compensation on a simulated axis is judged, by name: those of a rehearsal.
+def simulated_motions(machine: SimulatedMachine) -> dict[str, tuple[Motion, ...]]:
+    """Return the motions by which compensation on a simulated machine is judged, by name: those of a rehearsal.
+
+    Axes of a mechanism make motions of the same name together, and only those that all of them have. Both sides of a
+    gantry make those of the side with the coarser encoder, except for their own, or they would twist its beam.
 
     Raises
     ------
     OptionError
-        The axis has neither a periodic trajectory nor an experiment.
+        An axis has neither a periodic trajectory nor an experiment.
     """
+    each = [_motions_of(axis) for axis in machine.axes]
+    if isinstance(machine.mechanism, Gantry):
+        coarsest = max(range(len(each)), key=lambda k: machine.axes[k].facts.position_resolution)
+        each = [{**each[coarsest], OWN: motions[OWN]} for motions in each]
+    names = [name for name in each[0] if all(name in motions for motions in each)]
+    return {name: tuple(motions[name] for motions in each) for name in names}
+
+
+def _motions_of(axis: SimulatedAxis) -> dict[str, Motion]:
     config, given = axis.config, axis.config.trajectory
     bounds: ExperimentBounds | None = config.experiment
     if isinstance(given, Circle | Sine | Triangle | Strokes):

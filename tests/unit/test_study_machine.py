@@ -10,7 +10,7 @@ import yaml
 from friction_hil.cli import main
 from friction_hil.config import load
 from friction_hil.errors import UsageError
-from friction_hil.rehearsal import Rehearsal, simulated_axes
+from friction_hil.rehearsal import Rehearsal, simulated_machines
 from friction_hil.servo.config import ServoConfig
 from friction_hil.study.machine import Course, MotionResult, scored, study_machine
 from friction_hil.tuning.rehearsal_motions import simulated_motions
@@ -94,8 +94,16 @@ def benched(machine, tmp_path_factory):
         return run_machines([machine], grid, folder)
 
 
-def some_motions(axis):
-    return {name: motion for name, motion in simulated_motions(axis).items() if name in ("own", "triangle")}
+def some_motions(machine):
+    return {name: motion for name, motion in simulated_motions(machine).items() if name in ("own", "triangle")}
+
+
+def only_axis(machine):
+    """The axis of a file, and its triangle."""
+    [simulated] = simulated_machines(load(machine))
+    [axis] = simulated.axes
+    [motion] = simulated_motions(simulated)["triangle"]
+    return axis, motion
 
 
 def course(motor, load, gain_factor=1.0):
@@ -141,20 +149,18 @@ def test_a_study_makes_each_motion_without_and_with_compensation():
 
 
 def test_the_load_stays_behind_its_encoder_by_friction_over_stiffness(machine):
-    (axis,) = simulated_axes(load(machine))
-    motion = simulated_motions(axis)["triangle"]
+    axis, motion = only_axis(machine)
     trace = Rehearsal(axis.config, axis.facts, axis.period_s).trace(axis.servo, axis.config.model, motion)
     assert scored(trace, axis.period_s, motion.duration_s).unseen == pytest.approx(LEVEL / STIFFNESS, rel=0.1)
 
 
 def test_a_rehearsal_shifts_the_motor_as_the_daemon_does(machine):
-    (axis,) = simulated_axes(load(machine))
+    axis, motion = only_axis(machine)
     behind = {"inertia": 1e-4, "stiffness": STIFFNESS, "friction": LEVEL}
     parameters = {**FRICTION["parameters"], "coulomb": 0.08 + LEVEL, "static": 0.1 + LEVEL}  # of motor and load
     content = axis.config.model.model_dump() | {"friction": {**FRICTION, "parameters": parameters}}
     content["mechanics"]["load"] = behind
     model = type(axis.config.model).model_validate(content)
-    motion = simulated_motions(axis)["triangle"]
 
     def load_error(transmission):
         compensation = axis.config.compensation.model_copy(update={"transmission": transmission})

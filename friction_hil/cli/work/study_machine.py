@@ -1,7 +1,8 @@
 """The work of ``friction-hil study MACHINE``."""
 
 import math
-from functools import partial
+from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 
 import click
@@ -12,10 +13,11 @@ from friction_hil.cli.work.study import study_progress
 from friction_hil.cli.work.tables import print_table, say
 from friction_hil.config import load, located
 from friction_hil.errors import OptionError
-from friction_hil.rehearsal import Motion, Rehearsal, SimulatedAxis, simulated_axes
+from friction_hil.rehearsal import AxisRun, Rehearsal, SimulatedMachine, rehearse, simulated_machines
 from friction_hil.reports.figures import require_matplotlib
 from friction_hil.reports.study.machine import notes, write_machine_report
 from friction_hil.reports.study.report import claim
+from friction_hil.servo.mechanisms import Gantry, TwoLinkArm
 from friction_hil.study.machine import Course, MachineStudy, Run, scored, study_machine
 from friction_hil.tuning.rehearsal_motions import simulated_motions
 
@@ -25,15 +27,15 @@ _SIMULATING = 0.9  # fraction of the time
 
 def run_machine_study(*, machine: Path, output: Path, as_json: bool) -> int:
     """Simulate a machine, write the report and print the errors; return 1 if a simulation diverged."""
-    axes = simulated_axes(load(machine))
+    machines = simulated_machines(load(machine))
     try:
-        runs = {axis.name: _runs(axis) for axis in axes}
+        runs = {name: axis_runs for each in machines for name, axis_runs in _runs(each).items()}
     except OptionError as error:
         raise located(machine, error) from None
     require_matplotlib()
     claim(output)
     with study_progress() as show:
-        units = {axis.name: axis.unit for axis in axes}
+        units = {axis.name: axis.unit for each in machines for axis in each.axes}
         result = study_machine(units, runs, lambda text, done: show(text, _SIMULATING * done))
         show("drawing", _SIMULATING)
         report = write_machine_report(output, machine.name, result)
@@ -51,16 +53,36 @@ def run_machine_study(*, machine: Path, output: Path, as_json: bool) -> int:
     return 1 if failures else 0
 
 
-def _runs(axis: SimulatedAxis) -> dict[str, Run]:
-    """Return what simulates the motions of an axis, with the model and the compensation of its configuration."""
-    motions = simulated_motions(axis)
-    rehearsal = Rehearsal(axis.config, axis.facts, axis.period_s)
-    return {name: partial(_course, axis, rehearsal, motions[name]) for name in MOTIONS if name in motions}
+def _runs(machine: SimulatedMachine) -> dict[str, dict[str, Run]]:
+    """Return by axis what simulates its motions, with the models and the compensation of the configuration."""
+    motions = simulated_motions(machine)
+    loops = [Rehearsal(axis.config, axis.facts, axis.period_s) for axis in machine.axes]
+
+    @cache  # axes of a mechanism move together
+    def simulated(name: str, is_compensated: bool) -> tuple[Course, ...]:
+        runs = [
+            AxisRun(loop, axis.servo, axis.config.model, motion)
+            for loop, axis, motion in zip(loops, machine.axes, motions[name], strict=True)
+        ]
+        return courses(machine.mechanism, runs, is_compensated=is_compensated)
+
+    def run_of(index: int, name: str) -> Run:
+        return lambda is_compensated: simulated(name, is_compensated)[index]
+
+    return {
+        axis.name: {name: run_of(index, name) for name in MOTIONS if name in motions}
+        for index, axis in enumerate(machine.axes)
+    }
 
 
-def _course(axis: SimulatedAxis, rehearsal: Rehearsal, motion: Motion, is_compensated: bool) -> Course:
-    trace = rehearsal.trace(axis.servo, axis.config.model, motion, is_compensated=is_compensated)
-    return scored(trace, axis.period_s, motion.duration_s)
+def courses(
+    mechanism: Gantry | TwoLinkArm | None, runs: Sequence[AxisRun], *, is_compensated: bool
+) -> tuple[Course, ...]:
+    """Return the part of each axis's motion that is scored; the parameters are those of `rehearse`."""
+    traces = rehearse(mechanism, runs, is_compensated=is_compensated)
+    return tuple(
+        scored(trace, run.rehearsal.period_s, run.motion.duration_s) for trace, run in zip(traces, runs, strict=True)
+    )
 
 
 def _print(result: MachineStudy, report: Path) -> None:

@@ -5,8 +5,9 @@ without compensation and once with each of the compared methods. The result is t
 following error are lower. It is deterministic: the same numbers in each run on a machine.
 
 Machine files are configurations whose axes have a simulation, as `friction-hil simulate` takes them. Each axis makes
-its own motions, compensated by the model of the file, by the true friction with the conditions of the grid, and by
-the model that `tune` identifies on it. There the result is that of the motor and that of the load.
+its own motions, those of one mechanism together, compensated by the model of the file, by the true friction with the
+conditions of the grid, and by the model that `tune` identifies on it. There the result is that of the motor and that of
+the load.
 """
 
 from collections.abc import Sequence
@@ -21,7 +22,7 @@ from tools.benchmarks.compensation.grid import Grid, load, machine_files
 from tools.benchmarks.compensation.identified import identified_models
 from tools.benchmarks.compensation.machine_report import as_json as machines_to_json
 from tools.benchmarks.compensation.machine_report import show_machines
-from tools.benchmarks.compensation.machines import MachineResult, read_axes, simulate_machines
+from tools.benchmarks.compensation.machines import MachineResult, read_machines, simulate_machines
 from tools.benchmarks.compensation.report import as_json as to_json
 from tools.benchmarks.compensation.report import show
 from tools.benchmarks.compensation.simulation import CaseResult, simulate
@@ -61,7 +62,7 @@ def run_machines(files: Sequence[Path], grid: Grid, identified: Path | None = No
         A file cannot be read, or has no simulated axis.
     """
     models = {} if identified is None else identified_models(files, identified)
-    return simulate_machines(read_axes(files, grid.compensator, grid.conditions, models))
+    return simulate_machines(read_machines(files, grid.compensator, grid.conditions, models))
 
 
 @click.command()
@@ -78,7 +79,7 @@ def run_machines(files: Sequence[Path], grid: Grid, identified: Path | None = No
     type=click.Path(path_type=Path, file_okay=False),
     metavar="DIR",
     help="Compensate each machine also by the model that tune finds on it: DIR/MACHINE/AXIS.yaml. Where there is none, "
-    "tune makes it, which takes minutes.",
+    "tune makes it, which takes minutes; a gantry, which tune does not move, is then left without.",
 )
 @option_json
 def command(machines: tuple[Path, ...], path: Path | None, identified: Path | None, as_json: bool) -> None:

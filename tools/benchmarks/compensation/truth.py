@@ -5,8 +5,9 @@ from typing import Any
 from friction_hil import models
 from friction_hil.errors import UsageError
 from friction_hil.models import FrictionModel
-from friction_hil.models.model_file import ModelFile
+from friction_hil.models.model_file import Gravity, ModelFile
 from friction_hil.servo.config import ServoConfig, TrueFriction
+from friction_hil.servo.mechanisms import Gantry, TwoLinkArm
 from tools.benchmarks.compensation.belief import converted
 
 _ADDED = ("coulomb", "static", "viscous", "sigma2")
@@ -72,12 +73,44 @@ def without_torques(servo: ServoConfig) -> ServoConfig:
     )
 
 
-def model_file(servo: ServoConfig, friction: FrictionModel, inertia_error: float = 0.0) -> ModelFile:
-    """Return a model file with a friction, and with the mechanics of a servo but for an error of the inertia."""
+def without_gravity(model: ModelFile) -> ModelFile:
+    """Return a model file that feeds neither gravity nor an offset forward, for `without_torques`."""
+    mechanics = model.mechanics.model_copy(update={"gravity": Gravity(), "offset": 0.0})
+    return model.model_copy(update={"mechanics": mechanics})
+
+
+def without_forces(mechanism: Gantry | TwoLinkArm) -> Gantry | TwoLinkArm:
+    """Return a mechanism without weight and without force at its tool; its inertia and its springs stay."""
+    if isinstance(mechanism, Gantry):
+        return mechanism
+    return mechanism.model_copy(update={"gravity": 0.0, "tool_force": ()})
+
+
+def model_file(
+    servo: ServoConfig,
+    friction: FrictionModel,
+    inertia_error: float = 0.0,
+    *,
+    share: float = 0.0,
+    swing: float = 0.0,
+) -> ModelFile:
+    """Return a model file with a friction, and with the mechanics of a servo but for an error of the inertia.
+
+    Parameters
+    ----------
+    servo : ServoConfig
+    friction : FrictionModel
+    inertia_error : float
+        Relative.
+    share, swing : float
+        Of a mechanism that the servo moves with another one: inertia, and torque of gravity per sine of the position.
+    """
     mechanics, load, level = servo.mechanics, servo.mechanics.load, servo.load_friction_model
     gravity = mechanics.gravity
     factor = 1.0 + inertia_error
-    behind = None
+    behind: dict[str, float] | None = None
+    if share > 0.0:
+        behind = {"inertia": factor * share}
     if load is not None:
         behind = {
             "inertia": factor * load.inertia,
@@ -91,10 +124,10 @@ def model_file(servo: ServoConfig, friction: FrictionModel, inertia_error: float
             "axis": mechanics.axis,
             "friction": {"model": friction.name, "parameters": friction.given, "modifiers": friction.modifiers},
             "mechanics": {
-                "inertia": factor * mechanics.total_inertia,
+                "inertia": factor * (mechanics.total_inertia + share),
                 "gravity": {
                     "constant": mechanics.load_torque,
-                    "sine": 0.0 if gravity is None else gravity.sine,
+                    "sine": swing + (0.0 if gravity is None else gravity.sine),
                     "cosine": 0.0 if gravity is None else gravity.cosine,
                 },
                 "torque_lag_s": servo.motor.torque_lag_s,
