@@ -172,9 +172,12 @@ class CommandWriter:
             command.torque = self._limited(self._control(held, position, velocity) + static)
             return
         self._integral = 0.0
-        # a drive that does not report its state may have power
-        if state in _STOPPED and (drive_state.is_powered or drive_state is DriveState.UNKNOWN):
-            command.torque = self._limited(static + (compensation if state is LoopState.FAULT_STOPPING else 0.0))
+        if state in _STOPPED:
+            # One that does not report its state may have power. Without power no torque flows: it ends within the slew,
+            # as a single wrong statusword must make no step.
+            has_power = drive_state.is_powered or drive_state is DriveState.UNKNOWN
+            left = compensation if state is LoopState.FAULT_STOPPING else 0.0
+            command.torque = self._limited(static + left if has_power else 0.0)
         elif state in _ENABLED:
             command.torque = self._limited(static)
         else:
