@@ -32,7 +32,7 @@ ROUNDS = 3
 STARTS = 3
 QUANTILES = {"p50": 0.5, "p99": 0.99}
 LATENESS_TARGET_US, START_TARGET_S, COMPUTE_TARGET = 2.0, 3.0, 40.0
-_WARM_UP = 0.3  # of the time over which memory is measured
+_WARM_UP_S = 75.0  # of memory: the worker fills that of the last minute first
 _LOOKS_PER_S = 1.0
 _SETTLE_S = 1.0
 
@@ -174,8 +174,10 @@ def _memory(folder: Path, axes: int, duration_s: float, observers: int | None) -
                 taken.setdefault(name, []).append(pss_kb(pid))
             time.sleep(1.0 / _LOOKS_PER_S)
     rows = []
+    if duration_s < 2.0 * _WARM_UP_S:
+        note(f"less than {2.0 * _WARM_UP_S:g} s: the memory of the last minute still fills, and counts as growth")
+    first = int(np.searchsorted(times_s, min(_WARM_UP_S, 0.5 * duration_s)))
     for name, series in taken.items():
-        first = int(_WARM_UP * len(series))
         slope, error = _slope(np.array(times_s[first:]), np.array(series[first:]))
         rows.append(Row(f"memory of {name} at the end", series[-1] / 1024.0, "MiB"))
         rows.append(
