@@ -54,10 +54,18 @@ def configuration(**axes):
 class ServoDrives:
     """Simulated servos as `friction_hil.drive.Drives`: commands act from the next cycle on.
 
-    ``disturb(cycle, feedback)`` may change what the loop sees; ``states`` overrides a drive's state.
+    ``disturb(cycle, feedback)`` may change what the loop sees; ``states`` overrides a drive's state. A drive that is to
+    be disabled follows its commands for another ``power_off_cycles``: its brake takes time to close.
     """
 
-    def __init__(self, config, *, servo=None, disturb: Callable[[int, list[Feedback]], None] | None = None) -> None:
+    def __init__(
+        self,
+        config,
+        *,
+        servo=None,
+        disturb: Callable[[int, list[Feedback]], None] | None = None,
+        power_off_cycles: int = 0,
+    ) -> None:
         self.modes = [Mode[axis.mode.upper()] for axis in config.axes.values()]
         self.names = list(config.axes)
         self.period_s = config.period_s
@@ -68,6 +76,8 @@ class ServoDrives:
         self.pending: list[Command | None] = [None] * len(self.names)
         self.sent: list[list[tuple[Request, float, float]]] = [[] for _ in self.names]
         self.disturb = disturb
+        self.power_off_cycles = power_off_cycles
+        self._on_cycles = [0] * len(self.names)  # since the request to disable
         self.cycle = 0
         self.is_closed = False
 
@@ -97,7 +107,10 @@ class ServoDrives:
         self.pending[k] = None
         if command is None:
             return
-        if self.states[k] is not DriveState.FAULT:
+        self._on_cycles[k] = self._on_cycles[k] + 1 if command.request is Request.DISABLE else 0
+        if self.states[k].is_powered and 0 < self._on_cycles[k] <= self.power_off_cycles:
+            pass
+        elif self.states[k] is not DriveState.FAULT:
             self.states[k] = {
                 Request.ENABLE: DriveState.OPERATION_ENABLED,
                 Request.DISABLE: DriveState.SWITCH_ON_DISABLED,
@@ -168,6 +181,7 @@ def make_loop(config, drives, *, stop=None, clock=None, mailbox=None, **settings
 
 def run(config, **settings) -> tuple[LoopResult, Rows, ServoDrives]:
     """A whole run."""
-    drives = ServoDrives(config, disturb=settings.pop("disturb", None), servo=settings.pop("servo", None))
+    of_drives = {key: settings.pop(key) for key in ("disturb", "servo", "power_off_cycles") if key in settings}
+    drives = ServoDrives(config, **of_drives)
     loop, sink, _ = make_loop(config, drives, **settings)
     return loop.run(), sink, drives

@@ -17,7 +17,7 @@ from friction_hil.daemon.row import AxisRow, row_width
 from friction_hil.daemon.safety import ENDING, MAX_STALE_CYCLES, FaultReset, LoopState, SafetyLimits, Supervisor
 from friction_hil.daemon.sequence import STANDSTILL_S
 from friction_hil.daemon.temperature import TemperatureNotices
-from friction_hil.drive import AxisFacts, Command, DriveState, Feedback
+from friction_hil.drive import AxisFacts, Command, Feedback
 from friction_hil.drive.codes import FaultCode
 from friction_hil.errors import OptionError
 from friction_hil.motion.trajectory import PathTime, Setpoint
@@ -317,8 +317,7 @@ class AxisLoop:
         if fault is None and compensator.is_faulty:
             text = f"{self.name}: the friction model gave a torque that is not finite"
             fault = FaultCode.MODEL_NOT_FINITE.append_to(text)
-        is_operation_enabled = feedback.state is DriveState.OPERATION_ENABLED
-        self._command.write(command, state, time_s, position, estimate, setpoint, compensation, is_operation_enabled)
+        self._command.write(command, state, time_s, position, estimate, setpoint, compensation, feedback.state)
         if state is LoopState.FIRST_MOTION and self._first_motion is not None:
             for _ in range(missed):
                 self._first_motion.take(math.nan, math.nan, is_usable=False)

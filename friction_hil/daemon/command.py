@@ -8,7 +8,7 @@ from friction_hil.daemon.assembly import make_controller
 from friction_hil.daemon.motion import AxisMotion
 from friction_hil.daemon.safety import MOVING, LoopState, SafetyLimits
 from friction_hil.daemon.static_torque import StaticTorque, static_torque
-from friction_hil.drive import Command, Mode
+from friction_hil.drive import Command, DriveState, Mode
 from friction_hil.motion.controller import cascade
 from friction_hil.motion.trajectory import Setpoint
 
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from friction_hil.config import AxisConfig
 
 _ENABLED = (LoopState.ENABLING, LoopState.FIRST_MOTION)
+_STOPPED = (LoopState.FAULT_STOPPING, LoopState.DISABLING)
 
 
 class CommandWriter:
@@ -46,9 +47,11 @@ class CommandWriter:
     __slots__ = (
         "_controller",
         "_difference",
+        "_error_left",
         "_fade_left_s",
         "_fade_s",
         "_integral",
+        "_is_held_by_loop",
         "_largest_step",
         "_last_static",
         "_lead_s",
@@ -75,6 +78,8 @@ class CommandWriter:
         self._difference, self._fade_s, self._fade_left_s = 0.0, 1.0, 0.0  # from the torque before the last change
         self._largest_step = limits.torque_slew * period_s
         self._controller, self._integral = make_controller(config), 0.0
+        self._is_held_by_loop = False  # the loop's own controller (cst) has carried the axis up to now
+        self._error_left = 0.0  # following error with which it came to rest
         self._torque = 0.0
         self.offset_sent = (0.0, 0.0)
         self.held_position = math.nan
@@ -100,12 +105,14 @@ class CommandWriter:
         velocity: float,
         now: Setpoint | None,
         compensation: float,
-        is_operation_enabled: bool,
+        drive_state: DriveState,
     ) -> None:
         """Write set-point and torque; outside of the moving states the axis is held where it is.
 
-        There it gets no torque but the feed-forward of gravity and offset, and that from the request to enable on: an
-        axis that is enabled without it sags before its loops hold it.
+        There it gets no torque but the feed-forward of gravity and offset, from the request to enable on until the
+        drive reports that it has no power: an axis that is enabled without it sags before its loops hold it, and one
+        whose brake closes some time after the request to disable sags until then. In cst the loop's controller goes on
+        as well, as long as the drive takes its torque: the feed-forward alone is only as good as the model.
 
         Parameters
         ----------
@@ -119,35 +126,62 @@ class CommandWriter:
             Set-point at the time of the feedback.
         compensation : float
             Torque of the compensator, N m.
-        is_operation_enabled : bool
-            True if the drive is in Operation enabled.
+        drive_state : DriveState
+            As last reported.
         """
         command.velocity = 0.0
         static = self._static_torque(position, velocity, now)
         if state not in MOVING:
-            # While it waits for the others, an enabled axis is held at one position: following itself, it would sink.
-            # In another axis's first motion, one with torque alone is held by the loop.
-            is_waiting = state is LoopState.FIRST_MOTION and self._mode is not Mode.CSV
-            if not is_waiting and not (is_operation_enabled and state is LoopState.ENABLING and self._mode is Mode.CSP):
-                self.held_position = position
-            command.position = self.held_position
-            if is_waiting and self._mode is Mode.CST and self._motion.has_setpoint:
-                held = Setpoint(self.held_position, 0.0, 0.0)
-                command.torque = self._limited(self._control(held, position, velocity) + static)
-                return
-            self._integral = 0.0
-            if state is LoopState.FAULT_STOPPING:
-                command.torque = self._limited(compensation + static)
-            elif state in _ENABLED:
-                command.torque = self._limited(static)
-            else:
-                self._torque = command.torque = 0.0
+            self._hold(command, state, position, velocity, compensation, static, drive_state)
         elif self._mode is Mode.CST:
+            if now is not None:
+                self._is_held_by_loop, self._error_left, self.held_position = True, now.position - position, position
             command.torque = self._limited(self._control(now, position, velocity) + compensation + static)
         else:
             command.torque = self._limited(compensation + static)
             if now is not None:
                 self._write_setpoint(command, time_s, position, now)
+
+    def _hold(
+        self,
+        command: Command,
+        state: LoopState,
+        position: float,
+        velocity: float,
+        compensation: float,
+        static: float,
+        drive_state: DriveState,
+    ) -> None:
+        """Write the command of an axis that is not to move; the arguments are those of `write`."""
+        is_enabled = drive_state is DriveState.OPERATION_ENABLED
+        is_waiting = state is LoopState.FIRST_MOTION and self._mode is not Mode.CSV
+        if is_waiting:  # in another axis's first motion, one with torque alone is held by the loop
+            self._is_held_by_loop = self._mode is Mode.CST and self._motion.has_setpoint
+        elif state is not LoopState.DISABLING or not is_enabled:
+            self._is_held_by_loop = False
+        else:  # where it stood last: no motion towards the set-point any more, and no step of torque
+            self._integral += self._controller[0]["position_gain"] * self._error_left
+            self._error_left = 0.0
+        # While it waits for the others, an enabled axis is held at one position: following itself, it would sink.
+        is_kept = is_waiting or (is_enabled and state is LoopState.ENABLING and self._mode is Mode.CSP)
+        if not (is_kept or self._is_held_by_loop):
+            self.held_position = position
+        command.position = self.held_position
+        if self._is_held_by_loop:
+            held = Setpoint(self.held_position, 0.0, 0.0)
+            command.torque = self._limited(self._control(held, position, velocity) + static)
+            return
+        self._integral = 0.0
+        if state in _STOPPED:
+            # One that does not report its state may have power. Without power no torque flows: it ends within the slew,
+            # as a single wrong statusword must make no step.
+            has_power = drive_state.is_powered or drive_state is DriveState.UNKNOWN
+            left = compensation if state is LoopState.FAULT_STOPPING else 0.0
+            command.torque = self._limited(static + left if has_power else 0.0)
+        elif state in _ENABLED:
+            command.torque = self._limited(static)
+        else:
+            self._torque = command.torque = 0.0
 
     def _static_torque(self, position: float, velocity: float, now: Setpoint | None) -> float:
         """Return the feed-forward of gravity and offset, N m: on the demanded path, without one at the axis."""

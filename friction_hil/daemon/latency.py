@@ -19,6 +19,7 @@ from friction_hil.errors import FrictionHilError
 
 INSTALL_CYCLICTEST = "sudo apt install rt-tests"
 _HISTOGRAM_US = 20_000  # of cyclictest
+_HISTOGRAM_NS = 1_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,8 +89,10 @@ def has_cyclictest() -> bool:
     return shutil.which("cyclictest") is not None
 
 
-def cyclictest(priority: int, period_s: float, cycles: int) -> Latency:
+def cyclictest(priority: int, period_s: float, cycles: int, *, is_fine: bool = False) -> Latency:
     """Measure with cyclictest, under SCHED_FIFO with ``priority`` or, if it is 0, with ordinary scheduling.
+
+    With ``is_fine`` it counts nanoseconds, up to a millisecond, instead of microseconds up to 20 ms.
 
     Raises
     ------
@@ -98,18 +101,19 @@ def cyclictest(priority: int, period_s: float, cycles: int) -> Latency:
     """
     scheduling = [f"--priority={priority}", "--mlockall"] if priority else ["--policy=other"]
     command = ["cyclictest", "--quiet", "--threads=1", f"--interval={period_s * 1e6:.0f}", f"--loops={cycles}"]
-    done = subprocess.run([*command, *scheduling, f"--histogram={_HISTOGRAM_US}"], capture_output=True, text=True)
-    found = parse_cyclictest(done.stdout, period_s)
+    counts = ["--nsecs", f"--histogram={_HISTOGRAM_NS}"] if is_fine else [f"--histogram={_HISTOGRAM_US}"]
+    done = subprocess.run([*command, *scheduling, *counts], capture_output=True, text=True)
+    found = parse_cyclictest(done.stdout, period_s, unit_us=1e-3 if is_fine else 1.0)
     if done.returncode or found is None:
         raise FrictionHilError(f"cyclictest failed ({done.returncode}): {done.stderr.strip() or done.stdout.strip()}")
     return found
 
 
-def parse_cyclictest(text: str, period_s: float) -> Latency | None:
+def parse_cyclictest(text: str, period_s: float, unit_us: float = 1.0) -> Latency | None:
     """Return what cyclictest has measured, from the output of ``--histogram``; None if there is no wake-up in it.
 
-    It counts whole microseconds; the middle of each is returned. For wake-ups beyond the histogram it tells only their
-    number and the largest: all of them count as that one.
+    It counts whole microseconds, or units of ``unit_us``; the middle of each is returned. For wake-ups beyond the
+    histogram it tells only their number and the largest: all of them count as that one.
     """
     samples: list[float] = []
     beyond, largest_us = 0, 0.0
@@ -124,5 +128,5 @@ def parse_cyclictest(text: str, period_s: float) -> Latency | None:
     samples += [largest_us] * beyond
     if not samples:
         return None
-    late_us = np.sort(np.array(samples))
+    late_us = unit_us * np.sort(np.array(samples))
     return Latency(late_us, int((late_us // (period_s * 1e6)).sum()))

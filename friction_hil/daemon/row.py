@@ -33,7 +33,7 @@ _CHECKSUM = columns.NAMES.index("checksum")
 _LATE_US = columns.NAMES.index("late_us")
 _EXCHANGE_US = columns.NAMES.index("exchange_us")
 _PATH_LAG_S = columns.NAMES.index("path_lag_s")
-_CHANGE = columns.NAMES.index("change")
+_CHANGE = columns.NAMES.index(columns.CHANGE)
 
 
 def row_width(shadow_names: Sequence[str]) -> int:

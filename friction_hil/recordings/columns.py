@@ -76,6 +76,7 @@ COLUMNS = (
 NAMES = tuple(column.name for column in COLUMNS)
 SPARSE = frozenset(column.name for column in COLUMNS if column.is_sparse)
 TIME, CYCLE = NAMES[:2]
+CHANGE = NAMES[-1]
 SHADOW_PREFIX = "shadow_"
 
 _BY_NAME = {column.name: column for column in COLUMNS}

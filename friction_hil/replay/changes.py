@@ -13,10 +13,8 @@ from friction_hil.drive import AxisFacts
 from friction_hil.errors import ConfigurationError, RecordingError
 from friction_hil.friction.kernel import STATE_ROOM
 from friction_hil.numerics.jit import Array
-from friction_hil.recordings import Recording
+from friction_hil.recordings import Recording, columns
 from friction_hil.recordings.recording import CHANGE
-
-_COLUMN = "change"
 
 
 class RecordedChanges:
@@ -36,8 +34,8 @@ class RecordedChanges:
     def __init__(self, recording: Recording, configuration: Configuration, facts: AxisFacts) -> None:
         self._recording, self._configuration, self._facts = recording, configuration, facts
         self._numbers = np.zeros(len(recording))
-        if _COLUMN in recording.columns:  # earlier versions had no changes
-            self._numbers = np.nan_to_num(recording.columns[_COLUMN], nan=0.0)
+        if columns.CHANGE in recording.columns:  # earlier versions had no changes
+            self._numbers = np.nan_to_num(recording.columns[columns.CHANGE], nan=0.0)
         self._entries = _entries(recording)
         self._records: dict[int, Any] = {}
 

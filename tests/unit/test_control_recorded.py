@@ -1,9 +1,12 @@
 """Changes of a running daemon in the files that the companion writes."""
 
 import json
+import math
 import os
 
 import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
 
 from friction_hil import recordings
 from friction_hil.daemon.companion.changes import Changes
@@ -68,6 +71,68 @@ def test_a_change_shortly_before_the_next_file_is_in_the_file_of_its_first_rows(
         assert set(recording.columns["change"]) <= {0.0, *events}
     successor = RingReader(ring.descriptor)
     assert (len(successor.drain()), successor.drain_events(), successor.lost) == (0, [], 0)
+    os.close(changes)
+
+
+def numbered(number, before=0, time_s=0.0, models=()):
+    axes = {name: {"model_of": model} for name, model in zip("xy", models, strict=False)}
+    return {"number": number, "before": before, "time_s": time_s, "text": "user 7", "axes": axes}
+
+
+def test_a_file_holds_what_its_rows_need_and_nothing_of_the_years_before(tmp_path):
+    """Change 9 is in force, with models of 2 and 7; 10 has another one for y. The event of 11 was lost."""
+    ring = RingWriter(len(COLUMNS), 64)
+    job = Job(["x"], COLUMNS, 0, 1e-3, 0, path=str(tmp_path / "run.mcap"))
+    changes = journal.make_journal()
+    for number, models in ((2, (2, 0)), (5, (2, 0)), (7, (2, 7)), (9, (2, 7)), (10, (2, 10)), (11, (2, 10))):
+        journal.append(changes, numbered(number, models=models))
+    recorder = Recorder(job, reader := RingReader(ring.descriptor), Changes(changes))
+    recorder.open(1)
+    for cycle, number in enumerate((9, 9, 10, 10, 11)):
+        if cycle == 2:
+            ring.push_event(cycle, "change", "10")
+        ring.push(np.array([1e-3 * cycle, cycle, number]))
+        recorder.take(reader.drain(), reader.drain_events())
+    recorder.close(was_abandoned=False)
+    events = recordings.read(tmp_path / "run.mcap").events
+    assert sorted((json.loads(event.text)["number"], event.cycle) for event in events) == [
+        (2, 0.0),
+        (7, 0.0),
+        (9, 0.0),
+        (10, 2.0),
+        (11, 0.0),
+    ]
+    os.close(changes)
+
+
+@given(st.lists(st.tuples(st.floats(0.0, 100.0), st.booleans(), st.sampled_from(["", "x", "y"])), max_size=40))
+def test_the_journal_keeps_what_rows_of_the_last_minutes_were_computed_with(asked):
+    """Some changes bring a model, some are refused by the loop."""
+    changes = journal.make_journal()
+    now_s, in_force, models, history = 0.0, 0, {"x": 0, "y": 0}, [(0.0, 0, {0})]
+    for number, (pause_s, is_taken, axis) in enumerate(asked, start=1):
+        now_s += pause_s
+        wanted = models | ({axis: number} if axis else {})
+        journal.keep(changes, journal.needed(journal.entries(changes), in_force, now_s))
+        journal.append(changes, numbered(number, in_force, now_s, wanted.values()))
+        known = {entry["number"] for entry in journal.entries(changes)} | {0}
+        ends_s = [start_s for start_s, _, _ in history[1:]] + [math.inf]
+        needed = [each for each, end_s in zip(history, ends_s, strict=True) if end_s >= now_s - journal.KEPT_S]
+        assert {one for _, change, of in needed for one in {change} | of} <= known
+        if is_taken:
+            in_force, models = number, wanted
+            history.append((now_s, number, set(models.values())))
+    os.close(changes)
+
+
+def test_the_journal_does_not_grow_with_the_changes():
+    changes = journal.make_journal()
+    for number in range(1, 1001):
+        journal.keep(changes, journal.needed(journal.entries(changes), number - 1, 60.0 * number))
+        journal.append(changes, numbered(number, number - 1, 60.0 * number, (number - number % 100, 0)))
+    kept = journal.entries(changes)
+    assert [entry["number"] for entry in kept] == [900, 996, 997, 998, 999, 1000]
+    assert os.fstat(changes).st_size < 5000
     os.close(changes)
 
 

@@ -10,6 +10,7 @@ from friction_hil.cli.work.config import check_files
 from friction_hil.config import load, self_contained
 from friction_hil.daemon.safety import LoopState
 from friction_hil.daemon.static_torque import static_torque, static_torque_note
+from friction_hil.drive import DriveState, Request
 from friction_hil.models.model_file import Gravity
 from friction_hil.motion.trajectory import sine_path
 from friction_hil.rehearsal import Motion, Rehearsal
@@ -144,10 +145,62 @@ def test_nothing_is_commanded_in_csp_where_it_is_off(changes):
 
 def test_without_power_nothing_is_commanded():
     _, rows, drives = run(axis("cst"), servo=pendulum(), duration_s=1.0)
-    command, state = np.array(rows.column("x", "command")), np.array(rows.column("x", "state"))
-    assert not command[(state < LoopState.ENABLING) | (state >= LoopState.DISABLING)].any()
+    command, state, drive = (np.array(rows.column("x", name)) for name in ("command", "state", "drive_state"))
+    off = (drive != DriveState.OPERATION_ENABLED) & (state >= LoopState.DISABLING)
+    assert off.any()
+    assert not command[(state < LoopState.ENABLING)].any()
+    assert not command[off][2:].any()
     assert command[state == LoopState.ENABLING].any()
     assert math.isfinite(drives.servos[0].position)
+
+
+@pytest.mark.parametrize(("mode", "error"), [("cst", 1.0), ("cst", 0.7), ("csp", 1.0), ("csv", 1.0)])
+def test_it_does_not_sag_until_the_brake_has_closed(mode, error):
+    """Wherever the path has left it; in cst the loop's controller holds what the model does not know."""
+    result, rows, drives = run(axis(mode, error=error), servo=pendulum(), duration_s=0.6, power_off_cycles=300)
+    position, command, state, drive = (
+        np.array(rows.column("x", name)) for name in ("position", "command", "state", "drive_state")
+    )
+    disabling, off = state == LoopState.DISABLING, drive == DriveState.SWITCH_ON_DISABLED
+    assert result.faults == []
+    assert disabling.sum() > 300
+    assert np.ptp(position[disabling]) < 3e-3
+    held = command[disabling & ~off]
+    assert np.abs(held).min() > 0.1
+    assert np.abs(command[disabling & off]).max() < 0.1  # of one cycle
+    assert drives.sent[0][-1][-1] == 0.0
+    assert np.abs(np.diff(held)).max() < 0.01  # of a weight of 0.3 N m
+
+
+def test_guided_by_hand_it_is_held_until_the_brake_has_closed_too():
+    _, rows, _ = run(axis("cst", guided=True), servo=pendulum(), duration_s=0.3, power_off_cycles=300)
+    position, state = np.array(rows.column("x", "position")), np.array(rows.column("x", "state"))
+    assert np.ptp(position[state == LoopState.DISABLING]) < 1e-3
+
+
+def test_a_drive_that_keeps_its_power_gets_no_torque_for_ever():
+    result, rows, drives = run(axis("cst"), servo=pendulum(), duration_s=0.3, power_off_cycles=10**6)
+    state = np.array(rows.column("x", "state"))
+    assert (state == LoopState.DISABLING).sum() * PERIOD_S == pytest.approx(2.0, abs=0.01)
+    assert "still powered" in result.faults[0]
+    assert drives.sent[0][-1][0::2] == (Request.DISABLE, 0.0)
+
+
+def test_after_a_fault_it_is_fed_forward_as_long_as_the_drive_has_power():
+    """A drive that brakes by itself carries the weight the better for it; one in fault has let go of the axis."""
+
+    def fails(cycle, feedback):
+        if cycle == 300:
+            feedback[0].message = "test"
+        if cycle >= 320:
+            feedback[0].state, feedback[0].velocity = DriveState.FAULT, 5.0
+
+    _, rows, _ = run(axis("csp"), servo=pendulum(), duration_s=1.0, disturb=fails)
+    command, state, drive = (np.array(rows.column("x", name)) for name in ("command", "state", "drive_state"))
+    stopping = state == LoopState.FAULT_STOPPING
+    assert np.abs(command[stopping & (drive != DriveState.FAULT)]).min() > 0.1
+    assert (stopping & (drive == DriveState.FAULT)).any()
+    assert not command[np.flatnonzero(drive == DriveState.FAULT)[2:]].any()  # 0.5 N m, at 0.3 N m a cycle
 
 
 @pytest.mark.parametrize("has_gravity", [True, False])

@@ -10,7 +10,7 @@ from friction_hil.errors import UsageError, choices
 from tools.benchmarks.report import show
 
 _FOLDER = Path(__file__).parent
-_OTHERS = {"__init__", "__main__", "c_library", "commands", "report"}
+_OTHERS = {"__init__", "__main__", "c_library", "commands", "processes", "report"}
 NAMES = sorted(
     {path.stem for path in _FOLDER.glob("*.py")} - _OTHERS
     | {path.parent.name for path in _FOLDER.glob("*/__init__.py")}

@@ -5,16 +5,13 @@ time. The limit of the wire is the time of request, silence, reply and silence; 
 times of the two processes. Finally the daemon runs the circle of the demo over a line at 250 Hz.
 """
 
-import contextlib
 import itertools
 import json
 import math
 import statistics
 import subprocess
-import sys
 import tempfile
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +27,7 @@ from friction_hil.drive import Command, DriveState, Feedback, Request
 from friction_hil.drive.finding import complaints
 from friction_hil.errors import FrictionHilError
 from friction_hil.servo.config import TrueFriction
+from tools.benchmarks.processes import PROGRAM, simulated
 from tools.benchmarks.report import Row, against, note
 
 CYCLES = 2000
@@ -39,7 +37,6 @@ LEAST_SHARE = 0.85
 MODBUS_CPU_US, ASCII_CPU_US = 400.0, 150.0
 LEAST_REDUCTION = 2.0
 CIRCLE_S = 12.0
-_COMMAND = [sys.executable, "-m", "friction_hil"]
 _ENABLE = [Command(Request.ENABLE)]
 _MOVE = [Command(Request.ENABLE, torque=0.11)]  # above the friction: the replies change
 _COUNTS = 2**20 / 6.283185307179586
@@ -94,26 +91,10 @@ def _configuration(folder: Path, drive: dict[str, Any], baud: int, period_s: flo
     return path
 
 
-@contextlib.contextmanager
-def _simulated(path: Path) -> Iterator[None]:
-    """Run the simulated drives of a configuration in another process."""
-    words = [*_COMMAND, "simulate", str(path), "--exit-with-stdin"]
-    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdin is not None
-        assert process.stdout is not None
-        try:
-            if not process.stdout.readline().startswith("ready:"):
-                raise FrictionHilError("the simulated drive did not start")
-            yield
-        finally:
-            process.stdin.close()
-            process.wait()
-
-
 def _rates(label: str, path: Path, target_us: float) -> list[Row]:
     """Measure cycles back to back, then at the period of the configuration."""
     configuration = config.load(path)
-    with _simulated(path), punctuality(PRIORITY) as findings:
+    with simulated(path), punctuality(PRIORITY) as findings:
         for line in complaints(findings):
             note(line)
         drives = _enabled(configuration)
@@ -220,8 +201,8 @@ def _circle(folder: Path) -> Row:
     for is_compensated in (False, True):
         path = _configuration(folder, ODRIVE, 921600, 4e-3, compensation={"enabled": is_compensated})
         note(f"a circle at 250 Hz, {'with' if is_compensated else 'without'} compensation")
-        with _simulated(path):
-            words = [*_COMMAND, "run", str(path), "--duration", f"{CIRCLE_S:g}", "--json"]
+        with simulated(path):
+            words = [*PROGRAM, "run", str(path), "--duration", f"{CIRCLE_S:g}", "--json"]
             done = subprocess.run(words, capture_output=True, text=True, check=False)
         if done.returncode:
             raise FrictionHilError(done.stderr.strip())

@@ -42,7 +42,7 @@ class BlackBox:
     def __init__(self, job: Job, history: History, changes: Changes) -> None:
         assert job.black_box is not None
         self._job, self._history, self._path = job, history, Path(job.black_box)
-        self._changes = changes
+        self._changes, self._file_changes = changes, changes.of_file(job.columns)
         self._time, self._cycle = job.columns.index(TIME), job.columns.index(CYCLE)
         self._events: deque[tuple[float, str, str]] = deque(maxlen=_MOST_EVENTS)
         self._left: deque[tuple[float, str, str]] = deque()  # events of the file that are not written yet
@@ -74,6 +74,8 @@ class BlackBox:
             inside = rows[:, self._time] <= end_s
             rows, is_over = rows[inside], not inside.all()
             if len(rows):
+                for event in self._file_changes.ahead_of(rows, self._left):
+                    self._writer.write_event(*event)
                 self._writer.write(rows, has_state[inside])
                 self._next += len(rows)
                 self._write_events(float(rows[-1, self._cycle]))
@@ -111,14 +113,15 @@ class BlackBox:
         path = _free_path(self._path)
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            self._writer = begin_file(path, self._job, self._changes.earlier(), about={IS_OF_FAULT: True})
+            self._writer = begin_file(path, self._job, about={IS_OF_FAULT: True})
+            self._file_changes = self._changes.of_file(self._job.columns)
         except (OSError, RecordingError) as error:
             self._give_up(error, path)
 
     def _write_events(self, cycle: float) -> None:
         assert self._writer is not None
         while self._left and self._left[0][0] <= cycle:
-            self._writer.write_event(*self._changes.whole(self._left.popleft()))
+            self._writer.write_event(*self._file_changes.whole(self._left.popleft()))
 
     def _end(self) -> None:
         assert self._writer is not None

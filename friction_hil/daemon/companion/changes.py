@@ -1,14 +1,20 @@
 """Changes of a run as events of its files: with the settings and models that a replay of their rows needs."""
 
 import json
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
 
 from friction_hil.daemon.control import journal
+from friction_hil.recordings import columns
+from friction_hil.recordings.recording import CHANGE, Array
 
-_NAME = "change"
+Event = tuple[float, str, str]
 
 
 class Changes:
-    """Changes of the run, from the journal of the control socket.
+    """Changes of the run, from the journal of the control socket, for one file after the other.
 
     Parameters
     ----------
@@ -19,18 +25,60 @@ class Changes:
     def __init__(self, descriptor: int) -> None:
         self._descriptor = descriptor
 
-    def earlier(self) -> list[tuple[float, str, str]]:
-        """Return the changes so far, as the first events of a file that begins now: each file stands alone."""
-        return [(0.0, _NAME, json.dumps(entry)) for entry in self._entries()]
+    def of_file(self, names: list[str]) -> "FileChanges":
+        """Return the changes of a file with columns of these names that begins now."""
+        return FileChanges(self._descriptor, names.index(columns.CHANGE) if columns.CHANGE in names else None)
 
-    def whole(self, event: tuple[float, str, str]) -> tuple[float, str, str]:
+
+class FileChanges:
+    """Changes that the rows of one file need: each file stands alone, and holds no others.
+
+    Parameters
+    ----------
+    descriptor : int
+        As of `Changes`.
+    column : int or None
+        Column with the number of the change in force.
+    """
+
+    def __init__(self, descriptor: int, column: int | None) -> None:
+        self._descriptor, self._column = descriptor, column
+        self._written = {0}  # numbers; 0: the configuration of the run
+
+    def ahead_of(self, rows: Array, events: Iterable[Event]) -> list[Event]:
+        """Return what has to be written ahead of rows: changes from before the file, and those whose event was lost.
+
+        Parameters
+        ----------
+        rows : (n, width) array
+        events : iterable of tuple
+            Events that are still to be written: changes among them follow in their turn.
+        """
+        if self._column is None or self._descriptor < 0:
+            return []
+        numbers = {int(number) for number in np.unique(rows[:, self._column]) if np.isfinite(number)}
+        if numbers <= self._written:
+            return []
+        entries = self._entries()
+        wanted = numbers | {
+            model for number in numbers & entries.keys() for model in journal.models_of(entries[number])
+        }
+        wanted = {number for number in wanted - self._written if number in entries}
+        wanted -= {int(text) for _, name, text in events if name == CHANGE}
+        self._written |= wanted
+        return [(0.0, CHANGE, json.dumps(entries[number])) for number in sorted(wanted)]
+
+    def whole(self, event: Event) -> Event:
         """Return an event as it is recorded: for a change, the ring has room for its number only."""
         cycle, name, text = event
-        if name == _NAME:
-            for entry in self._entries():
-                if str(entry["number"]) == text:
+        if name == CHANGE:
+            for number, entry in self._entries().items():
+                if str(number) == text:
+                    self._written.add(number)
                     return cycle, name, json.dumps(entry)
         return event
 
-    def _entries(self) -> list[dict[str, object]]:
-        return [] if self._descriptor < 0 else journal.entries(self._descriptor)
+    def _entries(self) -> dict[int, dict[str, Any]]:
+        if self._descriptor < 0:
+            return {}
+        return {entry["number"]: entry for entry in journal.entries(self._descriptor)}

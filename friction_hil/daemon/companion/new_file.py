@@ -1,6 +1,6 @@
 """The beginning of every file that the companion writes."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,20 +11,19 @@ from friction_hil.recordings.mcap_writer import McapWriter
 def begin_file(
     path: Path,
     job: Job,
-    earlier: Sequence[tuple[float, str, str]],
     *,
     about: Mapping[str, Any],
     overwrite: bool = False,
     on_flush: Callable[[], None] = lambda: None,
 ) -> McapWriter:
-    """Create a file for the rows of ``job``, with the changes before it as its first events.
+    """Create a file for the rows of ``job``, safe on the disk chunk by chunk.
 
     Raises
     ------
     OSError, RecordingError
-        It cannot be written; nothing stays open.
+        It cannot be written.
     """
-    writer = McapWriter(
+    return McapWriter(
         path,
         job.axes,
         job.columns,
@@ -36,10 +35,3 @@ def begin_file(
         is_durable=True,
         on_flush=on_flush,
     )
-    try:
-        for event in earlier:
-            writer.write_event(*event)
-    except OSError:
-        writer.abandon()
-        raise
-    return writer

@@ -52,6 +52,7 @@ class Recorder:
         assert job.path is not None
         self._job, self._ring, self._changes, self._clock = job, ring, changes, clock
         self._first = Path(job.path)
+        self._file_changes = changes.of_file(job.columns)
         self._number = 0
         self._writer: McapWriter | None = None
         self._budget = None if job.budget_bytes is None else Budget(self._first, job.budget_bytes)
@@ -81,16 +82,14 @@ class Recorder:
         self._rows = self._events = self._added = 0
         self._writer = None
         self._file_start_s = self._open_since_s = None
-        earlier = self._changes.earlier()
         self._writer = begin_file(
             path,
             self._job,
-            earlier,
             about={PART: number},
             overwrite=self._job.overwrite and number == 1,
             on_flush=self._release,
         )
-        self._added = len(earlier)
+        self._file_changes = self._changes.of_file(self._job.columns)
         self._size = self._writer.size
         if self._budget is not None:
             self._budget.look(path)
@@ -111,6 +110,9 @@ class Recorder:
                 if count == 0:
                     self._rotate()
                     continue
+                for event in self._file_changes.ahead_of(rows[:count], events):
+                    self._added += 1
+                    self._writer.write_event(*event)
                 self._writer.write(rows[:count])
                 if self._cycle_column is not None:  # a change belongs into the file of its first rows
                     events = self._write_events(events, float(rows[count - 1, self._cycle_column]))
@@ -125,7 +127,7 @@ class Recorder:
         assert self._writer is not None
         left = deque(events)
         while left and left[0][0] <= cycle:
-            self._writer.write_event(*self._changes.whole(left.popleft()))
+            self._writer.write_event(*self._file_changes.whole(left.popleft()))
         return list(left)
 
     def close(self, *, was_abandoned: bool) -> None:

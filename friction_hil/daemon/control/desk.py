@@ -160,7 +160,7 @@ class Desk:
             with self._sending:
                 number = self._next_number()
                 entry = entry_of(number, prepared, models_of, text)
-                journal.append(self._journal, {**entry, "files": prepared.models})
+                self._note({**entry, "files": prepared.models})
                 cycle = self._send(Change(number, Action.NONE, prepared.axes, text))
         return {"cycle": cycle, "change": number}
 
@@ -254,6 +254,15 @@ class Desk:
     def _next_number(self) -> int:
         numbers: list[int] = [entry["number"] for entry in journal.entries(self._journal)]
         return max([self._mailbox.answered, *numbers]) + 1
+
+    def _note(self, entry: dict[str, Any]) -> None:
+        """Put an entry into the journal, and remove what no row needs any more."""
+        in_force, now_s = self._state.last_change(), self._state.loop()["time_s"] or 0.0
+        known = journal.entries(self._journal)
+        kept = journal.needed(known, in_force, now_s)
+        if len(kept) < len(known):
+            journal.keep(self._journal, kept)
+        journal.append(self._journal, {**entry, "before": in_force, "time_s": now_s})
 
     def _present(self) -> tuple[dict[str, Any], dict[str, int], dict[str, str | None]]:
         """Return the present configuration, the number of the change that brought each model, and its file."""

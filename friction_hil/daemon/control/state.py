@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from friction_hil.daemon.ring import RingObserver
 from friction_hil.daemon.safety import LoopState
 from friction_hil.drive import DriveState
+from friction_hil.recordings import columns
 
 if TYPE_CHECKING:
     from friction_hil.recordings.recording import Array
@@ -110,7 +111,7 @@ class DaemonState:
     def last_change(self) -> int:
         """Return the number of the last change of settings that the loop has applied."""
         rows = self.rows(1)
-        value = self._value(rows[-1], 0, "change") if len(rows) else math.nan
+        value = self._value(rows[-1], 0, columns.CHANGE) if len(rows) else math.nan
         return int(value) if math.isfinite(value) else 0
 
     def drive_states(self) -> dict[str, DriveState]:
