@@ -110,8 +110,7 @@ class CanWire:
     cycles : int
         SYNCs or offsets of the daemon.
     disturbances : list of Disturbance
-    is_cut : bool
-        True while nothing passes.
+        Applied to all that passes.
     """
 
     def __init__(
@@ -135,7 +134,6 @@ class CanWire:
         self.began_s: float | None = None
         self.cycles = 0
         self.frames = 0
-        self.last_of_daemon_s: float | None = None
 
     def poll(self, timeout_s: float) -> None:
         """Pass on what has arrived or becomes due within ``timeout_s``."""
@@ -181,11 +179,9 @@ class CanWire:
 
     def _witness(self, frame: Frame, direction: str) -> None:
         of_daemon = direction == TO_DRIVE
-        if of_daemon:
-            self.last_of_daemon_s = frame.time_s
-            if frame.can_id == SYNC or (self._is_sidecar and frame.can_id in self._mapped):
-                self.began_s = frame.time_s if self.began_s is None else self.began_s
-                self.cycles += 1
+        if of_daemon and (frame.can_id == SYNC or (self._is_sidecar and frame.can_id in self._mapped)):
+            self.began_s = frame.time_s if self.began_s is None else self.began_s
+            self.cycles += 1
         node = frame.can_id & 0x7F
         witness = self._witnesses.get(node)
         if witness is None or frame.is_remote:

@@ -59,8 +59,9 @@ def command(tries: int, first: int, seed: int, only: tuple[str, ...], is_listing
         click.echo(json.dumps({"seed": seed, "faults": [row.figures() for row in rows], "repeat": repeat}))
     else:
         click.echo(markdown(rows))
+        tries, frames = (sum(numbers) for numbers in zip(*((len(row.tries), row.frames) for row in rows), strict=True))
         took = f"{time.monotonic() - began_s:.0f} s, seed {seed}"
-        click.echo(f"\n{sum(len(row.tries) for row in rows)} tries in {took}; {failed or 'none'} failed")
+        click.echo(f"\n{tries} tries, {frames} frames on the wire, in {took}; {failed or 'none'} failed")
     return 1 if failed else 0
 
 

@@ -37,6 +37,11 @@ class Row:
         """Number and problems of each try that failed."""
         return [(number, verdict.problems) for number, (_, verdict) in enumerate(self.tries) if verdict.problems]
 
+    @property
+    def frames(self) -> int:
+        """Number of frames or telegrams that passed."""
+        return sum(seen.frames for seen, _ in self.tries)
+
     def figures(self) -> dict[str, Any]:
         """Return the figures of the row; the largest of all tries, None where there is none."""
         seen = [each for each, _ in self.tries]
@@ -55,6 +60,7 @@ class Row:
             "named": dict(Counter(verdict.named for verdict in struck if verdict.named)),
             "lost": _largest(verdict.lost for verdict in struck),
             "status": dict(Counter(str(each.status) for each in seen)),
+            "frames": self.frames,
             "failed": len(self.failures),
         }
 

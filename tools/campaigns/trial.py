@@ -41,7 +41,6 @@ _ENABLING_S, _RUNNING_S = (0.0, 0.13), (0.4, 1.3)
 _FIRST_MOTION_S = (0.3, 3.5)  # in csv
 _AFTER_S = 1.0  # from the end of a fault to the request to stop
 _STOPPING_S = 0.25
-_TURN = COUNTS
 _EDGE = 1 << 31
 
 
@@ -75,6 +74,7 @@ class Seen:
     result: dict[str, Any] = field(default_factory=dict)
     errors: str = ""
     cycles: int = 0
+    frames: int = 0
     rows: int | None = None
     row_problem: str = ""
     left: list[str] = field(default_factory=list)
@@ -135,7 +135,7 @@ def _plan(folder: Path, fault: Fault, arena: str, mode: str, rng: random.Random,
 def _wire(attempt: Attempt, fault: Fault, witness: Witness) -> CanWire | SerialWire:
     machine = attempt.machine
     # positions begin at zero: the edge of the counter is a little further, where the axis passes it to and fro
-    turns = _EDGE - attempt.random.randrange(_TURN // 50) if fault.is_from_start else 0
+    turns = _EDGE - attempt.random.randrange(COUNTS // 50) if fault.is_from_start else 0
     if machine.arena == SERIAL:
         return SerialWire(machine.daemon_line, machine.drive_line, witness, turns)
     mapped = MAPPED if machine.arena == SIDECAR else None
@@ -247,7 +247,7 @@ def _run(attempt: Attempt, fault: Fault, seen: Seen) -> None:
     finally:
         seen.ended_s = time.monotonic()
         seen.status = daemon.poll()
-        seen.cycles = wire.cycles
+        seen.cycles, seen.frames = wire.cycles, wire.frames
         # what was stopped goes on, and what lasts ends, whatever has happened
         if is_active:
             fault.end(attempt)
