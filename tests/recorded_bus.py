@@ -9,8 +9,8 @@ from pathlib import Path
 
 import can
 
-from tests.peers.frame_recorder import Frame
 from tests.processes import listening
+from tools.campaigns.frame_recorder import Frame
 
 _RECEIVE_BUFFER = 8 << 20  # a whole run, while the processor is busy elsewhere
 _SO_RCVBUFFORCE = 33  # Linux; beyond the limit of the system, for root

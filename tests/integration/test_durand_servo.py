@@ -13,9 +13,9 @@ import pytest
 
 from friction_hil.recordings import read_all
 from tests.durand_process import CONTROLLER, DurandDrives, Event, durand_configuration, durand_drives
-from tests.peers.frame_recorder import Recorder
 from tests.processes import listening, run, run_daemon, simulated_drives, start, write_configuration
 from tests.recorded_bus import recorded
+from tools.campaigns.frame_recorder import Recorder
 
 REAL_PERIOD_S, MAX_MISSED = 2e-3, 20  # a busy machine may be late by 40 ms
 MODES = ("csp", "csv", "cst")

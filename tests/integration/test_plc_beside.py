@@ -12,10 +12,10 @@ import yaml
 
 from tests.durand_process import durand_configuration, durand_drives
 from tests.launcher import start
-from tests.peers.frame_recorder import Frame
 from tests.peers.plc_master import PlcMaster
 from tests.processes import listening, run, write_configuration
 from tests.recorded_bus import recorded
+from tools.campaigns.frame_recorder import Frame
 
 NMT, SYNC = 0x000, 0x080
 

@@ -206,3 +206,19 @@ def test_tune_refuses_what_it_cannot_move(configuration):
     done = run("tune", configuration, "--yes", "--pace", "sync", check=False)
     assert done.returncode == 2
     assert "another controller moves the axes" in done.stderr
+
+
+def test_a_stand_in_master_ends_although_its_drives_were_killed(configuration):
+    slow_down(configuration, max_missed=100)
+    with frame_log(configuration) as frames, machine(configuration) as drives:
+        wait_until(lambda: sum(can_id == STATUS for can_id, _ in frames) > 50)
+        drives.kill()
+        drives.wait(10)
+        wait_until(lambda: is_silent(frames))
+
+
+def is_silent(frames, for_s=0.5):
+    """Whether nothing arrives for a while."""
+    before = len(frames)
+    time.sleep(for_s)
+    return len(frames) == before

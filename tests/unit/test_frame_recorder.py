@@ -4,7 +4,7 @@ import struct
 
 import pytest
 
-from tests.peers.frame_recorder import Frame, Recorder
+from tools.campaigns.frame_recorder import Frame, Recorder
 
 NODE = 5
 

@@ -17,7 +17,7 @@ from tools.benchmarks import exchange, latency, models, neural, recordings
 from tools.benchmarks.report import Row, compare, percentile, show
 
 PROJECT = Path(__file__).parents[2]
-SHELL_TOOLS = (".ci/run", "tools/demo", "tools/test", "tools/bench", "tools/_environment")
+SHELL_TOOLS = (".ci/run", "tools/demo", "tools/test", "tools/bench", "tools/campaign", "tools/_environment")
 CANDIDATES = ("python3", "python3.11", "python3.12", "python3.13", "python3.14")
 
 # Stands in for python3 where an environment is made: puts the interpreter below into it.
@@ -90,7 +90,9 @@ def test_shell_tools_parse(name: str) -> None:
     assert (done.returncode, done.stderr) == (0, "")
 
 
-@pytest.mark.parametrize("name", [".ci/run", "tools/demo", "tools/test", "tools/bench", "tools/vcan-run"])
+@pytest.mark.parametrize(
+    "name", [".ci/run", "tools/demo", "tools/test", "tools/bench", "tools/campaign", "tools/vcan-run"]
+)
 def test_tools_are_executable(name: str) -> None:
     assert os.access(PROJECT / name, os.X_OK)
 

@@ -43,6 +43,7 @@ _OFFSET_RPDO = 3  # RPDO 4
 _TO_FAULT = 1  # 6007h
 _HEARTBEAT_S = 0.1
 _ANSWER_S, _BOOT_S = 2.0, 20.0
+_STOP_S = 4.0  # for drives to come to rest and to lose their power; less than `simulate` waits for this process
 _SETTLE_S = 0.2  # enabled, before the motion begins
 _SILENCE_PERIODS = 20  # without a torque offset, after which the one in force is cleared
 _JOIN_S, _LOCKSTEP_S = 1.0, 10.0  # in simulated time: how long a cycle waits for the sidecar, before and after it came
@@ -271,7 +272,7 @@ class StandInMaster:
         self._path_time.hold(now_s, missed * self._period_s, now_s + self._period_s)
 
     def _is_done(self, is_stopping: bool) -> bool:
-        """Return True once a stop that was asked for is complete: at rest, and disabled."""
+        """Return True once a stop that was asked for is complete, at rest and disabled, or drives do not answer."""
         if not is_stopping:
             return False
         time_s = self._now_s()
@@ -281,7 +282,8 @@ class StandInMaster:
         if self._moving_since_s is None or self._path_time.is_standing(time_s):
             self.request = Request.DISABLE
         is_disabled = not any(slave.state.is_powered for slave in self._slaves)
-        return (self.request is Request.DISABLE and is_disabled) or not self._is_real
+        is_over = time_s - self._stopping_since_s > _STOP_S
+        return (self.request is Request.DISABLE and is_disabled) or is_over or not self._is_real
 
     # Time
 

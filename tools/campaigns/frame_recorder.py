@@ -71,17 +71,20 @@ class Pdo:
 
     @property
     def mapping(self) -> list[int] | None:
+        """Words of the mapping, None as long as they are not known."""
         if self.count is None or any(k not in self.words for k in range(1, self.count + 1)):
             return None
         return [self.words[k] for k in range(1, self.count + 1)]
 
     @property
     def size(self) -> int | None:
+        """Length by the mapping, bytes."""
         mapping = self.mapping
         return None if mapping is None else sum(word & 0xFF for word in mapping) // 8
 
     @property
     def is_synchronous(self) -> bool:
+        """True if it belongs to SYNC."""
         return self.kind is not None and self.kind <= 240
 
     def find(self, data: bytes, wanted: int) -> int | None:
@@ -122,6 +125,7 @@ class Node:
     uses_sync_counter: bool = False
 
     def pdo(self, index: int) -> Pdo:
+        """Return the PDO of a communication record."""
         if index not in self.pdos:
             is_receive = index < 0x1800
             number = index - (0x1400 if is_receive else 0x1800)
@@ -153,6 +157,7 @@ class Recorder:
         self._sync_count: int | None = None
 
     def take_all(self, frames: Iterable[Frame]) -> "Recorder":
+        """Take some frames, and return this recorder."""
         for frame in frames:
             self.take(frame)
         return self

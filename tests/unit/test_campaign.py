@@ -1,0 +1,170 @@
+"""The parts of tools/campaign that judge: a witness that overlooks nothing, a wire that passes on what it should."""
+
+import random
+import struct
+
+import pytest
+from click.testing import CliRunner
+from pymodbus.framer.rtu import FramerRTU
+
+from tests.processes import GROUP, free_port
+from tools.campaigns.can_wire import Bus, CanWire
+from tools.campaigns.command import command
+from tools.campaigns.disturbance import DIRECTIONS, TO_DAEMON, TO_DRIVE, Disturbance
+from tools.campaigns.faults import BY_NAME, FAULTS
+from tools.campaigns.judge import judge
+from tools.campaigns.serial_wire import _Direction, crc
+from tools.campaigns.trial import Seen
+from tools.campaigns.witness import Limits, Witness, is_powered, keeps_power
+
+ENABLE, DISABLE = 0x0F, 0x00
+SETTLED = {"drive_states": {"x": "switch on disabled"}, "cycles": 100, "faults": []}
+
+
+def witness() -> Witness:
+    return Witness(Limits(torque=300.0, step=50.0))
+
+
+def seen(**changes) -> Seen:
+    values = {
+        "arena": "CAN",
+        "mode": "csp",
+        "phase": "running",
+        "told": [],
+        "witness": witness(),
+        "struck_s": 10.0,
+        "status": 0,
+        "drives_status": 0,
+        "rows": 100,
+        "result": dict(SETTLED),
+        **changes,
+    }
+    found = Seen(**values)
+    found.witness.status(11.0, 0x250)
+    return found
+
+
+def test_a_single_frame_beyond_torque_or_step_is_seen() -> None:
+    one = witness()
+    for k, torque in enumerate((0.0, 50.0, 100.0, 150.0, 100.0)):
+        one.command(k * 1e-3, torque, ENABLE)
+    assert (one.broken, one.largest_torque, one.largest_step) == ([], 150.0, 50.0)
+    one.command(5e-3, 152.0, ENABLE)
+    assert "step of 52.0" in one.broken[0]
+    one.command(6e-3, 301.0, ENABLE)
+    assert any("torque of 301" in text for text in one.broken)
+
+
+@pytest.mark.parametrize(
+    ("torque", "word", "count"), [(0.0, DISABLE, 0), (0.0, ENABLE, 1), (0.0, 0x02, 1), (10.0, DISABLE, 1)]
+)
+def test_torque_may_end_in_a_step_only_where_the_power_ends_too(torque: float, word: int, count: int) -> None:
+    one = witness()
+    one.limits = Limits(torque=300.0, step=150.0)
+    one.command(0.0, 150.0, ENABLE)
+    one.command(1e-3, 299.0, ENABLE)
+    one.command(2e-3, torque, word)
+    assert len(one.broken) == count
+
+
+def test_on_a_line_a_command_that_was_dropped_leaves_its_step_to_the_next() -> None:
+    one = Witness(Limits(torque=300.0, step=50.0, period_s=0.01))
+    for time_s, torque in ((0.0, 0.0), (0.02, 100.0), (0.031, 150.0)):
+        one.command(time_s, torque, ENABLE)
+    assert (one.broken, one.largest_step) == ([], 50.0)
+    one.command(0.041, 202.0, ENABLE)
+    assert "step of 52.0" in one.broken[0]
+
+
+def test_times_are_those_of_the_last_change() -> None:
+    one = witness()
+    one.command(1.0, 20.0, ENABLE)
+    one.command(2.0, 0.0, ENABLE)
+    one.command(3.0, 10.0, ENABLE)
+    one.command(4.0, 0.0, DISABLE)
+    one.command(5.0, 0.0, DISABLE)
+    for time_s, word in ((1.0, 0x27), (4.5, 0x50), (5.0, 0x50)):
+        one.status(time_s, word)
+    assert (one.zero_since_s, one.unpowered_since_s) == (4.0, 4.5)
+
+
+def test_states_and_commands_of_cia_402() -> None:
+    assert [is_powered(word) for word in (0x0637, 0x0617, 0x001F, 0x0633, 0x0018, 0x0050)] == [True] * 3 + [False] * 3
+    assert [keeps_power(word) for word in (0x0F, 0x1F, 0x02, 0x06, 0x07, 0x00, 0x80)] == [True] * 3 + [False] * 4
+
+
+def test_judgement() -> None:
+    fault = BY_NAME["drive-fault"]
+    assert "went on" in judge(fault, seen()).problems[0]
+    named = {**SETTLED, "faults": ["x: the drive is in fault [FH-105]"]}
+    assert judge(fault, seen(result=named, status=1)).problems == []
+    other = {**SETTLED, "faults": ["x: position is outside the limits [FH-108]"]}
+    assert "not named" in judge(fault, seen(result=other, status=1)).wrong[0]
+    assert "exit status 0" in judge(fault, seen(result=named)).wrong[0]
+    assert "90 of 100 rows" in judge(BY_NAME["stop-2"], seen(rows=10)).wrong[0]
+    powered = seen()
+    powered.witness.status(12.0, 0x637)
+    assert judge(BY_NAME["stop-2"], powered).unsafe[1] == "the daemon says switch on disabled"
+
+
+def test_disturbances_keep_what_they_do_not_concern() -> None:
+    for kind, expected in (
+        ("lost", []),
+        ("late", [(0.1, b"abcd")]),
+        ("reordered", [(0.1, b"abcd")]),
+    ):
+        every = Disturbance(kind, 1.0, 0.1, (TO_DRIVE,), random.Random(1))
+        assert every.apply(TO_DRIVE, b"abcd") == expected
+        assert every.apply(TO_DAEMON, b"abcd") == [(0.0, b"abcd")]
+    some = Disturbance("lost", 0.1, 0.1, DIRECTIONS, random.Random(1))
+    assert sum(not some.apply(TO_DRIVE, b"x") for _ in range(2000)) == pytest.approx(200, abs=60)
+    longer = Disturbance("long", 1.0, 0.1, DIRECTIONS, random.Random(1), 8)
+    assert [len(longer.apply(TO_DRIVE, bytes(size))[0][1]) for size in (8, 7)] == [8, 8]
+
+
+def test_telegrams_are_cut_from_a_stream() -> None:
+    def whole(body: bytes) -> bytes:
+        return body + crc(body)
+
+    requests = [
+        whole(bytes([3, 3, 0, 0, 0, 7])),
+        whole(struct.pack(">BBHHHHB2H", 3, 23, 0, 7, 0x102, 2, 4, 17, 18)),
+        whole(struct.pack(">BBHHB1H", 3, 16, 0x105, 1, 2, 6)),
+        whole(bytes([3, 6, 1, 5, 0, 0])),
+    ]
+    stream, cut = b"".join(requests), _Direction(is_request=True)
+    assert [each for k in range(len(stream)) for each in cut.feed(stream[k : k + 1])] == requests
+    replies = [whole(bytes([3, 23, 4, 1, 2, 3, 4])), whole(bytes([3, 0x97, 2])), whole(bytes([3, 16, 1, 5, 0, 1]))]
+    assert _Direction(is_request=False).feed(b"".join(replies)) == replies
+    assert struct.unpack(">H", crc(replies[0][:-2]))[0] == FramerRTU.compute_CRC(replies[0][:-2])
+
+
+def test_the_wire_passes_frames_both_ways_and_reads_what_the_daemon_maps() -> None:
+    sides = [Bus(GROUP, free_port()), Bus(GROUP, free_port())]
+    one = witness()
+    wire = CanWire(sides[0], sides[1], {1: one}, {0x501: [0x60B20010]})
+    import can
+
+    from tests.processes import multicast_bus
+
+    buses = [multicast_bus(side.group, side.port) for side in sides]
+    try:
+        buses[0].send(can.Message(arbitration_id=0x501, data=struct.pack("<h", -301), is_extended_id=False))
+        wire.poll(5.0)
+        passed = buses[1].recv(5.0)
+        assert passed is not None
+        assert (passed.arbitration_id, bytes(passed.data)) == (0x501, struct.pack("<h", -301))
+        buses[1].send(can.Message(arbitration_id=0x181, data=b"\x27\x06", is_extended_id=False))
+        wire.poll(5.0)
+        assert buses[0].recv(5.0) is not None
+    finally:
+        for bus in buses:
+            bus.shutdown()
+        wire.close()
+    assert (one.largest_torque, wire.cycles, len(one.broken)) == (301.0, 1, 2)
+
+
+def test_the_command_lists_faults_and_refuses_others() -> None:
+    listed = CliRunner().invoke(command, ["--list"]).output
+    assert all(fault.name in listed for fault in FAULTS)
+    assert "kill-daemon" in str(CliRunner().invoke(command, ["--only", "kill-deamon"]).exception)

@@ -1,0 +1,1 @@
+"""Faults between the real daemon and simulated drives, judged by what was on the wire."""

@@ -1,0 +1,142 @@
+"""What a try must have shown, whatever the fault was, and what its fault adds to that."""
+
+import re
+import signal
+from dataclasses import dataclass, field
+
+from friction_hil.drive import DriveState
+from tools.campaigns.faults import Fault
+from tools.campaigns.machine import SIDECAR
+from tools.campaigns.trial import Seen
+from tools.campaigns.witness import is_powered
+
+_CODE = re.compile(r"\[(FH-\d{3})\]")
+_LATE = "FH-113"  # this computer was busy, which is nobody's fault
+_POWERED = {state.words for state in DriveState if state.is_powered}
+
+
+@dataclass
+class Verdict:
+    """Judgement of one try.
+
+    Attributes
+    ----------
+    unsafe : list of str
+        What must not be on however busy a computer: a limit broken, power or torque left, a wrong statement about
+        it, processes left behind, a traceback.
+    wrong : list of str
+        What must not be besides.
+    is_void : bool
+        True if the run ended before the fault struck, because this computer was too busy.
+    named : str
+        ``yes``, ``no: CODE``, ``late`` where this computer was, ``unsaid`` where the run went on without a word
+    zero_s, unpowered_s : float or None
+        From the fault to the end of the torque and of the power, of a run that the fault ended.
+    lost : int or None
+        Rows that are not in the recording.
+    """
+
+    unsafe: list[str] = field(default_factory=list)
+    wrong: list[str] = field(default_factory=list)
+    is_void: bool = False
+    has_ended: bool = False
+    named: str = ""
+    zero_s: float | None = None
+    unpowered_s: float | None = None
+    lost: int | None = None
+
+    @property
+    def problems(self) -> list[str]:
+        """All that must not be."""
+        return self.unsafe + self.wrong
+
+
+def judge(fault: Fault, seen: Seen) -> Verdict:
+    """Hold what was seen against what must be."""
+    faults = [str(text) for text in seen.result.get("faults", ())]
+    verdict = Verdict(has_ended=bool(faults) or fault.killed == "daemon")
+    verdict.unsafe += seen.witness.broken + seen.left
+    if seen.has_hung:
+        verdict.unsafe.append("the daemon did not end")
+    if "Traceback" in seen.errors:
+        verdict.unsafe.append(f"traceback: {seen.errors.rstrip().splitlines()[-1]}")
+    if seen.struck_s is None:
+        verdict.is_void = True
+    if seen.drives_status != -signal.SIGKILL:
+        _judge_end(seen, verdict)
+    _judge_exit(fault, seen, faults, verdict)
+    _judge_cause(fault, seen, faults, verdict)
+    _judge_rows(fault, seen, verdict)
+    if verdict.has_ended and not verdict.is_void:
+        _take_times(seen, verdict)
+    return verdict
+
+
+def _judge_end(seen: Seen, verdict: Verdict) -> None:
+    """Judge the end that the drive shows, and that the daemon claims."""
+    witness = seen.witness
+    if seen.arena == SIDECAR:
+        if witness.zero_since_s is None:
+            verdict.unsafe.append(f"an offset of {witness.torque:g} per mille is left in the drive")
+        return
+    claimed = str(seen.result.get("drive_states", {}).get("x", ""))
+    if witness.statusword is None:
+        verdict.unsafe.append("the drive does not tell its state after the end")
+    elif is_powered(witness.statusword):
+        verdict.unsafe.append(f"the drive still has power, statusword {witness.statusword:04X}h")
+        if claimed and claimed not in _POWERED and claimed != DriveState.UNKNOWN.words:
+            verdict.unsafe.append(f"the daemon says {claimed}")
+
+
+def _judge_exit(fault: Fault, seen: Seen, faults: list[str], verdict: Verdict) -> None:
+    if fault.killed == "daemon" and not verdict.is_void:
+        if seen.status not in (-signal.SIGKILL, 0, 1):
+            verdict.wrong.append(f"exit status {seen.status}")
+        return
+    if verdict.is_void and "Error:" in seen.errors:
+        return  # refused before anything was enabled: the computer was too busy to connect
+    is_incomplete = "rows were lost" in seen.errors or "still to be written" in seen.errors
+    expected = 1 if faults or is_incomplete else 0
+    if seen.status != expected:
+        verdict.wrong.append(f"exit status {seen.status}, not {expected}: {seen.errors[-300:].strip()}")
+
+
+def _judge_cause(fault: Fault, seen: Seen, faults: list[str], verdict: Verdict) -> None:
+    if verdict.is_void or fault.killed == "daemon":
+        return
+    said = "\n".join([*faults, *seen.result.get("warnings", ()), *seen.result.get("notices", ()), seen.errors])
+    if faults:
+        code = (_CODE.findall(faults[0]) or ["none"])[-1]
+        if code in fault.codes:
+            verdict.named = "yes"
+        elif code == _LATE or seen.result.get("missed", 0) > 1:
+            verdict.named = "late"
+        else:
+            verdict.named = f"no: {code}"
+            verdict.wrong.append(f"the cause is not named: {faults[0]}")
+    elif fault.must_end and seen.phase == "running":
+        verdict.wrong.append("the run went on as if nothing had happened")
+    elif fault.words:
+        verdict.named = "yes" if re.search(fault.words, said) else "unsaid"
+
+
+def _judge_rows(fault: Fault, seen: Seen, verdict: Verdict) -> None:
+    if seen.rows is None:
+        if not verdict.is_void and int(seen.result.get("cycles", seen.cycles)):
+            verdict.wrong.append(f"recording: {seen.row_problem}")
+        return
+    cycles = int(seen.result.get("cycles", seen.cycles))
+    verdict.lost = max(0, cycles - seen.rows)
+    if verdict.lost and not fault.killed and "lost" not in seen.errors:
+        verdict.wrong.append(f"{verdict.lost} of {cycles} rows are missing, and nobody says so")
+
+
+def _take_times(seen: Seen, verdict: Verdict) -> None:
+    """Take the times from the fault; what was over before counts as zero."""
+    assert seen.struck_s is not None
+    witness = seen.witness
+    ends = [each for each in (witness.zero_since_s, witness.unpowered_since_s) if each is not None]
+    if ends:
+        verdict.zero_s = max(0.0, min(ends) - seen.struck_s)
+    if witness.unpowered_since_s is not None and seen.arena != SIDECAR:
+        verdict.unpowered_s = max(0.0, witness.unpowered_since_s - seen.struck_s)
