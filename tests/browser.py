@@ -56,7 +56,7 @@ class Page:
         assert "exceptionDetails" not in found, found
         return found["result"].get("value")
 
-    def until(self, expression: str, timeout_s: float = 60.0):
+    def until(self, expression: str, timeout_s: float = 120.0):
         """Wait until an expression is true; its value."""
         end_s = time.monotonic() + timeout_s
         while not (value := self.get(expression)):
