@@ -40,6 +40,7 @@ COMMANDS = {
     "models": "List the friction models, or describe one.",
     "doctor": "Check machine, configuration and connection before a run.",
     "latency": "Measure how late this machine wakes up a loop.",
+    "monitor": "Show a running daemon live.",
     "status": "Show the daemons that run, their axes and drives.",
     "live": "Serve live data of a daemon: page, metrics, Foxglove.",
     "set": "Change gain, model or other settings of a running daemon.",
@@ -56,8 +57,8 @@ _MODULES = {"set": "set_values"}  # a module called set would hide the built-in 
 # Commands that connect to drives or simulate them. Their loop relies on Linux: real-time priority, shared memory
 # without a name, SocketCAN, pseudo-terminals. All others run wherever Python does.
 NEED_LINUX = (
-    *("demo", "run", "simulate", "tune", "latency", "status", "live", "set", "start", "stop", "reset"),
-    *("service", "drives"),
+    *("demo", "run", "simulate", "tune", "latency", "monitor", "status", "live"),
+    *("set", "start", "stop", "reset", "service", "drives"),
 )
 
 

@@ -34,16 +34,15 @@ _NAME_BYTES = 40
 class _Ring:
     """Shared memory with views of its header and rows."""
 
-    # Populated at once: a page fault in the loop could cost a period.
-    _flags = mmap.MAP_SHARED | mmap.MAP_POPULATE
-    _protection = mmap.PROT_READ | mmap.PROT_WRITE
-
-    def __init__(self, descriptor: int) -> None:
+    def __init__(self, descriptor: int, *, is_written: bool = True) -> None:
         self.descriptor = descriptor
         size = os.fstat(descriptor).st_size
         if size < _HEADER_BYTES:
             raise ValueError("the shared memory is no ring")
-        self._memory = mmap.mmap(descriptor, size, flags=self._flags, prot=self._protection)
+        if is_written:  # populated at once: a page fault in the loop could cost a period
+            self._memory = mmap.mmap(descriptor, size, flags=mmap.MAP_SHARED | mmap.MAP_POPULATE)
+        else:
+            self._memory = mmap.mmap(descriptor, size, flags=mmap.MAP_SHARED, prot=mmap.PROT_READ)
         self._header = memoryview(self._memory)[:_HEADER_BYTES].cast("q")
         if self._header[_MAGIC] != _MAGIC_NUMBER:
             raise ValueError("the shared memory is not a ring of this version")
@@ -255,11 +254,8 @@ class RingObserver(_Ring):
         Number of rows that `new_rows` has not returned, because they were overwritten.
     """
 
-    _flags = mmap.MAP_SHARED
-    _protection = mmap.PROT_READ
-
     def __init__(self, descriptor: int) -> None:
-        super().__init__(descriptor)
+        super().__init__(descriptor, is_written=False)
         self._events_seen = 0
         self._rows_seen: int | None = None
         self.rows_missed = 0
