@@ -1,5 +1,6 @@
 """Circularity test of machine tools: a recorded circle, without and with compensation. Pure."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -14,7 +15,29 @@ from friction_hil.daemon.safety import LoopState
 from friction_hil.errors import RecordingError
 from friction_hil.recordings.recording import Array, Recording
 
+RING_SHARE = 0.2  # distance between two rings of the scale, as a fraction of the drawn radius
+_RINGS = 3  # number of rings that the largest error reaches
 _COLUMNS = (*following.COLUMNS, "velocity_estimate", "compensation")
+
+
+@dataclass(frozen=True, slots=True)
+class RingScale:
+    """Scale of a picture of radius errors: rings about the nominal circle, which is drawn with radius 1.
+
+    Attributes
+    ----------
+    ring : float
+        Error from ring to ring, rad or m; 1, 2 or 5 times a power of ten.
+    magnification : float
+        Factor by which an error is drawn larger than the circle.
+    inner, outer : int
+        Number of rings inside and outside of the nominal circle, at least 1.
+    """
+
+    ring: float
+    magnification: float
+    inner: int
+    outer: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +117,23 @@ class Circularity:
         return [f"{axis} {name}" for axis in self.axes for name in ("rms", "peak") if not self.factor(axis, name) > 1.0]
 
 
+def ring_scale(radius: float, lowest: float, highest: float) -> RingScale:
+    """Return the scale for radius errors from ``lowest`` to ``highest`` of a circle of ``radius``, rad or m."""
+    largest = max(highest, -lowest) or 1e-12 * radius  # of a perfect circle
+    power = 10.0 ** math.floor(math.log10(largest / _RINGS))
+    ring = next(power * step for step in (1.0, 2.0, 5.0, 10.0) if power * step * _RINGS >= largest * (1.0 - 1e-9))
+    inner, outer = (max(math.ceil(reach / ring - 1e-9), 1) for reach in (-lowest, highest))
+    return RingScale(ring, RING_SHARE * radius / ring, inner, outer)
+
+
+def is_circle(first: Any, second: Any) -> bool:
+    """Return True if two trajectories are circles of one radius and frequency, a quarter of a turn apart."""
+    if not (isinstance(first, Circle) and isinstance(second, Circle)):
+        return False
+    is_same = first.radius == second.radius and first.frequency == second.frequency
+    return is_same and abs(math.cos(first.phase - second.phase)) <= 1e-6
+
+
 def duration_s(configuration: Configuration, laps: int) -> float:
     """Compute the time of motion that `analyse` needs for ``laps`` with compensation, s."""
     axes = configuration.axes.values()
@@ -135,7 +175,7 @@ def analyse(recordings: Mapping[str, Recording]) -> Circularity:
 
     is_usable = ~following.is_recovering(cycle, list(columns.values()), period_s)
     in_last_lap = is_running & (cycle >= phases["with"][1] - lap) & (cycle < phases["with"][1])
-    offsets = [_deviation(columns[name], 2.0 * np.pi * cycle / lap, in_last_lap) for name in recordings]
+    offsets = [deviation(columns[name], 2.0 * np.pi * cycle / lap, in_last_lap) for name in recordings]
     angle, radius_error = np.arctan2(offsets[1], offsets[0]), np.hypot(*offsets) - circle.radius
 
     def laps(stop: float) -> Laps:
@@ -182,8 +222,7 @@ def _circle(recordings: Mapping[str, Recording]) -> tuple[Configuration, Circle]
     if not (isinstance(a := paths[0], Circle) and isinstance(b := paths[1], Circle)):
         kinds = ", ".join(f"{each.axis}: {p.kind}" for each, p in zip((first, second), paths, strict=True))
         raise RecordingError(f"{path}: the trajectories are no circle: {kinds}")
-    same = a.radius == b.radius and a.frequency == b.frequency
-    if not same or abs(np.cos(a.phase - b.phase)) > 1e-6:
+    if not is_circle(a, b):
         raise RecordingError(f"{path}: a circle needs one radius and frequency, and phases a quarter of a turn apart")
     return configuration, a
 
@@ -201,10 +240,19 @@ def _aligned(recordings: Mapping[str, Recording]) -> tuple[Array, dict[str, dict
     return cycle, columns
 
 
-def _deviation(columns: Mapping[str, Array], turn: Array, in_steady_motion: Any) -> Array:
+def deviation(columns: Mapping[str, Array], turn: Array, in_steady_motion: Any) -> Array:
     """Compute the position relative to the centre of the demanded circle (n,).
 
     The centre is fitted to the demand, which is exact in steady motion whichever rows are missing.
+
+    Parameters
+    ----------
+    columns : dict of (n,) arrays
+        ``position`` and ``position_demand`` of an axis.
+    turn : (n,) array
+        Angle that the path has turned, from any beginning, rad.
+    in_steady_motion : (n,) array of bool
+        Rows to which the centre is fitted.
     """
     angle = turn[in_steady_motion]
     design = np.stack([np.cos(angle), np.sin(angle), np.ones_like(angle)], axis=1)

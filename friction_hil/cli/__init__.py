@@ -42,6 +42,7 @@ COMMANDS = {
     "latency": "Measure how late this machine wakes up a loop.",
     "monitor": "Show a running daemon live.",
     "status": "Show the daemons that run, their axes and drives.",
+    "live": "Serve live data of a daemon: page, metrics, Foxglove.",
     "set": "Change gain, model or other settings of a running daemon.",
     "start": "Enable the axes of a daemon that waits.",
     "stop": "Stop a running daemon, or drives that were left enabled.",
@@ -56,8 +57,8 @@ _MODULES = {"set": "set_values"}  # a module called set would hide the built-in 
 # Commands that connect to drives or simulate them. Their loop relies on Linux: real-time priority, shared memory
 # without a name, SocketCAN, pseudo-terminals. All others run wherever Python does.
 NEED_LINUX = (
-    *("demo", "run", "simulate", "tune", "latency", "monitor", "status", "set", "start", "stop", "reset"),
-    *("service", "drives"),
+    *("demo", "run", "simulate", "tune", "latency", "monitor", "status", "live"),
+    *("set", "start", "stop", "reset", "service", "drives"),
 )
 
 

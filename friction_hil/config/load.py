@@ -264,12 +264,22 @@ def no_model_file(path: Path, name: str) -> str:
     """
     text = f"there is no model file {path}; 'friction-hil tune' identifies the friction of the axis and writes it"
     try:
-        siblings = sorted(path.parent.glob("*.y*ml"))[:_MOST_SIBLINGS]
-        models = [str(Path(name).parent / each.name) for each in siblings if _is_model_file(each)]
+        models = [str(Path(name).parent / each.name) for each in model_files(path.parent)]
     except (OSError, ValueError):  # the name is not that of any file
         return text
     close = difflib.get_close_matches(name, models, n=1, cutoff=0.6)
     return f"{text}; did you mean {close[0]!r}?" if close else text
+
+
+def model_files(folder: Path) -> list[Path]:
+    """Return the files in a folder that look like model files; of very many files, only the first ones are looked at.
+
+    Raises
+    ------
+    OSError, ValueError
+        The folder cannot be read, or its name is not that of any.
+    """
+    return [each for each in sorted(folder.glob("*.y*ml"))[:_MOST_SIBLINGS] if _is_model_file(each)]
 
 
 def _is_model_file(path: Path) -> bool:

@@ -10,6 +10,7 @@ from friction_hil.checked_yaml.messages import Mistake, refuse
 from friction_hil.checked_yaml.section import Section, key
 from friction_hil.config.axis import AxisConfig, Name
 from friction_hil.config.bus import BusConfig
+from friction_hil.config.live import LiveConfig
 from friction_hil.config.recording import RecordingConfig
 from friction_hil.config.simulation import SimulationConfig, mechanism_mistakes
 
@@ -35,6 +36,7 @@ class Configuration(Section):
     bus: BusConfig | None = key("CAN bus; not needed for drives on serial lines", default=None)
     axes: dict[Name, AxisConfig] = key("axes by name", min_length=1)
     recording: RecordingConfig | None = key("recording of the run", default=None)
+    live: LiveConfig | None = key("live data over the network", default=None)
     enable_timeout_s: float = key(
         "time within which all drives must be enabled; longer for slow brakes or charging",
         "s",

@@ -22,6 +22,7 @@ from friction_hil.daemon.control.lock import ControlSocket
 from friction_hil.daemon.control.service import ControlService
 from friction_hil.daemon.figures import AxisFigures, Condition, FollowingErrors, adaptation_notice
 from friction_hil.daemon.follower import FollowerAxis
+from friction_hil.daemon.live_service import LiveService
 from friction_hil.daemon.log import LoopResult, Sink
 from friction_hil.daemon.loop import Loop
 from friction_hil.daemon.notify import NotifyingSink, ServiceManager
@@ -80,9 +81,16 @@ class SessionResult:
 class _CompanionSink:
     """Sink that hands rows to the companion, and looks after it; in simulated time it waits for room for a row."""
 
-    def __init__(self, companion: Companion, control: ControlService | None, period_s: float, *, is_real: bool) -> None:
+    def __init__(
+        self,
+        companion: Companion,
+        services: "Sequence[ControlService | LiveService]",
+        period_s: float,
+        *,
+        is_real: bool,
+    ) -> None:
         self._companion = companion
-        self._control = control
+        self._services = services
         self._is_real = is_real
         self._looks = max(1, round(_LOOK_S / period_s))  # rows between two looks at the companion
         self._left = self._looks
@@ -100,12 +108,13 @@ class _CompanionSink:
         self._companion.push_event(cycle, name, text)
 
     def _look(self, row: Array) -> None:
-        """Start the companion again if it has died; what has happened to it belongs in the recording too."""
+        """Start again what has died beside the loop; what has happened to it belongs in the recording too."""
         self._left = self._looks
         for problem in self._companion.tend():
             self._companion.push_event(row[_CYCLE], "warning", f"recording: {problem}")
-        for problem in () if self._control is None else self._control.tend():
-            self._companion.push_event(row[_CYCLE], "warning", problem)
+        for service in self._services:
+            for problem in service.tend():
+                self._companion.push_event(row[_CYCLE], service.severity, problem)
 
     def _wait_for_room(self, row: Array) -> None:
         """Wait until a row would not be lost, but not forever: the axes have to come to rest all the same."""
@@ -168,6 +177,7 @@ class _Prepared:
     path_time: PathTime
     companion: Companion
     control: ControlService | None
+    live: LiveService | None
 
 
 def _prepare(
@@ -232,7 +242,11 @@ def _prepare(
             _compile_plain(configuration.period_s)
         control = ControlService(settings.control, companion.ring_descriptor, journal, control_job)
         stack.callback(control.close)
-    return _Prepared(drives, axes, path_time, companion, control)
+    live = None
+    if settings.control is not None and configuration.live is not None:
+        live = LiveService(settings.control.path.stem, configuration.live)
+        stack.callback(live.close)
+    return _Prepared(drives, axes, path_time, companion, control, live)
 
 
 def _compile_plain(period_s: float) -> None:
@@ -293,7 +307,8 @@ def _run(
             is_waiting=settings.is_waiting,
         )
         control = prepared.control
-        sink: Sink = _CompanionSink(prepared.companion, control, configuration.period_s, is_real=clock.is_real)
+        services = [each for each in (control, prepared.live) if each is not None]
+        sink: Sink = _CompanionSink(prepared.companion, services, configuration.period_s, is_real=clock.is_real)
         mailbox = None if control is None else control.mailbox
         with contextlib.ExitStack() as stack:
             if manager := ServiceManager.from_environment(os.environ):

@@ -55,9 +55,7 @@ class RollingErrors:
         lost : int
             Rows before these that were lost on the way here.
         """
-        columns = {name: rows.of(axis, name) for name in following.COLUMNS}
-        offset = rows.of(axis, "motor_offset")
-        columns["position"] = columns["position"] - np.where(np.isfinite(offset), offset, 0.0)
+        columns = motion_columns(rows, axis)
         error = following.error(columns)
         cycle = rows.of(axis, "cycle")
         if not len(rows):
@@ -84,6 +82,17 @@ class RollingErrors:
             return None
         rms, peak = float(np.sqrt(np.mean(values**2))), float(np.max(np.abs(values)))
         return ErrorFigures(rms, peak, values.size * self._period_s)
+
+
+def motion_columns(rows: Rows, axis: str) -> dict[str, Array]:
+    """Return what the following error is made of, by name; the position without the offset of the motor.
+
+    See `friction_hil.analysis.following.columns_of`.
+    """
+    columns = {name: rows.of(axis, name) for name in following.COLUMNS}
+    offset = rows.of(axis, "motor_offset")
+    columns["position"] = columns["position"] - np.where(np.isfinite(offset), offset, 0.0)
+    return columns
 
 
 def missed_before(cycle: Array, last: float, lost: int) -> Array:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from friction_hil.analysis.circularity import Circularity, Laps
+from friction_hil.analysis.circularity import RING_SHARE, Circularity, Laps, ring_scale
 from friction_hil.friction.steady_curve import steady_curve
 from friction_hil.reports.figures import INK, WITH, WITHOUT, new_figure
 from friction_hil.reports.numbers import digits, readable, unit_of_figures
@@ -15,14 +15,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 _FAINT = "#c8c8c8"
-_RING = 0.2  # distance between two rings of the scale, as a fraction of the drawn radius
-_RINGS = 3  # number of rings that the largest error reaches
-
-
-def division(largest: float) -> float:
-    """Return the smallest of 1, 2, 5, 10, ... times a power of ten of which ``_RINGS`` reach ``largest``."""
-    power = 10.0 ** math.floor(math.log10(largest / _RINGS))
-    return next(power * step for step in (1.0, 2.0, 5.0, 10.0) if power * step * _RINGS >= largest * (1.0 - 1e-9))
 
 
 def draw_circle(circularity: Circularity) -> "Figure":
@@ -30,21 +22,19 @@ def draw_circle(circularity: Circularity) -> "Figure":
     laps = circularity.uncompensated, circularity.compensated
     lowest = min(float(each.radius_error.min()) for each in laps)
     highest = max(float(each.radius_error.max()) for each in laps)
-    ring = division(max(highest, -lowest))
-    magnification = _RING * circularity.radius / ring
+    scale = ring_scale(circularity.radius, lowest, highest)
+    ring, magnification, inner, outer = scale.ring, scale.magnification, scale.inner, scale.outer
     factor, unit = readable(circularity.unit, ring)
 
     figure = new_figure(8.0, 8.0, layout=None)
     axes = figure.add_axes((0.0, 0.0, 1.0, 0.92))
     axes.set_aspect("equal")
     axes.axis("off")
-    outer = max(math.ceil(highest / ring - 1e-9), 1)
-    inner = max(math.ceil(-lowest / ring - 1e-9), 1)
     for k in range(-inner, outer + 1):
-        _ring(axes, 1.0 + k * _RING, "" if k == 0 else f"{k * ring * factor:+g} {unit}".replace("-", "−"))
-    reach = 1.0 + outer * _RING
+        _ring(axes, 1.0 + k * RING_SHARE, "" if k == 0 else f"{k * ring * factor:+g} {unit}".replace("-", "−"))
+    reach = 1.0 + outer * RING_SHARE
     for x, y in ((1, 0), (0, 1), (-1, 0), (0, -1)):
-        start = 1.0 - inner * _RING
+        start = 1.0 - inner * RING_SHARE
         axes.plot([x * start, x * reach], [y * start, y * reach], color=_FAINT, linewidth=0.8, zorder=1)
     for each, color, width in zip(laps, (WITHOUT, WITH), (1.3, 1.8), strict=True):
         drawn = 1.0 + each.radius_error * magnification / circularity.radius

@@ -31,6 +31,8 @@ EXTRAS = {
     "onnx": {"onnx"},
     "cluster": {"distributed"},
     "dynamixel": {"dynamixel-sdk"},
+    "dashboard": {"starlette", "uvicorn", "prometheus-client"},
+    "live": {"foxglove-sdk"},
 }
 
 # Options that are added to README's commands: simulated time, no questions, and work for seconds instead of minutes.

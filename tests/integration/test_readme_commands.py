@@ -114,6 +114,7 @@ ELSEWHERE = (
     ("friction-hil start", "test_nothing_is_enabled_before_somebody_starts_it_and_again_after_a_stop"),
     ("friction-hil set", "test_every_change_is_in_force_and_named"),
     ("friction-hil status --json", "test_status_shows_every_daemon"),
+    ("friction-hil live", "test_foxglove_gets_the_rows_as_a_recording_has_them"),
     ("friction-hil service install", "test_the_command_says_what_it_wrote_and_what_comes_next"),
     ("friction-hil service status", "test_services_that_are_not_active_are_exit_status_1"),
     ("./tools/demo", "test_demo_hands_its_arguments_on"),

@@ -8,13 +8,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from friction_hil.analysis.circularity import analyse, duration_s
+from friction_hil.analysis.circularity import RING_SHARE, analyse, duration_s, ring_scale
 from friction_hil.analysis.following import RECOVERY_S, SETTLE_S
 from friction_hil.config import from_dict, self_contained
 from friction_hil.daemon.safety import LoopState
 from friction_hil.errors import RecordingError
 from friction_hil.recordings import Recording
-from friction_hil.reports.circularity_picture import division, draw_circle, draw_error, draw_friction
+from friction_hil.reports.circularity_picture import draw_circle, draw_error, draw_friction
 from friction_hil.reports.circularity_report import MARK, write_report
 from friction_hil.reports.figures import WITH, WITHOUT
 from friction_hil.reports.numbers import digits, readable
@@ -195,7 +195,10 @@ def test_duration_holds_the_laps_that_were_asked_for():
 
 @given(st.floats(1e-12, 1e6))
 def test_three_rings_reach_the_largest_error(largest):
-    ring = division(largest)
+    scale = ring_scale(2.0, -0.5 * largest, largest)
+    ring = scale.ring
+    assert scale.outer in (2, 3)
+    assert scale.magnification * ring == pytest.approx(2.0 * RING_SHARE)
     assert largest <= 3.0 * ring * (1.0 + 1e-6)
     assert 3.0 * ring <= largest * 2.5 * (1.0 + 1e-6)
     assert float(f"{ring:.0e}") == pytest.approx(ring)

@@ -138,6 +138,25 @@ CASES = [
         "at most half of budget_mb, 10",
     ),
     ("  path: out/run.mcap", "  rotate_s: 0.5", "recording.rotate_s", "1"),
+    (
+        "  path: out/run.mcap",
+        "  path: out/run.mcap\nlive: {}",
+        "live.dashboard",
+        "is needed, or foxglove: the port at which",
+    ),
+    (
+        "  path: out/run.mcap",
+        "  path: out/run.mcap\nlive: {dashboard: 80, foxglove: 80}",
+        "live.foxglove",
+        "another port than that of dashb",
+    ),
+    ("  path: out/run.mcap", "  path: out/run.mcap\nlive: {dashboard: 65536}", "live.dashboard", "65535"),
+    (
+        "  path: out/run.mcap",
+        "  path: out/run.mcap\nlive: {dashboard: 1, allow_hosts: ['a b']}",
+        "live.allow_hosts[0]",
+        "the name of a machine",
+    ),
     ("  priority: 0", "  priority: 100", "realtime.priority", "at most 99"),
     ("  priority: 0", "  spin_us: 1000", "realtime.spin_us", "below the period, 1000 µs"),
 ]

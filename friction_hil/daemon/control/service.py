@@ -33,7 +33,11 @@ class ControlService:
     mailbox : MailboxReader
         Brings the changes to the loop.
     pid : int
+    severity : str
+        Of the event that reports its death.
     """
+
+    severity = "warning"
 
     def __init__(
         self, control_socket: ControlSocket, ring_descriptor: int, journal_descriptor: int, job: ControlJob

@@ -1,0 +1,151 @@
+"""The server of live data: a thread that reads the daemon, and an event loop that serves the page."""
+
+import asyncio
+import contextlib
+import signal
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from friction_hil.errors import UsageError
+from friction_hil.live.web.feed import Feed
+
+_LOOK_S = 0.1
+_MOST_CONNECTIONS = 64
+_MOST_HEAD = 16384  # bytes of a request's head
+_END_S = 1  # for connections that are open when the server ends
+
+
+@dataclass(frozen=True, slots=True)
+class Serving:
+    """What is served, and where.
+
+    Attributes
+    ----------
+    name : str
+        Name of the daemon.
+    port, foxglove : int or None
+        Ports of the page and of the Foxglove WebSocket; 0 for any that is free, None for none.
+    host : str
+        Address of the page.
+    allow_hosts : tuple of str
+        Further names by which the page may be called.
+    token : str
+    """
+
+    name: str
+    port: int | None
+    foxglove: int | None
+    host: str
+    allow_hosts: tuple[str, ...]
+    token: str
+
+
+def serve(serving: Serving, ending: threading.Event, report: Callable[[str], None]) -> None:
+    """Serve until ``ending`` is set, or a signal comes.
+
+    Raises
+    ------
+    UsageError
+        An address or a port cannot be used.
+    """
+    with contextlib.ExitStack() as stack:
+        listening = None if serving.port is None else stack.enter_context(_listen(serving.host, serving.port))
+        foxglove = None
+        if serving.foxglove is not None:
+            from friction_hil.live.web.foxglove_feed import HOST, FoxgloveFeed  # imported here: it is an extra
+
+            foxglove = FoxgloveFeed(serving.foxglove)
+            stack.callback(foxglove.close)
+        if listening is not None:
+            _announce_page(serving, listening, report)
+        if foxglove is not None:
+            report(f"Foxglove WebSocket: ws://{HOST}:{foxglove.port}")
+        feed = Feed(serving.name, foxglove, report)
+        thread = threading.Thread(target=feed.run, args=(ending,), daemon=True)
+        for number in (signal.SIGINT, signal.SIGTERM):
+            stack.callback(signal.signal, number, signal.getsignal(number))
+            signal.signal(number, lambda *_: ending.set())
+        thread.start()
+        if listening is None:
+            while not ending.wait(_LOOK_S):  # a wait without an end would not let signals in
+                pass
+        else:
+            asyncio.run(_serve_page(serving, listening, feed, thread, ending))
+        thread.join(_END_S)
+
+
+async def _serve_page(
+    serving: Serving, listening: socket.socket, feed: Feed, thread: threading.Thread, ending: threading.Event
+) -> None:
+    import uvicorn  # imported here: it is an extra
+
+    from friction_hil.live.web.app import make_app
+    from friction_hil.live.web.gate import Gate, is_loopback
+    from friction_hil.live.web.hub import Hub
+
+    class Server(uvicorn.Server):
+        @contextlib.contextmanager
+        def capture_signals(self) -> Iterator[None]:
+            yield  # `serve` takes them
+
+    hub = Hub(asyncio.get_running_loop(), feed.greeting)
+    feed.serve_pages(hub.publish, lambda: hub.is_wanted)
+    names = frozenset(name.lower() for name in (*serving.allow_hosts, socket.gethostname()))
+    gate = Gate(serving.token, names, is_reading_free=is_loopback(serving.host))
+    config = uvicorn.Config(
+        make_app(_Board(hub, feed), gate),
+        http="h11",
+        ws="none",
+        lifespan="off",
+        log_level="error",
+        access_log=False,
+        server_header=False,
+        proxy_headers=False,
+        limit_concurrency=_MOST_CONNECTIONS,
+        h11_max_incomplete_event_size=_MOST_HEAD,
+        timeout_graceful_shutdown=_END_S,
+    )
+    server = Server(config)
+
+    async def end() -> None:
+        while not ending.is_set():
+            await asyncio.sleep(_LOOK_S)
+        await asyncio.to_thread(thread.join, _END_S)  # it says last whether the daemon has ended
+        await asyncio.sleep(0.0)
+        hub.close()
+        server.should_exit = True
+
+    await asyncio.gather(server.serve(sockets=[listening]), end())
+
+
+class _Board:
+    """What the application shows: messages of the hub, and metrics and answers of the feed."""
+
+    def __init__(self, hub: Any, feed: Feed) -> None:
+        self.stream, self.metrics, self.act = hub.stream, feed.metrics, feed.act
+
+
+def _listen(host: str, port: int) -> socket.socket:
+    try:
+        family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
+        return socket.create_server(address[:2], family=family)
+    except OSError as error:
+        text = f"the page cannot be served at {host}:{port}: {error.strerror or error}"
+        raise UsageError(text, "take another --port or --host") from None
+
+
+def _announce_page(serving: Serving, listening: socket.socket, report: Callable[[str], None]) -> None:
+    from friction_hil.live.web.gate import is_loopback
+
+    port = listening.getsockname()[1]
+    host = socket.gethostname() if serving.host in ("0.0.0.0", "::", "") else serving.host
+    host = f"[{host}]" if ":" in host else host
+    report(f"page: http://{host}:{port}/#token={serving.token}")
+    if not is_loopback(serving.host):
+        report(
+            "note: it can be reached from other machines, and what is sent can be read on the way; safer is loopback "
+            f"alone, and 'ssh -L {port}:localhost:{port} MACHINE'"
+        )

@@ -1,0 +1,288 @@
+// The page: shows what the stream brings, and asks for changes.
+
+import { barChart, drawCircle, lineChart } from "./charts.js";
+import { follow, hasToken, post, useToken } from "./server.js";
+
+const MOST_EVENTS = 100;
+const LONG = 60; // characters of a value that gets a line of its own
+const CALM_MS = 1000; // between two drawings where motion is to be reduced
+
+const at = (id) => document.getElementById(id);
+const axes = new Map();
+let lateness = null;
+let circle = null;
+let windowS = 20;
+let isPaused = false;
+let drawnMs = -Infinity;
+const calm = matchMedia("(prefers-reduced-motion: reduce)");
+
+function element(tag, text = "", className = "") {
+  const made = document.createElement(tag);
+  made.textContent = text;
+  if (className) made.className = className;
+  return made;
+}
+
+// What is shown is live only while data arrive: `live` is "yes", "ended" (the daemon) or "lost" (the connection).
+function showLive(live, reason = "") {
+  if (document.body.dataset.live === live && at("gone").textContent === reason) return;
+  document.body.dataset.live = live;
+  at("gone").hidden = live === "yes";
+  at("gone").textContent = reason;
+  if (live !== "yes") {
+    at("state").textContent = "no data";
+    at("clock").textContent = "";
+    for (const axis of axes.values()) axis.forget();
+    at("lateness-text").textContent = "no data";
+    at("circle-text").textContent = "no data";
+  }
+  showWrites();
+}
+
+function showWrites() {
+  const canWrite = hasToken() && document.body.dataset.live === "yes";
+  for (const each of document.querySelectorAll("[data-writes]")) each.disabled = !canWrite;
+  at("login").hidden = hasToken();
+}
+
+class Axis {
+  constructor(name, facts) {
+    this.name = name;
+    this.facts = facts;
+    this.strips = facts.strips;
+    this.data = null;
+    this.root = at("axis-template").content.cloneNode(true).querySelector("section");
+    const title = this.root.querySelector("h2");
+    title.textContent = `Axis ${name}`;
+    title.id = `axis-${name}`;
+    this.root.setAttribute("aria-labelledby", title.id);
+    this.values = this.root.querySelector(".values");
+    at("axes").append(this.root);
+    this.charts = this.strips.map((strip) => this.addChart(strip.title, strip.names, "time [s]", "strip"));
+    this.map = this.addChart("Friction against velocity", ["measured", "model"], "velocity", "map");
+    this.addControls();
+  }
+
+  addChart(title, names, xLabel, kind) {
+    const figure = element("figure");
+    const heading = element("h3", title);
+    const classes = ["first", "second"];
+    if (names.length > 1)
+      names.forEach((name, k) => {
+        const key = element("span", "", `key ${classes[k]}`);
+        key.setAttribute("aria-hidden", "true");
+        heading.append(key, name);
+      });
+    const holder = element("div");
+    holder.setAttribute("role", "img");
+    const text = element("figcaption", "no data");
+    figure.append(heading, holder, text);
+    this.root.querySelector(".charts").append(figure);
+    return { ...lineChart(holder, names, xLabel, kind), holder, text, title: `${title}, axis ${this.name}` };
+  }
+
+  addControls() {
+    const find = (selector) => this.root.querySelector(selector);
+    this.enabled = find(".enabled");
+    this.gain = find(".gain");
+    this.model = find(".model");
+    this.answer = find(".answer");
+    find("form").addEventListener("submit", (event) => {
+      event.preventDefault();
+      this.set("gain", this.gain.valueAsNumber);
+    });
+    this.enabled.addEventListener("click", () =>
+      this.set("enabled", this.enabled.getAttribute("aria-checked") !== "true"),
+    );
+    find(".set-gain").addEventListener("click", () => this.set("gain", this.gain.valueAsNumber));
+    find(".set-model").addEventListener("click", () => this.set("model", this.model.value));
+    this.model.append(element("option", "choose a file"));
+    this.model.firstChild.value = "";
+    for (const file of this.facts.models) this.model.append(element("option", file));
+  }
+
+  async set(key, value) {
+    const answer = await post("api/set", { values: { [`${this.name}.${key}`]: Number.isNaN(value) ? null : value } });
+    this.answer.classList.toggle("wrong", !answer.ok);
+    this.answer.textContent = answer.ok ? `changed in cycle ${answer.cycle}` : answer.problems.join("\n");
+    if (answer.status === 401) refuse();
+  }
+
+  take(rows) {
+    const columns = ["time_s", ...this.strips.flatMap((strip) => strip.columns)];
+    this.data ??= Object.fromEntries(columns.map((each) => [each, []]));
+    for (const each of columns) this.data[each].push(...rows[each]);
+    const times = this.data.time_s;
+    let old = 0;
+    while (times[old] < times[times.length - 1] - windowS) old += 1;
+    if (old) for (const each of columns) this.data[each].splice(0, old);
+  }
+
+  draw() {
+    const times = this.data?.time_s;
+    if (!times?.length) return;
+    const end = times[times.length - 1];
+    this.strips.forEach((strip, k) => {
+      const { factor, unit } = this.scales?.[k] ?? { factor: 1, unit: strip.unit };
+      const scaled = strip.columns.map((each) => this.data[each].map((v) => (v === null ? null : v * factor)));
+      this.charts[k].draw([times, ...scaled], "time [s]", `[${unit}]`, [end - windowS, end]);
+    });
+  }
+
+  show(figures) {
+    this.scales = figures.scales;
+    this.values.replaceChildren(
+      ...figures.values.map(([name, value]) => {
+        const pair = element("div", "", value.length > LONG ? "wide" : "");
+        pair.append(element("dt", name), element("dd", value));
+        return pair;
+      }),
+    );
+    this.enabled.setAttribute("aria-checked", String(figures.enabled));
+    if (document.activeElement !== this.gain) this.gain.value = figures.gain;
+    this.charts.forEach((chart, k) => describe(chart, figures.texts[k]));
+    const map = figures.friction;
+    describe(this.map, map.text);
+    if (!isPaused) this.map.draw([map.velocity, map.measured, map.model], map.x_label, map.y_label);
+  }
+
+  forget() {
+    for (const value of this.values.querySelectorAll("dd")) value.textContent = "–";
+    for (const chart of [...this.charts, this.map]) describe(chart, "no data");
+  }
+
+  redraw() {
+    for (const chart of [...this.charts, this.map]) chart.redraw();
+  }
+}
+
+function describe(chart, text) {
+  chart.text.textContent = text;
+  chart.holder.setAttribute("aria-label", `${chart.title}: ${text}`);
+}
+
+// The token is wrong or missing: ask for another one.
+function refuse() {
+  useToken("");
+  showWrites();
+}
+
+const handlers = {
+  hello(message) {
+    windowS = message.window_s;
+    document.title = `${message.name} · friction_hil`;
+    at("name").textContent = message.name;
+    at("axes").replaceChildren();
+    axes.clear();
+    for (const [name, facts] of Object.entries(message.axes)) axes.set(name, new Axis(name, facts));
+    circle = null;
+    at("circle").hidden = true;
+    at("events").replaceChildren();
+    at("no-events").hidden = false;
+    showFaults([]);
+    showLive("yes");
+  },
+
+  rows(message) {
+    for (const [name, rows] of Object.entries(message.axes)) axes.get(name).take(rows);
+    const now = performance.now();
+    if (isPaused || document.hidden || (calm.matches && now - drawnMs < CALM_MS)) return;
+    drawnMs = now;
+    for (const axis of axes.values()) axis.draw();
+  },
+
+  figures(message) {
+    if (message.stands) {
+      showLive("ended", "No data: the loop of the daemon stands; it has written no row for a second.");
+      return;
+    }
+    showLive("yes");
+    at("state").textContent = isPaused ? `${message.state}, charts paused` : message.state;
+    at("clock").textContent = message.clock;
+    for (const [name, figures] of Object.entries(message.axes)) axes.get(name).show(figures);
+    showFaults(message.faults);
+    at("lateness-text").textContent = message.lateness.text;
+    at("lateness-chart").setAttribute("aria-label", `Lateness of the loop: ${message.lateness.text}`);
+    if (isPaused) return;
+    lateness ??= barChart(at("lateness-chart"), "lateness up to [µs]");
+    lateness.draw(message.lateness.labels, message.lateness.counts);
+    circle = message.circle;
+    at("circle").hidden = circle === null;
+    if (circle === null) return;
+    at("circle-text").textContent = circle.text;
+    at("circle-canvas").setAttribute("aria-label", `Radius error of the circle: ${circle.text}`);
+    if (circle.angle.length) drawCircle(at("circle-canvas"), circle);
+  },
+
+  events(message) {
+    for (const event of message.events) {
+      const item = element("li", "", event.kind);
+      item.append(`${event.time} ${event.kind}: ${event.text}`);
+      if (event.remedy) item.append(element("span", `Remedy: ${event.remedy}`, "remedy"));
+      at("events").prepend(item);
+    }
+    while (at("events").childElementCount > MOST_EVENTS) at("events").lastChild.remove();
+    at("no-events").hidden = at("events").childElementCount > 0;
+  },
+
+  ended(message) {
+    showLive("ended", `No data: ${message.reason}. Nothing on this page is live.`);
+  },
+
+  alive() {},
+};
+
+function showFaults(faults) {
+  const shown = JSON.stringify(faults);
+  if (at("fault-list").dataset.shown === shown) return; // a screen reader would read them again
+  at("fault-list").dataset.shown = shown;
+  at("faults").hidden = faults.length === 0;
+  at("fault-list").replaceChildren(
+    ...faults.map((fault) => {
+      const item = element("li", fault.text);
+      if (fault.remedy) item.append(element("span", `Remedy: ${fault.remedy}`, "remedy"));
+      return item;
+    }),
+  );
+}
+
+async function act(what) {
+  at("said").textContent = `${what}: waiting for the daemon`;
+  const answer = await post(`api/${what}`, {});
+  const drives = Object.entries(answer.drives ?? {}).map(([name, state]) => `${name}: ${state}`);
+  const isDone = answer.ok && answer.is_done;
+  at("said").classList.toggle("wrong", !isDone);
+  at("said").textContent = answer.ok
+    ? `${what}: ${isDone ? "done" : "NOT DONE"}; drives as read back: ${drives.join(", ")}`
+    : `${what}: ${answer.problems.join(" ")}`;
+  if (answer.status === 401) refuse();
+}
+
+at("stop").addEventListener("click", () => act("stop"));
+at("reset").addEventListener("click", () => act("reset"));
+at("pause").addEventListener("click", () => {
+  isPaused = !isPaused;
+  at("pause").setAttribute("aria-pressed", String(isPaused));
+  at("pause").textContent = isPaused ? "Resume charts" : "Pause charts";
+});
+at("login").addEventListener("submit", (event) => {
+  event.preventDefault();
+  useToken(at("token").value.trim());
+  at("token").value = "";
+  showWrites();
+});
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+  for (const axis of axes.values()) axis.redraw();
+  lateness?.redraw();
+  if (circle?.angle.length) drawCircle(at("circle-canvas"), circle);
+});
+
+showWrites();
+follow(
+  (message) => handlers[message.kind](message),
+  (reason, status) => {
+    if (document.body.dataset.live === "ended") return; // with the daemon, its server of live data ends too
+    showLive("lost", `Connection lost: ${reason}. Nothing on this page is live; it tries again.`);
+    if (status === 401 && hasToken()) refuse();
+  },
+);
