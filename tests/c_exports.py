@@ -15,13 +15,9 @@ from friction_hil.models.model_file import ModelFile
 from friction_hil.numerics.jit import Array
 
 # -ffp-contract=off: on processors with fused multiply-add the compiler would round less often than the kernels do
-COMMAND = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wdouble-promotion", "-O1",
+COMMAND = ("-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion", "-Wdouble-promotion",
            "-ffp-contract=off", "-shared", "-fPIC")  # fmt: skip
 _ROOM = 16384  # bytes for a state
-
-
-class _Input(ctypes.Structure):
-    pass
 
 
 def subject(model: FrictionModel, name: str = "axis", compensator: Compensator | None = None) -> Subject:
@@ -36,21 +32,27 @@ def subject(model: FrictionModel, name: str = "axis", compensator: Compensator |
     return Subject(name, Given.model_validate(content), "", compensator)
 
 
-def compiled(folder: Path, subjects: list[Subject], *, single: bool = False, compiler: str = "gcc") -> ctypes.CDLL:
-    """Compile several exports into one library; the compiler must have nothing to say."""
-    sources = []
+def write(folder: Path, subjects: list[Subject]) -> None:
+    """Write the files of exports."""
     for each in subjects:
         for name, text in c.files(each).items():
             (folder / name).write_text(text)
-        sources.append(folder / f"{each.name}.c")
-    library = folder / f"lib_{compiler}_{single}.so"
-    macros = [f"-D{each.name.upper()}_SINGLE" for each in subjects] if single else []
-    done = subprocess.run(
-        [compiler, *COMMAND, *macros, "-o", str(library), *map(str, sources), "-lm"], capture_output=True, text=True
-    )
+
+
+def shared(folder: Path, sources: list[Path], *options: str, compiler: str = "gcc") -> Path:
+    """Compile into a shared library; the compiler must have nothing to say."""
+    library = folder / f"lib{'_'.join(options[:1])}.so"
+    command = [compiler, *COMMAND, *options, "-o", str(library), *map(str, sources), "-lm"]
+    done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert not done.stderr
-    return ctypes.CDLL(str(library))
+    return library
+
+
+def compiled(folder: Path, subjects: list[Subject], *, single: bool = False) -> ctypes.CDLL:
+    """Compile several exports into one library."""
+    options = ["-O0", *(f"-D{each.name.upper()}_SINGLE" for each in subjects)] if single else ["-O1"]
+    return ctypes.CDLL(str(shared(folder, [folder / f"{each.name}.c" for each in subjects], *options)))
 
 
 def model_steps(library: ctypes.CDLL, name: str, rows: Any, *, single: bool = False) -> Array:

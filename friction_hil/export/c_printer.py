@@ -108,12 +108,10 @@ class Printer:
     def _statement(
         self, statement: ir.Statement, declared: "_Declarations", depth: int, fresh: dict[str, tuple[ir.Type, bool]]
     ) -> list[str]:
-        own = (
-            statement.target.name if isinstance(statement, ir.Assign) and isinstance(statement.target, Variable) else ""
-        )
+        named: tuple[str, ...] = ir.targets(statement) if isinstance(statement, ir.Assign) else ()
         if isinstance(statement, ir.CallStatement) and len(statement.targets) == 1:
-            own = ir.targets(statement)
-        lines = [f"{TYPES[kind]} {_name(name)};" for name, (kind, _) in fresh.items() if name not in own]
+            named = ir.targets(statement)
+        lines = [f"{TYPES[kind]} {_name(name)};" for name, (kind, _) in fresh.items() if name not in named]
         match statement:
             case ir.Assign(Variable(name=name), value):
                 begin = _name(name)
