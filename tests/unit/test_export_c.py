@@ -147,6 +147,14 @@ def test_the_whole_compensator_gives_the_torque_of_this_library(library, single,
             assert error.max() < tolerance, name
 
 
+@pytest.mark.skipif(shutil.which("clang") is None, reason="clang is not installed")
+def test_clang_has_nothing_to_say_either(tmp_path):
+    one = COMPENSATORS["kalman"]
+    write(tmp_path, [subject(one.model, "axis", one)])
+    for options in (["-O1"], ["-O1", "-DAXIS_SINGLE"]):
+        shared(tmp_path, [tmp_path / "axis.c"], *options, compiler="clang")
+
+
 def test_wrong_use_is_refused_with_what_would_be_right():
     with pytest.raises(UsageError, match=r"no format 'd'.*\bc\b"):
         fh.export.files("coulomb:coulomb=1", to="d")
