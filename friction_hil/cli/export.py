@@ -42,6 +42,6 @@ def command(**options: Any) -> None:
     With --config the whole compensator is exported, with the settings of an axis of CONFIG: velocity estimate, lead,
     gain, limits, adaptation. MODEL takes the place of the axis's model.
     """
-    from friction_hil.cli.work.export import export  # imported here: --help must not wait for numba
+    from friction_hil.cli.work.export import export  # imported here: --help must not wait for it
 
     export(**options)

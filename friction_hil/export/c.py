@@ -159,7 +159,8 @@ class _Part:
         constants = (each for each in everything if isinstance(each, ir.Constant))
         wrong = [each.name or repr(each.value) for each in constants if _is_beyond_single(each.value)]
         for table in self.program.tables:
-            wrong += [table.name for value in table.values if _is_beyond_single(float(value))]
+            used = range(table.used[0], table.used[1] + 1)
+            wrong += [table.name_of(k) or table.name for k in used if _is_beyond_single(float(table.values[k]))]
         return list(dict.fromkeys(wrong))
 
 

@@ -87,7 +87,7 @@ def _float(value: Expression) -> Expression:
     return value if arithmetic.is_number(value.type) else cast(value, "real")
 
 
-# What is no Python function with a source, or one that only numba reads
+# What is no Python function with a source, or has one for compiled code only
 INTRINSICS: dict[Any, Any] = {
     abs: arithmetic.absolute,
     bool: truth,
@@ -106,7 +106,7 @@ INTRINSICS: dict[Any, Any] = {
     **{getattr(math, name): lambda *values, name=name: function(name, list(values)) for name in FUNCTIONS},
 }
 
-# Functions of which numba compiles another source than the one that Python runs
+# Functions that are compiled from another source than the one that Python runs
 DEFINITIONS: dict[Any, Any] = {
     elementary.power: python_function(elementary._power),
     lanes.add_products: _add_products,

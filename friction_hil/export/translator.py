@@ -1,7 +1,7 @@
 """Translation of compiled Python functions into a program (`ir`), specialised on everything that is constant.
 
-The source of a kernel is its Python function; it is read as Python reads it, with the types that numba infers. An
-argument that is a constant is built in, and a branch that then cannot be reached disappears, as do variables that
+The source of a kernel is its Python function; it is read as Python reads it, with the types of the compiled kernel.
+An argument that is a constant is built in, and a branch that then cannot be reached disappears, as do variables that
 nothing reads. What has no translation is refused with file and line.
 """
 

@@ -79,13 +79,17 @@ class Table:
     names: Sequence[str] = ()
     used: list[int] = field(default_factory=list)
 
+    def name_of(self, k: int) -> str:
+        """Return the name of the parameter in an element; empty if it has none."""
+        return self.names[k] if k < len(self.names) else ""
+
     def at(self, index: Expression) -> Expression:
         """Return an element: a constant if its index is one, or if all that it may be are the same."""
         if isinstance(index, Constant):
             k = int(index.value)
             if not 0 <= k < self.values.size:
                 raise IndexError(f"{self.name}[{k}] does not exist")
-            return Constant("real", float(self.values[k]), name=self.names[k] if k < len(self.names) else "")
+            return Constant("real", float(self.values[k]), name=self.name_of(k))
         low, high = _within(self.name, index, self.values.size)
         first = Constant("real", float(self.values[low]))
         if all(first.is_same(Constant("real", float(each))) for each in self.values[low : high + 1]):
