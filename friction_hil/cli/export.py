@@ -7,13 +7,12 @@ import click
 
 from friction_hil.cli.completion import complete_axis, complete_model
 from friction_hil.cli.options import option_json
-
-_FORMATS = ("c",)  # those of friction_hil.export, which Tab and --help do not wait for
+from friction_hil.export import FORMATS
 
 
 @click.command("export")
 @click.argument("model", metavar="MODEL", shell_complete=complete_model)
-@click.option("--to", type=click.Choice(_FORMATS), required=True, help="Language of the export.")
+@click.option("--to", type=click.Choice(list(FORMATS)), required=True, help="Language of the export.")
 @click.option(
     "--output",
     type=click.Path(path_type=Path),

@@ -10,7 +10,7 @@ import numpy as np
 from friction_hil.compensator import INPUTS, Compensator, records
 from friction_hil.compensator import kernel as compensator_kernel
 from friction_hil.compensator import velocity as velocity_estimate
-from friction_hil.export import arithmetic
+from friction_hil.export import arithmetic, ir
 from friction_hil.export.arithmetic import FUNCTIONS, binary, cast, extreme, function, known, truth
 from friction_hil.export.expressions import python_function
 from friction_hil.export.ir import Expression, Function, Variable
@@ -128,15 +128,8 @@ BUILT_IN = frozenset(
 )  # fmt: skip
 
 
-def model_program(model: FrictionModel, epsilon: float = 0.0) -> Program:
-    """Return the step of a model as a program.
-
-    Parameters
-    ----------
-    model : FrictionModel
-    epsilon : float
-        Width over which the jump of a static map is smoothed, rad/s; 0: it sticks exactly.
-    """
+def model_program(model: FrictionModel) -> Program:
+    """Return the step of a model, as a simulation takes it, as a program: a static map sticks exactly."""
     state = State(
         np.zeros(1, [("friction", "f8", (kernel.STATE_ROOM,))]),
         pieces={"friction": _friction_pieces(model)},
@@ -147,7 +140,7 @@ def model_program(model: FrictionModel, epsilon: float = 0.0) -> Program:
 
     def arguments(p: TableArray) -> list[Any]:
         motion = (velocity, velocity, dt, position, load_torque, temperature, applied)
-        return [known(model.kind), p, StateArray("friction", known(0)), *motion, known(epsilon)]
+        return [known(model.kind), p, StateArray("friction", known(0)), *motion, known(0.0)]
 
     inputs = (velocity, dt, position, load_torque, temperature, applied)
     return _program(model, state, inputs, kernel.step, arguments, "any_model")
@@ -194,8 +187,6 @@ def _program(
 
 def _called(entry: Function, made: list[Function]) -> list[Function]:
     """Return the functions that are called, callees first."""
-    from friction_hil.export import ir
-
     order: list[Function] = []
 
     def visit(one: Function) -> None:
