@@ -1,14 +1,14 @@
 """friction_hil: real-time friction compensation for servo axes.
 
-The public Python interface is ``friction_hil.models`` and ``friction_hil.recordings``; they are imported
-when first used, so that ``import friction_hil`` costs nothing.
+The public Python interface is ``friction_hil.models``, ``friction_hil.recordings`` and ``friction_hil.export``; they
+are imported when first used, so that ``import friction_hil`` costs nothing.
 """
 
 import importlib
 from types import ModuleType
 
 __version__ = "0.2.0.dev0"
-__all__ = ["models", "recordings"]
+__all__ = ["export", "models", "recordings"]
 
 
 def __getattr__(name: str) -> ModuleType:

@@ -36,6 +36,7 @@ COMMANDS = {
     "tune": "Identify friction on the machine, and test the compensation.",
     "train": "Train a network on the friction of recordings or of a model.",
     "convert": "Convert a recording, or describe its content.",
+    "export": "Export a model and its compensator, as C for firmware.",
     "study": "Show the effect of each friction model on a servo.",
     "models": "List the friction models, or describe one.",
     "doctor": "Check machine, configuration and connection before a run.",

@@ -169,6 +169,11 @@ class FrictionModel:
             yield "gamma is above beta: this hysteresis can release energy"
 
     @property
+    def packed_names(self) -> tuple[str | None, ...]:
+        """Names of the elements of ``values`` before a network, as in ``free``; None for what is not fitted."""
+        return tuple(name for name, _ in self._packed_names)
+
+    @property
     def name(self) -> str:
         """Name of the family."""
         return self.family.name

@@ -364,7 +364,7 @@ def test_unknown_benchmark_is_answered_with_what_there_is() -> None:
     command = [sys.executable, "-m", "tools.benchmarks", "latenzy"]
     done = subprocess.run(command, cwd=PROJECT, capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (2, "")
-    assert "did you mean 'latency'? There are: compensation, exchange, help, latency, models" in done.stderr
+    assert "did you mean 'latency'? There are: compensation, exchange, export, help, latency, models" in done.stderr
     assert ", recordings, serial, servo, tune\n" in done.stderr
 
 

@@ -1,0 +1,46 @@
+"""``friction-hil export``: a model, and its compensator, in another language."""
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from friction_hil.cli.completion import complete_axis, complete_model
+from friction_hil.cli.options import option_json
+from friction_hil.export import FORMATS
+
+
+@click.command("export")
+@click.argument("model", metavar="MODEL", shell_complete=complete_model)
+@click.option("--to", type=click.Choice(list(FORMATS)), required=True, help="Language of the export.")
+@click.option(
+    "--output",
+    type=click.Path(path_type=Path),
+    metavar="PATH",
+    help="Folder, or name of the files without or with suffix. Default: the name of the model file, in this folder.",
+)
+@click.option("--config", type=click.Path(path_type=Path), metavar="CONFIG", help="Export the compensator, too.")
+@click.option("--axis", metavar="NAME", shell_complete=complete_axis, help="Axis of CONFIG, if it has several.")
+@click.option("--resolution", type=float, metavar="SI", help="Smallest step of the position, rad or m; with --config.")
+@click.option(
+    "--delay",
+    "delay_s",
+    type=float,
+    metavar="S",
+    help="Time from sampling the position until its torque begins to act in the target. Default: that of the model "
+    "file, or one period.",
+)
+@click.option("--force", is_flag=True, help="Overwrite files that exist.")
+@option_json
+def command(**options: Any) -> None:
+    """Export MODEL, a model file or a model such as coulomb:coulomb=0.1, for use elsewhere.
+
+    c: C99 source and header without allocation and without any library but libm, in double or single precision, from
+    the same equations as this program's own; all models, modifiers and networks.
+
+    With --config the whole compensator is exported, with the settings of an axis of CONFIG: velocity estimate, lead,
+    gain, limits, adaptation. MODEL takes the place of the axis's model.
+    """
+    from friction_hil.cli.work.export import export  # imported here: --help must not wait for it
+
+    export(**options)

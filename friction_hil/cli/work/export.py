@@ -1,0 +1,97 @@
+"""The work of ``friction-hil export``."""
+
+import math
+from pathlib import Path
+
+import click
+
+from friction_hil import export as exports
+from friction_hil.cli.output import print_json
+from friction_hil.compensator import Compensator
+from friction_hil.config import AxisConfig, Configuration, load
+from friction_hil.daemon.assembly import make_compensator
+from friction_hil.drive import AxisFacts
+from friction_hil.errors import UsageError, choices
+from friction_hil.models.files import model_from_argument
+from friction_hil.models.model_file import ModelFile
+
+
+def export(
+    *,
+    model: str,
+    to: str,
+    output: Path | None,
+    config: Path | None,
+    axis: str | None,
+    resolution: float | None,
+    delay_s: float | None,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """Write the files of an export and say what they hold."""
+    file = model_from_argument(model)
+    if config is None:
+        for option, value in (("--axis", axis), ("--resolution", resolution), ("--delay", delay_s)):
+            if value is not None:
+                raise click.UsageError(f"{option} belongs to the compensator, which needs --config CONFIG")
+        compensator = None
+    else:
+        compensator = _compensator(file, load(config), axis, resolution, delay_s)
+    folder, name = _place(output, model)
+    paths = exports.write(file, to, folder, name=name, compensator=compensator, overwrite=force)
+    if as_json:
+        print_json({"written": [str(path) for path in paths], "has_compensator": compensator is not None})
+        return
+    for path in paths:
+        click.echo(f"{path}: {path.stat().st_size} bytes")
+    if compensator is None:
+        click.echo("The model alone; --config CONFIG exports its compensator, too.")
+    else:
+        given = compensator.settings
+        click.echo(
+            f"Model, and compensator with a period of {given.period_s:g} s, whose torque acts {given.lead_s:g} s after "
+            f"the position was sampled; --delay changes that."
+        )
+
+
+def _place(output: Path | None, model: str) -> tuple[Path, str]:
+    """Return the folder and the name of the files."""
+    own = exports.identifier(Path(model.partition(":")[0]).stem)
+    if output is None:
+        return Path(), own
+    if output.is_dir():
+        return output, own
+    return output.parent, output.stem
+
+
+def _compensator(
+    file: ModelFile, configuration: Configuration, axis: str | None, resolution: float | None, delay_s: float | None
+) -> Compensator:
+    own = _axis(configuration, axis)
+    if resolution is None or not 0.0 < resolution < math.inf:
+        raise click.UsageError("--resolution R: the compensator needs the smallest step of the position, rad or m")
+    period_s = configuration.period_s
+    if delay_s is not None:
+        if not 0.0 <= delay_s < 1.0:
+            raise click.UsageError(f"--delay {delay_s:g}: a time below 1 s, zero or above")
+        file = file.model_copy(update={"mechanics": file.mechanics.model_copy(update={"delay_s": 0.0})})
+    facts = AxisFacts(
+        name=axis or "",
+        identity="",
+        position_resolution=resolution,
+        torque_resolution=0.0,
+        setpoint_delay_s=period_s,
+        actuation_delay_s=(period_s if delay_s is None else delay_s) + 0.5 * period_s,
+    )
+    return make_compensator(own, file, facts, period_s)
+
+
+def _axis(configuration: Configuration, name: str | None) -> AxisConfig:
+    axes = configuration.axes
+    if name is None:
+        if len(axes) > 1:
+            raise click.UsageError(f"--axis NAME: the configuration has the axes {', '.join(axes)}")
+        return next(iter(axes.values()))
+    if name not in axes:
+        raise UsageError(f"--axis {name}: the configuration has no such axis; {choices(name, axes)}")
+    return axes[name]

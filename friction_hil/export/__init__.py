@@ -1,0 +1,112 @@
+"""Exports of friction models and compensators into other languages.
+
+>>> import friction_hil as fh
+>>> files = fh.export.files("coulomb:coulomb=0.1,viscous=0.01", to="c", name="axis_x")
+>>> sorted(files)
+['axis_x.c', 'axis_x.h']
+"""
+
+import importlib
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from friction_hil.errors import UsageError, choices
+
+if TYPE_CHECKING:
+    from friction_hil.compensator import Compensator
+    from friction_hil.models.model_file import ModelFile
+
+FORMATS = {"c": "C99 source and header, for firmware"}  # each is a module of this package
+_LONGEST_NAME = 40
+
+__all__ = ["FORMATS", "files", "identifier", "write"]
+
+
+def files(
+    model: "ModelFile | str | Path", to: str, *, name: str = "", compensator: "Compensator | None" = None
+) -> dict[str, str]:
+    """Return the files of an export, by their names.
+
+    Parameters
+    ----------
+    model : ModelFile, str or Path
+        Model file, its path, or a model with its parameters as ``--model`` takes it.
+    to : str
+        One of `FORMATS`.
+    name : str, optional
+        Name of the export, with which all names in it begin; by default that of the model file.
+    compensator : Compensator, optional
+        Compensator, made for the friction model of ``model``, that is exported beside the model.
+
+    Raises
+    ------
+    ConfigurationError
+        The model file cannot be read or has mistakes.
+    UsageError
+        The format or the name is wrong, or the compensator belongs to another model.
+    TranslationError
+        Something in the model or the compensator has no translation.
+    """
+    from friction_hil.export.subject import Subject  # imported here: it is slow to load
+    from friction_hil.models.files import model_from_argument
+
+    if to not in FORMATS:
+        raise UsageError(f"there is no format {to!r}; {choices(to, FORMATS)}")
+    file = model_from_argument(str(model)) if isinstance(model, str | Path) else model
+    origin = str(model) if isinstance(model, str | Path) else str(file.source_path or "")
+    if compensator is not None and not _is_of(compensator, file):
+        raise UsageError("the compensator was made for another model than the one that is exported")
+    chosen = name or (identifier(file.source_path.stem) if file.source_path else "") or file.friction.model
+    subject = Subject(_checked(chosen), file, origin, compensator)
+    content: dict[str, str] = importlib.import_module(f"friction_hil.export.{to}").files(subject)
+    return content
+
+
+def write(
+    model: "ModelFile | str | Path",
+    to: str,
+    folder: str | Path = ".",
+    *,
+    name: str = "",
+    compensator: "Compensator | None" = None,
+    overwrite: bool = False,
+) -> list[Path]:
+    """Write the files of an export into a folder and return their paths; the other arguments are those of `files`.
+
+    Raises
+    ------
+    UsageError
+        A file exists and ``overwrite`` is False; nothing is written then.
+    OSError
+        A file cannot be written.
+    """
+    content = files(model, to, name=name, compensator=compensator)
+    paths = {Path(folder) / file: text for file, text in content.items()}
+    for path in () if overwrite else paths:
+        if path.exists():
+            raise UsageError(f"{path} exists already; --force replaces it")
+    for path, text in paths.items():
+        path.write_text(text, encoding="utf-8")
+    return list(paths)
+
+
+def identifier(text: str) -> str:
+    """Return a text as a name that any language takes, in small letters; empty if nothing of it can stay."""
+    name = re.sub(r"[^a-z0-9]+", "_", text.lower()).strip("_")
+    return f"axis_{name}" if name[:1].isdigit() else name
+
+
+def _checked(name: str) -> str:
+    if not re.fullmatch(r"[a-z][a-z0-9_]*", name) or len(name) > _LONGEST_NAME:
+        example = identifier(name)[:_LONGEST_NAME] or "axis_x"
+        raise UsageError(
+            f"name: {name!r} must be small letters, digits and underlines, begin with a letter and have at most "
+            f"{_LONGEST_NAME} characters, such as {example}"
+        )
+    return name
+
+
+def _is_of(compensator: "Compensator", file: "ModelFile") -> bool:
+    own, given = compensator.model, file.friction_model
+    return own.kind == given.kind and own.values.tobytes() == given.values.tobytes()
