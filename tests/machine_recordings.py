@@ -10,6 +10,7 @@ from friction_hil.config.external_torque import simulated_servo
 from friction_hil.motion.trajectory import Path as MotionPath
 from friction_hil.motion.trajectory import PathTime, Trajectory
 from friction_hil.recordings import Recording
+from friction_hil.servo.coupled_servos import CoupledServos
 from friction_hil.servo.servo import Servo
 
 FOLDER = Path(__file__).parents[1] / "config/machines"
@@ -25,20 +26,39 @@ def axis_of(name: str) -> AxisConfig:
 
 def record(axis: AxisConfig, path: MotionPath, duration_s: float) -> Recording:
     """Move the simulated drive of an axis along a path in CSP at 1 kHz; it reports its torque at the sample."""
-    servo: Servo = simulated_servo(axis.simulation)
+    return _recorded({"x": simulated_servo(axis.simulation)}, "x", path, duration_s)["x"]
+
+
+def record_mechanism(name: str, moved: str, path: MotionPath, duration_s: float) -> dict[str, Recording]:
+    """Move one axis of an example machine as `record` does, while the drives of the others hold theirs."""
+    machine = load(FOLDER / f"{name}.yaml")
+    assert machine.simulation is not None
+    mechanism = machine.simulation.mechanism
+    servos = CoupledServos(mechanism, [machine.axes[each].simulation for each in mechanism.axes]).servos
+    return _recorded(dict(zip(mechanism.axes, servos, strict=True)), moved, path, duration_s)
+
+
+def _recorded(servos: dict[str, Servo], moved: str, path: MotionPath, duration_s: float) -> dict[str, Recording]:
     time = PathTime(1.0)
     time.start(0.0)
     trajectory = Trajectory(path, time)
     trajectory.begin_at(0.0)
-    steps = round(servo.steps_per_second * PERIOD_S)
-    rows = []
+    rows: dict[str, list[tuple[float, ...]]] = {name: [] for name in servos}
     for k in range(round(duration_s / PERIOD_S)):
-        rows.append((k * PERIOD_S, servo.position, servo.torque, servo.position_demand))
-        servo.command(_CSP, trajectory.at(k * PERIOD_S).position)
-        servo.advance(steps)
+        for name, servo in servos.items():
+            rows[name].append((k * PERIOD_S, servo.position, servo.torque, servo.position_demand))
+            servo.command(_CSP, trajectory.at(k * PERIOD_S).position if name == moved else 0.0)
+        for servo in servos.values():
+            servo.advance(round(servo.steps_per_second * PERIOD_S))
     names = ("time_s", "position", "torque", "position_demand")
-    columns = {name: np.ascontiguousarray(values) for name, values in zip(names, np.array(rows).T, strict=True)}
-    return Recording("machine.csv", "x", columns)
+    return {
+        axis: Recording(
+            "machine.csv",
+            axis,
+            {name: np.ascontiguousarray(values) for name, values in zip(names, np.array(own).T, strict=True)},
+        )
+        for axis, own in rows.items()
+    }
 
 
 def true_frequencies(axis: AxisConfig) -> dict[str, float]:

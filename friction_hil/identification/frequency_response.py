@@ -13,6 +13,10 @@ A window that tapers would smear a lightly damped resonance over its main lobe. 
 the response and what the edges leak are fitted together over a few neighbouring lines, as a rational function and a
 polynomial. The response is common to all windows; each has its own leakage.
 
+Another axis of the same machine that is held in its place is held by control loops, which give way. Its inertia then
+looks like a load on a damped spring. Where its motion was recorded too, its response to that of this axis is estimated
+in the same way, so that a fit can tell the two apart.
+
 Sources: R. Pintelon, J. Schoukens, G. Vandersteen, K. Barbe, Mechanical Systems and Signal Processing 24(3), 2010
 (local polynomials, and the reference in a loop); T. McKelvey, G. Guerin, IFAC Proceedings Volumes 45(16), 2012 (local
 rational functions); B. Efron, The Jackknife, the Bootstrap and Other Resampling Plans, 1982.
@@ -20,7 +24,7 @@ rational functions); B. Efron, The Jackknife, the Bootstrap and Other Resampling
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +69,8 @@ class FrequencyResponse:
         True if the demand was used.
     period_s : float
         Sampling period of the torque.
+    beside : (k, m) array of complex
+        Velocity of each of ``k`` other axes that move with this one, over the velocity of this one.
     """
 
     frequency_hz: Array
@@ -76,6 +82,7 @@ class FrequencyResponse:
     window_s: float
     has_instrument: bool
     period_s: float
+    beside: Complex
 
     @property
     def errors(self) -> Array:
@@ -90,7 +97,7 @@ class FrequencyResponse:
 
 
 def frequency_response(
-    segments: Sequence[Segment], least_coherence: float = LEAST_COHERENCE
+    segments: Sequence[Segment], least_coherence: float = LEAST_COHERENCE, beside: Sequence[Array] | None = None
 ) -> FrequencyResponse | None:
     """Estimate the frequency response of the motor.
 
@@ -101,6 +108,9 @@ def frequency_response(
         to find where the axis slides.
     least_coherence : float
         Lines with less are not used.
+    beside : sequence of (n, k) array, optional
+        Positions of ``k`` other axes at the rows of each segment. An axis whose motion is not coherent with that of
+        this one is left out.
 
     Returns
     -------
@@ -108,11 +118,24 @@ def frequency_response(
         None if too few windows slide, or hardly any line is coherent: the motion does not excite the axis.
     """
     has_instrument = all(each.demand is not None for each in segments)
+    others = beside or [np.empty((len(each.encoder), 0)) for each in segments]
     for window_s in _WINDOWS_S:
-        spectra, lengths = _windows(segments, window_s, has_instrument=has_instrument)
+        spectra, lengths = _windows(segments, others, window_s, has_instrument=has_instrument)
         if len(spectra) >= LEAST_WINDOWS:
-            found = _estimate(spectra, lengths, segments[0].rate_hz, has_instrument, least_coherence)
-            return found if np.count_nonzero(found.is_used) >= _LEAST_LINES else None
+            own, rate_hz = spectra[:, :3], segments[0].rate_hz
+            found = _estimate(own, lengths, rate_hz, has_instrument, least_coherence)
+            if np.count_nonzero(found.is_used) < _LEAST_LINES:
+                return None
+            ratios = [
+                _estimate(spectra[:, [0, k, 2]], lengths, rate_hz, has_instrument, least_coherence)
+                for k in range(3, spectra.shape[1])
+            ]
+            moving = [
+                each.response / found.response
+                for each in ratios
+                if np.median(each.coherence[found.is_used]) >= least_coherence
+            ]
+            return replace(found, beside=np.array(moving, dtype=complex).reshape(len(moving), len(found.response)))
     return None
 
 
@@ -129,17 +152,23 @@ def sliding_windows(segment: Segment, count: int) -> list[slice]:
     return sorted(found, key=lambda each: each.start)
 
 
-def _windows(segments: Sequence[Segment], window_s: float, *, has_instrument: bool) -> tuple[Complex, int]:
-    """Return the spectra (w, 3, m) of torque, velocity and reference of all windows, and their number of rows."""
+def _windows(
+    segments: Sequence[Segment], beside: Sequence[Array], window_s: float, *, has_instrument: bool
+) -> tuple[Complex, int]:
+    """Return the spectra of all windows, and their number of rows.
+
+    The spectra, (w, 3 + k, m), are those of torque, velocity, reference, and the velocities of ``k`` other axes.
+    """
     count = 2 * round(0.5 * window_s * segments[0].rate_hz)
+    nothing = np.empty((0, 3 + beside[0].shape[1], 0), dtype=complex)
     if count < 2 * (2 * _REACH + 1 + _LEAST_LINES):
-        return np.empty((0, 3, 0), dtype=complex), count
+        return nothing, count
     time = np.arange(count) - 0.5 * (count - 1)
     found = []
-    for each in segments:
+    for each, others in zip(segments, beside, strict=True):
         # differences have no leakage of a motion that goes on; what they do to a sine is undone in the spectrum
-        velocity = np.diff(each.encoder, prepend=each.encoder[0]) * each.rate_hz
-        signals = [each.torque, velocity, each.torque]
+        velocity, *velocities = (np.diff(q, prepend=q[0]) * each.rate_hz for q in (each.encoder, *others.T))
+        signals = [each.torque, velocity, each.torque, *velocities]
         if has_instrument and each.demand is not None:
             signals[2] = np.diff(each.demand, prepend=each.demand[0]) * each.rate_hz
         for rows in sliding_windows(each, count):
@@ -149,7 +178,7 @@ def _windows(segments: Sequence[Segment], window_s: float, *, has_instrument: bo
             parts = parts - parts.mean(axis=1, keepdims=True)
             parts -= np.outer(parts @ time / (time @ time), time)
             found.append(np.fft.rfft(parts, axis=1))
-    return (np.array(found) if found else np.empty((0, 3, 0), dtype=complex)), count
+    return (np.array(found) if found else nothing), count
 
 
 def _estimate(
@@ -215,4 +244,5 @@ def _estimate(
         count / rate_hz,
         has_instrument,
         1.0 / rate_hz,
+        np.empty((0, len(lines)), dtype=complex),
     )

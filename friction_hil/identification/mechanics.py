@@ -23,11 +23,13 @@ from friction_hil.identification.refine import is_dynamic
 from friction_hil.identification.resonance import Resonance, fit_resonance
 from friction_hil.identification.sliding import LOW_HZ, sliding_mechanics
 from friction_hil.identification.torque_fits import TorqueFits, model_of, swings, torque_fits
+from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
 
 _LIKE = 3.0  # a stiffness within this factor of another is like it
 _FORM = 0.02  # of each value: no axis is two masses with Coulomb friction to better than a few per cent
 _VAGUE = 0.5  # standard error over value
+_PULL = 0.2  # of the torque: a constant one from which on it may hold a load against one side of a gap
 
 _UNEXCITED = "the recording excites no band of frequencies while the axis slides"
 _SHAKEN = (
@@ -96,6 +98,7 @@ def find_mechanics(
     result: Identification,
     *,
     shaken: Sequence[Recording] = (),
+    held: Mapping[str, Recording] | None = None,
     report: Callable[[str], None] = lambda _: None,
 ) -> Mechanics:
     """Find the mechanics behind the motor.
@@ -107,6 +110,8 @@ def find_mechanics(
     result : Identification
     shaken : sequence of Recording
         Further ones, of an axis that is shaken while it slides: the frequency response is then theirs alone.
+    held : dict of Recording, optional
+        Other axes of the run in which the axis was shaken, by name: loops that hold them give way.
     report : callable
         Called with the name of each step.
     """
@@ -117,7 +122,8 @@ def find_mechanics(
     records = [each for each in result.records if not each.is_thinned] or list(result.records)
     report("frequency response")
     excited = [segment for each in shaken for segment in prepare(each)] or records
-    response = frequency_response(excited) if _one_rate(excited) else None
+    beside = [_beside(each, held or {}) for each in excited] if shaken else None
+    response = frequency_response(excited, beside=beside) if _one_rate(excited) else None
     resonance, why = (None, _UNEXCITED) if response is None else fit_resonance(response)
     report("two masses")
     torques = torque_fits(records, result)
@@ -132,6 +138,16 @@ def find_mechanics(
             torques.motions, accepted.residual, inertia, is_linear=result.settings.axis == "linear"
         )
     return _assembled(result, units, records, response, resonance, why, torques, side, errors)
+
+
+def _beside(record: RegressionSegment, held: Mapping[str, Recording]) -> Array:
+    """Return the positions of other axes (n, k) at the rows of a segment; an axis that was not read is left out."""
+    found = [np.empty((len(record.time_s), 0))]
+    for each in held.values():
+        known = np.isfinite(each["position"])
+        if np.any(known):
+            found.append(np.interp(record.time_s, each["time_s"][known], each["position"][known])[:, None])
+    return np.hstack(found)
 
 
 def _one_rate(records: Sequence[RegressionSegment]) -> bool:
@@ -161,7 +177,7 @@ def _assembled(
         if there:
             value, error, name = min(there, key=lambda each: each[1])
             known[key] = replace(known[key], value=value, error=error, source=name)
-    missing = _missing(why, torques)
+    missing = _missing(why, torques, _held_against(result, units, records))
     known |= {key: replace(known[key], missing=why) for key, why in missing.items() if known[key].value is None}
     if known["inertia"].value is None:
         known["inertia"] = _rigid_inertia(known["inertia"], result, records)
@@ -288,10 +304,24 @@ def _cogging(cogging: Quantity, result: Identification) -> Quantity:
     return cogging
 
 
-def _missing(why: str, torques: TorqueFits | None) -> dict[str, str]:
+def _held_against(result: Identification, units: Units, records: Sequence[RegressionSegment]) -> str:
+    """Return what a constant pull does to a gap, and the motion that would open it; empty if there is hardly any."""
+    mechanics = result.best.mechanics
+    swing = math.hypot(mechanics.get("gravity.sine", 0.0), mechanics.get("gravity.cosine", 0.0))
+    pull = abs(mechanics.get("offset", 0.0) + mechanics.get("gravity.constant", 0.0)) - swing
+    if pull < _PULL * math.sqrt(float(np.mean(np.concatenate([each.torque for each in records]) ** 2))):
+        return ""
+    return (
+        f"a constant pull of {pull:.3g} {units.torque}, such as a weight, holds the load against one side of a gap; "
+        "only accelerations above this pull over the inertia of the load open it"
+    )
+
+
+def _missing(why: str, torques: TorqueFits | None, held: str) -> dict[str, str]:
     """Return why quantities are not determined, each with the motion that would show it.
 
-    ``why`` is the reason of the frequency response, empty if it shows a resonance.
+    ``why`` is the reason of the frequency response, empty if it shows a resonance; ``held`` that of a gap that does not
+    open.
     """
     if torques is None:
         other = "is too short, or its encoder too coarse for its accelerations"
@@ -307,6 +337,8 @@ def _missing(why: str, torques: TorqueFits | None) -> dict[str, str]:
         )
     else:
         found["backlash"] = f"none stands out from the coupling's own twist; a smaller one: {_STROKES}"
+    if held:
+        found["backlash"] = f"{held}; take it off, or {_STROKES}"
     found["encoder_error"] = (
         f"none stands out among the {MOST_ORDERS} orders from the lowest on that a stroke covers: it shows at high "
         "constant speed and half of it, over several periods of the error"
@@ -351,6 +383,11 @@ def _notes(
         found.append(
             "the recording has no position_demand: the frequency response is right only if the torque did not come "
             "from the measured position, as it does in a control loop"
+        )
+    if response is not None and len(response.beside):
+        found.append(
+            "another axis, which its drive holds, moves with this one; its motion is fitted too, so that a coupling at "
+            "the frequency of its loops is hardly seen"
         )
     values = [
         (each[0]["antiresonance_hz"], each[1]["antiresonance_hz"], each[2])

@@ -144,7 +144,7 @@ class _Tuner:
         self._runs = TuningRuns(settings, dialog)
         self._warnings: list[str] = []
         self._mechanics: dict[str, Mechanics] = {}
-        self._shaken: dict[str, Recording] = {}
+        self._shaken: dict[str, dict[str, Recording]] = {}  # of all axes, by the one that was shaken
         self._resolutions: dict[str, float] = {}  # of the encoders, found in the experiments
         self._timings: dict[str, TorqueTiming] = {}
         self._torque_lags: dict[str, TorqueLag] = {}
@@ -183,14 +183,14 @@ class _Tuner:
             self._dialog.report(warning)
         return recording
 
-    def _shake(self, name: str) -> Recording:
-        """Record an axis that is shaken while it slides."""
+    def _shake(self, name: str) -> dict[str, Recording]:
+        """Record an axis that is shaken while it slides, and the others, which are held."""
         bounds = experiment_of(name, self._configuration.axes[name])
         run, duration_s = shaken_run(self._configuration, name)
         self._dialog.confirm(shaken_text(run, name, bounds, duration_s))
         speeds = allowed_speeds(run, {name: bounds})
-        recording = read(self._runs.run(run, duration_s, f"{name}_shaken.mcap", speeds), name)
-        return with_torque(recording, run.axes[name].mode)
+        recorded = read_all(self._runs.run(run, duration_s, f"{name}_shaken.mcap", speeds))
+        return {**recorded, name: with_torque(recorded[name], run.axes[name].mode)}
 
     def _candidates(self, recording: Recording) -> list[CandidateFit]:
         """Identify an axis from its experiment; return the models to try on it, and write the first of them."""
@@ -219,8 +219,9 @@ class _Tuner:
         for each in found:
             self._dialog.report(f"{name}: {label(each, each.best)}: {each.reason}")
         with self._dialog.working(f"{name}: mechanics behind the motor"):
-            shaken = [self._shaken[name]] if name in self._shaken else []
-            mechanics = self._mechanics[name] = find_mechanics([recording], found[0], shaken=shaken)
+            held = dict(self._shaken.get(name, {}))
+            shaken = [held.pop(name)] if held else []
+            mechanics = self._mechanics[name] = find_mechanics([recording], found[0], shaken=shaken, held=held)
         for line in mechanics.lines:
             self._dialog.report(f"{name}: {line}")
         for flag in mechanics.flags:

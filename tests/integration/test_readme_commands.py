@@ -31,6 +31,11 @@ WITHOUT_DRIVES = (
     ("friction-hil doctor machine.yaml --json", 0),
     ("friction-hil study --models coulomb --output study --json", 0),
     ("friction-hil study machine.yaml --output machine_study --json", 0),
+    (
+        f"friction-hil export {ROOT}/config/models/lugre_axis.yaml --to c --output axis_x.c --config machine.yaml "
+        "--resolution 4.8e-5 --delay 0 --force",
+        0,
+    ),
     ("friction-hil train --from-model coulomb:coulomb=0.1 --speed 1 --samples 1000 --hidden 2 --output net.yaml", 0),
 )
 WITH_DRIVES = (
@@ -114,11 +119,13 @@ ELSEWHERE = (
     ("friction-hil start", "test_nothing_is_enabled_before_somebody_starts_it_and_again_after_a_stop"),
     ("friction-hil set", "test_every_change_is_in_force_and_named"),
     ("friction-hil status --json", "test_status_shows_every_daemon"),
+    ("friction-hil monitor --once --json", "test_the_monitor_shows_it"),
     ("friction-hil live", "test_foxglove_gets_the_rows_as_a_recording_has_them"),
     ("friction-hil service install", "test_the_command_says_what_it_wrote_and_what_comes_next"),
     ("friction-hil service status", "test_services_that_are_not_active_are_exit_status_1"),
     ("./tools/demo", "test_demo_hands_its_arguments_on"),
     ("./tools/test", "test_arguments_reach_pytest"),
+    ("./tools/campaign --list", "test_the_command_lists_faults_and_refuses_others"),
     ("./tools/bench", "test_unknown_benchmark_is_answered_with_what_there_is"),
     ("./tools/bench compensation --grid --json", "test_command_prints_one_json_object"),
     ("./tools/bench compensation --identified", "test_the_command_takes_machines_and_simulates_only_them"),
@@ -128,6 +135,8 @@ ELSEWHERE = (
     ("./tools/bench latency", "test_the_benchmark_of_latency_compares_sleeping_and_spinning"),
     ("./tools/bench exchange", "test_the_benchmark_of_the_exchange_times_each_part"),
     ("./tools/bench servo", "test_the_benchmark_of_the_servo_compares_parts_rigid_and_c"),
+    ("./tools/bench export", "test_the_benchmark_of_exports_compares_steps"),
+    ("./tools/bench loop", "test_the_benchmark_of_the_loop_starts_a_daemon"),
     ("./tools/bench neural", "test_the_benchmark_of_networks_measures_an_iteration"),
 )
 

@@ -109,6 +109,10 @@ def controlled(tmp_path_factory):
             with contextlib.redirect_stdout(capture):
                 found["shown"] = command("status", "--json"), command("status", "mill")
             found["status of all"] = capture.getvalue()
+            capture = io.StringIO()
+            with contextlib.redirect_stdout(capture):
+                found["monitor"] = command("monitor", "mill", "--once", "--json")
+            found["figures"] = json.loads(capture.getvalue())
             found["readings"] += [watch.live.read()]
             daemon.send_signal(signal.SIGINT)
             until(lambda: found["readings"].append(watch.live.read()) or watch.live.is_over)
@@ -161,6 +165,14 @@ def test_who_looks_from_outside_sees_every_row_as_recorded_and_what_is_in_force(
         )
     assert len(seen) + sum(each.lost for each in readings) == recording["cycle"][-1] - seen[0] + 1
     assert [event.text for each in readings for event in each.events if event.name == "state"][-1] == "done"
+
+
+def test_the_monitor_shows_it(controlled):
+    assert controlled["monitor"] == 0
+    x = controlled["figures"]["axes"]["x"]
+    assert controlled["figures"]["name"] == "mill"
+    assert x["drive_state"] == "operation enabled"
+    assert x["compensation_rms"] > 0.0
 
 
 def test_every_change_is_in_force_and_named(controlled):

@@ -10,6 +10,7 @@ import pytest
 from scipy import signal
 
 from friction_hil.cli import main
+from friction_hil.config import load
 from friction_hil.errors import ConfigurationError
 from friction_hil.identification import Identification, IdentificationSettings, identify
 from friction_hil.identification.data import prepare
@@ -24,7 +25,7 @@ from friction_hil.recordings import Recording
 from tests.coverage_of_errors import AXES, INTERVAL, QUANTITIES, true_values
 from tests.coverage_of_errors import found as coverage
 from tests.coverage_of_errors import shaken as product_shaken
-from tests.machine_recordings import axis_of, true_frequencies
+from tests.machine_recordings import FOLDER, axis_of, record_mechanism, true_frequencies
 from tests.machine_recordings import record as record_machine
 from tests.two_mass_axis import Axis, Side, record, sweeps, there_and_back
 
@@ -166,6 +167,24 @@ def test_a_rigid_axis_has_no_resonance() -> None:
     assert "no resonance from 2 to 150 Hz" in why
 
 
+@pytest.mark.parametrize("moved", ["shoulder", "elbow"])
+def test_the_loops_of_an_axis_that_is_held_are_no_coupling(moved: str) -> None:
+    """The links are rigid; the other joint gives way under the inertial forces, as far as its loops let it."""
+    bounds = load(FOLDER / "two_link_arm.yaml").axes[moved].experiment
+    assert bounds is not None
+    plan = multisine.plan(bounds.velocity, bounds.travel, period_s=1e-3, duration_s=16.0)
+    recorded = record_mechanism("two_link_arm", moved, multisine.multisine_path(plan), plan.duration_s)
+    own = recorded.pop(moved)
+    [other] = recorded.values()
+    segments = prepare(own)
+    beside = [np.interp(each.time_s, other["time_s"], other["position"])[:, None] for each in segments]
+    alone, both = (frequency_response(segments, beside=each) for each in (None, beside))
+    assert alone is not None
+    assert both is not None
+    assert fit_resonance(alone)[0] is not None
+    assert fit_resonance(both)[0] is None
+
+
 def test_slow_strokes_excite_no_response() -> None:
     response = response_of(without_load(record(Axis(), there_and_back(1.0, 1.5, 12.0))))
     assert response is None or fit_resonance(response)[0] is None
@@ -209,6 +228,16 @@ def test_backlash_is_found_from_the_motor_alone() -> None:
         assert error is not None
         assert abs(values[name] - expected[name]) < 4.0 * error, name
         assert error < 0.1 * expected[name], name
+
+
+def test_a_weight_that_holds_a_gap_closed_is_named() -> None:
+    plain = excited(RIGID_LUGRE)
+    settings = IdentificationSettings(families=("coulomb",), has_modifiers=False, refine=False)
+    recording = Recording(plain.path, plain.axis, {**plain.columns, "torque": plain["torque"] + 0.5})
+    mechanics = find_mechanics([recording], identify([recording], settings))
+    [why] = (each.missing for each in mechanics.quantities if each.key == "backlash")
+    assert "such as a weight, holds the load against one side" in why
+    assert "record strokes" in why
 
 
 def test_with_the_position_of_the_load_each_side_is_known() -> None:

@@ -10,10 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from friction_hil.errors import FrictionHilError
 from friction_hil.recordings import formats, read, write
-from tools.benchmarks import exchange, latency, models, neural, recordings
+from tools.benchmarks import exchange, export, latency, loop, models, neural, recordings
 from tools.benchmarks.report import Row, compare, percentile, show
 
 PROJECT = Path(__file__).parents[2]
@@ -364,7 +365,9 @@ def test_unknown_benchmark_is_answered_with_what_there_is() -> None:
     command = [sys.executable, "-m", "tools.benchmarks", "latenzy"]
     done = subprocess.run(command, cwd=PROJECT, capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (2, "")
-    assert "did you mean 'latency'? There are: compensation, exchange, export, help, latency, models" in done.stderr
+    assert (
+        "did you mean 'latency'? There are: compensation, exchange, export, help, latency, loop, models" in done.stderr
+    )
     assert ", recordings, serial, servo, tune\n" in done.stderr
 
 
@@ -417,6 +420,19 @@ def test_the_benchmark_of_the_exchange_times_each_part(monkeypatch: pytest.Monke
         "whole cycle",
         "mailbox without news",
     ]
+
+
+def test_the_benchmark_of_exports_compares_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(export, "SAMPLES", 1000)
+    assert all(row.value > 0.0 and row.reference is not None for row in export.run())
+
+
+def test_the_benchmark_of_the_loop_starts_a_daemon(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(loop, "STARTS", 1)
+    done = CliRunner().invoke(loop.command, ["start", "--json"])
+    assert done.exit_code == 0, done.output
+    ready, enabled = json.loads(done.stdout)["rows"]
+    assert 0.0 < ready["value"] < enabled["value"]
 
 
 def test_benchmark_of_recordings_compares_equal_work(tmp_path: Path) -> None:
