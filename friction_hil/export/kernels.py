@@ -104,6 +104,8 @@ INTRINSICS: dict[Any, Any] = {
     elementary.part: _part,
     elementary.whole: _whole,
     **{getattr(math, name): lambda *values, name=name: function(name, list(values)) for name in FUNCTIONS},
+    np.sin: lambda value: function("sin", [value]),
+    np.cos: lambda value: function("cos", [value]),
 }
 
 # Functions that are compiled from another source than the one that Python runs

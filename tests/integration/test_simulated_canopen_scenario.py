@@ -53,11 +53,11 @@ def test_a_drive_with_a_vendors_eds_and_slow_manners_runs(tmp_path: Path) -> Non
 
 
 def test_an_event_comes_in_the_same_cycle_of_every_run(tmp_path: Path) -> None:
-    path = scene(tmp_path, events=[{"at_s": 0.8, "do": "pre_operational"}], sdo_delay_s=0.001)
+    path = scene(tmp_path, events=[{"at_s": 0.6, "do": "pre_operational"}], sdo_delay_s=0.001)
     runs = []
     for _ in range(2):
         with simulated_drives(path):
-            result, done = run_daemon(path, "--duration", 2, check=False)
+            result, done = run_daemon(path, "--duration", 1, check=False)
         assert done.returncode != 0
         assert "FH-232" in done.stderr + done.stdout
         runs.append(result["cycles"])
