@@ -269,7 +269,7 @@ def test_a_person_at_a_browser_sees_the_daemon_and_changes_it(served, tmp_path):
 
         for is_dark in (False, True):
             page.resize(360, is_dark=is_dark)
-            assert page.get("document.documentElement.scrollWidth") == 360
+            page.until("document.documentElement.scrollWidth === 360", 10.0)  # once charts have taken their new size
         names = "[...document.querySelectorAll('button, input, select')].filter((each) => each.checkVisibility())"
         unnamed = names + ".filter((each) => !each.textContent && !each.labels?.length && !each.ariaLabel).length"
         assert page.get(unnamed) == 0
