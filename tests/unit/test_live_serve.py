@@ -10,10 +10,11 @@ import time
 import pytest
 
 from friction_hil.cli import main
+from friction_hil.cli.work import live
 from friction_hil.live.web import serve as serving
 from friction_hil.live.web.feed import Feed
 from friction_hil.live.web.serve import Serving, serve
-from tests.unit.test_live import Daemon, folder, polled  # noqa: F401  a fixture
+from tests.unit.test_live import Daemon, folder  # noqa: F401  a fixture
 
 TOKEN = "a-token-of-this-test-0123456789"
 
@@ -148,3 +149,22 @@ def test_a_port_that_is_in_use_is_named_with_what_to_do(capsys):
     assert main(["live", "mill", "--host", "nowhere.invalid"]) == 2
     assert "the page cannot be served at nowhere.invalid:8080" in capsys.readouterr().err
     assert main(["live", "../mill"]) == 2
+
+
+def test_extras_that_are_missing_are_named_with_the_command_that_brings_them(capsys, monkeypatch):
+    monkeypatch.setattr(live, "find_spec", lambda name: None if name in ("uvicorn", "foxglove") else name)
+    assert main(["live", "mill"]) == 2
+    assert "the page needs uvicorn: pip install 'friction-hil[dashboard]'" in capsys.readouterr().err
+    assert main(["live", "mill", "--foxglove", "0"]) == 2
+    assert "the Foxglove WebSocket needs foxglove: pip install 'friction-hil[live]'" in capsys.readouterr().err
+
+
+def test_the_token_of_a_file_is_not_printed_and_that_of_a_descriptor_is(folder, tmp_path, capfd, monkeypatch):  # noqa: F811
+    file = tmp_path / "token"
+    file.write_text(TOKEN)
+    file.chmod(0o600)
+    monkeypatch.setattr(serving, "serve", lambda given, ending, report: report(str(given.token_file)))
+    with open(file, encoding="ascii") as opened:
+        for path in (str(file), f"/proc/self/fd/{opened.fileno()}"):
+            assert main(["live", "mill", "--port", "0", "--token-file", path]) == 0
+    assert capfd.readouterr().out.splitlines() == [str(file), "None"]
