@@ -104,7 +104,7 @@ class Watch:
     def _ask(self) -> "Live | None":
         """Ask once, and look for the answer from then on: a daemon answers when it has started."""
         if self._question is None:
-            path = next((each for each in candidates(self._name) if each.exists()), None)
+            path = next((each for each in candidates(self._name) if os.path.exists(each)), None)
             if path is None:
                 return None
             self._question = path, _identity(path), Question(path, _REQUEST)

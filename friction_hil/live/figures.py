@@ -33,6 +33,9 @@ _UNTIMED = (LoopState.IDLE, LoopState.WAITING)  # nothing moves, and no missed p
 class LiveFigures:
     """Figures of a daemon.
 
+    Compiles what it needs, which takes a while for the first time on a machine: make it before the first
+    `friction_hil.live.Live.read`, so that no rows are lost meanwhile.
+
     Parameters
     ----------
     facts : LiveFacts
@@ -118,6 +121,7 @@ class _AxisFigures:
         self._last = dict.fromkeys(_LAST, math.nan)
         self._error = math.nan
         self._settings: Settings | None = None
+        self._friction.compile(facts.configuration["axes"][name]["model"])
 
     def take(self, rows: Rows, settings: Settings, lost: int) -> None:
         if self._settings is None or settings.change != self._settings.change:
@@ -140,8 +144,9 @@ class _AxisFigures:
 
     def snapshot(self, *, is_known: bool) -> AxisSnapshot:
         assert self._settings is not None
-        last, settings = self._last, self._settings.axes[self._name]
-        state = _drive_state(last, is_known=is_known)
+        last = self._last if is_known else dict.fromkeys(_LAST, math.nan)
+        settings = self._settings.axes[self._name]
+        state = _drive_state(last)
         measured, estimated = last["temperature"], last["temperature_estimate"]
         friction = settings.model["friction"]
         return AxisSnapshot(
@@ -152,7 +157,7 @@ class _AxisFigures:
             is_powered=None if state is DriveState.UNKNOWN else state.is_powered,
             **{name: last[name] for name in _LAST[:7]},
             temperature=estimated if math.isfinite(estimated) else measured,
-            error=self._error,
+            error=self._error if is_known else math.nan,
             without=self._errors.figures(Condition.WITHOUT),
             compensated=self._errors.figures(Condition.WITH),
             compensation_rms=_rms(self._compensation.values()),
@@ -166,10 +171,10 @@ class _AxisFigures:
         )
 
 
-def _drive_state(last: "dict[str, float]", *, is_known: bool) -> DriveState:
+def _drive_state(last: "dict[str, float]") -> DriveState:
     """Return the state of a drive as it was read back in the last row; unknown if nothing was."""
     state = last["drive_state"]
-    is_read = is_known and last["is_fresh"] == 1.0 and math.isfinite(state)
+    is_read = last["is_fresh"] == 1.0 and math.isfinite(state)
     return DriveState(int(state)) if is_read else DriveState.UNKNOWN
 
 

@@ -71,7 +71,7 @@ class FrictionTracer:
     """
 
     def __init__(self, axis: str, period_s: float, window_s: float, *, has_torque: bool) -> None:
-        self._axis = axis
+        self._axis, self._period_s = axis, period_s
         self._overlap = max(round(_OVERLAP_S / period_s), _LEAST_OVERLAP)
         self._block = 2 * self._overlap
         self._done_s = -np.inf  # time up to which rows have been prepared
@@ -82,6 +82,19 @@ class FrictionTracer:
         self._has_torque = has_torque
         self._model: ModelFile | None = None
         self._curve: tuple[float, tuple[Array, Array]] | None = None
+
+    def compile(self, model: Mapping[str, Any]) -> None:
+        """Have the code compiled that a model and the preparation of rows need, by a motion that is then dropped."""
+        count = 3 * self._overlap
+        at_s = np.arange(count) * self._period_s
+        self.use(model)
+        if self._has_torque:
+            self._rows = np.stack([at_s, at_s, np.ones(count), np.ones(count)], axis=1)
+            self._prepare()
+        self._steady(1.0)
+        self._rows, self._new, self._done_s = self._rows[:0], 0, -np.inf
+        self._model = self._curve = None
+        self._points.clear()
 
     def use(self, model: Mapping[str, Any]) -> None:
         """Take another model: another inertia gives another friction, so what was measured is dropped."""

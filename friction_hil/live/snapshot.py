@@ -1,11 +1,8 @@
 """Figures of a daemon at a moment, as monitor, dashboard and metrics show them."""
 
-import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
-
-import numpy as np
 
 from friction_hil.live.following_error import ErrorFigures
 from friction_hil.live.friction_map import FrictionMap
@@ -35,7 +32,7 @@ class AxisSnapshot:
     is_powered : bool or None
         The drive may produce torque; None if its state is unknown.
     position, velocity, torque, position_demand, velocity_demand, compensation, command : float
-        In the last row.
+        In the last row; NaN while the loop stands, and when it is over.
     temperature : float
         Temperature that the friction model was given, or that was measured, deg C.
     error : float
@@ -127,18 +124,3 @@ class Snapshot:
     warnings: tuple[Message, ...]
     notices: tuple[Message, ...]
     axes: Mapping[str, AxisSnapshot]
-
-    def plain(self) -> dict[str, Any]:
-        """Return the figures as values that JSON can hold; null for what is not finite."""
-        found: dict[str, Any] = _plain(asdict(self))
-        return found
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, Mapping):
-        return {key: _plain(each) for key, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(each) for each in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -222,7 +222,7 @@ class _Tuner:
             held = dict(self._shaken.get(name, {}))
             shaken = [held.pop(name)] if held else []
             mechanics = self._mechanics[name] = find_mechanics([recording], found[0], shaken=shaken, held=held)
-        for line in mechanics.lines:
+        for line in (*mechanics.lines, *mechanics.notes):
             self._dialog.report(f"{name}: {line}")
         for flag in mechanics.flags:
             self._dialog.report(f"{name}: {flag}")

@@ -5,11 +5,13 @@ import math
 import os
 import threading
 import time
+from dataclasses import asdict
 
 import numpy as np
 import pytest
 
 from friction_hil import errors
+from friction_hil.cli.output import to_json
 from friction_hil.config import self_contained
 from friction_hil.daemon.control.desk import Desk
 from friction_hil.daemon.control.job import ControlJob
@@ -22,7 +24,7 @@ from friction_hil.daemon.figures import SETTLE_S
 from friction_hil.daemon.ring import RingWriter
 from friction_hil.daemon.safety import LoopState
 from friction_hil.drive import DriveState
-from friction_hil.live import LiveFacts, LiveFigures, Reading, Rows, Settings, Watch, attach
+from friction_hil.live import LiveFacts, LiveFigures, Reading, Rows, Settings, Watch, attach, friction_map
 from friction_hil.live.reading import AxisSettings, LiveEvent
 from friction_hil.recordings import columns
 from tests.servo_drives import axis_dict, configuration
@@ -137,7 +139,22 @@ def test_a_loop_that_stands_proves_nothing_of_its_drives_and_json_has_no_nan():
     figures.take(reading(rows(0), stands=True))
     shown = figures.snapshot()
     assert (shown.state, shown.axes["x"].drive_state, shown.axes["x"].is_powered) == ("unknown", "unknown", None)
-    assert json.loads(json.dumps(shown.plain(), allow_nan=False))["axes"]["x"]["torque"] is None
+    assert math.isnan(shown.axes["x"].position)  # the last one is no present one
+    assert math.isnan(shown.axes["x"].error)
+    assert json.loads(json.dumps(to_json(asdict(shown)), allow_nan=False))["axes"]["x"]["position"] is None
+
+
+def test_code_is_compiled_before_the_first_rows_are_read(monkeypatch):
+    called = []
+    for name in ("steady_curve", "replay_segments"):
+        function = getattr(friction_map, name)
+        monkeypatch.setattr(
+            friction_map, name, lambda *given, _name=name, _function=function: called.append(_name) or _function(*given)
+        )
+    figures = LiveFigures(facts())
+    assert sorted(called) == ["replay_segments", "steady_curve"]
+    figures.take(reading(rows(0)))
+    assert figures.snapshot().axes["x"].friction.note == "no motion yet"  # of that nothing is left
 
 
 @pytest.fixture
@@ -159,10 +176,11 @@ class Daemon:
         desk = Desk(job, self.ring.descriptor, MailboxReader(room(1)).descriptor, self.journal)
         self.answer = desk.answer
 
-    def push(self, count):
+    def push(self, count, **values):
         for _ in range(count):
             row = np.full(len(columns.NAMES) + 2, math.nan)
-            row[columns.NAMES.index("cycle")] = self.ring.rows_pushed
+            for name, value in {"cycle": self.ring.rows_pushed, **values}.items():
+                row[columns.NAMES.index(name)] = value
             self.ring.push(row)
 
     def serve(self):

@@ -11,6 +11,7 @@ from friction_hil.config.live import HOST
 from friction_hil.daemon.control.names import socket_path
 from friction_hil.errors import UsageError
 
+_DESCRIPTORS = Path("/proc/self/fd")  # a token that 'run' made: there is no file in which its user could find it
 _NEEDED = {
     "the page": ("dashboard", ("starlette", "uvicorn", "prometheus_client")),
     "the Foxglove WebSocket": ("live", ("foxglove",)),
@@ -39,7 +40,8 @@ def live(
     from friction_hil.live.web.token import new_token, token_of
 
     token = new_token() if token_file is None else token_of(token_file)
-    serving = Serving(name, port, foxglove, host, tuple(allow_hosts), token)
+    is_named = token_file is not None and token_file.parent != _DESCRIPTORS
+    serving = Serving(name, port, foxglove, host, tuple(allow_hosts), token, token_file if is_named else None)
     ending = threading.Event()
     if exit_with_stdin:
         threading.Thread(target=_await_end, args=(ending,), daemon=True).start()

@@ -4,13 +4,18 @@ import contextlib
 import json
 import os
 import select
+import signal
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from types import FrameType
 
+from friction_hil.cli.output import to_json
 from friction_hil.cli.work.monitor_screen import brief_line, screen, waiting_screen
 from friction_hil.daemon.control.names import running, socket_path
 from friction_hil.errors import FrictionHilError, UsageError
+from friction_hil.interrupts import Interrupted, interrupt
 from friction_hil.live import Live, LiveFigures, Snapshot, Watch, attach
 
 _FRAME_S, _LINE_S = 0.25, 1.0
@@ -28,12 +33,16 @@ def monitor(*, name: str | None, window_s: float, once: bool, as_json: bool) -> 
     if once:
         with attach(name) as live:
             return _show_once(live, window_s, as_json=as_json)
-    with Watch(name) as watch, contextlib.suppress(KeyboardInterrupt):
+    with Watch(name) as watch:
         view = _View(watch, window_s)
-        if as_json or not os.isatty(_OUTPUT):
-            _follow(name, view, as_json=as_json)
-        else:
-            _show(name, view)
+        try:
+            if as_json or not os.isatty(_OUTPUT):
+                _follow(name, view, as_json=as_json)
+            else:
+                _show(name, view)
+        except Interrupted as error:
+            if error.number != signal.SIGINT:
+                raise
     return 0
 
 
@@ -115,6 +124,8 @@ def _show(name: str, view: _View) -> None:
     """Show the screen until the user presses q."""
     chosen, last = 0, None
     with _terminal() as has_keys:
+        size = _size()  # the first look may take a while: code is compiled
+        _draw(waiting_screen(name, last, size.columns, size.lines, is_coloured=_is_coloured()))
         while True:
             shown = view.look()
             last = shown or last
@@ -123,7 +134,7 @@ def _show(name: str, view: _View) -> None:
                 lines = waiting_screen(name, last, size.columns, size.lines, is_coloured=_is_coloured())
             else:
                 lines = screen(shown, size.columns, size.lines, chosen, is_coloured=_is_coloured(), is_live=True)
-            _write("\x1b[H" + "\r\n".join(f"{line}\x1b[K" for line in lines) + "\x1b[J")
+            _draw(lines)
             keys = _keys(has_keys)
             if "q" in keys:
                 return
@@ -141,16 +152,34 @@ def _terminal() -> Iterator[bool]:
 
         has_keys = os.isatty(0)
         before = termios.tcgetattr(0) if has_keys else None
-        try:
+
+        def begin() -> None:
             if has_keys:
                 tty.setcbreak(0)
             _write(_BEGIN)
-            yield has_keys
-        finally:
+
+        def end() -> None:
             with contextlib.suppress(OSError):
                 _write(_END)
             if before is not None:
                 termios.tcsetattr(0, termios.TCSADRAIN, before)
+
+        def pause(number: int, frame: FrameType | None) -> None:
+            """Give the terminal back while the shell has it, after Ctrl-Z."""
+            end()
+            os.kill(os.getpid(), signal.SIGSTOP)
+            begin()  # goes on here, in the foreground again
+
+        former = {each: signal.getsignal(each) for each in (signal.SIGTSTP, signal.SIGTERM)}
+        try:
+            signal.signal(signal.SIGTSTP, pause)
+            signal.signal(signal.SIGTERM, interrupt)
+            begin()
+            yield has_keys
+        finally:
+            end()
+            for each, handler in former.items():
+                signal.signal(each, handler)
 
 
 def _keys(has_keys: bool) -> str:
@@ -160,11 +189,18 @@ def _keys(has_keys: bool) -> str:
         return ""
     if not select.select([0], [], [], _FRAME_S)[0]:
         return ""
-    return os.read(0, 64).decode("ascii", "replace") or "q"
+    try:
+        return os.read(0, 64).decode("ascii", "replace") or "q"
+    except OSError:
+        return "q"
+
+
+def _draw(lines: Sequence[str]) -> None:
+    _write("\x1b[H" + "\r\n".join(f"{line}\x1b[K" for line in lines) + "\x1b[J")
 
 
 def _json(shown: Snapshot) -> str:
-    return json.dumps(shown.plain(), ensure_ascii=False, allow_nan=False)
+    return json.dumps(to_json(asdict(shown)), ensure_ascii=False, allow_nan=False)
 
 
 def _size() -> os.terminal_size:

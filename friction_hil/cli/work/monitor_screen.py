@@ -195,7 +195,7 @@ def _friction(axis: AxisSnapshot, name: str, width: int, height: int) -> list[Li
     title: Line = [(f"friction of {name} over velocity", "bold")]
     if found.note:
         return [title, [(shortened(found.note, width), "")]]
-    title += [(f"{_GAP}{_MEASURED} measured", "cyan"), (f"{_GAP}⠒ {axis.model}", "yellow")]
+    title += [(f"{_GAP}{_MEASURED} measured", "cyan"), (f"{_GAP}⠒ {printable(axis.model)}", "yellow")]
     fastest, highest = _reach(found)
     rows, columns = height - 2, width
     canvas = _canvas(found.curve_velocity / fastest, found.curve_torque / highest, columns, rows)

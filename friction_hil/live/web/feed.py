@@ -55,11 +55,14 @@ class Feed:
     def run(self, ending: threading.Event) -> None:
         """Read until ``ending`` is set."""
         tick = 0
+        self._report(f"waiting for {self._name}")
         with Watch(self._name) as watch:
             while not ending.wait(_TICK_S):
                 try:
                     live = watch.poll()
                 except FrictionHilError as error:
+                    if str(error) != self._reason:
+                        self._report(str(error))
                     self._lose(str(error))
                     continue
                 if live is not None and self._watched is None:
@@ -101,18 +104,21 @@ class Feed:
         Raises
         ------
         UsageError
-            A model is not among the files beside the configuration: a page does not read any other file.
+            A model is not among the files beside the configuration: a page does not read any other file. Or no daemon
+            is attached, whose files they are.
         """
         with self._lock:
-            watched = self._watched
-        if not isinstance(values, dict) or watched is None:
+            watched, reason = self._watched, self._reason
+        if watched is None:
+            raise UsageError(reason)
+        if not isinstance(values, dict):
             return values
         found = dict(values)
         for key, value in values.items():
             axis, _, rest = str(key).partition(".")
             if rest == "model" and axis in watched.live.facts.axes:
                 files = watched.models(axis)
-                if value not in files:
+                if not isinstance(value, str) or value not in files:
                     raise UsageError(
                         f"{key}: {value!r} is no model file beside the configuration; {choices(str(value), files)}"
                     )

@@ -2,19 +2,23 @@
 
 import asyncio
 import contextlib
+import os
 import signal
 import socket
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from friction_hil.errors import UsageError
 from friction_hil.live.web.feed import Feed
+from friction_hil.printable import printable
 
 _LOOK_S = 0.1
 _MOST_CONNECTIONS = 64
 _MOST_HEAD = 16384  # bytes of a request's head
+_MOST_HEAD_S = 10.0  # until the first request of a connection is there
 _END_S = 1  # for connections that are open when the server ends
 
 
@@ -33,6 +37,8 @@ class Serving:
     allow_hosts : tuple of str
         Further names by which the page may be called.
     token : str
+    token_file : Path or None
+        File in which the user finds the token; None: it is printed.
     """
 
     name: str
@@ -41,6 +47,7 @@ class Serving:
     host: str
     allow_hosts: tuple[str, ...]
     token: str
+    token_file: Path | None = None
 
 
 def serve(serving: Serving, ending: threading.Event, report: Callable[[str], None]) -> None:
@@ -64,7 +71,7 @@ def serve(serving: Serving, ending: threading.Event, report: Callable[[str], Non
         if foxglove is not None:
             report(f"Foxglove WebSocket: ws://{HOST}:{foxglove.port}")
         feed = Feed(serving.name, foxglove, report)
-        thread = threading.Thread(target=feed.run, args=(ending,), daemon=True)
+        thread = _Reader(feed, ending)
         for number in (signal.SIGINT, signal.SIGTERM):
             stack.callback(signal.signal, number, signal.getsignal(number))
             signal.signal(number, lambda *_: ending.set())
@@ -75,16 +82,57 @@ def serve(serving: Serving, ending: threading.Event, report: Callable[[str], Non
         else:
             asyncio.run(_serve_page(serving, listening, feed, thread, ending))
         thread.join(_END_S)
+        if thread.failure is not None:
+            raise thread.failure
+
+
+class _Reader(threading.Thread):
+    """Thread of the feed. If it fails nothing is served any more, because what pages show would not be live.
+
+    Attributes
+    ----------
+    failure : BaseException or None
+    """
+
+    def __init__(self, feed: Feed, ending: threading.Event) -> None:
+        super().__init__(daemon=True)
+        self._feed, self._ending = feed, ending
+        self.failure: BaseException | None = None
+
+    def run(self) -> None:
+        try:
+            self._feed.run(self._ending)
+        except BaseException as error:  # noqa: BLE001  `serve` raises it
+            self.failure = error
+        finally:
+            self._ending.set()
 
 
 async def _serve_page(
     serving: Serving, listening: socket.socket, feed: Feed, thread: threading.Thread, ending: threading.Event
 ) -> None:
     import uvicorn  # imported here: it is an extra
+    from uvicorn.protocols.http.h11_impl import H11Protocol
 
     from friction_hil.live.web.app import make_app
     from friction_hil.live.web.gate import Gate, is_loopback
     from friction_hil.live.web.hub import Hub
+
+    class Connection(H11Protocol):
+        """Connection that is closed if there are too many, or if no request comes: uvicorn would keep it."""
+
+        cycle: Any  # None before the first request
+
+        def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+            super().connection_made(transport)
+            if len(self.connections) > _MOST_CONNECTIONS:
+                transport.abort()
+            else:
+                self.loop.call_later(_MOST_HEAD_S, self._expect_request)
+
+        def _expect_request(self) -> None:
+            if self.cycle is None:
+                self.transport.abort()
 
     class Server(uvicorn.Server):
         @contextlib.contextmanager
@@ -97,7 +145,7 @@ async def _serve_page(
     gate = Gate(serving.token, names, is_reading_free=is_loopback(serving.host))
     config = uvicorn.Config(
         make_app(_Board(hub, feed), gate),
-        http="h11",
+        http=Connection,
         ws="none",
         lifespan="off",
         log_level="error",
@@ -133,7 +181,9 @@ def _listen(host: str, port: int) -> socket.socket:
         family, _, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0]
         return socket.create_server(address[:2], family=family)
     except OSError as error:
-        text = f"the page cannot be served at {host}:{port}: {error.strerror or error}"
+        # asyncio's and socket's own words repeat the address
+        reason = error.strerror if isinstance(error, socket.gaierror) else os.strerror(error.errno or 0)
+        text = f"the page cannot be served at {host}:{port}: {reason}"
         raise UsageError(text, "take another --port or --host") from None
 
 
@@ -143,7 +193,10 @@ def _announce_page(serving: Serving, listening: socket.socket, report: Callable[
     port = listening.getsockname()[1]
     host = socket.gethostname() if serving.host in ("0.0.0.0", "::", "") else serving.host
     host = f"[{host}]" if ":" in host else host
-    report(f"page: http://{host}:{port}/#token={serving.token}")
+    if serving.token_file is None:
+        report(f"page: http://{host}:{port}/#token={serving.token}")
+    else:
+        report(f"page: http://{host}:{port}/ (its token is in {printable(str(serving.token_file))})")
     if not is_loopback(serving.host):
         report(
             "note: it can be reached from other machines, and what is sent can be read on the way; safer is loopback "

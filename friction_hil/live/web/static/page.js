@@ -5,6 +5,7 @@ import { follow, hasToken, post, useToken } from "./server.js";
 
 const MOST_EVENTS = 100;
 const LONG = 60; // characters of a value that gets a line of its own
+const SILENT_MS = 3000; // without figures, which come twice a second: then nothing here is live
 const CALM_MS = 1000; // between two drawings where motion is to be reduced
 
 const at = (id) => document.getElementById(id);
@@ -14,6 +15,7 @@ let circle = null;
 let windowS = 20;
 let isPaused = false;
 let drawnMs = -Infinity;
+let figuresMs = -Infinity;
 const calm = matchMedia("(prefers-reduced-motion: reduce)");
 
 function element(tag, text = "", className = "") {
@@ -180,6 +182,7 @@ const handlers = {
     at("events").replaceChildren();
     at("no-events").hidden = false;
     showFaults([]);
+    figuresMs = performance.now();
     showLive("yes");
   },
 
@@ -192,6 +195,7 @@ const handlers = {
   },
 
   figures(message) {
+    figuresMs = performance.now();
     if (message.stands) {
       showLive("ended", "No data: the loop of the daemon stands; it has written no row for a second.");
       return;
@@ -229,7 +233,10 @@ const handlers = {
     showLive("ended", `No data: ${message.reason}. Nothing on this page is live.`);
   },
 
-  alive() {},
+  alive() {
+    if (document.body.dataset.live !== "yes" || performance.now() - figuresMs < SILENT_MS) return;
+    showLive("lost", "No data: the server of this page does not get any. Nothing on this page is live.");
+  },
 };
 
 function showFaults(faults) {
