@@ -67,15 +67,6 @@ def test_torque_may_end_in_a_step_only_where_the_power_ends_too(torque: float, w
     assert len(one.broken) == count
 
 
-def test_on_a_line_a_command_that_was_dropped_leaves_its_step_to_the_next() -> None:
-    one = Witness(Limits(torque=300.0, step=50.0, period_s=0.01))
-    for time_s, torque in ((0.0, 0.0), (0.02, 100.0), (0.031, 150.0)):
-        one.command(time_s, torque, ENABLE)
-    assert (one.broken, one.largest_step) == ([], 50.0)
-    one.command(0.041, 202.0, ENABLE)
-    assert "step of 52.0" in one.broken[0]
-
-
 def test_times_are_those_of_the_last_change() -> None:
     one = witness()
     one.command(1.0, 20.0, ENABLE)
