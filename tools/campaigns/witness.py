@@ -44,6 +44,8 @@ class Witness:
         Time of the command or write since which the torque that the drive was given is zero; 0: from the start.
     unpowered_since_s : float or None
         Time of the frame since which the drive has no power.
+    unread : int
+        Frames or telegrams that may be commands, and that could not be read.
     broken : list of str
         Limits that a command broke, the first ones in words.
     """
@@ -52,6 +54,7 @@ class Witness:
     largest_torque: float = 0.0
     largest_step: float = 0.0
     commands: int = 0
+    unread: int = 0
     torque: float = 0.0
     controlword: int | None = None
     zero_since_s: float | None = 0.0
