@@ -21,6 +21,7 @@ import click
 
 from friction_hil import __version__
 from friction_hil.cli.colour import echo_labelled, echo_problem
+from friction_hil.cli.quick_imports import keep_asammdf_out_of_can
 from friction_hil.errors import ConfigurationError, FrictionHilError, choices
 from friction_hil.interrupts import interruptible
 from friction_hil.printable import PrintableStream
@@ -135,6 +136,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # fifth of a short command's time.
     gc.set_threshold(50_000, 20, 50)
     atexit.register(gc.freeze)
+    keep_asammdf_out_of_can()
     return exit_status(application, arguments, "friction-hil")
 
 

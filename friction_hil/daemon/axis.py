@@ -317,7 +317,7 @@ class AxisLoop:
         if fault is None and compensator.is_faulty:
             text = f"{self.name}: the friction model gave a torque that is not finite"
             fault = FaultCode.MODEL_NOT_FINITE.append_to(text)
-        self._command.write(command, state, time_s, position, estimate, setpoint, compensation, feedback.state)
+        self._command.write(command, state, time_s, position, estimate, setpoint, compensation, feedback)
         if state is LoopState.FIRST_MOTION and self._first_motion is not None:
             for _ in range(missed):
                 self._first_motion.take(math.nan, math.nan, is_usable=False)

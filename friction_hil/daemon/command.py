@@ -8,7 +8,7 @@ from friction_hil.daemon.assembly import make_controller
 from friction_hil.daemon.motion import AxisMotion
 from friction_hil.daemon.safety import MOVING, LoopState, SafetyLimits
 from friction_hil.daemon.static_torque import StaticTorque, static_torque
-from friction_hil.drive import Command, DriveState, Mode
+from friction_hil.drive import Command, DriveState, Feedback, Mode
 from friction_hil.motion.controller import cascade
 from friction_hil.motion.trajectory import Setpoint
 
@@ -26,6 +26,10 @@ class CommandWriter:
     drive receives, with the torque of the loop's own controller (CST) and the feed-forward of gravity and offset: from
     zero at each enabling, and in steps of one period even after missed ones. Both call
     `friction_hil.compensator.limiter.limit_torque`.
+
+    A torque whose command the driver reports as lost (`Feedback.is_setpoint_lost`) may or may not be in the drive. The
+    next one stays within a step of it and of all that the drive may have instead, so that neither the drive nor the
+    wire sees more than one step.
 
     Parameters
     ----------
@@ -50,12 +54,14 @@ class CommandWriter:
         "_error_left",
         "_fade_left_s",
         "_fade_s",
+        "_highest",
         "_integral",
         "_is_held_by_loop",
         "_largest_step",
         "_last_static",
         "_lead_s",
         "_limits",
+        "_lowest",
         "_mode",
         "_motion",
         "_period_s",
@@ -81,6 +87,7 @@ class CommandWriter:
         self._is_held_by_loop = False  # the loop's own controller (cst) has carried the axis up to now
         self._error_left = 0.0  # following error with which it came to rest
         self._torque = 0.0
+        self._lowest = self._highest = 0.0  # of what the drive may have
         self.offset_sent = (0.0, 0.0)
         self.held_position = math.nan
 
@@ -105,7 +112,7 @@ class CommandWriter:
         velocity: float,
         now: Setpoint | None,
         compensation: float,
-        drive_state: DriveState,
+        feedback: Feedback,
     ) -> None:
         """Write set-point and torque; outside of the moving states the axis is held where it is.
 
@@ -126,13 +133,18 @@ class CommandWriter:
             Set-point at the time of the feedback.
         compensation : float
             Torque of the compensator, N m.
-        drive_state : DriveState
-            As last reported.
+        feedback : Feedback
+            State of the drive, and whether the command before was lost.
         """
         command.velocity = 0.0
+        before = self._torque
+        if feedback.is_setpoint_lost:
+            self._lowest, self._highest = min(self._lowest, before), max(self._highest, before)
+        else:
+            self._lowest = self._highest = before
         static = self._static_torque(position, velocity, now)
         if state not in MOVING:
-            self._hold(command, state, position, velocity, compensation, static, drive_state)
+            self._hold(command, state, position, velocity, compensation, static, feedback.state)
         elif self._mode is Mode.CST:
             if now is not None:
                 self._is_held_by_loop, self._error_left, self.held_position = True, now.position - position, position
@@ -181,7 +193,7 @@ class CommandWriter:
         elif state in _ENABLED:
             command.torque = self._limited(static)
         else:
-            self._torque = command.torque = 0.0
+            self._lowest = self._highest = self._torque = command.torque = 0.0
 
     def _static_torque(self, position: float, velocity: float, now: Setpoint | None) -> float:
         """Return the feed-forward of gravity and offset, N m: on the demanded path, without one at the axis."""
@@ -199,8 +211,12 @@ class CommandWriter:
 
     def _limited(self, wanted: float) -> float:
         """Return the torque within limit and slew, and keep it as the last one."""
-        self._torque = limit_torque(wanted, self._torque, self._limits.torque, self._largest_step)
-        return self._torque
+        limit, step = self._limits.torque, self._largest_step
+        torque = limit_torque(wanted, self._lowest, limit, step)
+        if self._highest != self._lowest:  # apart by a step at most: one torque at least is within a step of both
+            torque = limit_torque(torque, self._highest, limit, step)
+        self._torque = torque
+        return torque
 
     def _write_setpoint(self, command: Command, time_s: float, position: float, now: Setpoint) -> None:
         """Write position and velocity; in CSV the velocity includes the loop's own position control."""

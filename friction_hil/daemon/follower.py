@@ -145,7 +145,7 @@ class FollowerAxis(AxisLoop):
             fault = FaultCode.MODEL_NOT_FINITE.append_to(text)
         # without power no torque flows, and none may wait for the moment in which the master enables the drive again
         torque = compensation if is_powered else 0.0
-        self._command.write(command, state, time_s, position, estimate, None, torque, feedback.state)
+        self._command.write(command, state, time_s, position, estimate, None, torque, feedback)
         is_counted = is_operating and state is LoopState.RUNNING
         self._count_follower_error(
             inputs.position_demand - position, missed, is_counted=is_counted, is_usable=is_usable

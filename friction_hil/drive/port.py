@@ -77,7 +77,8 @@ class Feedback:
     missing: str = ""  # reason why nothing fresh came, if the driver knows it
     # False: cyclic commands do not reach the drive any more (node rebooted, lost, not Operational)
     is_reachable: bool = True
-    # the set-point of the cycle before did not get to the drive, as the driver knows: it keeps an earlier one
+    # the command of the cycle before was not sent, or the drive cannot have taken it over: it keeps an earlier one. The
+    # path then waits for it, and the torque goes on from what the drive may have
     is_setpoint_lost: bool = False
     notices: list[str] = field(default_factory=list)  # to be recorded and shown once each; the loop empties it
     # of drives that another controller moves (`Drives.is_follower`)

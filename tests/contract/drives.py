@@ -112,6 +112,16 @@ class DrivesContract:
             assert rig.count_commands() == before
             assert [each.velocity for each in connection.feedback] == [0.0] * len(AXES)
 
+    def test_a_command_that_was_not_written_is_reported_and_no_other(self, rig: Rig) -> None:
+        with Connection(rig, is_enabled=True) as connection:
+            for _ in connection.cycles(20, Request.ENABLE, PUSH):
+                assert connection.written
+                assert not any(each.is_setpoint_lost for each in connection.feedback)
+            rig.silence()
+            for _ in connection.cycles(20, Request.ENABLE, PUSH):
+                is_lost = [each.is_setpoint_lost for each in connection.feedback]
+                assert all(is_lost) == (connection.written == 0)
+
     def test_enabling_takes_one_step_after_the_other(self, rig: Rig) -> None:
         with Connection(rig) as connection:
             connection.run(3, Request.LISTEN)

@@ -139,6 +139,7 @@ class Connection:
         self.feedback = [Feedback() for _ in AXES]
         self._commands = [Command() for _ in AXES]
         self.facts: tuple[AxisFacts, ...] = ()
+        self.written = self._count = 0
 
     def __enter__(self) -> "Connection":
         try:
@@ -165,6 +166,8 @@ class Connection:
         # where nobody replies, the deadline has passed already: nothing waits
         is_silent = clock.is_real and not self.rig.is_detached
         self.drives.receive(self.feedback, 0 if is_silent else clock.ns + round(PERIOD_S * 1e9))
+        before, self._count = self._count, self.rig.count_commands()
+        self.written = self._count - before  # of the commands of the cycle before, which a poll may carry
         for k, command in enumerate(self._commands):
             command.request = request
             command.position, command.velocity = self.feedback[k].position, 0.0

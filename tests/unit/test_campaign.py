@@ -14,6 +14,7 @@ from tools.campaigns.disturbance import DIRECTIONS, TO_DAEMON, TO_DRIVE, Disturb
 from tools.campaigns.faults import BY_NAME, FAULTS
 from tools.campaigns.judge import judge
 from tools.campaigns.serial_wire import _Direction, crc
+from tools.campaigns.table import Row
 from tools.campaigns.trial import Seen
 from tools.campaigns.witness import Limits, Witness, is_powered, keeps_power
 
@@ -67,15 +68,6 @@ def test_torque_may_end_in_a_step_only_where_the_power_ends_too(torque: float, w
     assert len(one.broken) == count
 
 
-def test_on_a_line_a_command_that_was_dropped_leaves_its_step_to_the_next() -> None:
-    one = Witness(Limits(torque=300.0, step=50.0, period_s=0.01))
-    for time_s, torque in ((0.0, 0.0), (0.02, 100.0), (0.031, 150.0)):
-        one.command(time_s, torque, ENABLE)
-    assert (one.broken, one.largest_step) == ([], 50.0)
-    one.command(0.041, 202.0, ENABLE)
-    assert "step of 52.0" in one.broken[0]
-
-
 def test_times_are_those_of_the_last_change() -> None:
     one = witness()
     one.command(1.0, 20.0, ENABLE)
@@ -102,9 +94,28 @@ def test_judgement() -> None:
     assert "not named" in judge(fault, seen(result=other, status=1)).wrong[0]
     assert "exit status 0" in judge(fault, seen(result=named)).wrong[0]
     assert "90 of 100 rows" in judge(BY_NAME["stop-2"], seen(rows=10)).wrong[0]
+    assert "90 of 100 rows" in judge(BY_NAME["stop-2"], seen(rows=10, errors="the heartbeat was lost")).wrong[0]
+    assert judge(BY_NAME["stop-2"], seen(rows=10, errors="90 rows were lost", status=1)).wrong == []
     powered = seen()
     powered.witness.status(12.0, 0x637)
-    assert judge(BY_NAME["stop-2"], powered).unsafe[1] == "the daemon says switch on disabled"
+    assert "still has power" in judge(BY_NAME["stop-2"], powered).unsafe[0]
+
+
+def test_what_was_saved_by_a_watchdog_killed_or_never_read_is_not_passed() -> None:
+    fault = BY_NAME["stop-2"]
+    assert "left the drive with statusword 0637h" in judge(fault, seen(end_statusword=0x637)).unsafe[0]
+    killed = seen(drives_status=-9)
+    killed.witness.forget_status()
+    assert "does not tell its state" in judge(fault, killed).unsafe[0]
+    blind = seen()
+    blind.witness.unread = 3
+    assert "3 commands could not be read" in judge(fault, blind).unsafe[0]
+    crashed = seen(struck_s=None, status=-11)
+    assert "died of signal 11" in judge(fault, crashed).unsafe[0]
+    early = {**SETTLED, "faults": ["x: velocity is beyond its limit [FH-107]"]}
+    assert "before the fault struck" in judge(fault, seen(struck_s=None, result=early, status=1)).wrong[0]
+    row = Row(fault, [(crashed, judge(fault, seen(struck_s=None)))])
+    assert row.cells()[-1] == "void"
 
 
 def test_disturbances_keep_what_they_do_not_concern() -> None:

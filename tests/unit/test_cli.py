@@ -295,3 +295,12 @@ def test_show_of_a_bad_file_prints_nothing(tmp_path, capsys):
 def test_schema(capsys):
     assert main(["config", "schema"]) == 0
     assert json.loads(capsys.readouterr().out) == json_schema()
+
+
+def test_commands_import_can_without_asammdf_and_leave_it_to_others():
+    code = (
+        "import sys; from friction_hil.cli import main; main(['--help']); import can, can.io.mf4; "
+        "assert 'asammdf' not in sys.modules; import asammdf; print(can.io.mf4.asammdf, can.MF4Writer.__name__)"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.splitlines()[-1] == "None MF4Writer"

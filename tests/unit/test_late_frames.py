@@ -60,8 +60,9 @@ def test_a_frame_of_the_cycle_before_is_neither_a_fault_nor_double_speed(mode):
 class Loop:
     """One axis, fed by hand; `step` returns its fault."""
 
-    def __init__(self, **changes):
-        config = configuration(x=axis(limits=CLOSE | {"following_error": None}, trajectory={"kind": "hold"}, **changes))
+    def __init__(self, torque_slew=CLOSE["torque_slew"], **changes):
+        limits = CLOSE | {"following_error": None, "torque_slew": torque_slew}
+        config = configuration(x=axis(limits=limits, trajectory={"kind": "hold"}, **changes))
         (facts,) = ServoDrives(config).connect()
         self.resolution = facts.position_resolution
         self.one = AxisLoop("x", config.axes["x"], facts, PERIOD_S, PathTime(0.25))
@@ -235,6 +236,39 @@ def test_after_set_points_that_did_not_get_to_the_drive_the_path_goes_on_from_th
     assert run.column("path_lag_s")[lost[-1]] == pytest.approx(count * PERIOD_S)
     smooth = Run(axis(**changes), duration_s=2.0)
     assert np.abs(run.column("velocity_estimate")).max() < 1.15 * np.abs(smooth.column("velocity_estimate")).max()
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.lists(st.tuples(st.floats(-0.5, 0.5), st.booleans()), max_size=60))
+def test_torque_stays_within_a_step_of_all_that_the_drive_may_have(cycles):
+    """A command that is reported as lost may have been on the wire, or in the drive, all the same."""
+    writer, command = Loop(torque_slew=20.0).one._command, Command()
+    had, is_lost = [0.0], False
+    for wanted, is_next_lost in cycles:
+        feedback = Feedback(state=DriveState.OPERATION_ENABLED, is_setpoint_lost=is_lost)
+        writer.write(command, LoopState.RUNNING, 0.0, 0.0, 0.0, None, wanted, feedback)
+        assert all(abs(command.torque - before) <= 20.0 * PERIOD_S * (1.0 + 1e-9) for before in had)
+        is_lost = is_next_lost
+        had = [*had, command.torque] if is_lost else [command.torque]
+
+
+@pytest.mark.parametrize("mode", ["csp", "cst"])
+def test_after_commands_that_did_not_get_to_the_drive_its_torque_makes_one_step(mode):
+    lost = {cycle for start in range(400, 1400, 25) for cycle in range(start, start + 6)}
+
+    def lose(drives):
+        if drives.cycle in lost:
+            drives.pending = [None]
+
+    def report(cycle, feedback):
+        feedback[0].is_setpoint_lost = cycle in lost
+
+    limits = MODES[mode].get("limits", LIMITS) | {"torque_slew": 10.0}
+    run = Run(axis(mode, trajectory=SINE, limits=limits), before=lose, disturb=report, duration_s=1.5)
+    assert run.result.faults == []
+    taken = np.array([torque for cycle, torque in enumerate(run.torques()) if cycle + 1 not in lost])
+    moving = slice(100, len(taken) - 100)
+    assert np.abs(np.diff(taken[moving])).max() == pytest.approx(10.0 * PERIOD_S)
 
 
 def test_two_axes_stay_on_their_circle_over_missed_periods():

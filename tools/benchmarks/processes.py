@@ -12,7 +12,7 @@ PROGRAM = [sys.executable, "-m", "friction_hil"]
 
 
 @contextlib.contextmanager
-def simulated(path: Path) -> Iterator[None]:
+def simulated(path: Path, pace: str = "real") -> Iterator[None]:
     """Run the simulated drives of a configuration in another process.
 
     Raises
@@ -20,7 +20,7 @@ def simulated(path: Path) -> Iterator[None]:
     FrictionHilError
         They did not start.
     """
-    words = [*PROGRAM, "simulate", str(path), "--exit-with-stdin"]
+    words = [*PROGRAM, "simulate", str(path), "--exit-with-stdin", "--pace", pace]
     with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
         assert process.stdin is not None
         assert process.stdout is not None

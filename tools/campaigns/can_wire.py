@@ -24,6 +24,7 @@ from tools.campaigns.witness import Witness
 SYNC = 0x080
 CONTROLWORD, STATUSWORD, TARGET_TORQUE, TORQUE_OFFSET = 0x6040, 0x6041, 0x6071, 0x60B2
 POSITION, TARGET_POSITION = 0x6064, 0x607A
+_RPDOS = (0x200, 0x300, 0x400, 0x500)
 _TORQUES = (TARGET_TORQUE, TORQUE_OFFSET)
 _BUFFER_BYTES = 4 << 20
 _PATIENCE_S = 0.02  # for the answer to a question of the campaign
@@ -127,6 +128,7 @@ class CanWire:
         self._is_sidecar = bool(mapped)
         self._turns = turns
         self._recorder = Recorder(grace=1 << 30)
+        self._known: dict[int, list[int]] = {}  # mappings by identifier, kept over a reboot of the drive
         self._due: list[tuple[float, int, str, Frame]] = []
         self._number = itertools.count()
         self._asked: dict[int, tuple[int, bytes, float]] = {}  # node: index, request, time
@@ -193,6 +195,8 @@ class CanWire:
             return
         values = self._values(frame)
         torque = next((values[index] for index in _TORQUES if index in values), None)
+        if of_daemon and function in _RPDOS and not values:
+            witness.unread += 1
         if of_daemon:
             controlword = values.get(CONTROLWORD, witness.controlword)
             if torque is not None:
@@ -233,8 +237,9 @@ class CanWire:
         node = self._recorder.nodes.get(can_id & 0x7F)
         for pdo in () if node is None else node.pdos.values():
             if pdo.cob_id == can_id and pdo.is_valid and pdo.mapping is not None:
+                self._known[can_id] = pdo.mapping
                 return pdo.mapping
-        return []
+        return self._known.get(can_id, [])
 
     def _turned(self, frame: Frame) -> Frame:
         """Return the frame with the positions that the daemon is to see."""

@@ -60,8 +60,9 @@ def command(tries: int, first: int, seed: int, only: tuple[str, ...], is_listing
     else:
         click.echo(markdown(rows))
         tries, frames = (sum(numbers) for numbers in zip(*((len(row.tries), row.frames) for row in rows), strict=True))
+        void = sum(verdict.is_void for row in rows for _, verdict in row.tries)
         took = f"{time.monotonic() - began_s:.0f} s, seed {seed}"
-        click.echo(f"\n{tries} tries, {frames} frames on the wire, in {took}; {failed or 'none'} failed")
+        click.echo(f"\n{tries} tries, {frames} frames on the wire, in {took}; {failed or 'none'} failed, {void} void")
     return 1 if failed else 0
 
 

@@ -12,6 +12,8 @@ from tools.campaigns.witness import is_powered
 
 _CODE = re.compile(r"\[(FH-\d{3})\]")
 _LATE = "FH-113"  # this computer was busy, which is nobody's fault
+_BUSY = (_LATE, "FH-101", "FH-103", "FH-114", "FH-230", "FH-235", "FH-248")  # daemon or drives were
+_ROWS_LOST = re.compile(r"rows?\b.*\blost\b|\blost\b.*\brows?\b")
 _POWERED = {state.words for state in DriveState if state.is_powered}
 
 
@@ -62,7 +64,11 @@ def judge(fault: Fault, seen: Seen) -> Verdict:
         verdict.unsafe.append(f"traceback: {seen.errors.rstrip().splitlines()[-1]}")
     if seen.struck_s is None:
         verdict.is_void = True
-    if seen.drives_status != -signal.SIGKILL:
+        if seen.status is not None and seen.status < 0:
+            verdict.unsafe.append(f"the daemon died of signal {-seen.status} before the fault")
+    if unread := seen.witness.unread:
+        verdict.unsafe.append(f"{unread} commands could not be read, and were not judged")
+    if fault.killed != "drives" or seen.drives_status != -signal.SIGKILL:
         _judge_end(seen, verdict)
     _judge_exit(fault, seen, faults, verdict)
     _judge_cause(fault, seen, faults, verdict)
@@ -80,12 +86,13 @@ def _judge_end(seen: Seen, verdict: Verdict) -> None:
             verdict.unsafe.append(f"an offset of {witness.torque:g} per mille is left in the drive")
         return
     claimed = str(seen.result.get("drive_states", {}).get("x", ""))
+    first, is_claimed_off = seen.end_statusword, claimed and claimed not in (*_POWERED, DriveState.UNKNOWN.words)
+    if is_claimed_off and first is not None and is_powered(first):  # also if its watchdog has taken it since
+        verdict.unsafe.append(f"the daemon says {claimed}, and left the drive with statusword {first:04X}h")
     if witness.statusword is None:
         verdict.unsafe.append("the drive does not tell its state after the end")
     elif is_powered(witness.statusword):
         verdict.unsafe.append(f"the drive still has power, statusword {witness.statusword:04X}h")
-        if claimed and claimed not in _POWERED and claimed != DriveState.UNKNOWN.words:
-            verdict.unsafe.append(f"the daemon says {claimed}")
 
 
 def _judge_exit(fault: Fault, seen: Seen, faults: list[str], verdict: Verdict) -> None:
@@ -102,6 +109,10 @@ def _judge_exit(fault: Fault, seen: Seen, faults: list[str], verdict: Verdict) -
 
 
 def _judge_cause(fault: Fault, seen: Seen, faults: list[str], verdict: Verdict) -> None:
+    if verdict.is_void and faults and int(seen.result.get("missed", 0)) <= 1:
+        code = (_CODE.findall(faults[0]) or ["none"])[-1]
+        if code not in _BUSY:
+            verdict.wrong.append(f"the run ended before the fault struck: {faults[0]}")
     if verdict.is_void or fault.killed == "daemon":
         return
     said = "\n".join([*faults, *seen.result.get("warnings", ()), *seen.result.get("notices", ()), seen.errors])
@@ -127,7 +138,7 @@ def _judge_rows(fault: Fault, seen: Seen, verdict: Verdict) -> None:
         return
     cycles = int(seen.result.get("cycles", seen.cycles))
     verdict.lost = max(0, cycles - seen.rows)
-    if verdict.lost and not fault.killed and "lost" not in seen.errors:
+    if verdict.lost and not fault.killed and not _ROWS_LOST.search(seen.errors):
         verdict.wrong.append(f"{verdict.lost} of {cycles} rows are missing, and nobody says so")
 
 

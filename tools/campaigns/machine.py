@@ -80,11 +80,7 @@ def make_machine(folder: Path, arena: str, mode: str, events: list[dict[str, Any
         arena,
         mode,
         period_s,
-        Limits(
-            1e3 * TORQUE / RATED_TORQUE,
-            1e3 * TORQUE_SLEW * period_s / RATED_TORQUE,
-            period_s if arena == SERIAL else None,
-        ),
+        Limits(1e3 * TORQUE / RATED_TORQUE, 1e3 * TORQUE_SLEW * period_s / RATED_TORQUE),
         paths[0],
         paths[1],
         daemon_bus,

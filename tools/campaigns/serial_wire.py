@@ -150,6 +150,8 @@ class SerialWire:
     def _forward(self, telegram: bytes) -> None:
         self._is_open = True
         values = self._written(telegram)
+        if not values and not (telegram[1:2] == bytes([READ]) and len(telegram) == 8):
+            self._witness.unread += 1
         if telegram[1] in (READ, READ_WRITE):
             self._read_from = struct.unpack_from(">H", telegram, 2)[0]
         now_s = time.monotonic()

@@ -68,7 +68,8 @@ class Row:
         """Return the figures as text."""
         found = self.figures()
         tries = f"{found['tries']}" + (f" ({found['void']} void)" if found["void"] else "")
-        failed = f"FAIL {found['failed']}" if found["failed"] else "ok"
+        passed = "void" if found["void"] == found["tries"] else "ok"  # nothing was shown
+        failed = f"FAIL {found['failed']}" if found["failed"] else passed
         return [
             found["fault"],
             tries,

@@ -79,6 +79,7 @@ class Seen:
     row_problem: str = ""
     left: list[str] = field(default_factory=list)
     has_hung: bool = False
+    end_statusword: int | None = None
 
 
 def start_command(*words: object, **options: Any) -> Running:
@@ -271,6 +272,8 @@ def _read_back(attempt: Attempt, seen: Seen) -> None:
         wire.poll(_LOOK_S)
         if witness.statusword is None:
             continue
+        if seen.end_statusword is None:
+            seen.end_statusword = witness.statusword
         if seen.arena == SIDECAR:
             if witness.zero_since_s is not None:
                 break

@@ -25,15 +25,10 @@ def keeps_power(controlword: int) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Limits of an axis, in the units of the wire.
-
-    On a serial line the daemon drops the command of a cycle whose telegram would be late. With ``period_s`` the next
-    one may differ by one step for each period since the last; without, every command by one step alone.
-    """
+    """Limits of an axis, in the units of the wire."""
 
     torque: float  # per mille
-    step: float  # per mille in a period
-    period_s: float | None = None
+    step: float  # per mille, from one command to the next
 
 
 @dataclass(slots=True)
@@ -43,12 +38,14 @@ class Witness:
     Attributes
     ----------
     largest_torque, largest_step : float
-        Of all commands; a step is that of one period between two commands in a row. One that ends in zero with the
-        power taken away is none.
+        Of all commands; a step is that between two commands in a row. One that ends in zero with the power taken away
+        is none.
     zero_since_s : float or None
         Time of the command or write since which the torque that the drive was given is zero; 0: from the start.
     unpowered_since_s : float or None
         Time of the frame since which the drive has no power.
+    unread : int
+        Frames or telegrams that may be commands, and that could not be read.
     broken : list of str
         Limits that a command broke, the first ones in words.
     """
@@ -57,7 +54,7 @@ class Witness:
     largest_torque: float = 0.0
     largest_step: float = 0.0
     commands: int = 0
-    last_s: float | None = None
+    unread: int = 0
     torque: float = 0.0
     controlword: int | None = None
     zero_since_s: float | None = 0.0
@@ -71,9 +68,6 @@ class Witness:
         """Judge a command of the daemon."""
         self.commands += 1
         step = abs(torque - self.torque)
-        if self.limits.period_s is not None and self.last_s is not None:
-            step /= max(1, round((time_s - self.last_s) / self.limits.period_s))
-        self.last_s = time_s
         is_end = torque == 0.0 and controlword is not None and not keeps_power(controlword)
         if not is_end:
             self.largest_step = max(self.largest_step, step)

@@ -121,7 +121,7 @@ class CyclicExchange:
         self._guards = [Guard(node, guard_ms) for node, guard_ms in guarded.items()]
         self._max_missed = max_missed
         self._unsent = 0  # cycles in a row in which the bus took no frames
-        self._is_unsent = False  # the last commands are among them
+        self._is_unsent = [False] * len(axes)  # the last command to each axis
         self._oldest_ns = round(max_missed * period_s * 1e9)
         self._sampled_ns = 0  # time of the last feedback
         self._cycles_since_probe = 0
@@ -158,10 +158,10 @@ class CyclicExchange:
         if not self._clock.is_real:
             self._require_answers()
         alarm = self._alarm.message
-        is_lost = self._is_unsent or bool(why_no_sync)  # RPDOs were not sent, or not taken over
-        for axis, target in zip(self._axes, feedback, strict=True):
+        is_none_taken = bool(why_no_sync)  # drives take RPDOs over at SYNC
+        for axis, target, is_unsent in zip(self._axes, feedback, self._is_unsent, strict=True):
             axis.report(target, now)
-            target.is_setpoint_lost = is_lost
+            target.is_setpoint_lost = is_unsent or is_none_taken
             if alarm and not target.message:
                 target.message = alarm
             elif alarm and not self._is_alarm_told:  # beside what it may have caused, e.g. a restart
@@ -196,11 +196,9 @@ class CyclicExchange:
         after their feedback, are not sent: the next cycle computes new ones.
         """
         now = self._clock.now_ns()
-        self._is_unsent = True
         try:
             if not self._dry_run:
                 self._send_commands(commands, now)
-            self._is_unsent = False
             if self._is_commanding and (self._guards or now >= self._next_heartbeat_ns):
                 self._feed(now)
         except QueueFullError as error:  # what the drives did not get is a missed exchange
@@ -218,9 +216,13 @@ class CyclicExchange:
         """
         age_ns, send = now - self._sampled_ns, self._bus.send
         is_too_old = age_ns > self._oldest_ns and self._clock.is_real
-        for (axis, feeder), command in zip(self._pairs, commands, strict=True):
+        is_unsent = self._is_unsent
+        for k in range(len(is_unsent)):
+            is_unsent[k] = True  # until it is sent: a full queue may end this before
+        for k, ((axis, feeder), command) in enumerate(zip(self._pairs, commands, strict=True)):
             request = command.request
             if request is _LISTEN:
+                is_unsent[k] = False
                 continue
             self._is_commanding = True
             if is_too_old and request in _TO_POWER:
@@ -240,6 +242,7 @@ class CyclicExchange:
             if axis.needs_other_frames:
                 for can_id, data in axis.other_frames(request, now):
                     send(can_id, data)
+            is_unsent[k] = False
 
     def _feed(self, now: int) -> None:
         """Send the heartbeat and the remote frames of node guarding when due, unless the drives are to miss them."""

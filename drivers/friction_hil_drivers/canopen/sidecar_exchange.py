@@ -101,6 +101,7 @@ class SidecarExchange:
         for axis, target in zip(self._axes, feedback, strict=True):
             axis.report(target)
             target.message = self._message
+            target.is_setpoint_lost = self._unsent > 0
 
     def send(self, commands: Sequence[Command]) -> None:
         """Send the torque offset of each axis, and the heartbeat when it is due; a dry run sends nothing."""

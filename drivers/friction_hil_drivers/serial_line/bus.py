@@ -50,6 +50,8 @@ class SerialBus:
     listening: Plan
     plan: Plan
     rate: str = ""
+    _is_commanded: bool = False  # the last cycle had commands
+    _commands: dict[str, frozenset[Exchange]] = field(default_factory=dict)  # that carry those of an axis
     _background_index: int = 0
     _is_step_sent: bool = False  # the last cycle sent a step instead of a background read
     _first_axis: int = 0  # index of the axis that may send a step first
@@ -60,6 +62,14 @@ class SerialBus:
 
     def __post_init__(self) -> None:
         self._listening, self._commanding = self._batches(self.listening), self._batches(self.plan)
+        writing = [each for each in (*self.plan.poll, *self.plan.push) if each.writes]
+        for axis in self.axes:
+            drive = self.read_exchange(axis.name, "position").addressees
+            self._commands[axis.name] = frozenset(each for each in writing if drive <= each.addressees)
+
+    def has_lost_command(self, axis: str) -> bool:
+        """Return True if the command of the last cycle to this axis was not written to the line."""
+        return self._is_commanded and not self._commands[axis] <= self.scheduler.sent
 
     def _batches(self, plan: Plan) -> _CycleBatches:
         endings = [(*plan.push, each) for each in plan.background] or ([plan.push] if plan.push else [])
@@ -111,6 +121,8 @@ class SerialBus:
             See `request_feedback`; if false, there are no steps.
         """
         scheduler = self.scheduler
+        scheduler.sent.clear()
+        self._is_commanded = is_commanding
         endings = (self._commanding if is_commanding else self._listening).endings
         if endings and not steps:
             index = (self._background_index + 1) % len(endings)

@@ -142,7 +142,7 @@ class SerialDrives:
         self._buses: list[SerialBus] = []
         self._schedulers: list[BusScheduler] = []
         self._axes: list[SerialAxis] = []  # in the order of the configuration
-        self._scheduler_of: list[BusScheduler] = []  # of each of these axes
+        self._bus_of: list[SerialBus] = []  # of each of these axes
         self._is_commanding = False  # something has been written since the start
         self._is_started = False
         self._is_read = False  # `warm_caches` has read the bytes that came before this cycle
@@ -173,8 +173,8 @@ class SerialDrives:
             facts.update((each.name, each) for each in commissioning.prepare(bus, on_bus))
         self._axes = [axes[name] for name in self._configs]
         self._schedulers = [bus.scheduler for bus in self._buses]
-        schedulers = {axis.name: bus.scheduler for bus in self._buses for axis in bus.axes}
-        self._scheduler_of = [schedulers[name] for name in self._configs]
+        buses = {axis.name: bus for bus in self._buses for axis in bus.axes}
+        self._bus_of = [buses[name] for name in self._configs]
         return [facts[name] for name in self._configs]
 
     def start(self) -> None:
@@ -209,8 +209,10 @@ class SerialDrives:
             if not is_over or scheduler.deadline_ns is not None:
                 scheduler.end_cycle()
         self._time_s = time_s = self._clock.now_ns() * 1e-9
-        for each, axis, scheduler in zip(feedback, self._axes, self._scheduler_of, strict=True):
+        for each, axis, bus in zip(feedback, self._axes, self._bus_of, strict=True):
+            scheduler = bus.scheduler
             axis.fill(each, time_s, scheduler.last_error)
+            each.is_setpoint_lost = bus.has_lost_command(axis.name)
             if scheduler.refusals.count >= _MAX_REFUSALS:
                 text = f"the drive refuses its commands: {scheduler.last_error}"
                 each.message = coded(text, codes.COMMANDS_REFUSED)

@@ -63,6 +63,8 @@ class BusScheduler(ReplyReceiver):
     ----------
     queue : deque of Exchange
         Requests that are still to be sent.
+    sent : set of Exchange
+        Requests that were written to the line since the set was last emptied.
     deadline_ns : int or None
         Time by which replies to queued requests have to be complete; a request whose reply would be later is not sent.
     """
@@ -92,6 +94,7 @@ class BusScheduler(ReplyReceiver):
         self._character_ns = round(character_ns)
         self._ahead_chars = ahead_chars
         self.queue: deque[Exchange] = deque()
+        self.sent: set[Exchange] = set()
         self._singles: dict[Exchange, Batch] = {}
         self._busy_until_ns = 0
         self._next_reopen_ns = 0
@@ -153,6 +156,7 @@ class BusScheduler(ReplyReceiver):
         except LineGoneError as gone:
             self._lose_line(gone)
             return True
+        self.sent.update(batch.exchanges)
         self.outstanding.extend(batch.answered)
         if batch.refusable:
             self.refusals.unconfirmed.extend(batch.refusable)
@@ -290,11 +294,13 @@ class BusScheduler(ReplyReceiver):
         if self._received and not self.outstanding:  # otherwise it is the beginning of an expected reply
             self._take_unsolicited()
         data = b""
+        sending: list[Exchange] = []
         unanswered: list[Exchange] = []
         while verdict is _SEND:
             exchange = self.queue[index or 0]
             del self.queue[index or 0]
             data += exchange.encode()
+            sending.append(exchange)
             (self.outstanding if exchange.reply_size else unanswered).append(exchange)
             if not self.queue:
                 break
@@ -304,6 +310,7 @@ class BusScheduler(ReplyReceiver):
             self._drop_queue(self.queue[index or 0])
         if data:
             self._write(data, self._now_ns(), self.outstanding)
+            self.sent.update(sending)
         self._note_sent(unanswered)
         return not self.outstanding
 

@@ -94,7 +94,9 @@ def write_configuration(folder: Path, axes: int, period_s: float, spin_us: int) 
 
 
 @contextmanager
-def running(folder: Path, axes: int, period_s: float, spin_us: int, duration_s: float) -> Iterator[Daemon]:
+def running(
+    folder: Path, axes: int, period_s: float, spin_us: int, duration_s: float, pace: str = "real"
+) -> Iterator[Daemon]:
     """Run a daemon that records, and its drives; on leaving, its end is awaited and its result is there.
 
     Raises
@@ -104,9 +106,9 @@ def running(folder: Path, axes: int, period_s: float, spin_us: int, duration_s: 
     """
     path = write_configuration(folder, axes, period_s, spin_us)
     record = folder / "run.mcap"
-    words = [*PROGRAM, "run", str(path), "--json", "--record", str(record), "--force"]
+    words = [*PROGRAM, "run", str(path), "--json", "--record", str(record), "--force", "--pace", pace]
     environment = os.environ | {"XDG_RUNTIME_DIR": str(folder), "NOTIFY_SOCKET": str(folder / "notify")}
-    with simulated(path), _Manager(folder / "notify") as manager, (folder / "told").open("w") as told:
+    with simulated(path, pace), _Manager(folder / "notify") as manager, (folder / "told").open("w") as told:
         began_s = time.monotonic()
         process = subprocess.Popen(
             [*words, "--duration", f"{duration_s:g}"], stdout=subprocess.PIPE, stderr=told, text=True, env=environment
