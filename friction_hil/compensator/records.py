@@ -71,8 +71,7 @@ STATE = np.dtype(
         ("offset_ahead_velocity", "f8"),  # when this cycle's torque acts
         ("offset_sent", "f8"),  # for the set-point of this cycle
         ("offset_sent_velocity", "f8"),
-        ("twist", "f8"),  # of the coupling, as the load's friction winds it up
-        ("sliding_torque", "f8"),  # absolute torque of the model when the load last slid
+        ("wound_up", "f8"),  # torque of the load's friction that the coupling transmits to the motor
         ("compensation", "f8"),
         ("bridge_left", "f8"),  # of the difference at a change of settings, 1 to 0; see `bridge`
         ("bridge_directed", "f8"),  # part of that difference which changes sign with the friction

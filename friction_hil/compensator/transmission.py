@@ -12,7 +12,7 @@ rejection control", IEEE Trans. Ind. Electron. 56, 2009). The gain of the compen
 with half of the true stiffness, or twice the friction, the error of the load is then no larger than without the offset.
 
 The friction of the load reaches the motor through that spring: after a reversal the motor feels it as the spring is
-wound up, and that much of it is compensated.
+wound up, or over the presliding of the friction where that is softer, and that much of it is compensated.
 """
 
 import math
@@ -118,8 +118,9 @@ def follow(
 def felt_at_motor(c: Any, r: Any, friction: float, velocity: float, dt: float) -> float:
     """Return the part of the friction that the motor feels, with that of the load behind the spring of the coupling.
 
-    After a reversal the load rests until the spring is wound up to its friction. A gap is left out of this: on which
-    side of it the load is, its inertia decides as well.
+    The load's part changes by no more than what the motor's travel winds the spring up by. Friction that the model
+    itself lets grow more slowly, over its presliding, passes as it is. A gap is left out of this: on which side of it
+    the load is, its inertia decides as well.
 
     Parameters
     ----------
@@ -132,9 +133,7 @@ def felt_at_motor(c: Any, r: Any, friction: float, velocity: float, dt: float) -
     dt : float
         Since the last step, s.
     """
-    wound = c.compliance * c.load_friction
-    r.twist = min(max(r.twist + velocity * dt, -wound), wound)
-    part = r.twist / wound
-    if abs(part) == 1.0 and friction * part > 0.0:
-        r.sliding_torque = abs(friction)
-    return float((1.0 - c.load_share) * friction + c.load_share * part * r.sliding_torque)
+    if math.isfinite(friction):
+        most = abs(velocity) * dt / c.compliance
+        r.wound_up += min(max(c.load_share * friction - r.wound_up, -most), most)
+    return float((1.0 - c.load_share) * friction + r.wound_up)

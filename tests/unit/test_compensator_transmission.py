@@ -180,3 +180,28 @@ def test_weight_and_inertia_twist_the_transmission_too():
     found = offsets(unit, speed, acceleration, position)
     carried = 0.05 + 0.02 * np.sin(position) + 0.01 * np.cos(position) + 0.02 * acceleration
     np.testing.assert_allclose(found[500:], carried[500:] / 10.0, atol=2e-5)
+
+
+def through_a_reversal(friction, stiffness):
+    """Travel since a reversal, and the compensation, with a load that has half of the friction."""
+    t = PERIOD_S * np.arange(1000)
+    velocity = 6e-3 * np.sin(2.0 * math.pi * t)
+    given = {"velocity_demand": velocity, "velocity_demand_ahead": velocity}
+    travel = PERIOD_S * np.cumsum(velocity)
+    settings = {"stiffness": stiffness, "lead_s": 0.0, "gain": 1.0, "source": "demand", "offset_acceleration": 0.0}
+    unit = Compensator(friction, replace(one(gap=0.0).settings, **settings))
+    torque = unit.replay_all(columns(t.size, position=travel, **given))["compensation"]
+    return travel[500] - travel[500:750], torque[500:750]
+
+
+def test_friction_of_the_load_is_felt_as_the_spring_is_wound_up():
+    travel, torque = through_a_reversal(COULOMB, 50.0)
+    felt = -0.02 + np.maximum(0.02 - 50.0 * travel, -0.02)
+    slides = travel > 1e-4  # the static map itself has reversed
+    np.testing.assert_allclose(torque[slides], felt[slides], atol=1e-3)
+
+
+def test_a_spring_stiffer_than_the_bristles_changes_nothing():
+    """The model holds the presliding as the motor feels it; to reverse the load's part sooner would push the axis."""
+    soft = fh.models.create("dahl", sigma0=100.0, coulomb=0.04)
+    np.testing.assert_allclose(through_a_reversal(soft, 1000.0)[1], through_a_reversal(soft, math.inf)[1], atol=1e-9)

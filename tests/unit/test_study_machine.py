@@ -297,3 +297,20 @@ def test_the_true_model_is_the_friction_of_both_sides_with_the_cogging():
     file = model_file(servo, friction, inertia_error=0.05)
     assert file.mechanics.inertia == pytest.approx(2.1e-4)
     assert file.mechanics.load.friction == pytest.approx(LEVEL)
+
+
+def test_the_true_model_saves_as_much_work_in_a_reversal_as_the_friction_of_both_sides():
+    """The witness is the friction of each side; that of the load reaches the motor through the spring."""
+    servo = ServoConfig.model_validate(MACHINE["axes"]["x"]["simulation"])
+    speed, dt, there, back = 1e-3, 1e-3, 5000, 5000
+    velocity = np.repeat([-speed, speed], [there, back])
+    travel = speed * dt * np.arange(1, back + 1)
+    load = np.minimum(STIFFNESS * travel - LEVEL, LEVEL)
+
+    def saved(torque):
+        return speed * dt * np.sum(torque[-1] - torque)
+
+    own = servo.friction_model.simulate(velocity, dt)[there:]
+    both = true_friction(servo).simulate(velocity, dt)[there:]
+    assert both[-1] == pytest.approx(own[-1] + LEVEL, rel=1e-3)
+    assert saved(both) == pytest.approx(saved(own) + saved(load), rel=0.02)

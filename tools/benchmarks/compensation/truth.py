@@ -18,8 +18,9 @@ _NONE: dict[str, Any] = {"model": "dahl", "parameters": {"sigma0": 1e-9, "coulom
 def true_friction(servo: ServoConfig) -> FrictionModel | None:
     """Return the friction of a servo as one model at the motor, with the losses of the gear and its cogging as ripple.
 
-    Friction at the load adds to it: levels and viscous friction, and the stiffness of its bristles in series with the
-    coupling, over which the motor feels it. None if it is no single model.
+    Friction at the load adds to it: levels and viscous friction. The motor feels the bristles of the load in series
+    with the coupling. Two bristles that slip after different travels are no single bristle; the one that takes their
+    place saves as much work in a slow reversal as both, 2 level^2 / stiffness. None if it is no single model.
     """
     own, load = _with_cogging(servo), servo.mechanics.load
     other = servo.load_friction_model
@@ -36,8 +37,10 @@ def true_friction(servo: ServoConfig) -> FrictionModel | None:
         if name in parameters:
             parameters[name] += there.get(name, 0.0)
     if _PRESLIDING in parameters:
-        bristles = there[_PRESLIDING]
-        parameters[_PRESLIDING] += bristles * load.stiffness / (bristles + load.stiffness)
+        # a static map has no bristles: its friction is felt as the coupling is wound up
+        give = 1.0 / load.stiffness + (1.0 / other.presliding_stiffness if other.presliding_stiffness > 0.0 else 0.0)
+        saved = own.level**2 / own.parameters[_PRESLIDING] + other.level**2 * give
+        parameters[_PRESLIDING] = (own.level + other.level) ** 2 / saved
     return models.create(own.name, modifiers=own.modifiers, axis=own.axis, **parameters)
 
 
