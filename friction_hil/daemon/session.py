@@ -30,6 +30,7 @@ from friction_hil.daemon.realtime import RealClock, SteppedClock, punctuality
 from friction_hil.daemon.run import LoopSettings
 from friction_hil.daemon.static_torque import static_torque_note
 from friction_hil.daemon.stop import StopRequest
+from friction_hil.daemon.tended_process import TendedProcess
 from friction_hil.drive import AxisFacts, Clock, Drives, FaultCode, unit_table
 from friction_hil.drive.finding import complaints
 from friction_hil.models import create
@@ -84,7 +85,7 @@ class _CompanionSink:
     def __init__(
         self,
         companion: Companion,
-        services: "Sequence[ControlService | LiveService]",
+        services: "Sequence[TendedProcess]",
         period_s: float,
         *,
         is_real: bool,
@@ -307,7 +308,7 @@ def _run(
             is_waiting=settings.is_waiting,
         )
         control = prepared.control
-        services = [each for each in (control, prepared.live) if each is not None]
+        services: list[TendedProcess] = [each for each in (control, prepared.live) if each is not None]
         sink: Sink = _CompanionSink(prepared.companion, services, configuration.period_s, is_real=clock.is_real)
         mailbox = None if control is None else control.mailbox
         with contextlib.ExitStack() as stack:
