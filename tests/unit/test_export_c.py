@@ -152,7 +152,7 @@ def test_clang_has_nothing_to_say_either(tmp_path):
     one = COMPENSATORS["kalman"]
     write(tmp_path, [subject(one.model, "axis", one)])
     for options in (["-O1"], ["-O1", "-DAXIS_SINGLE"]):
-        shared(tmp_path, [tmp_path / "axis.c"], *options, compiler="clang")
+        assert shared(tmp_path, [tmp_path / "axis.c"], *options, compiler="clang").exists()
 
 
 def test_wrong_use_is_refused_with_what_would_be_right():
