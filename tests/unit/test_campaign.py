@@ -101,6 +101,25 @@ def test_judgement() -> None:
     assert "still has power" in judge(BY_NAME["stop-2"], powered).unsafe[0]
 
 
+@pytest.mark.parametrize(
+    ("text", "missed", "named"),
+    [
+        ("the loop was late by 60000 µs (12 periods) [FH-113]", 12, "late"),
+        ("x: the drive is in fault; 3 periods were missed right before [FH-105]", 3, "late"),
+        ("x: the drive is in fault [FH-105]", 3, "no: FH-105"),  # missed at another time
+        ("x: the drive is in fault; 1 period was missed 20 ms before [FH-105]", 1, "no: FH-105"),
+        ("x: position is outside the limits; 3 periods were missed right before [FH-108]", 3, "no: FH-108"),
+        ("program error: KeyError; 3 periods were missed right before [FH-126]", 3, "no: FH-126"),
+    ],
+)
+def test_lateness_excuses_only_what_follows_from_it(text: str, missed: int, named: str) -> None:
+    result = {**SETTLED, "faults": [text], "missed": missed}
+    verdict = judge(BY_NAME["wrap"], seen(result=result, status=1))
+    assert (verdict.named, bool(verdict.problems)) == (named, named != "late")
+    early = judge(BY_NAME["wrap"], seen(result=result, status=1, struck_s=None))
+    assert bool(early.problems) == (named != "late")
+
+
 def test_what_was_saved_by_a_watchdog_killed_or_never_read_is_not_passed() -> None:
     fault = BY_NAME["stop-2"]
     assert "left the drive with statusword 0637h" in judge(fault, seen(end_statusword=0x637)).unsafe[0]
