@@ -134,7 +134,8 @@ def _judge_cause(fault: Fault, seen: Seen, faults: list[str], verdict: Verdict) 
 
 
 def _code(text: str) -> str:
-    return (_CODE.findall(text) or ["none"])[-1]
+    found = _CODE.search(text)
+    return found[1] if found else "none"
 
 
 def _is_from_lateness(seen: Seen, text: str) -> bool:
