@@ -17,7 +17,10 @@ if TYPE_CHECKING:
     from friction_hil.compensator import Compensator
     from friction_hil.models.model_file import ModelFile
 
-FORMATS = {"c": "C99 source and header, for firmware"}  # each is a module of this package
+FORMATS = {  # each is a module of this package
+    "c": "C99 source and header, for firmware",
+    "st": "IEC 61131-3 Structured Text, for CODESYS, TwinCAT and others",
+}
 _LONGEST_NAME = 40
 
 __all__ = ["FORMATS", "files", "identifier", "write"]
