@@ -24,11 +24,12 @@ from friction_hil.daemon.control.ask import ask
 from friction_hil.daemon.latency import INSTALL_CYCLICTEST, Latency, cyclictest, has_cyclictest, is_fifo_allowed
 from friction_hil.errors import FrictionHilError
 from friction_hil.numerics.jit import Array
+from tools.benchmarks.loop import restart
 from tools.benchmarks.loop.daemon import Daemon, busy_s, pss_kb, running
 from tools.benchmarks.loop.observers import watching
 from tools.benchmarks.report import Row, against, compare, note, rounds, show
 
-PARTS = ("start", "compute", "lateness", "memory")
+PARTS = ("start", "compute", "lateness", "memory", "restart")
 ROUNDS = 3
 STARTS = 3
 QUANTILES = {"p50": 0.5, "p99": 0.99}
@@ -57,6 +58,7 @@ def command(
 
     start: to Operation enabled. compute: processor time of the control process in a cycle, in simulated time.
     lateness: of the cycles, against cyclictest. memory: of all processes; --duration 3600 for an hour.
+    restart: how long the loop is held up when the processes beside it are killed and started again.
     """
     rows: list[Row] = []
     with tempfile.TemporaryDirectory() as name, _stressed(stress):
@@ -69,6 +71,8 @@ def command(
                 rows += _compute(folder, duration)
             elif part == "lateness":
                 rows += _lateness(folder, axes, duration, observers)
+            elif part == "restart":
+                rows += restart.measure(folder, axes)
             else:
                 rows += _memory(folder, axes, duration, observers)
     show(rows, as_json=as_json)

@@ -24,6 +24,7 @@ from tools.benchmarks.report import note
 
 DEMO = Path(__file__).parents[3] / "config/demo.yaml"
 NAME = "bench"
+_NAMES = {"friction_hil.daemon.companion": "supervisor", "friction_hil.daemon.control": "server"}
 _PATIENCE_S = 60.0
 _MOST_MISSED = 200  # periods: a busy machine is to be measured, not to end the run
 
@@ -40,11 +41,14 @@ class Result:
         What ``run --json`` printed.
     lost : int
         Rows that are not in the recording.
+    after_restarts_us : (n,) array
+        Lateness of the cycles right after a process was started again, us.
     """
 
     late_us: Array
     summary: dict[str, Any]
     lost: int
+    after_restarts_us: Array
 
 
 @dataclass(slots=True)
@@ -72,8 +76,7 @@ class Daemon:
         for pid in _descendants(self.pid):
             words = Path(f"/proc/{pid}/cmdline").read_bytes().decode().split("\0")
             module = next((word for word in words if word.startswith("friction_hil.daemon.")), words[0])
-            name = {"friction_hil.daemon.companion": "supervisor", "friction_hil.daemon.control": "server"}.get(module)
-            name = name or module.rpartition(".")[2]
+            name = _NAMES.get(module) or module.rpartition(".")[2]
             found["worker" if name in found else name] = pid
         return found
 
@@ -136,7 +139,9 @@ def running(
         note(f"the run ended with a fault: {fault}")
     recording = recordings.read(record, "x1")
     late_us = np.sort(recording["late_us"][recording["state"] == LoopState.RUNNING])
-    daemon.results.append(Result(late_us, summary, summary["cycles"] - len(recording)))
+    restarts = np.array([event.cycle + 1.0 for event in recording.events if "takes over" in event.text])
+    after_us = recording["late_us"][np.isin(recording["cycle"], restarts)]
+    daemon.results.append(Result(late_us, summary, summary["cycles"] - len(recording), after_us))
 
 
 class _Manager:
