@@ -36,7 +36,6 @@ QUANTILES = {"p50": 0.5, "p99": 0.99}
 LATENESS_TARGET_US, START_TARGET_S, COMPUTE_TARGET = 2.0, 3.0, 40.0
 _WARM_UP_S = 75.0  # of memory: the worker fills that of the last minute first
 _LOOKS_PER_S = 1.0
-_SETTLE_S = 1.0
 _COUNTED, _LOOK_S = 0.7, 0.05  # part of a run in simulated time that is measured; s between two looks
 
 
@@ -47,7 +46,7 @@ _COUNTED, _LOOK_S = 0.7, 0.05  # part of a run in simulated time that is measure
 @click.option(
     "--observers",
     type=click.IntRange(0, 32),
-    help="Attach monitor, page with viewers, Foxglove, and so many processes that ask for the status. Default: none.",
+    help="Attach the monitor, so many viewers of the page, and a Foxglove client. Default: nothing.",
 )
 @click.option("--stress", is_flag=True, help="Load the last processor with stress-ng.")
 @option_json
@@ -153,9 +152,10 @@ def _lateness(folder: Path, axes: int, duration_s: float, observers: int | None)
         for _ in rounds(ROUNDS, f"daemon and cyclictest at {label}"):
             theirs.append(cyclictest(priority, period_s, round(duration_s / period_s), is_fine=True))
             for spin_us, series in ours.items():
-                with running(folder, axes, period_s, spin_us, duration_s) as daemon, contextlib.ExitStack() as stack:
+                with running(folder, axes, period_s, spin_us, math.inf) as daemon, contextlib.ExitStack() as stack:
                     if observers is not None:
                         stack.enter_context(watching(daemon.socket, observers))
+                    daemon.from_cycle = _cycle(daemon)
                     time.sleep(duration_s)
                 (result,) = daemon.results
                 series.append(Latency(result.late_us, result.summary["missed"]))
@@ -174,7 +174,7 @@ def _memory(folder: Path, axes: int, duration_s: float, observers: int | None) -
     """Sample the memory of each process at 1 kHz, and fit a straight line after the warm-up."""
     taken: dict[str, list[float]] = {}
     times_s: list[float] = []
-    with running(folder, axes, 1e-3, 0, duration_s + _SETTLE_S) as daemon, contextlib.ExitStack() as stack:
+    with running(folder, axes, 1e-3, 0, math.inf) as daemon, contextlib.ExitStack() as stack:
         if observers is not None:
             stack.enter_context(watching(daemon.socket, observers))
         processes = daemon.processes()
@@ -190,7 +190,8 @@ def _memory(folder: Path, axes: int, duration_s: float, observers: int | None) -
     first = int(np.searchsorted(times_s, min(_WARM_UP_S, 0.5 * duration_s)))
     for name, series in taken.items():
         slope, error = _slope(np.array(times_s[first:]), np.array(series[first:]))
-        rows.append(Row(f"memory of {name} at the end", series[-1] / 1024.0, "MiB"))
+        first_mib, last_mib = series[0] / 1024.0, series[-1] / 1024.0
+        rows.append(Row(f"memory of {name} at the end (start)", last_mib, "MiB", first_mib, last_mib / first_mib))
         rows.append(
             Row(f"memory of {name}: growth (standard error)", 60.0 * slope, "kB/min", 60.0 * error, slope / error)
         )
