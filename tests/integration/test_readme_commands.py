@@ -36,6 +36,7 @@ WITHOUT_DRIVES = (
         "--resolution 4.8e-5 --delay 0 --force",
         0,
     ),
+    (f"friction-hil export {ROOT}/config/models/lugre_axis.yaml --to mjcf --speed 2", 0),
     ("friction-hil train --from-model coulomb:coulomb=0.1 --speed 1 --samples 1000 --hidden 2 --output net.yaml", 0),
 )
 WITH_DRIVES = (
@@ -55,6 +56,7 @@ ON_THE_RECORDING = (
     ("friction-hil convert run.mcap run.csv --axis x --where is_fresh --force", 0),
     ("friction-hil convert --info run.csv --column torque=torque*1 --json", 0),
     ("friction-hil replay run.mcap --verify", 0),
+    (f"friction-hil export {LUGRE} --to urdf --recording run.mcap --axis x --json", 0),
     (f"friction-hil replay 'run.*' --model {LUGRE} --json", 0),
     ("friction-hil plot run.mcap", 0),
     ("friction-hil plot run.mcap --output run.html --json", 0),
