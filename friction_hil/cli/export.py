@@ -52,6 +52,8 @@ def command(**options: Any) -> None:
 
     st: the same as function blocks in Structured Text (IEC 61131-3), for CODESYS, TwinCAT and other controllers.
 
+    fmu: the same as functional mock-up units for co-simulation, FMI 2.0 and 3.0; it needs a C compiler.
+
     urdf, mjcf, mjcf_lugre, csv: what a simulator or a table can hold of the friction, fitted so that the least torque
     is lost over the range of the identification (--speed, or the speeds of --recording). What is lost is printed and
     stands in the file: RMS, largest and where, and what the form does not know.

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 LOSSLESS = {
     "c": "C99 source and header, for firmware",
     "st": "IEC 61131-3 Structured Text, for CODESYS, TwinCAT and others",
+    "fmu": "functional mock-up units, FMI 2.0 and 3.0, for simulators",
 }
 LOSSY = {
     "urdf": "joint of URDF: friction and damping",
@@ -39,8 +40,8 @@ __all__ = ["FORMATS", "LOSSLESS", "LOSSY", "convert", "files", "identifier", "sa
 
 def files(
     model: "ModelFile | str | Path", to: str, *, name: str = "", compensator: "Compensator | None" = None
-) -> dict[str, str]:
-    """Return the files of an export, by their names.
+) -> dict[str, str | bytes]:
+    """Return the files of an export, by their names: texts, or bytes of what is no text.
 
     Parameters
     ----------
@@ -65,9 +66,9 @@ def files(
     if to in LOSSY:
         if compensator is not None:
             raise UsageError(f"the format {to} holds no compensator")
-        return convert(model, to, name=name).files
+        return dict(convert(model, to, name=name).files)
     subject = _subject(model, to, name, compensator)
-    content: dict[str, str] = importlib.import_module(f"friction_hil.export.{to}").files(subject)
+    content: dict[str, str | bytes] = importlib.import_module(f"friction_hil.export.{to}").files(subject)
     return content
 
 
@@ -149,14 +150,14 @@ def write(
     return save(files(model, to, name=name, compensator=compensator), folder, overwrite=overwrite)
 
 
-def save(content: Mapping[str, str], folder: str | Path = ".", *, overwrite: bool = False) -> list[Path]:
-    """Write the files of an export, texts by their names, into a folder; see `write`."""
-    paths = {Path(folder) / file: text for file, text in content.items()}
+def save(content: Mapping[str, str | bytes], folder: str | Path = ".", *, overwrite: bool = False) -> list[Path]:
+    """Write the files of an export, texts or bytes by their names, into a folder; see `write`."""
+    paths = {Path(folder) / file: each for file, each in content.items()}
     for path in () if overwrite else paths:
         if path.exists():
             raise UsageError(f"{path} exists already; --force replaces it")
-    for path, text in paths.items():
-        path.write_text(text, encoding="utf-8")
+    for path, each in paths.items():
+        path.write_bytes(each if isinstance(each, bytes) else each.encode())
     return list(paths)
 
 
