@@ -54,9 +54,9 @@ def command(**options: Any) -> None:
 
     fmu: the same as functional mock-up units for co-simulation, FMI 2.0 and 3.0; it needs a C compiler.
 
-    urdf, mjcf, mjcf_lugre, csv: what a simulator or a table can hold of the friction, fitted so that the least torque
-    is lost over the range of the identification (--speed, or the speeds of --recording). What is lost is printed and
-    stands in the file: RMS, largest and where, and what the form does not know.
+    urdf, mjcf, mjcf_lugre, bam, isaaclab, ax8000, csv: what a simulator, a drive or a table can hold of the friction,
+    fitted so that the least torque is lost over the range of the identification (--speed, or the speeds of
+    --recording). What is lost is printed and stands in the file: RMS, largest and where, and what the form does not know.
 
     With --config the whole compensator is exported, with the settings of an axis of CONFIG: velocity estimate, lead,
     gain, limits, adaptation. MODEL takes the place of the axis's model.

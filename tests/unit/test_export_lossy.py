@@ -31,6 +31,15 @@ def written(tmp_path, **content):
     return path
 
 
+def recorded(path, time, velocity):
+    rows = {"time_s": time, "velocity": velocity, "position": np.cumsum(velocity) * 1e-3, "torque": 0.0 * time}
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(rows)
+        writer.writerows(zip(*rows.values(), strict=True))
+    return path
+
+
 def squares(at: Points, model, p):
     fitted = p[0] * np.sign(at.velocity) + p[1] * at.velocity
     return float(at.weight @ (at.torque(model) - fitted) ** 2)
@@ -75,12 +84,7 @@ def test_a_stribeck_curve_is_found_again(coulomb, hump, velocity, exponent):
 def test_the_speeds_of_a_recording_weigh_the_fit(tmp_path):
     time = np.arange(8000) * 1e-3
     velocity = np.where(time < 6.0, 0.1, 1.5) * np.sin(np.pi * time)
-    rows = {"time_s": time, "velocity": velocity, "position": np.cumsum(velocity) * 1e-3, "torque": 0.0 * time}
-    path = tmp_path / "slow.csv"
-    with path.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(rows)
-        writer.writerows(zip(*rows.values(), strict=True))
+    path = recorded(tmp_path / "slow.csv", time, velocity)
     weighed = fh.export.convert(STRIBECK, "mjcf", recording=path)
     uniform = fh.export.convert(STRIBECK, "mjcf", speed=1.5)
     moving = velocity[np.abs(velocity) > 2e-4]
@@ -93,8 +97,8 @@ def test_the_speeds_of_a_recording_weigh_the_fit(tmp_path):
     assert rms(weighed.parameters) < 0.8 * rms(uniform.parameters)
     assert weighed.loss.rms == pytest.approx(rms(weighed.parameters), rel=0.01)
     assert "slow.csv" in weighed.loss.origin
-    with pytest.raises(UsageError, match=r"does not move below 0\.01"):
-        fh.export.convert(STRIBECK, "mjcf", recording=path, speed=0.01)
+    with pytest.raises(UsageError, match="the axis does not move"):
+        fh.export.convert(STRIBECK, "mjcf", recording=recorded(tmp_path / "rest.csv", time, 0.0 * time))
 
 
 def test_the_loss_is_that_of_the_difference_between_the_directions():
@@ -145,6 +149,42 @@ def test_a_table_read_between_its_rows_gives_the_torque():
     difference = np.abs(np.interp(v, table[:, 0], table[:, 1]) - expected)
     assert difference.max() < 5e-3 * 0.105
     assert difference.max() <= 1.1 * abs(converted.loss.largest) + 1e-9
+
+
+@checked
+@given(st.floats(0.0, 2.0), st.floats(0.05, 0.5), st.floats(1.0, 3.0))
+def test_bam_reads_the_torque_of_a_stribeck_model(hump, velocity, exponent):
+    """The formula of BAM's ``compute_frictions`` without load: frictionloss + damping |v|."""
+    model = (
+        f"stribeck:coulomb=0.1,static={0.1 * (1 + hump)!r},stribeck_velocity={velocity!r},"
+        f"stribeck_exponent={exponent!r},viscous=0.02"
+    )
+    converted = fh.export.convert(model, "bam", name="x", speed=2.0)
+    p = json.loads(converted.files["x.json"])
+    v = np.linspace(0.05, 2.0, 40)
+    loss = p["friction_base"] + p["friction_viscous"] * v
+    if p["model"] == "m2":
+        loss = loss + p["friction_stribeck"] * np.exp(-((v / p["dtheta_stribeck"]) ** p["alpha"]))
+    expected = model_from_argument(model).friction_model.steady_state(v)
+    np.testing.assert_allclose(loss, expected, rtol=0.0, atol=1e-5)
+    assert p["model"] == ("m1" if hump < 1e-8 else "m2")
+
+
+def test_isaac_lab_gets_two_levels_for_physx_and_one_for_newton():
+    content = json.loads(fh.export.convert(STRIBECK, "isaaclab", name="x", speed=1.0).files["x.json"])
+    assert content["physx"]["friction"] == pytest.approx(0.105)  # break-away
+    assert content["physx"]["dynamic_friction"] == content["newton"]["friction"] < 0.105
+    assert any(line.startswith("Torque lost:") for line in content["comment"])
+
+
+def test_the_objects_of_the_ax8000_are_level_factor_and_spring():
+    converted = fh.export.convert("dahl:sigma0=500,coulomb=0.1", "ax8000", name="x", speed=1.0)
+    lines = [line for line in converted.files["x.csv"].splitlines() if not line.startswith("#")]
+    rows = {f"{row['index']}:{row['subindex']}": (float(row["value"]), row["unit"]) for row in csv.DictReader(lines)}
+    assert rows["3144:01"] == (pytest.approx(500.0, rel=1e-3), "N m/rad")
+    assert rows["3144:02"] == (pytest.approx(0.1), "N m")
+    assert rows["3144:03"] == (pytest.approx(0.0, abs=1e-9), "N m s/rad")
+    assert "3144:01" not in fh.export.convert(STRIBECK, "ax8000", name="x").parameters
 
 
 def test_the_command_prints_and_writes_the_loss(tmp_path, capsys, monkeypatch):
