@@ -56,7 +56,8 @@ def command(**options: Any) -> None:
 
     urdf, mjcf, mjcf_lugre, bam, isaaclab, ax8000, csv: what a simulator, a drive or a table can hold of the friction,
     fitted so that the least torque is lost over the range of the identification (--speed, or the speeds of
-    --recording). What is lost is printed and stands in the file: RMS, largest and where, and what the form does not know.
+    --recording). What is lost is printed and stands in the file: RMS, largest and where, and what no form of this kind
+    can know.
 
     With --config the whole compensator is exported, with the settings of an axis of CONFIG: velocity estimate, lead,
     gain, limits, adaptation. MODEL takes the place of the axis's model.

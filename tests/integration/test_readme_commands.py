@@ -107,6 +107,10 @@ ELSEWHERE = (
     ("friction-hil convert --rate --column", "test_commands_take_a_rate_and_a_file_beside"),
     ("friction-hil replay --scheduler", "test_a_worker_that_is_killed_costs_no_bit"),
     ("friction-hil convert", "test_convert_writes_it"),
+    (
+        "friction-hil import --from --joint --output",
+        "test_the_command_writes_a_model_file_and_names_what_is_missing",
+    ),
     ("friction-hil config new --simulated --bus", "test_readmes_commands_in_their_order_in_an_empty_folder"),
     ("friction-hil config new --bus --node --torque --velocity --travel", "test_what_is_asked_for_is_in_the_file"),
     (
