@@ -54,6 +54,8 @@ def command(**options: Any) -> None:
 
     fmu: the same as functional mock-up units for co-simulation, FMI 2.0 and 3.0; it needs a C compiler.
 
+    modelica: the same as a package of blocks with a sampled step.
+
     urdf, mjcf, mjcf_lugre, bam, isaaclab, ax8000, csv: what a simulator, a drive or a table can hold of the friction,
     fitted so that the least torque is lost over the range of the identification (--speed, or the speeds of
     --recording). What is lost is printed and stands in the file: RMS, largest and where, and what no form of this kind

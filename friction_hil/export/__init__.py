@@ -25,6 +25,7 @@ LOSSLESS = {
     "c": "C99 source and header, for firmware",
     "st": "IEC 61131-3 Structured Text, for CODESYS, TwinCAT and others",
     "fmu": "functional mock-up units, FMI 2.0 and 3.0, for simulators",
+    "modelica": "Modelica package of blocks with a sampled step",
 }
 LOSSY = {
     "urdf": "joint of URDF: friction and damping",
