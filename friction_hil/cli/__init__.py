@@ -116,7 +116,7 @@ class LazyGroup(Group):
 def application() -> None:
     """Compensate the friction of servo axes: real-time daemon, simulated drives, replay and identification.
 
-    Exit status: 0 done, 1 the work failed or found a fault, 2 wrong use or configuration.
+    Exit status: 0 done, 1 the work failed or found a fault, 2 wrong use or configuration, 3 ``health`` found a change.
     """
 
 

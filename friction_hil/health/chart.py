@@ -103,7 +103,7 @@ class Chart:
     alarm : int
         Observation at which the alarm was given; n without an alarm.
     change, change_error : float
-        Mean change since ``begin``; 0 without an alarm.
+        Mean change since the most likely step after ``begin``; 0 without an alarm.
     """
 
     rest: Array
@@ -192,11 +192,14 @@ def draw_chart(baseline: Baseline, values: Array, errors: Array, temperatures: A
         if n and sums[-1] > threshold:
             begin = int(begins[-1])
             alarm = begin + int(np.argmax(sums[begin:] > threshold))
-            weights = scatters[begin:] ** -2.0
+            # the sum may begin with noise before the change: the mean is that after the most likely step
+            evidence = np.cumsum(steps[begin:][::-1])[::-1] * sign / np.sqrt(np.arange(n - begin, 0, -1))
+            late = slice(begin + int(np.argmax(evidence)), None)
+            weights = scatters[late] ** -2.0
             weights /= weights.sum()
-            own = float(np.sqrt(np.sum((weights * scatters[begin:]) ** 2)))
-            shared = float(weights @ leverage[begin:]) * baseline.scatter * baseline.inflation
-            change = float(weights @ rest[begin:])
+            own = float(np.sqrt(np.sum((weights * scatters[late]) ** 2)))
+            shared = float(weights @ leverage[late]) * baseline.scatter * baseline.inflation
+            change = float(weights @ rest[late])
             return Chart(rest, upper, lower, threshold, sign, begin, alarm, change, math.hypot(own, shared))
     return Chart(rest, upper, lower, threshold, 0, n, n, 0.0, 0.0)
 

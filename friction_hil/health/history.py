@@ -1,7 +1,7 @@
 """Observations kept in a file: one line of JSON for each recording and axis, so that recordings may be removed.
 
-The first line of an axis is its layout. A recording that has been observed is known again by its name, size and time
-of change, and is not read again.
+The first line of an axis is its layout. A recording that has been observed is known again by its name and start. It is
+read again only if it has grown since; what it shows then takes the place of what it showed before.
 """
 
 import dataclasses
@@ -18,10 +18,10 @@ from friction_hil.health.observation import Layout, Motion, Observation, Quantit
 _VERSION = 1
 
 
-def mark_of(path: Path) -> str:
-    """Return by what a file is known again, whatever folder it is in."""
+def state_of(path: Path) -> str:
+    """Return what differs when the content of a file does."""
     facts = path.stat()
-    return f"{path.name} {facts.st_size} {facts.st_mtime_ns}"
+    return f"{facts.st_size} {facts.st_mtime_ns}"
 
 
 @dataclass(slots=True)
@@ -32,32 +32,31 @@ class History:
     ----------
     layouts : dict of Layout
         By axis.
-    observations : dict of list of Observation
-        By axis.
-    problems : dict of list of str
-        By mark of the file: why stretches of it have no observation.
+    parts : dict of dict of list of Observation
+        By axis and recording.
+    states : dict of str
+        State of the file of each recording, as it was read.
     """
 
     layouts: dict[str, Layout] = field(default_factory=dict)
-    observations: dict[str, list[Observation]] = field(default_factory=dict)
-    problems: dict[str, list[str]] = field(default_factory=dict)
+    parts: dict[str, dict[str, list[Observation]]] = field(default_factory=dict)
+    states: dict[str, str] = field(default_factory=dict)
+
+    def observations(self, axis: str) -> list[Observation]:
+        """Return all observations of an axis."""
+        return [each for part in self.parts[axis].values() for each in part]
 
     def add_layout(self, axis: str, layout: Layout) -> dict[str, Any]:
         """Set the layout of an axis; return its line."""
         self.layouts[axis] = layout
         return {"version": _VERSION, "axis": axis, "layout": dataclasses.asdict(layout)}
 
-    def add(self, mark: str, axis: str, observations: list[Observation], problems: list[str]) -> dict[str, Any]:
-        """Add what a recording shows of an axis; return its line."""
-        self.observations.setdefault(axis, []).extend(observations)
-        self.problems.setdefault(mark, []).extend(problems)
-        return {
-            "version": _VERSION,
-            "file": mark,
-            "axis": axis,
-            "observations": [dataclasses.asdict(each) for each in observations],
-            "problems": problems,
-        }
+    def add(self, recording: str, state: str, axis: str, observations: list[Observation]) -> dict[str, Any]:
+        """Set what a recording shows of an axis; return its line."""
+        self.parts.setdefault(axis, {})[recording] = observations
+        self.states[recording] = state
+        found = [dataclasses.asdict(each) for each in observations]
+        return {"version": _VERSION, "recording": recording, "state": state, "axis": axis, "observations": found}
 
 
 def load(path: Path) -> History:
@@ -135,7 +134,7 @@ def _take(history: History, line: dict[str, Any]) -> None:
         history.add_layout(line["axis"], Layout(own["kind"], _numbers(own["edges"]), _numbers(own["orders"])))
         return
     found = [_observation(each) for each in line["observations"]]
-    history.add(str(line["file"]), str(line["axis"]), found, list(map(str, line["problems"])))
+    history.add(str(line["recording"]), str(line["state"]), str(line["axis"]), found)
 
 
 def _observation(content: dict[str, Any]) -> Observation:

@@ -44,7 +44,7 @@ class Verdict:
     slope, slope_error : float or None
         Change per K; None where temperature is not removed.
     change, change_error : float
-        Of the mean since ``since_s``; 0 if unchanged.
+        Of the mean since the most likely step after ``since_s``; 0 if unchanged.
     since_s, alarm_s : float or None
         Time of the first observation that the change was seen in, and that of the alarm.
     level : float

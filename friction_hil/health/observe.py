@@ -11,7 +11,7 @@ from friction_hil.health.observation import LOST_MOTION, AxisKind, Layout, Motio
 from friction_hil.health.reversals import add_reversals, lost_motion_of_load
 from friction_hil.health.sliding import fit_sliding
 from friction_hil.identification.data import prepare
-from friction_hil.identification.sliding import sliding_rows
+from friction_hil.identification.sliding import sliding_rows, top_speed
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import Recording
 from friction_hil.recordings.columns import TIME
@@ -86,7 +86,7 @@ def _windows(recording: Recording, window_s: float) -> Iterator[Recording]:
 
 def _observed(part: Recording, started_s: float, layout: Layout) -> Observation:
     records = prepare(part)
-    sliding = sliding_rows(records)
+    sliding = sliding_rows(records) if top_speed(records) > 0.0 else []
     if not sliding:
         raise RecordingError(
             f"{part.path}: axis {part.axis} slides for too short a time between "

@@ -6,6 +6,7 @@ distance after which three quarters of the new level are reached is the lost mot
 recorded, lost motion is the difference of motor and load between the directions instead.
 """
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 
@@ -71,7 +72,7 @@ def _collect(
     distances: list[float],
 ) -> None:
     turns = np.flatnonzero(np.diff(np.signbit(velocity))) + 1
-    for begin, end in zip(turns, [*turns[1:], len(velocity)], strict=True):
+    for begin, end in itertools.pairwise([*turns.tolist(), len(velocity)]):
         moved = np.abs(position[begin:end] - position[begin])
         if not np.max(moved, initial=0.0) >= _LEAST_STROKE * travel:
             continue

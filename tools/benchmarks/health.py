@@ -1,7 +1,7 @@
 """Simulated years of axes whose friction changes: delay until ``friction-hil health`` notices, and its false alarms.
 
-Each simulated axis makes the same motion once a day, at any hour. Its friction is LuGre with parameters that scatter from
-day to day, and fall as it gets warm: by day, and in summer. The recordings pass all of `friction_hil.health`.
+Each simulated axis makes the same motion once a day, at any hour. Its friction is LuGre with parameters that scatter
+from day to day, and fall as it gets warm: by day, and in summer. The recordings pass all of `friction_hil.health`.
 """
 
 import math

@@ -20,17 +20,18 @@ from friction_hil.daemon.companion import state_folder
 from friction_hil.daemon.control.names import is_name
 from friction_hil.errors import FrictionHilError, RecordingError, UsageError
 from friction_hil.health import Health, Verdict, judge, observe
-from friction_hil.health.history import History, append, load, mark_of
+from friction_hil.health.history import History, append, load, state_of
 from friction_hil.health.metrics import metrics_text
-from friction_hil.health.observation import AxisKind
 from friction_hil.health.observe import COLUMNS
 from friction_hil.numerics.readable import brief
-from friction_hil.recordings.parts import is_of_fault, part_of, parts_of
+from friction_hil.recordings import Recording
+from friction_hil.recordings.parts import SUFFIX, is_of_fault, part_of, parts_of
 from friction_hil.reports.health_report import write_report
 
 CHANGED, NOT_JUDGED = 3, 1  # exit status
 _SERVICES = Path("/var/lib/friction-hil")
-_SHOWN_PROBLEMS = 5
+_SHOWN_LINES = 5
+_NAMELESS = "axis"
 
 
 def show_health(
@@ -58,19 +59,20 @@ def show_health(
     history = history or own_history
     known = History() if history is None else load(history)
     reading: dict[str, Any] = {"columns": columns, "scale": scale, "where": where, "rate_hz": rate_hz, "only": COLUMNS}
-    notes = _observe(files, known, history, reading, "linear" if is_linear else "rotary", orders, window_s, axis)
-    if axis is not None and axis not in known.observations:
-        raise UsageError(f"there is no axis {axis!r}; there are {', '.join(known.observations) or 'none'}")
+    settings = {"kind": "linear" if is_linear else "rotary", "orders": orders, "window_s": window_s}
+    notes = _observe(files, known, history, reading, settings, axis)
+    if axis is not None and axis not in known.parts:
+        raise UsageError(f"there is no axis {axis!r}; there are: {', '.join(known.parts) or 'none'}")
     least_s = since.timestamp() if since is not None else float("-inf")
     found = [
         judge(
             name,
-            [each for each in observations if each.time_s >= least_s],
+            [each for each in known.observations(name) if each.time_s >= least_s],
             known.layouts[name],
             baseline=baseline,
             false_alarms=false_alarms,
         )
-        for name, observations in known.observations.items()
+        for name in known.layouts
         if axis in (None, name)
     ]
     if report is not None:
@@ -128,45 +130,52 @@ def _observe(
     known: History,
     history: Path | None,
     reading: dict[str, Any],
-    kind: AxisKind,
-    orders: tuple[float, ...],
-    window_s: float,
+    settings: dict[str, Any],
     axis: str | None,
 ) -> list[str]:
     """Add what new recordings show, the oldest first; return notes on them."""
     notes: list[str] = []
-    started: dict[Path, float] = {}
+    started: dict[Path, tuple[float, str, str]] = {}
     for path in files:
-        if mark_of(path) not in known.problems:
-            started[path], is_known = _started_s(path)
+        start, is_known = _started_s(path)
+        name, state = f"{path.name} {start:.3f}", state_of(path)
+        if known.states.get(name) != state:
+            started[path] = start, name, state
             if not is_known:
                 notes.append(f"{path}: the start is not recorded; the time of the last change of the file is taken")
-    unread: list[str] = []
+    notes = _shortened(notes)
+    problems: list[str] = []
     with status_line("reading") as show:
-        for path, start in sorted(started.items(), key=lambda pair: pair[1]):
+        for path, (start, name, state) in sorted(started.items(), key=lambda pair: pair[1]):
             show(path.name)
-            mark, lines = mark_of(path), []
             try:
                 several = recordings.read_all(path, is_alone=True, **reading)
-                for name, recording in several.items():
-                    if axis not in (None, name) and history is None:
-                        continue
-                    layout = known.layouts.get(name)
-                    found, own, problems = observe(
-                        recording, started_s=start, kind=kind, layout=layout, orders=orders, window_s=window_s
-                    )
+                lines = []
+                for own, recording in _named(path, several, axis).items():
+                    layout = known.layouts.get(own)
+                    found, made, why_not = observe(recording, started_s=start, layout=layout, **settings)
                     if layout is None and found:
-                        lines.append(known.add_layout(name, own))
-                    lines.append(known.add(mark, name, found if name in known.layouts else [], problems))
-                    unread += problems
+                        lines.append(known.add_layout(own, made))
+                    lines.append(known.add(name, state, own, found))
+                    problems += why_not
             except RecordingError as error:
-                unread.append(str(error))
+                problems.append(str(error))
+                continue
             if history is not None:
                 append(history, lines)
-    notes += unread[:_SHOWN_PROBLEMS]
-    if len(unread) > _SHOWN_PROBLEMS:
-        notes.append(f"... and {len(unread) - _SHOWN_PROBLEMS} more stretches without an observation")
-    return notes
+    return [*notes, *_shortened(problems)]
+
+
+def _named(path: Path, several: dict[str, Recording], axis: str | None) -> dict[str, Recording]:
+    """Return the recordings by axis; the axis of a table has the name of its file, which is not that of other files."""
+    if list(several) == [path.stem] and path.suffix.lower() != SUFFIX:
+        return {axis or _NAMELESS: next(iter(several.values()))}
+    return several
+
+
+def _shortened(lines: list[str]) -> list[str]:
+    more = len(lines) - _SHOWN_LINES
+    return lines if more <= 0 else [*lines[:_SHOWN_LINES], f"... and {more} more like these"]
 
 
 def _started_s(path: Path) -> tuple[float, bool]:
