@@ -169,7 +169,8 @@ class BenchBus(can.BusABC):
     def __init__(self, bench: Bench) -> None:
         super().__init__(channel="bench")
         self.bench = bench
-        self.answers: queue.SimpleQueue[can.Message] = queue.SimpleQueue()
+        # Not SimpleQueue, whose get() never returns when the timeout ends before it begins to wait (CPython 3.11).
+        self.answers: queue.Queue[can.Message] = queue.Queue()
         self.sent: list[Frame] = []
 
     def loses(self, can_id: int, data: bytes) -> bool:

@@ -38,6 +38,10 @@ def command(**options: Any) -> None:
     c: C99 source and header without allocation and without any library but libm, in double or single precision, from
     the same equations as this program's own; all models, modifiers and networks.
 
+    st: the same as function blocks in Structured Text (IEC 61131-3), for CODESYS, TwinCAT and other controllers.
+
+    fmu: the same as functional mock-up units for co-simulation, FMI 2.0 and 3.0; it needs a C compiler.
+
     With --config the whole compensator is exported, with the settings of an axis of CONFIG: velocity estimate, lead,
     gain, limits, adaptation. MODEL takes the place of the axis's model.
     """

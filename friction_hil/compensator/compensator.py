@@ -88,6 +88,9 @@ class CompensatorSettings:
         position reached by then.
     inertia : float
         Inertia for the Kalman observer and for adaptation, kg m^2; 0 where unknown.
+    torque_ratio : float
+        Torque that the drive reports, over the torque commanded, which is that of the model: the reported torque is
+        divided by it.
     gravity : tuple of float
         Load torque over position q, constant + sine sin(q) + cosine cos(q), N m, for load-dependent friction.
     torque_slew : float
@@ -143,6 +146,7 @@ class CompensatorSettings:
     torque_limit: float
     lead_s: float = 0.0
     inertia: float = 0.0
+    torque_ratio: float = 1.0
     gravity: tuple[float, float, float] = (0.0, 0.0, 0.0)
     torque_slew: float = math.inf
     gain: float = 0.9
@@ -447,6 +451,7 @@ def _record(model: FrictionModel, settings: CompensatorSettings, estimator: Velo
     c["friction"] = model.values
     c["level"] = model.level
     c["inertia"] = settings.inertia
+    c["torque_ratio"] = settings.torque_ratio
     c["gravity_constant"], c["gravity_sine"], c["gravity_cosine"] = settings.gravity
     c["load_inertia"] = settings.inertia if settings.load_inertia is None else settings.load_inertia
     c["load_friction"] = 0.0 if settings.load_friction is None else settings.load_friction

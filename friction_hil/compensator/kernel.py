@@ -184,6 +184,7 @@ def whole_step(
 ) -> float:
     """Compute one cycle; see `Compensator.step`."""
     c, r = settings[0], state[0]
+    torque = torque / c.torque_ratio
     has_demand = math.isfinite(velocity_demand_ahead)
     keeps_torque = has_demand or c.source == reference.MEASURED
     if r.cycle < 0.0:

@@ -94,6 +94,7 @@ def settings_type(parameter_room: int) -> "np.dtype[np.void]":
             ("gravity_constant", "f8"),
             ("gravity_sine", "f8"),
             ("gravity_cosine", "f8"),
+            ("torque_ratio", "f8"),  # reported torque over the torque of the model
             ("load_inertia", "f8"),  # whose acceleration the transmission carries; all of it where it is not known
             ("load_friction", "f8"),  # friction level at the load; 0 where it is not known by itself
             ("reference_temperature", "f8"),  # NaN: the model does not depend on temperature

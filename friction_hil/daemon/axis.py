@@ -229,12 +229,14 @@ class AxisLoop:
         """Compute one cycle; the arguments are those of `compute`.
 
         An exception in the computation is a fault, which `--reset-fault` does not cover: from then on the axis
-        gets no torque, and its row holds NaN.
+        gets no torque, and its row holds NaN. Only want of memory is raised: it ends the loop.
         """
         fault = warning = None
         if not self.is_broken:
             try:
                 return self.compute(cycle, state, running_s, feedback, command, row)
+            except MemoryError:
+                raise  # the loop has a reserve for its end, but cannot go on
             except Exception as error:  # noqa: BLE001 - whatever it is, the machine must come to rest
                 self.is_broken = True
                 text = f"{self.name}: the computation failed: {type(error).__name__}: {error}"

@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from friction_hil.daemon.failure import calls_of, fault_of
 from friction_hil.daemon.safety import LoopState
 from friction_hil.drive import DriveState
 from friction_hil.drive.codes import FaultCode
@@ -104,6 +105,12 @@ class RunLog:
         said = f"; {periods} missed {when} before"
         words, bracket, code = text.rpartition(" [FH-")
         return f"{words}{said}{bracket}{code}" if bracket else text + said
+
+    def failure(self, cycle: int, error: Exception) -> None:
+        """Keep an exception that has ended the loop as a fault; the recording gets the calls that led to it too."""
+        self.fault(cycle, fault_of(error))
+        for call in calls_of(error):
+            self._sink.event(cycle, "traceback", call)
 
     def reset(self, cycle: int) -> None:
         """Forget that there is a fault; it stays in the result. If it comes again, it counts again."""

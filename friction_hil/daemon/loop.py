@@ -8,6 +8,7 @@ import numpy as np
 from friction_hil.daemon.axis import AxisLoop, AxisUpdate
 from friction_hil.daemon.control.changes import Changes
 from friction_hil.daemon.control.mailbox import MailboxReader
+from friction_hil.daemon.failure import Reserve
 from friction_hil.daemon.log import LoopResult, RunLog, Sink
 from friction_hil.daemon.pacing import CacheWarmer, make_pacer
 from friction_hil.daemon.row import AxisRow
@@ -16,7 +17,6 @@ from friction_hil.daemon.safety import REQUESTS, REQUESTS_AFTER_FAULT, LoopState
 from friction_hil.daemon.stop import StopRequest
 from friction_hil.drive import Clock, Command, Drives, DriveState, Feedback, Request
 from friction_hil.drive.codes import FaultCode
-from friction_hil.errors import FrictionHilError
 from friction_hil.motion.trajectory import PathTime
 
 
@@ -63,12 +63,14 @@ class Loop:
         self._run = RunControl(axes, path_time, settings, stop, self._log)
         self._warmer = CacheWarmer(drives, axes[0], self._parts[0])
         self._changes = None if mailbox is None else Changes(mailbox, axes, self._log, self._run)
+        self._reserve = Reserve()
         self._pacer = make_pacer(drives, clock, settings.period_s, self._warm_caches)
 
     def run(self) -> LoopResult:
         """Run until the duration is over, a stop is requested, or a fault has been dealt with.
 
-        On return the drives are disabled, as far as they can still be reached. Faults are in the result.
+        On return the drives are disabled, as far as they can still be reached. Faults are in the result, and an
+        exception, whatever it is, is a fault.
         """
         cycle = 0
         try:
@@ -81,11 +83,16 @@ class Loop:
                     self._run.hold_path(cycle, self._pacer.skipped)
                 self._cycle(cycle)
                 cycle += 1
-        except FrictionHilError as error:
-            self._log.fault(cycle, FaultCode.EXCHANGE_FAILED.append_to(str(error)))
+        except Exception as error:  # noqa: BLE001 - whatever it is, the drives must be stopped
+            self._fail(cycle, error)
         finally:
             self._finish(cycle)
         return self._log.result
+
+    def _fail(self, cycle: int, error: Exception) -> None:
+        """Keep an exception as a fault, with room to go on where it was for want of memory."""
+        self._reserve.release()
+        self._log.failure(cycle, error)
 
     def _cycle(self, cycle: int) -> None:
         """Run one period: feedback in, commands out, a row to the recording, and on to the next state."""
@@ -155,13 +162,14 @@ class Loop:
 
     def _finish(self, cycle: int) -> None:
         """Send zero torque and disable once more whatever happened, leave the bus, sum up."""
+        self._reserve.release()  # what follows, up to the summary of the command, must not fail for want of memory
         try:
             if not self._settings.dry_run:
                 for command in self._commands:
                     command.request, command.torque, command.velocity = Request.DISABLE, 0.0, 0.0
                 self._drives.send(self._commands)
-        except FrictionHilError as error:
-            self._log.fault(cycle, FaultCode.EXCHANGE_FAILED.append_to(str(error)))
+        except Exception as error:  # noqa: BLE001 - the bus must be left all the same
+            self._fail(cycle, error)
         finally:
             self._close(cycle)
         result = self._log.result
@@ -173,9 +181,9 @@ class Loop:
         read_back: Sequence[DriveState] | None
         try:
             read_back = self._drives.close()
-        except FrictionHilError as error:
+        except Exception as error:  # noqa: BLE001 - the states of the drives are to be reported
             read_back = [DriveState.UNKNOWN] * len(self._axes)
-            self._log.fault(cycle, FaultCode.EXCHANGE_FAILED.append_to(str(error)))
+            self._fail(cycle, error)
         if self._settings.dry_run or not self._is_commanded:
             return
         states = self._states_while_disabling if read_back is None else read_back

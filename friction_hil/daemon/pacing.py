@@ -164,6 +164,8 @@ class CacheWarmer:
         try:
             self._drives.warm_caches()
             self._axis.compute(cycle, LoopState.RUNNING, 0.0, self._feedback, self._command, self._row)
+        except MemoryError:
+            raise
         except Exception as error:  # noqa: BLE001 - the cycle itself will fail too: the axes must come to rest
             self.error = f"{type(error).__name__}: {error}"
         return self.error

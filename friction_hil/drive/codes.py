@@ -105,6 +105,16 @@ class FaultCode(Enum):
         "axis moves in the wrong direction",
         "correct the sign in the drive; `is_inverted` inverts position, velocity and torque together and does not help",
     )
+    PROGRAM_ERROR = (
+        126,
+        "program error",
+        "report it with the message and the recording or black box, which has the calls that led to it",
+    )
+    NO_MEMORY = (
+        127,
+        "no memory",
+        "end what takes the memory of this computer, or raise the limit of the process (`ulimit -v`, `MemoryMax=`)",
+    )
 
     def __init__(self, number: int, title: str, remedy: str) -> None:
         self.number = number

@@ -17,7 +17,11 @@ if TYPE_CHECKING:
     from friction_hil.compensator import Compensator
     from friction_hil.models.model_file import ModelFile
 
-FORMATS = {"c": "C99 source and header, for firmware"}  # each is a module of this package
+FORMATS = {  # each is a module of this package
+    "c": "C99 source and header, for firmware",
+    "st": "IEC 61131-3 Structured Text, for CODESYS, TwinCAT and others",
+    "fmu": "functional mock-up units, FMI 2.0 and 3.0, for simulators",
+}
 _LONGEST_NAME = 40
 
 __all__ = ["FORMATS", "files", "identifier", "write"]
@@ -25,8 +29,8 @@ __all__ = ["FORMATS", "files", "identifier", "write"]
 
 def files(
     model: "ModelFile | str | Path", to: str, *, name: str = "", compensator: "Compensator | None" = None
-) -> dict[str, str]:
-    """Return the files of an export, by their names.
+) -> dict[str, str | bytes]:
+    """Return the files of an export, by their names: texts, or bytes of what is no text.
 
     Parameters
     ----------
@@ -59,7 +63,7 @@ def files(
         raise UsageError("the compensator was made for another model than the one that is exported")
     chosen = name or (identifier(file.source_path.stem) if file.source_path else "") or file.friction.model
     subject = Subject(_checked(chosen), file, origin, compensator)
-    content: dict[str, str] = importlib.import_module(f"friction_hil.export.{to}").files(subject)
+    content: dict[str, str | bytes] = importlib.import_module(f"friction_hil.export.{to}").files(subject)
     return content
 
 
@@ -82,12 +86,12 @@ def write(
         A file cannot be written.
     """
     content = files(model, to, name=name, compensator=compensator)
-    paths = {Path(folder) / file: text for file, text in content.items()}
+    paths = {Path(folder) / file: each for file, each in content.items()}
     for path in () if overwrite else paths:
         if path.exists():
             raise UsageError(f"{path} exists already; --force replaces it")
-    for path, text in paths.items():
-        path.write_text(text, encoding="utf-8")
+    for path, each in paths.items():
+        path.write_bytes(each if isinstance(each, bytes) else each.encode())
     return list(paths)
 
 

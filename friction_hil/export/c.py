@@ -11,7 +11,7 @@ from friction_hil.export.counting import operations
 from friction_hil.export.kernels import CYCLES, MODEL_INPUTS, Program, compensator_program, model_program
 from friction_hil.export.subject import Subject, provenance
 
-_REBASED = 1048576  # cycles, 2^20: cycle numbers stay below twice that, which single precision holds exactly
+REBASED = 1048576  # cycles, 2^20: cycle numbers stay below twice that, which single precision holds exactly
 _LARGEST_SINGLE = 3.4e38
 _SMALLEST_SINGLE = 1.2e-38
 
@@ -145,10 +145,10 @@ class _Part:
                 value = f"{value} ? R(1.0) : R(0.0)"
             lines.append(f"    const {_C[each.type]} {each.name} = {value};")
         kept = [field for field, _ in self.fields if field in CYCLES]
-        shift = "".join(f"        s->{field} -= R({_REBASED}.0);\n" for field in kept)
+        shift = "".join(f"        s->{field} -= R({REBASED}.0);\n" for field in kept)
         call = f"    const real torque_ = {self._entry()};"
         return (
-            f"{self.head()}\n{{\n" + "\n".join([*lines, call]) + f"\n    if (s->cycle >= R({_REBASED}.0)) {{\n{shift}"
+            f"{self.head()}\n{{\n" + "\n".join([*lines, call]) + f"\n    if (s->cycle >= R({REBASED}.0)) {{\n{shift}"
             "    }\n    return torque_;\n}\n"
         )
 

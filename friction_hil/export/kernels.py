@@ -181,13 +181,12 @@ def _program(
         entry, _ = translator.function(step, given, name)
         if [one.is_changed for one in state.fields.values()] == before:
             break
-    made = [each for each, _ in translator.functions.values()]
     operands = tuple(each for each in translator.operands(entry, step, given) if isinstance(each, Variable))
     tables = tuple(each for each in translator.tables.values() if each.used)
-    return Program(entry, operands, inputs, tuple(_called(entry, made)), state, tables)
+    return Program(entry, operands, inputs, tuple(called(entry)), state, tables)
 
 
-def _called(entry: Function, made: list[Function]) -> list[Function]:
+def called(entry: Function) -> list[Function]:
     """Return the functions that are called, callees first."""
     order: list[Function] = []
 

@@ -249,7 +249,7 @@ def _signals(recording: Recording, mode: str, period_s: float) -> tuple[Array, A
     demands: list[Array] = []
     if mode != "cst":
         names += ["position_demand", *(["velocity"] if "velocity" in recording else [])]
-    columns, is_known = _evenly(recording, names)
+    columns, is_known = evenly(recording, names)
     position, torque, command = (columns[name] for name in names[:3])
     commands = [_delayed(command, k) for k in range(_COMMANDS + 1)]
     if mode != "cst":
@@ -266,7 +266,7 @@ def _signals(recording: Recording, mode: str, period_s: float) -> tuple[Array, A
     return left[:, 0], right, own, asked
 
 
-def _evenly(recording: Recording, names: Sequence[str]) -> tuple[dict[str, Array], NDArray[np.bool_]]:
+def evenly(recording: Recording, names: Sequence[str]) -> tuple[dict[str, Array], NDArray[np.bool_]]:
     """Return columns on all cycles, missing ones interpolated, and which rows no missing one has reached."""
     cycle = np.round(recording["cycle"]).astype(np.intp)
     every = np.arange(cycle[0], cycle[-1] + 1)

@@ -134,7 +134,8 @@ class FrictionTracer:
         except FrictionHilError:
             return  # too few rows without a gap: further ones may do
         for each in segments:
-            friction = each.torque - mechanics_torque(self._model, each)
+            torque = each.torque / self._model.mechanics.torque_ratio
+            friction = torque - mechanics_torque(self._model, each)
             is_new = (each.time_s > after_s) & (each.time_s <= end_s) & np.isfinite(friction)
             is_new[: max(settling, 1)] = is_new[len(is_new) - max(settling, 1) :] = False
             points = np.stack([each.velocity, friction], axis=1)[is_new]

@@ -189,6 +189,12 @@ class Mechanics(Section):
     gravity: Gravity = key("torque of gravity", default=Gravity())
     delay_s: float = key("time from the command of a torque to its start", "s", default=0.0, ge=0, le=10)
     torque_lag_s: float = key("time constant of the torque", "s", default=0.0, ge=0, le=10)
+    torque_ratio: float = key(
+        "torque that the drive reports, over the torque commanded, in which this file is given",
+        default=1.0,
+        ge=0.1,
+        le=10,
+    )
     backlash: float = key("whole width of the gap between motor and load", "rad or m", default=0.0, ge=0, le=1e3)
     encoder: Literal["motor", "load"] = key(
         "side of the transmission on which the drive's position encoder is", default="motor"

@@ -29,7 +29,8 @@ class Prediction:
     model : str
         Name of the model in the results.
     measured : (m,) array
-        Measured torque: the recorded one, or the recorded signal times the gain of the model, N m or N.
+        Measured torque: the recorded one over ``mechanics.torque_ratio`` of the model, or the recorded signal times the
+        gain of the model, N m or N.
     friction, mechanics : (m,) array
         Predicted torque of friction, and of inertia, offset, gravity and back-EMF, N m or N.
     rmse : float
@@ -107,7 +108,7 @@ def replay(
     for name, model in models.items():
         problems += _missing_inputs(name, model, segments[0])
         friction, mechanics = map(reduced, zip(*(predict(model, each) for each in segments), strict=True))
-        measured, signal = recorded, signal_of(model, recording)
+        measured, signal = recorded / model.mechanics.torque_ratio, signal_of(model, recording)
         if signal is not None:
             problems += _other_signal(name, signal, recording)
             measured = signal.gain * recorded

@@ -65,7 +65,7 @@ def of_records(records: Sequence[RegressionSegment], mechanics: Mechanics, base:
 def _of_record(record: RegressionSegment, mechanics: Mechanics, base: FrictionModel | None) -> Samples:
     load = mechanics.gravity.at(record.position)
     load_torque = load if record.load_torque is None else record.load_torque
-    torque = record.torque - mechanics.offset - load
+    torque = record.torque / mechanics.torque_ratio - mechanics.offset - load
     if base is not None:
         torque = torque - base.simulate(
             record.velocity,

@@ -106,7 +106,8 @@ class Given:
                 temperature=record.temperature,
             )
             torques.append(friction + load + mechanics.offset)
-        return data.torque - data.stack(torques) - mechanics.inertia * data.column("inertia")
+        torque = data.stack(torques) + mechanics.inertia * data.column("inertia")
+        return data.torque - mechanics.torque_ratio * torque
 
 
 class Refitted:

@@ -103,6 +103,16 @@ def trial_text(
     return "\n".join([*lines, f"{every} in {duration_s:.0f} s, {len(labels) + 1} times: {turns}{_others(run, bounds)}"])
 
 
+def once_more_text(
+    run: Configuration, bounds: Mapping[str, ExperimentBounds], labels: Mapping[str, str], duration_s: float
+) -> str:
+    """Describe a further run of a trial, with the parameters of `trial_text` and the label of the model by axis."""
+    return (
+        f"the same motions once more, for {duration_s:.0f} s, compensated by {_models(labels)}, because the reported "
+        f"torque is not the commanded one{_others(run, bounds)}"
+    )
+
+
 def _motions(name: str, run: Configuration, allowed: float) -> Iterator[str]:
     """Yield how far and how fast an axis moves, then a line for each of its motions."""
     axis = run.axes[name]

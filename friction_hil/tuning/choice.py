@@ -15,9 +15,12 @@ from friction_hil.identification.export import add_mechanics, as_model_file
 from friction_hil.identification.inference import VAGUE
 from friction_hil.identification.mechanics import Mechanics
 from friction_hil.models.model_file import ModelFile
+from friction_hil.tuning.torque_ratio import with_torque_ratio
 from friction_hil.tuning.trial import Trial
 from friction_hil.tuning.trial_motions import MOTIONS
 from friction_hil.tuning.two_steps import label
+
+SCALED = ", scaled"  # of a model in the commanded torque
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,11 +31,12 @@ class TriedModel:
     fit: Fit
     model: dict[str, Any]
     trial: Trial
+    is_scaled: bool = False  # to the commanded torque, by a ratio that the trial showed
 
     @property
     def label(self) -> str:
         """Name for tables and messages."""
-        return label(self.identification, self.fit)
+        return f"{label(self.identification, self.fit)}{SCALED if self.is_scaled else ''}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,20 +83,20 @@ def model_content(
 ) -> dict[str, Any]:
     """Return the model file of a fit as plain values, with what was found behind the motor.
 
-    Delays, which no recording shows, are the axis's former ones. So is an inertia that the recording does not
-    determine: the daemon feeds it forward in mode cst.
+    Delays and the ratio of reported to commanded torque, which no recording without compensation shows, are the axis's
+    former ones. So is an inertia that the recording does not determine: the daemon feeds it forward in mode cst.
     """
     model = as_model_file(found, fit)
     before = axis.model.mechanics
     model["mechanics"] |= {"delay_s": before.delay_s, "torque_lag_s": before.torque_lag_s}
     if problem := inertia_problem(fit):
         former = before.inertia if before.inertia > sys.float_info.min else 0.0  # the stand-in for a missing file
-        model["mechanics"]["inertia"] = former
+        model["mechanics"]["inertia"] = former * before.torque_ratio  # in the reported torque, as the others
         kept = f"the former one, {former:g}, is kept" if former else "0 is written, so that nothing is fed forward"
         model["fit"]["flags"].append(f"{problem}: {kept}")
     if mechanics is not None:
         add_mechanics(model, mechanics)
-    return model
+    return model if before.torque_ratio == 1.0 else with_torque_ratio(model, before.torque_ratio)
 
 
 def inertia_problem(fit: Fit) -> str:

@@ -1,7 +1,7 @@
 """Commissioning on the drive, step by step: experiment, identification, candidates, trials, choice."""
 
 import contextlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -14,11 +14,13 @@ from friction_hil.identification.settings import chosen_families
 from friction_hil.identification.torque_timing import TorqueTiming
 from friction_hil.models.model_file import ModelFile
 from friction_hil.recordings import Recording, read, read_all
-from friction_hil.tuning.announcement import allowed_speeds, experiment_text, shaken_text, trial_text
+from friction_hil.tuning.announcement import allowed_speeds, experiment_text, once_more_text, shaken_text, trial_text
 from friction_hil.tuning.candidates import CandidateFit, candidates, identified
 from friction_hil.tuning.choice import (
+    SCALED,
     AxisTuning,
     TriedModel,
+    best_of,
     inertia_problem,
     keep_best,
     model_content,
@@ -39,6 +41,7 @@ from friction_hil.tuning.rehearsed import RehearsedFit, rehearsal_text, rehearse
 from friction_hil.tuning.runs import TuningRuns
 from friction_hil.tuning.settings import Dialog, TuneSettings
 from friction_hil.tuning.torque_lag import TorqueLag, find_torque_lag, with_torque_lag
+from friction_hil.tuning.torque_ratio import TorqueRatio, find_torque_ratio, with_torque_ratio
 from friction_hil.tuning.trial import judge
 from friction_hil.tuning.two_steps import label
 
@@ -57,6 +60,8 @@ class Tuning:
         Report, if one was written.
     torque_lags : dict of TorqueLag
         By axis.
+    torque_ratios : dict of TorqueRatio
+        By axis.
     rehearsed : dict of tuple of RehearsedFit
         Models with what they do in simulation, best first, by axis; empty for an axis that could not be simulated.
     """
@@ -66,6 +71,7 @@ class Tuning:
     warnings: list[str] = field(default_factory=list)
     report: Path | None = None
     torque_lags: dict[str, TorqueLag] = field(default_factory=dict)
+    torque_ratios: dict[str, TorqueRatio] = field(default_factory=dict)
     rehearsed: dict[str, tuple[RehearsedFit, ...]] = field(default_factory=dict)
 
 
@@ -80,7 +86,8 @@ def tune(configuration: Configuration, settings: TuneSettings, dialog: Dialog) -
        the best two or three that swing nowhere are tried.
     4. Trials: all axes make their own motion, slow, small, tiny and fast ones, and strokes with rests; first without
        compensation, then again with each candidate.
-    5. Torque lag: how the reported torque follows the commanded one in the trial.
+    5. Torque lag and ratio: how the reported torque follows the commanded one in the trial. Where it clearly is another
+       multiple of it than the model says, the best model is scaled by that, and tried once more.
     6. Choice: the candidate with the smallest following error that does harm in no motion. If it helped and the
        configuration names a model file that does not exist, it is written there; an existing file is left as it is.
 
@@ -128,12 +135,13 @@ class _Turn:
     files: Mapping[str, dict[str, Any]]
     run: Configuration
     duration_s: float
+    scaled: Collection[str] = ()  # axes whose models are scaled by a ratio that the trial showed
 
     def judged(self, name: str, without: Recording, compensated: Recording) -> TriedModel:
         """Compare the recordings of an axis without and with compensation."""
         fade_s = max(self.run.axes[each].compensation.fade_s for each in self.fits)
         trial = judge(without, compensated, self.run.axes[name], self.run.period_s, fade_s)
-        return TriedModel(*self.fits[name], self.files[name], trial)
+        return TriedModel(*self.fits[name], self.files[name], trial, name in self.scaled)
 
 
 class _Tuner:
@@ -148,6 +156,7 @@ class _Tuner:
         self._resolutions: dict[str, float] = {}  # of the encoders, found in the experiments
         self._timings: dict[str, TorqueTiming] = {}
         self._torque_lags: dict[str, TorqueLag] = {}
+        self._torque_ratios: dict[str, TorqueRatio] = {}
         self._all_rehearsed: dict[str, tuple[RehearsedFit, ...]] = {}
 
     def tune(self) -> Tuning:
@@ -166,6 +175,7 @@ class _Tuner:
             self._runs.recordings,
             [*self._runs.warnings, *self._warnings],
             torque_lags=self._torque_lags,
+            torque_ratios=self._torque_ratios,
             rehearsed=self._all_rehearsed,
         )
 
@@ -283,7 +293,43 @@ class _Tuner:
                 runs[name].append(compensated[name])
                 if k < len(chosen[name]):
                     tried[name].append(found[name])
+        if again := self._scaled_turn(tried, without, runs):
+            names = {
+                name: f"{label(*pair)}{SCALED if name in again.scaled else ''}" for name, pair in again.fits.items()
+            }
+            self._dialog.confirm(once_more_text(first.run, bounds, names, first.duration_s))
+            try:
+                compensated = recorded(again.run, f"trial_{len(turns) + 1}.mcap")
+                for name in again.scaled:
+                    tried[name].append(again.judged(name, without[name], compensated[name]))
+            except FrictionHilError as error:
+                self._warnings.append(f"the scaled models could not be tried: {error}")
         return {name: self._with_torque_lag(each, without[name], runs[name]) for name, each in tried.items()}
+
+    def _scaled_turn(
+        self,
+        tried: Mapping[str, Sequence[TriedModel]],
+        without: Mapping[str, Recording],
+        compensated: Mapping[str, Sequence[Recording]],
+    ) -> "_Turn | None":
+        """Return the run with the best models, scaled to the commanded torque; None if all of them have its size."""
+        best = {name: best_of(tuple(each)) for name, each in tried.items()}
+        files = {name: each.model for name, each in best.items()}
+        scaled = set()
+        for name in best:
+            found = find_torque_ratio(without[name], compensated[name], self._configuration.axes[name])
+            self._torque_ratios[name] = found
+            if found.is_other and found.estimate is not None:
+                files[name] = with_torque_ratio(files[name], found.estimate.ratio, found.estimate.error)
+                scaled.add(name)
+        if not scaled:
+            return None
+        fits = {name: (each.identification, each.fit) for name, each in best.items()}
+        return _Turn(fits, files, *self._run_with(files), scaled)
+
+    def _run_with(self, files: Mapping[str, dict[str, Any]]) -> tuple[Configuration, float]:
+        models = {name: ModelFile.model_validate(model) for name, model in files.items()}
+        return trial_run(self._configuration, models, self._resolutions)
 
     def _with_torque_lag(
         self, tried: Sequence[TriedModel], without: Recording, compensated: Sequence[Recording]
@@ -303,9 +349,8 @@ class _Tuner:
                 name: model_content(*each, self._configuration.axes[name], self._mechanics[name])
                 for name, each in fits.items()
             }
-            models = {name: ModelFile.model_validate(model) for name, model in files.items()}
             try:
-                turns.append(_Turn(fits, files, *trial_run(self._configuration, models, self._resolutions)))
+                turns.append(_Turn(fits, files, *self._run_with(files)))
             except FrictionHilError as error:
                 if not k:
                     raise

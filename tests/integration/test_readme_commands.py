@@ -131,6 +131,7 @@ ELSEWHERE = (
     ("friction-hil service status", "test_services_that_are_not_active_are_exit_status_1"),
     ("./tools/demo", "test_demo_hands_its_arguments_on"),
     ("./tools/test", "test_arguments_reach_pytest"),
+    ("./tools/campaign --output", "test_the_table_is_in_its_file_after_every_try"),
     ("./tools/campaign --list", "test_the_command_lists_faults_and_refuses_others"),
     ("./tools/bench", "test_unknown_benchmark_is_answered_with_what_there_is"),
     ("./tools/bench compensation --grid --json", "test_command_prints_one_json_object"),

@@ -1,6 +1,7 @@
 """The parts of tools/campaign that judge: a witness that overlooks nothing, a wire that passes on what it should."""
 
 import random
+import re
 import struct
 
 import pytest
@@ -101,6 +102,25 @@ def test_judgement() -> None:
     assert "still has power" in judge(BY_NAME["stop-2"], powered).unsafe[0]
 
 
+@pytest.mark.parametrize(
+    ("text", "missed", "named"),
+    [
+        ("the loop was late by 60000 µs (12 periods) [FH-113]", 12, "late"),
+        ("x: the drive is in fault; 3 periods were missed right before [FH-105]", 3, "late"),
+        ("x: the drive is in fault [FH-105]", 3, "no: FH-105"),  # missed at another time
+        ("x: the drive is in fault; 1 period was missed 20 ms before [FH-105]", 1, "no: FH-105"),
+        ("x: position is outside the limits; 3 periods were missed right before [FH-108]", 3, "no: FH-108"),
+        ("program error: KeyError; 3 periods were missed right before [FH-126]", 3, "no: FH-126"),
+    ],
+)
+def test_lateness_excuses_only_what_follows_from_it(text: str, missed: int, named: str) -> None:
+    result = {**SETTLED, "faults": [text], "missed": missed}
+    verdict = judge(BY_NAME["wrap"], seen(result=result, status=1))
+    assert (verdict.named, bool(verdict.problems)) == (named, named != "late")
+    early = judge(BY_NAME["wrap"], seen(result=result, status=1, struck_s=None))
+    assert bool(early.problems) == (named != "late")
+
+
 def test_what_was_saved_by_a_watchdog_killed_or_never_read_is_not_passed() -> None:
     fault = BY_NAME["stop-2"]
     assert "left the drive with statusword 0637h" in judge(fault, seen(end_statusword=0x637)).unsafe[0]
@@ -179,3 +199,22 @@ def test_the_command_lists_faults_and_refuses_others() -> None:
     listed = CliRunner().invoke(command, ["--list"]).output
     assert all(fault.name in listed for fault in FAULTS)
     assert "kill-daemon" in str(CliRunner().invoke(command, ["--only", "kill-deamon"]).exception)
+
+
+def test_the_table_is_in_its_file_after_every_try(tmp_path, monkeypatch) -> None:
+    path, tables = tmp_path / "table.md", []
+
+    def trial(fault, seed, number) -> Seen:
+        tables.append(path.read_text() if path.exists() else "")
+        return seen(status=number)  # the second one ends with a status that its faults do not explain
+
+    monkeypatch.setattr("tools.campaigns.command.run_trial", trial)
+    words = ["--only", "stop-2", "--only", "wrap", "--tries", "2", "--output", str(path)]
+    said = CliRunner().invoke(command, words, standalone_mode=False)
+    assert said.return_value == 1
+    totals = [re.search(r"^(\d) tries.*; (\w+) failed", text, re.MULTILINE) for text in tables[1:]]
+    assert [found.groups() for found in totals if found] == [("1", "none"), ("2", "1"), ("3", "1")]
+    repeats = re.findall(r"^- `(.+)`: exit status 1", path.read_text(), re.MULTILINE)
+    assert repeats == [f"./tools/campaign --only {name} --seed 7 --first 1 --tries 1" for name in ("stop-2", "wrap")]
+    missing = CliRunner().invoke(command, ["--output", str(tmp_path / "no/table.md")])
+    assert "there is no folder" in str(missing.exception)

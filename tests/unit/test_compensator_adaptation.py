@@ -266,3 +266,11 @@ def test_a_run_says_that_nothing_was_learned_and_from_which_velocity_on_it_is(sp
 
 def test_without_adaptation_nothing_is_said():
     assert adaptation_notice("x", "rad", compensator(LUGRE)) is None
+
+
+def test_the_reported_torque_is_divided_by_its_ratio_to_that_of_the_model():
+    one = compensator(VISCOUS, **LEARNING, torque_ratio=0.8)
+    other = compensator(VISCOUS, **LEARNING)
+    slide(one, 0.8 * 1.1, 2.0)
+    slide(other, 1.1, 2.0)
+    assert factors(one) == pytest.approx(factors(other))

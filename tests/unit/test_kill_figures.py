@@ -126,7 +126,7 @@ class CutBus(can.BusABC):
         super().__init__(channel="cut")
         self.left: int | None = None
         self.stack: Stack | None = None
-        self._answers: queue.SimpleQueue[can.Message] = queue.SimpleQueue()
+        self._answers: queue.Queue[can.Message] = queue.Queue()
 
     def answer(self, can_id: int, data: bytes) -> None:
         self._answers.put(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))

@@ -321,7 +321,7 @@ def tuning_of(*models):
             model,
             identification=found,
             fit=SimpleNamespace(label=label, **fit),
-            model={"mechanics": {"inertia": 2e-4}},
+            model={"friction": {"parameters": {"coulomb": 0.1}}, "mechanics": {"inertia": 2e-4}},
             trial=Trial(tuple(replace(motion, name=name) for motion, name in pairs)),
         )
         for label, model, pairs in ((label, model, all_motions(model)) for label, model in models)

@@ -5,6 +5,8 @@ import os
 import shutil
 import sys
 import time
+from collections.abc import Sequence
+from pathlib import Path
 
 import click
 
@@ -23,9 +25,14 @@ _WIDTH = 100
 @click.option("--first", type=click.IntRange(0), default=0, help="Number of the first try, to repeat one.")
 @click.option("--seed", type=click.IntRange(0), default=7, show_default=True, help="Seed of all that is random.")
 @click.option("--only", multiple=True, metavar="NAME", help="Only this fault; may be repeated.")
+@click.option(
+    "--output", type=click.Path(path_type=Path), metavar="FILE", help="Write the table to FILE (.md) as it grows."
+)
 @click.option("--list", "is_listing", is_flag=True, help="List the faults, and do nothing.")
 @option_json
-def command(tries: int, first: int, seed: int, only: tuple[str, ...], is_listing: bool, as_json: bool) -> int:
+def command(
+    tries: int, first: int, seed: int, only: tuple[str, ...], output: Path | None, is_listing: bool, as_json: bool
+) -> int:
     """Put faults between the real daemon and simulated drives, and watch every frame between them.
 
     Each try takes one drive (CANopen, CANopen beside another master, or Modbus RTU in turn) in a random mode, and the
@@ -39,7 +46,9 @@ def command(tries: int, first: int, seed: int, only: tuple[str, ...], is_listing
         for fault in faults:
             click.echo(f"{fault.name:<{width}}  {fault.text} ({', '.join(fault.arenas)})")
         return 0
-    rows = []
+    if output is not None and not output.parent.is_dir():
+        raise UsageError(f"--output {output}: there is no folder {output.parent}")
+    rows: list[Row] = []
     began_s = time.monotonic()
     for number, fault in enumerate(faults):
         row = Row(fault)
@@ -52,6 +61,8 @@ def command(tries: int, first: int, seed: int, only: tuple[str, ...], is_listing
             for problem in verdict.problems:
                 what = " ".join([seen.arena, seen.mode, seen.phase, *seen.told])
                 _say(f"FAIL {fault.name} ({what}): {problem}\n     repeat: {_again(fault, seed, attempt)}")
+            if output is not None:
+                _write(output, rows, seed, first, time.monotonic() - began_s)
     _progress("")
     failed = sum(len(row.failures) for row in rows)
     if as_json:
@@ -59,11 +70,28 @@ def command(tries: int, first: int, seed: int, only: tuple[str, ...], is_listing
         click.echo(json.dumps({"seed": seed, "faults": [row.figures() for row in rows], "repeat": repeat}))
     else:
         click.echo(markdown(rows))
-        tries, frames = (sum(numbers) for numbers in zip(*((len(row.tries), row.frames) for row in rows), strict=True))
-        void = sum(verdict.is_void for row in rows for _, verdict in row.tries)
-        took = f"{time.monotonic() - began_s:.0f} s, seed {seed}"
-        click.echo(f"\n{tries} tries, {frames} frames on the wire, in {took}; {failed or 'none'} failed, {void} void")
+        click.echo(f"\n{_total(rows, seed, time.monotonic() - began_s)}")
     return 1 if failed else 0
+
+
+def _total(rows: Sequence[Row], seed: int, took_s: float) -> str:
+    """Return the sentence below the table."""
+    tries, frames = sum(len(row.tries) for row in rows), sum(row.frames for row in rows)
+    failed = sum(len(row.failures) for row in rows)
+    void = sum(verdict.is_void for row in rows for _, verdict in row.tries)
+    took = f"{took_s:.0f} s, seed {seed}"
+    return f"{tries} tries, {frames} frames on the wire, in {took}; {failed or 'none'} failed, {void} void"
+
+
+def _write(path: Path, rows: Sequence[Row], seed: int, first: int, took_s: float) -> None:
+    """Write what there is so far, with the commands that repeat what failed; a reader never sees a half of it."""
+    lines = [markdown(rows), "", _total(rows, seed, took_s), ""]
+    for row in rows:
+        for number, problems in row.failures:
+            lines += [f"- `{_again(row.fault, seed, first + number)}`: {'; '.join(problems)}"]
+    part = path.with_name(f"{path.name}.part")
+    part.write_text("\n".join(lines).rstrip() + "\n", encoding="utf-8")
+    part.replace(path)
 
 
 def _fault(name: str) -> Fault:

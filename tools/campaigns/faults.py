@@ -252,7 +252,14 @@ FAULTS = (
         end=attacks.release_memory,
         last_s=(0.5, 1.0),
     ),
-    Fault("no-memory", "no allocation granted to the process that records", ALL, attacks.refuse_memory),
+    Fault(
+        "no-memory",
+        "no more memory granted to the daemon or to the process that records",
+        ALL,
+        attacks.refuse_memory,
+        codes=("FH-127",),
+        words="memory",
+    ),
     Fault(
         "garbage-mailbox",
         "random bytes in the mailbox",

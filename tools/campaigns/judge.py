@@ -12,6 +12,10 @@ from tools.campaigns.witness import is_powered
 
 _CODE = re.compile(r"\[(FH-\d{3})\]")
 _LATE = "FH-113"  # this computer was busy, which is nobody's fault
+# What may follow from periods that the daemon missed: late feedback, a drive whose watchdog struck, an axis that
+# catches up, a heartbeat or SYNC that was not seen in time. The message has to name these periods.
+_FROM_LATE = ("FH-103", "FH-105", "FH-106", "FH-107", "FH-230", "FH-235", "FH-248")
+_NAMES_MISSED = re.compile(r"; \d+ periods? (was|were) missed ")
 _BUSY = (_LATE, "FH-101", "FH-103", "FH-114", "FH-230", "FH-235", "FH-248")  # daemon or drives were
 _ROWS_LOST = re.compile(r"rows?\b.*\blost\b|\blost\b.*\brows?\b")
 _POWERED = {state.words for state in DriveState if state.is_powered}
@@ -109,18 +113,16 @@ def _judge_exit(fault: Fault, seen: Seen, faults: list[str], verdict: Verdict) -
 
 
 def _judge_cause(fault: Fault, seen: Seen, faults: list[str], verdict: Verdict) -> None:
-    if verdict.is_void and faults and int(seen.result.get("missed", 0)) <= 1:
-        code = (_CODE.findall(faults[0]) or ["none"])[-1]
-        if code not in _BUSY:
-            verdict.wrong.append(f"the run ended before the fault struck: {faults[0]}")
+    if verdict.is_void and faults and _code(faults[0]) not in _BUSY and not _is_from_lateness(seen, faults[0]):
+        verdict.wrong.append(f"the run ended before the fault struck: {faults[0]}")
     if verdict.is_void or fault.killed == "daemon":
         return
     said = "\n".join([*faults, *seen.result.get("warnings", ()), *seen.result.get("notices", ()), seen.errors])
     if faults:
-        code = (_CODE.findall(faults[0]) or ["none"])[-1]
+        code = _code(faults[0])
         if code in fault.codes:
             verdict.named = "yes"
-        elif code == _LATE or seen.result.get("missed", 0) > 1:
+        elif _is_from_lateness(seen, faults[0]):
             verdict.named = "late"
         else:
             verdict.named = f"no: {code}"
@@ -129,6 +131,18 @@ def _judge_cause(fault: Fault, seen: Seen, faults: list[str], verdict: Verdict) 
         verdict.wrong.append("the run went on as if nothing had happened")
     elif fault.words:
         verdict.named = "yes" if re.search(fault.words, said) else "unsaid"
+
+
+def _code(text: str) -> str:
+    found = _CODE.search(text)
+    return found[1] if found else "none"
+
+
+def _is_from_lateness(seen: Seen, text: str) -> bool:
+    """Return True if this computer's lateness explains a fault: its code, and missed periods shortly before it."""
+    code = _code(text)
+    has_missed = int(seen.result.get("missed", 0)) > 1 and _NAMES_MISSED.search(text) is not None
+    return code == _LATE or (code in _FROM_LATE and has_missed)
 
 
 def _judge_rows(fault: Fault, seen: Seen, verdict: Verdict) -> None:

@@ -25,7 +25,6 @@ from friction_hil.reports.tuning_report import write_reports
 from friction_hil.tuning import AxisTuning, TriedModel, TuneSettings, Tuning, tune
 from friction_hil.tuning.choice import motion_names
 from friction_hil.tuning.settings import ShowStep
-from friction_hil.tuning.torque_lag import TorqueLag
 
 _FOLDER = Path("out/tune")
 
@@ -123,14 +122,15 @@ class _Terminal:
 
 def _as_dict(tuning: Tuning) -> dict[str, Any]:
     return {
-        "axes": {name: _axis(axis, tuning.torque_lags.get(name)) for name, axis in tuning.axes.items()},
+        "axes": {name: _axis(name, tuning) for name in tuning.axes},
         "recordings": tuning.recordings,
         "report": tuning.report,
         "warnings": tuning.warnings,
     }
 
 
-def _axis(axis: AxisTuning, lag: TorqueLag | None) -> dict[str, Any]:
+def _axis(name: str, tuning: Tuning) -> dict[str, Any]:
+    axis, lag, ratio = tuning.axes[name], tuning.torque_lags.get(name), tuning.torque_ratios.get(name)
     best = axis.best
     return {
         "model": best.label,
@@ -138,9 +138,10 @@ def _axis(axis: AxisTuning, lag: TorqueLag | None) -> dict[str, Any]:
         "in_place": axis.is_in_place,
         "reason": best.identification.reason,
         "flags": best.fit.flags,
-        "parameters": best.fit.friction[0],
+        "parameters": best.model["friction"]["parameters"],
         "mechanics": best.model["mechanics"],
         "torque_lag": None if lag is None else lag.figures,
+        "torque_ratio": None if ratio is None else ratio.figures,
         "tried": [
             {
                 "model": each.label,
@@ -167,6 +168,8 @@ def _print(tuning: Tuning, config: Path, *, is_simulated: bool) -> None:
             say(f"{name}: {flag}", stderr=False)
     for name, lag in tuning.torque_lags.items():
         say(f"{name}: {lag.text}", stderr=False)
+    for name, ratio in tuning.torque_ratios.items():
+        say(f"{name}: {ratio.text}", stderr=False)
     for name, axis in tuning.axes.items():
         say(f"{name}: model file: {axis.file}; {_use(axis, config, is_simulated=is_simulated)}", stderr=False)
     if tuning.report is not None:

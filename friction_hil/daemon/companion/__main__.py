@@ -73,6 +73,8 @@ def _fork_worker(job: Job, ring_descriptor: int, journal_descriptor: int, number
         from friction_hil.daemon.companion.worker import work
 
         status = work(job, ring_descriptor, number, memory, Changes(journal_descriptor))
+    except MemoryError:
+        warn(f"worker {number} of the companion has no memory left")
     except BaseException:  # noqa: BLE001 - a fork must not return into the code of its parent
         traceback.print_exc()
     finally:

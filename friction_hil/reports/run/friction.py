@@ -77,7 +77,8 @@ def _measured(
             notes.append(f"no measured friction: {error}")
             return None, False
         velocity = np.concatenate([each.velocity for each in segments])
-        friction = np.concatenate([each.torque - mechanics_torque(model, each) for each in segments])
+        ratio = model.mechanics.torque_ratio
+        friction = np.concatenate([each.torque / ratio - mechanics_torque(model, each) for each in segments])
         return _thinned(velocity, friction), True
     if "velocity" in recording:
         return _thinned(recording["velocity"], recording["torque"]), False

@@ -1,0 +1,210 @@
+"""Model and compensator as Structured Text of IEC 61131-3, for CODESYS, TwinCAT and others: function blocks."""
+
+import textwrap
+from collections.abc import Iterable
+
+from friction_hil.export import strict_library
+from friction_hil.export.c import REBASED
+from friction_hil.export.ir import Variable
+from friction_hil.export.kernels import CYCLES, Program, compensator_program, model_program
+from friction_hil.export.st_printer import STATE, Declared, Pou, StPrinter, field_name, literal, table_name
+from friction_hil.export.strict import StrictField, flag, strict
+from friction_hil.export.subject import Subject, provenance
+
+UNKNOWN = 1e30  # an input that is not connected
+PLAUSIBLE = 1e16  # numbers from here on, and NaN where there is one, are unknown
+# inputs that may be unknown
+OPTIONAL = ("position", "velocity", "torque", "position_demand", "velocity_demand", "velocity_demand_ahead",
+            "acceleration_demand_ahead", "temperature")  # fmt: skip
+MODEL_OPTIONAL = ("temperature",)
+_PUBLIC = {"dt": "elapsed"}  # dt is a type of the language
+
+COMMENTS = {
+    "model": {
+        "velocity": "{angle}/s, held since the last call",
+        "dt": "s since the last call, above zero",
+        "position": "{angle}, now",
+        "load_torque": "{torque}, positive if it opposes positive motion",
+        "temperature": "deg C",
+        "applied_torque": "{torque}, which a static map balances at rest",
+    },
+    "compensator": {
+        "cycles": "since the last call: 1, and more after missed cycles",
+        "position": "{angle}, measured",
+        "velocity": "{angle}/s, of the drive; only an estimator of the kind drive uses it",
+        "torque": "{torque}, actual torque of the drive",
+        "position_demand": "{angle}, when the position was sampled",
+        "velocity_demand": "{angle}/s, when the position was sampled",
+        "velocity_demand_ahead": "{angle}/s, when this cycle's torque will act",
+        "acceleration_demand_ahead": "{angle}/s^2, likewise",
+        "temperature": "deg C, measured",
+        "is_fresh": "the feedback is of this cycle",
+        "is_enabled": "fade in; otherwise fade out",
+    },
+}
+
+
+def files(subject: Subject) -> dict[str, str]:
+    """Return one file with all function blocks, functions and types."""
+    parts = [_Part(subject, "model", model_program(subject.model_file.friction_model))]
+    if subject.compensator is not None:
+        parts.append(_Part(subject, "compensator", compensator_program(subject.compensator)))
+    library = {name: each for part in parts for name, each in part.library().items()}
+    texts = [each.text() for each in library.values()]
+    for part in parts:
+        texts += part.texts()
+    return {f"{subject.name}.st": "\n".join([comment(_about(subject)), *texts])}
+
+
+def _about(subject: Subject) -> Iterable[str]:
+    yield from provenance(subject)
+    yield ""
+    yield (
+        f"{literal(UNKNOWN)}, which an input has that is not connected, stands for what is unknown, as does every "
+        "number that is not plausible. Call each block once in every period of its task."
+    )
+
+
+def comment(lines: Iterable[str]) -> str:
+    """Return a comment of several lines."""
+    wrapped: list[str] = []
+    for line in lines:
+        indent = " " * (len(line) - len(line.lstrip()) + 2)
+        wrapped += textwrap.wrap(line, 112, subsequent_indent=indent) or [""]
+    inside = "\n".join(f"   {line}".rstrip() for line in wrapped).replace("*)", "* )").replace("(*", "( *")
+    return f"(*{inside[2:]} *)\n"
+
+
+class _Part:
+    """Model or compensator: a type for the state, functions, and the function block."""
+
+    def __init__(self, subject: Subject, kind: str, program: Program) -> None:
+        self.optional = MODEL_OPTIONAL if kind == "model" else OPTIONAL
+        self.kind, self.program = kind, strict(program, self.optional)
+        self.outside = program.inputs
+        used = set(map(id, map(strict_library.function, strict_library.NAMES)))
+        own = [each for each in self.program.functions if id(each) in used]
+        self.printer = StPrinter(subject.name, kind, self.program.tables, own)
+        self._library, self.name = own, f"{subject.name}_{kind}"
+        angle, torque = ("rad", "N m") if subject.model_file.axis == "rotary" else ("m", "N")
+        self.comments = {name: text.format(angle=angle, torque=torque) for name, text in COMMENTS[kind].items()}
+        self.torque = torque
+        self.has_state = bool(self.program.fields or self.program.tables)
+
+    def library(self) -> dict[str, Pou]:
+        """Return the functions of the library, which several programs may share."""
+        return {each.name: self.printer.function(each) for each in self._library}
+
+    def texts(self) -> list[str]:
+        """Return everything else."""
+        functions = [each for each in self.program.functions if each not in self._library]
+        units = [self.printer.function(each) for each in functions]
+        if self.has_state:
+            units.append(self._begin())
+        types = [self._type()] if self.has_state else []
+        return [*types, *(each.text() for each in units), self._block().text()]
+
+    def _type(self) -> str:
+        lines = [Declared(field_name(one.name), _array(one.type, len(one.initial)) if one.is_array else _TYPE[one.type])
+                 for one in self.program.fields]  # fmt: skip
+        for table in self.program.tables:
+            low, high = table.used
+            values = ", ".join(literal(float(each)) for each in table.values[low : high + 1])
+            kind = _array("real", high - low + 1)
+            lines.append(Declared(table_name(table.name), kind, f"[{values}]", "constant"))
+        inner = "\n".join(each.text() for each in lines)
+        return f"TYPE {self.printer.state_type} :\nSTRUCT\n{inner}\nEND_STRUCT;\nEND_TYPE\n"
+
+    def _begin(self) -> Pou:
+        name, lines, has_loop = f"{self.name}_begin", [], False
+        for one in self.program.fields:
+            place = f"{STATE}.{field_name(one.name)}"
+            values = [_initial(one, each) for each in one.initial]
+            if not one.is_array:
+                lines.append(f"{place} := {values[0]};")
+            elif len(values) > 1 and len(set(values)) == 1:
+                has_loop = True
+                lines += [f"FOR k := 0 TO {len(values) - 1} DO", f"    {place}[k] := {values[0]};", "END_FOR;"]
+            else:
+                lines += [f"{place}[{i}] := {each};" for i, each in enumerate(values)]
+        sections = {
+            "VAR_IN_OUT": [Declared(STATE, self.printer.state_type)],
+            "VAR": [Declared("k", "DINT")] if has_loop else [],
+        }
+        body = "\n".join([f"{name} := TRUE;", *lines])
+        return Pou("FUNCTION", name, "BOOL", sections, body, "Give the state the values of an axis at rest.")
+
+    def _block(self) -> Pou:
+        """Return the function block."""
+        inputs, own, lines = self._inputs()
+        result = "compensation" if self.kind == "compensator" else "friction"
+        outputs = [Declared(result, "LREAL", "", self.torque)]
+        lines.append(f"{result} := {self.printer.call(self.program.entry, map(self._operand, self.program.inputs))};")
+        if self.has_state:
+            inputs.insert(0, Declared("reset", "BOOL", "", "begin anew, at rest"))
+            begun = [Declared("is_begun", "BOOL"), Declared("done", "BOOL"), Declared(STATE, self.printer.state_type)]
+            own = [*begun, *own]
+            begin = f"    done := {self.name}_begin({STATE} := {STATE});"
+            lines = ["IF reset OR NOT is_begun THEN", begin, "    is_begun := TRUE;", "END_IF;", *lines]
+        names = {each.name for each in self.program.fields}
+        if "cycle" in names:
+            lines.append(f"IF {STATE}.cycle >= {literal(REBASED)} THEN (* it is kept small *)")
+            kept = [f"{STATE}.{each}" for each in CYCLES if each in names]
+            lines += [f"    {each} := {each} - {literal(REBASED)};" for each in kept]
+            lines.append("END_IF;")
+        if "is_faulty" in names:
+            outputs.append(Declared("is_faulty", "BOOL", "", "the model's torque is not finite; zero is used instead"))
+            lines.append(f"is_faulty := {STATE}.is_faulty > 0.5;")
+        sections = {"VAR_INPUT": inputs, "VAR_OUTPUT": outputs, "VAR": own}
+        return Pou("FUNCTION_BLOCK", self.name, "", sections, "\n".join(lines), self._says())
+
+    def _says(self) -> str:
+        if self.kind == "model":
+            return f"Advance by the time since the last call; friction, {self.torque}, opposes positive velocity."
+        return f"Compute one cycle: the compensation, {self.torque}, within its limit. Due in every period."
+
+    def _operand(self, one: Variable) -> str:
+        """Return what the function block passes to the functions."""
+        if one.type == "bool" or one.name == "cycle":
+            return one.name
+        has_own = one.name.startswith("is_") or one.name in self.optional
+        return f"{one.name}_value" if has_own else _PUBLIC.get(one.name, one.name)
+
+    def _inputs(self) -> tuple[list[Declared], list[Declared], list[str]]:
+        """Return the inputs, the variables for what the functions take, and the statements that fill them."""
+        inputs, own, lines = [], [], []
+        taken = {each.name for each in self.program.inputs}
+        for name in (each.name for each in self.outside):
+            value = f"{name}_value"
+            if name == "cycle":
+                inputs.append(Declared("cycles", "DINT", "1", self.comments["cycles"]))
+                lines.append(f"cycle := {STATE}.cycle + DINT_TO_LREAL(cycles);")
+                own.append(Declared(name, "LREAL"))
+            elif name.startswith("is_"):
+                inputs.append(Declared(name, "BOOL", "TRUE" if name == "is_fresh" else "FALSE", self.comments[name]))
+                lines += _either(name, f"{value} := 1.0;", f"{value} := 0.0;")
+                own.append(Declared(value, "LREAL"))
+            elif name not in self.optional:
+                inputs.append(Declared(_PUBLIC.get(name, name), "LREAL", "", self.comments[name]))
+            else:
+                inputs.append(Declared(name, "LREAL", literal(UNKNOWN), self.comments[name]))
+                if name in taken or flag(name) in taken:
+                    lines.append(f"{flag(name)} := ABS({name}) < {literal(PLAUSIBLE)};")
+                    lines += _either(flag(name), f"{value} := {name};", f"{value} := 0.0;")
+                    own += [Declared(flag(name), "BOOL"), Declared(value, "LREAL")]
+        return inputs, own, lines
+
+
+def _either(test: str, then: str, other: str) -> list[str]:
+    return [f"IF {test} THEN", f"    {then}", "ELSE", f"    {other}", "END_IF;"]
+
+
+_TYPE = {"real": "LREAL", "bool": "BOOL"}
+
+
+def _array(kind: str, size: int) -> str:
+    return f"ARRAY[0..{size - 1}] OF {_TYPE[kind]}"
+
+
+def _initial(one: StrictField, value: float) -> str:
+    return ("TRUE" if value else "FALSE") if one.type == "bool" else literal(value)

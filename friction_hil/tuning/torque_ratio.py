@@ -1,0 +1,162 @@
+"""Reported over commanded torque of an axis from its trial, and the models that are scaled by it. Pure."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from friction_hil.config import AxisConfig
+from friction_hil.daemon.safety import LoopState
+from friction_hil.errors import RecordingError
+from friction_hil.friction.scaling import scaled_friction
+from friction_hil.identification.torque_ratio import RatioEstimate, identify_torque_ratio
+from friction_hil.recordings import Recording
+from friction_hil.replay.verify import facts_of
+
+_CLEAR = 3.0  # standard errors by which a ratio differs from that of the model
+_NOTEWORTHY = 0.02  # a smaller difference is no error of the compensation that could be seen
+_VAGUE = 0.1  # standard error of a ratio that says nothing
+_LEAST, _MOST = 0.5, 2.0  # beyond, the drive does not apply the command, or reports something else
+_DIGITS = 6
+
+
+@dataclass(frozen=True, slots=True)
+class TorqueRatio:
+    """Reported over commanded torque of an axis.
+
+    Attributes
+    ----------
+    former : float
+        Ratio with which the models of the trial are scaled; 1 where none is known.
+    estimate : RatioEstimate or None
+        From the recordings of the trial; None if they allow none.
+    reason : str
+        Why the trial does not determine the ratio; empty if it does.
+    """
+
+    former: float
+    estimate: RatioEstimate | None
+    reason: str
+
+    @property
+    def is_determined(self) -> bool:
+        """True if the trial shows the ratio."""
+        return not self.reason
+
+    @property
+    def is_other(self) -> bool:
+        """True if the ratio clearly differs from the former one, so that the models are too small or too large."""
+        if self.reason or self.estimate is None:
+            return False
+        difference = abs(self.estimate.ratio / self.former - 1.0)
+        return difference > max(_NOTEWORTHY, _CLEAR * self.estimate.error / self.former)
+
+    @property
+    def text(self) -> str:
+        """One sentence for the user."""
+        if self.estimate is None or not self.is_determined:
+            return f"ratio of reported to commanded torque not determined: {self.reason}"
+        figures = f"{self.estimate.ratio:.3g} (standard error {self.estimate.error:.2g})"
+        if not self.is_other:
+            known = "1" if self.former == 1.0 else f"that of the model, {self.former:.3g}"
+            return f"reported over commanded torque {figures}, which does not clearly differ from {known}"
+        return (
+            f"reported over commanded torque {figures}: a model of the reported torque is "
+            f"{'too small' if self.estimate.ratio < self.former else 'too large'} for the commands by that"
+        )
+
+    @property
+    def figures(self) -> dict[str, Any]:
+        """Values and reason as plain values."""
+        found = self.estimate
+        return {
+            "former": self.former,
+            "is_determined": self.is_determined,
+            "is_other": self.is_other,
+            "estimate": None if found is None else found.ratio,
+            "standard_error": None if found is None else found.error,
+            "unexplained": None if found is None else found.unexplained,
+            "reason": self.reason,
+        }
+
+
+def find_torque_ratio(without: Recording, compensated: Sequence[Recording], axis: AxisConfig) -> TorqueRatio:
+    """Identify the reported over the commanded torque of an axis.
+
+    Parameters
+    ----------
+    without : Recording
+        Run of the trial without compensation.
+    compensated : sequence of Recording
+        Runs with the candidates.
+    axis : AxisConfig
+        With the former model.
+    """
+    former = axis.model.mechanics.torque_ratio
+    delay_s = facts_of(compensated[0].metadata, compensated[0]).torque_delay_s
+    if delay_s is None:
+        return TorqueRatio(former, None, "the drive does not report its torque")
+    if delay_s > 0.0:
+        return TorqueRatio(former, None, "the torque is read in the background, and not in each period")
+    try:
+        found = identify_torque_ratio([_running(each) for each in (without, *compensated)], axis.mode)
+    except RecordingError as error:
+        return TorqueRatio(former, None, str(error))
+    return TorqueRatio(former, found, _doubt(found))
+
+
+def with_torque_ratio(model: dict[str, Any], ratio: float, error: float | None = None) -> dict[str, Any]:
+    """Return a model file in the torque that is commanded where the drive reports ``ratio`` times that.
+
+    Friction, inertia, weight and load are scaled, and ``mechanics.torque_ratio`` is written, with its standard error
+    if that is given. The figures of the fit stay those of the reported torque.
+    """
+    mechanics = model["mechanics"]
+    factor = mechanics.get("torque_ratio", 1.0) / ratio
+    friction = model["friction"]
+    parameters, modifiers = scaled_friction(
+        friction["model"], friction["parameters"], friction.get("modifiers", {}), factor
+    )
+    gravity = {name: factor * value for name, value in mechanics["gravity"].items()}
+    changed = {**mechanics, "gravity": gravity, "torque_ratio": _rounded(ratio)}
+    changed |= {name: factor * mechanics[name] for name in ("inertia", "offset")}
+    if "load" in mechanics:
+        changed["load"] = {
+            name: value if value is None else factor * value for name, value in mechanics["load"].items()
+        }
+    content = {
+        **model,
+        "friction": {**friction, "parameters": parameters, **({"modifiers": modifiers} if modifiers else {})},
+        "mechanics": changed,
+    }
+    if error is None:
+        return content
+    fit = model["fit"]
+    note = (
+        f"the drive reports {ratio:.4g} of the commanded torque (standard error {error:.2g}): parameters and mechanics "
+        "are those identified from the reported torque, divided by that; the figures of the fit are as identified"
+    )
+    errors = {**fit["standard_errors"], "torque_ratio": _rounded(error)}
+    return {**content, "fit": {**fit, "standard_errors": errors, "flags": [*fit["flags"], note]}}
+
+
+def _doubt(found: RatioEstimate) -> str:
+    """Return why an estimate says nothing; empty if it does."""
+    figures = f"{found.ratio:.2g} (standard error {found.error:.2g})"
+    if not found.error < _VAGUE:
+        return (
+            f"the trial shows {figures}; command and loops of the drive leave {found.unexplained:.0%} of the reported "
+            "torque unexplained, so that it may not be what the drive applies"
+        )
+    if not _LEAST < found.ratio < _MOST:
+        return f"the trial shows {figures}: the drive does not apply all of the command, or reports another torque"
+    return ""
+
+
+def _running(recording: Recording) -> Recording:
+    is_running = recording["state"] == LoopState.RUNNING
+    return replace(recording, columns={name: values[is_running] for name, values in recording.columns.items()})
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.{_DIGITS}g}") if math.isfinite(value) else value
