@@ -32,6 +32,7 @@ _OVERSHOOT = 1.166  # of the threshold, in discrete time
 _MOST_CORRELATION = 0.9
 _HIGHEST = 1.5  # thresholds: a sum ends soon after its reason has ended
 _NORMAL_90 = 1.2816
+_LEAST_SCATTER = 1e-150  # where all observations are equal, as no measurement is
 _LEAST_SPREAD_K = 0.5  # standard deviation of the temperatures: below, no coefficient is known
 
 
@@ -80,9 +81,11 @@ class Baseline:
         return np.broadcast_to(value, temperatures.shape).astype(float), leverage
 
     def scatters(self, errors: Array) -> Array:
-        """Return the standard deviation (n,) of observations with these standard errors: less exact ones count less."""
-        between = max(self.scatter**2 - self.mean_error**2, 0.0)
-        return np.sqrt(np.maximum(between + errors**2, 1e-300))
+        """Return the standard deviation (n,) of observations with these standard errors, at least that of the baseline.
+
+        Observations that are less exact than those of the baseline count less.
+        """
+        return np.sqrt(self.scatter**2 + np.maximum(errors**2 - self.mean_error**2, 0.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -161,7 +164,7 @@ def fit_baseline(values: Array, errors: Array, temperatures: Array | None) -> Ba
     # the chi-squared distribution: E. B. Wilson, M. M. Hilferty, PNAS 17, 1931
     least = (1.0 - 2.0 / (9.0 * freedom) - _NORMAL_90 * math.sqrt(2.0 / (9.0 * freedom))) ** 3
     mean_error = float(np.sqrt(np.mean(errors**2)))
-    scatter = max(math.sqrt(variance / least), mean_error)
+    scatter = max(math.sqrt(variance / least), mean_error, _LEAST_SCATTER)
     inflation = math.sqrt((1.0 + correlation) / (1.0 - correlation))
     doubts = scatter * inflation * np.sqrt(np.diag(inverse))
     slope, slope_error = (float(factors[1]), float(doubts[1])) if has_slope else (0.0, 0.0)
@@ -183,10 +186,10 @@ def draw_chart(baseline: Baseline, values: Array, errors: Array, temperatures: A
     predicted, leverage = baseline.predict(temperatures)
     rest = values - predicted
     scatters = baseline.scatters(errors) * baseline.inflation
-    steps = np.clip(rest / scatters, -_LARGEST_REST, _LARGEST_REST)
-    allowance = _ALLOWANCE + _PREDICTION * leverage * baseline.scatter * baseline.inflation / scatters
-    upper, rise = _sum(steps - allowance, _HIGHEST * threshold)
-    lower, fall = _sum(-steps - allowance, _HIGHEST * threshold)
+    doubt = _PREDICTION * leverage * baseline.scatter * baseline.inflation / scatters
+    steps = np.clip(rest / scatters, -_LARGEST_REST - doubt, _LARGEST_REST + doubt)
+    upper, rise = _sum(steps - doubt - _ALLOWANCE, _HIGHEST * threshold)
+    lower, fall = _sum(-steps - doubt - _ALLOWANCE, _HIGHEST * threshold)
     n = len(values)
     for sign, sums, begins in ((1, upper, rise), (-1, lower, fall)):
         if n and sums[-1] > threshold:

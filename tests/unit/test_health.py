@@ -124,11 +124,12 @@ def test_observations_with_large_errors_count_less():
     assert only(vague).state == "unchanged"
 
 
-def test_ripple_that_grows_is_an_amplitude_again_in_the_result():
+@pytest.mark.parametrize("spread", [1e-3, 1e-5])
+def test_ripple_that_grows_is_an_amplitude_again_in_the_result(spread):
     rng = np.random.default_rng(7)
     truth = np.where(np.arange(80) < 50, 0.0, 0.01)
-    values = np.hypot(truth + 0.001 * rng.normal(size=80), 0.001 * rng.normal(size=80))
-    verdict = only(observed(values, name="ripple.3", error=0.001))
+    values = np.hypot(truth + spread * rng.normal(size=80), spread * rng.normal(size=80))
+    verdict = only(observed(values, name="ripple.3", error=1.5 * spread))
     assert verdict.state == "changed"
     assert verdict.change == pytest.approx(0.01, rel=0.2)
     assert verdict.label == "ripple at order 3 per revolution"

@@ -431,8 +431,9 @@ def test_the_benchmark_of_exports_compares_steps(monkeypatch: pytest.MonkeyPatch
 def test_the_benchmark_of_health_has_every_change(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(health, "DURATION_S", 8.0)
     monkeypatch.setattr(health, "BEGIN", 31)
+    monkeypatch.setattr(health, "YEAR_DAYS", 40)
     monkeypatch.setattr(health, "CHANGES", health.CHANGES[2:3])
-    done = CliRunner().invoke(health.command, ["--axes", "1", "--days", "40", "--json"])
+    done = CliRunner().invoke(health.command, ["--axes", "1", "--json"])
     assert done.exit_code == 0, done.output
     quiet, tightened = json.loads(done.stdout)["rows"]
     assert quiet["noticed"] is None

@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import median
+from typing import Any
 
 import click
 import numpy as np
@@ -162,18 +163,17 @@ def follow(change: Change, seed: int, days: int, step: int = 1) -> Outcome:
 
 @click.command("health", help=__doc__)
 @click.option("--axes", type=click.IntRange(min=1), default=4, show_default=True, help="Axes for each kind of change.")
-@click.option("--days", type=click.IntRange(min=BEGIN + 1), default=YEAR_DAYS, show_default=True, help="Length.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object on stdout and nothing else.")
-def command(axes: int, days: int, as_json: bool) -> None:
+def command(axes: int, as_json: bool) -> None:
     """Simulate axes and print delays and false alarms."""
     changes = (NOTHING, *CHANGES)
     results: dict[str, list[Outcome]] = {each.name: [] for each in changes}
     for k in rounds(axes * len(changes), "axes"):
         change = changes[k % len(changes)]
-        results[change.name].append(follow(change, k, days))
-    rows = [_row(each, results[each.name], days) for each in changes]
+        results[change.name].append(follow(change, k, YEAR_DAYS))
+    rows = [_row(each, results[each.name], YEAR_DAYS) for each in changes]
     if as_json:
-        print_json({"machine": machine(), "axes": axes, "days": days, "rows": rows})
+        print_json({"machine": machine(), "axes": axes, "days": YEAR_DAYS, "rows": rows})
         return
     columns = ("noticed", "median delay", "longest", "false alarms\nper axis-year")
     table = new_table(prose("change"), *map(number, columns), prose("first noticed in"))
@@ -185,7 +185,7 @@ def command(axes: int, days: int, as_json: bool) -> None:
     click.echo(machine())
 
 
-def _row(change: Change, outcomes: Sequence[Outcome], days: int) -> dict[str, object]:
+def _row(change: Change, outcomes: Sequence[Outcome], days: int) -> dict[str, Any]:
     watched = (days if change is NOTHING else BEGIN) - fh.health.BASELINE
     years = len(outcomes) * watched / YEAR_DAYS
     delays = sorted(each.delay for each in outcomes if math.isfinite(each.delay))
