@@ -42,6 +42,8 @@ def command(**options: Any) -> None:
 
     fmu: the same as functional mock-up units for co-simulation, FMI 2.0 and 3.0; it needs a C compiler.
 
+    modelica: the same as a package of blocks with a sampled step.
+
     With --config the whole compensator is exported, with the settings of an axis of CONFIG: velocity estimate, lead,
     gain, limits, adaptation. MODEL takes the place of the axis's model.
     """

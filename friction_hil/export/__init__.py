@@ -21,6 +21,7 @@ FORMATS = {  # each is a module of this package
     "c": "C99 source and header, for firmware",
     "st": "IEC 61131-3 Structured Text, for CODESYS, TwinCAT and others",
     "fmu": "functional mock-up units, FMI 2.0 and 3.0, for simulators",
+    "modelica": "Modelica package of blocks with a sampled step",
 }
 _LONGEST_NAME = 40
 

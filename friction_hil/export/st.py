@@ -8,15 +8,10 @@ from friction_hil.export.c import REBASED
 from friction_hil.export.ir import Variable
 from friction_hil.export.kernels import CYCLES, Program, compensator_program, model_program
 from friction_hil.export.st_printer import STATE, Declared, Pou, StPrinter, field_name, literal, table_name
-from friction_hil.export.strict import StrictField, flag, strict
+from friction_hil.export.strict import OPTIONAL, PLAUSIBLE, UNKNOWN, StrictField, flag, strict
+from friction_hil.export.strict_library import UNLIMITED
 from friction_hil.export.subject import Subject, provenance
 
-UNKNOWN = 1e30  # an input that is not connected
-PLAUSIBLE = 1e16  # numbers from here on, and NaN where there is one, are unknown
-# inputs that may be unknown
-OPTIONAL = ("position", "velocity", "torque", "position_demand", "velocity_demand", "velocity_demand_ahead",
-            "acceleration_demand_ahead", "temperature")  # fmt: skip
-MODEL_OPTIONAL = ("temperature",)
 _PUBLIC = {"dt": "elapsed"}  # dt is a type of the language
 
 COMMENTS = {
@@ -79,7 +74,7 @@ class _Part:
     """Model or compensator: a type for the state, functions, and the function block."""
 
     def __init__(self, subject: Subject, kind: str, program: Program) -> None:
-        self.optional = MODEL_OPTIONAL if kind == "model" else OPTIONAL
+        self.optional = OPTIONAL[kind]
         self.kind, self.program = kind, strict(program, self.optional)
         self.outside = program.inputs
         used = set(map(id, map(strict_library.function, strict_library.NAMES)))
@@ -138,8 +133,16 @@ class _Part:
         """Return the function block."""
         inputs, own, lines = self._inputs()
         result = "compensation" if self.kind == "compensator" else "friction"
-        outputs = [Declared(result, "LREAL", "", self.torque)]
-        lines.append(f"{result} := {self.printer.call(self.program.entry, map(self._operand, self.program.inputs))};")
+        outputs = [Declared(result, "LREAL", "", self.torque), self._fault()]
+        entry, is_known = self.program.entry, flag(result)
+        others = [f"result_1 => {is_known}"] if len(entry.results) > 1 else []
+        lines.append(f"{result} := {self.printer.call(entry, map(self._operand, self.program.inputs), others)};")
+        if others:
+            own.append(Declared(is_known, "BOOL"))
+        if self.kind == "model":
+            test = f"ABS({result}) >= {literal(UNLIMITED)}"
+            lines.append(f"is_faulty := {f'NOT {is_known} OR ({test})' if others else test};")
+            lines += ["IF is_faulty THEN", f"    {result} := 0.0;", "END_IF;"]
         if self.has_state:
             inputs.insert(0, Declared("reset", "BOOL", "", "begin anew, at rest"))
             begun = [Declared("is_begun", "BOOL"), Declared("done", "BOOL"), Declared(STATE, self.printer.state_type)]
@@ -152,11 +155,16 @@ class _Part:
             kept = [f"{STATE}.{each}" for each in CYCLES if each in names]
             lines += [f"    {each} := {each} - {literal(REBASED)};" for each in kept]
             lines.append("END_IF;")
-        if "is_faulty" in names:
-            outputs.append(Declared("is_faulty", "BOOL", "", "the model's torque is not finite; zero is used instead"))
+        if self.kind == "compensator":
             lines.append(f"is_faulty := {STATE}.is_faulty > 0.5;")
         sections = {"VAR_INPUT": inputs, "VAR_OUTPUT": outputs, "VAR": own}
         return Pou("FUNCTION_BLOCK", self.name, "", sections, "\n".join(lines), self._says())
+
+    def _fault(self) -> Declared:
+        text = "the friction is not finite; it is zero then"
+        if self.kind == "compensator":
+            text = "the model's torque is not finite; zero is used instead"
+        return Declared("is_faulty", "BOOL", "", text)
 
     def _says(self) -> str:
         if self.kind == "model":
