@@ -1,10 +1,13 @@
 """The transition after a change of settings or model while the axis moves: no step of torque.
 
-The first torque after a change equals the last one before it. The difference d from the torque that the new settings
-ask for then vanishes over the fade-in time. It is split by how far friction is developed in one direction,
-s = F / (level / 2) between -1 and 1, into a part that changes sign with the friction and one that does not:
-d = (d s) s + d (1 - s^2). An axis that reverses meanwhile thus gets a torque between those of old and new settings, and
-not a remainder that pushes it.
+The first torque after a change is that of the former settings for the same cycle, so that a reversal in that very
+cycle is no part of the difference. The difference d from the torque that the new settings ask for then vanishes over
+the fade-in time. It is split by how far friction is developed in one direction, s = F / (level / 2) between -1 and 1,
+into a part that changes sign with the friction and one that does not: d = (d s) s + d (1 - s^2). An axis that reverses
+meanwhile thus gets a torque between those of old and new settings, and not a remainder that pushes it.
+
+While the axis reverses, two models differ by far more than they do later: one builds its torque up sooner. A difference
+that is found then vanishes within 20 ms.
 """
 
 import math
@@ -12,6 +15,8 @@ from typing import Any
 
 from friction_hil.numerics.jit import inlined
 
+_REVERSING_S = 0.02
+_CALM_S = 0.1  # a torque that changes by the friction level within less belongs to a reversal
 BEGINNING = 2.0  # value of ``bridge_left`` that a change sets
 
 
@@ -32,10 +37,12 @@ def cross(c: Any, r: Any, friction: float, wanted: float, dt: float) -> float:
         return wanted
     developed = min(max(2.0 * friction / c.level, -1.0), 1.0) if c.level > 0.0 else 0.0
     if r.bridge_left > 1.0:
-        difference = r.compensation - wanted
+        difference = r.bridge_fixed - wanted  # until now, it was the torque of the former settings
+        is_reversing = abs(r.bridge_fixed - r.compensation) * _CALM_S > c.level * dt
+        r.bridge_left = min(_REVERSING_S / c.fade_s, 1.0) if is_reversing else 1.0
+        difference /= r.bridge_left
         r.bridge_directed = difference * developed
         r.bridge_fixed = difference * (1.0 - developed * developed)
-        r.bridge_left = 1.0
     else:
         r.bridge_left = max(r.bridge_left - dt / c.fade_s, 0.0)
     return float(wanted + r.bridge_left * (r.bridge_directed * developed + r.bridge_fixed))

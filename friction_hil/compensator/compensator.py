@@ -181,7 +181,7 @@ class Compensator:
         A setting is out of range, or one that another setting needs is missing.
     """
 
-    __slots__ = ("_flat", "_settings", "_state", "estimator", "model", "settings")
+    __slots__ = ("_flat", "_former", "_settings", "_state", "estimator", "model", "settings")
 
     def __init__(self, model: FrictionModel, settings: CompensatorSettings) -> None:
         if not 0.0 < settings.position_resolution < math.inf:
@@ -211,6 +211,7 @@ class Compensator:
         self._state = np.zeros(1, records.STATE)
         records.begin(self._settings, self._state, model.initial_state())
         self._flat: Array = self._state.view(np.float64)
+        self._former: tuple[StructuredArray, StructuredArray] | None = None  # settings and state before a change
 
     def step(
         self,
@@ -248,6 +249,20 @@ class Compensator:
         temperature : float
             Measured temperature, deg C; NaN where none is measured.
         """
+        if self._former is not None:
+            self.finish_change(
+                cycle,
+                position,
+                velocity,
+                torque,
+                position_demand,
+                velocity_demand,
+                velocity_demand_ahead,
+                is_fresh,
+                is_enabled,
+                acceleration_demand_ahead,
+                temperature,
+            )
         return kernel.whole_step(
             self._settings,
             self._state,
@@ -271,6 +286,21 @@ class Compensator:
             self.step(float(cycle), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, True, False, 0.0, math.nan)
         self.state[:] = state
 
+    def finish_change(self, *inputs: float) -> None:
+        """Compute what the former settings command in the first cycle after `adopt`; the new ones begin there.
+
+        `step` does this too. A caller that records the state before a step does it first: then the state is whole.
+
+        Parameters
+        ----------
+        *inputs : float
+            The `INPUTS` of the cycle, in their order.
+        """
+        if self._former is not None:
+            settings, state = self._former
+            self._former = None
+            self._state[0]["bridge_fixed"] = kernel.whole_step(settings, state, *map(float, inputs))
+
     def replay(self, inputs: Sequence[Array]) -> tuple[Array, Array]:
         """Compute many cycles at once.
 
@@ -289,6 +319,8 @@ class Compensator:
     def replay_all(self, inputs: Sequence[Array]) -> dict[str, Array]:
         """Compute many cycles at once, as `replay`; returns an (n,) array for each of `RESULTS`, by name."""
         results = np.empty((len(RESULTS), inputs[0].size))
+        if inputs[0].size:
+            self.finish_change(*(each[0] for each in inputs))
         kernel.replay(self._settings, self._state, *inputs, results)  # type: ignore[call-arg]
         return dict(zip(RESULTS, results, strict=True))
 
@@ -304,12 +336,19 @@ class Compensator:
         friction : (n,) array or None
             State in which another model begins; None: the model stays.
         """
+        if self._former is None:
+            self._former = self._settings, self._state.copy()
         carry_over(self._settings, record, self._state, friction)
         self._settings = record
 
     def use(self, record: StructuredArray) -> None:
         """Take settings that belong to a `state` that is assigned: nothing is carried over."""
-        self._settings = record
+        self._settings, self._former = record, None
+
+    @property
+    def is_changing(self) -> bool:
+        """True from `adopt` to the next `step` or `finish_change`."""
+        return self._former is not None
 
     @property
     def record(self) -> StructuredArray:

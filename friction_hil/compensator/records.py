@@ -75,7 +75,7 @@ STATE = np.dtype(
         ("compensation", "f8"),
         ("bridge_left", "f8"),  # of the difference at a change of settings, 1 to 0; see `bridge`
         ("bridge_directed", "f8"),  # part of that difference which changes sign with the friction
-        ("bridge_fixed", "f8"),  # part which does not
+        ("bridge_fixed", "f8"),  # part which does not; in the first cycle, the torque of the former settings
         ("is_faulty", "f8"),  # the model gave a torque that is not finite
     ]
 )

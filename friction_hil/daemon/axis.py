@@ -307,6 +307,8 @@ class AxisLoop:
         inputs = compensator_inputs(
             cycle, position, velocity, feedback, demand, is_usable=is_usable, is_enabled=is_enabled
         )
+        if compensator.is_changing:  # its state is whole afterwards
+            compensator.finish_change(*inputs)
         row.write_states(self._states)
         compensation = compensator.step(*inputs)
         estimate = compensator.velocity_estimate

@@ -396,4 +396,5 @@ def _job(
         rotate_bytes=recording.rotate_bytes,
         budget_bytes=recording.budget_bytes,
         black_box=str(_black_box_path(configuration, path)) if settings.has_black_box else None,
+        has_joint_states=recording.ros,
     )

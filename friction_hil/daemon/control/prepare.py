@@ -225,12 +225,21 @@ def _change(
     """Return new settings of an axis, and the state of its model if that is another one."""
     check_torque(fact.name, axis, fact)
     compensator = make_compensator(axis, axis.model, fact, configuration.period_s)
-    friction = _state(compensator, latest, fact.name) if is_other else None
+    friction = state_in(compensator, latest, fact.name) if is_other else None
     return AxisChange(None, compensator.record, friction)
 
 
-def _state(compensator: Compensator, latest: tuple[Mapping[str, Array], Array] | None, name: str) -> Array:
+def state_in(compensator: Compensator, latest: tuple[Mapping[str, Array], Array] | None, name: str) -> Array:
     """Return the state in which a model would be after the latest cycles.
+
+    Parameters
+    ----------
+    compensator : Compensator
+        With the model; changed.
+    latest : tuple or None
+        Inputs (n,) of the cycles by name, and the state of the present compensator before the first of them.
+    name : str
+        Of the axis, for messages.
 
     Raises
     ------

@@ -1,0 +1,141 @@
+"""Coordinates of the parameters that are refined: relative changes from those of the model file, all about 0."""
+
+import math
+import re
+from collections.abc import Mapping
+from copy import deepcopy
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from friction_hil import friction
+from friction_hil.friction import FrictionModel
+from friction_hil.numerics.jit import Array
+
+DEFAULT_ERROR = 0.3  # relative standard error of a parameter for which the model file has none
+_MOST_ERROR = 1.0
+_LEAST_ERROR = 0.01  # a standard error of identification does not contain what temperature has changed since
+# Exponents and weights shape a curve: the motion of a machine in service hardly tells them from its levels.
+_FIXED = re.compile(r"(^|\.)(weight\[\d+\]|.*exponent|reference|order|A|interpolation|rise_s|lag_s)$")
+_INDEX = re.compile(r"(.+)\[(\d+)\]$")
+
+
+@dataclass(frozen=True, slots=True)
+class Coordinates:
+    """Parameters of a friction model as coordinates of a fit.
+
+    A parameter with a sign is ``value exp(x)``, x being its coordinate: it keeps its sign. The two components of a
+    ripple are ``value + amplitude x``.
+
+    Attributes
+    ----------
+    model : FrictionModel
+        At x = 0.
+    names : tuple of str
+        Names from ``model.free``.
+    values : (m,) array
+        Parameters at x = 0.
+    scales : (m,) array
+        NaN for an exponential coordinate, else the unit of a linear one.
+    errors : (m,) array
+        Standard deviations before anything was learned.
+    """
+
+    model: FrictionModel
+    names: tuple[str, ...]
+    values: Array
+    scales: Array
+    errors: Array
+
+    def at(self, x: Array) -> Array:
+        """Return the parameters (m,) at coordinates (m,)."""
+        is_linear = np.isfinite(self.scales)
+        return np.where(is_linear, self.values + np.nan_to_num(self.scales) * x, self.values * np.exp(x))
+
+    def slopes(self, x: Array) -> Array:
+        """Return the derivative of each parameter with respect to its coordinate, (m,)."""
+        return np.where(np.isfinite(self.scales), self.scales, self.at(x))
+
+    def model_at(self, x: Array) -> FrictionModel:
+        """Create the model at coordinates (m,).
+
+        Raises
+        ------
+        UsageError
+            The parameters are not consistent.
+        """
+        return with_values(self.model, dict(zip(self.names, map(float, self.at(x)), strict=True)))
+
+
+def coordinates_of(model: FrictionModel, standard_errors: Mapping[str, float]) -> Coordinates:
+    """Return the coordinates of a model.
+
+    Parameters
+    ----------
+    model : FrictionModel
+        Without a network.
+    standard_errors : mapping
+        Absolute standard errors of the parameters by name, as `identify` writes them into a model file; parameters
+        without one get a relative error of `DEFAULT_ERROR`.
+    """
+    names, values, scales, errors = [], [], [], []
+    for name in model.free:
+        value = value_of(model, name)
+        scale = _amplitude(model, name)
+        if _FIXED.search(name) or not math.isfinite(value) or (scale is None and value == 0.0) or scale == 0.0:
+            continue
+        given = standard_errors.get(name, math.nan)
+        relative = abs(given / (value if scale is None else scale)) if math.isfinite(given) else DEFAULT_ERROR
+        names.append(name)
+        values.append(value)
+        scales.append(math.nan if scale is None else scale)
+        errors.append(min(max(relative, _LEAST_ERROR), _MOST_ERROR))
+    return Coordinates(model, tuple(names), np.array(values), np.array(scales), np.array(errors))
+
+
+def value_of(model: FrictionModel, name: str) -> float:
+    """Return a parameter of a model by its name in ``model.free``; NaN if it is not a number of its own."""
+    group, key = _place(name, model.parameters, model.modifiers)
+    try:
+        return float(group[key])
+    except (KeyError, IndexError, TypeError):
+        return math.nan
+
+
+def with_values(model: FrictionModel, values: Mapping[str, float]) -> FrictionModel:
+    """Return a model of the same family with other parameters, by their names in ``model.free``."""
+    parameters = deepcopy(dict(model.given))
+    modifiers = deepcopy(dict(model.modifiers))
+    for name, value in values.items():
+        head = name.partition("[")[0]
+        if "." not in name and head not in parameters:
+            parameters[head] = deepcopy(model.parameters[head])
+        group, key = _place(name, parameters, modifiers)
+        group[key] = value
+    return friction.create(model.name, modifiers=modifiers, axis=model.axis, **parameters)
+
+
+def _place(name: str, parameters: Any, modifiers: Any) -> tuple[Any, Any]:
+    """Return the group that holds a parameter, and its key there."""
+    head, _, rest = name.partition(".")
+    group: Any = parameters if not rest else modifiers[head.partition("[")[0]]
+    key: Any = rest or name
+    if rest and (index := _INDEX.match(head)):
+        group = group[int(index[2])]
+    if head == "direction":
+        side, _, key = rest.partition(".")
+        group = group.setdefault(side, {})
+    if index := _INDEX.match(key):
+        group, key = group[index[1]], int(index[2])
+        if index[1] == "points":
+            group, key = group[key], 1
+    return group, key
+
+
+def _amplitude(model: FrictionModel, name: str) -> float | None:
+    """Return the amplitude of the harmonic that a parameter belongs to; None for other parameters."""
+    if not name.startswith("ripple["):
+        return None
+    group, _ = _place(name, model.parameters, model.modifiers)
+    return math.hypot(group["cosine"], group["sine"])

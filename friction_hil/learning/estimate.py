@@ -1,0 +1,270 @@
+"""Maximum a posteriori estimate of an axis's parameters from a stretch of its ordinary record.
+
+The measured torque is explained by the axis's own friction model, its inertia and its static torque. What was known
+before enters as further rows of the least-squares problem, so that a parameter that the motion does not show stays what
+it was (S. M. Kay, Fundamentals of Statistical Signal Processing: Estimation Theory, 1993, chapter 11). The residual is
+mostly error of the model, and correlated: rows count as many times less as it is (integrated autocorrelation time;
+G. E. P. Box, G. M. Jenkins, Time Series Analysis, 1976), and stretches of a large residual count less.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import linalg, ndimage
+
+from friction_hil.compensator.load import gravity_torque
+from friction_hil.errors import UsageError
+from friction_hil.friction import FrictionModel
+from friction_hil.identification.least_squares import minimise_bounded
+from friction_hil.learning.coordinates import Coordinates, coordinates_of
+from friction_hil.learning.window import Window, velocity_of
+from friction_hil.numerics.jit import Array
+
+_INERTIA, _STATIC, _DELAY = range(3)  # coordinates of the mechanics, after those of the friction
+MECHANICS = 3
+_INERTIA_ERROR = 0.1  # standard deviation of its relative error
+_STATIC_ERROR = 0.1  # the same of offset and gravity together, in friction levels
+_DELAY_PERIODS = 0.5  # the same of the age of the torque
+_FARTHEST = math.log(5.0)  # of a coordinate of the friction
+_EVALUATIONS = 12
+_REWEIGHTINGS = 2
+_NEAR_S = 0.02  # over which the size of the residual is judged
+_EQUAL_PART = 0.5  # of the rows, those with the smallest residuals, have equal weights
+_CORRELATED_S = 0.5  # longest correlation of the residual that is looked for
+_QUANTUM = 1e-3  # of the friction level: a residual below is taken to be of that size
+_TIMING = 0.3  # of the change of friction within a period: what is not known of when in a period it happened
+_DEVIATIONS = 3.0  # of what was known at first: farther no estimate goes
+
+
+@dataclass(frozen=True, slots=True)
+class Mechanics:
+    """What is known beside the friction: inertia, and static torque constant + sine sin q + cosine cos q."""
+
+    inertia: float
+    static: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Belief:
+    """Parameters with their uncertainty.
+
+    Attributes
+    ----------
+    coordinates : Coordinates
+    mechanics : Mechanics
+    x : (m + 3,) array
+        Coordinates of the friction, then relative change of the inertia, further static torque in friction levels and
+        age of the torque in periods.
+    covariance : (m + 3, m + 3) array
+    first : (m + 3,) array
+        Standard deviations before anything was learned.
+    """
+
+    coordinates: Coordinates
+    mechanics: Mechanics
+    x: Array
+    covariance: Array
+    first: Array
+
+    @property
+    def model(self) -> FrictionModel:
+        """The model with these parameters."""
+        return self.coordinates.model_at(self.x[:-MECHANICS])
+
+    @property
+    def errors(self) -> dict[str, float]:
+        """Standard error of each parameter of the friction, relative to it (a ripple: to its amplitude)."""
+        deviations = np.sqrt(np.diag(self.covariance))
+        return dict(zip(self.coordinates.names, deviations.tolist(), strict=False))
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """Parameters of the friction by name."""
+        values = self.coordinates.at(self.x[:-MECHANICS])
+        return dict(zip(self.coordinates.names, values.tolist(), strict=True))
+
+    def older(self, drift: float, seconds: float) -> "Belief":
+        """Return the belief after some time in which the friction may have changed.
+
+        Parameters
+        ----------
+        drift : float
+            Standard deviation of the relative change within a minute; it grows with the square root of time.
+        seconds : float
+        """
+        added = np.zeros(len(self.x))
+        added[:-MECHANICS] = drift**2 * seconds / 60.0
+        variance = np.diag(self.covariance)
+        # what was known at first limits what can be forgotten
+        grown = np.minimum(variance + added, np.maximum(self.first**2, variance))
+        return replace(self, covariance=self.covariance + np.diag(grown - variance))
+
+    def doubted(self) -> "Belief":
+        """Return the belief after a change that drift does not explain: as uncertain as at first."""
+        variance = np.diag(self.covariance)
+        return replace(self, covariance=self.covariance + np.diag(np.maximum(self.first**2 - variance, 0.0)))
+
+
+def first_belief(model: FrictionModel, mechanics: Mechanics, standard_errors: Mapping[str, float]) -> Belief:
+    """Return what a model file says.
+
+    Parameters
+    ----------
+    model : FrictionModel
+    mechanics : Mechanics
+    standard_errors : mapping
+        See `friction_hil.learning.coordinates.coordinates_of`.
+    """
+    coordinates = coordinates_of(model, standard_errors)
+    first = np.concatenate([coordinates.errors, [_INERTIA_ERROR, _STATIC_ERROR, _DELAY_PERIODS]])
+    return Belief(coordinates, mechanics, np.zeros(first.size), np.diag(first**2), first)
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """Result of `estimate`.
+
+    Attributes
+    ----------
+    belief : Belief
+        With the record taken into account.
+    residual : float
+        Weighted root mean square of the residual, N m.
+    surprise : float
+        How far the record contradicts the belief before it: mean square of the parameters' change in its own
+        standard deviations; about 1 or less if it does not.
+    torque_error : float
+        Standard deviation of the friction torque along this motion by the errors of the parameters, N m.
+    misfit : float
+        Root mean square of what the parameters cannot explain, N m.
+    """
+
+    belief: Belief
+    residual: float
+    surprise: float
+    torque_error: float
+    misfit: float
+
+
+class _Problem:
+    """Residual and derivatives along one record."""
+
+    def __init__(self, window: Window, belief: Belief, resolution: float, skipped: int) -> None:
+        self.window, self.belief = window, belief
+        self.velocity = velocity_of(window, resolution)
+        rate = 1.0 / window.period_s
+        acceleration = np.append(np.diff(self.velocity), 0.0) * rate
+        mechanics = belief.mechanics
+        self.level = belief.coordinates.model.level
+        self.inertial = mechanics.inertia * acceleration
+        self.static = np.asarray(gravity_torque(*mechanics.static, window.position))
+        self.slope = np.gradient(window.torque)  # per period
+        self.rows = slice(skipped, len(window) - 1)
+
+    def model_torque(self, x: Array) -> tuple[Array, Array]:
+        """Return the friction torque (n,) and its derivatives over the coordinates (n, m)."""
+        coordinates = self.belief.coordinates
+        inner = x[:-MECHANICS]
+        model = coordinates.model_at(inner)
+        columns = [
+            {name: float(slope)} for name, slope in zip(coordinates.names, coordinates.slopes(inner), strict=True)
+        ]
+        return model.simulate_with_gradient(self.velocity, self.window.period_s, free=columns, **self.window.inputs())
+
+    def residual(self, x: Array) -> tuple[Array, Array]:
+        """Return measured less explained torque of the rows (k,), and its derivative (k, m + 3)."""
+        k = self.rows
+        try:
+            torque, gradient = self.model_torque(x)
+        except UsageError:
+            count = k.stop - k.start
+            return np.full(count, math.nan), np.zeros((count, len(x)))
+        inertia, static, delay = x[-MECHANICS:]
+        left = self.window.torque + delay * self.slope - torque - (1.0 + inertia) * self.inertial - self.static
+        left -= static * self.level
+        slopes = np.column_stack([-gradient, -self.inertial, np.full(len(left), -self.level), self.slope])
+        return left[k], slopes[k]
+
+    def weights(self, x: Array, left: Array) -> Array:
+        """Return the weights (k,) of the rows: 1 / standard deviation, less where residuals are large or correlated."""
+        period_s = self.window.period_s
+        near = _near(left, period_s)
+        size = np.maximum(near, max(float(np.quantile(near, _EQUAL_PART)), _QUANTUM * self.level))
+        size = np.hypot(size, _TIMING * np.abs(np.gradient(self.friction(x)))[self.rows])
+        whitened = left / size
+        return np.asarray(1.0 / (size * math.sqrt(_correlation_time(whitened, round(_CORRELATED_S / period_s)))))
+
+    def friction(self, x: Array) -> Array:
+        """Return the friction torque (n,)."""
+        model = self.belief.coordinates.model_at(x[:-MECHANICS])
+        return model.simulate(self.velocity, self.window.period_s, **self.window.inputs())
+
+
+def estimate(window: Window, belief: Belief, resolution: float, skipped_s: float = 0.0) -> Estimate:
+    """Refine a belief by a record.
+
+    Parameters
+    ----------
+    window : Window
+    belief : Belief
+    resolution : float
+        Step of the position, rad or m.
+    skipped_s : float
+        Beginning of the record that only brings the model's state to where it was, s.
+    """
+    problem = _Problem(window, belief, resolution, round(skipped_s / window.period_s))
+    prior = linalg.cholesky(np.linalg.inv(belief.covariance))
+    mean, reach = belief.x, _DEVIATIONS * belief.first
+    reach[:-MECHANICS] = np.minimum(reach[:-MECHANICS], _FARTHEST)
+    x = mean
+    weights = problem.weights(x, problem.residual(x)[0])
+    for _ in range(_REWEIGHTINGS):
+
+        def stacked(at: Array, weights: Array = weights) -> tuple[Array, Array]:
+            left, slopes = problem.residual(at)
+            return (
+                np.concatenate([weights * left, prior @ (at - mean)]),
+                np.concatenate([weights[:, None] * slopes, prior]),
+            )
+
+        x = minimise_bounded(stacked, x, -reach, reach, evaluations=_EVALUATIONS, tolerance=1e-6).at
+        left, slopes = problem.residual(x)
+        weights = problem.weights(x, left)
+    weighted = weights[:, None] * slopes
+    information = weighted.T @ weighted
+    covariance = np.linalg.inv(information + prior.T @ prior)
+    covariance = 0.5 * (covariance + covariance.T)
+    step = x - mean
+    # the step by which independent data would change the parameters has this covariance
+    expected = belief.covariance - covariance
+    surprise = float(step @ np.linalg.pinv(expected, rcond=1e-6) @ step) / max(np.linalg.matrix_rank(expected), 1)
+    friction = slopes[:, :-MECHANICS]
+    inner = covariance[:-MECHANICS, :-MECHANICS]
+    variance = np.einsum("ki,ij,kj->k", friction, inner, friction)
+    return Estimate(
+        belief=replace(belief, x=x, covariance=covariance),
+        residual=float(np.sqrt(np.average(left**2, weights=weights**2))),
+        surprise=surprise,
+        torque_error=float(np.sqrt(np.mean(variance))),
+        misfit=float(np.sqrt(np.mean(_near(left, window.period_s) ** 2))),
+    )
+
+
+def _near(left: Array, period_s: float) -> Array:
+    """Return the local root mean square of the residual."""
+    return np.asarray(np.sqrt(ndimage.uniform_filter1d(left**2, max(round(_NEAR_S / period_s), 1), mode="nearest")))
+
+
+def _correlation_time(values: Array, longest: int) -> float:
+    """Return the number of rows that count as one: 1 + 2 sum of the autocorrelations up to their first zero."""
+    count = 1 << (2 * values.size - 1).bit_length()
+    spectrum = np.fft.rfft(values - 0.0, count)
+    products = np.fft.irfft(np.abs(spectrum) ** 2, count)[: min(longest, values.size)]
+    if products[0] <= 0.0:
+        return 1.0
+    correlations = products / products[0]
+    ends = np.flatnonzero(correlations <= 0.0)
+    end = int(ends[0]) if ends.size else correlations.size
+    return float(max(1.0 + 2.0 * np.sum(correlations[1:end]), 1.0))

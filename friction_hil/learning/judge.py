@@ -1,0 +1,104 @@
+"""Comparison of an axis's errors before and after a change, on the same work."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from friction_hil.numerics.jit import Array
+
+_ALIKE = 0.15  # relative difference of two motions that count as the same work
+HELPS = 0.98  # errors by so much lower count as help
+_PEAK_GROWS = 1.1  # and the peak must not grow by more
+HARMS = 1.5  # times the largest error before
+_EFFORT_GROWS, _CLEARLY = 1.15, 0.8  # more effort than that takes errors that are clearly lower
+
+
+@dataclass(frozen=True, slots=True)
+class Work:
+    """What an axis did for a while, and how well.
+
+    Attributes
+    ----------
+    speed, acceleration : float
+        Root mean square of the demanded motion, SI.
+    travel : float
+        Range of the demanded positions.
+    top_speed : float
+    rms, peak : float
+        Of the following error, SI.
+    worst : float
+        Largest root mean square within half a second.
+    effort : float
+        Root mean square of the compensation, N m.
+    scatter : float
+        Standard error of the mean square of the following error, from second to second.
+    """
+
+    speed: float
+    acceleration: float
+    travel: float
+    top_speed: float
+    rms: float
+    peak: float
+    worst: float
+    effort: float
+    scatter: float
+
+    @property
+    def is_moving(self) -> bool:
+        """True if there was a demanded motion."""
+        return self.speed > 0.0
+
+    def is_like(self, other: "Work") -> bool:
+        """True if the motion was that of ``other``."""
+        return all(
+            abs(mine - theirs) <= _ALIKE * max(mine, theirs)
+            for mine, theirs in (
+                (self.speed, other.speed),
+                (self.acceleration, other.acceleration),
+                (self.travel, other.travel),
+                (self.top_speed, other.top_speed),
+            )
+        )
+
+
+def work_of(
+    position: Array, position_demand: Array, velocity_demand: Array, compensation: Array, period_s: float
+) -> Work:
+    """Return what rows (n,) of an axis show."""
+    error = position_demand - position
+    halves = max(round(0.5 / period_s), 1)
+    squares = [np.mean(error[k : k + 2 * halves] ** 2) for k in range(0, max(error.size - halves, 1), 2 * halves)]
+    return Work(
+        speed=_rms(velocity_demand),
+        acceleration=_rms(np.diff(velocity_demand)) / period_s,
+        travel=float(np.ptp(position_demand)),
+        top_speed=float(np.max(np.abs(velocity_demand))),
+        rms=_rms(error),
+        peak=float(np.max(np.abs(error))),
+        worst=max(_rms(error[k : k + halves]) for k in range(0, error.size, max(halves // 2, 1))),
+        effort=_rms(compensation),
+        scatter=float(np.std(squares, ddof=1) / math.sqrt(len(squares))) if len(squares) > 1 else 0.0,
+    )
+
+
+def is_harmful(now: Work, before: Work, resolution: float) -> bool:
+    """Return True if the errors of a moment exceed all before."""
+    return now.rms > HARMS * before.worst + 2.0 * resolution
+
+
+def is_better(after: Work, before: Work, resolution: float) -> bool:
+    """Return True if the errors are clearly lower, not by chance, and at no expense."""
+    floor = resolution / math.sqrt(12.0)
+    gained = before.rms**2 - after.rms**2
+    if gained < math.hypot(before.scatter, after.scatter):
+        return False
+    is_peak_higher = after.peak > _PEAK_GROWS * before.peak + 2.0 * resolution
+    is_effort_higher = after.effort > _EFFORT_GROWS * before.effort
+    needed = _CLEARLY if is_effort_higher else HELPS
+    return not is_peak_higher and max(after.rms, floor) < needed * max(before.rms, floor)
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2))) if values.size else 0.0

@@ -1,0 +1,379 @@
+"""Learning of one axis: when it estimates, what it hands over, what it keeps and what it takes back.
+
+Everything happens at ticks of a quarter of a second of rows, so that the same rows give the same decisions. A window of
+the record refines the belief; where the compensation would change by it, it is handed over for a trial; the same
+work before and after decides. Where parameters and gain together were no gain, the parameters are tried alone.
+"""
+
+import math
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from friction_hil.friction import FrictionModel
+from friction_hil.identification.least_squares import NUMERICAL
+from friction_hil.learning.estimate import MECHANICS, Belief, Estimate, Mechanics, estimate, first_belief
+from friction_hil.learning.judge import Work, is_better, is_harmful, work_of
+from friction_hil.learning.window import Window, velocity_of
+from friction_hil.numerics.jit import Array
+
+COLUMNS = (
+    "cycle",
+    "position",
+    "torque",
+    "position_demand",
+    "velocity_demand",
+    "load_estimate",
+    "temperature_estimate",
+    "compensation",
+    "gain_factor",
+)
+TICK_S = 0.25
+WINDOW_TICKS = 24  # of an estimate, and of each side of a comparison
+_WARM_TICKS = 4  # before a window: they bring the state of the model to where it was
+_SETTLING_TICKS = 3  # beyond the fade: the first strokes after a change are of neither side
+_HARMFUL_TICKS = 2  # one may be due to the change itself, in the midst of a reversal
+_DRIFT = 0.1  # relative standard deviation of what temperature and wear change within a minute
+_SURPRISE = 12.0  # a change that drift does not explain
+_WORTH = 0.004  # of the friction level: change of the torque that is worth a trial
+_GAIN_WORTH = 0.01
+_DOUBT = 2.0  # the gain keeps so many standard deviations of the torque away from 1
+_FIRST_PAUSE, _LONGEST_PAUSE = 1, 40  # windows without a trial, after one that was taken back
+_ODD = 3.0  # times what was left unexplained before: the axis is not what it was
+_ODD_LEVEL = 0.05  # and this part of the friction level at least
+_LEAST_COUNTS = 1.0  # of the encoder: nobody can tell if a smaller error becomes smaller
+_FROZEN_TICKS, _FROZEN_LEVEL = 3, 0.2  # the compensation changed by so much meanwhile, the torque feedback not at all
+_GLITCH = 8.0  # times the largest change of the following error within a period before
+_STOPPED_TICKS = 40
+
+
+class Step(Enum):
+    """What a proposal is."""
+
+    PARAMETERS = "parameters"
+    GAIN = "gain"
+    BACK = "back"
+
+
+@dataclass(frozen=True, slots=True)
+class Proposal:
+    """What is to be handed over.
+
+    Attributes
+    ----------
+    step : Step
+    model : FrictionModel or None
+        None: the model stays.
+    gain : float
+        Factor on the model's torque.
+    text : str
+        Why.
+    """
+
+    step: Step
+    model: FrictionModel | None
+    gain: float
+    text: str
+
+
+@dataclass(slots=True)
+class Figures:
+    """What has happened so far.
+
+    Attributes
+    ----------
+    kept, taken_back, stopped : int
+        Hand-overs of parameters that were kept; changes that were taken back; times that learning stopped because the
+        axis was not what it was.
+    gain : float
+        In force.
+    first_error, error : float or None
+        Root mean square of the following error with the model file, and with what was kept last, of the same work.
+    errors : dict
+        Relative standard errors of the parameters.
+    """
+
+    kept: int = 0
+    taken_back: int = 0
+    stopped: int = 0
+    gain: float = 1.0
+    first_error: float | None = None
+    error: float | None = None
+    errors: Mapping[str, float] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Used:
+    """What the compensator has."""
+
+    x: Array
+    gain: float
+
+
+@dataclass(slots=True)
+class _Trial:
+    step: Step
+    tried: _Used
+    before: Work
+    ticks: int = 0
+    harmful: int = 0  # ticks with more error than ever before, one after the other
+
+
+class Learner:
+    """Learning of one axis.
+
+    Parameters
+    ----------
+    model : FrictionModel
+        Of the model file, without a network.
+    mechanics : Mechanics
+    standard_errors : mapping
+        Of the model file; see `friction_hil.learning.coordinates.coordinates_of`.
+    period_s : float
+    resolution : float
+        Step of the position, rad or m.
+    gain : float
+        Of the configuration: the least that is commanded.
+    fade_s : float
+        Time over which a change is blended.
+
+    Attributes
+    ----------
+    figures : Figures
+    notes : list of str
+        What is to be reported; whoever reports it removes it.
+    """
+
+    def __init__(
+        self,
+        model: FrictionModel,
+        mechanics: Mechanics,
+        standard_errors: Mapping[str, float],
+        *,
+        period_s: float,
+        resolution: float,
+        gain: float,
+        fade_s: float,
+    ) -> None:
+        self._period_s, self._resolution, self._least_gain = period_s, resolution, gain
+        self._belief: Belief = first_belief(model, mechanics, standard_errors)
+        self._used = self._proven = _Used(self._belief.x, gain)
+        self._ticks: deque[dict[str, Array]] = deque(maxlen=_WARM_TICKS + WINDOW_TICKS)
+        self._fresh = 0  # ticks that no estimate has used yet
+        self._same = 0  # ticks since the last change of what is in force, as far as they are comparable
+        self._trial: _Trial | None = None
+        self._estimate: Estimate | None = None
+        self._pause = _FIRST_PAUSE
+        self._rest = 0  # windows until the next trial
+        self._stopped = 0  # ticks until learning begins again
+        self._is_gain_doubted = False  # after a trial that was taken back: the next one keeps the gain
+        self._settling = _SETTLING_TICKS + math.ceil(fade_s / TICK_S)
+        self.figures = Figures(gain=gain)
+        self.notes: list[str] = []
+
+    @property
+    def rows_per_tick(self) -> int:
+        """Number of rows that `take` expects."""
+        return round(TICK_S / self._period_s)
+
+    @property
+    def belief(self) -> Belief:
+        """What is known now."""
+        return self._belief
+
+    def take(self, rows: Mapping[str, Array]) -> Proposal | None:
+        """Take the rows of a tick, `COLUMNS`; return what is to be handed over, which then counts as handed over."""
+        tick = {name: np.asarray(rows[name]) for name in COLUMNS}
+        self._belief = self._belief.older(_DRIFT, TICK_S)
+        if (reason := self._oddity(tick)) is not None:
+            return self._stop(reason)
+        self._ticks.append(tick)
+        self._fresh += 1
+        self._same += 1
+        if self._stopped:
+            self._stopped -= 1
+            return None
+        if self._trial is not None and (proposal := self._judge(self._trial)) is not None:
+            return proposal
+        if self._fresh >= WINDOW_TICKS:
+            self._refine()
+            return None if self._trial is not None else self._propose()
+        return None
+
+    def _refine(self) -> None:
+        """Refine the belief by the last window."""
+        self._fresh = 0
+        ticks = list(self._ticks)
+        joined = self._joined(ticks)
+        if not np.any(joined["velocity_demand"]):
+            return
+        warm_s = TICK_S * max(len(ticks) - WINDOW_TICKS, 0) if len(ticks) > WINDOW_TICKS else 2.0 * TICK_S
+        try:
+            found = estimate(self._window(joined), self._belief, self._resolution, warm_s)
+        except NUMERICAL:
+            return
+        if found.surprise > _SURPRISE:
+            self._belief = self._belief.doubted()
+            try:
+                found = estimate(self._window(joined), self._belief, self._resolution, warm_s)
+            except NUMERICAL:
+                return
+        self._estimate, self._belief = found, found.belief
+        self.figures.errors = self._belief.errors
+
+    def _propose(self) -> Proposal | None:
+        """Return what is worth a trial."""
+        if self._estimate is None or self._same < WINDOW_TICKS:
+            return None
+        if self._rest:
+            self._rest -= 1
+            return None
+        before = self._work(WINDOW_TICKS)
+        if not before.is_moving or before.rms < _LEAST_COUNTS * self._resolution:
+            return None
+        level = self._belief.coordinates.model.level
+        change = self._torque_change(self._used.x[:-MECHANICS], self._belief.x[:-MECHANICS]) / level
+        gain = self._used.gain if self._is_gain_doubted else self._known_gain()
+        is_other = change > _WORTH
+        if not is_other and abs(gain - self._used.gain) <= _GAIN_WORTH:
+            self._is_gain_doubted = False
+            return None
+        tried = _Used(self._belief.x if is_other else self._used.x, gain)
+        words = [f"parameters refined, which changes the torque by {100.0 * change:.1f} % of the level"] * is_other
+        words += [f"gain {self._used.gain:.2f} -> {gain:.2f}"] * (gain != self._used.gain)
+        return self._try(Step.PARAMETERS if is_other else Step.GAIN, tried, before, ", ".join(words))
+
+    def _known_gain(self) -> float:
+        """Return the share of the friction that may be commanded: the less is known of the torque, the less.
+
+        At least that of the configuration, and 1 at most: more than the friction would drive the axis.
+        """
+        assert self._estimate is not None
+        level = self._belief.coordinates.model.level
+        doubt = math.hypot(self._estimate.torque_error, self._estimate.residual) / level
+        return max(min(1.0 - _DOUBT * doubt, 1.0), self._least_gain)
+
+    def _try(self, step: Step, tried: _Used, before: Work, text: str) -> Proposal:
+        self._trial = _Trial(step, tried, before)
+        if self.figures.first_error is None:
+            self.figures.first_error = before.rms
+        return self._hand_over(step, tried, text)
+
+    def _hand_over(self, step: Step, to: _Used, text: str) -> Proposal:
+        is_other = not np.array_equal(to.x, self._used.x)
+        model = self._belief.coordinates.model_at(to.x[:-MECHANICS]) if is_other else None
+        self._used, self._same = to, 0
+        self.figures.gain = to.gain
+        return Proposal(step, model, to.gain, text)
+
+    def _judge(self, trial: _Trial) -> Proposal | None:
+        """Look at a trial: it goes on, or it is kept, or it is taken back."""
+        trial.ticks += 1
+        now = self._work(1)
+        trial.harmful = trial.harmful + 1 if is_harmful(now, trial.before, self._resolution) else 0
+        if trial.harmful == _HARMFUL_TICKS:
+            return self._take_back(f"the error rose to {now.rms:.3g}, before {trial.before.worst:.3g} at most")
+        if np.any(np.diff(self._joined(list(self._ticks)[-2:])["gain_factor"]) < 0.0):
+            return self._take_back("a limit cycle")
+        if trial.ticks < self._settling + WINDOW_TICKS:
+            return None
+        after = self._work(WINDOW_TICKS)
+        if not after.is_like(trial.before):
+            return self._take_back("the motion changed: nothing to compare with", is_harmless=True)
+        if not is_better(after, trial.before, self._resolution):
+            return self._take_back(f"error {trial.before.rms:.3g} -> {after.rms:.3g}: no gain")
+        self._trial, self._proven, self._pause = None, trial.tried, _FIRST_PAUSE
+        self.figures.kept += trial.step is Step.PARAMETERS
+        self.figures.error = after.rms
+        self.notes.append(f"{trial.step.value} kept: error {trial.before.rms:.3g} -> {after.rms:.3g}")
+        return None
+
+    def _take_back(self, reason: str, *, is_harmless: bool = False) -> Proposal:
+        self._trial = None
+        self.figures.taken_back += not is_harmless
+        if not is_harmless:
+            self._is_gain_doubted = not self._is_gain_doubted
+            self._rest, self._pause = self._pause, min(2 * self._pause, _LONGEST_PAUSE)
+        return self._hand_over(Step.BACK, self._proven, reason)
+
+    def _stop(self, reason: str) -> Proposal | None:
+        """Stop learning for a while: what was recorded so far is not of the axis as it is now."""
+        if not self._stopped:
+            self.figures.stopped += 1
+            self.notes.append(f"learning stops for {_STOPPED_TICKS * TICK_S:g} s: {reason}")
+        self._stopped, self._fresh = _STOPPED_TICKS, 0
+        self._ticks.clear()
+        self._estimate = None
+        self._belief = self._belief.doubted()
+        return None if self._trial is None else self._take_back(reason, is_harmless=True)
+
+    def _oddity(self, tick: dict[str, Array]) -> str | None:
+        """Return why an axis is not what it was; None if it is."""
+        finite = [name for name in COLUMNS if name not in ("load_estimate", "temperature_estimate")]
+        if not all(np.isfinite(tick[name]).all() for name in finite):
+            return "the record has gaps"
+        level = self._belief.coordinates.model.level
+        last = self._joined([*list(self._ticks)[1 - _FROZEN_TICKS :], tick])
+        if np.ptp(last["torque"]) == 0.0 and np.ptp(last["compensation"]) > _FROZEN_LEVEL * level:
+            return "the torque feedback is frozen"
+        if len(self._ticks) < _WARM_TICKS:
+            return None
+        past = self._joined(list(self._ticks))
+        errors = [rows["position_demand"] - rows["position"] for rows in (past, tick)]
+        usual = float(np.max(np.abs(np.diff(errors[0]))))
+        jump = float(np.max(np.abs(np.diff(errors[1], prepend=errors[0][-1]))))
+        if jump > _GLITCH * usual + 16.0 * self._resolution:
+            return f"the position jumps by {jump:.3g}"
+        if self._estimate is not None and self._is_unexplained([*list(self._ticks)[-_WARM_TICKS:], tick]):
+            return "the torque is not that of the model any more"
+        return None
+
+    def _is_unexplained(self, ticks: list[dict[str, Array]]) -> bool:
+        """Return True if the torque of the last tick is clearly not what the belief says."""
+        assert self._estimate is not None
+        window = self._window(self._joined(ticks))
+        x, belief = self._belief.x, self._belief
+        velocity = velocity_of(window, self._resolution)
+        try:
+            friction = belief.coordinates.model_at(x[:-MECHANICS]).simulate(velocity, self._period_s, **window.inputs())
+        except NUMERICAL:
+            return False
+        acceleration = np.append(np.diff(velocity), 0.0) / self._period_s
+        level = belief.coordinates.model.level
+        left = window.torque - friction - (1.0 + x[-3]) * belief.mechanics.inertia * acceleration - x[-2] * level
+        rows = slice(-self.rows_per_tick, -20)  # the last rows of the motion are not filtered yet
+        size = float(np.sqrt(np.mean((left[rows] - np.mean(left[rows])) ** 2) + np.mean(left[rows]) ** 2))
+        return size > _ODD * self._estimate.misfit + _ODD_LEVEL * level
+
+    def _torque_change(self, before: Array, after: Array) -> float:
+        """Return the root mean square by which two sets of parameters differ along the last window, N m."""
+        window = self._window(self._joined(list(self._ticks)))
+        velocity = velocity_of(window, self._resolution)
+        coordinates = self._belief.coordinates
+        torques = [
+            coordinates.model_at(x).simulate(velocity, self._period_s, **window.inputs()) for x in (before, after)
+        ]
+        return float(np.sqrt(np.mean((torques[1] - torques[0]) ** 2)))
+
+    def _work(self, ticks: int) -> Work:
+        rows = self._joined(list(self._ticks)[-ticks:])
+        return work_of(
+            rows["position"], rows["position_demand"], rows["velocity_demand"], rows["compensation"], self._period_s
+        )
+
+    def _window(self, rows: Mapping[str, Array]) -> Window:
+        return Window(
+            self._period_s,
+            rows["position"],
+            rows["torque"],
+            rows["position_demand"],
+            rows["load_estimate"],
+            rows["temperature_estimate"],
+        )
+
+    @staticmethod
+    def _joined(ticks: list[dict[str, Array]]) -> dict[str, Array]:
+        return {name: np.concatenate([tick[name] for tick in ticks]) for name in COLUMNS}

@@ -1,0 +1,57 @@
+"""A stretch of an axis's ordinary record, and the motion in it: finer than the counts of the encoder."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from friction_hil.identification.fine import moves_by_bands
+from friction_hil.numerics.jit import Array
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """Rows of one axis without a gap, (n,) each.
+
+    Attributes
+    ----------
+    period_s : float
+    position, torque : array
+        Measured, SI.
+    position_demand : array
+        Of the same instant; NaN without a set-point.
+    load_torque, temperature : array
+        That the model was given.
+    """
+
+    period_s: float
+    position: Array
+    torque: Array
+    position_demand: Array
+    load_torque: Array
+    temperature: Array
+
+    def __len__(self) -> int:
+        return self.position.size
+
+    def inputs(self) -> dict[str, Any]:
+        """Return what a friction model is given beside the velocity."""
+        is_known = bool(np.isfinite(self.temperature).all())
+        return {
+            "position": self.position,
+            "load_torque": np.nan_to_num(self.load_torque),
+            "temperature": self.temperature if is_known else None,
+        }
+
+
+def velocity_of(window: Window, resolution: float) -> Array:
+    """Return the mean velocity over the period before each row, (n,); the first is 0.
+
+    A demand is known exactly. Only what the axis deviates from it has to be separated from the encoder's counts, which
+    is done band by band, see `friction_hil.identification.fine`.
+    """
+    rate = 1.0 / window.period_s
+    known = window.position_demand if np.isfinite(window.position_demand).all() else np.zeros(len(window))
+    deviation = window.position - known
+    velocity = np.diff(known) * rate + moves_by_bands(deviation, rate, resolution)
+    return np.concatenate([[0.0], velocity])

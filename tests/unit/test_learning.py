@@ -1,0 +1,269 @@
+"""Learning of an axis's parameters: estimate, judgement, and what is handed over and taken back."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import friction_hil as fh
+from friction_hil.learning.coordinates import DEFAULT_ERROR, coordinates_of, value_of, with_values
+from friction_hil.learning.estimate import MECHANICS, Mechanics, estimate, first_belief
+from friction_hil.learning.learner import COLUMNS, TICK_S, WINDOW_TICKS, Learner, Step
+from friction_hil.learning.window import Window
+from tests.compensators import INERTIA, LUGRE, MODELS, PERIOD_S, quantised, resolution
+
+COUNT = resolution(20)
+WRONG = with_values(LUGRE, {"coulomb": 0.85 * 0.08, "static": 1.1 * 0.12, "sigma2": 1.6e-3, "sigma0": 2400.0})
+DIRECTED = fh.models.create(
+    "lugre",
+    **LUGRE.given,
+    modifiers={"direction": {"positive": {"coulomb": 0.09}}, "ripple": [{"order": 4.0, "cosine": 0.01, "sine": 0.0}]},
+)
+
+
+def motion(t, amplitude=0.2, frequency=0.5):
+    """Position and velocity of a sine that begins at rest."""
+    w = math.tau * frequency
+    return amplitude * (1.0 - np.cos(w * t)), amplitude * w * np.sin(w * t)
+
+
+def record(seconds, true=LUGRE, begin_s=0.0, count=COUNT, error=0.0, seed=None, **course):
+    """Rows of an axis that follows a sine with a sine of an error; its torque is that of friction and inertia."""
+    t = np.arange(round(seconds / PERIOD_S)) * PERIOD_S + begin_s
+    demand, velocity = motion(t, **course)
+    before = np.arange(-round(2.0 / PERIOD_S), t.size) * PERIOD_S + begin_s  # so that the state is that of the motion
+    past = np.diff(motion(before, **course)[0], prepend=motion(before[:1] - PERIOD_S, **course)[0]) / PERIOD_S
+    friction = true.simulate(past, PERIOD_S, position=motion(before, **course)[0])[-t.size :]
+    torque = friction + INERTIA * np.gradient(velocity, PERIOD_S)
+    if seed is not None:
+        torque = torque + 0.001 * np.random.default_rng(seed).standard_normal(t.size)
+    values = {
+        "cycle": np.round(t / PERIOD_S),
+        "position": quantised(demand - error * np.sin(math.tau * 3.0 * t), count),
+        "torque": torque,
+        "position_demand": demand,
+        "velocity_demand": velocity,
+        "load_estimate": np.zeros(t.size),
+        "temperature_estimate": np.full(t.size, math.nan),
+        "compensation": 0.9 * friction,
+        "gain_factor": np.ones(t.size),
+    }
+    return {name: values[name] for name in COLUMNS}
+
+
+def window(rows):
+    names = ("position", "torque", "position_demand", "load_estimate", "temperature_estimate")
+    return Window(PERIOD_S, *(rows[name] for name in names))
+
+
+# coordinates
+
+
+@pytest.mark.parametrize("model", [*MODELS.values(), DIRECTED], ids=str)
+def test_the_model_at_the_origin_is_the_model_of_the_file(model):
+    found = coordinates_of(model, {})
+    np.testing.assert_array_equal(found.model_at(np.zeros(len(found.names))).values, model.values)
+    assert not {"stribeck_exponent", "weight[0]"} & set(found.names)
+
+
+@pytest.mark.parametrize("model", [LUGRE, DIRECTED, MODELS["gms"], MODELS["table"]], ids=str)
+@given(seed=st.integers(0, 1000))
+@settings(max_examples=10, deadline=None)
+def test_slopes_are_the_derivatives_of_the_parameters(model, seed):
+    found = coordinates_of(model, {})
+    x = np.random.default_rng(seed).uniform(-0.2, 0.2, len(found.names))
+    for k, name in enumerate(found.names):
+        step = 1e-6 * np.eye(len(x))[k]
+        numeric = (found.at(x + step) - found.at(x - step))[k] / 2e-6
+        assert numeric == pytest.approx(found.slopes(x)[k], rel=1e-6, abs=1e-12)
+        assert value_of(with_values(model, {name: found.at(x)[k]}), name) == found.at(x)[k]
+
+
+def test_standard_errors_of_the_model_file_are_what_is_known_at_first():
+    found = coordinates_of(LUGRE, {"coulomb": 0.004, "static": 0.0, "sigma0": math.inf})
+    errors = dict(zip(found.names, found.errors.tolist(), strict=True))
+    assert errors["coulomb"] == pytest.approx(0.05)
+    assert errors["static"] == pytest.approx(0.01)
+    assert errors["sigma0"] == errors["sigma2"] == DEFAULT_ERROR
+
+
+# estimate
+
+
+def test_the_estimate_finds_the_true_parameters_within_its_errors():
+    belief = first_belief(WRONG, Mechanics(1.05 * INERTIA), {})
+    found = estimate(window(record(8.0, seed=1)), belief, COUNT, 2.0).belief
+    for name in ("coulomb", "static", "stribeck_velocity"):
+        off = abs(found.parameters[name] / value_of(LUGRE, name) - 1.0)
+        assert off < max(3.0 * found.errors[name], 0.01), name
+        assert off < 0.03, name
+    assert found.errors["coulomb"] < 0.05 * DEFAULT_ERROR
+    assert abs(1.05 * (1.0 + found.x[-MECHANICS]) - 1.0) < 0.05
+
+
+def test_what_the_motion_does_not_show_stays_what_it_was():
+    """A small slow motion says nothing of viscous friction, a fast one nothing of the bristles."""
+    belief = first_belief(WRONG, Mechanics(INERTIA), {})
+    slow = estimate(window(record(8.0, amplitude=0.002, seed=1)), belief, COUNT, 2.0).belief
+    assert slow.errors["sigma2"] > 0.9 * DEFAULT_ERROR
+    assert slow.parameters["sigma2"] == pytest.approx(value_of(WRONG, "sigma2"), rel=0.2)
+    assert slow.errors["static"] < 0.1 * DEFAULT_ERROR
+    fast = estimate(window(record(8.0, amplitude=3.0, frequency=1.0, seed=1)), belief, COUNT, 2.0).belief
+    assert fast.errors["sigma0"] > 0.3 * DEFAULT_ERROR
+    assert fast.errors["sigma2"] < 0.1 * DEFAULT_ERROR
+
+
+def test_errors_cover_what_repeated_records_scatter_by():
+    belief = first_belief(WRONG, Mechanics(INERTIA), {})
+    found = [estimate(window(record(5.0, seed=seed)), belief, COUNT, 2.0).belief for seed in range(8)]
+    scatter = np.std([each.x for each in found], axis=0, ddof=1)
+    stated = np.sqrt(np.mean([np.diag(each.covariance) for each in found], axis=0))
+    assert np.all(scatter < 2.0 * stated)
+
+
+def test_age_makes_a_belief_less_sure_but_not_less_than_at_first():
+    belief = first_belief(WRONG, Mechanics(INERTIA), {})
+    found = estimate(window(record(6.0, seed=1)), belief, COUNT, 2.0).belief
+    older = found.older(0.1, 60.0)
+    assert found.errors["coulomb"] < older.errors["coulomb"] <= math.hypot(found.errors["coulomb"], 0.1) + 1e-12
+    oldest = found.older(0.1, 1e6)
+    assert oldest.errors == pytest.approx(belief.errors)
+    np.testing.assert_array_equal(oldest.x, found.x)
+
+
+# learner
+
+
+class Driven:
+    """A learner that is given rows tick by tick."""
+
+    def __init__(self, model=WRONG, gain=0.9):
+        self.learner = Learner(
+            model, Mechanics(INERTIA), {}, period_s=PERIOD_S, resolution=COUNT, gain=gain, fade_s=0.5
+        )
+        self.ticks, self.proposals, self.notes = 0, [], []
+
+    def take(self, ticks, until=None, change=None, **given):
+        for _ in range(ticks):
+            rows = record(TICK_S, begin_s=self.ticks * TICK_S, **given)
+            if change is not None:
+                change(rows)
+            proposal = self.learner.take(rows)
+            self.ticks += 1
+            self.notes += self.learner.notes
+            self.learner.notes.clear()
+            if proposal is not None:
+                self.proposals.append((self.ticks, proposal))
+                if until is not None and proposal.step is until:
+                    break
+        return self
+
+
+@pytest.fixture
+def tried():
+    """A learner that has just handed over its first parameters; the error was 1 mrad before."""
+    driven = Driven().take(WINDOW_TICKS + 2, until=Step.PARAMETERS, error=1e-3)
+    assert [proposal.step for _, proposal in driven.proposals] == [Step.PARAMETERS]
+    return driven
+
+
+def test_a_wrong_model_is_replaced_after_a_window_of_motion(tried):
+    _, proposal = tried.proposals[0]
+    assert value_of(proposal.model, "coulomb") == pytest.approx(0.08, rel=0.02)
+    assert 0.9 < proposal.gain <= 1.0
+    assert tried.ticks == WINDOW_TICKS
+
+
+def test_what_helps_is_kept(tried):
+    tried.take(WINDOW_TICKS + 6, error=3e-4)
+    figures = tried.learner.figures
+    assert (figures.kept, figures.taken_back) == (1, 0)
+    assert figures.first_error == pytest.approx(1e-3 / math.sqrt(2.0), rel=0.05)
+    assert figures.error == pytest.approx(3e-4 / math.sqrt(2.0), rel=0.05)
+
+
+def test_what_does_not_help_is_taken_back(tried):
+    tried.take(WINDOW_TICKS + 6, error=1e-3)
+    _, back = tried.proposals[-1]
+    assert (back.step, back.gain) == (Step.BACK, 0.9)
+    np.testing.assert_array_equal(back.model.values, WRONG.values)
+    assert (tried.learner.figures.kept, tried.learner.figures.taken_back) == (0, 1)
+
+
+def test_what_harms_is_taken_back_within_a_second(tried):
+    at = tried.ticks
+    tried.take(8, until=Step.BACK, error=3e-3)
+    assert tried.proposals[-1][1].step is Step.BACK
+    assert (tried.ticks - at) * TICK_S <= 1.0
+
+
+def test_a_limit_cycle_is_harm(tried):
+    def lower(rows):
+        rows["gain_factor"][100:] = 0.8
+
+    tried.take(1, change=lower, error=1e-4)
+    assert tried.proposals[-1][1].step is Step.BACK
+
+
+def test_another_motion_is_not_compared(tried):
+    tried.take(WINDOW_TICKS + 6, error=3e-4, amplitude=0.1)
+    assert tried.proposals[-1][1].step is Step.BACK
+    figures = tried.learner.figures
+    assert (figures.kept, figures.taken_back) == (0, 0)
+
+
+def test_rest_teaches_nothing():
+    driven = Driven().take(3 * WINDOW_TICKS, amplitude=0.0, error=1e-3)
+    assert driven.proposals == []
+    assert driven.learner.figures.errors is None
+
+
+def test_the_true_model_is_left_alone():
+    driven = Driven(LUGRE, gain=1.0).take(4 * WINDOW_TICKS, error=2.0 * COUNT)
+    assert driven.proposals == []
+
+
+def test_nothing_is_tried_below_the_counts_of_the_encoder():
+    driven = Driven().take(3 * WINDOW_TICKS, error=0.5 * COUNT)
+    assert driven.proposals == []
+
+
+def frozen(rows):
+    rows["torque"][:] = 0.05
+
+
+def slipped(rows):
+    rows["position"][100:] += 0.01
+
+
+def holed(rows):
+    rows["torque"][5] = math.nan
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [(frozen, "torque"), (slipped, "jumps"), (holed, "gaps")],
+)
+def test_a_record_that_is_not_that_of_the_axis_ends_learning_within_a_second(tried, change, words):
+    at = tried.ticks
+    tried.take(4, until=Step.BACK, change=change, error=1e-3)
+    assert any(note.startswith("learning stops") and words in note for note in tried.notes)
+    assert (tried.ticks - at) * TICK_S <= 1.0
+    assert tried.proposals[-1][1].step is Step.BACK
+    assert tried.learner.figures.stopped == 1
+
+
+def test_a_torque_that_is_no_longer_updated_is_named():
+    """Where it would fit the model: a constant one of sliding, over a reversal of the demand."""
+    driven = Driven().take(5, error=1e-3)
+    driven.take(4, change=frozen, error=1e-3)
+    assert any("frozen" in note for note in driven.notes)
+
+
+def test_a_load_that_is_gone_ends_learning(tried):
+    tried.take(WINDOW_TICKS + 8, error=3e-4)
+    other = with_values(LUGRE, {"coulomb": 0.03, "static": 0.04})
+    tried.take(4, error=3e-4, true=other)
+    assert any("not that of the model" in note for note in tried.notes)

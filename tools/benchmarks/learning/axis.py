@@ -1,0 +1,142 @@
+"""A simulated axis with a compensator whose settings change while it moves; what it records, the learner is given."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from friction_hil.compensator import INPUTS, Compensator
+from friction_hil.daemon.control.prepare import state_in
+from friction_hil.numerics.jit import Array
+from friction_hil.servo.assembly import controller_record, machine_record, servo_state
+from tools.benchmarks.compensation.grid import DriveLoops, Plant
+from tools.benchmarks.compensation.machine import TRACE, advance
+from tools.benchmarks.compensation.simulation import servo_config
+
+COLUMNS = (
+    "cycle",
+    "position",
+    "torque",
+    "position_demand",
+    "velocity_demand",
+    "load_estimate",
+    "temperature_estimate",
+    "compensation",
+    "gain_factor",
+)
+_NO_TRACE = np.empty((len(TRACE), 0))
+
+
+@dataclass(slots=True)
+class Sensors:
+    """What is wrong with the feedback.
+
+    Attributes
+    ----------
+    bits : int
+        Of the encoder, for one revolution.
+    delay_cycles : int
+        From reading the encoder to the torque.
+    torque_noise : float
+        Standard deviation, N m.
+    torque_factor : float
+        Reported over true torque.
+    slip : float
+        Added to the position, rad.
+    is_frozen : bool
+        The torque that is reported stays what it was.
+    """
+
+    bits: int = 20
+    delay_cycles: int = 1
+    torque_noise: float = 0.0
+    torque_factor: float = 1.0
+    slip: float = 0.0
+    is_frozen: bool = False
+    reported: float = field(default=0.0, repr=False)
+
+
+class Axis:
+    """A plant behind a drive, moved along a demand."""
+
+    def __init__(
+        self, plant: Plant, drive: DriveLoops, compensator: Compensator, sensors: Sensors, period_s: float, seed: int
+    ) -> None:
+        self.drive, self.compensator, self.sensors, self.period_s = drive, compensator, sensors, period_s
+        self.samples = round(drive.rate_hz * period_s)
+        servo = servo_config(plant, drive)
+        self.record, self.controller = machine_record(servo), controller_record(servo)
+        self.state = servo_state(servo, self.record, 0.0)
+        self.cycle = 0
+        self._pending = [0.0] * (sensors.delay_cycles + 1)
+        self._random = np.random.default_rng(seed)
+        self._torque_step = plant.rated_torque / 1000.0
+        self._inputs: list[tuple[float, ...]] = []
+        self._state_before = compensator.state.copy()
+
+    def state_of(self, other: Compensator) -> Array:
+        """Return the state of another model after the last move, as the daemon computes it."""
+        rows = np.array(self._inputs).T
+        return state_in(other, (dict(zip(INPUTS, rows, strict=True)), self._state_before), "x")
+
+    def change_plant(self, plant: Plant, drive: DriveLoops | None = None) -> None:
+        """Go on with another plant or other loops, from the same motion."""
+        servo = servo_config(plant, drive or self.drive)
+        self.record, self.controller = machine_record(servo), controller_record(servo)
+
+    def move(self, demands: tuple[Array, Array, Array], ahead: tuple[Array, Array]) -> tuple[dict[str, Array], Array]:
+        """Move along demands at the samples of the drive; return the rows of the cycles and the following errors.
+
+        Parameters
+        ----------
+        demands : tuple of (n,) arrays
+            Position, velocity and acceleration.
+        ahead : tuple of (k,) arrays
+            Velocity and acceleration of each cycle when its torque acts.
+        """
+        cycles, given = ahead[0].size, self.sensors
+        rows = np.empty((len(COLUMNS), cycles))
+        errors = np.empty((2, cycles))
+        score = np.zeros(2)
+        resolution = np.pi * 2.0 / 2**given.bits
+        noise = given.torque_noise * self._random.standard_normal(cycles)
+        compensator, state = self.compensator, self.state
+        view = state[0]
+        self._inputs, self._state_before = [], compensator.state.copy()
+        for k in range(cycles):
+            i = k * self.samples
+            position = np.floor((view["position"] + given.slip) / resolution) * resolution
+            if not given.is_frozen:
+                torque = view["torque"] * given.torque_factor + noise[k]
+                given.reported = np.floor(torque / self._torque_step + 0.5) * self._torque_step
+            motion = (demands[0][i], demands[1][i], ahead[0][k])
+            given_now = (float(self.cycle), position, view["velocity"], given.reported)
+            inputs = (*given_now, *motion, True, True, ahead[1][k], np.nan)
+            self._inputs.append(inputs)
+            torque = compensator.step(*inputs)
+            rows[:, k] = (
+                self.cycle,
+                position,
+                given.reported,
+                demands[0][i],
+                demands[1][i],
+                compensator.load_estimate,
+                compensator.temperature_estimate,
+                torque,
+                compensator.gain_factor,
+            )
+            self._pending.append(torque)
+            score[:] = 0.0
+            advance(
+                self.record,
+                self.controller,
+                state,
+                *demands,
+                i,
+                self.samples,
+                self._pending.pop(0) if given.delay_cycles else self._pending.pop(),
+                score,
+                _NO_TRACE,
+            )
+            errors[:, k] = np.sqrt(score[0] / self.samples), score[1]
+            self.cycle += 1
+        return dict(zip(COLUMNS, rows, strict=True)), errors

@@ -1,0 +1,182 @@
+"""One simulated axis that is followed for a while, with learning or without."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from time import process_time
+from typing import Any
+
+import numpy as np
+
+from friction_hil.compensator import Compensator, CompensatorSettings
+from friction_hil.friction import FrictionModel
+from friction_hil.learning.estimate import Mechanics
+from friction_hil.learning.learner import TICK_S, Learner, Proposal
+from friction_hil.numerics.jit import Array
+from tools.benchmarks.compensation.grid import DriveLoops, Grid, Plant
+from tools.benchmarks.compensation.motions import GridMotion
+from tools.benchmarks.compensation.simulation import Error
+from tools.benchmarks.learning.axis import Axis, Sensors
+
+FADE_S = 0.5
+Event = Callable[[Axis], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """What is simulated.
+
+    Attributes
+    ----------
+    plant, drive
+        Of a grid file.
+    believed : FrictionModel
+        Of the model file.
+    settings : CompensatorSettings
+    motions : sequence of (float, GridMotion)
+        Each with its duration, s, after which it stands at zero again.
+    sensors : Sensors
+    lead_s : float
+    seed : int
+    """
+
+    plant: Plant
+    drive: DriveLoops
+    believed: FrictionModel
+    settings: CompensatorSettings
+    motions: Sequence[tuple[float, GridMotion]]
+    sensors: Sensors
+    lead_s: float
+    seed: int = 1
+
+
+@dataclass(slots=True)
+class Followed:
+    """Errors of every cycle and what the learner did.
+
+    Attributes
+    ----------
+    errors : (2, n) array
+        Root mean square and peak of the true following error within each cycle, rad.
+    compensation : (n,) array
+    hand_overs : list of (float, Proposal)
+        With their time, s.
+    notes : list of (float, str)
+    learner : Learner or None
+    busy_s : float
+        Processor time of learning.
+    """
+
+    errors: Array
+    compensation: Array
+    hand_overs: list[tuple[float, Proposal]] = field(default_factory=list)
+    notes: list[tuple[float, str]] = field(default_factory=list)
+    learner: Learner | None = None
+    busy_s: float = 0.0
+
+    def error(self, begin_s: float, end_s: float, period_s: float) -> Error:
+        """Return root mean square and peak between two times, rad."""
+        part = self.errors[:, round(begin_s / period_s) : round(end_s / period_s)]
+        return Error(float(np.sqrt(np.mean(part[0] ** 2))), float(part[1].max()))
+
+
+def setup(grid: Grid, plant: str, drive: str, motion: int, condition: str, seconds: float) -> Setup:
+    """Return the setup of a case of a grid."""
+    given = grid.conditions[condition]
+    return Setup(
+        grid.plants[plant],
+        grid.drives[drive],
+        grid.believed(plant, condition),
+        replace(grid.settings(plant, drive, condition), fade_s=FADE_S),
+        [(seconds, grid.motions[motion])],
+        Sensors(bits=given.encoder_bits, delay_cycles=given.delay_cycles),
+        grid.lead_s(drive, condition),
+    )
+
+
+def follow(
+    of: Setup,
+    seconds: float,
+    *,
+    is_learning: bool,
+    events: Mapping[float, Event] | None = None,
+    retuned: Callable[[float], FrictionModel | None] | None = None,
+) -> Followed:
+    """Simulate an axis.
+
+    Parameters
+    ----------
+    of : Setup
+    seconds : float
+    is_learning : bool
+    events : mapping of float to callable
+        What happens to the axis at a tick of this time, s.
+    retuned : callable, optional
+        Returns the model to go on with from a time on, None for the present one: a model tuned by hand.
+    """
+    period_s, settings, model = of.settings.period_s, of.settings, of.believed
+    axis = Axis(of.plant, of.drive, Compensator(model, settings), replace(of.sensors), period_s, of.seed)
+    learner = None
+    if is_learning:
+        learner = Learner(
+            model,
+            Mechanics(settings.inertia),
+            {},
+            period_s=period_s,
+            resolution=settings.position_resolution,
+            gain=settings.gain,
+            fade_s=settings.fade_s,
+        )
+    cycles = round(TICK_S / period_s)
+    found = Followed(np.empty((2, 0)), np.empty(0), learner=learner)
+    errors, compensation = [], []
+    for tick in range(round(seconds / TICK_S)):
+        at = tick * TICK_S
+        for time_s, event in (events or {}).items():
+            if abs(time_s - at) < 0.5 * TICK_S:
+                event(axis)
+        if retuned is not None and (better := retuned(at)) is not None:
+            other = Compensator(better, settings)
+            axis.compensator.adopt(other.record, axis.state_of(other) if tick else other.friction_state)
+        rows, error = axis.move(*_demands(of, at, cycles))
+        errors.append(error)
+        compensation.append(rows["compensation"])
+        if learner is None:
+            continue
+        began = process_time()
+        proposal = learner.take(rows)
+        found.busy_s += process_time() - began
+        found.notes += [(at + TICK_S, note) for note in learner.notes]
+        learner.notes.clear()
+        if proposal is not None:
+            found.hand_overs.append((at + TICK_S, proposal))
+            model = proposal.model or model
+            settings = replace(settings, gain=proposal.gain)
+            other = Compensator(model, settings)
+            axis.compensator.adopt(other.record, None if proposal.model is None else axis.state_of(other))
+    found.errors, found.compensation = np.concatenate(errors, axis=1), np.concatenate(compensation)
+    return found
+
+
+def without(of: Setup, seconds: float, events: Mapping[float, Event] | None = None) -> Followed:
+    """Simulate the axis without compensation."""
+    return follow(replace(of, settings=replace(of.settings, gain=0.0)), seconds, is_learning=False, events=events)
+
+
+def _demands(of: Setup, begin_s: float, cycles: int) -> tuple[tuple[Array, Array, Array], tuple[Array, Array]]:
+    """Return the demands at the samples of the drive, and those of each cycle when its torque acts."""
+    samples = cycles * round(of.drive.rate_hz * of.settings.period_s)
+    now = _at(of, begin_s + np.arange(samples) / of.drive.rate_hz)
+    ahead = _at(of, begin_s + np.arange(cycles) * of.settings.period_s + of.lead_s)
+    return now, (ahead[1], ahead[2])
+
+
+def _at(of: Setup, t: Any) -> tuple[Array, Array, Array]:
+    found = np.zeros((3, t.size))
+    begin = 0.0
+    for number, (seconds, motion) in enumerate(of.motions):
+        is_last = number == len(of.motions) - 1
+        part = (t >= begin - 1e-9) & ((t < begin + seconds - 1e-9) | is_last)
+        if part.any():
+            found[:, part] = motion.at(np.maximum(t[part] - begin, 0.0), of.seed)
+        begin += seconds
+    return found[0], found[1], found[2]
