@@ -3,7 +3,8 @@
 They have no NaN, may stop at a division by zero or an overflow, evaluate both operands of ``and`` and ``or``, and have
 no conditional expression that every implementation understands. Here a number that may be unknown gets a flag beside
 it, which says whether it is known; infinity becomes `strict_library.UNLIMITED`; conditional expressions become
-branches. What an operation does with NaN in C, the flags do here: a comparison with an unknown number is false.
+branches. What an operation does with NaN in C, the flags do here: a comparison with an unknown number is false. Zero
+has no sign.
 
 What is left are assignments, branches, loops, calls and returns, with the operators + - * / neg < <= > >= == != and or
 not, div and mod (of whole numbers, towards zero), cast (to a number), truncate (to a whole number), and the functions

@@ -66,7 +66,7 @@ def _guarded(s, x, y):
 
 def _divided(s, x, y):
     ratio = x / y if y != 0.0 else 0.0
-    return ratio + math.copysign(1.0, ratio) if math.isfinite(ratio) else -7.0
+    return ratio + math.copysign(1.0, ratio) if math.isfinite(ratio) and ratio != 0.0 else -7.0
 
 
 KERNELS = (_extremes, _comparisons, _kept, _passed_on, _reassigned, _guarded, _divided)
