@@ -34,6 +34,7 @@ COMMANDS = {
     "plot": "Draw a recording, as a picture or an interactive page.",
     "replay": "Compare recordings with friction models, or verify them.",
     "identify": "Identify friction model and mechanics from recordings.",
+    "health": "Show what has changed in the friction of axes over months.",
     "tune": "Identify friction on the machine, and test the compensation.",
     "train": "Train a network on the friction of recordings or of a model.",
     "convert": "Convert a recording, or describe its content.",
@@ -117,7 +118,7 @@ class LazyGroup(Group):
 def application() -> None:
     """Compensate the friction of servo axes: real-time daemon, simulated drives, replay and identification.
 
-    Exit status: 0 done, 1 the work failed or found a fault, 2 wrong use or configuration.
+    Exit status: 0 done, 1 the work failed or found a fault, 2 wrong use or configuration, 3 ``health`` found a change.
     """
 
 

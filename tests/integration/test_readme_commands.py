@@ -101,6 +101,12 @@ ELSEWHERE = (
         "test_without_a_structure_the_network_is_kept_only_if_held_out_data_show_that_it_is_better",
     ),
     ("friction-hil train --from-model --report --json", "test_a_network_learns_a_model_and_runs_where_a_model_runs"),
+    (
+        "friction-hil health --report --metrics --history --json",
+        "test_months_of_recordings_show_what_has_changed_and_nothing_else",
+    ),
+    ("friction-hil health --since --order", "test_after_a_repair_a_baseline_begins_again"),
+    ("./tools/bench health --axes --json", "test_the_benchmark_of_health_has_every_change"),
     ("friction-hil identify --linear", "test_emps_published_parameters_to_the_printed_digits"),
     ("friction-hil identify --where --group-by --unknown-gain", "test_servo_has_friction_that_grows_with_its_load"),
     ("friction-hil identify --rate --column", "test_commands_take_a_rate_and_a_file_beside"),
