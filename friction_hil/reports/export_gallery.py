@@ -23,7 +23,7 @@ INDEX = "index.html"
 _MARK = generator("models")
 _CAPTION = (
     "Left: steady torque of the model (black) and of each export that loses torque. Right: what these lose. With a "
-    "temperature, at the middle of its range."
+    "temperature, at the middle of its range. Equal curves lie upon each other: some formats hold the same."
 )
 
 
