@@ -71,6 +71,11 @@ class TendedProcess:
         self._lives.begin()
         self.pid = self._process.pid
 
+    @property
+    def is_given_up(self) -> bool:
+        """True if it has died too often, and is not started any more."""
+        return self._is_given_up
+
     def tend(self) -> list[str]:
         """Start the process again if it has died; return what is to be reported. It never waits."""
         if self._is_given_up or (status := self._process.poll()) is None:
