@@ -34,10 +34,12 @@ COMMANDS = {
     "plot": "Draw a recording, as a picture or an interactive page.",
     "replay": "Compare recordings with friction models, or verify them.",
     "identify": "Identify friction model and mechanics from recordings.",
+    "health": "Show what has changed in the friction of axes over months.",
     "tune": "Identify friction on the machine, and test the compensation.",
     "train": "Train a network on the friction of recordings or of a model.",
     "convert": "Convert a recording, or describe its content.",
     "export": "Export a model and its compensator, as C for firmware.",
+    "import": "Make a model file from an MJCF, URDF or BAM file.",
     "study": "Show the effect of each friction model on a servo.",
     "models": "List the friction models, or describe one.",
     "doctor": "Check machine, configuration and connection before a run.",
@@ -54,7 +56,8 @@ COMMANDS = {
     "config": "Make, check, show and describe configurations.",
 }
 
-_MODULES = {"set": "set_values"}  # a module called set would hide the built-in one from this package
+# A module called set would hide the built-in one from this package; import is a keyword.
+_MODULES = {"set": "set_values", "import": "import_model"}
 
 # Commands that connect to drives or simulate them. Their loop relies on Linux: real-time priority, shared memory
 # without a name, SocketCAN, pseudo-terminals. All others run wherever Python does.
@@ -115,7 +118,7 @@ class LazyGroup(Group):
 def application() -> None:
     """Compensate the friction of servo axes: real-time daemon, simulated drives, replay and identification.
 
-    Exit status: 0 done, 1 the work failed or found a fault, 2 wrong use or configuration.
+    Exit status: 0 done, 1 the work failed or found a fault, 2 wrong use or configuration, 3 ``health`` found a change.
     """
 
 

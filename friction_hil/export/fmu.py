@@ -19,7 +19,8 @@ from pathlib import Path
 
 from friction_hil.errors import UsageError
 from friction_hil.export import c, fmu_description
-from friction_hil.export.fmu_description import LIMIT, Unit, Variable
+from friction_hil.export.fmu_description import Unit, Variable
+from friction_hil.export.strict import PLAUSIBLE
 from friction_hil.export.subject import Subject, provenance
 
 _STANDARDS = ("2.0", "3.0")
@@ -206,7 +207,7 @@ static bool fmu_set_boolean(fmu_data *d, unsigned int ref, bool value)
 /* Return an input that may be unknown: NAN for a number that is not plausible, as every input is that was not set. */
 static double fmu_known(double value)
 {{
-    return (fabs(value) < {LIMIT!r}) ? value : NAN;
+    return (fabs(value) < {PLAUSIBLE!r}) ? value : NAN;
 }}
 
 /* Advance from time by step, s; return NULL, or why that is not possible. */

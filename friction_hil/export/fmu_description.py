@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 from friction_hil import __version__
+from friction_hil.export.strict import UNKNOWN
 
-UNKNOWN = 1e30  # start value of inputs that may be unknown
-LIMIT = 1e16  # from here on a number counts as unknown
 _BASE = {  # exponents of SI base units of each unit, and what is added
     "rad": {"rad": "1"},
     "rad/s": {"rad": "1", "s": "-1"},

@@ -3,20 +3,15 @@
 import textwrap
 from collections.abc import Iterable
 
-from friction_hil.export import strict_library
+from friction_hil.export import plcopen, strict_library
 from friction_hil.export.c import REBASED
 from friction_hil.export.ir import Variable
 from friction_hil.export.kernels import CYCLES, Program, compensator_program, model_program
 from friction_hil.export.st_printer import STATE, Declared, Pou, StPrinter, field_name, literal, table_name
-from friction_hil.export.strict import StrictField, flag, strict
+from friction_hil.export.strict import OPTIONAL, PLAUSIBLE, UNKNOWN, StrictField, flag, strict
+from friction_hil.export.strict_library import UNLIMITED
 from friction_hil.export.subject import Subject, provenance
 
-UNKNOWN = 1e30  # an input that is not connected
-PLAUSIBLE = 1e16  # numbers from here on, and NaN where there is one, are unknown
-# inputs that may be unknown
-OPTIONAL = ("position", "velocity", "torque", "position_demand", "velocity_demand", "velocity_demand_ahead",
-            "acceleration_demand_ahead", "temperature")  # fmt: skip
-MODEL_OPTIONAL = ("temperature",)
 _PUBLIC = {"dt": "elapsed"}  # dt is a type of the language
 
 COMMENTS = {
@@ -45,15 +40,24 @@ COMMENTS = {
 
 
 def files(subject: Subject) -> dict[str, str]:
-    """Return one file with all function blocks, functions and types."""
+    """Return all function blocks, functions and types, as text and as a project to import."""
     parts = [_Part(subject, "model", model_program(subject.model_file.friction_model))]
     if subject.compensator is not None:
         parts.append(_Part(subject, "compensator", compensator_program(subject.compensator)))
+    types = {part.printer.state_type: part.fields() for part in parts if part.has_state}
     library = {name: each for part in parts for name, each in part.library().items()}
-    texts = [each.text() for each in library.values()]
-    for part in parts:
-        texts += part.texts()
-    return {f"{subject.name}.st": "\n".join([comment(_about(subject)), *texts])}
+    units = [*library.values(), *(each for part in parts for each in part.units())]
+    about = list(_about(subject))
+    texts = [comment(about), *(_structure(*each) for each in types.items()), *(each.text() for each in units)]
+    return {
+        f"{subject.name}.st": "\n".join(texts),
+        f"{subject.name}.xml": plcopen.project(subject.name, "\n".join(about), types, units),
+    }
+
+
+def _structure(name: str, fields: list[Declared]) -> str:
+    inner = "\n".join(each.text() for each in fields)
+    return f"TYPE {name} :\nSTRUCT\n{inner}\nEND_STRUCT;\nEND_TYPE\n"
 
 
 def _about(subject: Subject) -> Iterable[str]:
@@ -79,7 +83,7 @@ class _Part:
     """Model or compensator: a type for the state, functions, and the function block."""
 
     def __init__(self, subject: Subject, kind: str, program: Program) -> None:
-        self.optional = MODEL_OPTIONAL if kind == "model" else OPTIONAL
+        self.optional = OPTIONAL[kind]
         self.kind, self.program = kind, strict(program, self.optional)
         self.outside = program.inputs
         used = set(map(id, map(strict_library.function, strict_library.NAMES)))
@@ -95,25 +99,24 @@ class _Part:
         """Return the functions of the library, which several programs may share."""
         return {each.name: self.printer.function(each) for each in self._library}
 
-    def texts(self) -> list[str]:
+    def units(self) -> list[Pou]:
         """Return everything else."""
         functions = [each for each in self.program.functions if each not in self._library]
-        units = [self.printer.function(each) for each in functions]
-        if self.has_state:
-            units.append(self._begin())
-        types = [self._type()] if self.has_state else []
-        return [*types, *(each.text() for each in units), self._block().text()]
+        begin = [self._begin()] if self.has_state else []
+        return [*map(self.printer.function, functions), *begin, self._block()]
 
-    def _type(self) -> str:
-        lines = [Declared(field_name(one.name), _array(one.type, len(one.initial)) if one.is_array else _TYPE[one.type])
-                 for one in self.program.fields]  # fmt: skip
+    def fields(self) -> list[Declared]:
+        """Return the fields of the state, and the tables, which nothing changes."""
+        fields = []
+        for one in self.program.fields:
+            kind = _array(one.type, len(one.initial)) if one.is_array else _TYPE[one.type]
+            fields.append(Declared(field_name(one.name), kind))
         for table in self.program.tables:
             low, high = table.used
             values = ", ".join(literal(float(each)) for each in table.values[low : high + 1])
             kind = _array("real", high - low + 1)
-            lines.append(Declared(table_name(table.name), kind, f"[{values}]", "constant"))
-        inner = "\n".join(each.text() for each in lines)
-        return f"TYPE {self.printer.state_type} :\nSTRUCT\n{inner}\nEND_STRUCT;\nEND_TYPE\n"
+            fields.append(Declared(table_name(table.name), kind, f"[{values}]", "constant"))
+        return fields
 
     def _begin(self) -> Pou:
         name, lines, has_loop = f"{self.name}_begin", [], False
@@ -138,8 +141,16 @@ class _Part:
         """Return the function block."""
         inputs, own, lines = self._inputs()
         result = "compensation" if self.kind == "compensator" else "friction"
-        outputs = [Declared(result, "LREAL", "", self.torque)]
-        lines.append(f"{result} := {self.printer.call(self.program.entry, map(self._operand, self.program.inputs))};")
+        outputs = [Declared(result, "LREAL", "", self.torque), self._fault()]
+        entry, is_known = self.program.entry, flag(result)
+        others = [f"result_1 => {is_known}"] if len(entry.results) > 1 else []
+        lines.append(f"{result} := {self.printer.call(entry, map(self._operand, self.program.inputs), others)};")
+        if others:
+            own.append(Declared(is_known, "BOOL"))
+        if self.kind == "model":
+            test = f"ABS({result}) >= {literal(UNLIMITED)}"
+            lines.append(f"is_faulty := {f'NOT {is_known} OR ({test})' if others else test};")
+            lines += ["IF is_faulty THEN", f"    {result} := 0.0;", "END_IF;"]
         if self.has_state:
             inputs.insert(0, Declared("reset", "BOOL", "", "begin anew, at rest"))
             begun = [Declared("is_begun", "BOOL"), Declared("done", "BOOL"), Declared(STATE, self.printer.state_type)]
@@ -152,11 +163,16 @@ class _Part:
             kept = [f"{STATE}.{each}" for each in CYCLES if each in names]
             lines += [f"    {each} := {each} - {literal(REBASED)};" for each in kept]
             lines.append("END_IF;")
-        if "is_faulty" in names:
-            outputs.append(Declared("is_faulty", "BOOL", "", "the model's torque is not finite; zero is used instead"))
+        if self.kind == "compensator":
             lines.append(f"is_faulty := {STATE}.is_faulty > 0.5;")
         sections = {"VAR_INPUT": inputs, "VAR_OUTPUT": outputs, "VAR": own}
         return Pou("FUNCTION_BLOCK", self.name, "", sections, "\n".join(lines), self._says())
+
+    def _fault(self) -> Declared:
+        text = "the friction is not finite; it is zero then"
+        if self.kind == "compensator":
+            text = "the model's torque is not finite; zero is used instead"
+        return Declared("is_faulty", "BOOL", "", text)
 
     def _says(self) -> str:
         if self.kind == "model":

@@ -15,6 +15,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cache
 
+from friction_hil.compensator import INPUTS
 from friction_hil.export import ir, strict_library
 from friction_hil.export.arithmetic import binary, is_number, known
 from friction_hil.export.ir import Block, Constant, Expression, Function, Operation, Type, Variable
@@ -22,6 +23,13 @@ from friction_hil.export.kernels import Program, called
 from friction_hil.export.strict_library import UNLIMITED
 from friction_hil.export.values import Table
 
+UNKNOWN = 1e30  # an input that is not connected
+PLAUSIBLE = 1e16  # numbers from here on, and NaN where there is one, are unknown
+# inputs that may be unknown
+OPTIONAL = {
+    "model": ("temperature",),
+    "compensator": tuple(name for name in INPUTS if name not in ("cycle", "is_fresh", "is_enabled")),
+}
 LARGEST_WHOLE = 2.0e9  # of a number that is made a whole number
 _TRUE, _FALSE = known(True), known(False)
 

@@ -74,22 +74,22 @@ def other_joints(result: Identification, recordings: Sequence[Recording]) -> lis
     names = [name for name in siblings(source, first.columns) if all(name in each for each in recordings)]
     by_path = {each.path: each for each in recordings}
     is_rotary = result.settings.axis == "rotary"
-    terms: dict[str, Array] = {}
+    found: dict[str, Array] = {}
     for name in names:
-        parts = [_terms(record, by_path[record.path], name, factor, is_rotary) for record in result.records]
+        parts = [terms(record, by_path[record.path], name, factor, is_rotary) for record in result.records]
         if all(part is not None for part in parts):
-            terms[name] = np.concatenate([part for part in parts if part is not None])
+            found[name] = np.concatenate([part for part in parts if part is not None])
     residual = result.best.curves.residual
-    if not terms or any(len(each) != len(residual) for each in terms.values()):
+    if not found or any(len(each) != len(residual) for each in found.values()):
         return []
-    share = _explained(np.hstack(list(terms.values())), residual)
-    alone = {name: _explained(each, residual) for name, each in terms.items()}
+    share = explained(np.hstack(list(found.values())), residual)
+    alone = {name: explained(each, residual) for name, each in found.items()}
     named = sorted((name for name in alone if alone[name] > _NAMED), key=lambda name: -alone[name])
     share = max(share, *alone.values())
     if share < _TOLD:
         return []
     return [
-        f"this recording is not one of a single axis: the motion of {_listed(named or list(terms))} explains "
+        f"this recording is not one of a single axis: the motion of {listed(named or list(found))} explains "
         f"{100.0 * share:.0f} % of what the model leaves, on blocks held out; hold the other joints still while "
         "recording, or subtract the torque that a rigid-body model of the arm gives for them"
     ]
@@ -129,8 +129,11 @@ def _on_grid(record: RegressionSegment, recording: Recording, name: str) -> Arra
     return found
 
 
-def _terms(record: RegressionSegment, recording: Recording, name: str, factor: float, is_rotary: bool) -> Array | None:
-    """Return what another joint may add to the torque, reduced (k, p); None if it stands still or is this one."""
+def terms(record: RegressionSegment, recording: Recording, name: str, factor: float, is_rotary: bool) -> Array | None:
+    """Return what another joint may add to the torque, reduced (k, p); None if it stands still or is this one.
+
+    Its position is ``factor`` times the column ``name`` of ``recording``, whose time stamps are those of ``record``.
+    """
     cutoff = record.lowpass_hz or DEFAULT_LOWPASS_RATIO * record.rate_hz
     raw = factor * _on_grid(record, recording, name)
     other = filtering.lowpass(raw, cutoff, record.rate_hz)
@@ -147,7 +150,7 @@ def _terms(record: RegressionSegment, recording: Recording, name: str, factor: f
     return record.reduce_smooth(np.column_stack(columns))
 
 
-def _explained(columns: Array, residual: Array) -> float:
+def explained(columns: Array, residual: Array) -> float:
     """Return the share of the residual's variance (k,) that columns (k, p) explain on blocks held out."""
     size = np.std(columns, axis=0)
     scaled = np.column_stack([np.ones(len(columns)), (columns / np.where(size > 0.0, size, 1.0))])
@@ -166,5 +169,6 @@ def _blocks(rows: int) -> Iterator[slice]:
     return (slice(begin, end) for begin, end in itertools.pairwise(edges))
 
 
-def _listed(names: Sequence[str]) -> str:
+def listed(names: Sequence[str]) -> str:
+    """Return names as a list in a sentence."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

@@ -99,6 +99,7 @@ def find_mechanics(
     *,
     shaken: Sequence[Recording] = (),
     held: Mapping[str, Recording] | None = None,
+    disturbed: str = "",
     report: Callable[[str], None] = lambda _: None,
 ) -> Mechanics:
     """Find the mechanics behind the motor.
@@ -112,12 +113,15 @@ def find_mechanics(
         Further ones, of an axis that is shaken while it slides: the frequency response is then theirs alone.
     held : dict of Recording, optional
         Other axes of the run in which the axis was shaken, by name: loops that hold them give way.
+    disturbed : str
+        Why the torque is not that of this axis alone (`friction_hil.identification.moving_beside`): nothing is then
+        determined; empty if it is.
     report : callable
         Called with the name of each step.
     """
     units = Units.of(result)
-    if result.settings.has_unknown_gain:
-        why = "it needs a torque of known gain"
+    if disturbed or result.settings.has_unknown_gain:
+        why = disturbed or "it needs a torque of known gain"
         return Mechanics(tuple(replace(each, missing=why) for each in undetermined(units)))
     records = [each for each in result.records if not each.is_thinned] or list(result.records)
     report("frequency response")

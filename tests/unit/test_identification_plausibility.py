@@ -12,6 +12,8 @@ from friction_hil.cli import main
 from friction_hil.errors import ConfigurationError
 from friction_hil.identification import IdentificationSettings, identify
 from friction_hil.identification.coupling import siblings
+from friction_hil.identification.mechanics import find_mechanics
+from friction_hil.identification.moving_beside import moving_beside
 from friction_hil.identification.plausibility import Finding, check_result
 from friction_hil.models.files import load_model_file
 from friction_hil.recordings import Recording
@@ -163,6 +165,26 @@ def test_a_coupled_arm_is_not_one_axis() -> None:
     assert not finding.is_fatal
     assert "not one of a single axis: the motion of q2 explains" in finding.text
     assert "q3" not in finding.text
+
+
+@pytest.mark.parametrize(("coupling", "moves"), [(0.0, "elbow"), (1.0, "elbow"), (1.0, "wrist")])
+def test_another_axis_of_the_machine_is_named_if_the_torque_follows_its_motion(coupling: float, moves: str) -> None:
+    recording = arm(coupling)
+    columns = {"time_s": recording["time_s"], "position": recording["q2" if moves == "elbow" else "q3"]}
+    beside = {recording.path: {moves: Recording(recording.path, moves, columns)}}
+    result = identify([recording], IdentificationSettings(families=("coulomb",), has_modifiers=False))
+
+    found = moving_beside(result, beside)
+    mechanics = find_mechanics([recording], result, disturbed=found)
+
+    assert bool(found) == (coupling > 0.0 and moves == "elbow")
+    assert not moving_beside(result, {})
+    if found:
+        assert found.startswith("the motion of elbow explains ")
+        assert all(each.value is None and each.missing == found for each in mechanics.quantities)
+        assert mechanics.load is None
+    elif not coupling:
+        assert {each.key: each.value for each in mechanics.quantities}["inertia"] is not None
 
 
 def test_rest_in_a_slow_recording_is_left_out_by_a_speed_that_helps() -> None:

@@ -14,7 +14,7 @@ from click.testing import CliRunner
 
 from friction_hil.errors import FrictionHilError
 from friction_hil.recordings import formats, read, write
-from tools.benchmarks import exchange, export, latency, loop, models, neural, recordings
+from tools.benchmarks import exchange, export, health, latency, loop, models, neural, recordings
 from tools.benchmarks.report import Row, compare, percentile, show
 
 PROJECT = Path(__file__).parents[2]
@@ -366,7 +366,7 @@ def test_unknown_benchmark_is_answered_with_what_there_is() -> None:
     done = subprocess.run(command, cwd=PROJECT, capture_output=True, text=True)
     assert (done.returncode, done.stdout) == (2, "")
     assert (
-        "did you mean 'latency'? There are: compensation, exchange, export, help, latency, learning, loop, "
+        "did you mean 'latency'? There are: compensation, exchange, export, health, help, latency, learning, loop, "
         in done.stderr
     )
     assert ", models, neural, recordings, serial, servo, tune\n" in done.stderr
@@ -426,6 +426,19 @@ def test_the_benchmark_of_the_exchange_times_each_part(monkeypatch: pytest.Monke
 def test_the_benchmark_of_exports_compares_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(export, "SAMPLES", 1000)
     assert all(row.value > 0.0 and row.reference is not None for row in export.run())
+
+
+def test_the_benchmark_of_health_has_every_change(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(health, "DURATION_S", 8.0)
+    monkeypatch.setattr(health, "BEGIN", 31)
+    monkeypatch.setattr(health, "YEAR_DAYS", 40)
+    monkeypatch.setattr(health, "CHANGES", health.CHANGES[2:3])
+    done = CliRunner().invoke(health.command, ["--axes", "1", "--json"])
+    assert done.exit_code == 0, done.output
+    quiet, tightened = json.loads(done.stdout)["rows"]
+    assert quiet["noticed"] is None
+    assert tightened["noticed"] in (0, 1)
+    assert quiet["false_alarms_per_year"] >= 0.0
 
 
 def test_the_benchmark_of_the_loop_starts_a_daemon(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -18,8 +18,10 @@ from friction_hil.identification import Fit, Identification, IdentificationSetti
 from friction_hil.identification.export import add_mechanics, as_model_file, mechanics_as_json, model_file
 from friction_hil.identification.export import as_json as result_as_json
 from friction_hil.identification.mechanics import Mechanics, find_mechanics
+from friction_hil.identification.moving_beside import moving_beside
 from friction_hil.identification.plausibility import Finding, check_result
 from friction_hil.numerics.readable import brief
+from friction_hil.recordings import Recording, read_all
 from friction_hil.reports.identification_report import write_report
 
 _SHOWN = 12  # candidates in the table, besides the simplest; JSON has all
@@ -59,10 +61,13 @@ def identify_axis(
             validation=validation,
             progress=lambda step: show(f"{step.stage}: {step.label}", step.number, step.count),
         )
-        findings = check_result(result, recordings)
+        disturbed = moving_beside(result, _beside(recordings))
+        findings = [*check_result(result, recordings), *([Finding(disturbed)] if disturbed else [])]
         is_worthless = any(each.is_fatal for each in findings)
         mechanics = (
-            None if is_worthless else find_mechanics(recordings, result, report=lambda step: show(f"mechanics: {step}"))
+            None
+            if is_worthless
+            else find_mechanics(recordings, result, disturbed=disturbed, report=lambda step: show(f"mechanics: {step}"))
         )
     free = {"relative_error": None, "reason": "no usable model"} if is_worthless else _free_run(result, controller)
     if output is not None and not is_worthless:
@@ -88,6 +93,16 @@ def identify_axis(
         if is_worthless and output is not None:
             say(f"{output} is not written.")
     return int(is_worthless)
+
+
+def _beside(recordings: Sequence[Recording]) -> dict[str, dict[str, Recording]]:
+    """Return the motion of the other axes that the daemon recorded in the same files, by path and name."""
+    found = {}
+    for each in recordings:
+        if len(each.metadata.get("facts", ())) > 1:
+            there = read_all(each.path, only=("time_s", "position"))
+            found[each.path] = {name: other for name, other in there.items() if name != each.axis}
+    return found
 
 
 def _settings(

@@ -1,0 +1,272 @@
+"""The work of ``friction-hil health``."""
+
+import os
+import tempfile
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import click
+
+from friction_hil import recordings
+from friction_hil.cli.output import print_json
+from friction_hil.cli.work.progress import status_line
+from friction_hil.cli.work.read import expanded
+from friction_hil.cli.work.result_files import check_result_files
+from friction_hil.cli.work.tables import new_table, number, print_files, print_table, prose, say
+from friction_hil.daemon.companion import state_folder
+from friction_hil.daemon.control.names import is_name
+from friction_hil.errors import FrictionHilError, RecordingError, UsageError
+from friction_hil.health import Health, Verdict, judge, observe
+from friction_hil.health.history import History, append, load, state_of
+from friction_hil.health.metrics import metrics_text
+from friction_hil.health.observe import COLUMNS
+from friction_hil.numerics.readable import brief
+from friction_hil.recordings import Recording
+from friction_hil.recordings.parts import SUFFIX, is_of_fault, part_of, parts_of
+from friction_hil.reports.health_report import write_report
+
+CHANGED, NOT_JUDGED = 3, 1  # exit status
+_SERVICES = Path("/var/lib/friction-hil")
+_SHOWN_LINES = 5
+_NAMELESS = "axis"
+
+
+def show_health(
+    *,
+    sources: Sequence[str],
+    axis: str | None,
+    columns: dict[str, str],
+    scale: dict[str, float],
+    where: str | None,
+    rate_hz: float | None,
+    is_linear: bool,
+    orders: tuple[float, ...],
+    window_s: float,
+    baseline: int,
+    since: datetime | None,
+    false_alarms: float,
+    history: Path | None,
+    report: Path | None,
+    metrics: Path | None,
+    as_json: bool,
+) -> int:
+    """Observe recordings that are new, judge all, and print the result; return the exit status."""
+    check_result_files(None, report)
+    files, own_history = _files(sources)
+    history = history or own_history
+    known = History() if history is None else load(history)
+    reading: dict[str, Any] = {"columns": columns, "scale": scale, "where": where, "rate_hz": rate_hz, "only": COLUMNS}
+    settings = {"kind": "linear" if is_linear else "rotary", "orders": orders, "window_s": window_s}
+    notes = _observe(files, known, history, reading, settings, axis)
+    if axis is not None and axis not in known.parts:
+        raise UsageError(f"there is no axis {axis!r}; there are: {', '.join(known.parts) or 'none'}")
+    least_s = since.timestamp() if since is not None else float("-inf")
+    found = [
+        judge(
+            name,
+            [each for each in known.observations(name) if each.time_s >= least_s],
+            known.layouts[name],
+            baseline=baseline,
+            false_alarms=false_alarms,
+        )
+        for name in known.layouts
+        if axis in (None, name)
+    ]
+    if report is not None:
+        write_report(report, found, false_alarms)
+    if metrics is not None:
+        _replace(metrics, metrics_text(found))
+    status = _status(found)
+    if as_json:
+        print_json(_as_dict(found, notes, false_alarms, status))
+    else:
+        for note in notes:
+            say(note)
+        _print(found, false_alarms)
+        print_files({"history": history, "report": report, "metrics": metrics})
+    return status
+
+
+def _files(sources: Sequence[str]) -> tuple[list[Path], Path | None]:
+    """Return the recordings that the command names, and the history of a service if it names one."""
+    if len(sources) == 1 and is_name(sources[0]) and not os.path.lexists(sources[0]):
+        return _files_of_service(sources[0])
+    files: list[Path] = []
+    for source in sources:
+        if Path(source).is_dir():
+            files += _in_folder(Path(source))
+        else:
+            files += [part for each in expanded([source]) for part in parts_of(Path(each))]
+    if not files:
+        raise UsageError(f"{', '.join(sources)}: there is no recording")
+    return list(dict.fromkeys(files)), None
+
+
+def _files_of_service(name: str) -> tuple[list[Path], Path]:
+    folder, history = _SERVICES / name, state_folder() / "health" / f"{name}.jsonl"
+    files = _in_folder(folder) if folder.is_dir() else []
+    if not files and not history.exists():
+        raise UsageError(
+            f"there is no file {name!r}, and no service of this name has recordings in {folder}; name the recordings "
+            "or their folder"
+        )
+    return files, history
+
+
+def _in_folder(folder: Path) -> list[Path]:
+    suffixes = recordings.formats()
+    return sorted(
+        path
+        for path in folder.iterdir()
+        if path.suffix.lower() in suffixes and path.is_file() and not is_of_fault(path)
+    )
+
+
+def _observe(
+    files: Iterable[Path],
+    known: History,
+    history: Path | None,
+    reading: dict[str, Any],
+    settings: dict[str, Any],
+    axis: str | None,
+) -> list[str]:
+    """Add what new recordings show, the oldest first; return notes on them."""
+    notes: list[str] = []
+    started: dict[Path, tuple[float, str, str]] = {}
+    for path in files:
+        start, is_known = _started_s(path)
+        name, state = f"{path.name} {start:.3f}", state_of(path)
+        if known.states.get(name) != state:
+            started[path] = start, name, state
+            if not is_known:
+                notes.append(f"{path}: the start is not recorded; the time of the last change of the file is taken")
+    notes = _shortened(notes)
+    problems: list[str] = []
+    with status_line("reading") as show:
+        for path, (start, name, state) in sorted(started.items(), key=lambda pair: pair[1]):
+            show(path.name)
+            try:
+                several = recordings.read_all(path, is_alone=True, **reading)
+                lines = []
+                for own, recording in _named(path, several, axis).items():
+                    layout = known.layouts.get(own)
+                    found, made, why_not = observe(recording, started_s=start, layout=layout, **settings)
+                    if layout is None and found:
+                        lines.append(known.add_layout(own, made))
+                    lines.append(known.add(name, state, own, found))
+                    problems += why_not
+            except RecordingError as error:
+                problems.append(str(error))
+                continue
+            if history is not None:
+                append(history, lines)
+    return [*notes, *_shortened(problems)]
+
+
+def _named(path: Path, several: dict[str, Recording], axis: str | None) -> dict[str, Recording]:
+    """Return the recordings by axis; the axis of a table has the name of its file, which is not that of other files."""
+    if list(several) == [path.stem] and path.suffix.lower() != SUFFIX:
+        return {axis or _NAMELESS: next(iter(several.values()))}
+    return several
+
+
+def _shortened(lines: list[str]) -> list[str]:
+    more = len(lines) - _SHOWN_LINES
+    return lines if more <= 0 else [*lines[:_SHOWN_LINES], f"... and {more} more like these"]
+
+
+def _started_s(path: Path) -> tuple[float, bool]:
+    """Return the time of ``time_s`` 0, s since 1970, and True if the recording states it."""
+    own = part_of(path)
+    return (own[0] * 1e-9, True) if own is not None else (path.stat().st_mtime, False)
+
+
+def _status(found: Sequence[Health]) -> int:
+    if any(each.changed for each in found):
+        return CHANGED
+    return 0 if found and any(each.is_judged for each in found) else NOT_JUDGED
+
+
+def _replace(path: Path, text: str) -> None:
+    """Write a file as a whole: its reader never sees a part of it."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile("w", dir=path.parent, delete=False, encoding="utf-8") as file:
+            file.write(text)
+        os.chmod(file.name, 0o644)
+        os.replace(file.name, path)
+    except OSError as error:
+        raise FrictionHilError(f"{path} cannot be written: {error.strerror}") from None
+
+
+def _as_dict(found: Sequence[Health], notes: Sequence[str], false_alarms: float, status: int) -> dict[str, Any]:
+    return {
+        "state": {0: "unchanged", CHANGED: "changed"}.get(status, "not judged"),
+        "false_alarms_per_axis_year": false_alarms,
+        "notes": list(notes),
+        "axes": {each.axis: _axis_as_dict(each) for each in found},
+    }
+
+
+def _axis_as_dict(health: Health) -> dict[str, Any]:
+    return {
+        "observations": health.count,
+        "notes": health.notes,
+        "layout": asdict(health.layout),
+        "changed": [_sentence(each) for each in health.changed],
+        "quantities": [
+            {**asdict(each), "share": each.share, "values": each.values, "errors": each.errors, "times_s": each.times_s}
+            for each in health.verdicts
+        ],
+    }
+
+
+def _print(found: Sequence[Health], false_alarms: float) -> None:
+    for health in found:
+        click.echo()
+        say(f"{health.axis}: {health.count} observations, {_headline(health, false_alarms)}", stderr=False)
+        table = new_table(
+            prose("quantity"), number("baseline"), number("error"), "unit", number("per K"), number("now"), "state"
+        )
+        for each in health.verdicts:
+            if each.state == "not shown":
+                continue
+            now = brief(float(each.values[-1]), 4) if each.values.size else "-"
+            slope = "-" if each.slope is None else f"{brief(each.slope, 2)} ± {brief(each.slope_error or 0.0, 2)}"
+            base = "-" if each.baseline is None else brief(each.baseline, 4)
+            error = "-" if each.baseline_error is None else brief(each.baseline_error, 2)
+            state = f"{each.state}: {each.reason}" if each.reason else each.state
+            table.add_row(each.label, base, error, each.unit, slope, now, state)
+        print_table(table)
+        for each in health.changed:
+            say(f"! {_sentence(each)}", stderr=False)
+        hidden: dict[str, list[str]] = {}
+        for each in health.verdicts:
+            if each.state == "not shown":
+                hidden.setdefault(each.reason, []).append(each.label)
+        for how, labels in hidden.items():
+            say(f"- not shown by the motion: {'; '.join(labels)} ({how})", stderr=False)
+        for note in health.notes:
+            say(f"- {note}", stderr=False)
+
+
+def _headline(health: Health, false_alarms: float) -> str:
+    if health.changed:
+        return f"{len(health.changed)} {'quantity has' if len(health.changed) == 1 else 'quantities have'} changed"
+    if health.is_judged:
+        return f"nothing has changed (at most {false_alarms:g} false alarms a year)"
+    return "too few to judge"
+
+
+def _sentence(verdict: Verdict) -> str:
+    """Return what changed, since when and by how much."""
+    since, alarm = (datetime.fromtimestamp(each or 0.0) for each in (verdict.since_s, verdict.alarm_s))
+    share = "" if verdict.share is None else f" ({100.0 * verdict.share:+.0f} %)"
+    size = f"{brief(abs(verdict.change), 3)} ± {brief(verdict.change_error, 2)} {verdict.unit}{share}"
+    return (
+        f"{verdict.label}: {'rose' if verdict.change > 0.0 else 'fell'} by {size} since {since:%Y-%m-%d %H:%M}; "
+        f"alarm {alarm:%Y-%m-%d %H:%M}"
+    )
