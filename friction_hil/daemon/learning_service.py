@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
+from friction_hil.daemon.spawner.client import Spawn
 from friction_hil.daemon.tended_process import TendedProcess
 
 TICK_S = 0.25  # of rows, after which learning decides
@@ -68,6 +69,7 @@ class LearningService(TendedProcess):
 
     Parameters
     ----------
+    spawn : Spawn
     socket : str
         Path of the control socket, through which it attaches and hands over.
     period_s : float
@@ -75,12 +77,13 @@ class LearningService(TendedProcess):
         The loop waits for it at each tick, so that the same run gives the same hand-overs.
     """
 
-    def __init__(self, socket: str, period_s: float, *, is_simulated: bool) -> None:
+    def __init__(self, spawn: Spawn, socket: str, period_s: float, *, is_simulated: bool) -> None:
         self._board = LearningBoard()
         self._every = round(TICK_S / period_s)
         self._is_simulated, self._is_awaited = is_simulated, is_simulated
         words = [socket, str(self._board.descriptor), "simulated" if is_simulated else "real"]
         super().__init__(
+            spawn,
             "friction_hil.learning.process",
             words,
             title="the process that learns",

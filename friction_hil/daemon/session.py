@@ -267,7 +267,9 @@ def _prepare(
         axis.compensation.learning != "off" for axis in configuration.axes.values()
     ):
         socket = str(settings.control.path)
-        learning = LearningService(socket, configuration.period_s, is_simulated=settings.is_paced_by_sync)
+        learning = LearningService(
+            spawner.spawn, socket, configuration.period_s, is_simulated=settings.is_paced_by_sync
+        )
         stack.callback(learning.close)
     return _Prepared(drives, axes, path_time, companion, control, live, learning)
 

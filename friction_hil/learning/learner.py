@@ -8,7 +8,7 @@ work before and after decides. Where parameters and gain together were no gain, 
 import math
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
@@ -168,6 +168,7 @@ class Learner:
         self._period_s, self._resolution, self._least_gain = period_s, resolution, gain
         self._belief: Belief = first_belief(model, mechanics, standard_errors)
         self._file = self._used = self._proven = _Used(self._belief.x, gain)
+        self._resumed: _Used | None = None
         self._misled = 0  # ticks in which the model file explained the torque better, one after the other
         self._ticks: deque[dict[str, Array]] = deque(maxlen=_WARM_TICKS + WINDOW_TICKS)
         self._fresh = 0  # ticks that no estimate has used yet
@@ -195,6 +196,30 @@ class Learner:
             return None
         return self._take_back("the motion ended: nothing to compare with", is_harmless=True)
 
+    def resume(self, parameters: Mapping[str, float], gain: float) -> None:
+        """Begin with parameters that were kept in an earlier run: they are handed over with the first motion.
+
+        Parameters
+        ----------
+        parameters : mapping
+            By name; those of other names are ignored.
+        gain : float
+            Limited to what the configuration allows.
+        """
+        x = self._belief.x.copy()
+        names = self._belief.coordinates.names
+        x[: len(names)] = self._belief.coordinates.inverse(parameters)
+        self._belief = replace(self._belief, x=x)
+        is_fixed = self._is_gain_fixed or self._least_gain > 1.0
+        self._resumed = _Used(x, self._least_gain if is_fixed else min(max(gain, self._least_gain), 1.0))
+
+    @property
+    def proven(self) -> tuple[dict[str, float], float]:
+        """Parameters by name, and gain, that were kept last."""
+        coordinates = self._belief.coordinates
+        values = coordinates.at(self._proven.x[:-MECHANICS]).tolist()
+        return dict(zip(coordinates.names, values, strict=True)), self._proven.gain
+
     def refuse(self) -> None:
         """Take note that the last proposal was not handed over."""
         self._trial, self._used, self._same = None, self._proven, 0
@@ -215,6 +240,9 @@ class Learner:
         self._ticks.append(tick)
         self._fresh += 1
         self._same += 1
+        if self._resumed is not None and np.any(tick["velocity_demand"]):
+            self._proven, self._resumed = self._resumed, None
+            return self._hand_over(Step.PARAMETERS, self._proven, "parameters that were kept in an earlier run")
         if (proposal := self._fall_back()) is not None:
             return proposal
         if self._stopped:

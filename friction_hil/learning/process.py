@@ -1,6 +1,7 @@
 """The process that learns beside a daemon: reads its rows, and hands over through its control socket."""
 
 import contextlib
+import math
 import os
 import sys
 import time
@@ -12,6 +13,7 @@ import numpy as np
 
 from friction_hil.compensator import STATE
 from friction_hil.config import AxisConfig, Configuration, from_dict
+from friction_hil.daemon.companion import state_folder
 from friction_hil.daemon.control.ask import DaemonGoneError, Question, ask
 from friction_hil.daemon.learning_service import TICK_S, LearningBoard
 from friction_hil.daemon.ring import RingObserver
@@ -21,6 +23,7 @@ from friction_hil.errors import FrictionHilError
 from friction_hil.friction.model import as_dict
 from friction_hil.learning.estimate import Mechanics
 from friction_hil.learning.learner import COLUMNS, Learner, Proposal
+from friction_hil.learning.proven import Proven, digest, recall, store
 from friction_hil.numerics.jit import Array
 from friction_hil.recordings import columns
 
@@ -41,9 +44,11 @@ class AxisLearning:
     config : AxisConfig
     facts : AxisFacts
     period_s : float
+    folder : Path or None
+        Of the parameters that were kept last; None: they are neither used nor stored.
     """
 
-    def __init__(self, name: str, config: AxisConfig, facts: AxisFacts, period_s: float) -> None:
+    def __init__(self, name: str, config: AxisConfig, facts: AxisFacts, period_s: float, folder: Path | None) -> None:
         self.name, self.config, self.period_s = name, config, period_s
         given, mechanics = config.compensation, config.model.mechanics
         self.is_tried = given.learning == "on"
@@ -61,6 +66,10 @@ class AxisLearning:
         )
         self.unit = "rad" if config.model.axis == "rotary" else "m"
         self._is_paused = True
+        self._file = None if folder is None or not self.is_tried else folder / f"{name}.json"
+        self._model = digest(config.model.model_dump(mode="json", exclude={"fit"}))
+        self._kept = self.learner.proven
+        self._is_begun = self._file is None
 
     def take(self, rows: Mapping[str, Array]) -> Proposal | None:
         """Take the rows of a tick; those of an axis that is not compensated in motion only end a trial."""
@@ -68,6 +77,8 @@ class AxisLearning:
         is_whole = rows["cycle"].size == self.learner.rows_per_tick and np.all(np.diff(rows["cycle"]) == 1.0)
         if is_running and is_whole:
             self._is_paused = False
+            if not self._is_begun:
+                self._resume(float(rows["temperature_estimate"][-1]))
             return self.learner.take({**rows, "torque": rows["torque"] / self.config.model.mechanics.torque_ratio})
         return self.skip()
 
@@ -77,6 +88,28 @@ class AxisLearning:
             return None
         self._is_paused = True
         return self.learner.pause()
+
+    def _resume(self, temperature: float) -> None:
+        """Begin with what an earlier run has kept."""
+        assert self._file is not None
+        self._is_begun = True
+        found, why = recall(self._file, self._model, temperature if math.isfinite(temperature) else None)
+        if found is not None:
+            self.learner.resume(found.parameters, found.gain)
+        elif why:
+            self.learner.notes.append(f"the parameters of an earlier run are not used: {why}")
+
+    def keep(self, temperature: float) -> str:
+        """Write what was kept to the file for the next run; return what is to be said, if anything."""
+        if self._file is None or self.learner.proven == self._kept:
+            return ""
+        self._kept = self.learner.proven
+        celsius = temperature if math.isfinite(temperature) else None
+        try:
+            store(self._file, Proven(self._model, *self._kept, time.time(), celsius))
+        except OSError as error:
+            return f"{self.name}: what was learned cannot be kept for the next run: {self._file}: {error.strerror}"
+        return ""
 
     def values(self, proposal: Proposal) -> dict[str, Any]:
         """Return what is to be set for a proposal."""
@@ -132,7 +165,9 @@ class Learning:
             if facts[name].torque_delay_s is None:
                 self._tell(f"{name}: nothing is learned: its drive does not report the torque")
                 continue
-            self._axes[number] = AxisLearning(name, axis, facts[name], configuration.period_s)
+            # a simulated run begins as every other one
+            folder = None if is_simulated else state_folder() / "learning" / socket.stem
+            self._axes[number] = AxisLearning(name, axis, facts[name], configuration.period_s, folder)
         names, width = list(answer["columns"]), len(answer["columns"]) + answer["state_width"]
         fields = STATE.fields
         assert fields is not None
@@ -186,6 +221,8 @@ class Learning:
             proposal = axis.skip() if is_left_out else axis.take(named)
             texts += [f"{axis.name}: {note}" for note in axis.learner.notes]
             axis.learner.notes.clear()
+            if text := axis.keep(float(named["temperature_estimate"][-1])):
+                texts.append(text)
             if proposal is None:
                 continue
             if axis.is_tried:
