@@ -65,7 +65,7 @@ def test_months_of_recordings_show_what_has_changed_and_nothing_else(
     assert (result["state"], axis["observations"]) == ("changed", 20)
     changed = {each["name"]: each for each in axis["quantities"] if each["state"] == "changed"}
     assert {"coulomb.positive", "coulomb.negative"} <= set(changed)
-    assert not {name for name in changed if name.startswith(("viscous", "asymmetry", "ripple"))}
+    assert not {name for name in changed if name.startswith(("viscous", "asymmetry", "ripple", "zone"))}
     assert changed["coulomb.positive"]["change"] == pytest.approx(0.06, abs=0.006)
     assert changed["coulomb.positive"]["share"] == pytest.approx(0.3, abs=0.03)
     assert changed["coulomb.positive"]["since_s"] == pytest.approx(NOON + 12 * DAY_S, abs=1.5 * DAY_S)
