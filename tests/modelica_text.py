@@ -49,14 +49,14 @@ class Package:
 
     def __init__(self, text):
         begin = text.index('package Internal "')
-        self._tokens, at = [], begin
+        self._text, self._tokens, at = text, [], begin
         while at < len(text):
             found = _TOKEN.match(text, at)
             if found is None:
                 raise RefusedError(f"line {text.count(chr(10), 0, at) + 1}: {text[at : at + 20]!r}")
             at = found.end()
             if found.lastgroup and found.lastgroup != "text":
-                self._tokens.append((found.lastgroup, found.group(), text.count("\n", 0, found.start()) + 1))
+                self._tokens.append((found.lastgroup, found.group(), found.start()))
         self._at, self._constants, self._units, self._lines = 0, {}, {}, []
         self.space = {"math": math, "number": number, "whole": whole, "element": element, "put": put,
                       "divided": divided}  # fmt: skip
@@ -69,7 +69,8 @@ class Package:
     # --- reading
 
     def _refuse(self, why):
-        raise RefusedError(f"line {self._tokens[self._at][2]}, {self._tokens[self._at][1]!r}: {why}")
+        _, token, at = self._tokens[self._at]
+        raise RefusedError(f"line {self._text.count(chr(10), 0, at) + 1}, {token!r}: {why}")
 
     def _is(self, *texts):
         return self._tokens[self._at][1] in texts

@@ -87,14 +87,14 @@ class Program:
     """The function blocks of a text; ``start`` makes an instance of one."""
 
     def __init__(self, text):
-        self._tokens, at = [], 0
+        self._text, self._tokens, at = text, [], 0
         while at < len(text):
             found = _TOKEN.match(text, at)
             if found is None:
                 raise RefusedError(f"line {text.count(chr(10), 0, at) + 1}: {text[at : at + 20]!r}")
             at = found.end()
             if found.lastgroup:
-                self._tokens.append((found.lastgroup, found.group(), text.count("\n", 0, found.start()) + 1))
+                self._tokens.append((found.lastgroup, found.group(), found.start()))
         self._tokens.append(("end", "", 0))
         self._at = 0
         self._types, self._units = {}, {}
@@ -114,7 +114,8 @@ class Program:
     # --- reading
 
     def _refuse(self, why):
-        raise RefusedError(f"line {self._tokens[self._at][2]}, {self._tokens[self._at][1]!r}: {why}")
+        _, token, at = self._tokens[self._at]
+        raise RefusedError(f"line {self._text.count(chr(10), 0, at) + 1}, {token!r}: {why}")
 
     def _is(self, *texts):
         return self._tokens[self._at][1].upper() in texts

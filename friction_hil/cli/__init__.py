@@ -39,6 +39,7 @@ COMMANDS = {
     "train": "Train a network on the friction of recordings or of a model.",
     "convert": "Convert a recording, or describe its content.",
     "export": "Export a model and its compensator, as C for firmware.",
+    "import": "Make a model file from an MJCF, URDF or BAM file.",
     "study": "Show the effect of each friction model on a servo.",
     "models": "List the friction models, or describe one.",
     "doctor": "Check machine, configuration and connection before a run.",
@@ -55,7 +56,8 @@ COMMANDS = {
     "config": "Make, check, show and describe configurations.",
 }
 
-_MODULES = {"set": "set_values"}  # a module called set would hide the built-in one from this package
+# A module called set would hide the built-in one from this package; import is a keyword.
+_MODULES = {"set": "set_values", "import": "import_model"}
 
 # Commands that connect to drives or simulate them. Their loop relies on Linux: real-time priority, shared memory
 # without a name, SocketCAN, pseudo-terminals. All others run wherever Python does.

@@ -20,7 +20,12 @@ from friction_hil.export import FORMATS
     help="Folder, or name of the files without or with suffix. Default: the name of the model file, in this folder.",
 )
 @click.option("--config", type=click.Path(path_type=Path), metavar="CONFIG", help="Export the compensator, too.")
-@click.option("--axis", metavar="NAME", shell_complete=complete_axis, help="Axis of CONFIG, if it has several.")
+@click.option(
+    "--axis",
+    metavar="NAME",
+    shell_complete=complete_axis,
+    help="Axis of CONFIG or of the recording, if it has several.",
+)
 @click.option("--resolution", type=float, metavar="SI", help="Smallest step of the position, rad or m; with --config.")
 @click.option(
     "--delay",
@@ -30,6 +35,13 @@ from friction_hil.export import FORMATS
     help="Time from sampling the position until its torque begins to act in the target. Default: that of the model "
     "file, or one period.",
 )
+@click.option(
+    "--recording",
+    type=click.Path(path_type=Path),
+    metavar="FILE",
+    help="Recording whose speeds weigh the fit of a format that loses torque. Default: all speeds alike.",
+)
+@click.option("--speed", type=float, metavar="SI", help="Largest speed of that fit, rad/s or m/s.")
 @click.option("--force", is_flag=True, help="Overwrite files that exist.")
 @option_json
 def command(**options: Any) -> None:
@@ -43,6 +55,11 @@ def command(**options: Any) -> None:
     fmu: the same as functional mock-up units for co-simulation, FMI 2.0 and 3.0; it needs a C compiler.
 
     modelica: the same as a package of blocks with a sampled step.
+
+    urdf, mjcf, mjcf_lugre, bam, isaaclab, ax8000, csv: what a simulator, a drive or a table can hold of the friction,
+    fitted so that the least torque is lost over the range of the identification (--speed, or the speeds of
+    --recording). What is lost is printed and stands in the file: RMS, largest and where, and what no form of this kind
+    can know.
 
     With --config the whole compensator is exported, with the settings of an axis of CONFIG: velocity estimate, lead,
     gain, limits, adaptation. MODEL takes the place of the axis's model.

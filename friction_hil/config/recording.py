@@ -50,6 +50,10 @@ class RecordingConfig(Section):
         "(~/.local/state/friction-hil)",
         default=None,
     )
+    ros: bool = key(
+        "write each row also as sensor_msgs/msg/JointState of all axes on /joint_states, for tools of ROS 2",
+        default=False,
+    )
 
     @model_validator(mode="after")
     def _check(self) -> Self:

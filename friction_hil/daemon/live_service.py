@@ -5,6 +5,7 @@ import secrets
 from collections.abc import Sequence
 
 from friction_hil.config.live import LiveConfig
+from friction_hil.daemon.spawner.client import Spawn
 from friction_hil.daemon.tended_process import TendedProcess
 
 _TOKEN_BYTES = 24
@@ -16,12 +17,13 @@ class LiveService(TendedProcess):
 
     Parameters
     ----------
+    spawn : Spawn
     name : str
         Name of this daemon, to which the process attaches.
     config : LiveConfig
     """
 
-    def __init__(self, name: str, config: LiveConfig) -> None:
+    def __init__(self, spawn: Spawn, name: str, config: LiveConfig) -> None:
         self._token = -1
         if config.dashboard is not None and config.token_file is None:
             # in memory: the next process has the same token, so that open pages go on
@@ -29,6 +31,7 @@ class LiveService(TendedProcess):
             os.fchmod(self._token, 0o600)
             os.write(self._token, secrets.token_urlsafe(_TOKEN_BYTES).encode())
         super().__init__(
+            spawn,
             "friction_hil.daemon.live_process",
             _arguments(name, config, self._token),
             title="the server of live data",

@@ -14,7 +14,6 @@ from friction_hil.drive.finding import Finding, system_text
 
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
 _CAP_IPC_LOCK = 14
-_LOWEST_PRIORITY = 1
 
 
 class RealClock:
@@ -89,27 +88,6 @@ def punctuality(priority: int) -> Iterator[list[Finding]]:
             stack.callback(gc.enable)
         stack.callback(gc.unfreeze)
         yield findings
-
-
-@contextlib.contextmanager
-def prompt_children() -> Iterator[None]:
-    """Let a child process that is started here run before all ordinary ones, at the lowest real-time priority.
-
-    The loop waits until the child executes its program. At ordinary priority, which children of the loop have, that
-    takes as long as the other processes of a busy machine let it wait. The child has to lower itself afterwards.
-    """
-    policy, parameters = os.sched_getscheduler(0), os.sched_getparam(0)
-    is_real_time = policy & ~os.SCHED_RESET_ON_FORK == os.SCHED_FIFO
-    try:
-        if is_real_time and parameters.sched_priority > _LOWEST_PRIORITY:  # the loop must be able to preempt it
-            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(_LOWEST_PRIORITY))
-    except OSError:  # only root may let children inherit it
-        is_real_time = False
-    try:
-        yield
-    finally:
-        if is_real_time:
-            os.sched_setscheduler(0, policy, parameters)
 
 
 def _lock_memory(stack: contextlib.ExitStack) -> Finding:

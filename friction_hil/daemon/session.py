@@ -28,6 +28,7 @@ from friction_hil.daemon.loop import Loop
 from friction_hil.daemon.notify import NotifyingSink, ServiceManager
 from friction_hil.daemon.realtime import RealClock, SteppedClock, punctuality
 from friction_hil.daemon.run import LoopSettings
+from friction_hil.daemon.spawner.client import Spawner
 from friction_hil.daemon.static_torque import static_torque_note
 from friction_hil.daemon.stop import StopRequest
 from friction_hil.daemon.tended_process import TendedProcess
@@ -234,18 +235,20 @@ def _prepare(
     journal = make_journal()
     stack.callback(os.close, journal)
     job = _job(configuration, settings, path, started_ns, facts, axes, shadows)
-    companion = Companion.start(job, journal)
+    spawner = Spawner()  # by which the loop does not wait for a process that it starts again
+    stack.callback(spawner.close)
+    companion = Companion.start(job, journal, spawner.spawn)
     stack.callback(companion.close)
     control = None
     if settings.control is not None:
         control_job = _control_job(configuration, settings, drives, facts, job)
         if control_job.has_network:
             _compile_plain(configuration.period_s)
-        control = ControlService(settings.control, companion.ring_descriptor, journal, control_job)
+        control = ControlService(spawner.spawn, settings.control, companion.ring_descriptor, journal, control_job)
         stack.callback(control.close)
     live = None
     if settings.control is not None and configuration.live is not None:
-        live = LiveService(settings.control.path.stem, configuration.live)
+        live = LiveService(spawner.spawn, settings.control.path.stem, configuration.live)
         stack.callback(live.close)
     return _Prepared(drives, axes, path_time, companion, control, live)
 
@@ -393,4 +396,5 @@ def _job(
         rotate_bytes=recording.rotate_bytes,
         budget_bytes=recording.budget_bytes,
         black_box=str(_black_box_path(configuration, path)) if settings.has_black_box else None,
+        has_joint_states=recording.ros,
     )

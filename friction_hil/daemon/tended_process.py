@@ -1,13 +1,11 @@
 """A process beside the loop that is started again when it dies; the loop does not depend on it."""
 
-import os
 import signal
 import subprocess
-import sys
 from collections.abc import Sequence
 
 from friction_hil.daemon.companion.job import MOST_SHORT_LIVES, Lives, signal_text
-from friction_hil.daemon.realtime import prompt_children
+from friction_hil.daemon.spawner.client import Spawn
 
 _END_S = 2.0
 _WRONG_USE = 2  # exit status: another start would fail in the same way
@@ -18,6 +16,7 @@ class TendedProcess:
 
     Parameters
     ----------
+    spawn : Spawn
     module : str
         What it runs, as ``python -m`` takes it.
     words : sequence of str
@@ -35,12 +34,12 @@ class TendedProcess:
 
     Attributes
     ----------
-    pid : int
     severity : str
     """
 
     def __init__(
         self,
+        spawn: Spawn,
         module: str,
         words: Sequence[str],
         *,
@@ -50,8 +49,8 @@ class TendedProcess:
         stdout: int,
         severity: str,
     ) -> None:
-        # -P: do not import modules from the current directory, which may be the user's
-        self._command = [sys.executable, "-P", "-m", module, *words]
+        self._spawn = spawn
+        self._command = ["-m", module, *words]
         self._title, self._loss, self.severity = title, loss, severity
         self._descriptors, self._stdout = descriptors, stdout
         self._lives = Lives()
@@ -59,17 +58,8 @@ class TendedProcess:
         self._launch()
 
     def _launch(self) -> None:
-        with prompt_children():
-            self._process = subprocess.Popen(
-                self._command,
-                stdin=subprocess.PIPE,
-                stdout=self._stdout,
-                pass_fds=self._descriptors,
-                env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
-                process_group=0,  # Ctrl-C is not meant for it
-            )
+        self._process = self._spawn(self._command, self._descriptors, self._stdout)
         self._lives.begin()
-        self.pid = self._process.pid
 
     def tend(self) -> list[str]:
         """Start the process again if it has died; return what is to be reported. It never waits."""

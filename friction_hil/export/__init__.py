@@ -8,6 +8,7 @@
 
 import importlib
 import re
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -15,17 +16,30 @@ from friction_hil.errors import UsageError, choices
 
 if TYPE_CHECKING:
     from friction_hil.compensator import Compensator
+    from friction_hil.export.lossy import Converted
+    from friction_hil.export.subject import Subject
     from friction_hil.models.model_file import ModelFile
 
-FORMATS = {  # each is a module of this package
+# Each format is a module of this package.
+LOSSLESS = {
     "c": "C99 source and header, for firmware",
     "st": "IEC 61131-3 Structured Text, for CODESYS, TwinCAT and others",
     "fmu": "functional mock-up units, FMI 2.0 and 3.0, for simulators",
     "modelica": "Modelica package of blocks with a sampled step",
 }
+LOSSY = {
+    "urdf": "joint of URDF: friction and damping",
+    "mjcf": "joint of MuJoCo: frictionloss, damping, armature",
+    "mjcf_lugre": "joint of MuJoCo 4 with LuGre friction and cogging",
+    "bam": "parameters of BAM, model m1 or m2",
+    "isaaclab": "actuator values of Isaac Lab, for PhysX and Newton",
+    "ax8000": "friction objects of Beckhoff's AX8000 and AMP8000 drives",
+    "csv": "table of torque over velocity and temperature",
+}
+FORMATS = {**LOSSLESS, **LOSSY}
 _LONGEST_NAME = 40
 
-__all__ = ["FORMATS", "files", "identifier", "write"]
+__all__ = ["FORMATS", "LOSSLESS", "LOSSY", "convert", "files", "identifier", "save", "write"]
 
 
 def files(
@@ -53,19 +67,70 @@ def files(
     TranslationError
         Something in the model or the compensator has no translation.
     """
+    if to in LOSSY:
+        if compensator is not None:
+            raise UsageError(f"the format {to} holds no compensator")
+        return dict(convert(model, to, name=name).files)
+    subject = _subject(model, to, name, compensator)
+    content: dict[str, str | bytes] = importlib.import_module(f"friction_hil.export.{to}").files(subject)
+    return content
+
+
+def convert(
+    model: "ModelFile | str | Path",
+    to: str,
+    *,
+    name: str = "",
+    recording: str | Path | None = None,
+    axis: str | None = None,
+    speed: float | None = None,
+) -> "Converted":
+    """Return an export that loses torque: files, fitted parameters and what is lost.
+
+    Parameters
+    ----------
+    model, name
+        See `files`.
+    to : str
+        One of `LOSSY`.
+    recording : path, optional
+        Recording whose speeds weigh the fit; by default all speeds of the range count alike.
+    axis : str, optional
+        Axis of a recording that has several.
+    speed : float, optional
+        Largest speed, rad/s or m/s, to which the fit is limited.
+
+    Raises
+    ------
+    ConfigurationError
+        The model file cannot be read or has mistakes.
+    RecordingError
+        The recording cannot be used.
+    UsageError
+        The format, the name or the speed is wrong.
+    """
+    if to not in LOSSY:
+        raise UsageError(f"there is no format {to!r} that loses torque; {choices(to, LOSSY)}")
+    from friction_hil.export.points import points
+
+    subject = _subject(model, to, name, None)
+    at = points(subject.model_file, recording, axis=axis, speed=speed)
+    converted: Converted = importlib.import_module(f"friction_hil.export.{to}").convert(subject, at)
+    return converted
+
+
+def _subject(model: "ModelFile | str | Path", to: str, name: str, compensator: "Compensator | None") -> "Subject":
     from friction_hil.export.subject import Subject  # imported here: it is slow to load
     from friction_hil.models.files import model_from_argument
 
     if to not in FORMATS:
         raise UsageError(f"there is no format {to!r}; {choices(to, FORMATS)}")
     file = model_from_argument(str(model)) if isinstance(model, str | Path) else model
-    origin = str(model) if isinstance(model, str | Path) else str(file.source_path or "")
+    origin = str(model) if isinstance(model, str | Path) else file.source_path.name if file.source_path else ""
     if compensator is not None and not _is_of(compensator, file):
         raise UsageError("the compensator was made for another model than the one that is exported")
     chosen = name or (identifier(file.source_path.stem) if file.source_path else "") or file.friction.model
-    subject = Subject(_checked(chosen), file, origin, compensator)
-    content: dict[str, str | bytes] = importlib.import_module(f"friction_hil.export.{to}").files(subject)
-    return content
+    return Subject(_checked(chosen), file, origin, compensator)
 
 
 def write(
@@ -86,7 +151,11 @@ def write(
     OSError
         A file cannot be written.
     """
-    content = files(model, to, name=name, compensator=compensator)
+    return save(files(model, to, name=name, compensator=compensator), folder, overwrite=overwrite)
+
+
+def save(content: Mapping[str, str | bytes], folder: str | Path = ".", *, overwrite: bool = False) -> list[Path]:
+    """Write the files of an export, texts or bytes by their names, into a folder; see `write`."""
     paths = {Path(folder) / file: each for file, each in content.items()}
     for path in () if overwrite else paths:
         if path.exists():

@@ -3,7 +3,7 @@
 import textwrap
 from collections.abc import Iterable
 
-from friction_hil.export import strict_library
+from friction_hil.export import plcopen, strict_library
 from friction_hil.export.c import REBASED
 from friction_hil.export.ir import Variable
 from friction_hil.export.kernels import CYCLES, Program, compensator_program, model_program
@@ -40,15 +40,24 @@ COMMENTS = {
 
 
 def files(subject: Subject) -> dict[str, str]:
-    """Return one file with all function blocks, functions and types."""
+    """Return all function blocks, functions and types, as text and as a project to import."""
     parts = [_Part(subject, "model", model_program(subject.model_file.friction_model))]
     if subject.compensator is not None:
         parts.append(_Part(subject, "compensator", compensator_program(subject.compensator)))
+    types = {part.printer.state_type: part.fields() for part in parts if part.has_state}
     library = {name: each for part in parts for name, each in part.library().items()}
-    texts = [each.text() for each in library.values()]
-    for part in parts:
-        texts += part.texts()
-    return {f"{subject.name}.st": "\n".join([comment(_about(subject)), *texts])}
+    units = [*library.values(), *(each for part in parts for each in part.units())]
+    about = list(_about(subject))
+    texts = [comment(about), *(_structure(*each) for each in types.items()), *(each.text() for each in units)]
+    return {
+        f"{subject.name}.st": "\n".join(texts),
+        f"{subject.name}.xml": plcopen.project(subject.name, "\n".join(about), types, units),
+    }
+
+
+def _structure(name: str, fields: list[Declared]) -> str:
+    inner = "\n".join(each.text() for each in fields)
+    return f"TYPE {name} :\nSTRUCT\n{inner}\nEND_STRUCT;\nEND_TYPE\n"
 
 
 def _about(subject: Subject) -> Iterable[str]:
@@ -90,25 +99,24 @@ class _Part:
         """Return the functions of the library, which several programs may share."""
         return {each.name: self.printer.function(each) for each in self._library}
 
-    def texts(self) -> list[str]:
+    def units(self) -> list[Pou]:
         """Return everything else."""
         functions = [each for each in self.program.functions if each not in self._library]
-        units = [self.printer.function(each) for each in functions]
-        if self.has_state:
-            units.append(self._begin())
-        types = [self._type()] if self.has_state else []
-        return [*types, *(each.text() for each in units), self._block().text()]
+        begin = [self._begin()] if self.has_state else []
+        return [*map(self.printer.function, functions), *begin, self._block()]
 
-    def _type(self) -> str:
-        lines = [Declared(field_name(one.name), _array(one.type, len(one.initial)) if one.is_array else _TYPE[one.type])
-                 for one in self.program.fields]  # fmt: skip
+    def fields(self) -> list[Declared]:
+        """Return the fields of the state, and the tables, which nothing changes."""
+        fields = []
+        for one in self.program.fields:
+            kind = _array(one.type, len(one.initial)) if one.is_array else _TYPE[one.type]
+            fields.append(Declared(field_name(one.name), kind))
         for table in self.program.tables:
             low, high = table.used
             values = ", ".join(literal(float(each)) for each in table.values[low : high + 1])
             kind = _array("real", high - low + 1)
-            lines.append(Declared(table_name(table.name), kind, f"[{values}]", "constant"))
-        inner = "\n".join(each.text() for each in lines)
-        return f"TYPE {self.printer.state_type} :\nSTRUCT\n{inner}\nEND_STRUCT;\nEND_TYPE\n"
+            fields.append(Declared(table_name(table.name), kind, f"[{values}]", "constant"))
+        return fields
 
     def _begin(self) -> Pou:
         name, lines, has_loop = f"{self.name}_begin", [], False

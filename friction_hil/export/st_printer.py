@@ -79,8 +79,11 @@ class Pou:
         for section, variables in self.sections.items():
             if variables:
                 lines += [section, *(each.text() for each in variables), "END_VAR"]
-        body = [wrapped(line) for line in self.body.rstrip("\n").split("\n")]
-        return "\n".join([*lines, *body, f"END_{self.kind}"]) + "\n"
+        return "\n".join([*lines, self.statements(), f"END_{self.kind}"]) + "\n"
+
+    def statements(self) -> str:
+        """Return its statements as text."""
+        return "\n".join(wrapped(line) for line in self.body.rstrip("\n").split("\n"))
 
 
 class Names:

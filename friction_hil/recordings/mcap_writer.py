@@ -16,8 +16,10 @@ from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
 from friction_hil.errors import RecordingError
+from friction_hil.recordings import joint_state
 from friction_hil.recordings import mcap_format as layout
 from friction_hil.recordings.columns import CYCLE, TIME
+from friction_hil.recordings.joint_state import JointStates
 from friction_hil.recordings.recording import Array, Recording
 from friction_hil.recordings.source import new_file
 
@@ -52,6 +54,8 @@ class McapWriter:
         True to replace an existing file.
     is_durable : bool
         True to force each chunk to the disk: flushed rows survive a power cut, too.
+    has_joint_states : bool
+        True to write each row also as a message sensor_msgs/msg/JointState of all axes, for tools of ROS 2.
     on_flush : callable
         Called after ``rows_kept`` and ``events_kept`` have changed.
 
@@ -67,7 +71,8 @@ class McapWriter:
     Raises
     ------
     RecordingError
-        ROS 2 does not allow the name of a column as a field.
+        ROS 2 does not allow the name of a column as a field; or joint states are asked for, and a column for them is
+        missing, or an axis has the name of their topic.
     OSError
         The file exists, or cannot be opened or written.
     """
@@ -84,9 +89,17 @@ class McapWriter:
         about: Mapping[str, Any] | None = None,
         overwrite: bool = False,
         is_durable: bool = False,
+        has_joint_states: bool = False,
         on_flush: Callable[[], None] = lambda: None,
     ) -> None:
         _check_names(path, columns)
+        self._joint_states: JointStates | None = None
+        if has_joint_states:
+            _check_joint_states(path, axes, columns)
+            width = len(columns) + state_width
+            found = [[i * width + columns.index(name) for i in range(len(axes))] for name in joint_state.COLUMNS]
+            self._joint_columns = np.array(found)
+            self._joint_states = JointStates(axes)
         self.rows_kept = self.events_kept = 0
         self._width = len(columns)
         self._axis_width = len(columns) + state_width
@@ -98,7 +111,9 @@ class McapWriter:
         self._previous_cycle = math.nan
         self._chunk_start = math.nan  # time of the open chunk's first row; NaN while none is open
         self._chunk_rows = 0
-        self._chunk_rows_limit = max(1, _CHUNK_BYTES // (len(axes) * (self._width * 8 + 35)))
+        self._chunk_rows_limit = max(
+            1, _CHUNK_BYTES // (len(axes) * (self._width * 8 + (80 if has_joint_states else 35)))
+        )
         self._last_log_time = started_unix_ns
         self.path = path
         self.size = 0
@@ -143,6 +158,10 @@ class McapWriter:
         self._event_channel = self._mcap.register_channel(
             layout.EVENT_TOPIC, MessageEncoding.CDR, schema(layout.EVENT_SCHEMA, layout.EVENT_TEXT)
         )
+        if self._joint_states is not None:
+            self._joint_channel = self._mcap.register_channel(
+                joint_state.TOPIC, MessageEncoding.CDR, schema(joint_state.SCHEMA, joint_state.TEXT)
+            )
         self._state_channels = []
         if state_width:
             self._state_channels = channels(layout.STATE_SUFFIX, schema(layout.STATE_SCHEMA, layout.STATE_TEXT))
@@ -165,6 +184,7 @@ class McapWriter:
         row_bytes = rows.shape[1] * 8
         times = rows[:, self._time].tolist()
         cycles = times if self._cycle is None else rows[:, self._cycle].tolist()
+        joints = None if self._joint_states is None else rows[:, self._joint_columns].tolist()
         for i, (time, cycle) in enumerate(zip(times, cycles, strict=True)):
             if self._chunk_rows and (
                 not 0.0 <= time - self._chunk_start < CHUNK_S or self._chunk_rows >= self._chunk_rows_limit
@@ -176,6 +196,10 @@ class McapWriter:
                 self._chunk_start = time
             with_state = self._chunk_rows == 0 or is_gap if has_state is None else bool(has_state[i])
             self._write_row(row, time, cycle, with_state=with_state)
+            if self._joint_states is not None and joints is not None:
+                body = self._joint_states.message(self._last_log_time, joints[i])
+                number = (self._rows - 1) & 0xFFFFFFFF
+                self._mcap.add_message(self._joint_channel, self._last_log_time, body, self._last_log_time, number)
             self._previous_cycle = cycle
 
     def _write_row(self, row: bytes, time: float, cycle: float, *, with_state: bool) -> None:
@@ -280,6 +304,14 @@ def write(path: Path, recording: Recording, *, overwrite: bool) -> None:
                 writer.write(np.stack([values[rows] for values in recording.columns.values()], axis=1))
         finally:
             writer.close()
+
+
+def _check_joint_states(path: Path, axes: Sequence[str], columns: Sequence[str]) -> None:
+    missing = [name for name in joint_state.COLUMNS if name not in columns]
+    if missing:
+        raise RecordingError(f"{path}: joint states need the columns {', '.join(missing)}")
+    if joint_state.TOPIC[1:] in axes:
+        raise RecordingError(f"{path}: an axis is called {joint_state.TOPIC[1:]}, as the topic of the joint states")
 
 
 def _check_names(path: Path, columns: Sequence[str]) -> None:

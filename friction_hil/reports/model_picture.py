@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from friction_hil import friction as models
 from friction_hil.errors import UsageError
 from friction_hil.friction import FrictionModel
+from friction_hil.friction.steady_curve import velocity_range
 from friction_hil.numerics.jit import Array
 from friction_hil.reports.figures import BLUE, GREEN, INK, ORANGE, new_figure_for, save
 from friction_hil.reports.numbers import readable
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
 _MAIN, _OTHER, _THIRD = BLUE, ORANGE, GREEN
 _FAINT = "#888888"
 
-_STRIBECK_VELOCITIES = 10.0  # range of the velocity axis, in Stribeck velocities
 _SLOW = 1e-3  # speed of the slow cycle, as a fraction of the velocity axis
 _SETTLED = 0.9  # of the largest torque: end of the presliding from rest
 _STROKE = 2.0  # travel of the cycle to either side, in presliding distances
@@ -81,24 +81,6 @@ def draw(model: FrictionModel, path: Path, title: str) -> None:
     figure.suptitle(title)
     figure.supxlabel("\n".join(textwrap.wrap(_caption(model), 78 * len(painters))[:4]), fontsize=8.5, color=INK)
     save(figure, path)
-
-
-def velocity_range(model: FrictionModel) -> float:
-    """Return the velocity up to which the steady torque is drawn, rad/s.
-
-    Ten Stribeck velocities; of a table, beyond its last point; otherwise the velocity at which the torque is 1.5 times
-    that in slow motion.
-    """
-    sides = _sides(model)
-    if "stribeck_velocity" in model.parameters:
-        return _STRIBECK_VELOCITIES * max(float(side["stribeck_velocity"]) for side in sides)
-    if model.name == "table":
-        fastest = max(abs(float(velocity)) for side in sides for velocity, _ in side["points"])
-        return 1.1 * fastest or 1.0
-    velocity = np.geomspace(1e-6, 1e4, 2001)
-    torque = _steady(model, velocity)
-    high = np.flatnonzero(torque >= 1.5 * torque[0])
-    return float(velocity[high[0]]) if high.size and model.level > 0.0 else 1.0
 
 
 def slow_cycle(model: FrictionModel) -> SlowCycle:

@@ -17,6 +17,7 @@ import pytest
 
 import friction_hil as fh
 from friction_hil.daemon.companion import Companion, CompanionReport, Job, client, free_path
+from friction_hil.daemon.spawner.client import Spawner
 from friction_hil.daemon.stop import stop_on_signals
 from friction_hil.errors import RecordingError, UsageError
 from friction_hil.interrupts import Interrupted
@@ -41,8 +42,14 @@ def job(tmp_path: Path) -> Job:
 
 
 @pytest.fixture
-def companion(job: Job) -> Iterator[Companion]:
-    with Companion.start(job) as started:
+def spawner() -> Iterator[Spawner]:
+    with contextlib.closing(Spawner()) as started:
+        yield started
+
+
+@pytest.fixture
+def companion(job: Job, spawner: Spawner) -> Iterator[Companion]:
+    with Companion.start(job, spawn=spawner.spawn) as started:
         yield started
 
 
@@ -166,15 +173,17 @@ def tend(companion: Companion) -> list[str]:
 
 
 def test_a_dead_companion_is_told_at_once_and_started_again(
-    companion: Companion, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    job: Job, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    push(companion, 0, 9500)
-    kill_both(companion)
     told = "the companion process died (signal SIGKILL); the next one takes over"
-    assert tend(companion) == [told]
+    # in the test itself: the spawner, and what it starts, inherit where the output goes now
+    with contextlib.closing(Spawner()) as spawner, Companion.start(job, spawn=spawner.spawn) as companion:
+        push(companion, 0, 9500)
+        kill_both(companion)
+        assert tend(companion) == [told]
+        push(companion, 9500, 12_000)
+        report = companion.close()
     assert told in capfd.readouterr().err
-    push(companion, 9500, 12_000)
-    report = companion.close()
     assert report.recording == (str(tmp_path / "run.mcap"), str(tmp_path / "run-2.mcap"))
     assert (report.rows, report.lost, report.pending, report.problems) == (12_000, 0, 0, (told,))
     assert sorted(set(cycles(report.recording))) == list(range(12_000))
@@ -203,18 +212,14 @@ def test_a_companion_that_is_killed_again_and_again_is_given_up(companion: Compa
     assert (report.rows, report.lost, report.problems[-1]) == (0, 1, problem)
 
 
-def test_a_companion_that_cannot_be_started_again_ends_no_run(
-    companion: Companion, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def refuse(*_: object, **__: object) -> None:
-        raise OSError(errno.EAGAIN, os.strerror(errno.EAGAIN))
-
+def test_a_companion_that_cannot_be_started_again_ends_no_run(companion: Companion, spawner: Spawner) -> None:
+    spawner._process.kill()
+    spawner._process.wait()
     kill_both(companion)
-    monkeypatch.setattr(subprocess, "Popen", refuse)
     (problem,) = tend(companion)
     assert problem == (
-        "the companion process died (signal SIGKILL), and another one cannot be started (Resource temporarily "
-        "unavailable): nothing more is recorded"
+        "the companion process died (signal SIGKILL), and another one cannot be started (the process that "
+        "starts others has died): nothing more is recorded"
     )
     for cycle in range(3):
         companion.push(row(cycle))

@@ -36,6 +36,7 @@ WITHOUT_DRIVES = (
         "--resolution 4.8e-5 --delay 0 --force",
         0,
     ),
+    (f"friction-hil export {ROOT}/config/models/lugre_axis.yaml --to mjcf --speed 2", 0),
     ("friction-hil train --from-model coulomb:coulomb=0.1 --speed 1 --samples 1000 --hidden 2 --output net.yaml", 0),
 )
 WITH_DRIVES = (
@@ -55,6 +56,7 @@ ON_THE_RECORDING = (
     ("friction-hil convert run.mcap run.csv --axis x --where is_fresh --force", 0),
     ("friction-hil convert --info run.csv --column torque=torque*1 --json", 0),
     ("friction-hil replay run.mcap --verify", 0),
+    (f"friction-hil export {LUGRE} --to urdf --recording run.mcap --axis x --json", 0),
     (f"friction-hil replay 'run.*' --model {LUGRE} --json", 0),
     ("friction-hil plot run.mcap", 0),
     ("friction-hil plot run.mcap --output run.html --json", 0),
@@ -111,6 +113,10 @@ ELSEWHERE = (
     ("friction-hil convert --rate --column", "test_commands_take_a_rate_and_a_file_beside"),
     ("friction-hil replay --scheduler", "test_a_worker_that_is_killed_costs_no_bit"),
     ("friction-hil convert", "test_convert_writes_it"),
+    (
+        "friction-hil import --from --joint --output",
+        "test_the_command_writes_a_model_file_and_names_what_is_missing",
+    ),
     ("friction-hil config new --simulated --bus", "test_readmes_commands_in_their_order_in_an_empty_folder"),
     ("friction-hil config new --bus --node --torque --velocity --travel", "test_what_is_asked_for_is_in_the_file"),
     (

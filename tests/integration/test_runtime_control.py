@@ -35,13 +35,16 @@ STRIBECK = {
 
 
 def children(pid, word):
-    """Processes that a process has started, by a word of their command."""
+    """Processes that a process and its spawner have started, by a word of their command."""
     found = []
     for folder in Path("/proc").glob("[0-9]*"):
         with contextlib.suppress(OSError):
             fields = (folder / "stat").read_text().rpartition(")")[2].split()
-            if int(fields[1]) == pid and word in (folder / "cmdline").read_text() and fields[0] != "Z":
+            words = (folder / "cmdline").read_text()
+            if int(fields[1]) == pid and word in words and fields[0] != "Z":
                 found.append(int(folder.name))
+            elif int(fields[1]) == pid and "friction_hil.daemon.spawner" in words:
+                found += children(int(folder.name), word)
     return found
 
 

@@ -13,8 +13,9 @@ from hypothesis import given, settings
 import friction_hil as fh
 from friction_hil.cli import main
 from friction_hil.errors import UsageError
+from friction_hil.friction.steady_curve import velocity_range
 from friction_hil.models.files import load_model_file
-from friction_hil.reports.model_picture import ripple, slow_cycle, velocity_range
+from friction_hil.reports.model_picture import ripple, slow_cycle
 from tests.friction_models import DYNAMIC, NAMES, STATIC_MAPS, models
 
 LINEAR_AXIS = """\

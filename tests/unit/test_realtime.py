@@ -5,13 +5,11 @@ import errno
 import gc
 import os
 import resource
-import subprocess
-import sys
 
 import pytest
 
 from friction_hil.daemon import realtime
-from friction_hil.daemon.realtime import RealClock, SteppedClock, prompt_children, punctuality
+from friction_hil.daemon.realtime import RealClock, SteppedClock, punctuality
 
 
 def test_simulated_time_passes_only_in_sleep_and_never_backward():
@@ -133,23 +131,3 @@ def test_a_collector_that_was_off_stays_off():
         assert not gc.isenabled()
     finally:
         gc.enable()
-
-
-def test_a_child_that_the_loop_waits_for_runs_before_ordinary_processes() -> None:
-    """It is below the loop, and whoever has no right to that starts an ordinary child."""
-    code = "import os; print(os.sched_getscheduler(0), os.sched_getparam(0).sched_priority)"
-    before = os.sched_getscheduler(0), os.sched_getparam(0).sched_priority
-    try:
-        os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(5))
-    except PermissionError:
-        pytest.skip("real-time priority is not granted")
-    try:
-        with prompt_children():
-            seen = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-        after = os.sched_getscheduler(0), os.sched_getparam(0).sched_priority
-    finally:
-        os.sched_setscheduler(0, before[0], os.sched_param(before[1]))
-    assert after == (os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, 5)
-    assert seen.split() == ([str(int(os.SCHED_FIFO)), "1"] if os.geteuid() == 0 else [str(int(os.SCHED_OTHER)), "0"])
-    with prompt_children():  # at ordinary priority nothing changes
-        assert os.sched_getscheduler(0) == before[0]

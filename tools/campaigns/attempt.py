@@ -9,7 +9,7 @@ from typing import Any, Protocol, TypeVar
 
 from tools.campaigns.can_wire import CanWire
 from tools.campaigns.machine import Machine
-from tools.campaigns.processes import COMPANION, SERVER, Process, descendants
+from tools.campaigns.processes import COMPANION, SERVER, SPAWNER, Process, descendants
 from tools.campaigns.serial_wire import SerialWire
 
 Choice = TypeVar("Choice")
@@ -105,12 +105,16 @@ class Attempt:
             self.known[process.pid] = process
 
     def children(self, who: str) -> Iterator[Process]:
-        """Yield the daemon's server, supervisor or worker that live."""
+        """Yield the daemon's spawner, server, supervisor or worker that live."""
         self.look_for_children()
+        spawners = {process.pid for process in self.known.values() if SPAWNER in process.words}
         for process in self.known.values():
-            is_companion = COMPANION in process.words
-            role = "server" if SERVER in process.words else "worker"
-            if is_companion and process.parent == self.daemon.pid:
-                role = "supervisor"
-            if (is_companion or role == "server") and role == who and process.is_alive:
+            role = ""
+            if COMPANION in process.words:
+                role = "supervisor" if process.parent in spawners else "worker"
+            elif SERVER in process.words:
+                role = "server"
+            elif process.pid in spawners:
+                role = "spawner"
+            if role == who and process.is_alive:
                 yield process

@@ -223,6 +223,7 @@ FAULTS = (
     Fault("kill-supervisor", "SIGKILL of its supervisor", ALL, attacks.kill("supervisor")),
     Fault("kill-companion", "SIGKILL of both", ALL, attacks.kill("supervisor", "worker"), words="recording:"),
     Fault("kill-server", "SIGKILL of the control socket's process", ALL, attacks.kill("server"), words="control"),
+    Fault("kill-spawner", "SIGKILL of the process that starts these", ALL, attacks.kill("spawner", "server")),
     Fault(
         "kill-drive",
         "SIGKILL of the simulated drive",

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
-COMPANION, SERVER = "friction_hil.daemon.companion", "friction_hil.daemon.control"
+COMPANION, SERVER, SPAWNER = (f"friction_hil.daemon.{each}" for each in ("companion", "control", "spawner"))
 _LOOK_S = 0.01
 
 

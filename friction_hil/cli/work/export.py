@@ -7,6 +7,7 @@ import click
 
 from friction_hil import export as exports
 from friction_hil.cli.output import print_json
+from friction_hil.cli.work.model_text import value_text
 from friction_hil.compensator import Compensator
 from friction_hil.config import AxisConfig, Configuration, load
 from friction_hil.daemon.assembly import make_compensator
@@ -25,11 +26,28 @@ def export(
     axis: str | None,
     resolution: float | None,
     delay_s: float | None,
+    recording: Path | None,
+    speed: float | None,
     force: bool,
     as_json: bool,
 ) -> None:
     """Write the files of an export and say what they hold."""
     file = model_from_argument(model)
+    if to in exports.LOSSY:
+        for option, is_given in (
+            ("--config", config is not None),
+            ("--resolution", resolution is not None),
+            ("--delay", delay_s is not None),
+        ):
+            if is_given:
+                raise click.UsageError(f"{option} belongs to the compensator, which the format {to} does not hold")
+        if axis is not None and recording is None:
+            raise click.UsageError("--axis belongs to --recording FILE")
+        _export_lossy(file, model, to, output, recording, axis, speed, force=force, as_json=as_json)
+        return
+    for option, is_given in (("--recording", recording is not None), ("--speed", speed is not None)):
+        if is_given:
+            raise click.UsageError(f"{option} belongs to formats that lose torque; {to} loses none")
     if config is None:
         for option, value in (("--axis", axis), ("--resolution", resolution), ("--delay", delay_s)):
             if value is not None:
@@ -52,6 +70,39 @@ def export(
             f"Model, and compensator with a period of {given.period_s:g} s, whose torque acts {given.lead_s:g} s after "
             f"the position was sampled; --delay changes that."
         )
+
+
+def _export_lossy(
+    file: ModelFile,
+    model: str,
+    to: str,
+    output: Path | None,
+    recording: Path | None,
+    axis: str | None,
+    speed: float | None,
+    *,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """Write an export that loses torque, and say what it holds and what it loses."""
+    folder, name = _place(output, model)
+    converted = exports.convert(file, to, name=name, recording=recording, axis=axis, speed=speed)
+    paths = exports.save(converted.files, folder, overwrite=force)
+    if as_json:
+        print_json(
+            {
+                "written": [str(path) for path in paths],
+                "parameters": converted.parameters,
+                "loss": converted.loss.as_json(),
+            }
+        )
+        return
+    for path in paths:
+        click.echo(f"{path}: {path.stat().st_size} bytes")
+    for parameter, value in converted.parameters.items():
+        click.echo(f"{parameter}: {value_text(value)}")
+    for line in converted.loss.lines():
+        click.echo(line)
 
 
 def _place(output: Path | None, model: str) -> tuple[Path, str]:

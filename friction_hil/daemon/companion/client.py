@@ -6,8 +6,6 @@ import math
 import os
 import select
 import signal
-import subprocess
-import sys
 import time
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,8 +13,8 @@ from typing import IO, Any
 
 from friction_hil.daemon.companion.job import MOST_SHORT_LIVES, Job, Lives, job_memory, signal_text
 from friction_hil.daemon.companion.paths import prepare
-from friction_hil.daemon.realtime import prompt_children
 from friction_hil.daemon.ring import RingWriter
+from friction_hil.daemon.spawner.client import Process, Spawn, spawn_directly
 from friction_hil.errors import RecordingError
 
 _RING_S = 8.0  # of rows: what a restart of the worker may take, and an unfinished chunk
@@ -65,7 +63,8 @@ class Companion:
         True if no companion records any more: it ended by itself, or died again and again.
     """
 
-    def __init__(self, job: Job, journal_descriptor: int) -> None:
+    def __init__(self, job: Job, journal_descriptor: int, spawn: Spawn) -> None:
+        self._spawn = spawn
         self._journal_descriptor = journal_descriptor
         self._ring = RingWriter(job.row_width, max(_RING_ROWS_MIN, math.ceil(_RING_S / job.period_s)))
         self._job_descriptor = job_memory(job)
@@ -82,14 +81,15 @@ class Companion:
         self.free_slots = self._ring.free_slots
         self.worker_pid = 0
         self.is_given_up = False
+        self._process: Process
         self._launch()
 
     @classmethod
-    def start(cls, job: Job, journal_descriptor: int = -1) -> "Companion":
+    def start(cls, job: Job, journal_descriptor: int = -1, spawn: Spawn = spawn_directly) -> "Companion":
         """Start the process; return when it has opened its file and is ready for rows.
 
         Missing folders of the path are made. ``journal_descriptor`` is the journal of the changes of the run, see
-        `friction_hil.daemon.control.journal`; -1 for none.
+        `friction_hil.daemon.control.journal`; -1 for none. ``spawn`` starts this companion, and those after it.
 
         Raises
         ------
@@ -101,7 +101,7 @@ class Companion:
         if job.path is not None:
             prepare(Path(job.path), overwrite=job.overwrite)
         try:
-            companion = cls(job, journal_descriptor)
+            companion = cls(job, journal_descriptor, spawn)
         except OSError as error:  # too many processes, no memory
             raise RecordingError(f"the companion process cannot be started: {error.strerror}") from error
         try:
@@ -126,8 +126,8 @@ class Companion:
     def tend(self) -> list[str]:
         """Take the messages of the companion, and start another one where it has died; return new problems.
 
-        To be called several times a second during the run; it never waits for the companion. Starting a process takes
-        about a millisecond.
+        To be called several times a second during the run; it never waits for the companion, nor, with a spawner, until
+        one is started.
         """
         known = len(self._problems)
         while not self.is_given_up and self._poll.poll(0):
@@ -178,19 +178,8 @@ class Companion:
             The system makes no process; nothing has changed.
         """
         descriptors = [self._ring.descriptor, self._job_descriptor, self._journal_descriptor]
-        # -P: do not import modules from the current directory, which may be the user's
-        command = [sys.executable, "-P", "-m", "friction_hil.daemon.companion"]
-        command += map(str, (*descriptors, self._opened + 1, death))
-        with prompt_children():
-            process = subprocess.Popen(
-                command,
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                pass_fds=[descriptor for descriptor in descriptors if descriptor >= 0],
-                env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
-                process_group=0,  # Ctrl-C is not meant for it, not even before it can ignore it
-            )
-        self._process = process
+        command = ["-m", "friction_hil.daemon.companion", *map(str, (*descriptors, self._opened + 1, death))]
+        self._process = self._spawn(command, [each for each in descriptors if each >= 0], None)
         self._lives.begin()
         self.worker_pid = 0
         assert self._process.stdout is not None
@@ -205,8 +194,10 @@ class Companion:
             raise RecordingError(answer["failed"])
 
     def _restart(self) -> bool:
-        """Start another companion after the death of supervisor and worker; return False if none records any more."""
-        status = self._process.wait()  # both have closed their output: the supervisor is dead or about to be
+        """Start another companion after the death of supervisor and worker; return False if none is there now."""
+        status = self._process.poll()
+        if status is None:  # both have closed their output: the supervisor is about to be dead
+            return False
         if status >= 0:
             self.is_given_up = True  # it has said why, or has done its work
             return False
@@ -288,8 +279,12 @@ class Companion:
                     return False
             elif self._read():
                 since_s = time.monotonic()
-            elif self._ring.rows_done == self._ring.rows_pushed or self.is_given_up or not self._restart():
+            elif self._ring.rows_done == self._ring.rows_pushed or self.is_given_up:
                 return True
+            else:
+                self._process.wait()
+                if not self._restart():
+                    return True
             while self._take_message() is not None:
                 pass
 

@@ -56,6 +56,8 @@ class Job:
         Disk space of all recordings that were started with this path.
     black_box : str, optional
         Where files of faults are written: ``run.mcap`` makes ``run-fault-20260131-142530.mcap``; none when absent.
+    has_joint_states : bool
+        True to write each row also as a joint state of ROS 2.
     """
 
     axes: list[str]
@@ -72,6 +74,7 @@ class Job:
     rotate_bytes: int | None = None
     budget_bytes: int | None = None
     black_box: str | None = None
+    has_joint_states: bool = False
 
     @property
     def row_width(self) -> int:

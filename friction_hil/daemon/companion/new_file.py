@@ -33,5 +33,6 @@ def begin_file(
         about=about,
         overwrite=overwrite,
         is_durable=True,
+        has_joint_states=job.has_joint_states,
         on_flush=on_flush,
     )

@@ -9,6 +9,7 @@ from friction_hil.daemon.control.job import ControlJob
 from friction_hil.daemon.control.lock import ControlSocket
 from friction_hil.daemon.control.mailbox import MailboxReader
 from friction_hil.daemon.control.packed import room
+from friction_hil.daemon.spawner.client import Spawn
 from friction_hil.daemon.tended_process import TendedProcess
 
 
@@ -17,6 +18,7 @@ class ControlService(TendedProcess):
 
     Parameters
     ----------
+    spawn : Spawn
     control_socket : ControlSocket
     ring_descriptor : int
         Memory of the rows, which the process only reads.
@@ -30,7 +32,12 @@ class ControlService(TendedProcess):
     """
 
     def __init__(
-        self, control_socket: ControlSocket, ring_descriptor: int, journal_descriptor: int, job: ControlJob
+        self,
+        spawn: Spawn,
+        control_socket: ControlSocket,
+        ring_descriptor: int,
+        journal_descriptor: int,
+        job: ControlJob,
     ) -> None:
         self.mailbox = MailboxReader(room(len(job.facts)))
         self._job = os.memfd_create("friction_hil-control")
@@ -44,6 +51,7 @@ class ControlService(TendedProcess):
             self._job,
         ]
         super().__init__(
+            spawn,
             "friction_hil.daemon.control",
             [str(each) for each in descriptors],
             title="the process of the control socket",

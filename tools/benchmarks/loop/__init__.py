@@ -24,18 +24,18 @@ from friction_hil.daemon.control.ask import ask
 from friction_hil.daemon.latency import INSTALL_CYCLICTEST, Latency, cyclictest, has_cyclictest, is_fifo_allowed
 from friction_hil.errors import FrictionHilError
 from friction_hil.numerics.jit import Array
+from tools.benchmarks.loop import restart
 from tools.benchmarks.loop.daemon import Daemon, busy_s, pss_kb, running
 from tools.benchmarks.loop.observers import watching
 from tools.benchmarks.report import Row, against, compare, note, rounds, show
 
-PARTS = ("start", "compute", "lateness", "memory")
+PARTS = ("start", "compute", "lateness", "memory", "restart")
 ROUNDS = 3
 STARTS = 3
 QUANTILES = {"p50": 0.5, "p99": 0.99}
 LATENESS_TARGET_US, START_TARGET_S, COMPUTE_TARGET = 2.0, 3.0, 40.0
 _WARM_UP_S = 75.0  # of memory: the worker fills that of the last minute first
 _LOOKS_PER_S = 1.0
-_SETTLE_S = 1.0
 _COUNTED, _LOOK_S = 0.7, 0.05  # part of a run in simulated time that is measured; s between two looks
 
 
@@ -46,7 +46,7 @@ _COUNTED, _LOOK_S = 0.7, 0.05  # part of a run in simulated time that is measure
 @click.option(
     "--observers",
     type=click.IntRange(0, 32),
-    help="Attach monitor, page with viewers, Foxglove, and so many processes that ask for the status. Default: none.",
+    help="Attach the monitor, so many viewers of the page, and a Foxglove client. Default: nothing.",
 )
 @click.option("--stress", is_flag=True, help="Load the last processor with stress-ng.")
 @option_json
@@ -57,6 +57,7 @@ def command(
 
     start: to Operation enabled. compute: processor time of the control process in a cycle, in simulated time.
     lateness: of the cycles, against cyclictest. memory: of all processes; --duration 3600 for an hour.
+    restart: how long the loop is held up when the processes beside it are killed and started again.
     """
     rows: list[Row] = []
     with tempfile.TemporaryDirectory() as name, _stressed(stress):
@@ -69,6 +70,8 @@ def command(
                 rows += _compute(folder, duration)
             elif part == "lateness":
                 rows += _lateness(folder, axes, duration, observers)
+            elif part == "restart":
+                rows += restart.measure(folder, axes)
             else:
                 rows += _memory(folder, axes, duration, observers)
     show(rows, as_json=as_json)
@@ -149,9 +152,10 @@ def _lateness(folder: Path, axes: int, duration_s: float, observers: int | None)
         for _ in rounds(ROUNDS, f"daemon and cyclictest at {label}"):
             theirs.append(cyclictest(priority, period_s, round(duration_s / period_s), is_fine=True))
             for spin_us, series in ours.items():
-                with running(folder, axes, period_s, spin_us, duration_s) as daemon, contextlib.ExitStack() as stack:
+                with running(folder, axes, period_s, spin_us, math.inf) as daemon, contextlib.ExitStack() as stack:
                     if observers is not None:
                         stack.enter_context(watching(daemon.socket, observers))
+                    daemon.from_cycle = _cycle(daemon)
                     time.sleep(duration_s)
                 (result,) = daemon.results
                 series.append(Latency(result.late_us, result.summary["missed"]))
@@ -170,7 +174,7 @@ def _memory(folder: Path, axes: int, duration_s: float, observers: int | None) -
     """Sample the memory of each process at 1 kHz, and fit a straight line after the warm-up."""
     taken: dict[str, list[float]] = {}
     times_s: list[float] = []
-    with running(folder, axes, 1e-3, 0, duration_s + _SETTLE_S) as daemon, contextlib.ExitStack() as stack:
+    with running(folder, axes, 1e-3, 0, math.inf) as daemon, contextlib.ExitStack() as stack:
         if observers is not None:
             stack.enter_context(watching(daemon.socket, observers))
         processes = daemon.processes()
@@ -186,7 +190,8 @@ def _memory(folder: Path, axes: int, duration_s: float, observers: int | None) -
     first = int(np.searchsorted(times_s, min(_WARM_UP_S, 0.5 * duration_s)))
     for name, series in taken.items():
         slope, error = _slope(np.array(times_s[first:]), np.array(series[first:]))
-        rows.append(Row(f"memory of {name} at the end", series[-1] / 1024.0, "MiB"))
+        first_mib, last_mib = series[0] / 1024.0, series[-1] / 1024.0
+        rows.append(Row(f"memory of {name} at the end (start)", last_mib, "MiB", first_mib, last_mib / first_mib))
         rows.append(
             Row(f"memory of {name}: growth (standard error)", 60.0 * slope, "kB/min", 60.0 * error, slope / error)
         )

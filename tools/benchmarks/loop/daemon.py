@@ -1,8 +1,10 @@
 """A daemon in processes of its own, against simulated drives on a virtual bus, and what it costs."""
 
 import json
+import math
 import os
 import re
+import signal
 import socket
 import subprocess
 import time
@@ -24,6 +26,7 @@ from tools.benchmarks.report import note
 
 DEMO = Path(__file__).parents[3] / "config/demo.yaml"
 NAME = "bench"
+_NAMES = {"friction_hil.daemon.companion": "supervisor", "friction_hil.daemon.control": "server"}
 _PATIENCE_S = 60.0
 _MOST_MISSED = 200  # periods: a busy machine is to be measured, not to end the run
 
@@ -40,11 +43,14 @@ class Result:
         What ``run --json`` printed.
     lost : int
         Rows that are not in the recording.
+    after_restarts_us : (n,) array
+        Lateness of the cycles right after a process was started again, us.
     """
 
     late_us: Array
     summary: dict[str, Any]
     lost: int
+    after_restarts_us: Array
 
 
 @dataclass(slots=True)
@@ -56,12 +62,15 @@ class Daemon:
     pid : int
         Of the control process.
     socket : Path
+    from_cycle : int
+        First cycle whose lateness counts.
     ready_s, enabled_s : float
         Time from the start of its process until its first cycle, and until all axes were in Operation enabled, s.
     """
 
     pid: int
     socket: Path
+    from_cycle: int = 0
     ready_s: float = float("nan")
     enabled_s: float = float("nan")
     results: list[Result] = field(default_factory=list)
@@ -72,8 +81,7 @@ class Daemon:
         for pid in _descendants(self.pid):
             words = Path(f"/proc/{pid}/cmdline").read_bytes().decode().split("\0")
             module = next((word for word in words if word.startswith("friction_hil.daemon.")), words[0])
-            name = {"friction_hil.daemon.companion": "supervisor", "friction_hil.daemon.control": "server"}.get(module)
-            name = name or module.rpartition(".")[2]
+            name = _NAMES.get(module) or module.rpartition(".")[2]
             found["worker" if name in found else name] = pid
         return found
 
@@ -99,6 +107,8 @@ def running(
 ) -> Iterator[Daemon]:
     """Run a daemon that records, and its drives; on leaving, its end is awaited and its result is there.
 
+    With an infinite duration it is stopped on leaving.
+
     Raises
     ------
     FrictionHilError
@@ -110,14 +120,17 @@ def running(
     environment = os.environ | {"XDG_RUNTIME_DIR": str(folder), "NOTIFY_SOCKET": str(folder / "notify")}
     with simulated(path, pace), _Manager(folder / "notify") as manager, (folder / "told").open("w") as told:
         began_s = time.monotonic()
-        process = subprocess.Popen(
-            [*words, "--duration", f"{duration_s:g}"], stdout=subprocess.PIPE, stderr=told, text=True, env=environment
-        )
+        if math.isfinite(duration_s):
+            words += ["--duration", f"{duration_s:g}"]
+        process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=told, text=True, env=environment)
         try:
             daemon = Daemon(process.pid, folder / "friction-hil" / f"{NAME}.sock")
             daemon.ready_s = manager.wait("READY=1") - began_s
             daemon.enabled_s = manager.wait("STATUS=running") - began_s
             yield daemon
+            if math.isinf(duration_s):
+                process.send_signal(signal.SIGINT)
+                duration_s = 0.0
             printed, _ = process.communicate(timeout=duration_s + _PATIENCE_S)
         except TimeoutError:
             process.terminate()
@@ -135,8 +148,11 @@ def running(
     for fault in summary["faults"]:
         note(f"the run ended with a fault: {fault}")
     recording = recordings.read(record, "x1")
-    late_us = np.sort(recording["late_us"][recording["state"] == LoopState.RUNNING])
-    daemon.results.append(Result(late_us, summary, summary["cycles"] - len(recording)))
+    is_counted = (recording["state"] == LoopState.RUNNING) & (recording["cycle"] >= daemon.from_cycle)
+    late_us = np.sort(recording["late_us"][is_counted])
+    restarts = np.array([event.cycle + 1.0 for event in recording.events if "takes over" in event.text])
+    after_us = recording["late_us"][np.isin(recording["cycle"], restarts)]
+    daemon.results.append(Result(late_us, summary, summary["cycles"] - len(recording), after_us))
 
 
 class _Manager:

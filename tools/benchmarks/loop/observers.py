@@ -1,6 +1,7 @@
 """What watches a daemon while its loop is measured: its own commands, as far as this version has them."""
 
 import contextlib
+import json
 import os
 import pty
 import socket
@@ -10,46 +11,54 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
-from friction_hil.daemon.control.ask import ask
 from friction_hil.errors import FrictionHilError
 from tools.benchmarks.loop.daemon import NAME
 from tools.benchmarks.processes import PROGRAM
 from tools.benchmarks.report import note
 
-VIEWERS = 5
-_START_S = 20.0
+_START_S = 60.0
 _ASK_S = 0.1
+_FOXGLOVE: Any = "foxglove.sdk.v1"  # name of its protocol
 
 
 @contextlib.contextmanager
-def watching(control: Path, pollers: int) -> Iterator[None]:
-    """Attach to the daemon at this control socket: monitor, page with viewers, Foxglove, and processes that ask.
+def watching(control: Path, viewers: int) -> Iterator[None]:
+    """Attach to the daemon at this control socket: monitor, page with viewers, and a client of its Foxglove WebSocket.
 
     Parameters
     ----------
     control : Path
-    pollers : int
-        Processes that ask for the status ten times a second.
+    viewers : int
+        Viewers of the page.
+
+    Raises
+    ------
+    FrictionHilError
+        One of them ended before it was to: what was measured then says nothing about it.
     """
     environment = os.environ | {"XDG_RUNTIME_DIR": str(control.parent.parent)}
+    attached: dict[str, subprocess.Popen[bytes]] = {}
     with contextlib.ExitStack() as stack:
-        for _ in range(pollers):
-            words = [sys.executable, "-m", "tools.benchmarks.loop.observers", str(control)]
-            _start(stack, words, environment)
         if _has("monitor"):
             screen, terminal = pty.openpty()
             stack.callback(os.close, terminal)
             stack.callback(os.close, screen)
             _drain(screen)
-            _start(stack, [*PROGRAM, "monitor", NAME], environment, terminal)
+            attached["monitor"] = _start(stack, [*PROGRAM, "monitor", NAME], environment, terminal)
         if _has("live"):
             page, foxglove = _free_port(), _free_port()
-            _start(stack, [*PROGRAM, "live", NAME, "--port", str(page), "--foxglove", str(foxglove)], environment)
-            _await_port(page)
-            for _ in range(VIEWERS):
-                _start(stack, [sys.executable, "-m", "tools.benchmarks.loop.observers", str(page)], environment)
+            words = [*PROGRAM, "live", NAME, "--port", str(page), "--foxglove", str(foxglove)]
+            attached["live"] = _start(stack, words, environment)
+            for kind, port, count in (("page", page, viewers), ("foxglove", foxglove, 1)):
+                _await_port(port)
+                for k in range(count):
+                    words = [sys.executable, "-m", "tools.benchmarks.loop.observers", kind, str(port)]
+                    attached[f"{kind} {k + 1}"] = _start(stack, words, environment)
         yield
+        if ended := [name for name, process in attached.items() if process.poll() is not None]:
+            raise FrictionHilError(f"these observers ended early: {', '.join(ended)}")
 
 
 def _has(name: str) -> bool:
@@ -60,10 +69,13 @@ def _has(name: str) -> bool:
     return done.returncode == 0
 
 
-def _start(stack: contextlib.ExitStack, words: list[str], environment: dict[str, str], terminal: int = -3) -> None:
+def _start(
+    stack: contextlib.ExitStack, words: list[str], environment: dict[str, str], terminal: int = subprocess.DEVNULL
+) -> subprocess.Popen[bytes]:
     process = subprocess.Popen(words, stdin=terminal, stdout=terminal, stderr=terminal, env=environment)
     stack.callback(process.wait)
     stack.callback(process.terminate)
+    return process
 
 
 def _drain(screen: int) -> None:
@@ -102,17 +114,18 @@ def _view(port: int) -> None:
             pass
 
 
-def _poll(path: Path) -> None:
-    """Ask for the status, over and over."""
-    with contextlib.suppress(FrictionHilError):
-        while ask(path, {"do": "status"}):
-            time.sleep(_ASK_S)
+def _subscribe(port: int) -> None:
+    """Read all channels of the Foxglove WebSocket, as Foxglove does where all of them are shown."""
+    from websockets.sync.client import connect  # imported here: extra dev
+
+    with connect(f"ws://127.0.0.1:{port}", subprotocols=[_FOXGLOVE], max_size=1 << 24) as client:
+        for content in client:
+            if isinstance(content, str) and (channels := json.loads(content).get("channels")):
+                wanted = [{"id": each["id"], "channelId": each["id"]} for each in channels]
+                client.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
 
 
 if __name__ == "__main__":
-    (_, given) = sys.argv
+    _, _kind, _port = sys.argv
     with contextlib.suppress(KeyboardInterrupt):
-        if given.isdigit():
-            _view(int(given))
-        else:
-            _poll(Path(given))
+        {"page": _view, "foxglove": _subscribe}[_kind](int(_port))

@@ -1,0 +1,60 @@
+"""URDF: a robot of one joint with ``<dynamics damping friction>``.
+
+Source: the URDF specification of ROS, element joint: ``damping`` is the viscous coefficient, N m s/rad or N s/m,
+``friction`` the static friction, N m or N. Simulators take it for the Coulomb level while sliding.
+"""
+
+from friction_hil.export.lossy import Converted, fit_viscous, judge
+from friction_hil.export.points import Points
+from friction_hil.export.subject import Subject
+from friction_hil.export.xml_text import element, head
+
+_UNKNOWN_MASS = 1.0
+
+
+def convert(subject: Subject, points: Points) -> Converted:
+    """Fit Coulomb level and viscous coefficient, and write the file."""
+    file = subject.model_file
+    fit = fit_viscous(points, points.torque(file.friction_model))
+    parameters = {"damping": fit.viscous[0], "friction": fit.coulomb}
+    loss = judge(file, points, lambda at: fit.torque(at.velocity))
+    known = file.mechanics.inertia > 0.0
+    notes = [
+        "Copy the element dynamics into a joint of your robot; the links are there to make the file complete."
+        + ("" if known else " The inertia of the model file is not known: 1 stands for it."),
+    ]
+    text = f'<?xml version="1.0"?>\n{head(subject, loss, notes)}\n' + _robot(subject, parameters)
+    return Converted({f"{subject.name}.urdf": text}, parameters, loss)
+
+
+def _robot(subject: Subject, dynamics: dict[str, float]) -> str:
+    file = subject.model_file
+    inertia = file.mechanics.inertia or _UNKNOWN_MASS
+    is_rotary = file.axis == "rotary"
+    mass = _UNKNOWN_MASS if is_rotary else inertia
+    about = inertia if is_rotary else _UNKNOWN_MASS
+    tensor = {"ixx": about, "iyy": about, "izz": about, "ixy": "0", "ixz": "0", "iyz": "0"}
+    ranges = (file.fit or {}).get("range", {})
+    travel = ranges.get("position") or [-1.0, 1.0]
+    speed = max(abs(float(each)) for each in ranges.get("velocity") or [1.0])
+    limit = {"lower": float(travel[0]), "upper": float(travel[1]), "effort": "1000", "velocity": speed}
+    joint = {"name": subject.name, "type": "continuous" if is_rotary else "prismatic"}
+    lines = [
+        element("robot", {"name": subject.name}, is_open=True),
+        '  <link name="base"/>',
+        '  <link name="moving">',
+        "    <inertial>",
+        f"      {element('mass', {'value': mass})}",
+        f"      {element('inertia', tensor)}",
+        "    </inertial>",
+        "  </link>",
+        f"  {element('joint', joint, is_open=True)}",
+        '    <parent link="base"/>',
+        '    <child link="moving"/>',
+        '    <axis xyz="0 0 1"/>',
+        *([] if is_rotary else [f"    {element('limit', limit)}"]),
+        f"    {element('dynamics', dynamics)}",
+        "  </joint>",
+        "</robot>",
+    ]
+    return "\n".join(lines) + "\n"

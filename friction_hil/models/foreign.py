@@ -1,0 +1,205 @@
+"""Model files from the friction that other programs state: MJCF, URDF, and the parameters of BAM.
+
+They hold less than a model file; what is missing is named in the result, and in the file that is written from it.
+"""
+
+import json
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from friction_hil import __version__
+from friction_hil.errors import FrictionHilError, UsageError, choices
+from friction_hil.models import mjcf_joints, xml_input
+from friction_hil.models.model_file import ModelFile
+
+_MOST_BYTES = 100_000_000
+_NEVER_THERE = (
+    "standard errors, recordings and errors of a fit",
+    "the range of velocity and temperature in which it holds",
+    "the period of the loop in which it was found",
+)
+
+
+@dataclass(slots=True)
+class Stated:
+    """What a file states of one joint, in the terms of a model file.
+
+    Attributes
+    ----------
+    axis : str
+        "rotary" or "linear"
+    model : str
+    parameters, modifiers, mechanics : dict
+    notes : list of str
+        What was done with numbers that have no place of their own, or was left out.
+    """
+
+    axis: str
+    model: str
+    parameters: dict[str, Any]
+    modifiers: dict[str, Any] = field(default_factory=dict)
+    mechanics: dict[str, Any] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True)
+class Imported:
+    """A model file with what it lacks.
+
+    Attributes
+    ----------
+    content : dict
+        Plain values of the model file.
+    missing : tuple of str
+        What the source does not state.
+    notes : tuple of str
+        What of the source was changed or left out.
+    """
+
+    content: dict[str, Any]
+    missing: tuple[str, ...]
+    notes: tuple[str, ...]
+
+
+def read(path: str | Path, source: str, joint: str | None = None) -> Imported:
+    """Read the friction of one joint.
+
+    Parameters
+    ----------
+    path : path
+    source : str
+        One of `SOURCES`.
+    joint : str, optional
+        Name of the joint, if several have friction.
+
+    Raises
+    ------
+    FrictionHilError
+        The file cannot be read.
+    UsageError
+        The file is not of this format, there is no such joint, or its numbers make no model.
+    """
+    if source not in SOURCES:
+        raise UsageError(f"there is no source {source!r}; {choices(source, SOURCES)}")
+    stated = SOURCES[source](_bytes(Path(path)), str(path), joint)
+    mechanics = {name: value for name, value in stated.mechanics.items() if value}
+    missing = [*_NEVER_THERE, *(text for name, text in _MECHANICS.items() if name not in mechanics)]
+    friction: dict[str, Any] = {"model": stated.model, "parameters": stated.parameters}
+    if stated.modifiers:
+        friction["modifiers"] = stated.modifiers
+    imported = {"path": Path(path).name, "format": source, **({"joint": joint} if joint else {})}
+    content: dict[str, Any] = {"version": 1, "axis": stated.axis, "friction": friction}
+    if mechanics:
+        content["mechanics"] = mechanics
+    content["fit"] = {
+        "software": f"friction_hil {__version__}",
+        "imported": imported,
+        "flags": [f"not stated by the {source} file: {each}" for each in missing] + stated.notes,
+    }
+    try:
+        ModelFile.model_validate(content)
+    except ValidationError as error:
+        reasons = "; ".join(f"{'.'.join(map(str, each['loc']))}: {each['msg']}" for each in error.errors())
+        raise UsageError(f"{path}: the friction it states makes no model: {reasons}") from None
+    return Imported(content, tuple(missing), tuple(stated.notes))
+
+
+_MECHANICS = {"inertia": "the inertia of motor and load", "delay_s": "the delay of the torque"}
+
+
+def _bytes(path: Path) -> bytes:
+    try:
+        if path.stat().st_size > _MOST_BYTES:
+            raise UsageError(f"{path} has more than {_MOST_BYTES // 1_000_000} MB: no description of a joint")
+        return path.read_bytes()
+    except OSError as error:
+        raise FrictionHilError(f"{path} cannot be read: {error.strerror or error}") from None
+
+
+def _mjcf(content: bytes, path: str, joint: str | None) -> Stated:
+    found = mjcf_joints.find(xml_input.parse(content, path, "mujoco"), path, joint)
+    mechanics = {"inertia": found.armature}
+    notes = []
+    if found.armature:
+        notes.append("inertia is the armature of the joint; the bodies that it moves are not in it")
+    modifiers: dict[str, Any] = {}
+    linear, quadratic, cubic = found.damping
+    if quadratic or cubic:
+        modifiers["viscous"] = {"quadratic": quadratic, "cubic": cubic}
+    if found.cogging is not None:
+        amplitude, poles, phase = found.cogging
+        harmonic = {"order": poles, "cosine": -amplitude * math.sin(phase), "sine": -amplitude * math.cos(phase)}
+        modifiers["ripple"] = [harmonic]
+    if found.lugre is None:
+        parameters = {"coulomb": found.frictionloss, "viscous": linear}
+        return Stated(found.axis, "coulomb", parameters, modifiers, mechanics, notes)
+    stiffness, damping, coulomb, static, stribeck_velocity = found.lugre
+    if found.frictionloss:
+        notes.append(f"frictionloss {found.frictionloss:g} of the joint was added to both levels of its LuGre friction")
+    parameters = {
+        "sigma0": stiffness,
+        "sigma1": damping,
+        "sigma2": linear,
+        "coulomb": coulomb + found.frictionloss,
+        "static": static + found.frictionloss,
+        "stribeck_velocity": stribeck_velocity,
+    }
+    return Stated(found.axis, "lugre", parameters, modifiers, mechanics, notes)
+
+
+def _urdf(content: bytes, path: str, joint: str | None) -> Stated:
+    root = xml_input.parse(content, path, "robot")
+    joints = {each.get("name", ""): each for each in root.findall("joint") if each.get("type") != "fixed"}
+    with_friction = [name for name, each in joints.items() if each.find("dynamics") is not None]
+    chosen = joints[xml_input.choose(joints, with_friction, path, joint)]
+    kind = chosen.get("type")
+    if kind not in ("revolute", "continuous", "prismatic"):
+        raise UsageError(f"{path}: joint {chosen.get('name')!r} is of type {kind!r}, not one axis")
+    dynamics = chosen.find("dynamics")
+    numbers = {} if dynamics is None else dynamics.attrib
+    values = [xml_input.numbers(numbers.get(name, "0"), f"{path}: {name}", 1, 1)[0] for name in ("friction", "damping")]
+    axis = "linear" if kind == "prismatic" else "rotary"
+    return Stated(axis, "coulomb", {"coulomb": values[0], "viscous": values[1]})
+
+
+def _bam(content: bytes, path: str, joint: str | None) -> Stated:
+    if joint is not None:
+        raise UsageError("--joint: a file of BAM describes one actuator")
+    try:
+        given = json.loads(content)
+    except (ValueError, RecursionError) as error:
+        raise UsageError(f"{path} is not JSON: {error}") from None
+    if not isinstance(given, dict) or given.get("model") not in ("m1", "m2", "m3", "m4", "m5", "m6"):
+        raise UsageError(f"{path} is no file of BAM: it names no model m1 to m6")
+
+    def value(name: str, default: float | None = None) -> float:
+        number = given.get(name, default)
+        if isinstance(number, bool) or not isinstance(number, int | float) or not math.isfinite(number):
+            raise UsageError(f"{path}: {name} must be a finite number, not {number!r}")
+        return float(number)
+
+    parameters = {"coulomb": value("friction_base")}
+    model = "coulomb"
+    if given["model"] not in ("m1", "m3") and value("friction_stribeck", 0.0) > 0.0:
+        model = "stribeck"
+        parameters |= {
+            "static": value("friction_base") + value("friction_stribeck"),
+            "stribeck_velocity": value("dtheta_stribeck"),
+            "stribeck_exponent": value("alpha"),
+        }
+    parameters["viscous"] = value("friction_viscous")
+    load = {name: given[name] for name in given if str(name).startswith("load_friction")}
+    notes = []
+    if load:
+        words = ", ".join(f"{name} {number}" for name, number in load.items())
+        notes.append(f"left out, because it depends on motor torque and external torque: {words}")
+    mechanics = {"inertia": value("armature", 0.0), "delay_s": value("command_delay", 0.0)}
+    return Stated("rotary", model, parameters, {}, mechanics, notes)
+
+
+SOURCES: Mapping[str, Callable[[bytes, str, str | None], Stated]] = {"mjcf": _mjcf, "urdf": _urdf, "bam": _bam}

@@ -1,0 +1,157 @@
+"""The friction of a joint in an MJCF file, with the defaults of its classes.
+
+Source: MuJoCo's XML reference: default classes are inherited from the enclosing class, ``childclass`` of a body holds
+for all within it, ``class`` of an element comes first. Files that are included are not read.
+"""
+
+import math
+import xml.etree.ElementTree as ET
+from dataclasses import dataclass
+
+from friction_hil.errors import UsageError
+from friction_hil.models.xml_input import choose, numbers
+
+_MAIN = "main"  # the class of what names none
+
+
+@dataclass(frozen=True, slots=True)
+class Joint:
+    """Friction of a joint, SI.
+
+    Attributes
+    ----------
+    axis : str
+        "rotary" or "linear"
+    frictionloss, armature : float
+    damping : (float, float, float)
+        Factors of v, v |v| and v^3, with those of a motor for the friction.
+    lugre : tuple of 5 float or None
+        Stiffness, damping, Coulomb level, break-away level, Stribeck velocity.
+    cogging : (float, float, float) or None
+        Amplitude, poles and phase of the motor's torque.
+    """
+
+    axis: str
+    frictionloss: float
+    armature: float
+    damping: tuple[float, float, float]
+    lugre: tuple[float, ...] | None
+    cogging: tuple[float, float, float] | None
+
+
+def find(root: ET.Element, path: str, name: str | None) -> Joint:
+    """Return the joint of a name, or the only one with friction; raise UsageError where there is none."""
+    defaults: dict[str, dict[str, dict[str, str]]] = {_MAIN: {}}
+    for default in root.findall("default"):
+        _classes(default, {}, defaults, path)
+    joints: dict[str, dict[str, str]] = {}
+    for body in root.findall("worldbody"):
+        _joints(body, _MAIN, defaults, joints, path)
+    motors = _motors(root, defaults, path)
+    has_friction = [
+        each
+        for each, own in joints.items()
+        if any(any(_numbers(own, key, path, each)) for key in ("frictionloss", "damping")) or each in motors
+    ]
+    chosen = choose(joints, has_friction, path, name)
+    return _joint(joints[chosen], motors.get(chosen), f"{path}: joint {chosen!r}", path, chosen)
+
+
+def _joint(own: dict[str, str], motor: dict[str, str] | None, where: str, path: str, name: str) -> Joint:
+    kind = own.get("type", "hinge")
+    if kind not in ("hinge", "slide"):
+        raise UsageError(f"{where} is of type {kind!r}, not one axis")
+    damping = _three(_numbers(own, "damping", path, name))
+    lugre = cogging = None
+    if motor is not None:
+        if [float(each) for each in motor.get("gear", "1").split()][:1] != [1.0]:
+            raise UsageError(f"{where}: its dcmotor has a gear of {motor['gear']}; only 1 can be read")
+        more = _three(numbers(motor.get("damping", "0"), f"{where}: damping of its dcmotor", 1, 3))
+        damping = (damping[0] + more[0], damping[1] + more[1], damping[2] + more[2])
+        levels = numbers(motor.get("lugre", "0 0 0 0 0"), f"{where}: lugre", 1, 5)
+        lugre = (*levels, *[0.0] * (5 - len(levels))) if levels[0] > 0.0 else None
+        cogging = _cogging(motor.get("cogging"), where)
+    return Joint(
+        "rotary" if kind == "hinge" else "linear",
+        _numbers(own, "frictionloss", path, name)[0],
+        _numbers(own, "armature", path, name)[0],
+        damping,
+        lugre,
+        cogging,
+    )
+
+
+def _cogging(text: str | None, where: str) -> tuple[float, float, float] | None:
+    if text is None:
+        return None
+    try:
+        values = [float(word) for word in text.split()]
+    except ValueError:
+        values = []
+    if len(values) != 3 or not all(map(math.isfinite, values)) or values[1] < 0.0:
+        raise UsageError(f"{where}: cogging {text!r} must be amplitude, poles and phase")
+    return (values[0], values[1], values[2]) if values[0] != 0.0 and values[1] > 0.0 else None
+
+
+def _classes(
+    default: ET.Element, above: dict[str, dict[str, str]], known: dict[str, dict[str, dict[str, str]]], path: str
+) -> None:
+    """Collect the attributes of joints and motors by class; a class inherits those of the class around it."""
+    name = default.get("class", _MAIN)
+    own = {tag: dict(above.get(tag, {})) for tag in ("joint", "dcmotor")}
+    for tag in own:
+        for element in default.findall(tag):
+            own[tag] |= element.attrib
+    known[name] = {tag: {**known.get(name, {}).get(tag, {}), **own[tag]} for tag in own}
+    for inner in default.findall("default"):
+        if "class" not in inner.attrib:
+            raise UsageError(f"{path}: a default within another must have a class")
+        _classes(inner, known[name], known, path)
+
+
+def _joints(
+    body: ET.Element,
+    current: str,
+    defaults: dict[str, dict[str, dict[str, str]]],
+    joints: dict[str, dict[str, str]],
+    path: str,
+) -> None:
+    current = body.get("childclass", current)
+    for element in body:
+        if element.tag == "joint":
+            attributes = _with_defaults(element, current, defaults, path)
+            joints[attributes.get("name", f"joint {len(joints) + 1}")] = attributes
+        elif element.tag in ("body", "frame"):
+            _joints(element, current, defaults, joints, path)
+
+
+def _motors(root: ET.Element, defaults: dict[str, dict[str, dict[str, str]]], path: str) -> dict[str, dict[str, str]]:
+    """Return the motors with friction of their own, by the joint that they act on."""
+    motors: dict[str, dict[str, str]] = {}
+    for element in root.findall("actuator/dcmotor"):
+        attributes = _with_defaults(element, _MAIN, defaults, path)
+        joint = attributes.get("joint")
+        if joint is None or not {"lugre", "cogging", "damping"} & set(attributes):
+            continue
+        if joint in motors:
+            raise UsageError(f"{path}: several dcmotors with friction act on the joint {joint!r}")
+        motors[joint] = attributes
+    return motors
+
+
+def _with_defaults(
+    element: ET.Element, current: str, defaults: dict[str, dict[str, dict[str, str]]], path: str
+) -> dict[str, str]:
+    name = element.get("class", current)
+    if name not in defaults:
+        raise UsageError(f"{path}: there is no default class {name!r} for <{element.tag}>")
+    return {**defaults[name].get(element.tag, {}), **element.attrib}
+
+
+def _numbers(attributes: dict[str, str], key: str, path: str, joint: str) -> list[float]:
+    return numbers(attributes.get(key, "0"), f"{path}: joint {joint!r}: {key}", 1, 3 if key == "damping" else 1)
+
+
+def _three(values: list[float]) -> tuple[float, float, float]:
+    first, second, third = [*values, 0.0, 0.0][:3]
+    return first, second, third

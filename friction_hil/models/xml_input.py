@@ -1,0 +1,78 @@
+"""Reading of XML that somebody else wrote: no document types, no entities, finite numbers."""
+
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Collection, Sequence
+from xml.parsers import expat
+
+from friction_hil.errors import UsageError, choices
+
+_MOST_DEPTH = 200
+
+
+def parse(content: bytes, path: str, root: str) -> ET.Element:
+    """Return the root element.
+
+    A document type declaration is refused: entities that multiply or name other files are declared in one.
+
+    Raises
+    ------
+    UsageError
+        It is no XML, has a document type or another root element, or is nested too deep.
+    """
+    depth = 0
+
+    def start(name: str, attributes: object) -> None:
+        nonlocal depth
+        depth += 1
+        if depth > _MOST_DEPTH:
+            raise UsageError(f"{path}: elements are nested more than {_MOST_DEPTH} deep")
+
+    def end(name: str) -> None:
+        nonlocal depth
+        depth -= 1
+
+    def refuse(*declaration: object) -> None:
+        raise UsageError(f"{path} has a document type declaration (<!DOCTYPE>), which is not read; remove it")
+
+    parser = expat.ParserCreate()
+    parser.StartDoctypeDeclHandler = refuse
+    parser.StartElementHandler = start
+    parser.EndElementHandler = end
+    try:
+        parser.Parse(content, True)
+        found = ET.fromstring(content)
+    except (expat.ExpatError, ET.ParseError) as error:
+        raise UsageError(f"{path} is not XML: {error}") from None
+    if found.tag != root:
+        raise UsageError(f"{path}: the root element is <{found.tag}>, not <{root}>")
+    return found
+
+
+def choose(joints: Collection[str], with_friction: Sequence[str], path: str, joint: str | None) -> str:
+    """Return the joint that was asked for, or the only one with friction."""
+    if joint is not None:
+        if joint not in joints:
+            raise UsageError(f"{path} has no joint {joint!r}; {choices(joint, joints)}")
+        return joint
+    if len(with_friction) != 1:
+        what = "states no friction of any joint" if not with_friction else "has several joints with friction"
+        raise UsageError(f"{path} {what}; choose one with --joint; {choices('', with_friction or joints)}")
+    return with_friction[0]
+
+
+def numbers(text: str, where: str, least: int, most: int) -> list[float]:
+    """Return the numbers of an attribute, none below zero.
+
+    Raises
+    ------
+    UsageError
+        There are too few or too many, or one is no number, not finite or below zero.
+    """
+    try:
+        values = [float(word) for word in text.split()]
+    except ValueError:
+        raise UsageError(f"{where}: {text!r} must be numbers") from None
+    if not least <= len(values) <= most or not all(math.isfinite(each) and each >= 0.0 for each in values):
+        raise UsageError(f"{where}: {text!r} must be {least} to {most} finite numbers, none below zero")
+    return values

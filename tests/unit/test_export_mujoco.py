@@ -1,0 +1,85 @@
+"""Exports to MJCF and URDF in MuJoCo itself: its joint has the torque that the export claims."""
+
+import numpy as np
+import pytest
+
+import friction_hil as fh
+from friction_hil.models.files import load_model_file, model_from_argument
+
+mujoco = pytest.importorskip("mujoco", minversion="4.0", reason="MuJoCo 4 is not installed")
+
+LUGRE = "config/models/lugre_axis.yaml"
+SPEEDS = np.array([-2.0, -0.5, -0.1, 0.05, 0.3, 1.0, 2.0])
+
+
+def model_of(text, dt=1e-4):
+    model = mujoco.MjModel.from_xml_string(text)
+    model.opt.timestep = dt
+    return model
+
+
+def steady_torque(model, speeds):
+    """Friction torque of the joint while its velocity is held, (n,)."""
+    torque = []
+    for speed in speeds:
+        data = mujoco.MjData(model)
+        for _ in range(int(0.05 / model.opt.timestep)):  # bristles settle
+            data.qvel[0] = speed
+            mujoco.mj_step(model, data)
+        data.qvel[0] = speed
+        mujoco.mj_forward(model, data)
+        torque.append(-(data.qfrc_passive + data.qfrc_constraint + data.qfrc_actuator)[0])
+    return np.array(torque)
+
+
+@pytest.mark.parametrize("to", ["mjcf", "urdf"])
+def test_the_joint_has_the_fitted_coulomb_level_and_damping(to):
+    converted = fh.export.convert("stribeck:coulomb=0.07,static=0.1,stribeck_velocity=0.05,viscous=0.01", to, speed=2.0)
+    (text,) = converted.files.values()
+    coulomb, damping = (
+        converted.parameters[each]
+        for each in {"mjcf": ("frictionloss", "damping"), "urdf": ("friction", "damping")}[to]
+    )
+    expected = coulomb * np.sign(SPEEDS) + damping * SPEEDS
+    np.testing.assert_allclose(steady_torque(model_of(text), SPEEDS), expected, rtol=1e-3)
+
+
+def test_the_dcmotor_has_the_torque_of_the_model_at_every_speed():
+    (text,) = fh.export.convert(LUGRE, "mjcf_lugre").files.values()
+    expected = load_model_file(LUGRE).friction_model.steady_state(SPEEDS)
+    np.testing.assert_allclose(steady_torque(model_of(text), SPEEDS), expected, rtol=1e-6)
+
+
+def test_a_joint_that_slides_to_rest_has_the_torque_of_the_model_all_the_way():
+    """Sliding, sticking and the swing of the bristles at rest: compared over the velocities that MuJoCo finds."""
+    file = load_model_file(LUGRE)
+    (text,) = fh.export.convert(LUGRE, "mjcf_lugre").files.values()
+    dt = 2e-6
+    model = model_of(text, dt)
+    data = mujoco.MjData(model)
+    data.qvel[0] = 1.0
+    velocity, torque = np.empty(4000), np.empty(4000)
+    for k in range(velocity.size):
+        mujoco.mj_forward(model, data)
+        velocity[k], torque[k] = data.qvel[0], -(data.qfrc_passive + data.qfrc_actuator)[0]
+        mujoco.mj_step(model, data)
+    assert velocity[0] == 1.0
+    assert abs(velocity[-1]) < 2e-3
+    expected = file.friction_model.simulate(velocity, dt)
+    settled = slice(60, None)  # MuJoCo takes the torque from the state before the step: one step of a steep beginning
+    np.testing.assert_allclose(torque[settled], expected[settled], rtol=0.0, atol=0.02 * 0.105)
+
+
+def test_the_largest_harmonic_is_the_cogging_of_the_dcmotor(tmp_path):
+    file = model_from_argument("coulomb:coulomb=0.05")
+    modifiers = {"ripple": [{"order": 7, "cosine": 0.001, "sine": 0.002}, {"order": 3, "sine": 0.0005}]}
+    friction = file.friction.model_copy(update={"modifiers": modifiers})
+    file = file.model_copy(update={"friction": friction})
+    converted = fh.export.convert(file, "mjcf_lugre", name="x", speed=1.0)
+    model = model_of(converted.files["x.xml"])
+    for position in np.linspace(0.0, 2.0, 9):
+        data = mujoco.MjData(model)
+        data.qpos[0] = position
+        mujoco.mj_forward(model, data)
+        expected = 0.001 * np.cos(7 * position) + 0.002 * np.sin(7 * position)
+        assert -data.qfrc_actuator[0] == pytest.approx(expected, abs=1e-9)
