@@ -137,7 +137,7 @@ def label(name: str, layout: Layout) -> str:
     towards = f", {direction} direction" if direction in DIRECTIONS else ""
     if first == ZONE:
         k, length = int(place), "rad" if layout.kind == "rotary" else "m"
-        return f"friction from {layout.edges[k]:.3g} to {layout.edges[k + 1]:.3g} {length}{towards}"
+        return f"extra friction from {layout.edges[k]:.3g} to {layout.edges[k + 1]:.3g} {length}{towards}"
     if first == RIPPLE:
         return f"ripple at order {rest} per {'revolution' if layout.kind == 'rotary' else 'metre'}"
     words = {

@@ -154,7 +154,7 @@ def _add_zones(
     not_shown: dict[str, str],
     layout: Layout,
 ) -> None:
-    """Add the level of friction in each zone of the travel: that of the direction, and the mean residual there."""
+    """Add by how much friction in each zone of the travel is above that of its direction: the mean residual there."""
     zone = np.clip(np.searchsorted(layout.edges, position) - 1, 0, len(layout.edges) - 2)
     inside = (position >= layout.edges[0]) & (position <= layout.edges[-1])
     counts = [len(part.rows) for part in parts]
@@ -173,5 +173,4 @@ def _add_zones(
         return
     values, errors, _ = _fitted(np.column_stack(columns), residual, names, counts)
     for name in names:
-        level = levels[name.rpartition(".")[2]]
-        quantities[name] = Quantity(level + values[name], errors[name])
+        quantities[name] = Quantity(values[name], errors[name])

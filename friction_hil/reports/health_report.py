@@ -1,6 +1,7 @@
 """The report of friction health: each quantity over time, and friction over the travel."""
 
 import html
+import math
 from collections.abc import Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -10,7 +11,7 @@ import numpy as np
 
 from friction_hil import __version__
 from friction_hil.health import Health, Verdict
-from friction_hil.health.observation import DIRECTIONS, RIPPLE, ZONE, family
+from friction_hil.health.observation import COULOMB, DIRECTIONS, RIPPLE, ZONE, family
 from friction_hil.numerics.readable import brief
 from friction_hil.reports.figures import BLUE, FAULT, GREY, ORANGE, new_figure
 from friction_hil.reports.page import page, picture, table, unordered_list, write_page
@@ -52,7 +53,10 @@ _CAPTION = (
     "Each point is an observation with its standard error, at the temperature of the baseline. The line is the "
     "baseline; red points belong to a change, from where it is first seen."
 )
-_TRAVEL_CAPTION = f"Friction over the travel: grey the baseline, coloured the mean of the last {_LAST} observations."
+_TRAVEL_CAPTION = (
+    f"Friction over the travel, less viscous friction: grey the baseline, coloured the mean of the last {_LAST} "
+    "observations."
+)
 
 
 def _summary(health: Health) -> str:
@@ -103,11 +107,14 @@ def _draw_travel(verdicts: Sequence[Verdict], health: Health) -> "Figure":
     centres = 0.5 * (edges[1:] + edges[:-1])
     for direction, colour in zip(DIRECTIONS, (BLUE, ORANGE), strict=True):
         own = [each for each in verdicts if each.name.endswith(direction)]
+        level = next((each for each in health.verdicts if each.name == f"{COULOMB}.{direction}"), None)
+        if level is None or not own:
+            continue
         places = centres[[int(each.name.split(".")[1]) for each in own]]
-        known = [(place, each.baseline) for place, each in zip(places, own, strict=True) if each.baseline is not None]
-        if known:
-            axes.plot(*zip(*known, strict=True), "o--", color=GREY, linewidth=1.0)
-        last = [float(np.mean(each.values[-_LAST:])) for each in own]
+        if level.baseline is not None:
+            known = [math.nan if each.baseline is None else level.baseline + each.baseline for each in own]
+            axes.plot(places, known, "o--", color=GREY, linewidth=1.0)
+        last = [float(np.mean(level.values[-_LAST:]) + np.mean(each.values[-_LAST:])) for each in own]
         axes.plot(places, last, "o-", color=colour, label=f"{direction} direction")
     units = ("rad", "N m") if health.layout.kind == "rotary" else ("m", "N")
     axes.set(xlabel=f"position [{units[0]}]", ylabel=f"friction [{units[1]}]")

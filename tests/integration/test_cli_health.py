@@ -10,6 +10,7 @@ import pytest
 import friction_hil as fh
 from friction_hil.cli import main
 from friction_hil.recordings import Recording
+from friction_hil.recordings.mcap_writer import McapWriter
 
 NOON = 1_700_000_000.0  # s since 1970
 DAY_S = 86400.0
@@ -64,7 +65,7 @@ def test_months_of_recordings_show_what_has_changed_and_nothing_else(
     assert (result["state"], axis["observations"]) == ("changed", 20)
     changed = {each["name"]: each for each in axis["quantities"] if each["state"] == "changed"}
     assert {"coulomb.positive", "coulomb.negative"} <= set(changed)
-    assert not {name for name in changed if name.startswith(("viscous", "asymmetry", "ripple"))}
+    assert not {name for name in changed if name.startswith(("viscous", "asymmetry", "ripple", "zone"))}
     assert changed["coulomb.positive"]["change"] == pytest.approx(0.06, abs=0.006)
     assert changed["coulomb.positive"]["share"] == pytest.approx(0.3, abs=0.03)
     assert changed["coulomb.positive"]["since_s"] == pytest.approx(NOON + 12 * DAY_S, abs=1.5 * DAY_S)
@@ -84,6 +85,29 @@ def test_after_a_repair_a_baseline_begins_again(days: Path, capsys: pytest.Captu
     assert "z: 8 observations, too few to judge" in shown
     assert "learning: 8 of 11 observations" in shown
     assert "ripple at order 7 per revolution" in shown
+
+
+@pytest.mark.parametrize(("started_s", "part"), [(NOON, 1), (NOON, 2), (0.0, 1)])
+def test_a_recording_of_the_daemon_has_its_axes_and_its_start(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], started_s: float, part: int
+) -> None:
+    one = fh.recordings.read(record(tmp_path, 0, 0.2))
+    path = tmp_path / ("run.mcap" if part == 1 else "run-2.mcap")
+    start_ns = round(started_s * 1e9)
+    writer = McapWriter(path, ["x", "y"], list(one.columns), started_unix_ns=start_ns, about={"part": part})
+    writer.write(np.column_stack(2 * list(one.columns.values())))
+    writer.close()
+    os.utime(path, (NOON - DAY_S, NOON - DAY_S))
+    assert main(["health", str(path), "--json"]) == 1
+    result = json.loads(capsys.readouterr().out)
+    assert result["state"] == "not judged"
+    assert list(result["axes"]) == ["x", "y"]
+    (quantity,) = [each for each in result["axes"]["y"]["quantities"] if each["name"] == "coulomb.positive"]
+    assert quantity["values"] == [pytest.approx(0.2, rel=0.05)]
+    is_stated = started_s > 0.0
+    begin_s = started_s if is_stated else NOON - DAY_S
+    assert quantity["times_s"] == [pytest.approx(begin_s + 6.0, abs=0.1)]
+    assert is_stated == (not any("the start is not recorded" in note for note in result["notes"]))
 
 
 @pytest.mark.parametrize(

@@ -180,15 +180,25 @@ def test_an_observation_has_the_friction_of_each_direction():
     assert found.time_s == pytest.approx(1e9 + 15.0, abs=0.1)
     truth = {"coulomb.positive": 0.2, "coulomb.negative": 0.16, "viscous.positive": 0.03, "viscous.negative": 0.03}
     truth |= {"asymmetry": 0.02, "ripple.3": 0.02, "lost_motion": 0.004}
-    truth |= {"zone.1.positive": 0.2, "zone.2.negative": 0.16}
+    truth |= {"zone.1.positive": 0.0, "zone.2.negative": 0.0}
     for name, value in truth.items():
         quantity = found.quantities[name]
         assert quantity.value == pytest.approx(value, abs=5.0 * quantity.error + 0.01 * value), name
-        assert 0.0 < quantity.error < 0.05 * value + 1e-4, name
+        assert 0.0 < quantity.error < 0.05 * value + 3e-4, name
     assert found.quantities["ripple.2"].value < 0.002
     assert found.quantities["breakaway.positive"].value > found.quantities["breakaway.negative"].value
     assert layout.orders[:3] == (1.0, 2.0, 3.0)
     assert found.temperature is None
+
+
+def test_friction_that_is_higher_in_a_part_of_the_travel_is_seen_there():
+    tight = swing()
+    inside = (tight["position"] > 0.0) & (tight["position"] < 1.5)
+    tight.columns["torque"] = tight["torque"] + 0.04 * inside * np.sign(tight["velocity"])
+    layout = Layout("rotary", (-3.0, -1.5, 0.0, 1.5, 3.0), ())
+    (found,), _, _ = fh.health.observe(tight, started_s=0.0, layout=layout)
+    extra = [found.quantities[f"zone.{k}.positive"].value for k in range(4)]
+    assert extra[2] - np.mean(np.delete(extra, 2)) == pytest.approx(0.04, rel=0.25)
 
 
 def test_motion_in_one_direction_at_one_speed_shows_neither_viscous_friction_nor_asymmetry():

@@ -6,7 +6,7 @@ from day to day, and fall as it gets warm: by day, and in summer. The recordings
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from statistics import median
 from typing import Any
@@ -121,20 +121,17 @@ def _behind_play(position: Array, width: float) -> Array:
     return load
 
 
-def observations(change: Change, seed: int, days: int) -> tuple[list[Observation], Layout]:
-    """Return the observations of an axis, one a day."""
+def observations(change: Change, seed: int, days: int) -> Iterator[tuple[Observation, Layout]]:
+    """Yield the observations of an axis, one a day."""
     rng = np.random.default_rng(seed)
     layout: Layout | None = None
-    found: list[Observation] = []
     deviation = np.zeros(3)
     for day in range(days):
         deviation = MEMORY * deviation + SCATTER * math.sqrt(1.0 - MEMORY**2) * rng.normal(size=3)
         time = day + rng.uniform()
         one = recording(change, time, 1.0 + deviation, rng)
-        own, layout, _ = fh.health.observe(one, started_s=time * DAY_S, layout=layout)
-        found += own
-    assert layout is not None
-    return found, layout
+        found, layout, _ = fh.health.observe(one, started_s=time * DAY_S, layout=layout)
+        yield from ((each, layout) for each in found)
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,14 +143,15 @@ class Outcome:
     first: tuple[str, ...]
 
 
-def follow(change: Change, seed: int, days: int, step: int = 1) -> Outcome:
+def follow(change: Change, seed: int, days: int) -> Outcome:
     """Judge an axis day by day, as somebody would who runs the command every day."""
-    found, layout = observations(change, seed, days)
+    found: list[Observation] = []
     early, before = 0, False
     begin = days if change is NOTHING else BEGIN
-    for last in range(fh.health.BASELINE + 1, len(found) + 1, step):
-        health = fh.health.judge("x", found[:last], layout)
-        day = found[last - 1].time_s / DAY_S
+    for observation, layout in observations(change, seed, days):
+        found.append(observation)
+        health = fh.health.judge("x", found, layout)
+        day = observation.time_s / DAY_S
         if health.changed and day >= begin and not before:
             return Outcome(day - begin, early, tuple(dict.fromkeys(family(each.name) for each in health.changed)))
         early += bool(health.changed) and not before

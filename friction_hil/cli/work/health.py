@@ -181,7 +181,9 @@ def _shortened(lines: list[str]) -> list[str]:
 def _started_s(path: Path) -> tuple[float, bool]:
     """Return the time of ``time_s`` 0, s since 1970, and True if the recording states it."""
     own = part_of(path)
-    return (own[0] * 1e-9, True) if own is not None else (path.stat().st_mtime, False)
+    if own is not None and own[0] > 0:  # a run in simulated time has the start 0
+        return own[0] * 1e-9, True
+    return path.stat().st_mtime, False
 
 
 def _status(found: Sequence[Health]) -> int:
