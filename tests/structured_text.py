@@ -108,8 +108,11 @@ class Program:
     def start(self, name):
         return self._space[f"f_{name}"]()
 
-    def names(self):
-        return set(self._units)
+    def function(self, name):
+        return self._space[f"f_{name}"]
+
+    def structure(self, name):
+        return self._space[f"t_{name}"]()
 
     # --- reading
 

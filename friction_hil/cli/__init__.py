@@ -38,7 +38,7 @@ COMMANDS = {
     "tune": "Identify friction on the machine, and test the compensation.",
     "train": "Train a network on the friction of recordings or of a model.",
     "convert": "Convert a recording, or describe its content.",
-    "export": "Export a model and its compensator, as C for firmware.",
+    "export": "Export a model for firmware, controllers, simulators or tables.",
     "import": "Make a model file from an MJCF, URDF or BAM file.",
     "study": "Show the effect of each friction model on a servo.",
     "models": "List the friction models, or describe one.",

@@ -18,6 +18,14 @@ from friction_hil.cli.options import option_json
     metavar="PICTURE",
     help="Draw torque over velocity, and over position in a slow cycle, into PICTURE (.png, .svg).",
 )
+@click.option(
+    "--export-all",
+    "gallery",
+    type=click.Path(path_type=Path, file_okay=False),
+    metavar="DIR",
+    help="Export NAME, or without NAME all example model files and an example of each model, to every format into DIR, "
+    "with plots and a page.",
+)
 @option_json
 def command(**options: Any) -> None:
     """List the friction models, or describe the model NAME: formula, parameters, source, example.

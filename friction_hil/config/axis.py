@@ -135,6 +135,11 @@ class Compensation(Section):
         default=True,
     )
     adaptation: Adaptation | None = key("slow adaptation of the friction level; by default off", default=None)
+    learning: Literal["off", "propose", "on"] = key(
+        "parameters refined from ordinary motion: on tries them and keeps what lowers the error, propose only says "
+        "what it would try",
+        default="off",
+    )
     transmission: MotorOffset | None = key(
         "offset of the motor across mechanics.backlash and twist (mechanics.load.stiffness) of the model file; by "
         "default off",
@@ -353,6 +358,19 @@ def _offset_obstacle(axis: AxisConfig) -> str:
     return ""
 
 
+def _learning_obstacle(axis: AxisConfig) -> str:
+    """Return why the parameters of an axis cannot be learned; empty if they can."""
+    if axis.model.mechanics.inertia == 0.0:
+        return "needs mechanics.inertia in the model file"
+    if axis.model.friction_model.network is not None:
+        return "is not possible with a network: only the parameters of the other models are learned"
+    if axis.compensation.transmission is not None:
+        return "is not possible with transmission, which follows the model's own friction"
+    if axis.trajectory.kind in ("none", "master"):
+        return f"needs a set-point of this program, but trajectory kind {axis.trajectory.kind} has none"
+    return ""
+
+
 def _compensation_mistakes(axis: AxisConfig) -> Iterator[Mistake]:
     given = axis.compensation
     knows_inertia = axis.model.mechanics.inertia > 0.0
@@ -360,6 +378,8 @@ def _compensation_mistakes(axis: AxisConfig) -> Iterator[Mistake]:
         yield ("compensation", "velocity"), "kalman needs mechanics.inertia in the model file"
     elif given.adaptation is not None and not knows_inertia:
         yield ("compensation", "adaptation"), "needs mechanics.inertia in the model file"
+    elif given.learning != "off" and (obstacle := _learning_obstacle(axis)):
+        yield ("compensation", "learning"), obstacle
     elif given.transmission is not None and (obstacle := _offset_obstacle(axis)):
         yield ("compensation", "transmission"), obstacle
     elif given.velocity in ("difference", "drive"):

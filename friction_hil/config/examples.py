@@ -26,6 +26,18 @@ def examples() -> dict[str, Path]:
     return found
 
 
+def example_models() -> dict[str, Path]:
+    """Return the paths of the example model files by name.
+
+    Raises
+    ------
+    UsageError
+        This installation has none.
+    """
+    folder = next(iter(examples().values())).parent / "models"
+    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+
+
 def summary(path: Path) -> str:
     """Return the first sentence of an example's comment."""
     lines = path.read_text(encoding="utf-8").splitlines()

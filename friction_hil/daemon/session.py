@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from friction_hil.compensator import Compensator, CompensatorSettings
 from friction_hil.config import RecordingConfig, self_contained
@@ -19,9 +19,11 @@ from friction_hil.daemon.companion import Companion, CompanionReport, Job, free_
 from friction_hil.daemon.control.job import ControlJob
 from friction_hil.daemon.control.journal import make_journal
 from friction_hil.daemon.control.lock import ControlSocket
+from friction_hil.daemon.control.mailbox import MailboxReader
 from friction_hil.daemon.control.service import ControlService
 from friction_hil.daemon.figures import AxisFigures, Condition, FollowingErrors, adaptation_notice
 from friction_hil.daemon.follower import FollowerAxis
+from friction_hil.daemon.learning_service import LearningService
 from friction_hil.daemon.live_service import LiveService
 from friction_hil.daemon.log import LoopResult, Sink
 from friction_hil.daemon.loop import Loop
@@ -78,6 +80,7 @@ class SessionResult:
     loop: LoopResult
     axes: dict[str, AxisFigures] = field(default_factory=dict)
     report: CompanionReport | None = None
+    learning: dict[str, Any] = field(default_factory=dict)
 
 
 class _CompanionSink:
@@ -90,7 +93,10 @@ class _CompanionSink:
         period_s: float,
         *,
         is_real: bool,
+        learning: LearningService | None = None,
+        mailbox: MailboxReader | None = None,
     ) -> None:
+        self._learning, self._mailbox = None if is_real else learning, mailbox
         self._companion = companion
         self._services = services
         self._is_real = is_real
@@ -105,6 +111,9 @@ class _CompanionSink:
         self._left -= 1
         if not self._left:
             self._look(row)
+        if self._learning is not None and self._mailbox is not None:
+            mailbox = self._mailbox
+            self._learning.await_tick(int(row[_CYCLE]), lambda: mailbox.has_news, lambda: self._look(row))
 
     def event(self, cycle: int, name: str, text: str) -> None:
         self._companion.push_event(cycle, name, text)
@@ -163,11 +172,13 @@ def run_session(
             result = _run(prepared, configuration, settings, clock, stop, report)
         finally:
             recorded = companion.close()
+            learned = {} if prepared.learning is None else prepared.learning.report()
     for axis in axes:
         unit = "rad" if configuration.axes[axis.name].model.axis == "rotary" else "m"
         if notice := adaptation_notice(axis.name, unit, axis.compensator):
             result.notices.append(notice)
-    return SessionResult(result, {axis.name: _figures(axis, configuration.axes[axis.name]) for axis in axes}, recorded)
+    figures = {axis.name: _figures(axis, configuration.axes[axis.name]) for axis in axes}
+    return SessionResult(result, figures, recorded, learned)
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,6 +191,7 @@ class _Prepared:
     companion: Companion
     control: ControlService | None
     live: LiveService | None
+    learning: LearningService | None
 
 
 def _prepare(
@@ -250,7 +262,16 @@ def _prepare(
     if settings.control is not None and configuration.live is not None:
         live = LiveService(spawner.spawn, settings.control.path.stem, configuration.live)
         stack.callback(live.close)
-    return _Prepared(drives, axes, path_time, companion, control, live)
+    learning = None
+    if settings.control is not None and any(
+        axis.compensation.learning != "off" for axis in configuration.axes.values()
+    ):
+        socket = str(settings.control.path)
+        learning = LearningService(
+            spawner.spawn, socket, configuration.period_s, is_simulated=settings.is_paced_by_sync
+        )
+        stack.callback(learning.close)
+    return _Prepared(drives, axes, path_time, companion, control, live, learning)
 
 
 def _compile_plain(period_s: float) -> None:
@@ -311,9 +332,17 @@ def _run(
             is_waiting=settings.is_waiting,
         )
         control = prepared.control
-        services: list[TendedProcess] = [each for each in (control, prepared.live) if each is not None]
-        sink: Sink = _CompanionSink(prepared.companion, services, configuration.period_s, is_real=clock.is_real)
+        beside = (control, prepared.live, prepared.learning)
+        services: list[TendedProcess] = [each for each in beside if each is not None]
         mailbox = None if control is None else control.mailbox
+        sink: Sink = _CompanionSink(
+            prepared.companion,
+            services,
+            configuration.period_s,
+            is_real=clock.is_real,
+            learning=prepared.learning,
+            mailbox=mailbox,
+        )
         with contextlib.ExitStack() as stack:
             if manager := ServiceManager.from_environment(os.environ):
                 stack.callback(manager.close)

@@ -61,6 +61,11 @@ class TendedProcess:
         self._process = self._spawn(self._command, self._descriptors, self._stdout)
         self._lives.begin()
 
+    @property
+    def is_given_up(self) -> bool:
+        """True if it has died too often, and is not started any more."""
+        return self._is_given_up
+
     def tend(self) -> list[str]:
         """Start the process again if it has died; return what is to be reported. It never waits."""
         if self._is_given_up or (status := self._process.poll()) is None:

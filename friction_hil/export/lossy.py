@@ -22,7 +22,7 @@ _NOTHING = 1e-9  # of the friction: a loss that is rounding
 _STARTS = 25  # Stribeck velocities that are tried before the search
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Loss:
     """Torque of the model that an export does not hold, N m or N.
 
@@ -44,6 +44,10 @@ class Loss:
         What else the export does not hold; sentences.
     axis : str
         "rotary" or "linear"
+    points : Points
+        Where model and export were compared.
+    difference : (n,) array
+        Model minus export at the points.
     """
 
     rms: float
@@ -55,6 +59,8 @@ class Loss:
     origin: str
     lost: tuple[str, ...]
     axis: str
+    points: Points
+    difference: Array
 
     def lines(self) -> list[str]:
         """Return what is lost, in sentences."""
@@ -88,7 +94,7 @@ class Loss:
         }
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Converted:
     """An export that loses torque: its files by name, the fitted parameters by their names in it, and the loss."""
 
@@ -202,6 +208,8 @@ def judge(model_file: ModelFile, points: Points, exported: Callable[[Points], Ar
         origin=points.origin,
         lost=(*lost, *not_steady(model_file)),
         axis=model_file.axis,
+        points=points,
+        difference=difference,
     )
 
 

@@ -18,7 +18,8 @@ from friction_hil.export.modelica_printer import (
     name_of,
 )
 from friction_hil.export.st_printer import wrapped
-from friction_hil.export.strict import OPTIONAL, PLAUSIBLE, UNKNOWN, flag, strict
+from friction_hil.export.strict import OPTIONAL, PLAUSIBLE, UNKNOWN, strict
+from friction_hil.export.strict_expressions import flag
 from friction_hil.export.strict_library import UNLIMITED
 from friction_hil.export.subject import Subject, provenance
 

@@ -1,5 +1,6 @@
 """Velocities, temperatures and weights at which an export that loses torque is fitted and judged."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -100,6 +101,9 @@ def points(
         low, high = float(np.min(samples, initial=0.0)), float(np.max(samples, initial=0.0))
         celsius, why = _temperatures(model, measured)
         origin = f"speeds of {recording}, {_span(low, high, model)}, by their share of its time{why}"
+        known = identified(model_file, "velocity")
+        if known is not None and not (known[0] <= low and high <= known[1]):
+            origin += f"; the model was identified at {_span(*known, model)} only"
     edges = _edges(low, high)
     velocity, temperature, weight = _combined(edges, celsius, samples, measured)
     return Points(velocity, temperature, weight, low, high, origin)
@@ -138,10 +142,9 @@ def _edges(low: float, high: float) -> list[Array]:
 
 
 def _range(model_file: ModelFile, model: FrictionModel, speed: float | None) -> tuple[float, float, str]:
-    ranges = (model_file.fit or {}).get("range")
-    ends = ranges.get("velocity") if isinstance(ranges, dict) else None
-    if isinstance(ends, list | tuple) and len(ends) == 2 and all(isinstance(each, int | float) for each in ends):
-        low, high, source = min(float(ends[0]), 0.0), max(float(ends[1]), 0.0), "range of the identification, {}"
+    known = identified(model_file, "velocity")
+    if known is not None:
+        low, high, source = min(known[0], 0.0), max(known[1], 0.0), "range of the identification, {}"
     else:
         fastest = velocity_range(model) if speed is None else speed
         low, high, source = -fastest, fastest, "range {} (the model file states none)"
@@ -150,6 +153,17 @@ def _range(model_file: ModelFile, model: FrictionModel, speed: float | None) -> 
     if not low < high:
         raise UsageError("the range of velocity in the model file (fit.range.velocity) is empty; --speed V gives one")
     return low, high, source.format(_span(low, high, model))
+
+
+def identified(model_file: ModelFile, name: str) -> tuple[float, float] | None:
+    """Return the range of velocity, position, ... of the identification; None if the model file does not state it."""
+    ranges = (model_file.fit or {}).get("range")
+    ends = ranges.get(name) if isinstance(ranges, dict) else None
+    if not isinstance(ends, list | tuple) or len(ends) != 2:
+        return None
+    if not all(isinstance(each, int | float) and math.isfinite(each) for each in ends):
+        return None
+    return float(ends[0]), float(ends[1])
 
 
 def _span(low: float, high: float, model: FrictionModel) -> str:

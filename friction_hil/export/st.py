@@ -8,7 +8,8 @@ from friction_hil.export.c import REBASED
 from friction_hil.export.ir import Variable
 from friction_hil.export.kernels import CYCLES, Program, compensator_program, model_program
 from friction_hil.export.st_printer import STATE, Declared, Pou, StPrinter, field_name, literal, table_name
-from friction_hil.export.strict import OPTIONAL, PLAUSIBLE, UNKNOWN, StrictField, flag, strict
+from friction_hil.export.strict import OPTIONAL, PLAUSIBLE, UNKNOWN, StrictField, strict
+from friction_hil.export.strict_expressions import flag
 from friction_hil.export.strict_library import UNLIMITED
 from friction_hil.export.subject import Subject, provenance
 

@@ -5,7 +5,7 @@ Source: the URDF specification of ROS, element joint: ``damping`` is the viscous
 """
 
 from friction_hil.export.lossy import Converted, fit_viscous, judge
-from friction_hil.export.points import Points
+from friction_hil.export.points import Points, identified
 from friction_hil.export.subject import Subject
 from friction_hil.export.xml_text import element, head
 
@@ -34,10 +34,9 @@ def _robot(subject: Subject, dynamics: dict[str, float]) -> str:
     mass = _UNKNOWN_MASS if is_rotary else inertia
     about = inertia if is_rotary else _UNKNOWN_MASS
     tensor = {"ixx": about, "iyy": about, "izz": about, "ixy": "0", "ixz": "0", "iyz": "0"}
-    ranges = (file.fit or {}).get("range", {})
-    travel = ranges.get("position") or [-1.0, 1.0]
-    speed = max(abs(float(each)) for each in ranges.get("velocity") or [1.0])
-    limit = {"lower": float(travel[0]), "upper": float(travel[1]), "effort": "1000", "velocity": speed}
+    travel = identified(file, "position") or (-1.0, 1.0)
+    speed = max(map(abs, identified(file, "velocity") or (1.0,)))
+    limit = {"lower": travel[0], "upper": travel[1], "effort": "1000", "velocity": speed}
     joint = {"name": subject.name, "type": "continuous" if is_rotary else "prismatic"}
     lines = [
         element("robot", {"name": subject.name}, is_open=True),

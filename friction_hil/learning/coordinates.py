@@ -53,6 +53,17 @@ class Coordinates:
         is_linear = np.isfinite(self.scales)
         return np.where(is_linear, self.values + np.nan_to_num(self.scales) * x, self.values * np.exp(x))
 
+    def inverse(self, parameters: Mapping[str, float]) -> Array:
+        """Return the coordinates (m,) of parameters by name; 0 for those that are missing or of the other sign."""
+        found = np.zeros(len(self.names))
+        for k, name in enumerate(self.names):
+            value, unit = parameters.get(name, self.values[k]), self.scales[k]
+            if math.isfinite(unit):
+                found[k] = (value - self.values[k]) / unit
+            elif value * self.values[k] > 0.0:
+                found[k] = math.log(value / self.values[k])
+        return found
+
     def slopes(self, x: Array) -> Array:
         """Return the derivative of each parameter with respect to its coordinate, (m,)."""
         return np.where(np.isfinite(self.scales), self.scales, self.at(x))

@@ -34,7 +34,8 @@ _NEAR_S = 0.02  # over which the size of the residual is judged
 _EQUAL_PART = 0.5  # of the rows, those with the smallest residuals, have equal weights
 _CORRELATED_S = 0.5  # longest correlation of the residual that is looked for
 _QUANTUM = 1e-3  # of the friction level: a residual below is taken to be of that size
-_TIMING = 0.3  # of the change of friction within a period: what is not known of when in a period it happened
+_SHOWN = 0.3  # of its first standard deviation: a parameter that is known so much better is shown by the records
+_TIMING = 1.0  # of the change of friction within a period: what is not known of when in a period it happened
 _DEVIATIONS = 3.0  # of what was known at first: farther no estimate goes
 
 
@@ -84,6 +85,28 @@ class Belief:
         """Parameters of the friction by name."""
         values = self.coordinates.at(self.x[:-MECHANICS])
         return dict(zip(self.coordinates.names, values.tolist(), strict=True))
+
+    def shown(self, others: Array) -> Array:
+        """Return the coordinates with those that nothing has shown left at other values.
+
+        What the record hardly says about a parameter is as likely an error of the model, which another motion would
+        suffer from. The shown ones are then those that are most probable with the ``others`` (conditional mean).
+
+        Parameters
+        ----------
+        others : (m + 3,) array
+            Coordinates to keep.
+        """
+        deviations = np.sqrt(np.diag(self.covariance))
+        is_shown = deviations < _SHOWN * self.first
+        is_shown[-MECHANICS:] = True
+        if is_shown.all():
+            return self.x
+        found = others.copy()
+        across = self.covariance[np.ix_(is_shown, ~is_shown)]
+        within = self.covariance[np.ix_(~is_shown, ~is_shown)]
+        found[is_shown] = self.x[is_shown] + across @ np.linalg.solve(within, (others - self.x)[~is_shown])
+        return found
 
     def older(self, drift: float, seconds: float) -> "Belief":
         """Return the belief after some time in which the friction may have changed.

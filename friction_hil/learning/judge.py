@@ -11,7 +11,7 @@ _ALIKE = 0.15  # relative difference of two motions that count as the same work
 HELPS = 0.98  # errors by so much lower count as help
 _PEAK_GROWS = 1.1  # and the peak must not grow by more
 HARMS = 1.5  # times the largest error before
-_EFFORT_GROWS, _CLEARLY = 1.15, 0.8  # more effort than that takes errors that are clearly lower
+_EFFORT_GROWS, _CLEARLY = 1.5, 0.8  # more effort than that takes errors that are clearly lower
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,16 +88,19 @@ def is_harmful(now: Work, before: Work, resolution: float) -> bool:
     return now.rms > HARMS * before.worst + 2.0 * resolution
 
 
-def is_better(after: Work, before: Work, resolution: float) -> bool:
-    """Return True if the errors are clearly lower, not by chance, and at no expense."""
+def objection(after: Work, before: Work, resolution: float) -> str:
+    """Return why a change did not help; empty if the errors are clearly lower, not by chance, and at no expense."""
     floor = resolution / math.sqrt(12.0)
     gained = before.rms**2 - after.rms**2
-    if gained < math.hypot(before.scatter, after.scatter):
-        return False
-    is_peak_higher = after.peak > _PEAK_GROWS * before.peak + 2.0 * resolution
     is_effort_higher = after.effort > _EFFORT_GROWS * before.effort
     needed = _CLEARLY if is_effort_higher else HELPS
-    return not is_peak_higher and max(after.rms, floor) < needed * max(before.rms, floor)
+    if max(after.rms, floor) >= needed * max(before.rms, floor):
+        return "more effort for no less error" if is_effort_higher else "no gain"
+    if after.peak > _PEAK_GROWS * before.peak + 2.0 * resolution:
+        return f"the peak rose from {before.peak:.3g} to {after.peak:.3g}"
+    if gained < math.hypot(before.scatter, after.scatter):
+        return "no more than chance"
+    return ""
 
 
 def _rms(values: Array) -> float:

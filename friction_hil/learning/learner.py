@@ -8,15 +8,16 @@ work before and after decides. Where parameters and gain together were no gain, 
 import math
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 
 import numpy as np
 
+from friction_hil.compensator.load import gravity_torque
 from friction_hil.friction import FrictionModel
 from friction_hil.identification.least_squares import NUMERICAL
 from friction_hil.learning.estimate import MECHANICS, Belief, Estimate, Mechanics, estimate, first_belief
-from friction_hil.learning.judge import Work, is_better, is_harmful, work_of
+from friction_hil.learning.judge import Work, is_harmful, objection, work_of
 from friction_hil.learning.window import Window, velocity_of
 from friction_hil.numerics.jit import Array
 
@@ -48,6 +49,8 @@ _LEAST_COUNTS = 1.0  # of the encoder: nobody can tell if a smaller error become
 _FROZEN_TICKS, _FROZEN_LEVEL = 3, 0.2  # the compensation changed by so much meanwhile, the torque feedback not at all
 _GLITCH = 8.0  # times the largest change of the following error within a period before
 _STOPPED_TICKS = 40
+_UNFILTERED = 20  # last rows of a motion, which its filters do not reach
+_MISLED, _MISLED_LEVEL = 1.5, 0.01  # times what the model file leaves unexplained, and this part of the level
 
 
 class Step(Enum):
@@ -139,6 +142,8 @@ class Learner:
         Of the configuration: the least that is commanded.
     fade_s : float
         Time over which a change is blended.
+    is_gain_fixed : bool
+        The gain stays that of the configuration.
 
     Attributes
     ----------
@@ -157,10 +162,14 @@ class Learner:
         resolution: float,
         gain: float,
         fade_s: float,
+        is_gain_fixed: bool = False,
     ) -> None:
+        self._is_gain_fixed = is_gain_fixed
         self._period_s, self._resolution, self._least_gain = period_s, resolution, gain
         self._belief: Belief = first_belief(model, mechanics, standard_errors)
-        self._used = self._proven = _Used(self._belief.x, gain)
+        self._file = self._used = self._proven = _Used(self._belief.x, gain)
+        self._resumed: _Used | None = None
+        self._misled = 0  # ticks in which the model file explained the torque better, one after the other
         self._ticks: deque[dict[str, Array]] = deque(maxlen=_WARM_TICKS + WINDOW_TICKS)
         self._fresh = 0  # ticks that no estimate has used yet
         self._same = 0  # ticks since the last change of what is in force, as far as they are comparable
@@ -179,6 +188,44 @@ class Learner:
         """Number of rows that `take` expects."""
         return round(TICK_S / self._period_s)
 
+    def pause(self) -> Proposal | None:
+        """Forget the rows so far, after some that are not to be learned from; return what is taken back."""
+        self._ticks.clear()
+        self._fresh = self._same = 0
+        if self._trial is None:
+            return None
+        return self._take_back("the motion ended: nothing to compare with", is_harmless=True)
+
+    def resume(self, parameters: Mapping[str, float], gain: float) -> None:
+        """Begin with parameters that were kept in an earlier run: they are handed over with the first motion.
+
+        Parameters
+        ----------
+        parameters : mapping
+            By name; those of other names are ignored.
+        gain : float
+            Limited to what the configuration allows.
+        """
+        x = self._belief.x.copy()
+        names = self._belief.coordinates.names
+        x[: len(names)] = self._belief.coordinates.inverse(parameters)
+        self._belief = replace(self._belief, x=x)
+        is_fixed = self._is_gain_fixed or self._least_gain > 1.0
+        self._resumed = _Used(x, self._least_gain if is_fixed else min(max(gain, self._least_gain), 1.0))
+
+    @property
+    def proven(self) -> tuple[dict[str, float], float]:
+        """Parameters by name, and gain, that were kept last."""
+        coordinates = self._belief.coordinates
+        values = coordinates.at(self._proven.x[:-MECHANICS]).tolist()
+        return dict(zip(coordinates.names, values, strict=True)), self._proven.gain
+
+    def refuse(self) -> None:
+        """Take note that the last proposal was not handed over."""
+        self._trial, self._used, self._same = None, self._proven, 0
+        self.figures.gain = self._proven.gain
+        self._rest, self._pause = self._pause, min(2 * self._pause, _LONGEST_PAUSE)
+
     @property
     def belief(self) -> Belief:
         """What is known now."""
@@ -193,6 +240,11 @@ class Learner:
         self._ticks.append(tick)
         self._fresh += 1
         self._same += 1
+        if self._resumed is not None and np.any(tick["velocity_demand"]):
+            self._proven, self._resumed = self._resumed, None
+            return self._hand_over(Step.PARAMETERS, self._proven, "parameters that were kept in an earlier run")
+        if (proposal := self._fall_back()) is not None:
+            return proposal
         if self._stopped:
             self._stopped -= 1
             return None
@@ -235,13 +287,15 @@ class Learner:
         if not before.is_moving or before.rms < _LEAST_COUNTS * self._resolution:
             return None
         level = self._belief.coordinates.model.level
-        change = self._torque_change(self._used.x[:-MECHANICS], self._belief.x[:-MECHANICS]) / level
-        gain = self._used.gain if self._is_gain_doubted else self._known_gain()
+        refined = self._belief.shown(self._used.x)
+        change = self._torque_change(self._used.x[:-MECHANICS], refined[:-MECHANICS]) / level
+        is_fixed = self._is_gain_fixed or self._is_gain_doubted
+        gain = self._used.gain if is_fixed else self._known_gain()
         is_other = change > _WORTH
         if not is_other and abs(gain - self._used.gain) <= _GAIN_WORTH:
             self._is_gain_doubted = False
             return None
-        tried = _Used(self._belief.x if is_other else self._used.x, gain)
+        tried = _Used(refined if is_other else self._used.x, gain)
         words = [f"parameters refined, which changes the torque by {100.0 * change:.1f} % of the level"] * is_other
         words += [f"gain {self._used.gain:.2f} -> {gain:.2f}"] * (gain != self._used.gain)
         return self._try(Step.PARAMETERS if is_other else Step.GAIN, tried, before, ", ".join(words))
@@ -283,8 +337,8 @@ class Learner:
         after = self._work(WINDOW_TICKS)
         if not after.is_like(trial.before):
             return self._take_back("the motion changed: nothing to compare with", is_harmless=True)
-        if not is_better(after, trial.before, self._resolution):
-            return self._take_back(f"error {trial.before.rms:.3g} -> {after.rms:.3g}: no gain")
+        if why := objection(after, trial.before, self._resolution):
+            return self._take_back(f"error {trial.before.rms:.3g} -> {after.rms:.3g}: {why}")
         self._trial, self._proven, self._pause = None, trial.tried, _FIRST_PAUSE
         self.figures.kept += trial.step is Step.PARAMETERS
         self.figures.error = after.rms
@@ -327,26 +381,38 @@ class Learner:
         jump = float(np.max(np.abs(np.diff(errors[1], prepend=errors[0][-1]))))
         if jump > _GLITCH * usual + 16.0 * self._resolution:
             return f"the position jumps by {jump:.3g}"
-        if self._estimate is not None and self._is_unexplained([*list(self._ticks)[-_WARM_TICKS:], tick]):
-            return "the torque is not that of the model any more"
+        if self._estimate is not None:
+            left = self._unexplained(self._belief.x, [*list(self._ticks)[-_WARM_TICKS:], tick])
+            if left > _ODD * self._estimate.misfit + _ODD_LEVEL * level:
+                return "the torque is not that of the model any more"
         return None
 
-    def _is_unexplained(self, ticks: list[dict[str, Array]]) -> bool:
-        """Return True if the torque of the last tick is clearly not what the belief says."""
-        assert self._estimate is not None
+    def _unexplained(self, x: Array, ticks: list[dict[str, Array]]) -> float:
+        """Return the root mean square of the last tick's torque that parameters leave unexplained, N m."""
         window = self._window(self._joined(ticks))
-        x, belief = self._belief.x, self._belief
+        belief = self._belief
         velocity = velocity_of(window, self._resolution)
-        try:
-            friction = belief.coordinates.model_at(x[:-MECHANICS]).simulate(velocity, self._period_s, **window.inputs())
-        except NUMERICAL:
-            return False
+        model = belief.coordinates.model_at(x[:-MECHANICS])
+        friction = model.simulate(velocity, self._period_s, **window.inputs())
         acceleration = np.append(np.diff(velocity), 0.0) / self._period_s
-        level = belief.coordinates.model.level
-        left = window.torque - friction - (1.0 + x[-3]) * belief.mechanics.inertia * acceleration - x[-2] * level
-        rows = slice(-self.rows_per_tick, -20)  # the last rows of the motion are not filtered yet
-        size = float(np.sqrt(np.mean((left[rows] - np.mean(left[rows])) ** 2) + np.mean(left[rows]) ** 2))
-        return size > _ODD * self._estimate.misfit + _ODD_LEVEL * level
+        inertia, static, _ = belief.x[-MECHANICS:]
+        left = window.torque - friction - (1.0 + inertia) * belief.mechanics.inertia * acceleration
+        left -= static * belief.coordinates.model.level + gravity_torque(*belief.mechanics.static, window.position)
+        rows = left[-self.rows_per_tick : -_UNFILTERED]
+        return float(np.sqrt(np.mean(rows**2)))
+
+    def _fall_back(self) -> Proposal | None:
+        """Return to the model file where that explains the torque clearly better than what was kept elsewhere."""
+        if self._trial is not None or np.array_equal(self._used.x, self._file.x) or len(self._ticks) < _WARM_TICKS + 1:
+            return None
+        ticks = list(self._ticks)[-_WARM_TICKS - 1 :]
+        used, file = (self._unexplained(each.x, ticks) for each in (self._used, self._file))
+        level = self._belief.coordinates.model.level
+        self._misled = self._misled + 1 if used > _MISLED * file + _MISLED_LEVEL * level else 0
+        if self._misled < _HARMFUL_TICKS:
+            return None
+        self._misled, self._proven = 0, self._file
+        return self._hand_over(Step.BACK, self._file, "the model file explains the torque of this motion better")
 
     def _torque_change(self, before: Array, after: Array) -> float:
         """Return the root mean square by which two sets of parameters differ along the last window, N m."""

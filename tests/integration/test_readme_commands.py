@@ -126,6 +126,7 @@ ELSEWHERE = (
     ("friction-hil config new --linear", "test_a_linear_axis_is_in_its_units"),
     ("friction-hil config new --mode", "test_each_mode_has_what_it_needs"),
     ("friction-hil config new --example", "test_an_example_runs_from_where_it_is_copied_to"),
+    ("friction-hil models --export-all", "test_the_page_links_every_export_of_a_model"),
     ("friction-hil config examples", "test_the_examples_are_listed"),
     ("friction-hil run --wait", "test_nothing_is_enabled_before_somebody_starts_it_and_again_after_a_stop"),
     ("friction-hil start", "test_nothing_is_enabled_before_somebody_starts_it_and_again_after_a_stop"),

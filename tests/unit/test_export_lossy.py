@@ -97,6 +97,9 @@ def test_the_speeds_of_a_recording_weigh_the_fit(tmp_path):
     assert rms(weighed.parameters) < 0.8 * rms(uniform.parameters)
     assert weighed.loss.rms == pytest.approx(rms(weighed.parameters), rel=0.01)
     assert "slow.csv" in weighed.loss.origin
+    slow = written(tmp_path, fit={"range": {"velocity": [-0.5, 0.5]}})
+    origin = fh.export.convert(slow, "mjcf", recording=path).loss.origin
+    assert "identified at -0.5 to 0.5 rad/s only" in origin
     with pytest.raises(UsageError, match="the axis does not move"):
         fh.export.convert(STRIBECK, "mjcf", recording=recorded(tmp_path / "rest.csv", time, 0.0 * time))
 

@@ -75,7 +75,7 @@ def test_no_input_stops_the_controller():
         for _ in range(400):
             inputs = {one: chosen.choice(values) for one in optional}
             flags = {"is_fresh": chosen.random() > 0.1, "is_enabled": True}
-            out = block(cycles=chosen.choice((1, 1, 2, 30, 2 * 10**9)), **inputs, **flags)
+            out = block(cycles=chosen.choice((1, 1, 2, 30, 0, -3, 2 * 10**9)), **inputs, **flags)
             assert abs(out["compensation"]) <= each.settings.torque_limit
 
 

@@ -11,6 +11,7 @@ import friction_hil as fh
 from friction_hil.learning.coordinates import DEFAULT_ERROR, coordinates_of, value_of, with_values
 from friction_hil.learning.estimate import MECHANICS, Mechanics, estimate, first_belief
 from friction_hil.learning.learner import COLUMNS, TICK_S, WINDOW_TICKS, Learner, Step
+from friction_hil.learning.proven import Proven, recall, store
 from friction_hil.learning.window import Window
 from tests.compensators import INERTIA, LUGRE, MODELS, PERIOD_S, quantised, resolution
 
@@ -267,3 +268,57 @@ def test_a_load_that_is_gone_ends_learning(tried):
     other = with_values(LUGRE, {"coulomb": 0.03, "static": 0.04})
     tried.take(4, error=3e-4, true=other)
     assert any("not that of the model" in note for note in tried.notes)
+
+
+# the next run
+
+
+KEPT = Proven("digest", {"coulomb": 0.07}, 0.97, 1000.0, 25.0)
+
+
+@pytest.mark.parametrize(
+    ("model", "celsius", "later_s", "words"),
+    [
+        ("digest", 30.0, 3600.0, ""),
+        ("digest", None, 3600.0, ""),
+        ("other", 25.0, 3600.0, "model file has changed"),
+        ("digest", 40.0, 3600.0, "temperature differs by 15 K"),
+        ("digest", 25.0, 8.0 * 86400.0, "8 days old"),
+        ("digest", 25.0, -86400.0, "-1 days old"),
+    ],
+)
+def test_what_was_kept_is_used_unless_it_is_stale(tmp_path, model, celsius, later_s, words):
+    path = tmp_path / "mill" / "x.json"
+    assert recall(path, model, celsius) == (None, "")
+    store(path, KEPT)
+    found, why = recall(path, model, celsius, KEPT.unix_s + later_s)
+    assert found == (None if words else KEPT)
+    assert words in why
+    assert bool(why) == bool(words)
+
+
+@pytest.mark.parametrize("text", ["", "[]", "{}", '{"version": 1}', '{"version": 2}', "\x00"])
+def test_a_damaged_file_is_named_and_not_used(tmp_path, text):
+    path = tmp_path / "x.json"
+    path.write_text(text)
+    found, why = recall(path, "digest", None)
+    assert found is None
+    assert str(path) in why
+
+
+def test_parameters_that_are_not_finite_are_not_used(tmp_path):
+    store(tmp_path / "x.json", Proven("digest", {"coulomb": math.nan}, 0.97, 1000.0, None))
+    assert recall(tmp_path / "x.json", "digest", None, 2000.0)[0] is None
+
+
+def test_a_run_begins_with_what_an_earlier_one_has_kept():
+    driven = Driven()
+    driven.learner.resume({"coulomb": 0.08, "unknown": 1.0}, 1.4)
+    driven.take(2, error=3e-4, amplitude=0.0)
+    assert driven.proposals == []
+    driven.take(1, error=3e-4)
+    _, first = driven.proposals[0]
+    assert value_of(first.model, "coulomb") == pytest.approx(0.08)
+    assert value_of(first.model, "static") == value_of(WRONG, "static")
+    assert first.gain == 1.0
+    assert driven.learner.proven[0]["coulomb"] == pytest.approx(0.08)

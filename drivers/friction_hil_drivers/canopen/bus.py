@@ -31,7 +31,8 @@ def open_frame_bus(config: "BusConfig", bus: can.BusABC | None = None) -> FrameB
 def open_bus(config: "BusConfig") -> can.BusABC:
     """Open the bus that the configuration names.
 
-    With udp_multicast a process receives its own frames too, and every interface delivers frames for other nodes.
+    With udp_multicast a process may receive its own frames too (`FrameBus.is_echoing`), and every interface delivers
+    frames for other nodes.
 
     Raises
     ------

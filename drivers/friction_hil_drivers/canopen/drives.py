@@ -30,7 +30,6 @@ from friction_hil_drivers.canopen.listening import (
     OtherMasters,
     count_sent,
     heard_by,
-    is_echoing,
     look,
 )
 from friction_hil_drivers.canopen.mapping import check_bus_load
@@ -194,7 +193,7 @@ class CanopenDrives(CanopenService):
             self._locks.append(AxisLock(config, node, name))
         self._bus = open_frame_bus(config, self._given_bus)
         self._others = OtherMasters(owners, self._first_options.master_node)
-        if is_echoing(config):
+        if self._bus.is_echoing:
             count_sent(self._bus, self._others)
         heard_by(self._bus, self._others, time.monotonic() + LISTEN_S, time.monotonic)
         self._refuse_other_masters()

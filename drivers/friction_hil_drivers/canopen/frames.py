@@ -13,6 +13,7 @@ import socket
 import struct
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import can
@@ -21,7 +22,7 @@ import msgpack
 from friction_hil.errors import BusError
 from friction_hil_drivers.canopen import codes
 from friction_hil_drivers.canopen.codec import Frame
-from friction_hil_drivers.canopen.multicast import LocalSources
+from friction_hil_drivers.canopen.multicast import LocalSources, MulticastBus, deaf_sender
 from friction_hil_drivers.canopen.queue_full import QueueFullError
 
 if TYPE_CHECKING:
@@ -39,7 +40,7 @@ _QUEUE_FULL = (errno.ENOBUFS, errno.EAGAIN)
 class FrameBus:
     """Data frames with 11-bit identifiers on an open python-can bus.
 
-    Frames of other kinds are passed over. udp_multicast delivers a process's own frames to it as well.
+    Frames of other kinds are passed over.
 
     Parameters
     ----------
@@ -52,12 +53,15 @@ class FrameBus:
     ----------
     on_remote : callable or None
         Called by `receive` with identifier and length of each remote frame that it meets; None: they are passed over.
+    is_echoing : bool
+        True if the bus delivers the frames of this process to it as well.
     """
 
     def __init__(self, bus: can.BusABC, name: str) -> None:
         self.bus = bus
         self._name = name
         self.on_remote: Callable[[int, int], None] | None = None
+        self.is_echoing = False
 
     def send(self, can_id: int, data: bytes | bytearray) -> None:
         """Send one data frame.
@@ -206,10 +210,18 @@ class _UdpMulticast(_SocketBus):
 
     _UNREADABLE: Any = (ValueError, TypeError, KeyError, msgpack.exceptions.UnpackException)
 
-    def __init__(self, bus: can.BusABC, name: str, destination: tuple[str, int], sources: LocalSources | None) -> None:
+    def __init__(self, bus: can.BusABC, name: str, destination: tuple[str, int], *, is_local: bool) -> None:
         super().__init__(bus, name)
-        self._destination = destination
-        self._sources = sources
+        self._sources = LocalSources(*destination) if is_local else None
+        self._sender = None
+        if is_local and isinstance(bus, MulticastBus):  # ports of other machines say nothing
+            self._sender = deaf_sender(bus.fileno(), *destination)
+        self.is_echoing = self._sender is None
+        self._transmit: Callable[[bytes], int]
+        if self._sender is None:
+            self._transmit = partial(_send_to, self._socket.sendto, destination)
+        else:
+            self._transmit = self._sender.send
         self._source: object = None  # of the last datagram that was accepted
         self._pack = msgpack.Packer(use_bin_type=True, autoreset=True).pack
         self._unpack = msgpack.unpackb
@@ -237,9 +249,14 @@ class _UdpMulticast(_SocketBus):
 
     def _send(self, fields: dict[str, Any]) -> None:
         try:
-            self._socket.sendto(self._pack(fields), self._destination)
+            self._transmit(self._pack(fields))
         except OSError as error:
             raise self._send_error(error) from error
+
+    def close(self) -> None:
+        if self._sender is not None:
+            self._sender.close()
+        super().close()
 
     def _read(self) -> bytes | None:
         try:
@@ -276,8 +293,16 @@ class _UdpMulticast(_SocketBus):
 def frame_bus(bus: can.BusABC, config: "BusConfig", name: str) -> FrameBus:
     """Return the fastest `FrameBus` for an open bus."""
     if config.interface == "socketcan":
-        return _SocketCan(bus, name)
+        frames: FrameBus = _SocketCan(bus, name)
+        frames.is_echoing = bool(config.further.get("receive_own_messages"))
+        return frames
     if config.interface == "udp_multicast" and config.port:  # python-can's own default port is not known here
         destination = str(config.channel), config.port
-        return _UdpMulticast(bus, name, destination, LocalSources(*destination) if config.hop_limit == 0 else None)
-    return FrameBus(bus, name)
+        return _UdpMulticast(bus, name, destination, is_local=config.hop_limit == 0)
+    frames = FrameBus(bus, name)
+    frames.is_echoing = config.interface == "udp_multicast" or bool(config.further.get("receive_own_messages"))
+    return frames
+
+
+def _send_to(sendto: Callable[[bytes, tuple[str, int]], int], destination: tuple[str, int], data: bytes) -> int:
+    return sendto(data, destination)

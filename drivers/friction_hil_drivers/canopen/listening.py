@@ -18,7 +18,6 @@ from friction_hil_drivers.canopen.objects import DataType, Object
 from friction_hil_drivers.cia402 import profile
 
 if TYPE_CHECKING:
-    from friction_hil.config import BusConfig
     from friction_hil_drivers.canopen.codec import Frame
     from friction_hil_drivers.canopen.frames import FrameBus
 
@@ -156,11 +155,6 @@ class MasterAlarm:
             if others.words:
                 text = f"another master has appeared on the bus: {others.words}"
                 self.message = coded(text, codes.MASTER_APPEARED)
-
-
-def is_echoing(config: "BusConfig") -> bool:
-    """Return True for a bus that delivers the daemon's own frames to it."""
-    return config.interface == "udp_multicast" or bool(config.further.get("receive_own_messages"))
 
 
 def count_sent(bus: "FrameBus", others: OtherMasters) -> None:

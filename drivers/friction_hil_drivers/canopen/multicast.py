@@ -21,7 +21,8 @@ _MOST_SOURCES = 256  # addresses remembered
 
 # Instructions of a classic BPF program (linux/filter.h): code, jump if true, jump if false, operand
 _INSTRUCTION = struct.Struct("=HBBI")
-_LOAD_WORD, _JUMP_IF_EQUAL, _RETURN = 0x20, 0x15, 0x06
+_LOAD_WORD, _LOAD_HALF, _JUMP_IF_EQUAL, _RETURN = 0x20, 0x28, 0x15, 0x06
+_SOURCE_PORT = 0  # offset in the UDP header, where a filter of a UDP socket begins to count
 _NETWORK_HEADER = 0xFFF00000  # offset from which the IP header is read
 _DESTINATION = {socket.AF_INET: (16,), socket.AF_INET6: (24, 28, 32, 36)}  # offsets of its words in the IP header
 _WHOLE = 0xFFFFFFFF
@@ -88,19 +89,46 @@ class MulticastBus(UdpMulticastBus):
         return None, False
 
 
-def keep_to_group(descriptor: int, group: str) -> None:
+def deaf_sender(descriptor: int, group: str, port: int) -> socket.socket | None:
+    """Return a socket that sends to a group on this machine, and let another one not hear what it sends.
+
+    Without it, each frame of a process comes back to it and has to be read: a third of all that it reads. The kernel
+    tells these by the port that they come from, which on one machine no other process has. None where it cannot.
+    """
+    family, _, _, _, address = socket.getaddrinfo(group, port, type=socket.SOCK_DGRAM)[0]
+    sender = socket.socket(family, socket.SOCK_DGRAM)
+    try:
+        if family == socket.AF_INET:
+            sender.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0)
+        else:
+            sender.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_MULTICAST_HOPS, 0)
+        sender.setblocking(False)
+        sender.connect(address)
+    except OSError:  # no route: sending reports it
+        sender.close()
+        return None
+    if not keep_to_group(descriptor, group, without_port=sender.getsockname()[1]):
+        sender.close()
+        return None
+    return sender
+
+
+def keep_to_group(descriptor: int, group: str, without_port: int | None = None) -> bool:
     """Let a socket receive only what was sent to the group, where the operating system can do that.
 
-    A filter in the kernel compares the destination of each datagram: it costs the reader nothing.
+    A filter in the kernel compares the destination of each datagram: it costs the reader nothing. It drops those from
+    ``without_port``, too. Return True if it is in force.
     """
+    is_filtered = False
     with socket.socket(fileno=os.dup(descriptor)) as sock:
         is_ipv4 = sock.family == socket.AF_INET
-        program = _filter(socket.AddressFamily(sock.family), group)
+        program = _filter(socket.AddressFamily(sock.family), group, without_port)
         instructions = ctypes.create_string_buffer(program, len(program))
         # struct sock_fprog: number of instructions, and their address
         argument = struct.pack("@HP", len(program) // _INSTRUCTION.size, ctypes.addressof(instructions))
         with contextlib.suppress(OSError):  # other systems than Linux
             sock.setsockopt(socket.SOL_SOCKET, _SO_ATTACH_FILTER, argument)
+            is_filtered = True
         with contextlib.suppress(OSError):
             if is_ipv4:
                 sock.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)
@@ -109,10 +137,11 @@ def keep_to_group(descriptor: int, group: str) -> None:
         with contextlib.suppress(OSError):  # what came for another group since the socket was bound
             while sock.recv(1, socket.MSG_DONTWAIT):
                 pass
+    return is_filtered
 
 
-def _filter(family: socket.AddressFamily, group: str) -> bytes:
-    """Return a BPF program that keeps the datagrams whose destination is ``group``."""
+def _filter(family: socket.AddressFamily, group: str, without_port: int | None) -> bytes:
+    """Return a BPF program that keeps the datagrams whose destination is ``group``, but none from a port."""
     offsets = _DESTINATION[family]
     words = struct.unpack(f"!{len(offsets)}I", socket.inet_pton(family, group))
     program = b""
@@ -120,5 +149,8 @@ def _filter(family: socket.AddressFamily, group: str) -> bytes:
         # a word that differs jumps over the pairs that follow and over "keep", to "drop"
         compare = _INSTRUCTION.pack(_JUMP_IF_EQUAL, 0, 2 * left + 1, word)
         program = _INSTRUCTION.pack(_LOAD_WORD, 0, 0, _NETWORK_HEADER + offset) + compare + program
+    if without_port is not None:
+        compare = _INSTRUCTION.pack(_JUMP_IF_EQUAL, len(program) // _INSTRUCTION.size + 1, 0, without_port)
+        program = _INSTRUCTION.pack(_LOAD_HALF, 0, 0, _SOURCE_PORT) + compare + program
     keep, drop = _INSTRUCTION.pack(_RETURN, 0, 0, _WHOLE), _INSTRUCTION.pack(_RETURN, 0, 0, 0)
     return program + keep + drop

@@ -11,18 +11,26 @@ from friction_hil.cli.output import print_json
 from friction_hil.cli.work.model_facts import describe_model, describe_modifier
 from friction_hil.cli.work.model_text import Page, default_text, in_units_of, unit_text, value_text
 from friction_hil.cli.work.tables import Table, new_table, number, prose
+from friction_hil.config.examples import example_models
 from friction_hil.errors import ConfigurationError, UsageError
+from friction_hil.export import identifier
 from friction_hil.friction.modifiers import NAMES
 from friction_hil.models import Family, FrictionModel
-from friction_hil.models.files import model_from_argument
+from friction_hil.models.files import load_model_file, model_from_argument
 from friction_hil.models.model_file import ModelFile
+from friction_hil.reports.export_gallery import INDEX, write_gallery
 from friction_hil.reports.model_picture import draw
 
 _OPTION = "--model "  # prefix of the messages about a model argument
 
 
-def show_models(*, name: str | None, picture: Path | None, as_json: bool) -> None:
-    """Print the list of models, or describe one model and draw it."""
+def show_models(*, name: str | None, picture: Path | None, gallery: Path | None, as_json: bool) -> None:
+    """Print the list of models, describe one model and draw it, or export models to every format."""
+    if gallery is not None:
+        if picture is not None:
+            raise UsageError("--draw and --export-all: the gallery of --export-all has pictures of its own; give one")
+        _export_all(name, gallery, as_json)
+        return
     if name is None:
         if picture is not None:
             raise UsageError(f"--draw needs a model: friction-hil models lugre --draw {picture}")
@@ -37,6 +45,33 @@ def show_models(*, name: str | None, picture: Path | None, as_json: bool) -> Non
     _print(family, own, name)
     if picture is not None:
         click.echo(f"\npicture: {picture}")
+
+
+def _export_all(name: str | None, folder: Path, as_json: bool) -> None:
+    """Write the gallery of one model, or of the examples."""
+    chosen: dict[str, ModelFile] = {}
+    if name is not None:
+        family, own = _find(name)
+        chosen[identifier(Path(name.partition(":")[0]).stem)] = own or _example(family)
+    else:
+        chosen |= {key: load_model_file(path) for key, path in example_models().items()}
+        chosen |= {each: _example(models.describe(each)) for each in models.names()}
+    follow = (lambda text: None) if as_json else (lambda text: click.echo(f"{text} ..."))
+    outcome = write_gallery(folder, chosen, follow)
+    page = folder / INDEX
+    if as_json:
+        print_json({"page": str(page), "models": outcome})
+        return
+    for model, formats in outcome.items():
+        for to, why in formats.items():
+            if why:
+                click.echo(f"{model}: not to {to}: {why}")
+    click.echo(str(page))
+
+
+def _example(family: Family) -> ModelFile:
+    content = {"model": family.name, "parameters": dict(family.example)}
+    return ModelFile.model_validate({"axis": "rotary", "friction": content})
 
 
 def _find(name: str) -> tuple[Family, ModelFile | None]:

@@ -110,6 +110,7 @@ def _summary(result: "SessionResult") -> dict[str, Any]:
         "recording": paths[0] if paths else None,
         "recordings": paths,
         "black_boxes": result.report.black_boxes if result.report else (),
+        "learning": result.learning,
     }
 
 
@@ -167,6 +168,8 @@ def _print(result: "SessionResult", configuration: "Configuration", *, dry_run: 
             click.echo(f"{name}: {figures.bridged} {was} bridged")
             for reason, count in sorted(figures.bridged_reasons.items(), key=lambda item: -item[1])[:_SHOWN_REASONS]:
                 say(f"   {count} of them: {reason}", stderr=False)
+    for name, learned in result.learning.get("axes", {}).items():
+        say(f"{name}: {_learned(learned)}", stderr=False)
     for path in result.report.recording if result.report else ():
         click.echo(f"recorded: {path}")
 
@@ -193,6 +196,20 @@ def _print_errors(axes: "dict[str, AxisFigures]", configuration: "Configuration"
             say(f"{name}: {left_out} of {of} cycles are left out: {reason}", stderr=False)
         if hint := _hint(figures, configuration.axes[name]):
             say(f"{name}: {hint}", stderr=False)
+
+
+def _learned(learned: dict[str, Any]) -> str:
+    """Return what learning has done for an axis."""
+    times = learned["re_identified"]
+    words = [f"re-identified {times} time{'s' * (times != 1)}"]
+    if times and learned["error_before"] is not None and learned["error_after"] is not None:
+        shown = [f"{1e3 * learned[key]:.3g}" for key in ("error_before", "error_after")]
+        words.append(f"error {shown[0]} -> {shown[1]} m{learned['unit']}")
+    if learned["taken_back"]:
+        words.append(f"{learned['taken_back']} taken back")
+    if learned["mode"] == "propose":
+        words = ["learning only proposes: see the notices of the recording"]
+    return ", ".join(words)
 
 
 def _hint(figures: "AxisFigures", axis: "AxisConfig") -> str:

@@ -27,7 +27,8 @@ _STOP_S = 20.0  # more than all time-outs of a stop together
 _START_S = 20.0  # beyond enable_timeout_s: a first motion
 _RESET_S = 2.0
 _LATEST = 500  # cycles over which another model finds the state in which it would be
-_KEYS = {"status": (), "observe": (), "set": ("values",), "start": (), "stop": (), "reset": ()}
+_KEYS = {"status": (), "observe": (), "set": ("values",), "tell": ("text",), "start": (), "stop": (), "reset": ()}
+_MAY_HAVE = {"set": ("reason",)}
 
 
 class RefusedError(FrictionHilError):
@@ -59,6 +60,7 @@ class Desk:
             "status": self._status,
             "observe": self._observe,
             "set": self._set,
+            "tell": self._tell,
             "start": self._start,
             "stop": self._stop,
             "reset": self._reset,
@@ -156,13 +158,23 @@ class Desk:
             facts = [AxisFacts(**{**fact, "units": ()}) for fact in self._job.facts]
             prepared = prepare(before, self._job.source, values, facts, latest, has_network=self._job.has_network)
             shown = ", ".join(f"{key}={_shown(value)}" for key, value in values.items())
-            text = f"{who} set {shown}"
+            text = request.get("reason", f"{who} set {shown}")
+            if not isinstance(text, str):
+                raise RefusedError("reason must be a text")
             with self._sending:
                 number = self._next_number()
                 entry = entry_of(number, prepared, models_of, text)
                 self._note({**entry, "files": prepared.models})
                 cycle = self._send(Change(number, Action.NONE, prepared.axes, text))
         return {"cycle": cycle, "change": number}
+
+    def _tell(self, request: Mapping[str, Any], who: str) -> dict[str, Any]:
+        """Put a notice into the record of the run."""
+        if not isinstance(request["text"], str):
+            raise RefusedError("text must be a text")
+        with self._sending:
+            cycle = self._send(Change(self._next_number(), Action.NONE, [], request["text"]))
+        return {"cycle": cycle}
 
     def _start(self, request: Mapping[str, Any], who: str) -> dict[str, Any]:
         return self._act(Action.START, who, _START_S + self._job.configuration["enable_timeout_s"], self._has_started)
@@ -291,8 +303,9 @@ def _request(line: bytes) -> dict[str, Any]:
     if not isinstance(what, str) or what not in _KEYS:
         raise RefusedError(f"do: nothing is called {what!r}; {choices(str(what), _KEYS)}")
     for key in request:
-        if key != "do" and key not in _KEYS[what]:
-            raise RefusedError(f"{key}: is not a key here; {choices(key, ('do', *_KEYS[what]))}")
+        known = ("do", *_KEYS[what], *_MAY_HAVE.get(what, ()))
+        if key not in known:
+            raise RefusedError(f"{key}: is not a key here; {choices(key, known)}")
     for key in _KEYS[what]:
         if key not in request:
             raise RefusedError(f"{key}: is missing")
@@ -307,5 +320,7 @@ def _who(user: int) -> str:
 
 
 def _shown(value: Any) -> str:
+    if isinstance(value, dict) and "friction" in value:
+        return "a model without a file"
     text = value if isinstance(value, str) else json.dumps(value)
     return text.rpartition("/")[2] if isinstance(value, str) else text

@@ -31,6 +31,7 @@ _NOT_LIVE = {
     "max_acceleration": _OF_THE_ESTIMATE,
     "baseline_s": "it counts from the beginning of a motion",
     "transmission": "it would move the set-point of the motor",
+    "learning": "its process begins with the daemon",
 }
 _ELSEWHERE = "change it in the configuration, and start the daemon again"
 
@@ -45,7 +46,7 @@ class Prepared:
         Plain values of the whole configuration after the change.
     axes : list of AxisChange or None
     models : dict of str
-        File of the new model of each axis that gets one.
+        File of the new model of each axis that gets one from a file.
     """
 
     configuration: dict[str, Any]
@@ -71,7 +72,8 @@ def prepare(
     source : str
         Where it came from, for messages.
     values : dict
-        New values by their keys, ``x.gain`` or ``x.adaptation.time_s``; ``x.model`` is the path of a file.
+        New values by their keys, ``x.gain`` or ``x.adaptation.time_s``; ``x.model`` is the path of a file or
+        its content.
     facts : sequence of AxisFacts
         Of all axes, in their order.
     rows : dict of (dict of (n,) arrays, (m,) array)
@@ -86,7 +88,7 @@ def prepare(
         A key or a value is wrong, or not to be changed while the daemon runs; the message lists all that is wrong.
     """
     wanted = copy.deepcopy(dict(configuration))
-    models: dict[str, str] = {}
+    models: dict[str, str | None] = {}
     problems: list[str] = []
     changed: set[str] = set()
     switched: set[str] = set()
@@ -101,7 +103,7 @@ def prepare(
             continue
         (switched if steps == ["compensation", "enabled"] else changed).add(axis)
         if steps == ["model"]:
-            models[axis] = str(value)
+            models[axis] = value if isinstance(value, str) else None
     if problems:
         raise UsageError("\n".join(problems))
     try:
@@ -127,7 +129,7 @@ def prepare(
         changes.append(one if fact.name in changed | switched else None)
     if problems:
         raise UsageError("\n".join(problems))
-    return Prepared(self_contained(new), changes, models)
+    return Prepared(self_contained(new), changes, {name: file for name, file in models.items() if file is not None})
 
 
 def _place(key: str, axes: Mapping[str, Any]) -> tuple[str, list[str]]:
@@ -184,6 +186,10 @@ def _check_kind(name: str, path: Any, kind: str) -> None:
     UsageError
         The model is for a linear axis and this one is rotary, or the other way round; or the path is none.
     """
+    if isinstance(path, Mapping):
+        if path.get("axis") != kind:
+            raise UsageError(f"{name}.model: axis: must be {kind}, as {name} is")
+        return
     if not isinstance(path, str) or not path or "\0" in path:
         raise UsageError(f"{name}.model: must be the path of a model file, not {show(path)}")
     try:

@@ -15,6 +15,8 @@ import socket
 import sys
 from typing import Any
 
+from friction_hil.daemon.spawner import ENVIRONMENT
+
 _REQUEST_BYTES = 1 << 16
 _MOST_DESCRIPTORS = 32
 _CANNOT_START = 127
@@ -84,7 +86,7 @@ def _start(request: dict[str, Any], descriptors: list[int]) -> int:
         for source, target in zip(above, wanted, strict=True):
             os.dup2(source, target)
         words = request["words"]
-        os.execve(words[0], words, os.environ | {"OPENBLAS_NUM_THREADS": "1"})
+        os.execve(words[0], words, os.environ | ENVIRONMENT)
     finally:
         os._exit(_CANNOT_START)
 

@@ -12,6 +12,8 @@ import time
 from collections.abc import Sequence
 from typing import IO, Protocol
 
+from friction_hil.daemon.spawner import ENVIRONMENT
+
 _ANSWER_BYTES = 4096
 _END_S, _SLICE_S = 2.0, 0.05
 _UNKNOWN = -signal.SIGKILL  # status of a process whose end nobody has seen, as the spawner is gone
@@ -76,7 +78,7 @@ def spawn_directly(words: Sequence[str], descriptors: Sequence[int], stdout: int
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE if stdout is None else stdout,
         pass_fds=descriptors,
-        env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
+        env=os.environ | ENVIRONMENT,
         process_group=0,  # Ctrl-C is not meant for it, not even before it can ignore it
     )
 

@@ -1,0 +1,290 @@
+"""The process that learns beside a daemon: reads its rows, and hands over through its control socket."""
+
+import contextlib
+import math
+import os
+import sys
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from friction_hil.compensator import STATE
+from friction_hil.config import AxisConfig, Configuration, from_dict
+from friction_hil.daemon.companion import state_folder
+from friction_hil.daemon.control.ask import DaemonGoneError, Question, ask
+from friction_hil.daemon.learning_service import TICK_S, LearningBoard
+from friction_hil.daemon.ring import RingObserver
+from friction_hil.daemon.safety import LoopState
+from friction_hil.drive import AxisFacts
+from friction_hil.errors import FrictionHilError
+from friction_hil.friction.model import as_dict
+from friction_hil.learning.estimate import Mechanics
+from friction_hil.learning.learner import COLUMNS, Learner, Proposal
+from friction_hil.learning.proven import Proven, digest, recall, store
+from friction_hil.numerics.jit import Array
+from friction_hil.recordings import columns
+
+_LOOK_S = 0.02
+_PATIENCE_S = 30.0  # the process of the control socket imports at its first request
+_SIMULATED_LOOK_S = 5e-4
+_LARGEST_SHARE = 0.25  # of a processor
+_NICENESS = 5
+_FOREVER = 2**62  # cycle that no run reaches
+
+
+class AxisLearning:
+    """Learning of one axis of a daemon.
+
+    Parameters
+    ----------
+    name : str
+    config : AxisConfig
+    facts : AxisFacts
+    period_s : float
+    folder : Path or None
+        Of the parameters that were kept last; None: they are neither used nor stored.
+    """
+
+    def __init__(self, name: str, config: AxisConfig, facts: AxisFacts, period_s: float, folder: Path | None) -> None:
+        self.name, self.config, self.period_s = name, config, period_s
+        given, mechanics = config.compensation, config.model.mechanics
+        self.is_tried = given.learning == "on"
+        gravity = mechanics.gravity
+        static = (gravity.constant + mechanics.offset, gravity.sine, gravity.cosine)
+        self.learner = Learner(
+            config.model.friction_model,
+            Mechanics(mechanics.inertia, static),
+            (config.model.fit or {}).get("standard_errors") or {},
+            period_s=period_s,
+            resolution=facts.position_resolution,
+            gain=given.gain,
+            fade_s=given.fade_s,
+            is_gain_fixed=given.gain_negative is not None,
+        )
+        self.unit = "rad" if config.model.axis == "rotary" else "m"
+        self._is_paused = True
+        self._file = None if folder is None or not self.is_tried else folder / f"{name}.json"
+        self._model = digest(config.model.model_dump(mode="json", exclude={"fit"}))
+        self._kept = self.learner.proven
+        self._is_begun = self._file is None
+
+    def take(self, rows: Mapping[str, Array]) -> Proposal | None:
+        """Take the rows of a tick; those of an axis that is not compensated in motion only end a trial."""
+        is_running = np.all(rows["state"] == LoopState.RUNNING) and np.all(rows["is_enabled"] == 1.0)
+        is_whole = rows["cycle"].size == self.learner.rows_per_tick and np.all(np.diff(rows["cycle"]) == 1.0)
+        if is_running and is_whole:
+            self._is_paused = False
+            if not self._is_begun:
+                self._resume(float(rows["temperature_estimate"][-1]))
+            return self.learner.take({**rows, "torque": rows["torque"] / self.config.model.mechanics.torque_ratio})
+        return self.skip()
+
+    def skip(self) -> Proposal | None:
+        """Leave a tick out; what is on trial then is taken back."""
+        if self._is_paused:
+            return None
+        self._is_paused = True
+        return self.learner.pause()
+
+    def _resume(self, temperature: float) -> None:
+        """Begin with what an earlier run has kept."""
+        assert self._file is not None
+        self._is_begun = True
+        found, why = recall(self._file, self._model, temperature if math.isfinite(temperature) else None)
+        if found is not None:
+            self.learner.resume(found.parameters, found.gain)
+        elif why:
+            self.learner.notes.append(f"the parameters of an earlier run are not used: {why}")
+
+    def keep(self, temperature: float) -> str:
+        """Write what was kept to the file for the next run; return what is to be said, if anything."""
+        if self._file is None or self.learner.proven == self._kept:
+            return ""
+        self._kept = self.learner.proven
+        celsius = temperature if math.isfinite(temperature) else None
+        try:
+            store(self._file, Proven(self._model, *self._kept, time.time(), celsius))
+        except OSError as error:
+            return f"{self.name}: what was learned cannot be kept for the next run: {self._file}: {error.strerror}"
+        return ""
+
+    def values(self, proposal: Proposal) -> dict[str, Any]:
+        """Return what is to be set for a proposal."""
+        values: dict[str, Any] = {f"{self.name}.gain": proposal.gain}
+        if proposal.model is not None:
+            content = self.config.model.model_dump(mode="json")
+            content["friction"] |= as_dict(proposal.model)
+            values[f"{self.name}.model"] = content
+        return values
+
+    def report(self) -> dict[str, Any]:
+        """Return what has happened so far, for `run --json`."""
+        figures = self.learner.figures
+        return {
+            "mode": self.config.compensation.learning,
+            "unit": self.unit,
+            "re_identified": figures.kept,
+            "taken_back": figures.taken_back,
+            "stopped": figures.stopped,
+            "gain": figures.gain,
+            "error_before": figures.first_error,
+            "error_after": figures.error,
+            "parameters": self.learner.belief.parameters if figures.errors is not None else None,
+            "relative_errors": figures.errors,
+        }
+
+
+class Learning:
+    """Learning of the axes of a daemon that want it.
+
+    Parameters
+    ----------
+    socket : Path
+        Control socket of the daemon.
+    board : LearningBoard
+    is_simulated : bool
+        The loop waits for each tick.
+    """
+
+    def __init__(self, socket: Path, board: LearningBoard, *, is_simulated: bool) -> None:
+        self._socket, self._board, self._is_simulated = socket, board, is_simulated
+        with Question(socket, {"do": "observe"}, _PATIENCE_S) as question:
+            while (answer := question.answer()) is None:
+                pass
+            self._ring = RingObserver(question.descriptors.pop(0))
+        configuration: Configuration = from_dict(answer["configuration"], answer["source"])
+        self._every = round(TICK_S / configuration.period_s)
+        facts = {fact["name"]: AxisFacts(**{**fact, "units": ()}) for fact in answer["facts"]}
+        self._axes: dict[int, AxisLearning] = {}
+        for number, (name, axis) in enumerate(configuration.axes.items()):
+            if axis.compensation.learning == "off":
+                continue
+            if facts[name].torque_delay_s is None:
+                self._tell(f"{name}: nothing is learned: its drive does not report the torque")
+                continue
+            # a simulated run begins as every other one
+            folder = None if is_simulated else state_folder() / "learning" / socket.stem
+            self._axes[number] = AxisLearning(name, axis, facts[name], configuration.period_s, folder)
+        names, width = list(answer["columns"]), len(answer["columns"]) + answer["state_width"]
+        fields = STATE.fields
+        assert fields is not None
+        gain_factor = len(names) + fields["gain_factor"][1] // 8
+        wanted = ["state", "is_enabled", columns.CHANGE, *(each for each in COLUMNS if each != "gain_factor")]
+        self._names = [*wanted, "gain_factor"]
+        places = [*(names.index(each) for each in wanted), gain_factor]
+        self._wanted = np.array([axis * width + place for axis in self._axes for place in places], dtype=np.intp)
+        self._rows = np.empty((0, self._wanted.size))
+        self._own = 0.0  # number of the last change that learning has made
+        self._foreign = False
+        self._began_s, self._began_cpu_s = time.monotonic(), time.process_time()
+
+    @property
+    def has_ended(self) -> bool:
+        """True once the loop has ended."""
+        return self._ring.is_closed
+
+    def look(self) -> bool:
+        """Take what is new; return True if there was a tick."""
+        if not self._axes:
+            self._board.say(_FOREVER, {})
+            return False
+        rows = np.concatenate([self._rows, self._ring.new_rows(self._wanted)])
+        cycles = rows[:, self._names.index("cycle")]
+        ends = np.flatnonzero(cycles[:-1] // self._every != cycles[1:] // self._every) + 1
+        if rows.size and (cycles[-1] + 1) % self._every == 0:
+            ends = np.append(ends, len(rows))
+        first = 0
+        for end in ends.tolist():
+            self._take(rows[first:end])
+            first = end
+        self._rows = rows[first:]
+        return bool(ends.size)
+
+    def _take(self, rows: Array) -> None:
+        """Take the rows of a tick of all axes."""
+        values: dict[str, Any] = {}
+        texts = []
+        for axis, part in zip(self._axes.values(), np.split(rows, len(self._axes), axis=1), strict=True):
+            named = dict(zip(self._names, np.ascontiguousarray(part.T), strict=True))
+            change = float(np.nanmax(named[columns.CHANGE], initial=0.0))
+            if change > self._own and not self._foreign:
+                self._foreign = True
+                self._tell(
+                    "learning ends: the settings were changed by somebody else, or before its process began again"
+                )
+            if self._foreign:
+                continue
+            is_left_out = not self._is_simulated and self._is_too_busy()
+            proposal = axis.skip() if is_left_out else axis.take(named)
+            texts += [f"{axis.name}: {note}" for note in axis.learner.notes]
+            axis.learner.notes.clear()
+            if text := axis.keep(float(named["temperature_estimate"][-1])):
+                texts.append(text)
+            if proposal is None:
+                continue
+            if axis.is_tried:
+                values |= axis.values(proposal)
+                texts.append(f"{axis.name}: learning: {proposal.text}")
+            else:
+                texts.append(f"{axis.name}: learning would try: {proposal.text}")
+                axis.learner.refuse()
+        if values:
+            self._hand_over(values, "; ".join(texts))
+        elif texts:
+            self._tell("; ".join(texts))
+        share = (time.process_time() - self._began_cpu_s) / max(time.monotonic() - self._began_s, 1e-3)
+        axes = {axis.name: axis.report() for axis in self._axes.values()}
+        self._board.say(int(rows[-1, self._names.index("cycle")]), {"axes": axes, "cpu_share": share})
+
+    def _hand_over(self, values: Mapping[str, Any], text: str) -> None:
+        try:
+            answer = ask(self._socket, {"do": "set", "values": values, "reason": text})
+            self._own = float(answer["change"])
+        except DaemonGoneError:
+            raise
+        except FrictionHilError as error:  # a limit of the axis, for example: the former settings stay
+            for axis in self._axes.values():
+                if any(key.startswith(f"{axis.name}.") for key in values):
+                    axis.learner.refuse()
+            self._tell(f"learning: refused: {error}")
+
+    def _tell(self, text: str) -> None:
+        with contextlib.suppress(FrictionHilError):
+            ask(self._socket, {"do": "tell", "text": text})
+
+    def _is_too_busy(self) -> bool:
+        """Return True if learning has taken more than its share: then it goes more slowly."""
+        elapsed = time.monotonic() - self._began_s
+        return elapsed > 20.0 and time.process_time() - self._began_cpu_s > _LARGEST_SHARE * elapsed
+
+
+def main(socket: str, board: int, pace: str) -> None:
+    """Learn until the daemon ends."""
+    is_simulated = pace == "simulated"
+    if hasattr(os, "sched_setscheduler"):
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    os.nice(0 if is_simulated else _NICENESS)
+    os.set_blocking(0, False)
+    memory = LearningBoard(board)
+    try:
+        learning = Learning(Path(socket), memory, is_simulated=is_simulated)
+        while not (learning.has_ended or _is_closed()):
+            if not learning.look():
+                time.sleep(_SIMULATED_LOOK_S if is_simulated else _LOOK_S)
+    except DaemonGoneError:
+        return
+
+
+def _is_closed() -> bool:
+    """Return True if the control process has closed this one's standard input: the signal to end."""
+    try:
+        return os.read(0, 1) == b""
+    except BlockingIOError:
+        return False
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], int(sys.argv[2]), sys.argv[3])

@@ -1,0 +1,98 @@
+"""The parameters that were kept last, in a file that outlives the daemon: the next run begins with them."""
+
+import hashlib
+import json
+import math
+import os
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+LONGEST_S = 7.0 * 86400.0  # older ones are stale
+WARMEST_K = 10.0  # and those of another temperature
+
+
+@dataclass(frozen=True, slots=True)
+class Proven:
+    """What was kept last of an axis.
+
+    Attributes
+    ----------
+    model : str
+        Digest of the content of the model file.
+    parameters : dict
+        By their names in ``model.free``.
+    gain : float
+    unix_s : float
+        When it was kept.
+    temperature : float or None
+        Of the axis at that time, deg C, where one is known.
+    """
+
+    model: str
+    parameters: dict[str, float]
+    gain: float
+    unix_s: float
+    temperature: float | None
+
+
+def digest(content: Mapping[str, Any]) -> str:
+    """Return a digest of the plain content of a model file."""
+    return hashlib.blake2b(json.dumps(content, sort_keys=True, default=str).encode(), digest_size=16).hexdigest()
+
+
+def store(path: Path, proven: Proven) -> None:
+    """Write a file; a reader sees the old one or the new one.
+
+    Raises
+    ------
+    OSError
+        It cannot be written.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    new = path.with_suffix(".new")
+    with open(new, "w", encoding="utf-8") as file:
+        json.dump({"version": 1, **asdict(proven)}, file)
+        file.flush()
+        os.fsync(file.fileno())
+    new.replace(path)
+
+
+def recall(path: Path, model: str, temperature: float | None, now_s: float | None = None) -> tuple[Proven | None, str]:
+    """Return what was kept last, or None with the reason why it is not used; empty if there is no file.
+
+    Parameters
+    ----------
+    path : Path
+    model : str
+        Digest of the present model file.
+    temperature : float or None
+        Of the axis now, deg C.
+    now_s : float, optional
+        Seconds since 1970; those of the clock by default.
+    """
+    try:
+        values = json.loads(path.read_text(encoding="utf-8"))
+        if values.pop("version") != 1:
+            return None, f"{path} is of another version"
+        found = Proven(**values)
+        numbers = [found.gain, found.unix_s, *found.parameters.values()]
+        is_sound = all(math.isfinite(float(each)) for each in numbers) and 0.0 <= found.gain <= 1.5
+    except FileNotFoundError:
+        return None, ""
+    except (OSError, ValueError, TypeError, KeyError, AttributeError):
+        return None, f"{path} cannot be read"
+    if not is_sound:
+        return None, f"{path} has values that are no parameters"
+    if found.model != model:
+        return None, "the model file has changed"
+    age_s = (time.time() if now_s is None else now_s) - found.unix_s
+    if not 0.0 <= age_s <= LONGEST_S:
+        return None, f"they are {age_s / 86400.0:.0f} days old"
+    if temperature is not None and found.temperature is not None:
+        warmer = abs(temperature - found.temperature)
+        if warmer > WARMEST_K:
+            return None, f"the temperature differs by {warmer:.0f} K"
+    return found, ""
