@@ -102,11 +102,11 @@ class Chart:
     sign : int
         1: risen, -1: fallen, 0: no alarm at the end.
     begin : int
-        First observation that the sum contains; n without an alarm.
+        First observation after the most likely step before the alarm; n without an alarm.
     alarm : int
         Observation at which the alarm was given; n without an alarm.
     change, change_error : float
-        Mean change since the most likely step after ``begin``; 0 without an alarm.
+        Mean change since ``begin``; 0 without an alarm.
     """
 
     rest: Array
@@ -195,9 +195,10 @@ def draw_chart(baseline: Baseline, values: Array, errors: Array, temperatures: A
         if n and sums[-1] > threshold:
             begin = int(begins[-1])
             alarm = begin + int(np.argmax(sums[begin:] > threshold))
-            # the sum may begin with noise before the change: the mean is that after the most likely step
+            # the sum may begin with noise before the change: the most likely step up to the alarm is reported
             evidence = np.cumsum(steps[begin:][::-1])[::-1] * sign / np.sqrt(np.arange(n - begin, 0, -1))
-            late = slice(begin + int(np.argmax(evidence)), None)
+            begin += int(np.argmax(evidence[: alarm - begin + 1]))
+            late = slice(begin, None)
             weights = scatters[late] ** -2.0
             weights /= weights.sum()
             own = float(np.sqrt(np.sum((weights * scatters[late]) ** 2)))

@@ -44,9 +44,9 @@ class Verdict:
     slope, slope_error : float or None
         Change per K; None where temperature is not removed.
     change, change_error : float
-        Of the mean since the most likely step after ``since_s``; 0 if unchanged.
+        Of the mean since ``since_s``; 0 if unchanged.
     since_s, alarm_s : float or None
-        Time of the first observation that the change was seen in, and that of the alarm.
+        Time of the first observation after the most likely step, and that of the alarm.
     level : float
         Larger one of the sums over the threshold: an alarm is given at 1.
     """
