@@ -1,6 +1,6 @@
 """Other masters on the bus, by what they send: heard before anything is sent, and during a run. No clock, no bus.
 
-A frame of another master is told from the daemon's own, which udp_multicast delivers to it as well, by counting: each
+A frame of another master is told from the daemon's own, which some buses deliver to it as well, by counting: each
 frame that the daemon sends comes back once, where frames come back at all.
 """
 
