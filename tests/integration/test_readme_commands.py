@@ -56,6 +56,7 @@ ON_THE_RECORDING = (
     ("friction-hil convert run.mcap run.csv --axis x --where is_fresh --force", 0),
     ("friction-hil convert --info run.csv --column torque=torque*1 --json", 0),
     ("friction-hil replay run.mcap --verify", 0),
+    ("friction-hil health run.mcap --window 5 --report health.html", 1),  # too short to judge anything
     (f"friction-hil export {LUGRE} --to urdf --recording run.mcap --axis x --json", 0),
     (f"friction-hil replay 'run.*' --model {LUGRE} --json", 0),
     ("friction-hil plot run.mcap", 0),

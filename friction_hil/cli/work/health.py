@@ -92,7 +92,8 @@ def show_health(
 
 def _files(sources: Sequence[str]) -> tuple[list[Path], Path | None]:
     """Return the recordings that the command names, and the history of a service if it names one."""
-    if len(sources) == 1 and is_name(sources[0]) and not os.path.lexists(sources[0]):
+    is_file = any(os.path.lexists(each) or Path(each).suffix.lower() in recordings.formats() for each in sources)
+    if len(sources) == 1 and is_name(sources[0]) and not is_file:
         return _files_of_service(sources[0])
     files: list[Path] = []
     for source in sources:
