@@ -38,6 +38,7 @@ def test_the_defaults():
         "gravity": True,
         "adaptation": None,
         "transmission": None,
+        "learning": "off",
     }
     assert configured(adaptation={}).compensation.adaptation.model_dump() == {"time_s": 20.0, "bound": 0.3}
 

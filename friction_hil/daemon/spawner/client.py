@@ -16,7 +16,7 @@ from friction_hil.daemon.spawner import ENVIRONMENT
 
 _ANSWER_BYTES = 4096
 _END_S, _SLICE_S = 2.0, 0.05
-_UNKNOWN = -signal.SIGKILL  # status of a process whose end nobody has seen, as the spawner is gone
+_UNKNOWN = -9  # as after SIGKILL, which Windows lacks: a process whose end nobody has seen, as the spawner is gone
 
 
 class Process(Protocol):
