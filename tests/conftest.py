@@ -18,7 +18,7 @@ _runtime = tempfile.TemporaryDirectory(prefix="fh")
 os.environ["XDG_RUNTIME_DIR"] = _runtime.name
 
 # A busy machine and the first call of a kernel, which compiles it, are no failures.
-settings.register_profile("friction_hil", deadline=None, max_examples=20, suppress_health_check=[HealthCheck.too_slow])
+settings.register_profile("friction_hil", deadline=None, max_examples=12, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("friction_hil")
 
 

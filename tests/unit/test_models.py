@@ -15,7 +15,7 @@ from friction_hil.friction.parameters import Choice
 from friction_hil.models import InvalidParameterError
 
 LUGRE = dict(fh.models.describe("lugre").example)
-checked = settings(max_examples=60, deadline=None)  # the first example may compile
+checked = settings(max_examples=30, deadline=None)  # the first example may compile
 NAMES = ("coulomb", "dahl", "lugre", "stribeck")
 
 levels = st.floats(1e-3, 1e3)
