@@ -125,6 +125,8 @@ def prepare(
                     _check_model(fact.name, after, has_network=has_network)
                 one = _change(after, new, fact, rows.get(fact.name), is_other=is_other)
             is_enabled = after.compensation.enabled if fact.name in switched else None
+            if is_enabled:
+                _check_takes_torque(fact)
             one = AxisChange(is_enabled, one.record, one.friction, static_torque(after))
         except OptionError as error:
             problems.append(f"{error.axis}.{error.key}: {error.text}")
@@ -204,6 +206,20 @@ def _check_kind(name: str, path: Any, kind: str) -> None:
         return  # the check of the whole configuration says what is wrong with the file
     if given != kind:
         raise UsageError(f"{name}.model: is for a {given} axis, but {name} is {kind}")
+
+
+def _check_takes_torque(fact: AxisFacts) -> None:
+    """Refuse compensation where no torque gets to the drive.
+
+    Raises
+    ------
+    UsageError
+    """
+    if not fact.takes_torque:
+        raise UsageError(
+            f"{fact.name}.enabled: must be false, because this drive takes no torque beside the set-points of its mode "
+            f"(mode cst compensates without that): {_ELSEWHERE}"
+        )
 
 
 def _check_model(name: str, after: AxisConfig, *, has_network: bool) -> None:
