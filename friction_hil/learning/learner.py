@@ -20,6 +20,7 @@ from friction_hil.learning.estimate import MECHANICS, Belief, Estimate, Mechanic
 from friction_hil.learning.judge import Work, is_harmful, objection, work_of
 from friction_hil.learning.window import Window, velocity_of
 from friction_hil.numerics.jit import Array
+from friction_hil.numerics.readable import quantity
 
 COLUMNS = (
     "cycle",
@@ -121,6 +122,7 @@ class _Trial:
     step: Step
     tried: _Used
     before: Work
+    text: str = ""
     ticks: int = 0
     harmful: int = 0  # ticks with more error than ever before, one after the other
 
@@ -177,7 +179,7 @@ class Learner:
         self._estimate: Estimate | None = None
         self._pause = _FIRST_PAUSE
         self._rest = 0  # windows until the next trial
-        self._stopped = 0  # ticks until learning begins again
+        self._stopped, self._why_stopped = 0, ""  # ticks until learning begins again
         self._is_gain_doubted = False  # after a trial that was taken back: the next one keeps the gain
         self._settling = _SETTLING_TICKS + math.ceil(fade_s / TICK_S)
         self.figures = Figures(gain=gain)
@@ -216,9 +218,23 @@ class Learner:
     @property
     def proven(self) -> tuple[dict[str, float], float]:
         """Parameters by name, and gain, that were kept last."""
-        coordinates = self._belief.coordinates
-        values = coordinates.at(self._proven.x[:-MECHANICS]).tolist()
-        return dict(zip(coordinates.names, values, strict=True)), self._proven.gain
+        return self._named(self._proven), self._proven.gain
+
+    @property
+    def in_use(self) -> dict[str, float]:
+        """Parameters by name that the compensator has."""
+        return self._named(self._used)
+
+    @property
+    def doing(self) -> tuple[str, str]:
+        """What learning does now: ``watching``, ``trying``, ``resting`` or ``stopped``; and why, empty for watching."""
+        if self._stopped:
+            return "stopped", self._why_stopped
+        if self._trial is not None:
+            return "trying", self._trial.text
+        if self._rest:
+            return "resting", f"no further change within {self._rest * WINDOW_TICKS * TICK_S:g} s of motion"
+        return "watching", ""
 
     def refuse(self) -> None:
         """Take note that the last proposal was not handed over."""
@@ -254,6 +270,15 @@ class Learner:
             self._refine()
             return None if self._trial is not None else self._propose()
         return None
+
+    def _size(self, length: float) -> str:
+        """Return a position or an error in words."""
+        return quantity(length, "rad" if self._belief.coordinates.model.axis == "rotary" else "m")
+
+    def _named(self, used: _Used) -> dict[str, float]:
+        """Return the parameters of coordinates by name."""
+        coordinates = self._belief.coordinates
+        return dict(zip(coordinates.names, coordinates.at(used.x[:-MECHANICS]).tolist(), strict=True))
 
     def _refine(self) -> None:
         """Refine the belief by the last window."""
@@ -296,8 +321,9 @@ class Learner:
             self._is_gain_doubted = False
             return None
         tried = _Used(refined if is_other else self._used.x, gain)
-        words = [f"parameters refined, which changes the torque by {100.0 * change:.1f} % of the level"] * is_other
-        words += [f"gain {self._used.gain:.2f} -> {gain:.2f}"] * (gain != self._used.gain)
+        words = [f"torque changes by {100.0 * change:.1f} % of the friction level"] * is_other
+        gains = f"{self._used.gain:.2f}", f"{gain:.2f}"
+        words += [f"gain {gains[0]} -> {gains[1]}"] * (gains[0] != gains[1])
         return self._try(Step.PARAMETERS if is_other else Step.GAIN, tried, before, ", ".join(words))
 
     def _known_gain(self) -> float:
@@ -311,7 +337,7 @@ class Learner:
         return max(min(1.0 - _DOUBT * doubt, 1.0), self._least_gain)
 
     def _try(self, step: Step, tried: _Used, before: Work, text: str) -> Proposal:
-        self._trial = _Trial(step, tried, before)
+        self._trial = _Trial(step, tried, before, text)
         if self.figures.first_error is None:
             self.figures.first_error = before.rms
         return self._hand_over(step, tried, text)
@@ -329,7 +355,7 @@ class Learner:
         now = self._work(1)
         trial.harmful = trial.harmful + 1 if is_harmful(now, trial.before, self._resolution) else 0
         if trial.harmful == _HARMFUL_TICKS:
-            return self._take_back(f"the error rose to {now.rms:.3g}, before {trial.before.worst:.3g} at most")
+            return self._take_back(f"the error rose from {self._size(trial.before.worst)} to {self._size(now.rms)}")
         if np.any(np.diff(self._joined(list(self._ticks)[-2:])["gain_factor"]) < 0.0):
             return self._take_back("a limit cycle")
         if trial.ticks < self._settling + WINDOW_TICKS:
@@ -338,11 +364,12 @@ class Learner:
         if not after.is_like(trial.before):
             return self._take_back("the motion changed: nothing to compare with", is_harmless=True)
         if why := objection(after, trial.before, self._resolution):
-            return self._take_back(f"error {trial.before.rms:.3g} -> {after.rms:.3g}: {why}")
+            return self._take_back(f"error {self._size(trial.before.rms)} -> {self._size(after.rms)}: {why}")
         self._trial, self._proven, self._pause = None, trial.tried, _FIRST_PAUSE
         self.figures.kept += trial.step is Step.PARAMETERS
         self.figures.error = after.rms
-        self.notes.append(f"{trial.step.value} kept: error {trial.before.rms:.3g} -> {after.rms:.3g}")
+        shown = f"{self._size(trial.before.rms)} -> {self._size(after.rms)}"
+        self.notes.append(f"learning keeps the {trial.step.value}: error {shown}")
         return None
 
     def _take_back(self, reason: str, *, is_harmless: bool = False) -> Proposal:
@@ -358,7 +385,7 @@ class Learner:
         if not self._stopped:
             self.figures.stopped += 1
             self.notes.append(f"learning stops for {_STOPPED_TICKS * TICK_S:g} s: {reason}")
-        self._stopped, self._fresh = _STOPPED_TICKS, 0
+        self._stopped, self._why_stopped, self._fresh = _STOPPED_TICKS, reason, 0
         self._ticks.clear()
         self._estimate = None
         self._belief = self._belief.doubted()
@@ -380,7 +407,7 @@ class Learner:
         usual = float(np.max(np.abs(np.diff(errors[0]))))
         jump = float(np.max(np.abs(np.diff(errors[1], prepend=errors[0][-1]))))
         if jump > _GLITCH * usual + 16.0 * self._resolution:
-            return f"the position jumps by {jump:.3g}"
+            return f"the position jumps by {self._size(jump)}"
         if self._estimate is not None:
             left = self._unexplained(self._belief.x, [*list(self._ticks)[-_WARM_TICKS:], tick])
             if left > _ODD * self._estimate.misfit + _ODD_LEVEL * level:
