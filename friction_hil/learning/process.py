@@ -16,7 +16,7 @@ from friction_hil.config import AxisConfig, Configuration, from_dict
 from friction_hil.daemon.companion import state_folder
 from friction_hil.daemon.control.ask import DaemonGoneError, Question, ask
 from friction_hil.daemon.control.message import TEXT_BYTES
-from friction_hil.daemon.learning_board import LearningBoard
+from friction_hil.daemon.learning_board import STARTING, LearningBoard, first_report
 from friction_hil.daemon.learning_service import TICK_S
 from friction_hil.daemon.ring import RingObserver
 from friction_hil.daemon.safety import LoopState
@@ -40,7 +40,6 @@ _FOREVER = 2**62  # cycle that no run reaches
 _MOST_NAMED, _NAMED = 3, 0.005  # parameters in a notice, and their least relative change
 _ALIKE = 0.05  # differences of a proposal from the former one that are not worth another notice
 _COMPILED_S = 0.5
-_STARTING = "its process starts, and for the first time on a machine it compiles its code"
 _IDLE = "the axis is not in compensated motion"
 _BUSY = "this process has used its share of the processor"
 _NO_TORQUE = "its drive does not report the torque"
@@ -77,7 +76,7 @@ class AxisLearning:
             is_gain_fixed=given.gain_negative is not None,
         )
         self.unit = "rad" if config.model.axis == "rotary" else "m"
-        self._is_paused, self._why_paused = True, _STARTING
+        self._is_paused, self._why_paused = True, STARTING
         self._file = None if folder is None or not self.is_tried else folder / f"{name}.json"
         self._model = digest(config.model.model_dump(mode="json", exclude={"fit"}))
         self._kept = self.learner.proven
@@ -178,16 +177,13 @@ class AxisLearning:
         doing, reason = ("ended", self.why_ended) if self.why_ended else self.learner.doing
         if doing == "watching" and self._is_paused:
             doing, reason = "waiting", self._why_paused
-        return {
-            "mode": self.config.compensation.learning,
-            "unit": self.unit,
+        return first_report(self.config.compensation.learning, self.unit, figures.gain) | {
             "doing": doing,
             "reason": reason,
             "last": self._last,
             "re_identified": figures.kept,
             "taken_back": figures.taken_back,
             "stopped": figures.stopped,
-            "gain": figures.gain,
             "error_before": figures.first_error,
             "error_after": figures.error,
             "in_use": self._in_use,
