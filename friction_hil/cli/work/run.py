@@ -208,8 +208,17 @@ def _learned(learned: dict[str, Any]) -> str:
     if learned["taken_back"]:
         words.append(f"{learned['taken_back']} taken back")
     if learned["mode"] == "propose":
-        words = ["learning only proposes: see the notices of the recording"]
-    return ", ".join(words)
+        return "learning only proposes: see the notices of the recording"
+    layer = learned["residual_layer"]
+    return ", ".join(words) + (f"; residual layer: {_layer(layer, learned['unit'])}" if layer["state"] else "")
+
+
+def _layer(layer: dict[str, Any], unit: str) -> str:
+    """Return what the residual layer of an axis has done."""
+    if layer["state"] != "on":
+        return f"{layer['state']}, off"
+    shown = [f"{1e3 * layer[key]:.3g}" for key in ("error_before", "error_after")]
+    return f"{layer['text']}, error {shown[0]} -> {shown[1]} m{unit}, on"
 
 
 def _hint(figures: "AxisFigures", axis: "AxisConfig") -> str:
