@@ -18,7 +18,7 @@ class LayerFigures:
         not learned from, in the last window.
     tried : int
     error_before, error_after : float or None
-        Root mean square of the following error before and with the layer in use or tried last, of the same work.
+        Root mean square of the following error without the layer in use or tried last, and with it.
     text : str
         What the layer consists of; empty where there is none.
     """

@@ -22,6 +22,7 @@ from friction_hil.learning.judge import Work, is_harmful, objection, work_of
 from friction_hil.learning.residual import Finding, Layer, Residual
 from friction_hil.learning.window import Window, velocity_of
 from friction_hil.numerics.jit import Array
+from friction_hil.numerics.readable import quantity
 
 COLUMNS = (
     "cycle",
@@ -99,6 +100,7 @@ class _Trial:
     step: Step
     tried: _Used
     before: Work
+    text: str = ""
     ticks: int = 0
     harmful: int = 0  # ticks with more error than ever before, one after the other
 
@@ -161,7 +163,7 @@ class Learner:
         self._finding: Finding | None = None  # what the last window shows of a residual layer
         self._pause = _FIRST_PAUSE
         self._rest = 0  # windows until the next trial
-        self._stopped = 0  # ticks until learning begins again
+        self._stopped, self._why_stopped = 0, ""  # ticks until learning begins again
         self._is_gain_doubted = False  # after a trial that was taken back: the next one keeps the gain
         self._settling = _SETTLING_TICKS + math.ceil(fade_s / TICK_S)
         self.figures = Figures(gain=gain)
@@ -200,22 +202,32 @@ class Learner:
     @property
     def proven(self) -> tuple[dict[str, float], float]:
         """Parameters by name, and gain, that were kept last."""
-        coordinates = self._belief.coordinates
-        values = coordinates.at(self._proven.x[:-MECHANICS]).tolist()
-        return dict(zip(coordinates.names, values, strict=True)), self._proven.gain
+        return self._named(self._proven), self._proven.gain
+
+    @property
+    def in_use(self) -> dict[str, float]:
+        """Parameters by name that the compensator has."""
+        return self._named(self._used)
+
+    @property
+    def doing(self) -> tuple[str, str]:
+        """What learning does now: ``watching``, ``trying``, ``resting`` or ``stopped``; and why, empty for watching."""
+        if self._stopped:
+            return "stopped", self._why_stopped
+        if self._trial is not None:
+            return "trying", self._trial.text
+        if self._rest:
+            return "resting", f"no further change within {self._rest * WINDOW_TICKS * TICK_S:g} s of motion"
+        return "watching", ""
 
     def refuse(self) -> None:
         """Take note that the last proposal was not handed over."""
-        if self._is_layer_tried:
+        if self._trial is not None and self._trial.step is Step.LAYER:
             self._residual.was_refused(self._proven.layer, self.figures.layer, "refused")
         else:
             self._rest, self._pause = self._pause, min(2 * self._pause, _LONGEST_PAUSE)
         self._trial, self._used, self._same = None, self._proven, 0
         self.figures.gain = self._proven.gain
-
-    @property
-    def _is_layer_tried(self) -> bool:
-        return self._trial is not None and self._trial.step is Step.LAYER
 
     @property
     def belief(self) -> Belief:
@@ -249,6 +261,15 @@ class Learner:
                 return self._propose_layer() or self._propose()
             return self._propose() or self._propose_layer()
         return None
+
+    def _size(self, length: float) -> str:
+        """Return a position or an error in words."""
+        return quantity(length, "rad" if self._belief.coordinates.model.axis == "rotary" else "m")
+
+    def _named(self, used: _Used) -> dict[str, float]:
+        """Return the parameters of coordinates by name."""
+        coordinates = self._belief.coordinates
+        return dict(zip(coordinates.names, coordinates.at(used.x[:-MECHANICS]).tolist(), strict=True))
 
     def _refine(self) -> None:
         """Refine the belief by the last window."""
@@ -294,8 +315,9 @@ class Learner:
             self._is_gain_doubted = False
             return None
         tried = replace(self._used, x=refined if is_other else self._used.x, gain=gain)
-        words = [f"parameters refined, which changes the torque by {100.0 * change:.1f} % of the level"] * is_other
-        words += [f"gain {self._used.gain:.2f} -> {gain:.2f}"] * (gain != self._used.gain)
+        words = [f"torque changes by {100.0 * change:.1f} % of the friction level"] * is_other
+        gains = f"{self._used.gain:.2f}", f"{gain:.2f}"
+        words += [f"gain {gains[0]} -> {gains[1]}"] * (gains[0] != gains[1])
         return self._try(Step.PARAMETERS if is_other else Step.GAIN, tried, before, ", ".join(words))
 
     def _propose_layer(self) -> Proposal | None:
@@ -304,14 +326,13 @@ class Learner:
         if found is None or self._same < WINDOW_TICKS:
             return None
         if self._used.layer is not None and found.is_spent:
-            self._residual.end(figures)
             self._proven = replace(self._used, layer=None)
             return self._hand_over(Step.BACK, self._proven, "the residual layer explains nothing any more: off")
         before = self._work(WINDOW_TICKS)
         is_seen = before.is_moving and before.rms >= _LEAST_COUNTS * self._resolution
         if not (self._residual.is_worth(found, self._used.layer, figures) and is_seen):
             return None
-        self._residual.was_tried(found, figures, before.rms)
+        self._residual.was_tried(found, self._used.layer, figures, before.rms)
         return self._try(Step.LAYER, replace(self._used, layer=found.layer), before, found.text)
 
     def _known_gain(self) -> float:
@@ -325,7 +346,7 @@ class Learner:
         return max(min(1.0 - _DOUBT * doubt, 1.0), self._least_gain)
 
     def _try(self, step: Step, tried: _Used, before: Work, text: str) -> Proposal:
-        self._trial = _Trial(step, tried, before)
+        self._trial = _Trial(step, tried, before, text)
         self._is_turn_of_layer = step is not Step.LAYER
         if self.figures.first_error is None:
             self.figures.first_error = before.rms
@@ -336,6 +357,9 @@ class Learner:
         model = self._belief.coordinates.model_at(to.x[:-MECHANICS]) if is_other else None
         if model is not None and to.layer is not None:
             model = to.layer.on(model)
+        is_trial = self._trial is not None and self._trial.step is Step.LAYER
+        if to.layer is None and self._used.layer is not None and not is_trial:
+            self._residual.end(self.figures.layer)
         self._used, self._same = to, 0
         self.figures.gain = to.gain
         return Proposal(step, model, to.gain, text)
@@ -346,7 +370,7 @@ class Learner:
         now = self._work(1)
         trial.harmful = trial.harmful + 1 if is_harmful(now, trial.before, self._resolution) else 0
         if trial.harmful == _HARMFUL_TICKS:
-            return self._take_back(f"the error rose to {now.rms:.3g}, before {trial.before.worst:.3g} at most")
+            return self._take_back(f"the error rose from {self._size(trial.before.worst)} to {self._size(now.rms)}")
         if np.any(np.diff(self._joined(list(self._ticks)[-2:])["gain_factor"]) < 0.0):
             return self._take_back("a limit cycle")
         if trial.ticks < self._settling + WINDOW_TICKS:
@@ -355,39 +379,38 @@ class Learner:
         if not after.is_like(trial.before):
             return self._take_back("the motion changed: nothing to compare with", is_harmless=True)
         if why := objection(after, trial.before, self._resolution):
-            return self._take_back(f"error {trial.before.rms:.3g} -> {after.rms:.3g}: {why}")
-        self._trial, self._proven = None, trial.tried
+            return self._take_back(f"error {self._size(trial.before.rms)} -> {self._size(after.rms)}: {why}")
+        self._trial, self._proven, self._pause = None, trial.tried, _FIRST_PAUSE
         if trial.step is Step.LAYER:
-            self._residual.was_kept(self.figures.layer, after.rms)
-        else:
-            self._pause = _FIRST_PAUSE
+            self._residual.was_kept(trial.tried.layer, self.figures.layer, after.rms)
         self.figures.kept += trial.step is Step.PARAMETERS
         self.figures.error = after.rms
-        self.notes.append(f"{trial.step.value} kept: error {trial.before.rms:.3g} -> {after.rms:.3g}")
+        shown = f"{self._size(trial.before.rms)} -> {self._size(after.rms)}"
+        self.notes.append(f"learning keeps the {trial.step.value}: error {shown}")
         return None
 
     def _take_back(self, reason: str, *, is_harmless: bool = False) -> Proposal:
-        if self._is_layer_tried:
+        if self._trial is not None and self._trial.step is Step.LAYER:
             why = "without a verdict" if is_harmless else "no gain"
             self._residual.was_refused(self._proven.layer, self.figures.layer, why)
         elif not is_harmless:
             self.figures.taken_back += 1
             self._is_gain_doubted = not self._is_gain_doubted
             self._rest, self._pause = self._pause, min(2 * self._pause, _LONGEST_PAUSE)
+        proposal = self._hand_over(Step.BACK, self._proven, reason)
         self._trial = None
-        return self._hand_over(Step.BACK, self._proven, reason)
+        return proposal
 
     def _stop(self, reason: str) -> Proposal | None:
         """Stop learning for a while: what was recorded so far is not of the axis as it is now."""
         if not self._stopped:
             self.figures.stopped += 1
             self.notes.append(f"learning stops for {_STOPPED_TICKS * TICK_S:g} s: {reason}")
-        self._stopped, self._fresh = _STOPPED_TICKS, 0
+        self._stopped, self._why_stopped, self._fresh = _STOPPED_TICKS, reason, 0
         self._ticks.clear()
         self._estimate = None
         self._belief = self._belief.doubted()
         if is_layered := self._used.layer is not None:  # its phase is lost where the position has jumped
-            self._residual.end(self.figures.layer)
             self._proven = replace(self._proven, layer=None)
         if self._trial is not None:
             return self._take_back(reason, is_harmless=True)
@@ -409,7 +432,7 @@ class Learner:
         usual = float(np.max(np.abs(np.diff(errors[0]))))
         jump = float(np.max(np.abs(np.diff(errors[1], prepend=errors[0][-1]))))
         if jump > _GLITCH * usual + 16.0 * self._resolution:
-            return f"the position jumps by {jump:.3g}"
+            return f"the position jumps by {self._size(jump)}"
         if self._estimate is not None:
             own = replace(self._used, x=self._belief.x)
             left = self._unexplained(own, [*list(self._ticks)[-_WARM_TICKS:], tick])
@@ -442,8 +465,6 @@ class Learner:
         self._misled = self._misled + 1 if used > _MISLED * file + _MISLED_LEVEL * level else 0
         if self._misled < _HARMFUL_TICKS:
             return None
-        if self._used.layer is not None:
-            self._residual.end(self.figures.layer)
         self._misled, self._proven = 0, self._file
         return self._hand_over(Step.BACK, self._file, "the model file explains the torque of this motion better")
 

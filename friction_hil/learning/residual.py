@@ -191,15 +191,16 @@ class Residual:
             return False
         return True
 
-    def was_tried(self, found: Finding, figures: LayerFigures, error: float) -> None:
-        """Take note that a finding is tried, with the error before."""
-        figures.state, figures.text = "on trial", str(found.layer)
-        figures.error_before, figures.error_after = error, None
+    def was_tried(self, found: Finding, used: Layer | None, figures: LayerFigures, error: float) -> None:
+        """Take note that a finding is tried, with the error before; ``used`` is the layer in use so far."""
         figures.tried += 1
+        if used is None:
+            figures.state, figures.text = "on trial", str(found.layer)
+            figures.error_before, figures.error_after = error, None
 
-    def was_kept(self, figures: LayerFigures, error: float) -> None:
+    def was_kept(self, tried: Layer | None, figures: LayerFigures, error: float) -> None:
         """Take note that a trial was a gain."""
-        figures.state, figures.error_after = "on", error
+        figures.state, figures.text, figures.error_after = "on", str(tried), error
         self._pause = _FIRST_PAUSE
 
     def was_refused(self, used: Layer | None, figures: LayerFigures, why: str) -> None:

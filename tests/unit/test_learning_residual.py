@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import friction_hil as fh
-from friction_hil.cli.work.run import _learned
+from friction_hil.daemon import learning_words
 from friction_hil.learning.estimate import LeftOver
 from friction_hil.learning.figures import LayerFigures
 from friction_hil.learning.learner import WINDOW_TICKS, Step
@@ -135,14 +135,14 @@ def test_an_axis_without_a_residual_never_gets_a_layer():
         (LayerFigures("no gain", 0.4, 2, 5e-3, None, "ripple of order 7"), "; residual layer: no gain, off"),
         (
             LayerFigures("on", 0.4, 1, 5.1e-3, 1.9e-3, "ripple of order 7"),
-            "; residual layer: ripple of order 7, error 5.1 -> 1.9 mrad, on",
+            "; residual layer: ripple of order 7, error 5.10 mrad -> 1.90 mrad, on",
         ),
     ],
 )
 def test_the_last_line_of_a_run_names_the_layer(figures, words):
-    learned = {"re_identified": 0, "error_before": None, "error_after": None, "taken_back": 0, "mode": "on"}
-    told = _learned({**learned, "unit": "rad", "residual_layer": asdict(figures)})
-    assert told == f"re-identified 0 times{words}"
+    report = {"re_identified": 0, "taken_back": 0, "stopped": 0, "error_before": None, "error_after": None}
+    report |= {"mode": "on", "unit": "rad", "residual_layer": asdict(figures)}
+    assert learning_words.result(report) == f"re-identified 0 times{words}"
 
 
 def test_a_layer_is_off_at_once_where_the_position_jumps():
