@@ -112,7 +112,7 @@ class Finding:
     @property
     def text(self) -> str:
         """What is proposed."""
-        return f"residual layer: {self.layer}, which explains {100.0 * self.explained:.0f} % of what the model leaves"
+        return f"a residual layer: {self.layer}, which explains {100.0 * self.explained:.0f} % of what the model leaves"
 
 
 @dataclass(slots=True)
